@@ -1,0 +1,50 @@
+# Needs python3 (3.11 or newer, with venv), a C++17 compiler and make; everything else is installed into .venv.
+
+PYTHON ?= python3
+DEMO_SECONDS ?= 10
+
+VENV := .venv
+PIP := $(VENV)/bin/pip install --quiet --constraint constraints.txt
+# Installed editable: Python changes are live, and a Python started in this folder finds the native module too.
+BUILT_FROM := pyproject.toml constraints.txt $(shell find native -type f)
+
+.PHONY: demo test test-slow lint format clean
+
+demo: $(VENV)/installed-demo
+	$(VENV)/bin/physkin demo --seconds $(DEMO_SECONDS) --output demo.png
+
+test: $(VENV)/installed-test
+	$(VENV)/bin/pytest -m "not slow"
+
+test-slow: $(VENV)/installed-test
+	$(VENV)/bin/pytest -m slow
+
+lint: $(VENV)/installed-lint
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+
+format: $(VENV)/installed-lint
+	$(VENV)/bin/ruff check --fix .
+	$(VENV)/bin/ruff format .
+
+clean:
+	rm -rf $(VENV) build dist demo.png
+	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -r {} +
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) --upgrade pip
+
+$(VENV)/installed-demo: $(BUILT_FROM) | $(VENV)/bin/python
+	$(PIP) --editable ".[ros,view]"
+	touch $@
+
+# torch goes first and alone, so that the build the user's pip is set up for (CPU or CUDA) is the one the rest meets.
+$(VENV)/installed-test: $(BUILT_FROM) | $(VENV)/bin/python
+	$(PIP) torch
+	$(PIP) --editable ".[ros,training,view,test]"
+	touch $@ $(VENV)/installed-demo $(VENV)/installed-lint
+
+$(VENV)/installed-lint: | $(VENV)/bin/python
+	$(PIP) ruff
+	touch $@
