@@ -1,0 +1,63 @@
+// Aligned memory for everything a frame reads and writes.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstdlib>
+#include <cstring>
+#include <memory>
+#include <new>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+namespace physkin {
+
+constexpr std::size_t kAlignment = 64;  // one cache line, and the widest vector register
+
+// Hands out zeroed, 64-byte aligned arrays that live as long as the arena. Arrays taken one after the other lie one
+// after the other, so that a frame streams through its network weights; chunks have the size of a huge page.
+class Arena {
+ public:
+  template <class T>
+  T* take(std::size_t count) {
+    static_assert(std::is_trivial_v<T>);
+    const std::size_t bytes = round_up(count * sizeof(T), kAlignment);
+    if (bytes > remaining_) add_chunk(bytes);
+    std::byte* start = next_;
+    next_ += bytes;
+    remaining_ -= bytes;
+    return reinterpret_cast<T*>(start);
+  }
+
+  template <class T>
+  T* copy(const T* source, std::size_t count) {
+    T* target = take<T>(count);
+    if (count > 0) std::memcpy(target, source, count * sizeof(T));
+    return target;
+  }
+
+ private:
+  static constexpr std::size_t kChunk = std::size_t{2} << 20;
+
+  static std::size_t round_up(std::size_t value, std::size_t step) { return (value + step - 1) / step * step; }
+
+  void add_chunk(std::size_t bytes) {
+    const std::size_t size = round_up(bytes, kChunk);
+    std::unique_ptr<std::byte, Free> chunk(static_cast<std::byte*>(std::aligned_alloc(kChunk, size)));
+    if (!chunk) throw std::bad_alloc();
+    std::memset(chunk.get(), 0, size);
+    next_ = chunk.get();
+    remaining_ = size;
+    chunks_.push_back(std::move(chunk));
+  }
+
+  struct Free {
+    void operator()(std::byte* memory) const { std::free(memory); }
+  };
+  std::vector<std::unique_ptr<std::byte, Free>> chunks_;
+  std::byte* next_ = nullptr;
+  std::size_t remaining_ = 0;
+};
+
+}  // namespace physkin

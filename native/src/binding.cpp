@@ -1,0 +1,193 @@
+// physkin_core._native: checks and converts, computes nothing.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <cstdlib>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "dispatch.hpp"
+#include "evaluator.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace physkin {
+namespace {
+
+using AnyArray = nb::ndarray<nb::ro, nb::device::cpu>;
+// A float64, read-only or strided array would be converted into a copy that nobody reads; every use is noconvert.
+using OutputArray = nb::ndarray<float, nb::ndim<2>, nb::device::cpu>;
+
+std::string shape_text(const std::vector<int>& shape) {
+  std::string text;
+  for (int size : shape) text += (text.empty() ? "" : ", ") + (size < 0 ? "any" : std::to_string(size));
+  return "(" + text + (shape.size() == 1 ? ",)" : ")");
+}
+
+// Views one array of the garment: dtype T, C-contiguous. A negative size in `shape` allows any and is filled in.
+template <class T>
+const T* view(nb::handle object, const std::string& name, std::vector<int>& shape) {
+  AnyArray array;
+  bool good = nb::try_cast(object, array, false) && array.dtype() == nb::dtype<T>() && array.ndim() == shape.size();
+  const std::vector<int> wanted = shape;
+  std::int64_t stride = 1;
+  for (std::size_t axis = good ? shape.size() : 0; axis-- > 0;) {
+    shape[axis] = int(array.shape(axis));
+    good = good && (wanted[axis] < 0 || wanted[axis] == shape[axis]);
+    good = good && (array.size() == 0 || shape[axis] == 1 || array.stride(axis) == stride);
+    stride *= shape[axis];
+  }
+  if (!good) {
+    throw nb::value_error((name + " must be a C-contiguous " + (std::is_same_v<T, float> ? "float32" : "int32") +
+                           " array of shape " + shape_text(wanted)).c_str());
+  }
+  return static_cast<const T*>(array.data());
+}
+
+template <class T>
+const T* field(nb::handle garment, const char* name, std::vector<int> shape) {
+  return view<T>(garment.attr(name), name, shape);
+}
+
+int length(nb::handle garment, const char* name) { return int(nb::len(nb::object(garment.attr(name)))); }
+
+std::vector<DenseWeights> layers(nb::handle garment, const char* name) {
+  std::vector<DenseWeights> layers;
+  for (nb::handle layer : garment.attr(name)) {
+    const std::string at = std::string(name) + "[" + std::to_string(layers.size()) + "]";
+    std::vector<int> shape{-1, -1};
+    DenseWeights dense;
+    dense.matrix = view<float>(layer[0], at + " network weights", shape);
+    dense.outputs = shape[0];
+    dense.inputs = shape[1];
+    shape = {dense.outputs};
+    dense.bias = view<float>(layer[1], at + " bias", shape);
+    layers.push_back(dense);
+  }
+  return layers;
+}
+
+BoundGarment bound_garment(nb::handle source) {
+  BoundGarment g;
+  const int b = g.bones = length(source, "bone_parents");
+  const int d = g.dofs = length(source, "dof_bone");
+  const int m = g.nodes = length(source, "node_bone");
+  const int n = g.vertex_count = length(source, "vertices");
+  const int u = g.deformer_bone_count = length(source, "deformer_bones");
+  g.bone_parents = field<std::int32_t>(source, "bone_parents", {b});
+  g.bone_heads = field<float>(source, "bone_heads", {b, 3});
+  g.dof_bone = field<std::int32_t>(source, "dof_bone", {d});
+  g.dof_axis = field<float>(source, "dof_axis", {d, 3});
+  g.dof_rest = field<float>(source, "dof_rest", {d});
+  g.dof_lower = field<float>(source, "dof_lower", {d});
+  g.dof_upper = field<float>(source, "dof_upper", {d});
+  g.pose_layers = layers(source, "pose_layers");
+  g.deformer_bones = field<std::int32_t>(source, "deformer_bones", {u});
+  g.deformer_layers = layers(source, "deformer_layers");
+  g.node_bone = field<std::int32_t>(source, "node_bone", {m});
+  g.node_positions = field<float>(source, "node_positions", {m, 3});
+  g.node_rest = field<float>(source, "node_rest", {m, 3});
+  g.vertices = field<float>(source, "vertices", {n, 3});
+  g.normals = field<float>(source, "normals", {n, 3});
+  std::vector<int> shape{n, -1};
+  g.influence_nodes = view<std::int32_t>(source.attr("influence_nodes"), "influence_nodes", shape);
+  g.influences = shape[1];
+  g.influence_weights = field<float>(source, "influence_weights", shape);
+
+  const std::string activation = nb::cast<std::string>(source.attr("activation"));
+  if (activation != "silu" && activation != "relu") {
+    throw nb::value_error(("activation is '" + activation + "'; must be 'silu' or 'relu'").c_str());
+  }
+  g.activation = activation == "silu" ? Activation::silu : Activation::relu;
+  return g;
+}
+
+template <class T>
+void read_strided(const AnyArray& array, float* target) {
+  const T* source = static_cast<const T*>(array.data());
+  for (std::size_t i = 0; i < array.shape(0); ++i) target[i] = float(source[std::int64_t(i) * array.stride(0)]);
+}
+
+// float32 or float64, any stride, into a buffer of `count`.
+void read_vector(const AnyArray& array, const char* name, int count, float* target) {
+  if (array.ndim() != 1 || array.shape(0) != std::size_t(count)) {
+    throw nb::value_error((std::string(name) + " must have shape (" + std::to_string(count) + ",)").c_str());
+  }
+  if (array.dtype() == nb::dtype<float>()) {
+    read_strided<float>(array, target);
+  } else if (array.dtype() == nb::dtype<double>()) {
+    read_strided<double>(array, target);
+  } else {
+    throw nb::type_error((std::string(name) + " must be float32 or float64").c_str());
+  }
+}
+
+VertexRows vertex_rows(const OutputArray& out, int vertex_count) {
+  const std::size_t columns = out.shape(1);
+  if (out.shape(0) != std::size_t(vertex_count) || (columns != 3 && columns != 6)) {
+    throw nb::value_error(("out has shape " + shape_text({int(out.shape(0)), int(columns)}) + "; expected (" +
+                           std::to_string(vertex_count) + ", 3) or (" + std::to_string(vertex_count) + ", 6)").c_str());
+  }
+  if (out.stride(1) != 1) throw nb::value_error("a row of out must be contiguous; rows may be any distance apart");
+  const std::int64_t stride = out.stride(0);
+  if (vertex_count > 1 && std::uint64_t(std::abs(stride)) < columns) {
+    throw nb::value_error(("rows of out overlap: they are " + std::to_string(stride) + " floats apart").c_str());
+  }
+  return {reinterpret_cast<unsigned char*>(out.data()), std::ptrdiff_t(stride), columns == 6};
+}
+
+// The evaluator with room for its converted inputs.
+class BoundEvaluator {
+ public:
+  BoundEvaluator(nb::handle garment, const std::optional<std::string>& instruction_set)
+      : evaluator_(bound_garment(garment), select_kernels(instruction_set.value_or(""))),
+        joint_positions_(evaluator_.dofs()) {}
+
+  void evaluate(const AnyArray& joint_positions, const AnyArray& gravity, const OutputArray& out) {
+    read_vector(joint_positions, "joint_positions", evaluator_.dofs(), joint_positions_.data());
+    read_vector(gravity, "gravity", 3, gravity_);
+    evaluator_.evaluate(joint_positions_.data(), gravity_, vertex_rows(out, evaluator_.vertex_count()));
+  }
+
+  void skin(const nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>& node_transforms,
+            const OutputArray& out) {
+    if (int(node_transforms.shape(0)) != evaluator_.nodes() || node_transforms.shape(1) != 3 ||
+        node_transforms.shape(2) != 4) {
+      const std::string shape = shape_text({evaluator_.nodes(), 3, 4});
+      throw nb::value_error(("node_transforms must have shape " + shape).c_str());
+    }
+    evaluator_.skin(node_transforms.data(), vertex_rows(out, evaluator_.vertex_count()));
+  }
+
+  const Evaluator& evaluator() const { return evaluator_; }
+
+ private:
+  Evaluator evaluator_;
+  std::vector<float> joint_positions_;
+  float gravity_[3] = {};
+};
+
+}  // namespace
+}  // namespace physkin
+
+NB_MODULE(_native, module) {
+  using physkin::BoundEvaluator;
+  nb::class_<BoundEvaluator>(module, "Evaluator")
+      .def(nb::init<nb::handle, const std::optional<std::string>&>(), "garment"_a, "instruction_set"_a = nb::none())
+      .def("evaluate", &BoundEvaluator::evaluate, "joint_positions"_a.noconvert(), "gravity"_a.noconvert(),
+           "out"_a.noconvert())
+      .def("skin", &BoundEvaluator::skin, "node_transforms"_a.noconvert(), "out"_a.noconvert())
+      .def_prop_ro("node_transforms",
+                   [](const BoundEvaluator& self) {
+                     const std::size_t nodes = std::size_t(self.evaluator().nodes());
+                     return nb::ndarray<nb::numpy, const float, nb::shape<-1, 3, 4>>(
+                         self.evaluator().node_transforms(), {nodes, 3, 4}, nb::find(self));
+                   })
+      .def_prop_ro("instruction_set", [](const BoundEvaluator& self) { return self.evaluator().instruction_set(); });
+  module.def("supported_instruction_sets", physkin::supported_instruction_sets);
+}

@@ -1,0 +1,18 @@
+// Choice of the instruction set at run time.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "kernels.hpp"
+
+namespace physkin {
+
+// Names of the instruction sets this CPU runs, narrowest first: "baseline", "v3" (AVX2, FMA), "v4" (AVX-512).
+std::vector<std::string> supported_instruction_sets();
+
+// Kernels of the named instruction set; an empty name means the environment variable PHYSKIN_NATIVE_ISA, and without
+// that the widest one supported. Throws std::invalid_argument for a name that is unknown or not supported here.
+const Kernels& select_kernels(const std::string& name = "");
+
+}  // namespace physkin

@@ -1,0 +1,13 @@
+// Compiled once per instruction set, with PHYSKIN_ISA set to its name and the flags that CMakeLists.txt gives it.
+#include "dense_kernel.hpp"
+#include "skinning_kernel.hpp"
+
+#define PHYSKIN_TEXT_OF(name) #name
+#define PHYSKIN_TEXT(name) PHYSKIN_TEXT_OF(name)
+
+namespace physkin::PHYSKIN_ISA {
+
+extern const Kernels kernels;
+const Kernels kernels{PHYSKIN_TEXT(PHYSKIN_ISA), dense, skin};
+
+}  // namespace physkin::PHYSKIN_ISA

@@ -1,0 +1,58 @@
+// Float vectors as wide as the registers of the instruction set this unit is compiled for.
+//
+// Included by kernel_unit.cpp only. Everything lives in a namespace named after the instruction set and nothing comes
+// from the standard library's templates: the linker keeps one copy of an inline function, and a copy compiled for
+// AVX-512 would crash an older CPU.
+#pragma once
+
+#include <cstdint>
+
+namespace physkin::PHYSKIN_ISA {
+
+#if defined(__AVX512F__)
+constexpr int kLanes = 16;
+#elif defined(__AVX2__)
+constexpr int kLanes = 8;
+#else
+constexpr int kLanes = 4;
+#endif
+
+typedef float Floats __attribute__((vector_size(4 * kLanes), may_alias));
+typedef float UnalignedFloats __attribute__((vector_size(4 * kLanes), may_alias, aligned(4)));
+typedef std::int32_t Ints __attribute__((vector_size(4 * kLanes)));
+
+inline Floats load(const float* p) { return *reinterpret_cast<const Floats*>(p); }
+inline Floats load_unaligned(const float* p) { return *reinterpret_cast<const UnalignedFloats*>(p); }
+inline void store(float* p, Floats v) { *reinterpret_cast<Floats*>(p) = v; }
+
+// The comparisons below keep a NaN in v: a non-finite value must reach the output check, not turn into a limit.
+inline Floats at_least(Floats v, float limit) { return v < limit ? Floats{} + limit : v; }
+inline Floats at_most(Floats v, float limit) { return v > limit ? Floats{} + limit : v; }
+
+// exp(v), relative error below 2e-7; v is clamped to [-87, 88], where the result is a normal float.
+inline Floats exponential(Floats v) {
+  v = at_most(at_least(v, -87.0f), 88.0f);
+  // v = k ln 2 + r with integer k. Adding 1.5 * 2^23 rounds to an integer and leaves it in the low bits.
+  constexpr float kRound = 12582912.0f;
+  const Floats shifted = v * 1.44269504f + kRound;
+  const Floats k = shifted - kRound;
+  const Floats r = v - k * 0.693359375f + k * 2.12194440e-4f;  // ln 2 in two parts, the first exact in products
+  // Minimax polynomial of (exp(r) - 1 - r) / r^2 on |r| <= ln 2 / 2 (Cephes expf).
+  Floats p = r * 1.9875691500e-4f + 1.3981999507e-3f;
+  p = p * r + 8.3334519073e-3f;
+  p = p * r + 4.1665795894e-2f;
+  p = p * r + 1.6666665459e-1f;
+  p = p * r + 5.0000001201e-1f;
+  p = p * r * r + r + 1.0f;
+  const Ints exponent = ((Ints)shifted - (Ints)(Floats{} + kRound)) << 23;
+  return (Floats)((Ints)p + exponent);
+}
+
+// 1 / sqrt(v) for v > 0, to rounding: a first guess from the bits, then Newton steps (3e-2, 2e-3, 5e-6, 3e-11).
+inline Floats reciprocal_sqrt(Floats v) {
+  Floats y = (Floats)(0x5f3759df - ((Ints)v >> 1));
+  for (int step = 0; step < 3; ++step) y = y * (1.5f - 0.5f * v * y * y);
+  return y;
+}
+
+}  // namespace physkin::PHYSKIN_ISA

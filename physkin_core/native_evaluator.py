@@ -1,0 +1,93 @@
+"""The per-frame path in C++: joint positions to garment vertices and normals, on one core, without allocating.
+
+Dimensions as in `bound_garment`: `d` degrees of freedom, `m` garment nodes, `n` garment vertices.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from physkin_core.bound_garment import BoundGarment
+
+try:
+    from physkin_core import _native
+except ImportError as error:
+    raise ImportError(
+        f"physkin_core in {Path(__file__).parent} has no native module built for this Python ({error}). In a source "
+        "folder, install with `pip install -e .`, or start Python in another folder to use the installed package."
+    ) from error
+
+__all__ = ["NativeEvaluator", "supported_instruction_sets"]
+
+
+def supported_instruction_sets() -> list[str]:
+    """Instruction sets this CPU can run, narrowest first: "baseline", "v3" (AVX2 and FMA), "v4" (AVX-512)."""
+    return _native.supported_instruction_sets()
+
+
+class NativeEvaluator:
+    """Evaluates one bound garment frame by frame. Not for use by two threads at once.
+
+    bound: its arrays are copied and packed; later changes to them have no effect.
+    instruction_set: one of `supported_instruction_sets()`. By default the environment variable PHYSKIN_NATIVE_ISA
+        decides, and without it the widest supported set.
+
+    Raises ValueError if an array of `bound` has another dtype, shape or layout than `BoundGarment` states, an
+    index is out of range, a value is not finite, or the instruction set is unknown or not supported by this CPU.
+    """
+
+    def __init__(self, bound: BoundGarment, *, instruction_set: str | None = None):
+        self._evaluator = _native.Evaluator(bound, instruction_set)
+
+    @property
+    def instruction_set(self) -> str:
+        """Name of the instruction set in use."""
+        return self._evaluator.instruction_set
+
+    def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> None:
+        """Computes one frame into `out`.
+
+        joint_positions: (d,) [rad], float32 or float64.
+        gravity: (3,) unit direction of gravity in the root frame, float32 or float64.
+        out: writable float32, (n, 6) for x, y, z [m] and unit normals in the root frame, or (n, 3) for positions
+            alone. Rows must be contiguous but may be any distance apart, so that `out` can be a view of a larger
+            buffer, such as the data of a point cloud message.
+
+        Raises TypeError if an array has another dtype or `out` is read-only; ValueError if a shape is wrong, an input
+        is not finite, or the networks' output is not (`out` is then unchanged).
+        """
+        try:
+            self._evaluator.evaluate(joint_positions, gravity, out)
+        except TypeError:
+            raise TypeError(_explain(joint_positions=joint_positions, gravity=gravity, out=out)) from None
+
+    def skin(self, node_transforms: np.ndarray, out: np.ndarray) -> None:
+        """The last stage alone: skins the garment with given node transforms, (m, 3, 4) float32, C-contiguous.
+
+        out and errors as in `evaluate`.
+        """
+        try:
+            self._evaluator.skin(node_transforms, out)
+        except TypeError:
+            raise TypeError(_explain(node_transforms=node_transforms, out=out)) from None
+
+    def node_transforms(self) -> np.ndarray:
+        """Garment node transforms of the last frame, (m, 3, 4) [linear | translation in m], root frame, float32.
+
+        Zeros before the first frame.
+        """
+        return self._evaluator.node_transforms.copy()
+
+
+def _explain(**arrays: object) -> str:
+    """What the binding rejected, in place of its list of C++ signatures."""
+    got = []
+    for name, value in arrays.items():
+        if isinstance(value, np.ndarray):
+            access = "" if value.flags.writeable else "read-only "
+            got.append(f"{name} {access}{value.dtype} of shape {value.shape}")
+        else:
+            got.append(f"{name} {type(value).__name__}")
+    return f"arrays must be NumPy float32 (inputs also float64) and out writable and 2-D; got {', '.join(got)}"

@@ -1,0 +1,121 @@
+// The evaluator as a C++ library, without Python: counts what a frame allocates, on garments of odd sizes.
+//
+// Prints "<instruction set> <allocations>" for each garment. All buffers have their exact size, so that a build with
+// the address sanitizer finds a kernel that reads or writes beyond them.
+#include <cstdio>
+#include <cstdlib>
+#include <random>
+#include <vector>
+
+#include "dispatch.hpp"
+#include "evaluator.hpp"
+
+static long allocations = 0;
+
+#if defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__)
+// Every way to the heap, operator new included, ends in one of these.
+extern "C" {
+void* __libc_malloc(size_t);
+void* __libc_calloc(size_t, size_t);
+void* __libc_realloc(void*, size_t);
+void* __libc_memalign(size_t, size_t);
+void* malloc(size_t size) { return ++allocations, __libc_malloc(size); }
+void* calloc(size_t count, size_t size) { return ++allocations, __libc_calloc(count, size); }
+void* realloc(void* memory, size_t size) { return ++allocations, __libc_realloc(memory, size); }
+void* aligned_alloc(size_t alignment, size_t size) { return ++allocations, __libc_memalign(alignment, size); }
+}
+#endif
+
+namespace {
+
+std::mt19937 random_bits(2603);
+
+std::vector<float> uniform(std::size_t count, float low, float high) {
+  std::uniform_real_distribution<float> distribution(low, high);
+  std::vector<float> values(count);
+  for (float& value : values) value = distribution(random_bits);
+  return values;
+}
+
+std::vector<std::int32_t> indices(std::size_t count, int limit) {
+  std::vector<std::int32_t> values(count);
+  for (auto& value : values) value = std::int32_t(random_bits() % unsigned(limit));
+  return values;
+}
+
+struct Layers {
+  std::vector<std::vector<float>> storage;
+  std::vector<physkin::DenseWeights> layers;
+
+  explicit Layers(const std::vector<int>& widths) {
+    storage.reserve(2 * widths.size());
+    for (std::size_t k = 0; k + 1 < widths.size(); ++k) {
+      storage.push_back(uniform(std::size_t(widths[k]) * widths[k + 1], -0.1f, 0.1f));
+      storage.push_back(uniform(widths[k + 1], -0.1f, 0.1f));
+      layers.push_back({widths[k + 1], widths[k], storage[2 * k].data(), storage[2 * k + 1].data()});
+    }
+  }
+};
+
+// Frames of one garment; returns how often they reached the heap.
+long run(const physkin::Kernels& kernels, int bones, int dofs, int nodes, int vertices, int influences, int width) {
+  std::vector<std::int32_t> parents(bones);
+  for (int j = 0; j < bones; ++j) parents[j] = j - 1;
+  const auto heads = uniform(3 * bones, -1, 1), axis = uniform(3 * dofs, -1, 1), rest = uniform(dofs, -1, 1);
+  const auto lower = uniform(dofs, -2, -1), upper = uniform(dofs, 1, 2);
+  const auto dof_bone = indices(dofs, bones), node_bone = indices(nodes, bones);
+  const auto positions = uniform(3 * nodes, -1, 1);
+  const auto points = uniform(3 * vertices, -1, 1), normals = uniform(3 * vertices, -1, 1);
+  const auto influence_nodes = indices(std::size_t(vertices) * influences, nodes);
+  const auto weights = uniform(std::size_t(vertices) * influences, 0, 1);
+  const Layers pose({dofs + 3, width, 4 * width}), deformer({12 * bones, width, width, 9 * nodes});
+  std::vector<std::int32_t> used(bones);
+  for (int j = 0; j < bones; ++j) used[j] = j;
+
+  physkin::BoundGarment g;
+  g.bones = g.deformer_bone_count = bones;
+  g.dofs = dofs;
+  g.nodes = nodes;
+  g.vertex_count = vertices;
+  g.influences = influences;
+  g.bone_parents = parents.data();
+  g.bone_heads = heads.data();
+  g.dof_bone = dof_bone.data();
+  g.dof_axis = axis.data();
+  g.dof_rest = rest.data();
+  g.dof_lower = lower.data();
+  g.dof_upper = upper.data();
+  g.pose_layers = pose.layers;
+  g.deformer_bones = used.data();
+  g.deformer_layers = deformer.layers;
+  g.node_bone = node_bone.data();
+  g.node_positions = g.node_rest = positions.data();
+  g.vertices = points.data();
+  g.normals = normals.data();
+  g.influence_nodes = influence_nodes.data();
+  g.influence_weights = weights.data();
+
+  physkin::Evaluator evaluator(g, kernels);
+  std::vector<float> out(6 * std::size_t(vertices));
+  const auto q = uniform(dofs, -1, 1), gravity = uniform(3, -1, 1);
+  const physkin::VertexRows full{reinterpret_cast<unsigned char*>(out.data()), 6, true};
+  const physkin::VertexRows positions_only{full.data, 3, false};
+  const long before = allocations;
+  for (int frame = 0; frame < 3; ++frame) {
+    evaluator.evaluate(q.data(), gravity.data(), full);
+    evaluator.evaluate(q.data(), gravity.data(), positions_only);
+  }
+  return allocations - before;
+}
+
+}  // namespace
+
+int main() {
+  for (const std::string& name : physkin::supported_instruction_sets()) {
+    const physkin::Kernels& kernels = physkin::select_kernels(name);
+    for (const int size : {1, 2, 3, 7, 15, 16, 17, 31, 32, 33, 64, 100}) {
+      std::printf("%s %ld\n", name.c_str(), run(kernels, 1 + size / 3, size, size, 3 * size, 1 + size % 8, size));
+    }
+  }
+  return allocations > 0 ? 0 : 1;  // zero: the counting itself did not work
+}

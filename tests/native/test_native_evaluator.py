@@ -1,0 +1,243 @@
+"""The native evaluator agrees with a naive float64 reading of the method, on every instruction set of this CPU."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from physkin_core.native_evaluator import NativeEvaluator, supported_instruction_sets
+from physkin_core.reference_evaluator import ReferenceEvaluator
+
+LEVELS = supported_instruction_sets()
+
+SHAPES = {
+    "smallest": dict(
+        bones=1, dofs=0, nodes=1, vertices=1, influences=1, pose_widths=(), deformer_widths=(1,), correction_size=9
+    ),
+    "no hidden layers": dict(pose_widths=(), deformer_widths=()),
+    "odd widths": dict(
+        bones=7, dofs=11, nodes=13, vertices=101, influences=5, pose_widths=(37, 19, 65), deformer_widths=(33, 7, 50)
+    ),
+    "block boundary": dict(vertices=64, influences=2, pose_widths=(32,), deformer_widths=(32, 64)),
+    "many influences": dict(nodes=40, vertices=333, influences=16),
+    "default rig": dict(
+        bones=36, dofs=52, nodes=128, vertices=2000, influences=8, pose_widths=(512,) * 4, deformer_widths=(128,) * 4
+    ),
+    "paper": dict(
+        bones=128, dofs=117, nodes=128, vertices=1500, influences=4, pose_widths=(512,) * 4, deformer_widths=(128,) * 4
+    ),
+}
+
+
+# --- The oracle: one vertex, one bone, one node at a time, in float64. ---
+
+
+def oracle_rotation(axis, angle):
+    k = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
+
+
+def oracle_bone_transforms(g, q):
+    rotations, heads = [], []
+    for j, parent in enumerate(g.bone_parents):
+        local = np.eye(3)
+        for k in range(len(q)):
+            if g.dof_bone[k] == j:
+                local = local @ oracle_rotation(g.dof_axis[k].astype(float), q[k] - float(g.dof_rest[k]))
+        head = g.bone_heads[j].astype(float)
+        if parent >= 0:
+            head = heads[parent] + rotations[parent] @ (head - g.bone_heads[parent])
+            local = rotations[parent] @ local
+        rotations.append(local)
+        heads.append(head)
+    return [np.c_[r, p - r @ h.astype(float)] for r, p, h in zip(rotations, heads, g.bone_heads)]
+
+
+def oracle_mlp(layers, x, activation, modulation=None):
+    at = 0
+    for k, (weights, bias) in enumerate(layers):
+        x = weights.astype(float) @ x + bias
+        if k == len(layers) - 1:
+            return x
+        if modulation is not None:
+            h = len(x)
+            x = (1 + modulation[at : at + h]) * x + modulation[at + h : at + 2 * h]
+            at += 2 * h
+        with np.errstate(over="ignore"):  # exp(-x) may be infinite, which gives the right 0
+            x = np.maximum(x, 0) if activation == "relu" else x / (1 + np.exp(-x))
+
+
+def oracle_correction(c):
+    if len(c) == 12:
+        return np.eye(3) + c[:9].reshape(3, 3), c[9:]
+    first = np.array([1.0, 0, 0]) + c[:3]
+    first /= np.linalg.norm(first)
+    second = np.array([0, 1.0, 0]) + c[3:6]
+    second -= first * (first @ second)
+    second /= np.linalg.norm(second)
+    return np.stack([first, second, np.cross(first, second)], axis=1), c[6:]
+
+
+def oracle_node_transforms(g, q, gravity):
+    bones = oracle_bone_transforms(g, q)
+    lower, upper = g.dof_lower.astype(float), g.dof_upper.astype(float)
+    theta = np.clip((q - (lower + upper) / 2) / ((upper - lower) / 2), -1, 1)
+    modulation = oracle_mlp(g.pose_layers, np.r_[theta, gravity], g.activation)
+    posed = np.concatenate([bones[j].ravel() for j in g.deformer_bones])
+    corrections = oracle_mlp(g.deformer_layers, posed, g.activation, modulation).reshape(len(g.node_bone), -1)
+    transforms = []
+    for j, position, c in zip(g.node_bone, g.node_positions.astype(float), corrections):
+        rotation, translation = bones[j][:, :3], bones[j][:, 3]
+        linear, offset = oracle_correction(c)
+        transforms.append(np.c_[rotation @ linear, rotation @ offset + rotation @ position + translation])
+    return np.array(transforms)
+
+
+def oracle_skin(g, transforms):
+    """Positions (n, 3) and blended normals (n, 3) before they are normalised."""
+    positions, normals = [], []
+    for x, normal, nodes, weights in zip(g.vertices, g.normals, g.influence_nodes, g.influence_weights):
+        position, blended = np.zeros(3), np.zeros(3)
+        for i, w in zip(nodes, weights.astype(float)):
+            linear, translation = transforms[i][:, :3], transforms[i][:, 3]
+            position += w * (linear @ (x.astype(float) - g.node_rest[i]) + translation)
+            blended += w * (linear @ normal.astype(float))
+        positions.append(position)
+        normals.append(blended)
+    return np.array(positions), np.array(normals)
+
+
+def assert_agrees(out, positions, blended):
+    """Within 1e-5 of the garment's size; normals within 1e-5, more where blending all but cancelled them."""
+    scale = max(1.0, np.abs(positions).max())
+    assert np.abs(out[:, :3] - positions).max() <= 1e-5 * scale
+    if out.shape[1] == 6:
+        length = np.linalg.norm(blended, axis=1, keepdims=True)
+        assert (np.abs(out[:, 3:] - blended / length) * np.minimum(length, 1.0)).max() <= 1e-5
+
+
+# --- Agreement ---
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("activation, correction_size", [("silu", 9), ("relu", 9), ("silu", 12), ("relu", 12)])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_frame_agrees_with_oracle(shape, activation, correction_size, level, make_garment, make_pose):
+    """Positions, normals and garment node transforms, with and without normals in the output."""
+    rng = np.random.default_rng(list(f"{shape}{activation}{correction_size}".encode()))
+    g = make_garment(rng, **{**SHAPES[shape], "activation": activation, "correction_size": correction_size})
+    evaluator = NativeEvaluator(g, instruction_set=level)
+    assert evaluator.instruction_set == level
+    for columns in (6, 3):
+        q, gravity = make_pose(rng, g)
+        out = np.full((len(g.vertices), columns), np.nan, dtype=np.float32)
+        evaluator.evaluate(q, gravity, out)
+        transforms = oracle_node_transforms(g, q.astype(float), gravity.astype(float))
+        scale = max(1.0, np.abs(transforms).max())
+        assert np.abs(evaluator.node_transforms() - transforms).max() <= 1e-5 * scale
+        assert_agrees(out, *oracle_skin(g, transforms))
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("seed", range(20))
+def test_random_shapes_agree_with_oracle(seed, level, make_garment, make_pose):
+    rng = np.random.default_rng([2603, seed])
+    bones, nodes = rng.integers(1, 30), rng.integers(1, 40)
+    g = make_garment(
+        rng,
+        bones=bones,
+        dofs=rng.integers(0, 3 * bones),
+        nodes=nodes,
+        vertices=rng.integers(1, 200),
+        influences=rng.integers(1, 9),
+        pose_widths=tuple(rng.integers(1, 80, size=rng.integers(0, 5))),
+        deformer_widths=tuple(rng.integers(1, 80, size=rng.integers(0, 5))),
+        correction_size=rng.choice([9, 12]),
+        activation=rng.choice(["silu", "relu"]).item(),
+    )
+    q, gravity = make_pose(rng, g)
+    out = np.empty((len(g.vertices), 6), dtype=np.float32)
+    NativeEvaluator(g, instruction_set=level).evaluate(q, gravity, out)
+    assert_agrees(out, *oracle_skin(g, oracle_node_transforms(g, q.astype(float), gravity.astype(float))))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_both_backends_agree(seed, make_garment, make_pose):
+    """The NumPy reference, which users read, says the same as the code they run."""
+    rng = np.random.default_rng([27013, seed])
+    g = make_garment(rng, correction_size=[9, 12][seed % 2], activation=["silu", "relu"][seed // 3])
+    pose = make_pose(rng, g)
+    native, reference = np.empty((2, len(g.vertices), 6), dtype=np.float32)
+    evaluators = NativeEvaluator(g), ReferenceEvaluator(g)
+    for evaluator, out in zip(evaluators, (native, reference)):
+        evaluator.evaluate(*pose, out)
+    transforms = [evaluator.node_transforms() for evaluator in evaluators]
+    np.testing.assert_allclose(*transforms, atol=1e-5 * max(1.0, np.abs(transforms[1]).max()))
+    assert_agrees(native, *oracle_skin(g, transforms[1].astype(float)))
+    assert_agrees(reference, *oracle_skin(g, transforms[1].astype(float)))
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_skinning_alone_agrees_with_oracle(level, make_garment):
+    """Given transforms need not be rotations: shear and scale pass through the last stage."""
+    rng = np.random.default_rng(5)
+    g = make_garment(rng, nodes=20, vertices=210, influences=8)
+    transforms = rng.normal(size=(20, 3, 4)).astype(np.float32)
+    out = np.empty((210, 6), dtype=np.float32)
+    NativeEvaluator(g, instruction_set=level).skin(transforms, out)
+    assert_agrees(out, *oracle_skin(g, transforms.astype(float)))
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_silu_over_its_whole_range(level, make_garment):
+    """Relative error below 1e-6, also where the exponential under- or overflows.
+
+    Each hidden unit's input is its bias and its output goes unchanged into one coordinate of a node's translation.
+    """
+    inputs = np.r_[np.linspace(-100, 100, 2001), np.logspace(-6, 3, 200), -np.logspace(-6, 5, 202)].astype(np.float32)
+    count = len(inputs)
+    g = make_garment(
+        np.random.default_rng(6), bones=1, dofs=0, nodes=count // 3, pose_widths=(), deformer_widths=(count,)
+    )
+    for array in (*g.pose_layers[0], *g.deformer_layers[0], g.node_positions):
+        array[:] = 0
+    g.deformer_layers[0][1][:] = inputs
+    output = np.zeros((count // 3, 9, count), dtype=np.float32)
+    output[:, 6:] = np.eye(count).reshape(count // 3, 3, count)
+    bias = np.zeros(3 * count, dtype=np.float32)
+    g = replace(g, deformer_layers=(g.deformer_layers[0], (output.reshape(-1, count), bias)))
+
+    evaluator = NativeEvaluator(g, instruction_set=level)
+    evaluator.evaluate(np.empty(0), np.array([0.0, 0, -1]), np.empty((len(g.vertices), 3), dtype=np.float32))
+    x = inputs.astype(float)
+    with np.errstate(over="ignore"):
+        expected = x / (1 + np.exp(-x))
+    np.testing.assert_allclose(evaluator.node_transforms()[:, :, 3].ravel(), expected, rtol=1e-6, atol=1e-30)
+
+
+def test_frames_do_not_interact(make_garment, make_pose):
+    """Evaluating one pose, another, and the first again gives the first result bit for bit."""
+    rng = np.random.default_rng(7)
+    g = make_garment(rng)
+    first, second = make_pose(rng, g), make_pose(rng, g)
+    for level in LEVELS:
+        evaluator = NativeEvaluator(g, instruction_set=level)
+        a, b, c = np.empty((3, len(g.vertices), 6), dtype=np.float32)
+        evaluator.evaluate(*first, a)
+        evaluator.evaluate(*second, b)
+        evaluator.evaluate(*first, c)
+        assert np.array_equal(a, c) and not np.array_equal(a, b)
+
+
+def test_garment_is_copied(make_garment, make_pose):
+    """The evaluator keeps nothing of the caller's arrays."""
+    rng = np.random.default_rng(8)
+    g = make_garment(rng)
+    pose = make_pose(rng, g)
+    evaluator = NativeEvaluator(g)
+    before, after = np.empty((2, len(g.vertices), 6), dtype=np.float32)
+    evaluator.evaluate(*pose, before)
+    for array in (g.vertices, g.bone_heads, g.dof_axis, g.influence_weights, g.pose_layers[0][0]):
+        array[:] = np.nan
+    evaluator.evaluate(*pose, after)
+    assert np.array_equal(before, after)

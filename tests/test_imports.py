@@ -1,0 +1,18 @@
+"""The run time stays light: importing it loads nothing that only training, the ROS node or the loaders need."""
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = ("torch", "warp", "rclpy", "trimesh", "pygltflib")
+
+
+@pytest.mark.parametrize("module", ["physkin_core", "physkin_core.native_evaluator", "physkin_core.cli"])
+def test_import_loads_no_heavy_package(module, tmp_path):
+    code = f"import sys, {module}; print(*sorted({{name.split('.')[0] for name in sys.modules}}))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    loaded = set(result.stdout.split())
+    assert "physkin_core" in loaded
+    assert loaded.isdisjoint(HEAVY), loaded & set(HEAVY)
