@@ -1,0 +1,37 @@
+"""PhySkin run time: drape a trained garment on any avatar, on one CPU core."""
+
+from physkin_core.avatar import Avatar, AvatarError, avatar_from_body, load_avatar
+from physkin_core.body_model import BodyModel, load_body_model
+from physkin_core.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
+from physkin_core.garment import Garment, GarmentError, load_garment
+from physkin_core.garment_model import GarmentModel, GarmentModelError, Material
+from physkin_core.model_file import ModelFileError, load_garment_model, save_garment_model
+from physkin_core.motion import Motion, MotionError, load_motion
+from physkin_core.rig import DegreeOfFreedom, Rig, RigError
+
+__all__ = [
+    "BACKENDS",
+    "UPRIGHT_GRAVITY",
+    "Avatar",
+    "AvatarError",
+    "BodyModel",
+    "DegreeOfFreedom",
+    "Draper",
+    "Garment",
+    "GarmentError",
+    "GarmentModel",
+    "GarmentModelError",
+    "Material",
+    "ModelFileError",
+    "Motion",
+    "MotionError",
+    "Rig",
+    "RigError",
+    "avatar_from_body",
+    "load_avatar",
+    "load_body_model",
+    "load_garment",
+    "load_garment_model",
+    "load_motion",
+    "save_garment_model",
+]

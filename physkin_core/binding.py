@@ -1,0 +1,127 @@
+"""Bind a garment model to a body, and another mesh or point set of the same garment to a trained model.
+
+A finer, coarser or cropped mesh, or points without faces (a point cloud, splat centres), takes the trained skinning
+weights over in canonical space: each point from the closest point of the trained garment's surface (paper: Garment
+Remeshing). Bodies are encoded once here; what comes out changes no more from frame to frame.
+"""
+
+from __future__ import annotations
+
+import logging
+from time import perf_counter
+
+import numpy as np
+
+from physkin_core.avatar import Avatar
+from physkin_core.bound_garment import BoundGarment
+from physkin_core.garment import vertex_normals
+from physkin_core.garment_model import GarmentModel
+from physkin_core.garment_nodes import node_positions_on_body
+from physkin_core.hyper_modulator import POINT_COUNT, body_modulation
+from physkin_core.mlp import fold_modulation
+from physkin_core.node_deformer import fold_first_layer
+from physkin_core.surface_sampling import sample_surface
+
+__all__ = ["bind_garment", "bind_points", "encode_body"]
+
+log = logging.getLogger(__name__)
+
+FARTHEST_POINT = 0.05
+"""A point farther [m] than this from the trained garment's surface is refused by `bind_points`."""
+
+
+def encode_body(model: GarmentModel, avatar: Avatar) -> np.ndarray:
+    """Run the hyper modulator on a body: modulation (s,) float32 of the pose modulator."""
+    points, normals = sample_surface(avatar.vertices, avatar.faces, POINT_COUNT)
+    return body_modulation(model.hyper_modulator, points, normals).astype(np.float32)
+
+
+def bind_garment(model: GarmentModel, avatar: Avatar) -> BoundGarment:
+    """Everything of (model, body) that does not change with the pose. Encodes the body; logs how long that took.
+
+    Raises ValueError when the avatar's bones are not those of the model's rig.
+    """
+    rig = model.rig
+    if avatar.bone_heads.shape != rig.heads.shape:
+        raise ValueError(
+            f"avatar {avatar.source} has {len(avatar.bone_heads)} bones, the rig of {model.name!r} has {rig.bone_count}"
+        )
+    started = perf_counter()
+    modulation = encode_body(model, avatar)
+    log.info("encoded body %s for %s in %.0f ms", avatar.source, model.name, 1e3 * (perf_counter() - started))
+    node_positions = node_positions_on_body(
+        model.node_rest, model.node_bone, (rig.heads, rig.tails), (avatar.bone_heads, avatar.bone_tails)
+    )
+    (first_weight, first_bias), *rest = model.node_deformer
+    deformer_bones, folded_weight = fold_first_layer(first_weight, model.node_bone, node_positions)
+    garment = model.garment
+    return BoundGarment(
+        bone_parents=rig.parents,
+        bone_heads=_float(avatar.bone_heads),
+        dof_bone=rig.dof_bones,
+        dof_axis=_float(rig.dof_axes),
+        dof_rest=_float(rig.rest),
+        dof_lower=_float(rig.lower),
+        dof_upper=_float(rig.upper),
+        pose_layers=_float_layers(fold_modulation(model.pose_modulator, modulation)),
+        deformer_bones=deformer_bones,
+        deformer_layers=_float_layers([(folded_weight, first_bias), *rest]),
+        node_bone=np.ascontiguousarray(model.node_bone, dtype=np.int32),
+        node_positions=_float(node_positions),
+        node_rest=_float(model.node_rest),
+        vertices=_float(garment.vertices),
+        normals=_float(vertex_normals(garment.vertices, garment.faces)),
+        influence_nodes=np.ascontiguousarray(model.influence_nodes, dtype=np.int32),
+        influence_weights=_float(model.influence_weights),
+        activation=model.activation,
+    )
+
+
+def bind_points(model: GarmentModel, points: np.ndarray, *, normals: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """Skin other points of the same garment to the trained garment nodes.
+
+    points: (n, 3) [m] in the model's canonical space. normals: (n, 3), default those of the trained surface.
+    Returns the fields of `BoundGarment` to replace: vertices, normals, influence_nodes, influence_weights.
+    Raises ValueError when points are not finite, or lie farther than 5 cm from the trained garment.
+    """
+    import trimesh
+
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.isfinite(points).all():
+        raise ValueError(f"points to bind must be a finite, non-empty (n, 3) array, got shape {points.shape}")
+    garment = model.garment
+    surface = trimesh.Trimesh(garment.vertices, garment.faces, process=False)
+    closest, distance, face = trimesh.proximity.closest_point(surface, points)
+    if distance.max() > FARTHEST_POINT:
+        raise ValueError(
+            f"point {int(distance.argmax())} is {distance.max() * 100:.1f} cm from garment {model.name!r}, at most "
+            f"{FARTHEST_POINT * 100:.0f} cm allowed: is the mesh in the model's canonical space, in metres?"
+        )
+    corners = garment.faces[face]
+    barycentric = trimesh.triangles.points_to_barycentric(garment.vertices[corners], closest)
+    dense = np.zeros((len(points), len(model.node_rest)))
+    rows = np.arange(len(points))[:, None]
+    for corner in range(3):
+        share = model.influence_weights[corners[:, corner]] * np.clip(barycentric[:, corner, None], 0, 1)
+        np.add.at(dense, (rows, model.influence_nodes[corners[:, corner]]), share)
+    influences = model.influence_nodes.shape[1]
+    nodes = np.argsort(-dense, axis=1, kind="stable")[:, :influences]
+    weights = np.take_along_axis(dense, nodes, axis=1)
+    if normals is None:
+        at_vertices = vertex_normals(garment.vertices, garment.faces)[corners]
+        normals = np.einsum("nc,nci->ni", barycentric, at_vertices)
+    normals = np.asarray(normals, dtype=np.float64)
+    return {
+        "vertices": _float(points),
+        "normals": _float(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)),
+        "influence_nodes": nodes.astype(np.int32),
+        "influence_weights": _float(weights / weights.sum(axis=1, keepdims=True)),
+    }
+
+
+def _float(array: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def _float_layers(layers) -> tuple:
+    return tuple((_float(weight), _float(bias)) for weight, bias in layers)

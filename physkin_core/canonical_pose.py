@@ -1,0 +1,68 @@
+"""Canonical pose: bring a body, however its arms and legs are held, into the garment model's A-pose.
+
+The trunk stays as it is; each limb segment is turned by the smallest rotation that gives it the canonical rig's
+direction, children following their parents. Applied alike to training bodies and to users' avatars, so that the same
+person encodes alike from a T-pose and from an A-pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+__all__ = ["LIMB_SEGMENTS", "limb_rotations", "smallest_rotation"]
+
+
+def _segments() -> dict[str, tuple[str, str]]:
+    segments = {}
+    for side in ("L", "R"):
+        for chain in (("upperarm01", "lowerarm01", "wrist"), ("upperleg01", "lowerleg01", "foot")):
+            for start, end in zip(chain[:-1], chain[1:], strict=True):
+                segments[f"{start}.{side}"] = (f"{start}.{side}", f"{end}.{side}")
+    return segments
+
+
+LIMB_SEGMENTS = _segments()
+"""Bone that turns -> (bone whose head starts the segment, bone whose head ends it); parents come before children."""
+
+
+def smallest_rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """The rotation of least angle taking direction `start` (3,) to direction `end` (3,). Returns (3, 3).
+
+    Opposite directions have no unique answer: half a turn about an axis perpendicular to `start`.
+    Raises ValueError when a direction has no length.
+    """
+    start_length, end_length = np.linalg.norm(start), np.linalg.norm(end)
+    if not (start_length > 1e-9 and end_length > 1e-9):
+        raise ValueError(f"a limb segment has no length: {np.asarray(start).tolist()} -> {np.asarray(end).tolist()}")
+    a, b = np.asarray(start) / start_length, np.asarray(end) / end_length
+    cosine = float(a @ b)
+    if cosine < -1 + 1e-9:
+        perpendicular = np.cross(a, np.eye(3)[np.argmin(np.abs(a))])
+        perpendicular /= np.linalg.norm(perpendicular)
+        return 2 * np.outer(perpendicular, perpendicular) - np.eye(3)
+    x, y, z = np.cross(a, b)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + cross + cross @ cross / (1 + cosine)
+
+
+def limb_rotations(
+    heads: Mapping[str, np.ndarray], canonical_heads: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """World rotation (3, 3) that each limb bone of `LIMB_SEGMENTS` needs to reach its canonical direction.
+
+    heads, canonical_heads: joint centres (3,) [m] by rig bone name, root frame. Segments missing from either are
+    skipped. A lower segment's rotation includes its upper segment's.
+    """
+    rotations: dict[str, np.ndarray] = {}
+    previous_end: dict[str, str] = {}
+    for bone, (start, end) in LIMB_SEGMENTS.items():
+        if any(name not in table for name in (start, end) for table in (heads, canonical_heads)):
+            continue
+        carried = rotations[previous_end[start]] if start in previous_end else np.eye(3)
+        direction = carried @ (np.asarray(heads[end]) - np.asarray(heads[start]))
+        target = np.asarray(canonical_heads[end]) - np.asarray(canonical_heads[start])
+        rotations[bone] = smallest_rotation(direction, target) @ carried
+        previous_end[end] = bone
+    return rotations

@@ -1,0 +1,153 @@
+"""The `physkin` command. Subcommands import what they need when they run: `physkin info` needs no ROS and no torch."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from physkin_core import Draper, Motion, Rig
+
+__all__ = ["main"]
+
+FORWARDED = {
+    "node": ("physkin_ros.drape_node", "run the ROS 2 node: joint states in, garment point clouds out"),
+    "demo": ("physkin_ros.demo", "run the node between a motion player and a listener; print figures, draw a picture"),
+    "train": ("physkin_training.train", "train a garment from its mesh and physics"),
+    "evaluate": ("physkin_training.evaluate", "measure a garment model on bodies it has not seen"),
+}
+"""Subcommand -> module whose `main(argv)` it calls, and what it does."""
+
+EXTRAS = {
+    "ros": ("rclpy", "sensor_msgs", "diagnostic_msgs", "rcl_interfaces"),
+    "training": ("torch", "warp", "potpourri3d", "rich", "tensorboard"),
+    "view": ("mitsuba", "PIL"),
+}
+"""Extra of the pip package -> import packages it brings."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line. Returns the exit status: 0, or 2 after an error that the user can mend, told in one line."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    from physkin_core.picture import PictureError
+
+    try:
+        if arguments and arguments[0] in FORWARDED:
+            return import_module(FORWARDED[arguments[0]][0]).main(arguments[1:]) or 0
+        options = _parser().parse_args(arguments)
+        return options.run(options)
+    except ModuleNotFoundError as error:
+        extra = next((name for name, modules in EXTRAS.items() if (error.name or "").split(".")[0] in modules), None)
+        if extra is None:
+            raise
+        print(f"error: {error}; physkin {arguments[0]} needs: pip install 'physkin[{extra}]'", file=sys.stderr)
+    except (ValueError, OSError, PictureError) as error:  # the core's own errors are ValueErrors
+        print(f"error: {error}", file=sys.stderr)
+    except KeyboardInterrupt:
+        return 130
+    return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="physkin", description="Clothes for any avatar, live, on one CPU core.")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    for name, (_, text) in FORWARDED.items():
+        commands.add_parser(name, help=text, add_help=False)
+    drape = commands.add_parser("drape", help="drape one frame of a motion and write a mesh or a picture")
+    drape.add_argument("model", help="garment model file, or the name of a shipped one")
+    drape.add_argument("avatar", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
+    drape.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
+    drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
+    drape.add_argument("--backend", default="native", help="evaluator: native (default) or numpy")
+    drape.add_argument("-o", "--output", type=Path, required=True, help="body and garment as .obj, or a .png picture")
+    drape.set_defaults(run=_drape)
+    info = commands.add_parser("info", help="say what a garment model file holds")
+    info.add_argument("model", help="garment model file, or the name of a shipped one")
+    info.set_defaults(run=_info)
+    return parser
+
+
+def _drape(options: argparse.Namespace) -> int:
+    from physkin_core import Draper, load_avatar, load_garment_model, load_motion
+
+    writers: dict[str, Callable] = {".obj": _write_obj, ".png": _write_png}
+    write = writers.get(options.output.suffix.lower())
+    if write is None:
+        raise ValueError(f"cannot write {options.output}: the name must end in {' or '.join(writers)}")
+    model = load_garment_model(options.model)
+    avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
+    motion = load_motion(options.motion)
+    if not 0 <= options.frame < motion.frame_count:
+        raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
+    for warning in avatar.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    draper = Draper(model, avatar, backend=options.backend)
+    positions = _rig_positions(motion, options.frame, model.rig)
+    cloth = draper.drape(positions, motion.gravity[options.frame])
+    write(options.output, draper, avatar.posed_vertices(draper.bone_transforms(positions)), cloth)
+    print(f"wrote {options.output}")
+    return 0
+
+
+def _rig_positions(motion: Motion, frame: int, rig: Rig) -> np.ndarray:
+    """Joint positions (d,) [rad] of a frame in the rig's order; joints the motion does not have stay at rest."""
+    known = dict(zip(motion.joint_names, motion.positions[frame]))
+    return np.array([known.get(name, rest) for name, rest in zip(rig.joint_names, rig.rest)], dtype=np.float32)
+
+
+def _write_obj(path: Path, draper: Draper, body: np.ndarray, cloth: np.ndarray) -> None:
+    """A Wavefront OBJ with the objects `body` and `garment`, metres, Z up."""
+    first = 1 + len(body) + draper.model.garment.faces
+    parts = [("body", body, 1 + draper.avatar.faces), ("garment", cloth[:, :3], first)]
+    with open(path, "w", encoding="ascii") as file:
+        for name, vertices, faces in parts:
+            file.write(f"o {name}\n")
+            file.writelines(f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in vertices.tolist())
+            file.writelines(f"f {a} {b} {c}\n" for a, b, c in faces.tolist())
+
+
+def _write_png(path: Path, draper: Draper, body: np.ndarray, cloth: np.ndarray) -> None:
+    from physkin_core.picture import CLOTH_COLOUR, Mesh, render, save_png
+
+    meshes = [Mesh(body, draper.avatar.faces), Mesh(cloth[:, :3], draper.model.garment.faces, CLOTH_COLOUR)]
+    save_png(path, render(meshes, size=(800, 1000)))
+
+
+def _info(options: argparse.Namespace) -> int:
+    from physkin_core import load_garment_model
+
+    model = load_garment_model(options.model)
+    garment, rig = model.garment, model.rig
+    sizes = {
+        network: " -> ".join(str(size) for size in [layers[0][0].shape[1], *(len(bias) for _, bias in layers)])
+        for network, layers in (("pose modulator", model.pose_modulator), ("node deformer", model.node_deformer))
+    }
+    parameters = sum(array.size for name, array in model.arrays().items() if "modulator" in name or "deformer" in name)
+    rows = {
+        "name": model.name,
+        "garment": f"{len(garment.vertices)} vertices, {len(garment.faces)} faces, {garment.face_areas.sum():.3f} m2",
+        "garment nodes": f"{len(model.node_rest)}, {model.influence_nodes.shape[1]} influences a vertex",
+        "rig": f"{rig.bone_count} bones, {len(rig.dofs)} joints",
+        "joints": ", ".join(rig.joint_names),
+        **sizes,
+        "network weights": f"{parameters}, activation {model.activation}",
+        "material": json.dumps(asdict(model.material)),
+        "training": json.dumps(dict(model.training), indent=2),
+        "scores": json.dumps(dict(model.scores), indent=2),
+    }
+    width = max(map(len, rows))
+    print("\n".join(f"{name:<{width}}  {value}" for name, value in rows.items()))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

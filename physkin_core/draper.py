@@ -1,0 +1,108 @@
+"""Draper: joint positions in, garment out. Chains rig, networks and skinning for one garment on one body.
+
+Dimensions: `d` scalar degrees of freedom, `n` garment vertices, `m` garment nodes. Radians, metres, root frame.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from physkin_core.avatar import Avatar
+from physkin_core.binding import bind_garment, bind_points
+from physkin_core.bound_garment import BoundGarment
+from physkin_core.garment_model import GarmentModel
+
+__all__ = ["BACKENDS", "UPRIGHT_GRAVITY", "Draper"]
+
+log = logging.getLogger(__name__)
+
+BACKENDS = ("native", "numpy")
+UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
+"""Gravity direction in the root frame of an upright body."""
+
+
+class Draper:
+    """Drapes one garment on one body, a pose at a time.
+
+    backend: "native" (C++, the one to use) or "numpy" (readable reference, slow); never switched silently.
+    points, normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical space.
+    Raises ValueError for an unknown backend, a body of another rig, or points that are not this garment's.
+    """
+
+    def __init__(
+        self,
+        model: GarmentModel,
+        avatar: Avatar,
+        *,
+        backend: Literal["native", "numpy"] = "native",
+        points: np.ndarray | None = None,
+        normals: np.ndarray | None = None,
+    ) -> None:
+        if backend not in BACKENDS:
+            raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
+        bound = bind_garment(model, avatar)
+        if points is not None:
+            bound = replace(bound, **bind_points(model, points, normals=normals))
+        self.model = model
+        self.avatar = avatar
+        self.backend = backend
+        self.bound: BoundGarment = bound
+        self._evaluator = _evaluator(backend, bound)
+        log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """(d,) names of the joint positions, in the order `drape` takes them."""
+        return self.model.rig.joint_names
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of points n that `drape` writes."""
+        return len(self.bound.vertices)
+
+    def drape(
+        self, joint_positions: np.ndarray, gravity: np.ndarray = UPRIGHT_GRAVITY, *, out: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Deform the garment for one pose.
+
+        joint_positions: (d,) [rad] in the order of `joint_names`. gravity: (3,) direction in the root frame, any length
+        but zero. out: (n, 6) or (n, 3) writable float32 view, any row stride; default a new (n, 6).
+        Returns `out`: x, y, z [m], then the unit normal.
+        Raises ValueError on wrong lengths or values that are not finite, naming the joint.
+        """
+        positions = np.ascontiguousarray(joint_positions, dtype=np.float32)
+        if positions.shape != (len(self.joint_names),):
+            raise ValueError(f"joint positions have shape {positions.shape}, expected ({len(self.joint_names)},)")
+        if not np.isfinite(positions).all():
+            joint = int(np.flatnonzero(~np.isfinite(positions))[0])
+            raise ValueError(f"joint {self.joint_names[joint]!r} is {positions[joint]}; positions must be finite [rad]")
+        down = np.asarray(gravity, dtype=np.float64)
+        length = float(np.linalg.norm(down))
+        if down.shape != (3,) or not np.isfinite(length) or length < 1e-9:
+            raise ValueError(f"gravity must be a finite, non-zero direction (3,), got {down.tolist()}")
+        if out is None:
+            out = np.empty((self.vertex_count, 6), dtype=np.float32)
+        self._evaluator.evaluate(positions, (down / length).astype(np.float32), out)
+        return out
+
+    def node_transforms(self) -> np.ndarray:
+        """Garment node transforms chi (m, 3, 4) of the last `drape`, canonical garment node frame to root frame."""
+        return self._evaluator.node_transforms()
+
+    def bone_transforms(self, joint_positions: np.ndarray) -> np.ndarray:
+        """(b, 3, 4) canonical-to-posed transforms of this body's bones, for posing the body beside the garment."""
+        return self.model.rig.bone_transforms(joint_positions, heads=self.avatar.bone_heads)
+
+
+def _evaluator(backend: str, bound: BoundGarment):
+    if backend == "native":
+        from physkin_core.native_evaluator import NativeEvaluator
+
+        return NativeEvaluator(bound)
+    from physkin_core.reference_evaluator import ReferenceEvaluator
+
+    return ReferenceEvaluator(bound)

@@ -1,0 +1,112 @@
+"""Garment mesh and its rest data: what the physics and the quality figures measure against.
+
+Dimensions: `n` vertices, `f` faces, `e` edges, `q` interior edges (hinges). Metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+__all__ = ["Garment", "GarmentError", "face_areas", "load_garment", "vertex_normals"]
+
+
+class GarmentError(ValueError):
+    """A garment mesh cannot be used."""
+
+
+def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Triangle areas [m2]. vertices: (..., n, 3). Returns (..., f)."""
+    corners = vertices[..., faces, :]
+    cross = np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
+    return np.linalg.norm(cross, axis=-1) / 2
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Area-weighted unit vertex normals (n, 3); a vertex no face uses gets +Z."""
+    corners = vertices[faces]
+    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros((len(vertices), 3))
+    np.add.at(normals, faces.reshape(-1), np.repeat(face_normals, 3, axis=0))
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(length > 1e-20, normals / np.maximum(length, 1e-20), np.array([0.0, 0.0, 1.0]))
+
+
+@dataclass(frozen=True)
+class Garment:
+    """A triangle mesh in canonical space with rest lengths, areas and hinges.
+
+    vertices: (n, 3) float64 [m], root frame of the garment maker's body at the canonical pose. faces: (f, 3) int32.
+    edges: (e, 2) int32; edge_lengths: (e,). face_areas: (f,) [m2]. hinges: (q, 4) int32, the shared edge's two
+    vertices, then the opposite vertex of either face. vertex_areas: (n,) [m2], a third of each face at its corners.
+    Raises GarmentError on non-finite vertices, missing or degenerate faces, or indices out of range.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    edges: np.ndarray = field(init=False, repr=False)
+    edge_lengths: np.ndarray = field(init=False, repr=False)
+    face_areas: np.ndarray = field(init=False, repr=False)
+    vertex_areas: np.ndarray = field(init=False, repr=False)
+    hinges: np.ndarray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        vertices = np.ascontiguousarray(self.vertices, dtype=np.float64)
+        faces = np.ascontiguousarray(self.faces, dtype=np.int32)
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+            raise GarmentError(f"vertices {vertices.shape} and faces {faces.shape} must be (n, 3) and (f, 3)")
+        if len(faces) == 0:
+            raise GarmentError("the garment mesh has no faces")
+        if not np.isfinite(vertices).all():
+            bad = int(np.argwhere(~np.isfinite(vertices).all(axis=1))[0, 0])
+            raise GarmentError(f"garment vertex {bad} is not finite: {vertices[bad].tolist()}")
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise GarmentError(f"garment face index {faces.max()} outside 0..{len(vertices) - 1}")
+        areas = face_areas(vertices, faces)
+        if areas.min() < 1e-12:
+            raise GarmentError(f"garment face {int(areas.argmin())} is degenerate: area {areas.min():.2e} m2")
+        edges, hinges = _edges_and_hinges(faces)
+        vertex_areas = np.bincount(faces.reshape(-1), weights=np.repeat(areas / 3, 3), minlength=len(vertices))
+        derived = {
+            "vertices": vertices,
+            "faces": faces,
+            "edges": edges,
+            "edge_lengths": np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1),
+            "face_areas": areas,
+            "vertex_areas": vertex_areas,
+            "hinges": hinges,
+        }
+        for name, array in derived.items():
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+
+def load_garment(path: str | Path) -> Garment:
+    """Read a garment mesh (OBJ, PLY, STL; metres, root frame of its canonical body). Raises GarmentError."""
+    import trimesh
+
+    try:
+        mesh = trimesh.load_mesh(path, process=False)
+        return Garment(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    except GarmentError:
+        raise
+    except Exception as error:
+        raise GarmentError(f"cannot read garment mesh {path}: {error}") from error
+
+
+def _edges_and_hinges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    opposite = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])
+    ordered = np.sort(directed, axis=1)
+    edges, owner, count = np.unique(ordered, axis=0, return_inverse=True, return_counts=True)
+    if count.max() > 2:
+        first = edges[int(count.argmax())]
+        raise GarmentError(f"edge {first.tolist()} is shared by {count.max()} faces; a garment must be manifold")
+    owner = owner.reshape(-1)
+    order = np.argsort(owner, kind="stable")
+    start = np.searchsorted(owner[order], np.flatnonzero(count == 2))
+    first, second = order[start], order[start + 1]
+    hinges = np.column_stack([directed[first], opposite[first], opposite[second]])
+    return edges.astype(np.int32), hinges.astype(np.int32)

@@ -1,0 +1,155 @@
+"""A trained garment: mesh, garment nodes, skinning weights, networks and the rig they were trained for.
+
+Dimensions: `n` vertices, `f` faces, `m` garment nodes, `K` influences a vertex. Metres, root frame, canonical pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from physkin_core.garment import Garment
+from physkin_core.hyper_modulator import token_features
+from physkin_core.mlp import ACTIVATIONS, Layer, modulation_size
+from physkin_core.rig import Rig
+
+__all__ = ["GarmentModel", "GarmentModelError", "Material"]
+
+
+class GarmentModelError(ValueError):
+    """A garment model is incomplete or inconsistent."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """What the garment was trained as. Defaults are the reference material of every quoted figure.
+
+    youngs_modulus [N/m] and poisson_ratio of the StVK membrane, bending [J] of the dihedral energy, density [kg/m2],
+    contact_offset [m], contact_stiffness [J/m4] (energy = stiffness * vertex area * depth^2).
+    """
+
+    youngs_modulus: float = 60.0
+    poisson_ratio: float = 0.25
+    bending: float = 2.5e-5
+    density: float = 0.2
+    contact_offset: float = 0.003
+    contact_stiffness: float = 4.0e6
+
+
+@dataclass(frozen=True)
+class GarmentModel:
+    """Everything a run needs. Raises GarmentModelError naming what does not fit.
+
+    garment: mesh the model was trained on. node_rest: (m, 3); node_bone: (m,) int32, index into `rig`.
+    influence_nodes: (n, K) int32; influence_weights: (n, K) float32, rows sum to 1.
+    hyper_modulator: arrays by name (see `physkin_core.hyper_modulator`). pose_modulator, node_deformer: layers.
+    training, scores: plain data on how it was trained (seed, bodies, steps) and how it measured up.
+    """
+
+    name: str
+    rig: Rig
+    garment: Garment
+    node_rest: np.ndarray
+    node_bone: np.ndarray
+    influence_nodes: np.ndarray
+    influence_weights: np.ndarray
+    hyper_modulator: Mapping[str, np.ndarray]
+    pose_modulator: tuple[Layer, ...]
+    node_deformer: tuple[Layer, ...]
+    activation: str = "silu"
+    material: Material = field(default_factory=Material)
+    training: Mapping = field(default_factory=dict)
+    scores: Mapping = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        m, n = len(self.node_rest), len(self.garment.vertices)
+        if self.activation not in ACTIVATIONS:
+            raise GarmentModelError(f"unknown activation {self.activation!r}; known: {', '.join(ACTIVATIONS)}")
+        _expect("garment_nodes.rest", self.node_rest, (m, 3))
+        _expect("garment_nodes.bone", self.node_bone, (m,))
+        influences = self.influence_nodes.shape[1] if self.influence_nodes.ndim == 2 else 0
+        _expect("skinning.nodes", self.influence_nodes, (n, influences))
+        _expect("skinning.weights", self.influence_weights, (n, influences))
+        _expect_range("garment_nodes.bone", self.node_bone, self.rig.bone_count)
+        _expect_range("skinning.nodes", self.influence_nodes, m)
+        sums = self.influence_weights.sum(axis=1)
+        if self.influence_weights.min() < 0 or np.abs(sums - 1).max() > 1e-3:
+            raise GarmentModelError("skinning weights must be non-negative and sum to 1 at every vertex")
+        _expect_chain("pose_modulator", self.pose_modulator, self.rig.pose_size, (modulation_size(self.node_deformer),))
+        _expect_chain("node_deformer", self.node_deformer, 12 * m, (9 * m, 12 * m))
+        _expect_hyper_modulator(self.hyper_modulator, modulation_size(self.pose_modulator))
+        for name, array in self.arrays().items():
+            if array.dtype.kind == "f" and not np.isfinite(array).all():
+                raise GarmentModelError(f"{name} holds a value that is not finite")
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Every array by its name in the garment model file."""
+        named = {
+            "garment.vertices": self.garment.vertices,
+            "garment.faces": self.garment.faces,
+            "garment_nodes.rest": self.node_rest,
+            "garment_nodes.bone": self.node_bone,
+            "skinning.nodes": self.influence_nodes,
+            "skinning.weights": self.influence_weights,
+        }
+        for network, layers in (("pose_modulator", self.pose_modulator), ("node_deformer", self.node_deformer)):
+            for index, (weight, bias) in enumerate(layers):
+                named[f"{network}.{index}.weight"], named[f"{network}.{index}.bias"] = weight, bias
+        return named | {f"hyper_modulator.{name}": array for name, array in self.hyper_modulator.items()}
+
+
+def _expect(name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:
+    if array.shape != shape or 0 in shape:
+        raise GarmentModelError(f"{name} has shape {array.shape}, expected {shape}, none of them empty")
+
+
+def _expect_range(name: str, indices: np.ndarray, count: int) -> None:
+    if indices.min() < 0 or indices.max() >= count:
+        raise GarmentModelError(f"{name} holds index {indices.min()}..{indices.max()}, allowed 0..{count - 1}")
+
+
+def _expect_chain(name: str, layers: tuple[Layer, ...], inputs: int, outputs: tuple[int, ...]) -> None:
+    if not layers:
+        raise GarmentModelError(f"{name} has no layers")
+    for index, (weight, bias) in enumerate(layers):
+        _expect(f"{name}.{index}.weight", weight, (len(bias), inputs))
+        _expect(f"{name}.{index}.bias", bias, (len(bias),))
+        inputs = len(bias)
+    if inputs not in outputs:
+        raise GarmentModelError(f"{name} gives {inputs} numbers, expected {' or '.join(map(str, outputs))}")
+
+
+def _expect_hyper_modulator(network: Mapping[str, np.ndarray], outputs: int) -> None:
+    try:
+        width, hidden = network["embed.weight"].shape[0], network["feed_forward.0.weight"].shape[0]
+        shapes = {
+            "embed": (width, token_features()),
+            "attention.input": (3 * width, width),
+            "attention.output": (width, width),
+            "feed_forward.0": (hidden, width),
+            "feed_forward.1": (width, hidden),
+            "pool": (1, width),
+            "output": (outputs, width),
+        }
+        norms = ["norm_1", "norm_2"]
+        block = 0
+        while f"residual.{block}.norm.weight" in network:
+            inner = network[f"residual.{block}.0.weight"].shape[0]
+            shapes |= {f"residual.{block}.0": (inner, width), f"residual.{block}.1": (width, inner)}
+            norms.append(f"residual.{block}.norm")
+            block += 1
+        for name, shape in shapes.items():
+            _expect(f"hyper_modulator.{name}.weight", network[f"{name}.weight"], shape)
+            _expect(f"hyper_modulator.{name}.bias", network[f"{name}.bias"], shape[:1])
+        for name in norms:
+            _expect(f"hyper_modulator.{name}.weight", network[f"{name}.weight"], (width,))
+            _expect(f"hyper_modulator.{name}.bias", network[f"{name}.bias"], (width,))
+    except KeyError as error:
+        raise GarmentModelError(f"hyper_modulator lacks {error}") from None
+    if width % 4:
+        raise GarmentModelError(f"hyper_modulator token width {width} is not a multiple of its 4 heads")
+    known = {f"{name}.{part}" for name in [*shapes, *norms] for part in ("weight", "bias")}
+    if unknown := sorted(set(network) - known):
+        raise GarmentModelError(f"hyper_modulator has unknown arrays: {', '.join(unknown)}")

@@ -1,0 +1,75 @@
+"""Garment nodes: affine handles on the garment, posed by the body's bones and corrected by the node deformer.
+
+Paper: Node-based Skinning for Garments. Dimensions: `m` garment nodes, `b` bones. Metres, root frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["closest_bones", "compose_nodes", "delta_transforms", "node_positions_on_body", "pose_nodes"]
+
+
+def closest_bones(points: np.ndarray, heads: np.ndarray, tails: np.ndarray) -> np.ndarray:
+    """Index of the bone (segment head to tail) closest to each point (m, 3). Returns (m,) int32."""
+    axis = tails - heads
+    length_squared = np.maximum((axis * axis).sum(axis=1), 1e-12)
+    along = np.einsum("mbi,bi->mb", points[:, None] - heads, axis) / length_squared
+    nearest = heads + np.clip(along, 0, 1)[..., None] * axis
+    return np.linalg.norm(points[:, None] - nearest, axis=-1).argmin(axis=1).astype(np.int32)
+
+
+def node_positions_on_body(
+    node_rest: np.ndarray,
+    node_bone: np.ndarray,
+    garment_bones: tuple[np.ndarray, np.ndarray],
+    body_bones: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """Carry garment nodes from the garment maker's body to another body, both at the canonical pose.
+
+    Each node keeps its offset from its bone's head, scaled by the ratio of bone lengths.
+    node_rest: (m, 3). node_bone: (m,). garment_bones, body_bones: heads (b, 3) and tails (b, 3). Returns (m, 3).
+    """
+    (garment_heads, garment_tails), (heads, tails) = garment_bones, body_bones
+    garment_length = np.linalg.norm(garment_tails - garment_heads, axis=1)
+    ratio = np.linalg.norm(tails - heads, axis=1) / np.maximum(garment_length, 1e-6)
+    return heads[node_bone] + ratio[node_bone, None] * (node_rest - garment_heads[node_bone])
+
+
+def pose_nodes(bone_transforms: np.ndarray, node_bone: np.ndarray, node_positions: np.ndarray) -> np.ndarray:
+    """chi_skin: garment nodes carried by their bones.
+
+    bone_transforms: (..., b, 3, 4). node_positions: (m, 3) at the canonical pose of this body.
+    Returns (..., m, 3, 4): rotation of the bone, posed position of the node.
+    """
+    transforms = bone_transforms[..., node_bone, :, :]
+    position = np.einsum("...mij,mj->...mi", transforms[..., :3], node_positions) + transforms[..., 3]
+    return np.concatenate([transforms[..., :3], position[..., None]], axis=-1)
+
+
+def delta_transforms(raw: np.ndarray, node_count: int) -> np.ndarray:
+    """Delta-chi from the node deformer's output, in each posed node's own frame.
+
+    raw: (..., 9 m), a node's numbers being a 6-D rotation relative to the identity (two columns, orthonormalised) and
+    a translation [m]; or (..., 12 m), a linear part relative to the identity, row-major, and a translation.
+    Returns (..., m, 3, 4).
+    """
+    numbers = raw.reshape(*raw.shape[:-1], node_count, -1)
+    if numbers.shape[-1] == 12:
+        linear = np.eye(3) + numbers[..., :9].reshape(*numbers.shape[:-1], 3, 3)
+        return np.concatenate([linear, numbers[..., 9:, None]], axis=-1)
+    first = _unit(numbers[..., 0:3] + np.array([1.0, 0.0, 0.0]))
+    second = numbers[..., 3:6] + np.array([0.0, 1.0, 0.0])
+    second = _unit(second - first * (first * second).sum(axis=-1, keepdims=True))
+    return np.stack([first, second, np.cross(first, second), numbers[..., 6:9]], axis=-1)
+
+
+def compose_nodes(posed: np.ndarray, delta: np.ndarray) -> np.ndarray:
+    """chi = chi_skin * delta. Both (..., m, 3, 4). Returns (..., m, 3, 4)."""
+    linear = posed[..., :3] @ delta[..., :3]
+    translation = (posed[..., :3] @ delta[..., 3:]) + posed[..., 3:]
+    return np.concatenate([linear, translation], axis=-1)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-8)

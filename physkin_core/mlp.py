@@ -1,0 +1,62 @@
+"""Multi-layer perceptrons with feature-wise modulation: the shared shape of pose modulator and node deformer.
+
+Modulation comes before the activation, as scale and shift: x = activation((1 + scale) * (W x + bias) + shift). With the
+modulation constant for a body it folds into the layer (`fold_modulation`), and with ReLU rows of zeros can be skipped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+__all__ = ["ACTIVATIONS", "Layer", "fold_modulation", "modulated_mlp", "modulation_size", "split_modulation"]
+
+Layer = tuple[np.ndarray, np.ndarray]
+"""Network weight (out, in) and bias (out,)."""
+
+
+def silu(x: np.ndarray) -> np.ndarray:
+    """x * sigmoid(x), elementwise."""
+    return x / (1 + np.exp(-np.clip(x, -80, None)))
+
+
+def relu(x: np.ndarray) -> np.ndarray:
+    """max(x, 0), elementwise."""
+    return np.maximum(x, 0)
+
+
+ACTIVATIONS = {"silu": silu, "relu": relu}
+
+
+def modulation_size(layers: Sequence[Layer]) -> int:
+    """Length of the modulation of a network: scale and shift for every hidden unit."""
+    return 2 * sum(len(bias) for _, bias in layers[:-1])
+
+
+def split_modulation(layers: Sequence[Layer], modulation: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Cut a modulation (..., size) laid out [scale_0, shift_0, scale_1, ...] into (scale, shift) a hidden layer."""
+    parts, start = [], 0
+    for _, bias in layers[:-1]:
+        width = len(bias)
+        parts.append((modulation[..., start : start + width], modulation[..., start + width : start + 2 * width]))
+        start += 2 * width
+    return parts
+
+
+def modulated_mlp(layers: Sequence[Layer], x: np.ndarray, modulation: np.ndarray, activation: str) -> np.ndarray:
+    """Hidden layers modulated then activated, last layer linear. x: (..., in). Returns (..., out)."""
+    act = ACTIVATIONS[activation]
+    for (weight, bias), (scale, shift) in zip(layers[:-1], split_modulation(layers, modulation), strict=True):
+        x = act((1 + scale) * (x @ weight.T + bias) + shift)
+    weight, bias = layers[-1]
+    return x @ weight.T + bias
+
+
+def fold_modulation(layers: Sequence[Layer], modulation: np.ndarray) -> tuple[Layer, ...]:
+    """The plain network equal to `layers` under a constant modulation (size,)."""
+    hidden = [
+        ((1 + scale)[:, None] * weight, (1 + scale) * bias + shift)
+        for (weight, bias), (scale, shift) in zip(layers[:-1], split_modulation(layers, modulation), strict=True)
+    ]
+    return (*hidden, layers[-1])

@@ -1,0 +1,269 @@
+"""Still pictures of bodies and garments: a light studio with one soft lamp, rendered on the CPU (extra `[view]`).
+
+The floor's brightness is chosen to equal the background's, so that the ground has shadows but no horizon.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+__all__ = ["BODY_COLOUR", "CLOTH_COLOUR", "Mesh", "PictureError", "contact_sheet", "render", "save_png"]
+
+BODY_COLOUR = (0.80, 0.70, 0.63)
+CLOTH_COLOUR = (0.16, 0.42, 0.58)
+
+BACKGROUND = 0.96  # sRGB grey
+TEXT_COLOUR = (70, 74, 80)
+FIELD_OF_VIEW = 20.0  # [degrees] from the lower to the upper edge
+MARGIN = 1.06
+LAMP_DIRECTION = (0.5, 0.6, 1.0)  # relative to a camera on X
+LAMP_STRENGTH = 1.3  # light it throws on the floor; the sky throws 1
+LAMP_RADIUS = 9.0  # [degrees] softness of shadows
+LAMP_DISTANCE = 5000.0  # [m]
+UPRIGHT_GAIN = 1.4  # an upright surface gets less light than the floor
+FLOOR_RADIUS = 40.0  # [m]
+BLANK_FROM = 5.0  # times the meshes' own reach
+GUIDE_SAMPLES = 4  # a pixel, for colours, normals and positions
+SMOOTHING_GAPS = (1, 2, 4, 8)  # [pixels]
+COLOUR_TOLERANCE = 0.03
+NORMAL_TOLERANCE = 0.25
+PLANE_TOLERANCE = 0.02  # [m]
+
+
+class PictureError(RuntimeError):
+    """Pictures cannot be made here; the message says what to install."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A surface to draw: vertices (n, 3) [m], Z up; faces (f, 3) vertex indices; colour (3,) sRGB in [0, 1]."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    colour: tuple[float, float, float] = BODY_COLOUR
+
+
+def render(
+    meshes: Sequence[Mesh],
+    *,
+    size: tuple[int, int] = (400, 500),
+    azimuth: float = 30.0,
+    elevation: float = 8.0,
+    bounds: np.ndarray | None = None,
+    floor: float | Literal["lowest"] | None = "lowest",
+    samples: int = 16,
+) -> np.ndarray:
+    """Draw meshes from a camera that looks at their bounding box.
+
+    size: width, height [pixels]. azimuth, elevation: where the camera stands [degrees]; 0, 0 is on X, in front of the
+    body, a positive azimuth towards Y. bounds: (2, 3) [m] box to fit into the picture, default the meshes' own (give it
+    to keep the camera still between frames). floor: its height [m]; "lowest": the lowest vertex; None: no floor.
+    samples: light paths a pixel. Returns (height, width, 3) uint8 sRGB.
+    Raises PictureError when mitsuba is not installed, ValueError for meshes that cannot be drawn.
+    """
+    mi = _mitsuba()
+    if not meshes:
+        raise ValueError("nothing to draw: give at least one mesh")
+    points = np.concatenate([_checked(mesh) for mesh in meshes])
+    bounds = np.stack([points.min(axis=0), points.max(axis=0)]) if bounds is None else np.asarray(bounds, dtype=float)
+    if floor == "lowest":
+        floor = float(points[:, 2].min())
+    light, lit = _light(mi, azimuth)
+    scene = {
+        "type": "scene",
+        "sensor": _camera(mi, bounds, size, azimuth, elevation),
+        **light,
+        **{f"mesh{index}": _surface(mi, mesh, lit) for index, mesh in enumerate(meshes)},
+    }
+    if floor is not None:
+        placed = mi.ScalarTransform4f().translate([0, 0, floor]).scale(FLOOR_RADIUS)
+        grey = {"type": "rgb", "value": 1 / lit}
+        scene["floor"] = {"type": "disk", "to_world": placed, "bsdf": {"type": "diffuse", "reflectance": grey}}
+    scene = mi.load_dict(scene)
+    paths = {"type": "path", "max_depth": 4, "hide_emitters": True}
+    radiance, cover = np.split(_layers(mi, scene, samples, paths), [3], axis=-1)
+    guides = {"type": "aov", "aovs": "albedo:albedo,normal:sh_normal,position:position"}
+    albedo, normals, positions = np.split(_layers(mi, scene, GUIDE_SAMPLES, guides), 3, axis=-1)
+    picture = _smoothed(radiance, albedo, normals, positions) + (1 - cover)
+    reach = np.linalg.norm(points - bounds.mean(axis=0), axis=1).max()
+    away = np.linalg.norm(positions - bounds.mean(axis=0), axis=-1, keepdims=True) / reach
+    away[~normals.any(axis=-1)] = np.inf  # the sky
+    plain = np.abs(albedo - normals[..., 2:] / lit).max(axis=-1, keepdims=True) < 0.01  # floor, sky and their horizon
+    blank = plain * np.clip((away - BLANK_FROM) / 2, 0.0, 1.0)  # so far from the meshes that no shadow falls
+    return _to_srgb(picture * (1 - blank) + blank)
+
+
+def contact_sheet(
+    images: Sequence[np.ndarray], *, columns: int, captions: Sequence[str] | None = None, gap: int = 8
+) -> np.ndarray:
+    """Lay pictures of one size (h, w, 3) uint8 out in rows of `columns`, a caption under each. Returns (H, W, 3) uint8.
+
+    Raises ValueError when sizes or the number of captions differ, PictureError when pillow is not installed.
+    """
+    if not images or columns < 1:
+        raise ValueError(f"a sheet needs at least one picture and one column, got {len(images)} and {columns}")
+    sizes = {np.asarray(image).shape for image in images}
+    if len(sizes) > 1:
+        raise ValueError(f"pictures of one sheet must have one size, got {sorted(sizes)}")
+    if captions is not None and len(captions) != len(images):
+        raise ValueError(f"{len(images)} pictures but {len(captions)} captions")
+    height, width, _ = sizes.pop()
+    text_height = max(12, width // 18)
+    line = 0 if captions is None else 2 * text_height
+    rows = -(-len(images) // columns)
+    paper = round(255 * BACKGROUND)
+    sheet = np.full((rows * (height + line + gap) + gap, columns * (width + gap) + gap, 3), paper, dtype=np.uint8)
+    cells = [divmod(k, columns) for k in range(len(images))]
+    places = [(gap + row * (height + line + gap), gap + column * (width + gap)) for row, column in cells]
+    for (top, left), image in zip(places, images, strict=True):
+        sheet[top : top + height, left : left + width] = image
+    if captions is None:
+        return sheet
+    pil = _pillow()
+    drawn = pil.Image.fromarray(sheet)
+    pen, font = pil.ImageDraw.Draw(drawn), pil.ImageFont.load_default(text_height)
+    for (top, left), caption in zip(places, captions, strict=True):
+        pen.text((left + width / 2, top + height + line / 2), caption, fill=TEXT_COLOUR, font=font, anchor="mm")
+    return np.array(drawn)
+
+
+def save_png(path: str | Path, image: np.ndarray) -> None:
+    """Write a picture (h, w, 3) uint8 to a PNG file. Raises PictureError when pillow is not installed."""
+    _pillow().Image.fromarray(np.asarray(image, dtype=np.uint8)).save(path, format="PNG", optimize=True)
+
+
+def _checked(mesh: Mesh) -> np.ndarray:
+    vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
+        raise ValueError(f"a mesh needs vertices (n, 3) and faces (f, 3), got {vertices.shape} and {faces.shape}")
+    if not np.isfinite(vertices).all():
+        raise ValueError("a mesh to draw has vertices that are not finite")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError(f"face indices go from {faces.min()} to {faces.max()}; the mesh has {len(vertices)} vertices")
+    return vertices
+
+
+def _surface(mi, mesh: Mesh, lit: float):
+    """A mitsuba mesh with smooth normals, shown in about its own colour where it stands upright."""
+    reflectance = {"type": "rgb", "value": [UPRIGHT_GAIN * _to_linear(channel) / lit for channel in mesh.colour]}
+    properties = mi.Properties()
+    cloth = {"type": "principled", "base_color": reflectance, "roughness": 0.7, "specular": 0.25}
+    properties["bsdf"] = mi.load_dict({"type": "twosided", "side": cloth})
+    surface = mi.Mesh("mesh", len(mesh.vertices), len(mesh.faces), properties, has_vertex_normals=True)
+    buffers = mi.traverse(surface)
+    buffers["vertex_positions"] = np.ascontiguousarray(mesh.vertices, dtype=np.float32).ravel()
+    buffers["faces"] = np.ascontiguousarray(mesh.faces, dtype=np.uint32).ravel()
+    buffers.update()  # computes the vertex normals
+    return surface
+
+
+def _camera(mi, bounds: np.ndarray, size: tuple[int, int], azimuth: float, elevation: float) -> dict:
+    """Perspective camera as near as the box `bounds` (2, 3) allows."""
+    a, e = math.radians(azimuth), math.radians(elevation)
+    back = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
+    right = np.array([-math.sin(a), math.cos(a), 0.0])
+    up = np.cross(back, right)
+    width, height = size
+    slope = math.tan(math.radians(FIELD_OF_VIEW) / 2) / MARGIN  # of the picture's upper edge
+    corners = np.array([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    centre = bounds.mean(axis=0)
+    x, y, depth = ((corners - centre) @ axis for axis in (right, up, back))
+    distance = (depth + np.maximum(np.abs(y) / slope, np.abs(x) / (slope * width / height))).max()
+    origin = centre + distance * back
+    return {
+        "type": "perspective",
+        "fov": FIELD_OF_VIEW,
+        "fov_axis": "y",
+        "to_world": mi.ScalarTransform4f().look_at(origin=origin.tolist(), target=centre.tolist(), up=[0, 0, 1]),
+        "film": {
+            "type": "hdrfilm",
+            "width": width,
+            "height": height,
+            "pixel_format": "rgba",
+            "component_format": "float32",
+            "rfilter": {"type": "box"},
+        },
+        "sampler": {"type": "multijitter", "sample_count": 16},
+    }
+
+
+def _light(mi, azimuth: float) -> tuple[dict, float]:
+    """Brightness 1 from all around and a soft lamp that stays beside the camera.
+
+    Returns the emitters and how much light falls on a floor, relative to brightness 1 from everywhere.
+    """
+    turn = math.radians(azimuth)
+    x, y, z = np.array(LAMP_DIRECTION) / np.linalg.norm(LAMP_DIRECTION)
+    place = LAMP_DISTANCE * np.array(
+        [x * math.cos(turn) - y * math.sin(turn), x * math.sin(turn) + y * math.cos(turn), z]
+    )
+    spread = math.tan(math.radians(LAMP_RADIUS))
+    share = z * spread**2 / (1 + spread**2)  # of the floor's sky that the lamp hides
+    facing = mi.ScalarTransform4f().look_at(origin=place.tolist(), target=[0, 0, 0], up=[0, 0, 1])
+    glow = {"type": "area", "radiance": {"type": "rgb", "value": float(1 + LAMP_STRENGTH / share)}}
+    lamp = {"type": "disk", "to_world": facing.scale(LAMP_DISTANCE * spread), "emitter": glow}
+    return {"sky": {"type": "constant", "radiance": {"type": "rgb", "value": 1.0}}, "lamp": lamp}, 1 + LAMP_STRENGTH
+
+
+def _layers(mi, scene, samples: int, integrator: dict) -> np.ndarray:
+    return np.array(mi.render(scene, integrator=mi.load_dict(integrator), spp=samples), dtype=np.float32)
+
+
+def _smoothed(light: np.ndarray, albedo: np.ndarray, normals: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Take the grain out of `light` (h, w, 3) without blurring over edges of albedo, normals and positions [m].
+
+    Edge-avoiding a-trous wavelets (Dammertz et al. 2010): a 3 x 3 filter with growing gaps, in which a neighbour counts
+    as far as it lies in the pixel's own tangent plane.
+    """
+    height, width, _ = light.shape
+    for gap in SMOOTHING_GAPS:
+        total, weights = np.zeros_like(light), np.zeros((height, width, 1), dtype=np.float32)
+        for down in (-gap, 0, gap):
+            for right in (-gap, 0, gap):
+                rows = np.clip(np.arange(height) + down, 0, height - 1)[:, None]
+                columns = np.clip(np.arange(width) + right, 0, width - 1)
+                bend = np.sum((normals[rows, columns] - normals) ** 2, axis=-1, keepdims=True)
+                step = np.sum((positions[rows, columns] - positions) * normals, axis=-1, keepdims=True)
+                tint = np.sum((albedo[rows, columns] - albedo) ** 2, axis=-1, keepdims=True)
+                unlike = tint / COLOUR_TOLERANCE**2 + bend / NORMAL_TOLERANCE**2 + (step / PLANE_TOLERANCE) ** 2
+                weight = np.exp(-unlike)
+                weight *= (1 if down else 2) * (1 if right else 2)
+                total += weight * light[rows, columns]
+                weights += weight
+        light = total / weights
+    return light
+
+
+def _to_linear(value: float) -> float:
+    return value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4
+
+
+def _to_srgb(radiance: np.ndarray) -> np.ndarray:
+    linear = np.clip(radiance * _to_linear(BACKGROUND), 0.0, 1.0)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.round(255 * encoded).astype(np.uint8)
+
+
+def _mitsuba():
+    try:
+        import mitsuba
+    except ImportError as error:
+        raise PictureError("pictures need mitsuba: pip install 'physkin[view]'") from error
+    mitsuba.set_variant("scalar_rgb")  # the one that needs neither a GPU nor LLVM
+    return mitsuba
+
+
+def _pillow():
+    try:
+        import PIL.Image
+        import PIL.ImageDraw
+        import PIL.ImageFont
+    except ImportError as error:
+        raise PictureError("pictures need pillow: pip install 'physkin[view]'") from error
+    return PIL

@@ -1,0 +1,22 @@
+"""Pose modulator: pose vector -> modulation of the node deformer, itself modulated by the body (paper: Pose Modulator)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from physkin_core.mlp import Layer, modulated_mlp
+
+__all__ = ["pose_modulation"]
+
+
+def pose_modulation(
+    layers: Sequence[Layer], pose_vector: np.ndarray, body_modulation: np.ndarray, activation: str
+) -> np.ndarray:
+    """Scale and shift for every hidden unit of the node deformer.
+
+    pose_vector: (..., p) from `Rig.pose_vector`. body_modulation: (..., s) from the hyper modulator.
+    Returns (..., 2 * sum of the node deformer's hidden widths), laid out as in `physkin_core.mlp`.
+    """
+    return modulated_mlp(layers, pose_vector, body_modulation, activation)

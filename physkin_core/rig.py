@@ -1,0 +1,220 @@
+"""Rig: bones and named scalar degrees of freedom; joint positions -> bone transforms.
+
+Dimensions: `b` bones, `d` scalar degrees of freedom, `p = d + 3` pose vector. Angles in radians, lengths in metres,
+everything in the avatar's root frame (REP-103: X forward, Y left, Z up). The paper's linear map from theta to joint
+state (paper: Inputs) is the list of degrees of freedom: each turns one bone about one fixed axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+__all__ = ["DegreeOfFreedom", "Rig", "RigError"]
+
+
+class RigError(ValueError):
+    """A rig description is inconsistent, or does not match what it is used with."""
+
+
+@dataclass(frozen=True)
+class DegreeOfFreedom:
+    """One named rotation of one bone: the scalar a `sensor_msgs/JointState` carries.
+
+    axis: unit vector in the root frame at the canonical pose. lower, upper: limits [rad]. rest: the scalar's value at
+    the canonical pose [rad], so the bone turns by `value - rest`.
+    """
+
+    name: str
+    bone: str
+    axis: tuple[float, float, float]
+    lower: float
+    upper: float
+    rest: float = 0.0
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A skeleton in canonical pose with its scalar degrees of freedom.
+
+    bone_names: (b,), a parent before its children. parents: (b,) int32, -1 for the root (bone 0).
+    heads, tails: (b, 3) [m], joint centre and far end of each bone at the canonical pose, root frame.
+    dofs: degrees of freedom; several on one bone compose in listed order (intrinsic rotations).
+    """
+
+    bone_names: tuple[str, ...]
+    parents: np.ndarray
+    heads: np.ndarray
+    tails: np.ndarray
+    dofs: tuple[DegreeOfFreedom, ...]
+    dof_bones: np.ndarray = field(init=False, repr=False)
+    dof_axes: np.ndarray = field(init=False, repr=False)
+    lower: np.ndarray = field(init=False, repr=False)
+    upper: np.ndarray = field(init=False, repr=False)
+    rest: np.ndarray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Check the description and derive the arrays. Raises RigError naming the offending bone or degree of freedom."""
+        b = len(self.bone_names)
+        if b == 0:
+            raise RigError("a rig needs at least one bone, got none")
+        _reject_duplicates("bone", self.bone_names)
+        _reject_duplicates("degree of freedom", [dof.name for dof in self.dofs])
+        parents = np.ascontiguousarray(self.parents, dtype=np.int32)
+        heads = np.ascontiguousarray(self.heads, dtype=np.float64)
+        tails = np.ascontiguousarray(self.tails, dtype=np.float64)
+        if parents.shape != (b,) or heads.shape != (b, 3) or tails.shape != (b, 3):
+            raise RigError(
+                f"rig of {b} bones: parents {parents.shape}, heads {heads.shape}, tails {tails.shape}; "
+                f"expected ({b},), ({b}, 3), ({b}, 3)"
+            )
+        if not (np.isfinite(heads).all() and np.isfinite(tails).all()):
+            raise RigError("bone heads and tails must be finite")
+        if parents[0] != -1:
+            raise RigError(f"bone 0 ({self.bone_names[0]!r}) must be the root with parent -1, got {parents[0]}")
+        for index in range(1, b):
+            if not 0 <= parents[index] < index:
+                raise RigError(
+                    f"bone {self.bone_names[index]!r} has parent {parents[index]}; a parent must come before its child"
+                )
+        bone_index = {name: index for index, name in enumerate(self.bone_names)}
+        for dof in self.dofs:
+            _check_dof(dof, bone_index)
+        numbers = np.array([[d.lower, d.upper, d.rest] for d in self.dofs], dtype=np.float64).reshape(-1, 3)
+        axes = np.array([d.axis for d in self.dofs], dtype=np.float64).reshape(-1, 3)
+        derived = {
+            "parents": parents,
+            "heads": heads,
+            "tails": tails,
+            "dof_bones": np.array([bone_index[d.bone] for d in self.dofs], dtype=np.int32),
+            "dof_axes": axes / np.linalg.norm(axes, axis=1, keepdims=True),
+            "lower": numbers[:, 0].copy(),
+            "upper": numbers[:, 1].copy(),
+            "rest": numbers[:, 2].copy(),
+        }
+        for name, array in derived.items():
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def bone_count(self) -> int:
+        """Number of bones b."""
+        return len(self.bone_names)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """(d,) names of the degrees of freedom, in the order joint positions are given."""
+        return tuple(dof.name for dof in self.dofs)
+
+    @property
+    def pose_size(self) -> int:
+        """Length p of the pose vector: one number a degree of freedom, then the gravity direction."""
+        return len(self.dofs) + 3
+
+    def bone_index(self, name: str) -> int:
+        """Index of a bone by name. Raises RigError when there is none."""
+        try:
+            return self.bone_names.index(name)
+        except ValueError:
+            raise RigError(f"no bone {name!r} in this rig; bones are {', '.join(self.bone_names)}") from None
+
+    def pose_vector(self, joint_positions: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+        """Network input theta: joint positions scaled to [-1, 1] by their limits (clipped), then gravity.
+
+        joint_positions: (..., d) [rad]. gravity: (..., 3) unit vector, root frame. Returns (..., p).
+        """
+        return pose_vector(joint_positions, self.lower, self.upper, gravity)
+
+    def bone_transforms(self, joint_positions: np.ndarray, *, heads: np.ndarray | None = None) -> np.ndarray:
+        """Forward kinematics: the transform of every bone from the canonical to the posed state.
+
+        joint_positions: (..., d) [rad]. heads: (b, 3) [m] joint centres of another body, default this rig's.
+        Returns (..., b, 3, 4) matrices [R | t] that map canonical points to posed points, both in the root frame.
+        """
+        q = np.asarray(joint_positions, dtype=np.float64)
+        if q.shape[-1:] != (len(self.dofs),):
+            raise RigError(f"joint positions have shape {q.shape}; the last axis must be {len(self.dofs)}")
+        heads = self.heads if heads is None else np.asarray(heads, dtype=np.float64)
+        return forward_kinematics(self.parents, heads, self.dof_bones, self.dof_axes, q - self.rest)
+
+    def to_json(self) -> dict:
+        """Plain data (lists, strings, numbers) from which `from_json` makes an equal rig."""
+        bones = [
+            {"name": name, "parent": int(parent), "head": head.tolist(), "tail": tail.tolist()}
+            for name, parent, head, tail in zip(self.bone_names, self.parents, self.heads, self.tails, strict=True)
+        ]
+        dofs = [
+            {"name": d.name, "bone": d.bone, "axis": list(d.axis), "lower": d.lower, "upper": d.upper, "rest": d.rest}
+            for d in self.dofs
+        ]
+        return {"bones": bones, "dofs": dofs}
+
+    @classmethod
+    def from_json(cls, data: Mapping) -> Rig:
+        """Inverse of `to_json`. Raises RigError on missing, unknown or malformed entries."""
+        try:
+            bones, dofs = data["bones"], data["dofs"]
+            return cls(
+                bone_names=tuple(str(bone["name"]) for bone in bones),
+                parents=np.array([bone["parent"] for bone in bones], dtype=np.int32),
+                heads=np.array([bone["head"] for bone in bones], dtype=np.float64),
+                tails=np.array([bone["tail"] for bone in bones], dtype=np.float64),
+                dofs=tuple(DegreeOfFreedom(**{**dof, "axis": tuple(dof["axis"])}) for dof in dofs),
+            )
+        except RigError:
+            raise
+        except (KeyError, TypeError, ValueError) as error:
+            raise RigError(f"malformed rig description: {type(error).__name__}: {error}") from error
+
+
+def pose_vector(positions: np.ndarray, lower: np.ndarray, upper: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+    """Joint positions (..., d) scaled to [-1, 1] by their limits and clipped, then gravity (..., 3)."""
+    theta = np.clip((np.asarray(positions) - (lower + upper) / 2) / ((upper - lower) / 2), -1.0, 1.0)
+    return np.concatenate([theta, np.broadcast_to(gravity, (*theta.shape[:-1], 3))], axis=-1)
+
+
+def forward_kinematics(
+    parents: np.ndarray, heads: np.ndarray, dof_bones: np.ndarray, dof_axes: np.ndarray, angles: np.ndarray
+) -> np.ndarray:
+    """Canonical-to-posed transforms (..., b, 3, 4) of bones (parents (b,), heads (b, 3)) turned by angles (..., d)."""
+    rotation = np.broadcast_to(np.eye(3), (*angles.shape[:-1], len(parents), 3, 3)).copy()
+    for k, bone in enumerate(dof_bones):
+        rotation[..., bone, :, :] = rotation[..., bone, :, :] @ axis_rotation(dof_axes[k], angles[..., k])
+    position = np.broadcast_to(heads, (*angles.shape[:-1], *heads.shape)).copy()
+    for bone in range(1, len(parents)):
+        parent = parents[bone]
+        offset = rotation[..., parent, :, :] @ (heads[bone] - heads[parent])
+        position[..., bone, :] = position[..., parent, :] + offset
+        rotation[..., bone, :, :] = rotation[..., parent, :, :] @ rotation[..., bone, :, :]
+    translation = position - np.einsum("...bij,bj->...bi", rotation, heads)
+    return np.concatenate([rotation, translation[..., None]], axis=-1)
+
+
+def axis_rotation(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Rodrigues' formula: rotation by `angle` (...,) [rad] about unit `axis` (3,). Returns (..., 3, 3)."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = np.asarray(angle)[..., None, None]
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
+
+
+def _reject_duplicates(kind: str, names: Sequence[str]) -> None:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise RigError(f"{kind} {name!r} occurs twice")
+        seen.add(name)
+
+
+def _check_dof(dof: DegreeOfFreedom, bone_index: Mapping[str, int]) -> None:
+    if dof.bone not in bone_index:
+        raise RigError(f"degree of freedom {dof.name!r} turns unknown bone {dof.bone!r}")
+    numbers = np.array([*dof.axis, dof.lower, dof.upper, dof.rest], dtype=np.float64)
+    if numbers.shape != (6,) or not np.isfinite(numbers).all():
+        raise RigError(f"degree of freedom {dof.name!r}: axis, lower, upper and rest must be finite numbers")
+    if np.linalg.norm(numbers[:3]) < 1e-9:
+        raise RigError(f"degree of freedom {dof.name!r} has a zero axis")
+    if not dof.lower < dof.upper:
+        raise RigError(f"degree of freedom {dof.name!r}: lower {dof.lower} must be below upper {dof.upper}")

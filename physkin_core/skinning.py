@@ -1,0 +1,37 @@
+"""Linear blend skinning of garment vertices and normals to garment nodes. Paper: Node-based Skinning for Garments.
+
+Dimensions: `n` vertices, `m` garment nodes, `K` influences a vertex. Metres, root frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["skin", "skinning_matrices"]
+
+
+def skinning_matrices(nodes: np.ndarray, node_rest: np.ndarray) -> np.ndarray:
+    """chi_i * inverse(chi-bar_i), chi-bar having an identity linear part. nodes: (..., m, 3, 4). Returns the same."""
+    linear = nodes[..., :3]
+    translation = nodes[..., 3] - np.einsum("...mij,mj->...mi", linear, node_rest)
+    return np.concatenate([linear, translation[..., None]], axis=-1)
+
+
+def skin(
+    nodes: np.ndarray,
+    node_rest: np.ndarray,
+    vertices: np.ndarray,
+    normals: np.ndarray,
+    influence_nodes: np.ndarray,
+    influence_weights: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Deform the garment: x' = sum_i w_i chi_i chi-bar_i^-1 x, normals by the blended linear part, then to unit length.
+
+    nodes: (m, 3, 4). node_rest: (m, 3). vertices, normals: (n, 3). influence_nodes, influence_weights: (n, K).
+    Returns positions (n, 3) and normals (n, 3).
+    """
+    matrices = skinning_matrices(nodes, node_rest)
+    blended = np.einsum("nk,nkij->nij", influence_weights, matrices[influence_nodes])
+    positions = np.einsum("nij,nj->ni", blended[..., :3], vertices) + blended[..., 3]
+    turned = np.einsum("nij,nj->ni", blended[..., :3], normals)
+    return positions, turned / np.maximum(np.linalg.norm(turned, axis=-1, keepdims=True), 1e-12)

@@ -1,0 +1,77 @@
+"""Points spread evenly over a body's surface, for the hyper modulator (paper: Hyper Modulator).
+
+Stratified by area: the surface is cut into `count` strata of equal area, each gets one point. Strata follow the faces
+in the order of a Morton curve through their centroids, so neighbouring strata are neighbours in space. The points
+themselves depend on the triangulation and on `seed`; their density does not: any triangulation of the same surface
+gives the same area-uniform distribution, whatever the order, size or shape of its faces, with far less noise than
+independent draws.
+
+Dimensions: `V` vertices, `f` faces, `N` points.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["sample_surface"]
+
+MORTON_BITS = 10
+GOLDEN_RATIO = (5**0.5 - 1) / 2
+
+
+def sample_surface(
+    vertices: np.ndarray, faces: np.ndarray, count: int, *, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draw `count` points uniformly by area, the same ones for the same mesh and seed.
+
+    vertices: (V, 3) [m]. faces: (f, 3) integers, counter-clockwise from outside; faces without area get no points.
+    Returns points (N, 3) float32 [m] and the unit normals (N, 3) float32 of the faces they lie on.
+    Raises ValueError when the count is below 1, a vertex is not finite, an index is out of range or no face has area.
+    """
+    vertices = np.asarray(vertices, dtype=np.float64)
+    faces = np.asarray(faces)
+    _check(vertices, faces, count)
+    corners = vertices[faces]
+    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(doubled, axis=1)
+    usable = np.flatnonzero(length > 0)
+    if len(usable) == 0:
+        raise ValueError(f"none of the {len(faces)} faces has an area, so there is no surface to sample")
+    order = usable[np.argsort(_morton_codes(corners[usable].mean(axis=1)), kind="stable")]
+    ends = np.cumsum(length[order])
+
+    random = np.random.default_rng(seed)
+    at = (np.arange(count) + random.random(count)) / count * ends[-1]
+    chosen = np.minimum(np.searchsorted(ends, at, side="right"), len(order) - 1)
+    face = order[chosen]
+    # Inside a face: along by the position within its share of the area, across by a golden-ratio sequence.
+    along = np.clip((at - (ends[chosen] - length[face])) / length[face], 0, 1)
+    across = (random.random() + GOLDEN_RATIO * np.arange(count)) % 1
+    root = np.sqrt(along)
+    barycentric = np.stack([1 - root, root * (1 - across), root * across], axis=1)
+    points = np.einsum("nc,nci->ni", barycentric, corners[face])
+    return points.astype(np.float32), (doubled[face] / length[face, None]).astype(np.float32)
+
+
+def _check(vertices: np.ndarray, faces: np.ndarray, count: int) -> None:
+    if count < 1:
+        raise ValueError(f"count of surface points must be at least 1, got {count}")
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
+        raise ValueError(f"expected vertices (V, 3) and faces (f, 3), f > 0; got {vertices.shape} and {faces.shape}")
+    if not np.isfinite(vertices).all():
+        bad = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
+        raise ValueError(f"vertex {bad} is not finite: {vertices[bad].tolist()}")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError(f"face indices span {faces.min()} to {faces.max()}, allowed 0 to {len(vertices) - 1}")
+
+
+def _morton_codes(points: np.ndarray) -> np.ndarray:
+    """(n,) position of each point (n, 3) along a Morton curve through the points' bounding cube."""
+    low = points.min(axis=0)
+    extent = max(float((points - low).max()), 1e-12)
+    cells = np.minimum((points - low) / extent * 2**MORTON_BITS, 2**MORTON_BITS - 1).astype(np.int64)
+    codes = np.zeros(len(points), dtype=np.int64)
+    for bit in range(MORTON_BITS):
+        for axis in range(3):
+            codes |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return codes
