@@ -1,0 +1,117 @@
+"""Physics losses (Warp) against the float64 torch oracle and against finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the [training] extra")
+wp = pytest.importorskip("warp", reason="needs the [training] extra")
+trimesh = pytest.importorskip("trimesh")
+
+from training import physics_oracle as oracle  # noqa: E402
+
+from physkin_core.garment import Garment  # noqa: E402
+from physkin_core.garment_model import Material  # noqa: E402
+from physkin_training.physics_losses import PhysicsLosses  # noqa: E402
+
+MATERIAL = Material(contact_stiffness=5.0e4, bending=1e-3)
+SAMPLES = 2
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A cylinder of cloth around a slightly larger icosphere, two random deformations."""
+    wp.config.quiet = True
+    wp.init()
+    rng = np.random.default_rng(7)
+    tube = trimesh.creation.cylinder(radius=0.1, height=0.12, sections=9).subdivide()
+    side = np.abs(tube.face_normals[:, 2]) < 0.5
+    used, faces = np.unique(tube.faces[side], return_inverse=True)
+    garment = Garment(np.asarray(tube.vertices)[used], faces.reshape(-1, 3))
+    body = trimesh.creation.icosphere(subdivisions=2, radius=0.104)
+    x = garment.vertices + rng.normal(scale=4e-3, size=(SAMPLES, len(garment.vertices), 3))
+    offset = np.array([[0.0, 0, 0], [2.0, 0, 0]])
+    points = np.concatenate([body.vertices + o for o in offset]).astype(np.float32)
+    triangles = np.concatenate([body.faces, body.faces + len(body.vertices)]).astype(np.int32)
+    mesh = wp.Mesh(wp.array(points, dtype=wp.vec3, device="cpu"), wp.array(triangles.reshape(-1), device="cpu"))
+    gravity = rng.normal(size=(SAMPLES, 3))
+    gravity /= np.linalg.norm(gravity, axis=1, keepdims=True)
+    return garment, body, x, offset, mesh, gravity
+
+
+def evaluate(scene, x):
+    """Energies (term -> (B,)) and gradient (B, n, 3) from the Warp kernels."""
+    garment, _, _, offset, mesh, gravity = scene
+    losses = PhysicsLosses(garment, MATERIAL, SAMPLES, torch.device("cpu"))
+    tensors = [torch.as_tensor(a, dtype=torch.float32) for a in (x, gravity, offset)]
+    energies, gradient = losses.evaluate(tensors[0], tensors[1], mesh, tensors[2])
+    return {name: value.numpy() for name, value in energies.items()}, gradient.numpy()
+
+
+def oracle_terms(scene, x, sample):
+    """Energy terms of one sample as functions of a leaf tensor."""
+    garment, body, _, _, _, gravity = scene
+    return {
+        "stretch": oracle.stretch_energy(x, garment, MATERIAL),
+        "bend": oracle.bend_energy(x, garment, MATERIAL),
+        "collision": oracle.collision_energy(x, garment, MATERIAL, np.asarray(body.vertices), np.asarray(body.faces)),
+        "gravity": oracle.gravity_energy(x, garment, MATERIAL, torch.as_tensor(gravity[sample])),
+    }
+
+
+def test_energies_and_gradient_match_the_oracle(scene):
+    energies, gradient = evaluate(scene, scene[2])
+    for sample in range(SAMPLES):
+        x = torch.tensor(scene[2][sample], requires_grad=True)
+        terms = oracle_terms(scene, x, sample)
+        for name, value in terms.items():
+            assert energies[name][sample] == pytest.approx(value.item(), rel=2e-4), name
+        (expected,) = torch.autograd.grad(sum(terms.values()), x)
+        assert terms["collision"].item() > 0, "the scene must touch"
+        error = np.abs(gradient[sample] - expected.numpy()).max()
+        assert error < 1e-3 * np.abs(expected.numpy()).max()
+
+
+def test_gradient_matches_finite_differences(scene):
+    rng = np.random.default_rng(3)
+    x = scene[2]
+    _, gradient = evaluate(scene, x)
+    direction = rng.normal(size=x.shape)
+    step = 2e-5
+    for sample in range(SAMPLES):
+        difference = 0.0
+        for sign in (1, -1):
+            moved = torch.tensor(x[sample] + sign * step * direction[sample])
+            difference += sign * float(sum(oracle_terms(scene, moved, sample).values()))
+        assert (gradient[sample] * direction[sample]).sum() == pytest.approx(difference / (2 * step), rel=2e-3)
+
+
+def test_backward_is_the_mean_energy_gradient(scene):
+    garment, _, x, offset, mesh, gravity = scene
+    losses = PhysicsLosses(garment, MATERIAL, SAMPLES, torch.device("cpu"))
+    leaf = torch.tensor(x, dtype=torch.float32, requires_grad=True)
+    as_float = [torch.as_tensor(a, dtype=torch.float32) for a in (gravity, offset)]
+    total, energies = losses(leaf, as_float[0], mesh, as_float[1])
+    (3 * total).backward()
+    _, gradient = evaluate(scene, x)
+    np.testing.assert_allclose(leaf.grad.numpy(), 3 * gradient / SAMPLES, rtol=1e-4, atol=1e-4)
+    assert total.item() == pytest.approx(energies.total.mean().item(), rel=1e-5)
+
+
+def test_rest_shape_has_no_elastic_energy(scene):
+    garment = scene[0]
+    energies, _ = evaluate(scene, np.repeat(garment.vertices[None], SAMPLES, axis=0))
+    assert np.abs(energies["stretch"]).max() < 1e-6
+    assert np.abs(energies["bend"]).max() < 1e-6
+
+
+def test_wrong_side_hits_are_ignored(scene):
+    """Deep inside, cloth whose outside faces away from the closest surface is not pushed through the limb."""
+    garment = scene[0]
+    shrunk = garment.vertices * np.array([0.7, 0.7, 1.0])
+    energies, _ = evaluate(scene, np.repeat(shrunk[None], SAMPLES, axis=0))
+    assert energies["collision"].min() > 0
+    inside_out = shrunk * np.array([-1.0, 1.0, 1.0])
+    energies, _ = evaluate(scene, np.repeat(inside_out[None], SAMPLES, axis=0))
+    assert energies["collision"].max() == 0

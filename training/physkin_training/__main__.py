@@ -1,0 +1,5 @@
+"""`python -m physkin_training`: the same as `physkin train`."""
+
+from physkin_training.train import main
+
+raise SystemExit(main())

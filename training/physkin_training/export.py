@@ -1,0 +1,139 @@
+"""Export to the garment model file and back into torch, with a check that both say the same.
+
+Dimensions: `n` garment vertices, `K` influences, `m` garment nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+
+import numpy as np
+import torch
+
+from physkin_core.avatar import avatar_from_body
+from physkin_core.body_model import load_body_model
+from physkin_core.draper import Draper
+from physkin_core.garment import Garment
+from physkin_core.garment_model import GarmentModel, Material
+from physkin_core.hyper_modulator import POINT_COUNT
+from physkin_core.rig import Rig
+from physkin_core.surface_sampling import sample_surface
+from physkin_training.draping import Drape, GarmentNodes
+from physkin_training.networks import ModulatedMLP, NetworkConfig
+
+__all__ = ["agreement", "drape_from_model", "encode_bodies", "model_from_drape"]
+
+
+def model_from_drape(
+    drape: Drape,
+    garment: Garment,
+    rig: Rig,
+    *,
+    name: str,
+    influences: int,
+    material: Material,
+    training: Mapping | None = None,
+) -> GarmentModel:
+    """The garment model of a trained drape, pruned to the `influences` strongest garment nodes a vertex."""
+    weights = drape.skinning_weights.detach().cpu().numpy()
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :influences]
+    kept = np.take_along_axis(weights, order, axis=1)
+    networks = {key: tensor.detach().cpu().numpy() for key, tensor in drape.networks.state_dict().items()}
+    hyper = {
+        key.removeprefix("hyper_modulator."): array
+        for key, array in networks.items()
+        if key.startswith("hyper_modulator.")
+    }
+    return GarmentModel(
+        name=name,
+        rig=rig,
+        garment=garment,
+        node_rest=drape.node_rest.cpu().numpy(),
+        node_bone=drape.node_bone.cpu().numpy().astype(np.int32),
+        influence_nodes=np.take_along_axis(drape.influence_nodes.cpu().numpy(), order, axis=1).astype(np.int32),
+        influence_weights=kept / kept.sum(axis=1, keepdims=True),
+        hyper_modulator=hyper,
+        pose_modulator=_layers(drape.networks.pose_modulator),
+        node_deformer=_layers(drape.networks.node_deformer),
+        activation=drape.networks.pose_modulator.activation,
+        material=material,
+        training=training or {},
+    )
+
+
+def drape_from_model(model: GarmentModel) -> Drape:
+    """The torch drape of a garment model (for evaluation, or to train on)."""
+    nodes = GarmentNodes(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
+    drape = Drape(model.garment, nodes, model.rig, network_config(model))
+    state = {f"hyper_modulator.{key}": array for key, array in model.hyper_modulator.items()}
+    for network in ("pose_modulator", "node_deformer"):
+        for index, (weight, bias) in enumerate(getattr(model, network)):
+            state |= {f"{network}.layers.{index}.weight": weight, f"{network}.layers.{index}.bias": bias}
+    drape.networks.load_state_dict({key: torch.as_tensor(np.array(array)) for key, array in state.items()})
+    drape.influence_bias.masked_fill_(torch.as_tensor(model.influence_weights == 0), float("-inf"))
+    return drape
+
+
+def network_config(model: GarmentModel) -> NetworkConfig:
+    """Sizes of a garment model's networks."""
+    blocks = sum(key.endswith(".norm.weight") and key.startswith("residual") for key in model.hyper_modulator)
+    return NetworkConfig(
+        pose_hidden=len(model.pose_modulator[0][1]),
+        pose_layers=len(model.pose_modulator) - 1,
+        deformer_hidden=len(model.node_deformer[0][1]),
+        deformer_layers=len(model.node_deformer) - 1,
+        node_outputs=len(model.node_deformer[-1][1]) // len(model.node_rest),
+        activation=model.activation,
+        token_width=len(model.hyper_modulator["embed.bias"]),
+        feed_forward=len(model.hyper_modulator["feed_forward.0.bias"]),
+        residual_blocks=blocks,
+    )
+
+
+def encode_bodies(drape: Drape, vertices: np.ndarray, faces: np.ndarray) -> torch.Tensor:
+    """Body modulations (S, s) of bodies (S, V, 3), from the same surface points as the run time takes."""
+    device = drape.node_rest.device
+    modulations = []
+    with torch.no_grad():
+        for body in vertices:
+            points, normals = sample_surface(body, faces, POINT_COUNT)
+            pair = [torch.as_tensor(a, dtype=torch.float32, device=device)[None] for a in (points, normals)]
+            modulations.append(drape.networks.hyper_modulator(*pair))
+    return torch.cat(modulations)
+
+
+def agreement(model: GarmentModel, *, poses: int = 8, seed: int = 0) -> float:
+    """Largest distance [m] between the run time's NumPy drape and the torch drape of `model`, over random poses."""
+    body_model = load_body_model()
+    coefficients = body_model.held_out_bodies[0]
+    avatar = avatar_from_body(body_model, coefficients)
+    draper = Draper(model, avatar, backend="numpy")
+    drape = drape_from_model(model).eval()
+    generator = np.random.default_rng(seed)
+    rig = model.rig
+    worst = 0.0
+    modulation = encode_bodies(drape, avatar.vertices[None], avatar.faces)
+    node_positions = torch.as_tensor(draper.bound.node_positions)[None]
+    for _ in range(poses):
+        positions = generator.uniform(rig.lower, rig.upper).astype(np.float32)
+        gravity = generator.normal(size=3)
+        gravity = (gravity / np.linalg.norm(gravity)).astype(np.float32)
+        bones = torch.as_tensor(draper.bone_transforms(positions), dtype=torch.float32)[None]
+        with torch.no_grad():
+            nodes = drape.posed_nodes(bones, node_positions)
+            there = drape(modulation, torch.as_tensor(positions)[None], torch.as_tensor(gravity)[None], nodes)[0]
+        here = draper.drape(positions, gravity)[:, :3]
+        worst = max(worst, float(np.linalg.norm(here - there.numpy(), axis=1).max()))
+    return worst
+
+
+def _layers(network: ModulatedMLP) -> tuple:
+    return tuple((layer.weight.detach().cpu().numpy(), layer.bias.detach().cpu().numpy()) for layer in network.layers)
+
+
+def plain_training_data(config) -> dict:
+    """A training configuration as plain data for the model file's metadata."""
+    data = asdict(config)
+    data["garment"] = config.garment.name
+    return data

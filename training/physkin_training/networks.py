@@ -1,0 +1,144 @@
+"""Torch twins of the three networks: hyper modulator, pose modulator, node deformer (paper: Network Architecture).
+
+Values agree with `physkin_core.hyper_modulator`, `.pose_modulator` and `.node_deformer`; names of parameters are those
+of the garment model file. Dimensions: `B` poses, `S` bodies, `N` points, `D` token width, `p` pose vector, `m` nodes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from physkin_core.hyper_modulator import ENCODING_FREQUENCIES, HEADS, token_features
+
+__all__ = ["HyperModulator", "ModulatedMLP", "NetworkConfig", "Networks"]
+
+ACTIVATIONS = {"silu": functional.silu, "relu": functional.relu}
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Sizes of the networks; defaults are the paper's where it states them."""
+
+    pose_hidden: int = 512
+    pose_layers: int = 4
+    deformer_hidden: int = 128
+    deformer_layers: int = 4
+    node_outputs: int = 9
+    activation: str = "silu"
+    token_width: int = 128
+    feed_forward: int = 256
+    residual_blocks: int = 2
+
+    def __post_init__(self) -> None:
+        if self.activation not in ACTIVATIONS:
+            raise ValueError(f"activation {self.activation!r} is not one of {', '.join(ACTIVATIONS)}")
+        if self.node_outputs not in (9, 12):
+            raise ValueError(f"node_outputs must be 9 (6-D rotation, translation) or 12 (affine), got {self.node_outputs}")
+
+
+class ModulatedMLP(nn.Module):
+    """Hidden layers act((1 + scale) * (W x + bias) + shift), then a linear layer that starts near zero."""
+
+    def __init__(self, inputs: int, hidden: int, hidden_layers: int, outputs: int, activation: str) -> None:
+        super().__init__()
+        sizes = [inputs, *[hidden] * hidden_layers]
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(sizes, [*sizes[1:], outputs], strict=True))
+        self.activation = activation
+        nn.init.normal_(self.layers[-1].weight, std=1e-3)
+        nn.init.zeros_(self.layers[-1].bias)
+
+    @property
+    def modulation_size(self) -> int:
+        """Numbers of modulation this network takes."""
+        return 2 * sum(layer.out_features for layer in self.layers[:-1])
+
+    def forward(self, x: torch.Tensor, modulation: torch.Tensor) -> torch.Tensor:
+        """x: (B, in). modulation: (B, modulation_size). Returns (B, out)."""
+        act = ACTIVATIONS[self.activation]
+        start = 0
+        for layer in self.layers[:-1]:
+            scale, shift = modulation[:, start : start + 2 * layer.out_features].chunk(2, dim=-1)
+            x = act(torch.addcmul(shift, 1 + scale, layer(x)))
+            start += 2 * layer.out_features
+        return self.layers[-1](x)
+
+
+class HyperModulator(nn.Module):
+    """Body points to modulation of the pose modulator."""
+
+    def __init__(self, config: NetworkConfig, outputs: int) -> None:
+        super().__init__()
+        width = config.token_width
+        self.embed = nn.Linear(token_features(), width)
+        self.attention = nn.ModuleDict({"input": nn.Linear(width, 3 * width), "output": nn.Linear(width, width)})
+        self.norm_1, self.norm_2 = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.feed_forward = nn.ModuleList(
+            [nn.Linear(width, config.feed_forward), nn.Linear(config.feed_forward, width)]
+        )
+        self.pool = nn.Linear(width, 1)
+        self.residual = nn.ModuleList(
+            nn.ModuleDict(
+                {"norm": nn.LayerNorm(width), "0": nn.Linear(width, 2 * width), "1": nn.Linear(2 * width, width)}
+            )
+            for _ in range(config.residual_blocks)
+        )
+        self.output = nn.Linear(width, outputs)
+        nn.init.normal_(self.output.weight, std=1e-2)
+        nn.init.zeros_(self.output.bias)
+
+    def forward(self, points: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
+        """points, normals: (S, N, 3), canonical pose [m]. Returns (S, outputs)."""
+        bodies, count, _ = points.shape
+        tokens = self.embed(encode_points(points, normals))
+        projected = self.attention["input"](tokens).view(bodies, count, 3, HEADS, -1)
+        query, key, value = projected.permute(2, 0, 3, 1, 4)
+        if tokens.is_cuda:  # the fused attention kernel takes half-width numbers
+            attended = functional.scaled_dot_product_attention(
+                query.bfloat16().contiguous(), key.bfloat16().contiguous(), value.bfloat16().contiguous()
+            ).float()
+        else:
+            attended = functional.scaled_dot_product_attention(query, key, value)
+        attended = attended.transpose(1, 2).reshape(bodies, count, -1)
+        tokens = self.norm_1(tokens + self.attention["output"](attended))
+        tokens = self.norm_2(tokens + self.feed_forward[1](functional.relu(self.feed_forward[0](tokens))))
+        body = (torch.softmax(self.pool(tokens), dim=1) * tokens).sum(dim=1)
+        for block in self.residual:
+            body = body + block["1"](functional.relu(block["0"](block["norm"](body))))
+        return self.output(body)
+
+
+class Networks(nn.Module):
+    """The three networks chained: (body points, pose vector, posed garment nodes) -> raw delta-chi."""
+
+    def __init__(self, config: NetworkConfig, *, pose_size: int, node_count: int) -> None:
+        super().__init__()
+        self.node_deformer = ModulatedMLP(
+            12 * node_count,
+            config.deformer_hidden,
+            config.deformer_layers,
+            config.node_outputs * node_count,
+            config.activation,
+        )
+        self.pose_modulator = ModulatedMLP(
+            pose_size, config.pose_hidden, config.pose_layers, self.node_deformer.modulation_size, config.activation
+        )
+        nn.init.normal_(self.pose_modulator.layers[-1].weight, std=1e-2)
+        self.hyper_modulator = HyperModulator(config, self.pose_modulator.modulation_size)
+
+    def forward(
+        self, body_modulation: torch.Tensor, pose_vector: torch.Tensor, posed_nodes: torch.Tensor
+    ) -> torch.Tensor:
+        """body_modulation: (B, s). pose_vector: (B, p). posed_nodes: (B, m, 3, 4). Returns (B, m, 9 or 12)."""
+        modulation = self.pose_modulator(pose_vector, body_modulation)
+        return self.node_deformer(posed_nodes.flatten(1), modulation).unflatten(1, (posed_nodes.shape[1], -1))
+
+
+def encode_points(points: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
+    """Twin of `physkin_core.hyper_modulator.encode_points`."""
+    frequencies = torch.pi * 2.0 ** torch.arange(ENCODING_FREQUENCIES, device=points.device, dtype=points.dtype)
+    angles = (points[..., None] * frequencies).flatten(-2)
+    return torch.cat([points, angles.sin(), angles.cos(), normals], dim=-1)

@@ -1,0 +1,333 @@
+"""Physics losses as Warp kernels with hand-written gradients: stretch, bend, collision, gravity (paper: Loss Functions).
+
+Each kernel writes the energy [J] of its elements and adds dE/dx [N] to a shared gradient array in one pass; torch sees
+one differentiable operation per energy, whose backward pass is a product. Nothing allocates or waits for the host, so a
+training step can be captured as a CUDA graph.
+
+Dimensions: `B` samples, `n` garment vertices, `f` faces, `q` hinges, `V` body vertices. Metres, root frame.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import warp as wp
+
+from physkin_core.garment import Garment
+from physkin_core.garment_model import Material
+
+__all__ = ["Energies", "PhysicsLosses"]
+
+GRAVITY = 9.81
+"""Gravitational acceleration [m/s2]."""
+
+DEEP = 0.01
+"""Beyond this depth [m] a hit counts only if body and cloth face the same way: else it is the wrong side of a limb."""
+
+
+@wp.kernel
+def stretch_kernel(
+    x: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    rest_inverse: wp.array(dtype=wp.mat22),
+    rest_area: wp.array(dtype=wp.float32),
+    mu: wp.float32,
+    lam: wp.float32,
+    energy: wp.array2d(dtype=wp.float32),
+    gradient: wp.array2d(dtype=wp.vec3),
+    normals: wp.array2d(dtype=wp.vec3),
+):
+    """StVK membrane of one face of one sample (Barbic and James 2005); also adds the face normal to its corners."""
+    s, t = wp.tid()
+    a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
+    x0 = x[s, a]
+    d1 = x[s, b] - x0
+    d2 = x[s, c] - x0
+    inverse = rest_inverse[t]
+    f1 = d1 * inverse[0, 0] + d2 * inverse[1, 0]
+    f2 = d1 * inverse[0, 1] + d2 * inverse[1, 1]
+    e11 = 0.5 * (wp.dot(f1, f1) - 1.0)
+    e22 = 0.5 * (wp.dot(f2, f2) - 1.0)
+    e12 = 0.5 * wp.dot(f1, f2)
+    trace = e11 + e22
+    energy[s, t] = rest_area[t] * (mu * (e11 * e11 + e22 * e22 + 2.0 * e12 * e12) + 0.5 * lam * trace * trace)
+    s11 = 2.0 * mu * e11 + lam * trace
+    s22 = 2.0 * mu * e22 + lam * trace
+    s12 = 2.0 * mu * e12
+    p1 = (f1 * s11 + f2 * s12) * rest_area[t]
+    p2 = (f1 * s12 + f2 * s22) * rest_area[t]
+    g1 = p1 * inverse[0, 0] + p2 * inverse[0, 1]
+    g2 = p1 * inverse[1, 0] + p2 * inverse[1, 1]
+    wp.atomic_add(gradient, s, b, g1)
+    wp.atomic_add(gradient, s, c, g2)
+    wp.atomic_add(gradient, s, a, -g1 - g2)
+    normal = wp.cross(d1, d2)
+    wp.atomic_add(normals, s, a, normal)
+    wp.atomic_add(normals, s, b, normal)
+    wp.atomic_add(normals, s, c, normal)
+
+
+@wp.kernel
+def bend_kernel(
+    x: wp.array2d(dtype=wp.vec3),
+    hinges: wp.array2d(dtype=wp.int32),
+    rest_angle: wp.array(dtype=wp.float32),
+    stiffness: wp.array(dtype=wp.float32),
+    energy: wp.array2d(dtype=wp.float32),
+    gradient: wp.array2d(dtype=wp.vec3),
+):
+    """Dihedral bending of one hinge of one sample: k (theta - rest)^2 (Grinspun et al. 2003)."""
+    s, t = wp.tid()
+    i0, i1, i2, i3 = hinges[t, 0], hinges[t, 1], hinges[t, 2], hinges[t, 3]
+    x0, x1, x2, x3 = x[s, i0], x[s, i1], x[s, i2], x[s, i3]
+    edge = x1 - x0
+    length = wp.max(wp.length(edge), 1.0e-9)
+    na = wp.cross(edge, x2 - x0)
+    nb = wp.cross(x3 - x0, edge)
+    na2 = wp.max(wp.dot(na, na), 1.0e-16)
+    nb2 = wp.max(wp.dot(nb, nb), 1.0e-16)
+    angle = wp.atan2(wp.dot(wp.cross(na, nb), edge) / length, wp.dot(na, nb)) - rest_angle[t]
+    angle = angle - 2.0 * wp.pi * wp.round(angle / (2.0 * wp.pi))
+    energy[s, t] = stiffness[t] * angle * angle
+    slope = 2.0 * stiffness[t] * angle
+    ga = na * (slope / na2)
+    gb = nb * (slope / nb2)
+    wp.atomic_add(gradient, s, i2, ga * -length)
+    wp.atomic_add(gradient, s, i3, gb * -length)
+    wp.atomic_add(gradient, s, i0, (ga * wp.dot(x2 - x1, edge) + gb * wp.dot(x3 - x1, edge)) / -length)
+    wp.atomic_add(gradient, s, i1, (ga * wp.dot(x2 - x0, edge) + gb * wp.dot(x3 - x0, edge)) / length)
+
+
+@wp.kernel
+def collision_kernel(
+    x: wp.array2d(dtype=wp.vec3),
+    body: wp.uint64,
+    body_offset: wp.array(dtype=wp.vec3),
+    vertex_area: wp.array(dtype=wp.float32),
+    stiffness: wp.array(dtype=wp.float32),
+    contact_offset: wp.float32,
+    linear_beyond: wp.float32,
+    reach: wp.float32,
+    normals: wp.array2d(dtype=wp.vec3),
+    energy: wp.array2d(dtype=wp.float32),
+    gradient: wp.array2d(dtype=wp.vec3),
+    signed_distance: wp.array2d(dtype=wp.float32),
+):
+    """Squared depth below the contact offset, to the exact closest point of the posed body; linear when deeper."""
+    s, v = wp.tid()
+    point = x[s, v] + body_offset[s]
+    hit = wp.mesh_query_point_sign_normal(body, point, reach)
+    energy[s, v] = 0.0
+    signed_distance[s, v] = reach
+    if hit.result:
+        closest = wp.mesh_eval_position(body, hit.face, hit.u, hit.v)
+        away = point - closest
+        gap = wp.length(away)
+        distance = hit.sign * gap
+        signed_distance[s, v] = distance
+        depth = contact_offset - distance
+        if depth > 0.0:
+            outward = wp.mesh_eval_face_normal(body, hit.face)
+            wrong_side = depth > DEEP and wp.dot(outward, normals[s, v]) < 0.0
+            if not wrong_side:
+                if gap > 1.0e-6:
+                    outward = away * (hit.sign / gap)
+                k = stiffness[0] * vertex_area[v]
+                bounded = wp.min(depth, linear_beyond)
+                energy[s, v] = k * bounded * (2.0 * depth - bounded)
+                wp.atomic_add(gradient, s, v, outward * (-2.0 * k * bounded))
+
+
+@wp.kernel
+def gravity_kernel(
+    x: wp.array2d(dtype=wp.vec3),
+    direction: wp.array(dtype=wp.vec3),
+    weight: wp.array(dtype=wp.float32),
+    energy: wp.array2d(dtype=wp.float32),
+    gradient: wp.array2d(dtype=wp.vec3),
+):
+    """Potential energy, height measured against the gravity direction from the root."""
+    s, v = wp.tid()
+    energy[s, v] = -weight[v] * wp.dot(x[s, v], direction[s])
+    wp.atomic_add(gradient, s, v, direction[s] * -weight[v])
+
+
+@dataclass(frozen=True)
+class Energies:
+    """Energies of each sample (B,) [J] by term, and signed distance to the body (B, n) [m], capped at the reach."""
+
+    stretch: torch.Tensor
+    bend: torch.Tensor
+    collision: torch.Tensor
+    gravity: torch.Tensor
+    signed_distance: torch.Tensor
+
+    @property
+    def total(self) -> torch.Tensor:
+        """Sum of the terms (B,)."""
+        return self.stretch + self.bend + self.collision + self.gravity
+
+
+class PhysicsLosses:
+    """Physics losses of one garment for a fixed number of samples on one device.
+
+    contact_stiffness is a tensor (1,) [J/m4] that a schedule may change between steps. reach: farthest distance [m] at
+    which the body is looked for. linear_beyond: depth [m] from which contact force grows no more. force_limit: largest
+    norm of a sample's gradient [N] that reaches the networks. Both only tame training, where a few poses of a body that
+    runs through itself would outweigh all others; by default neither acts.
+    """
+
+    def __init__(
+        self,
+        garment: Garment,
+        material: Material,
+        samples: int,
+        device: torch.device,
+        *,
+        reach: float = 0.1,
+        linear_beyond: float = math.inf,
+        force_limit: float = math.inf,
+    ) -> None:
+        self.material = material
+        self.reach = reach
+        self.linear_beyond = linear_beyond
+        self.force_limit = force_limit
+        self.device = wp.device_from_torch(device)
+        young, poisson = material.youngs_modulus, material.poisson_ratio
+        self._mu = young / (2 * (1 + poisson))
+        self._lam = young * poisson / (1 - poisson**2)  # plane stress
+        self.contact_stiffness = torch.full((1,), material.contact_stiffness, device=device)
+        n, f, q = len(garment.vertices), len(garment.faces), len(garment.hinges)
+        self._faces = self._array(garment.faces, wp.int32)
+        self._hinges = self._array(garment.hinges, wp.int32)
+        self._rest_inverse = self._array(_rest_inverse(garment), wp.mat22)
+        self._rest_area = self._array(garment.face_areas, wp.float32)
+        rest_angle, edge_factor = _hinge_rest(garment)
+        self._rest_angle = self._array(rest_angle, wp.float32)
+        self._bend_stiffness = self._array(material.bending * edge_factor, wp.float32)
+        self._vertex_area = self._array(garment.vertex_areas, wp.float32)
+        self._weight = self._array(garment.vertex_areas * material.density * GRAVITY, wp.float32)
+
+        def buffer(count: int) -> torch.Tensor:
+            return torch.zeros(samples, count, device=device)
+
+        self._element = {
+            "stretch": buffer(f),
+            "bend": buffer(q),
+            "collision": buffer(n),
+            "gravity": buffer(n),
+        }
+        self._normals = torch.zeros(samples, n, 3, device=device)
+        self.signed_distance = buffer(n)
+
+    def __call__(
+        self, x: torch.Tensor, gravity: torch.Tensor, body: wp.Mesh, body_offset: torch.Tensor
+    ) -> tuple[torch.Tensor, Energies]:
+        """Energies of garment vertices x (B, n, 3) under gravity (B, 3) against the posed bodies.
+
+        body: one Warp mesh of all samples' posed bodies, sample s displaced by body_offset[s] (B, 3).
+        Returns the differentiable mean total energy [J] and the (detached) energies.
+        """
+        total, *parts = _PhysicsEnergy.apply(x, self, gravity, body, body_offset)
+        return total, Energies(*parts, signed_distance=self.signed_distance)
+
+    def evaluate(
+        self, x: torch.Tensor, gravity: torch.Tensor, body: wp.Mesh, body_offset: torch.Tensor
+    ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+        """Energies (B,) by term and their summed gradient dE/dx (B, n, 3), without autograd."""
+        samples, n, _ = x.shape
+        x = x.detach().contiguous()
+        gradient = torch.zeros_like(x)
+        self._normals.zero_()
+        points, forces = _vec3(x), _vec3(gradient)
+        element = {name: wp.from_torch(tensor) for name, tensor in self._element.items()}
+        wp.launch(
+            stretch_kernel,
+            dim=(samples, self._faces.shape[0]),
+            inputs=[points, self._faces, self._rest_inverse, self._rest_area, self._mu, self._lam],
+            outputs=[element["stretch"], forces, _vec3(self._normals)],
+            device=self.device,
+        )
+        wp.launch(
+            bend_kernel,
+            dim=(samples, self._hinges.shape[0]),
+            inputs=[points, self._hinges, self._rest_angle, self._bend_stiffness],
+            outputs=[element["bend"], forces],
+            device=self.device,
+        )
+        wp.launch(
+            collision_kernel,
+            dim=(samples, n),
+            inputs=[
+                points,
+                body.id,
+                wp.from_torch(body_offset, dtype=wp.vec3),
+                self._vertex_area,
+                wp.from_torch(self.contact_stiffness),
+                self.material.contact_offset,
+                self.linear_beyond,
+                self.reach,
+                _vec3(self._normals),
+            ],
+            outputs=[element["collision"], forces, wp.from_torch(self.signed_distance)],
+            device=self.device,
+        )
+        wp.launch(
+            gravity_kernel,
+            dim=(samples, n),
+            inputs=[points, wp.from_torch(gravity.contiguous(), dtype=wp.vec3), self._weight],
+            outputs=[element["gravity"], forces],
+            device=self.device,
+        )
+        return {name: tensor.sum(dim=1) for name, tensor in self._element.items()}, gradient
+
+    def _array(self, values: np.ndarray, dtype) -> wp.array:
+        scalar = np.int32 if dtype is wp.int32 else np.float32
+        return wp.array(np.ascontiguousarray(values, dtype=scalar), dtype=dtype, device=self.device)
+
+
+class _PhysicsEnergy(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, x, losses, gravity, body, body_offset):
+        energies, gradient = losses.evaluate(x, gravity, body, body_offset)
+        if math.isfinite(losses.force_limit):
+            norm = torch.linalg.vector_norm(gradient, dim=(1, 2), keepdim=True)
+            gradient = gradient * (losses.force_limit / norm.clamp_min(losses.force_limit))
+        ctx.save_for_backward(gradient)
+        parts = tuple(energies[name] for name in ("stretch", "bend", "collision", "gravity"))
+        ctx.mark_non_differentiable(*parts)
+        return sum(parts).mean(), *parts
+
+    @staticmethod
+    def backward(ctx, upstream, *_):
+        (gradient,) = ctx.saved_tensors
+        return gradient * (upstream / len(gradient)), None, None, None, None
+
+
+def _rest_inverse(garment: Garment) -> np.ndarray:
+    """Inverse of the rest edge matrix of every face in its own plane, (f, 2, 2) [1/m]."""
+    corners = garment.vertices[garment.faces]
+    d1, d2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    length = np.linalg.norm(d1, axis=1)
+    along = (d1 * d2).sum(axis=1) / length
+    across = 2 * garment.face_areas / length
+    zero = np.zeros_like(length)
+    return np.linalg.inv(np.stack([np.stack([length, along], axis=1), np.stack([zero, across], axis=1)], axis=1))
+
+
+def _hinge_rest(garment: Garment) -> tuple[np.ndarray, np.ndarray]:
+    """Rest dihedral angle (q,) [rad] and 3 |e|^2 / (A_a + A_b) (q,) of every hinge."""
+    x0, x1, x2, x3 = (garment.vertices[garment.hinges[:, k]] for k in range(4))
+    edge = x1 - x0
+    length = np.linalg.norm(edge, axis=1)
+    na, nb = np.cross(edge, x2 - x0), np.cross(x3 - x0, edge)
+    angle = np.arctan2((np.cross(na, nb) * edge).sum(axis=1) / length, (na * nb).sum(axis=1))
+    areas = (np.linalg.norm(na, axis=1) + np.linalg.norm(nb, axis=1)) / 2
+    return angle, 3 * length**2 / areas
+
+
+def _vec3(tensor: torch.Tensor) -> wp.array:
+    return wp.from_torch(tensor, dtype=wp.vec3)

@@ -1,0 +1,53 @@
+"""Training poses: uniform in a box around the A-pose that grows to the joint limits, under gravity of tilted roots.
+
+Paper: Training. Dimensions: `B` samples, `d` degrees of freedom.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from physkin_core.rig import Rig
+
+__all__ = ["PoseSampler", "pose_range"]
+
+FIRST_RANGE = 0.1
+
+
+def pose_range(progress: float, growth: float) -> float:
+    """Share of the joint limits in use: from 10 % in steps of 10 % to all of them at `growth` of the run.
+
+    progress: 0 to 1. growth: share of the run after which the full range is reached.
+    """
+    if growth <= 0:
+        return 1.0
+    return min(1.0, FIRST_RANGE * (1 + math.floor(9 * min(progress / growth, 1.0))))
+
+
+class PoseSampler:
+    """Draws joint positions (B, d) [rad] and gravity directions (B, 3) on a device.
+
+    upright: share of samples whose root stands upright; the others lean by up to `largest_tilt` [rad] any way.
+    """
+
+    def __init__(self, rig: Rig, device: torch.device, *, upright: float, largest_tilt: float) -> None:
+        def tensor(values) -> torch.Tensor:
+            return torch.as_tensor(values.copy(), dtype=torch.float32, device=device)
+
+        self.lower, self.upper, self.rest = tensor(rig.lower), tensor(rig.upper), tensor(rig.rest)
+        self.upright = upright
+        self.largest_tilt = largest_tilt
+
+    def sample(self, count: int, share: torch.Tensor | float) -> tuple[torch.Tensor, torch.Tensor]:
+        """share: part of the joint limits and of the largest tilt in use, 0 to 1 (a tensor may change between steps)."""
+        device = self.lower.device
+        within = torch.rand(count, len(self.lower), device=device)
+        reach_down, reach_up = (self.lower - self.rest) * share, (self.upper - self.rest) * share
+        positions = self.rest + reach_down + within * (reach_up - reach_down)
+        tilt = torch.rand(count, device=device) * self.largest_tilt * share
+        tilt = torch.where(torch.rand(count, device=device) < self.upright, torch.zeros_like(tilt), tilt)
+        azimuth = torch.rand(count, device=device) * (2 * torch.pi)
+        gravity = torch.stack([tilt.sin() * azimuth.cos(), tilt.sin() * azimuth.sin(), -tilt.cos()], dim=1)
+        return positions, gravity

@@ -1,0 +1,185 @@
+"""Joint optimisation of networks and skinning weights by physics losses alone (paper: Training).
+
+One step draws bodies, poses and gravity, encodes the bodies, drapes the garment and descends the mean physical energy.
+On a GPU the step is captured as a CUDA graph and replayed: everything that changes between steps (pose range, contact
+stiffness, learning rates) sits in tensors.
+
+Dimensions: `B` samples, `S` bodies of a step, `n` garment vertices.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import torch
+import warp as wp
+
+from physkin_core.body_model import load_body_model
+from physkin_core.garment import load_garment
+from physkin_core.hyper_modulator import POINT_COUNT
+from physkin_training.checkpoint import load_checkpoint, save_checkpoint
+from physkin_training.config import TrainingConfig
+from physkin_training.draping import Drape, GarmentNodes
+from physkin_training.physics_losses import PhysicsLosses
+from physkin_training.pose_sampling import PoseSampler, pose_range
+from physkin_training.posed_bodies import BodySet, PosedBodies
+
+__all__ = ["TERMS", "Trainer"]
+
+TERMS = ("stretch", "bend", "collision", "gravity")
+
+
+class Trainer:
+    """A training run that can stop anywhere and go on exactly.
+
+    `step` counts finished steps; `drape` is the model in training.
+    """
+
+    def __init__(self, config: TrainingConfig, device: torch.device) -> None:
+        torch.manual_seed(config.seed)
+        self.config = config
+        self.device = device
+        self.step = 0
+        optimisation = config.optimisation
+        body_model = load_body_model()
+        self.rig = body_model.rig
+        self.garment = load_garment(config.garment)
+        nodes = GarmentNodes.sample(
+            self.garment, self.rig, config.garment_nodes.count, config.garment_nodes.initial_influences
+        )
+        self.nodes = nodes
+        self.drape = Drape(self.garment, nodes, self.rig, config.networks).to(device)
+        self.bodies = BodySet(body_model, body_model.train_bodies[: config.train_bodies], device)
+        self.posed_bodies = PosedBodies(body_model, self.bodies, optimisation.samples)
+        self.node_positions = self.drape.node_positions(self.bodies)
+        self.losses = PhysicsLosses(
+            self.garment,
+            config.material,
+            optimisation.samples,
+            device,
+            linear_beyond=optimisation.contact_linear_beyond,
+            force_limit=optimisation.force_limit,
+        )
+        self.sampler = PoseSampler(
+            self.rig,
+            device,
+            upright=config.poses.upright,
+            largest_tilt=math.radians(config.poses.largest_tilt_degrees),
+        )
+        self.range = torch.zeros((), device=device)
+        self._energy_sum = torch.zeros(4, device=device)
+        self._summed_from = 0
+        self.gradient_norm = torch.zeros((), device=device)
+        self.optimiser = self._make_optimiser()
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._pruned = False
+        self._encoder_points = config.optimisation.encoder_points
+
+    def run(self, steps: int) -> Iterator[int]:
+        """Do up to `steps` steps, yielding the count of finished ones after each."""
+        end = min(self.step + steps, self.config.optimisation.steps)
+        while self.step < end:
+            self._set_schedules()
+            self._replay_step()
+            self.step += 1
+            yield self.step
+
+    def mean_energies(self) -> dict[str, float]:
+        """Mean energies [J] a sample by term over the steps since the last call. Waits for the device."""
+        steps = max(1, self.step - self._summed_from)
+        means = (self._energy_sum / steps).tolist()
+        self._energy_sum.zero_()
+        self._summed_from = self.step
+        return dict(zip(TERMS, means, strict=True))
+
+    def save(self, folder: Path) -> None:
+        """Write a checkpoint (see `physkin_training.checkpoint`)."""
+        save_checkpoint(folder, self.drape, self.optimiser, step=self.step, config=self.config)
+
+    def resume(self, folder: Path) -> None:
+        """Go on from a checkpoint of the same configuration."""
+        self.step = self._summed_from = load_checkpoint(folder, self.drape, self.optimiser, config=self.config)
+
+    def _make_optimiser(self) -> torch.optim.Adam:
+        optimisation = self.config.optimisation
+
+        def rate(value: float) -> torch.Tensor | float:
+            return torch.tensor(value, device=self.device)
+
+        groups = [
+            {"params": list(self.drape.networks.parameters()), "lr": rate(optimisation.learning_rate)},
+            {"params": [self.drape.skinning_logits], "lr": rate(optimisation.skinning_rate)},
+        ]
+        on_gpu = self.device.type == "cuda"
+        return torch.optim.Adam(groups, capturable=on_gpu, fused=on_gpu, foreach=False if not on_gpu else None)
+
+    def _set_schedules(self) -> None:
+        optimisation = self.config.optimisation
+        progress = self.step / optimisation.steps
+        self.range.fill_(pose_range(progress, optimisation.growth))
+        ramp = min(1.0, progress / optimisation.growth) if optimisation.growth > 0 else 1.0
+        softness = optimisation.initial_contact + (1 - optimisation.initial_contact) * ramp
+        self.losses.contact_stiffness.fill_(self.config.material.contact_stiffness * softness)
+        warm = min(1.0, (progress + 1e-9) / optimisation.warm_up) if optimisation.warm_up > 0 else 1.0
+        cosine = 0.5 * (1 + math.cos(math.pi * progress))
+        factor = warm * (optimisation.final_rate + (1 - optimisation.final_rate) * cosine)
+        rates = (optimisation.learning_rate, optimisation.skinning_rate)
+        for group, rate in zip(self.optimiser.param_groups, rates, strict=True):
+            group["lr"].fill_(rate * factor)
+        if progress >= optimisation.prune_at and not self._pruned:
+            self._pruned = True
+            self._graph = None
+            self.drape.prune_influences(self.config.garment_nodes.influences)
+        points = POINT_COUNT if progress >= optimisation.full_encoding else optimisation.encoder_points
+        if points != self._encoder_points:
+            self._encoder_points = points
+            self._graph = None
+
+    def _replay_step(self) -> None:
+        if self.device.type != "cuda":
+            self._compute_step()
+        elif self._graph is None:
+            self._capture()
+        else:
+            self._graph.replay()
+
+    def _capture(self) -> None:
+        """Run a real step on a side stream, then record the next ones. The recording itself changes nothing."""
+        side = torch.cuda.Stream()
+        stream = wp.stream_from_torch(side)
+        side.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(side), wp.ScopedStream(stream, sync_enter=False):
+            self._compute_step()
+        torch.cuda.current_stream().wait_stream(side)
+        torch.cuda.synchronize()
+        self.optimiser.zero_grad(set_to_none=True)
+        self._graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(self._graph, stream=side), wp.ScopedStream(stream, sync_enter=False):
+            wp.capture_begin(stream=stream, external=True)
+            try:
+                self._compute_step()
+            finally:
+                wp.capture_end(stream=stream)
+
+    def _compute_step(self) -> None:
+        optimisation = self.config.optimisation
+        per_body = optimisation.samples // optimisation.bodies
+        with torch.no_grad():
+            chosen = torch.randint(len(self.bodies), (optimisation.bodies,), device=self.device)
+            body_index = chosen.repeat_interleave(per_body)
+            positions, gravity = self.sampler.sample(optimisation.samples, self.range)
+            surface = self.bodies.sample_points(chosen, self._encoder_points)
+            bone_transforms = self.posed_bodies.pose(positions, body_index)
+            posed_nodes = self.drape.posed_nodes(bone_transforms, self.node_positions[body_index])
+        modulation = self.drape.networks.hyper_modulator(*surface)
+        vertices = self.drape(modulation.repeat_interleave(per_body, dim=0), positions, gravity, posed_nodes)
+        loss, energies = self.losses(vertices, gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        norm = torch.nn.utils.clip_grad_norm_(self.drape.parameters(), optimisation.gradient_clip, foreach=True)
+        self.optimiser.step()
+        self.gradient_norm.copy_(norm)
+        terms = [energies.stretch, energies.bend, energies.collision, energies.gravity]
+        self._energy_sum += torch.stack([term.mean() for term in terms])
