@@ -1,0 +1,8 @@
+"""`python -m physkin_ros`: run the drape node."""
+
+import sys
+
+from physkin_ros.drape_node import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,88 @@
+"""Second process of the demo: plays a motion as joint states at a fixed rate and writes down when it sent what.
+
+Dimensions: `T` joint states. Times are CLOCK_MONOTONIC, which all processes of a machine share [ns].
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from array import array
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+
+from physkin_core import Motion, load_motion
+
+__all__ = ["RATE_HZ", "main", "play"]
+
+RATE_HZ = 60.0
+DISCOVERY_SECONDS = 20.0
+SETTLING_SECONDS = 0.5  # the reader may know of the writer a moment after the writer knows of the reader
+
+
+def play(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+    """Publish `motion` on `joint_states`, each frame at its own deadline. Returns stamps and sending times (T,) [ns].
+
+    Waits for a subscriber first, and at the end until everything has arrived. Raises TimeoutError when nobody listens.
+    """
+    node = rclpy.create_node("demo_player")
+    try:
+        publisher = node.create_publisher(JointState, "joint_states", QoSProfile(depth=100))
+        _wait_for_subscriber(publisher)
+        frames = [array("d", frame) for frame in motion.positions.astype(np.float64).tolist()]
+        message = JointState(name=list(motion.joint_names))
+        stamps = np.empty(len(frames), dtype=np.int64)
+        sent = np.empty(len(frames), dtype=np.int64)
+        start = time.monotonic()
+        for index, frame in enumerate(frames):
+            time.sleep(max(0.0, start + index / motion.rate_hz - time.monotonic()))
+            stamp = node.get_clock().now()
+            message.header.stamp = stamp.to_msg()
+            message.position = frame
+            stamps[index], sent[index] = stamp.nanoseconds, time.monotonic_ns()
+            publisher.publish(message)
+        publisher.wait_for_all_acked(Duration(seconds=5))
+        return stamps, sent
+    finally:
+        node.destroy_node()
+
+
+def main() -> int:
+    """Command line: MOTION SECONDS OUTPUT.npz; returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("motion")
+    parser.add_argument("seconds", type=float)
+    parser.add_argument("output", type=Path)
+    arguments = parser.parse_args()
+    try:
+        motion = load_motion(arguments.motion).resampled(RATE_HZ).looped(arguments.seconds)
+        rclpy.init(args=[])
+        stamps, sent = play(motion)
+    except (ValueError, TimeoutError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    finally:
+        rclpy.try_shutdown()
+    np.savez(arguments.output, stamps=stamps, sent=sent)
+    return 0
+
+
+def _wait_for_subscriber(publisher) -> None:
+    deadline = time.monotonic() + DISCOVERY_SECONDS
+    while not publisher.get_subscription_count():
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"nobody has subscribed to joint_states for {DISCOVERY_SECONDS:.0f} s")
+        time.sleep(0.02)
+    time.sleep(SETTLING_SECONDS)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,142 @@
+"""What the demo found: which clouds came, how late, and how they look.
+
+Dimensions: `T` joint states sent, `R` clouds received, `k` kept clouds, `n` garment vertices. Times in ns.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from physkin_core import Avatar, GarmentModel, Motion
+from physkin_core.picture import CLOTH_COLOUR, Mesh, contact_sheet, render, save_png
+from physkin_ros.conversions import JointStateReader
+
+__all__ = ["DemoReport", "draw"]
+
+PACKAGES = ("physkin", "ros-jazzy-rclpy", "numpy")
+COLUMNS = 4
+PICTURE_SIZE = (420, 440)
+
+
+@dataclass(frozen=True)
+class DemoReport:
+    """The player's and the listener's records.
+
+    stamps, sent: (T,) stamp and sending time. received_stamps, received: (R,) stamp and receipt time, on the clock of
+    `sent`. finite: (R,) whether all values of a cloud were. kept_stamps: (k,); kept: (k, n, 6) clouds, root frame.
+    reports: the node's diagnostics, one a second, values by name as text.
+    """
+
+    stamps: np.ndarray
+    sent: np.ndarray
+    received_stamps: np.ndarray
+    received: np.ndarray
+    finite: np.ndarray
+    kept_stamps: np.ndarray
+    kept: np.ndarray
+    reports: list[dict[str, str]]
+
+    @classmethod
+    def from_files(cls, sent: Path, received: Path) -> DemoReport:
+        """Read what the player and the listener wrote."""
+        with np.load(sent) as player, np.load(received) as listener:
+            return cls(
+                **player,
+                received_stamps=listener["stamps"],
+                **{name: listener[name] for name in ("received", "finite", "kept_stamps", "kept")},
+                reports=json.loads(str(listener["reports"])),
+            )
+
+    @property
+    def lost(self) -> int:
+        """Joint states without exactly one cloud of their stamp."""
+        stamps, counts = np.unique(self.received_stamps, return_counts=True)
+        return int(len(self.stamps) - np.isin(self.stamps, stamps[counts == 1]).sum())
+
+    @property
+    def complete(self) -> bool:
+        """Whether every joint state came back as a cloud of finite values, and nothing else did."""
+        return self.lost == 0 and len(self.received) == len(self.stamps) and bool(self.finite.all())
+
+    def latencies_ms(self) -> np.ndarray:
+        """Time from sending a joint state to receiving its cloud [ms], in order of receipt."""
+        order = np.argsort(self.stamps)
+        position = np.searchsorted(self.stamps[order], self.received_stamps).clip(max=len(order) - 1)
+        matched = self.stamps[order][position] == self.received_stamps
+        return (self.received - self.sent[order][position])[matched] / 1e6
+
+    def table(self, model: GarmentModel) -> str:
+        """The figures, a line each."""
+        evaluations = [report for report in self.reports if report["evaluation p50 [us]"] != "none"]
+        medians = [float(report["evaluation p50 [us]"]) for report in evaluations]
+        tails = [float(report["evaluation p99 [us]"]) for report in evaluations]
+        latencies = self.latencies_ms()
+        latest = self.reports[-1] if self.reports else {}
+        rows = {
+            "garment": f"{model.name}, {len(model.garment.vertices)} vertices, {len(model.node_rest)} garment nodes",
+            "joint states sent": f"{len(self.stamps)}",
+            "clouds received": f"{len(self.received)}",
+            "clouds lost": f"{self.lost}",
+            "clouds with values not finite": f"{int((~self.finite).sum())}",
+            "evaluator [us]": _spread(np.median(medians), max(tails), 1) if medians else "not reported",
+            "end to end [ms]": _spread(*np.percentile(latencies, (50, 99)), 2) if len(latencies) else "none received",
+            "backend": f"{latest.get('backend', '?')}, instruction set {latest.get('instruction set', '?')}",
+            "machine": f"{_processor()}, {os.cpu_count()} cores, {platform.system()} {platform.release()}",
+            "versions": ", ".join([f"Python {platform.python_version()}", *map(_version, PACKAGES)]),
+        }
+        width = max(map(len, rows))
+        return "\n".join(["", *(f"  {name:<{width}}  {value}" for name, value in rows.items()), ""])
+
+
+def draw(path: Path, report: DemoReport, model: GarmentModel, avatar: Avatar, motion: Motion) -> None:
+    """Write a contact sheet of the kept clouds to `path` (PNG): the garment as it was received, the body in its pose.
+
+    Raises PictureError when the extra `[view]` is not installed.
+    """
+    reader = JointStateReader(model.rig.joint_names, model.rig.rest)
+    rotations = Rotation.from_quat(motion.root_orientation)
+    frames, captions = [], []
+    known = np.isin(report.kept_stamps, report.stamps)
+    for stamp, cloud in zip(report.kept_stamps[known], report.kept[known]):
+        frame = int(np.flatnonzero(report.stamps == stamp)[0])
+        positions = reader.read(motion.joint_names, motion.positions[frame])
+        body = avatar.posed_vertices(model.rig.bone_transforms(positions, heads=avatar.bone_heads))
+        frames.append([rotations[frame].apply(points) for points in (body, cloud[:, :3])])
+        captions.append(f"{frame / motion.rate_hz:.2f} s")
+    drawn = np.concatenate([points for frame in frames for points in frame])
+    bounds = np.stack([drawn.min(axis=0), drawn.max(axis=0)])
+    pictures = []
+    for body, cloth in frames:
+        meshes = [Mesh(body, avatar.faces), Mesh(cloth, model.garment.faces, CLOTH_COLOUR)]
+        pictures.append(render(meshes, bounds=bounds, size=PICTURE_SIZE))
+    save_png(path, contact_sheet(pictures, columns=COLUMNS, captions=captions))
+
+
+def _spread(median: float, tail: float, decimals: int) -> str:
+    return f"p50 {median:.{decimals}f}, p99 {tail:.{decimals}f}"
+
+
+def _processor() -> str:
+    """Name of the processor, as far as the system tells."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+def _version(package: str) -> str:
+    """Name and version of an installed package."""
+    try:
+        return f"{package} {version(package)}"
+    except PackageNotFoundError:
+        return f"{package} (version unknown)"

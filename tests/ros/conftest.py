@@ -1,0 +1,124 @@
+"""Fixtures of the ROS tests: private ROS domains, processes that end with the test, and a peer to talk to."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture
+def domain(monkeypatch):
+    """A ROS domain of its own for this process and its children, on this machine only."""
+    from physkin_ros.transport import private_environment
+
+    for name, value in private_environment().items():
+        if os.environ.get(name) != value:
+            monkeypatch.setenv(name, value)
+    return int(os.environ["ROS_DOMAIN_ID"])
+
+
+@pytest.fixture
+def start(domain):
+    """Starts `python -m MODULE ARGUMENT...` in the domain; whatever still runs at the end is ended."""
+    processes = []
+
+    def start_module(module: str, *arguments: str) -> subprocess.Popen:
+        command = [sys.executable, "-m", module, *arguments]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        processes.append(process)
+        return process
+
+    yield start_module
+    for process in processes:
+        if process.poll() is None:
+            process.terminate()
+            try:
+                process.wait(10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+        process.stdout.close()
+
+
+@pytest.fixture
+def peer(domain):
+    """A ROS node of the test's own that sends joint states and collects what the drape node publishes."""
+    pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
+    peer = Peer(domain)
+    yield peer
+    peer.close()
+
+
+class Peer:
+    """clouds: stamp (sec, nanosec) -> points (n, 6). reports: values of each diagnostics message by name."""
+
+    def __init__(self, domain: int) -> None:
+        import rclpy
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.executors import SingleThreadedExecutor
+        from sensor_msgs.msg import JointState, PointCloud2
+
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, args=[], domain_id=domain)
+        self.node = rclpy.create_node("peer", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.clouds: dict[tuple[int, int], np.ndarray] = {}
+        self.frame_ids: set[str] = set()
+        self.reports: list[dict[str, str]] = []
+        self._joint_state = JointState
+        self._publisher = self.node.create_publisher(JointState, "joint_states", 10)
+        self._subscription = self.node.create_subscription(PointCloud2, "drape_node/garment", self._on_cloud, 100)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    def send(self, names, positions, stamp: tuple[int, int]) -> None:
+        """Publish a joint state."""
+        message = self._joint_state(name=list(names), position=[float(value) for value in positions])
+        message.header.stamp.sec, message.header.stamp.nanosec = stamp
+        self._publisher.publish(message)
+
+    def cloud(self, names, positions, stamp: tuple[int, int]) -> np.ndarray:
+        """The cloud (n, 6) that a joint state is answered with."""
+        self.send(names, positions, stamp)
+        self.spin_until(lambda: stamp in self.clouds, f"cloud of {stamp}")
+        return self.clouds[stamp]
+
+    def connect(self) -> None:
+        """Wait for the drape node."""
+        ready = (self._publisher.get_subscription_count, self._subscription.get_publisher_count)
+        self.spin_until(lambda: all(count() for count in ready), "drape node")
+        self.spin(0.5)
+
+    def spin_until(self, done, what: str, seconds: float = 30.0) -> None:
+        """Serve callbacks until `done()`; fails the test after `seconds`."""
+        deadline = time.monotonic() + seconds
+        while not done():
+            assert time.monotonic() < deadline, f"no {what} within {seconds:.0f} s"
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def spin(self, seconds: float) -> None:
+        """Serve callbacks for a while."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        import rclpy
+
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+    def _on_cloud(self, message) -> None:
+        from physkin_ros.conversions import read_cloud
+
+        self.clouds[message.header.stamp.sec, message.header.stamp.nanosec] = read_cloud(message).copy()
+        self.frame_ids.add(message.header.frame_id)
+
+    def _on_diagnostics(self, message) -> None:
+        self.reports += [{value.key: value.value for value in status.values} for status in message.status]

@@ -1,0 +1,80 @@
+"""The drape node as a process, as users start it."""
+
+from __future__ import annotations
+
+import json
+import signal
+
+import numpy as np
+import pytest
+
+from physkin_core import Draper, load_avatar, load_motion
+
+pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
+
+from physkin_ros.drape_node import BUNDLED_AVATAR  # noqa: E402
+
+
+@pytest.mark.parametrize("executor", ["events", "single"])
+def test_clouds_equal_the_core(start, peer, garment_model, model_path, executor):
+    """Every cloud is what `Draper.drape` gives for its joint state, and SIGINT ends the node with status 0."""
+    draper = Draper(garment_model, load_avatar(BUNDLED_AVATAR, garment_model.rig))
+    parameters = ["-p", f"model:={model_path}", "-p", f"executor:={executor}", "-p", "frame_id:=body_7"]
+    node = start("physkin_ros", "--ros-args", *parameters)
+    peer.connect()
+    motion = load_motion("walk")
+    index = [list(motion.joint_names).index(name) for name in draper.joint_names]
+    for frame in range(0, motion.frame_count, 7):
+        cloud = peer.cloud(motion.joint_names, motion.positions[frame], (100 + frame, frame))
+        np.testing.assert_allclose(cloud, draper.drape(motion.positions[frame][index]), atol=1e-6)
+    assert peer.frame_ids == {"body_7"}
+    node.send_signal(signal.SIGINT)
+    assert node.wait(10) == 0
+    output = node.stdout.read()
+    assert "Traceback" not in output and "encoded body" in output and " ms" in output
+
+
+def test_sigterm_and_remapping(start, peer, model_path):
+    """Topics follow remapping, and SIGTERM ends the node with status 0."""
+    node = start(
+        "physkin_core.cli", "node", "--ros-args", "-p", f"model:={model_path}", "-r", "joint_states:=/arm/joints"
+    )
+    peer.spin_until(lambda: peer.node.count_subscribers("/arm/joints"), "subscription to the new name")
+    node.send_signal(signal.SIGTERM)
+    assert node.wait(10) == 0
+    assert "Traceback" not in node.stdout.read()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"),
+    [
+        ({"model": "nosuch"}, "no garment model 'nosuch'"),
+        ({"model": "{tmp}/truncated.safetensors"}, "cannot read garment model"),
+        ({"model": "''"}, "parameter model must not be empty"),
+        ({"model": 3}, "expecting type 'STRING'"),
+        ({"body_mesh": "{tmp}/nosuch.glb"}, "nosuch.glb: no such file"),
+        ({"body_mesh": "{tmp}/odd.txt"}, "unknown extension '.txt'"),
+        ({"joint_map": "{tmp}/map.json"}, "unknown key 'gain'"),
+        ({"backend": "gpu"}, "parameter backend is 'gpu'; allowed: native, numpy"),
+        ({"executor": "many"}, "parameter executor is 'many'; allowed: events, single"),
+        ({"gravity": "[0.0, 0.0, .nan]"}, "three finite numbers"),
+    ],
+)
+def test_start_up_errors_are_one_line(start, garment_model, model_path, tmp_path, parameters, reason):
+    """Exit status 2 and a sentence, no traceback."""
+    (tmp_path / "truncated.safetensors").write_bytes(model_path.read_bytes()[:5000])
+    (tmp_path / "map.json").write_text(json.dumps({"a": {"joint": garment_model.rig.joint_names[0], "gain": 2}}))
+    values = {"model": model_path} | parameters
+    assignments = [f"{name}:={value}".format(tmp=tmp_path) for name, value in values.items()]
+    node = start("physkin_ros", "--ros-args", *(word for text in assignments for word in ("-p", text)))
+    assert node.wait(30) == 2
+    lines = [line for line in node.stdout.read().splitlines() if not line.startswith("[INFO]")]
+    assert len(lines) == 1 and lines[0].startswith("error: ") and reason in lines[0]
+
+
+def test_unknown_arguments(start):
+    """Show the usage, with every parameter, and the argument at fault."""
+    node = start("physkin_ros", "--model", "tshirt")
+    assert node.wait(30) == 2
+    output = node.stdout.read()
+    assert "error: unknown arguments: --model tshirt" in output and "body_mesh" in output
