@@ -60,6 +60,11 @@ class Draper:
         return self.model.rig.joint_names
 
     @property
+    def instruction_set(self) -> str:
+        """What evaluates: the native evaluator's instruction set, or "numpy"."""
+        return self._evaluator.instruction_set
+
+    @property
     def vertex_count(self) -> int:
         """Number of points n that `drape` writes."""
         return len(self.bound.vertices)

@@ -19,6 +19,8 @@ __all__ = ["ReferenceEvaluator"]
 class ReferenceEvaluator:
     """Evaluates a bound garment one pose at a time."""
 
+    instruction_set = "numpy"
+
     def __init__(self, bound: BoundGarment) -> None:
         self._bound = bound
         self._nodes = np.zeros((len(bound.node_bone), 3, 4))
@@ -27,14 +29,15 @@ class ReferenceEvaluator:
         """Write the garment for one pose.
 
         joint_positions: (d,) [rad]. gravity: (3,) unit, root frame. out: (n, 3) or (n, 6) float32, any row stride.
-        Raises ValueError on inputs that are not finite, TypeError when `out` is not a writable float32 array.
+        Raises what the native evaluator raises: TypeError when an array has another dtype or `out` is not a writable
+        2-D one; ValueError when a shape is wrong, rows of `out` overlap or are not contiguous, or an input is not
+        finite. Nothing is written then.
         """
         bound = self._bound
-        q = np.asarray(joint_positions, dtype=np.float64)
-        if not (np.isfinite(q).all() and np.isfinite(gravity).all()):
-            raise ValueError("joint positions and gravity must be finite")
-        if out.dtype != np.float32 or not out.flags.writeable or out.shape not in _shapes(bound):
-            raise TypeError(f"out must be writable float32 (n, 3) or (n, 6), got {out.dtype} {out.shape}")
+        _check_input("joint_positions", joint_positions, len(bound.dof_bone))
+        _check_input("gravity", gravity, 3)
+        _check_out(out, len(bound.vertices))
+        q = joint_positions.astype(np.float64)
         heads = bound.bone_heads.astype(np.float64)
         bones = forward_kinematics(bound.bone_parents, heads, bound.dof_bone, bound.dof_axis, q - bound.dof_rest)
         pose = pose_vector(q, bound.dof_lower.astype(np.float64), bound.dof_upper.astype(np.float64), gravity)
@@ -55,5 +58,23 @@ class ReferenceEvaluator:
         return self._nodes.astype(np.float32)
 
 
-def _shapes(bound: BoundGarment) -> tuple[tuple[int, int], ...]:
-    return (len(bound.vertices), 3), (len(bound.vertices), 6)
+def _check_input(name: str, values: np.ndarray, count: int) -> None:
+    if not isinstance(values, np.ndarray) or values.dtype not in (np.float32, np.float64):
+        raise TypeError(f"{name} must be a float32 or float64 array, got {getattr(values, 'dtype', type(values))}")
+    if values.shape != (count,):
+        raise ValueError(f"{name} must have shape ({count},), got {values.shape}")
+    if not np.isfinite(values).all():
+        index = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise ValueError(f"{name}[{index}] is {values[index]}; values must be finite")
+
+
+def _check_out(out: np.ndarray, vertex_count: int) -> None:
+    if not isinstance(out, np.ndarray) or out.dtype != np.float32 or out.ndim != 2 or not out.flags.writeable:
+        got = f"{out.dtype} of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
+        raise TypeError(f"out must be a float32 array, writable and 2-D; got {got}")
+    if out.shape not in ((vertex_count, 3), (vertex_count, 6)):
+        raise ValueError(f"out has shape {out.shape}; expected ({vertex_count}, 3) or ({vertex_count}, 6)")
+    if out.strides[1] != out.itemsize:
+        raise ValueError("a row of out must be contiguous; rows may be any distance apart")
+    if vertex_count > 1 and abs(out.strides[0]) < out.shape[1] * out.itemsize:
+        raise ValueError(f"rows of out overlap: they are {out.strides[0]} bytes apart")
