@@ -7,6 +7,7 @@ VENV := .venv
 PIP := $(VENV)/bin/pip install --quiet --constraint constraints.txt
 # Installed editable: Python changes are live, and a Python started in this folder finds the native module too.
 BUILT_FROM := pyproject.toml constraints.txt $(shell find native -type f)
+MESSAGES := $(shell find msg_defs -type f)
 
 .PHONY: demo test test-slow lint format clean
 
@@ -40,9 +41,10 @@ $(VENV)/installed-demo: $(BUILT_FROM) | $(VENV)/bin/python
 	touch $@
 
 # torch goes first and alone, so that the build the user's pip is set up for (CPU or CUDA) is the one the rest meets.
-$(VENV)/installed-test: $(BUILT_FROM) | $(VENV)/bin/python
+$(VENV)/installed-test: $(BUILT_FROM) $(MESSAGES) | $(VENV)/bin/python
 	$(PIP) torch
 	$(PIP) --editable ".[ros,training,view,test]"
+	$(VENV)/bin/python msg_defs/wheel/build.py --install
 	touch $@ $(VENV)/installed-demo $(VENV)/installed-lint
 
 $(VENV)/installed-lint: | $(VENV)/bin/python
