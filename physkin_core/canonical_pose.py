@@ -47,9 +47,7 @@ def smallest_rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     return np.eye(3) + cross + cross @ cross / (1 + cosine)
 
 
-def limb_rotations(
-    heads: Mapping[str, np.ndarray], canonical_heads: Mapping[str, np.ndarray]
-) -> dict[str, np.ndarray]:
+def limb_rotations(heads: Mapping[str, np.ndarray], canonical_heads: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """World rotation (3, 3) that each limb bone of `LIMB_SEGMENTS` needs to reach its canonical direction.
 
     heads, canonical_heads: joint centres (3,) [m] by rig bone name, root frame. Segments missing from either are

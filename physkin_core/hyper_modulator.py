@@ -29,7 +29,8 @@ def token_features() -> int:
 def encode_points(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Positional encoding: x, sin(2^k pi x), cos(2^k pi x) for k < 6, and the normal.
 
-    points: (..., N, 3) [m] canonical pose, root at the origin. normals: (..., N, 3). Returns (..., N, token_features()).
+    points: (..., N, 3) [m] canonical pose, root at the origin. normals: (..., N, 3).
+    Returns (..., N, token_features()).
     """
     angles = points[..., None] * (np.pi * 2.0 ** np.arange(ENCODING_FREQUENCIES))
     angles = angles.reshape(*points.shape[:-1], -1)

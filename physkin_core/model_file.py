@@ -118,7 +118,7 @@ def _check_header(path: Path, metadata: Mapping[str, str], tensors: Mapping[str,
         raise ModelFileError(f"garment model {path} has schema version {version!r}, expected 1 to {SCHEMA_VERSION}")
     if int(version) > SCHEMA_VERSION:
         raise ModelFileError(
-            f"garment model {path} has schema version {version}; this release reads up to {SCHEMA_VERSION}: update physkin"
+            f"garment model {path} has schema version {version}; this release reads up to {SCHEMA_VERSION}, update it"
         )
     if metadata.get("sha256") != _digest(metadata, tensors):
         raise ModelFileError(f"garment model {path} is damaged or was altered: its SHA-256 digest does not match")

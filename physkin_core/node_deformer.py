@@ -35,7 +35,7 @@ def fold_first_layer(
     """
     used, slot = np.unique(node_bone, return_inverse=True)
     per_node = weight.reshape(len(weight), -1, 3, 4).astype(np.float64)
-    # chi_skin = [R | R q + t]: the translation column feeds the rotation through q, and the bone's translation as it is.
+    # chi_skin = [R | R q + t]: the translation column feeds the rotation through q, the bone's as it is.
     rotation = per_node[..., :3] + per_node[..., 3:] * node_positions[None, :, None, :]
     folded = np.zeros((len(weight), len(used), 3, 4))
     np.add.at(folded, (slice(None), slot), np.concatenate([rotation, per_node[..., 3:]], axis=-1))

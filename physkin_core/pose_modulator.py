@@ -1,4 +1,4 @@
-"""Pose modulator: pose vector -> modulation of the node deformer, itself modulated by the body (paper: Pose Modulator)."""
+"""Pose modulator: pose vector -> modulation of the node deformer; itself modulated by the body (paper: same name)."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ def area_strain(garment: Garment, vertices: np.ndarray) -> np.ndarray:
 
 
 def signed_distance(points: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray) -> np.ndarray:
-    """Distance to the exact closest point of a closed body surface [m], negative inside. points: (n, 3). Returns (n,)."""
+    """Distance to the closest point of a closed body surface [m], negative inside. points: (n, 3). Returns (n,)."""
     import trimesh
 
     body = trimesh.Trimesh(body_vertices, body_faces, process=False)

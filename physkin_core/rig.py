@@ -56,7 +56,7 @@ class Rig:
     rest: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Check the description and derive the arrays. Raises RigError naming the offending bone or degree of freedom."""
+        """Check the description and derive the arrays. Raises RigError naming what does not fit."""
         b = len(self.bone_names)
         if b == 0:
             raise RigError("a rig needs at least one bone, got none")

@@ -9,11 +9,10 @@ torch = pytest.importorskip("torch", reason="needs the [training] extra")
 wp = pytest.importorskip("warp", reason="needs the [training] extra")
 trimesh = pytest.importorskip("trimesh")
 
-from training import physics_oracle as oracle  # noqa: E402
-
 from physkin_core.garment import Garment  # noqa: E402
 from physkin_core.garment_model import Material  # noqa: E402
 from physkin_training.physics_losses import PhysicsLosses  # noqa: E402
+from training import physics_oracle as oracle  # noqa: E402
 
 MATERIAL = Material(contact_stiffness=5.0e4, bending=1e-3)
 SAMPLES = 2

@@ -43,9 +43,7 @@ def save_checkpoint(
     (folder / "state.json").write_text(json.dumps(state, indent=1))
 
 
-def load_checkpoint(
-    folder: Path, drape: Drape, optimiser: torch.optim.Optimizer, *, config: TrainingConfig
-) -> int:
+def load_checkpoint(folder: Path, drape: Drape, optimiser: torch.optim.Optimizer, *, config: TrainingConfig) -> int:
     """Restore what `save_checkpoint` wrote; returns the number of finished steps.
 
     Raises CheckpointError when files are missing or do not fit, or the configuration differs (naming the entry).

@@ -18,5 +18,7 @@ def resolve_device(name: str) -> torch.device:
     if device.type == "cpu":
         return torch.device("cpu")
     if device.type != "cuda" or not torch.cuda.is_available():
-        raise ValueError(f"device {name!r} is not available; use cpu" + (" or cuda" if torch.cuda.is_available() else ""))
+        raise ValueError(
+            f"device {name!r} is not available; use cpu" + (" or cuda" if torch.cuda.is_available() else "")
+        )
     return torch.device("cuda", device.index if device.index is not None else torch.cuda.current_device())

@@ -18,12 +18,11 @@ import torch
 from physkin_core.body_model import load_body_model
 from physkin_core.garment_model import GarmentModel
 from physkin_core.model_file import load_garment_model, save_garment_model
-from physkin_training.draping import Drape, compose_nodes, delta_transforms
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.draping import Drape, compose_nodes, delta_transforms
 from physkin_training.export import drape_from_model, encode_bodies
 from physkin_training.minimum import full_space_minimum, subspace_minimum
 from physkin_training.physics_losses import Energies, PhysicsLosses
-from physkin_training.pose_sampling import PoseSampler
 from physkin_training.posed_bodies import BodySet, PosedBodies
 
 __all__ = ["Evaluation", "Figures"]

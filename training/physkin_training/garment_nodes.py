@@ -37,9 +37,7 @@ def sample_garment_nodes(garment: Garment, count: int) -> tuple[np.ndarray, np.n
     return np.array(nodes), np.maximum(np.stack(distances), 0.0)
 
 
-def initial_skinning_weights(
-    garment: Garment, distances: np.ndarray, influences: int
-) -> tuple[np.ndarray, np.ndarray]:
+def initial_skinning_weights(garment: Garment, distances: np.ndarray, influences: int) -> tuple[np.ndarray, np.ndarray]:
     """w = exp(-d / spacing) over the closest garment nodes, spacing being the mean node spacing sqrt(area / m) [m].
 
     distances: (m, n). Returns node indices (n, K) int64, closest first, and weights (n, K), rows summing to 1.

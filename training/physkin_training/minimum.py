@@ -31,7 +31,11 @@ def subspace_minimum(
     """Minimise over the garment nodes' numbers `raw` (B, m, 9 or 12), skinning weights fixed. Returns (B, n, 3)."""
     start = raw.detach().clone()
     return _minimise(
-        lambda free: drape.skin(compose_nodes(posed_nodes, delta_transforms(free))), start, energy, steps=steps, rate=rate
+        lambda free: drape.skin(compose_nodes(posed_nodes, delta_transforms(free))),
+        start,
+        energy,
+        steps=steps,
+        rate=rate,
     )
 
 

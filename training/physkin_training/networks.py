@@ -37,7 +37,9 @@ class NetworkConfig:
         if self.activation not in ACTIVATIONS:
             raise ValueError(f"activation {self.activation!r} is not one of {', '.join(ACTIVATIONS)}")
         if self.node_outputs not in (9, 12):
-            raise ValueError(f"node_outputs must be 9 (6-D rotation, translation) or 12 (affine), got {self.node_outputs}")
+            raise ValueError(
+                f"node_outputs must be 9 (6-D rotation, translation) or 12 (affine), got {self.node_outputs}"
+            )
 
 
 class ModulatedMLP(nn.Module):

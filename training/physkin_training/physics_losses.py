@@ -1,4 +1,4 @@
-"""Physics losses as Warp kernels with hand-written gradients: stretch, bend, collision, gravity (paper: Loss Functions).
+"""Physics losses as Warp kernels with gradients written by hand: stretch, bend, collision, gravity (paper: Training).
 
 Each kernel writes the energy [J] of its elements and adds dE/dx [N] to a shared gradient array in one pass; torch sees
 one differentiable operation per energy, whose backward pass is a product. Nothing allocates or waits for the host, so a

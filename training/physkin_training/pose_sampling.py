@@ -41,7 +41,7 @@ class PoseSampler:
         self.largest_tilt = largest_tilt
 
     def sample(self, count: int, share: torch.Tensor | float) -> tuple[torch.Tensor, torch.Tensor]:
-        """share: part of the joint limits and of the largest tilt in use, 0 to 1 (a tensor may change between steps)."""
+        """share: part of the joint limits and of the largest tilt in use, 0 to 1 (a tensor may change)."""
         device = self.lower.device
         within = torch.rand(count, len(self.lower), device=device)
         reach_down, reach_up = (self.lower - self.rest) * share, (self.upper - self.rest) * share

@@ -88,7 +88,9 @@ class BodySet:
             return torch.as_tensor(np.ascontiguousarray(array), device=device, dtype=torch.float32)
 
         shape = tensor(coefficients)
-        self.vertices = tensor(model.mean_vertices) + torch.einsum("sc,cvi->svi", shape, tensor(model.vertex_components))
+        self.vertices = tensor(model.mean_vertices) + torch.einsum(
+            "sc,cvi->svi", shape, tensor(model.vertex_components)
+        )
         bones = tensor(model.mean_bones) + torch.einsum("sc,cbhi->sbhi", shape, tensor(model.bone_components))
         self.heads, self.tails = bones[:, :, 0].contiguous(), bones[:, :, 1].contiguous()
         self.faces = torch.as_tensor(model.faces, device=device, dtype=torch.int64)

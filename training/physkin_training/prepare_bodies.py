@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from physkin_core.body_model import BODY_MODEL_PATH
-from physkin_core.canonical_pose import LIMB_SEGMENTS, limb_rotations
+from physkin_core.canonical_pose import limb_rotations
 from physkin_core.rig import Rig
 from physkin_training.default_rig import default_dofs
 
@@ -35,7 +35,7 @@ NEXT_BONE = {"root": "spine04", "spine01": "neck01", "neck03": "head", "shoulder
 
 
 def to_root_frame(points: np.ndarray, root: np.ndarray) -> np.ndarray:
-    """anny's frame (x left, faces -y, z up) -> root frame (X forward, Y left, Z up, origin at `root` (3,)). (..., 3)."""
+    """anny's frame (x left, faces -y, z up) -> root frame (X forward, Y left, Z up, origin at `root` (3,))."""
     local = np.asarray(points, dtype=np.float64) - root
     return np.stack([-local[..., 1], local[..., 0], local[..., 2]], axis=-1)
 
@@ -98,7 +98,11 @@ def prepare_body_model(path: Path, *, train: int = 512, held_out: int = 64, seed
         coefficients, tensors["vertex_components"].astype(np.float32), axes=1
     )
     error = np.linalg.norm(rebuilt - vertices, axis=-1) * 1000
-    return {"mean_mm": float(error.mean()), "max_mm": float(error.max()), "garment_body_mean_mm": float(error[0].mean())}
+    return {
+        "mean_mm": float(error.mean()),
+        "max_mm": float(error.max()),
+        "garment_body_mean_mm": float(error[0].mean()),
+    }
 
 
 def _strongest_influences(bones: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,11 +9,9 @@ import sys
 import time
 from pathlib import Path
 
-
-
 from physkin_core.model_file import load_garment_model, save_garment_model
-from physkin_training.config import ConfigError, load_config
 from physkin_training.checkpoint import CheckpointError
+from physkin_training.config import ConfigError, load_config
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.export import agreement, model_from_drape, plain_training_data
 from physkin_training.trainer import Trainer
@@ -32,7 +30,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, required=True, help="folder for checkpoint, scalars and the model")
     parser.add_argument("--resume", type=Path, metavar="FOLDER", help="go on from this checkpoint")
     parser.add_argument("--device", default=DEFAULT_DEVICE)
-    parser.add_argument("--stop-after", type=float, default=0, metavar="MINUTES", help="then write a checkpoint and stop")
+    parser.add_argument(
+        "--stop-after", type=float, default=0, metavar="MINUTES", help="then write a checkpoint and stop"
+    )
     parser.add_argument("--log-every", type=int, default=200, metavar="STEPS")
     arguments = parser.parse_args(argv)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
