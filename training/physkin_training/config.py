@@ -35,9 +35,9 @@ class OptimisationConfig:
     skinning_rate: float = 5e-3
     final_rate: float = 0.005
     warm_up: float = 0.01
-    growth: float = 0.25
+    growth: float = 0.15
     initial_contact: float = 0.05
-    prune_at: float = 0.3
+    prune_at: float = 0.25
     full_encoding: float = 0.85
     encoder_points: int = 1024
     gradient_clip: float = 1.0

