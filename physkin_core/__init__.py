@@ -1,6 +1,6 @@
 """PhySkin run time: drape a trained garment on any avatar, on one CPU core."""
 
-from physkin_core.avatar import Avatar, AvatarError, avatar_from_body, load_avatar
+from physkin_core.avatar import BUNDLED_AVATAR, Avatar, AvatarError, avatar_from_body, load_avatar
 from physkin_core.body_model import BodyModel, load_body_model
 from physkin_core.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
 from physkin_core.garment import Garment, GarmentError, load_garment
@@ -11,6 +11,7 @@ from physkin_core.rig import DegreeOfFreedom, Rig, RigError
 
 __all__ = [
     "BACKENDS",
+    "BUNDLED_AVATAR",
     "UPRIGHT_GRAVITY",
     "Avatar",
     "AvatarError",

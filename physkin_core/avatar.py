@@ -14,7 +14,11 @@ import numpy as np
 from physkin_core.body_model import BodyModel
 from physkin_core.rig import Rig
 
-__all__ = ["Avatar", "AvatarError", "avatar_from_body", "load_avatar"]
+__all__ = ["BUNDLED_AVATAR", "Avatar", "AvatarError", "avatar_from_body", "load_avatar"]
+
+BUNDLED_AVATAR = Path(__file__).parent / "assets" / "avatar.glb"
+"""A sampled adult as GLB, to try things on."""
+
 
 GLTF_SUFFIXES = (".glb", ".gltf", ".vrm")
 MESH_SUFFIXES = (".obj", ".ply", ".stl")

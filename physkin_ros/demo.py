@@ -13,12 +13,11 @@ import sys
 import tempfile
 from pathlib import Path
 
-from physkin_core import load_avatar, load_garment_model, load_motion
+from physkin_core import BUNDLED_AVATAR, load_avatar, load_garment_model, load_motion
 from physkin_ros.children import ChildFailedError, Children
 from physkin_ros.demo_listener import KEPT_CLOUDS, READY
 from physkin_ros.demo_player import RATE_HZ
 from physkin_ros.demo_report import DemoReport, draw
-from physkin_ros.drape_node import BUNDLED_AVATAR
 from physkin_ros.transport import private_environment
 
 __all__ = ["main"]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import sys
-from pathlib import Path
 from time import perf_counter_ns
 
 import numpy as np
@@ -27,7 +26,7 @@ from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import JointState, PointCloud2
 
 import physkin_core
-from physkin_core import UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
+from physkin_core import BUNDLED_AVATAR, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
 from physkin_ros.conversions import GarmentCloud, JointStateReader, garment_description
 from physkin_ros.diagnostics import DrapeStatistics, diagnostic_status
 from physkin_ros.joint_map import load_joint_map
@@ -40,7 +39,6 @@ except ModuleNotFoundError:
 
 __all__ = ["PARAMETERS", "DrapeNode", "main", "spin"]
 
-BUNDLED_AVATAR = Path(physkin_core.__file__).parent / "assets" / "avatar.glb"
 EXECUTORS = {"events": EventsExecutor, "single": SingleThreadedExecutor}
 PARAMETERS = {
     "model": ("tshirt", "garment model: a .safetensors file, or the name of a shipped one"),

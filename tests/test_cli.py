@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ import pytest
 import physkin_core
 from physkin_core import Draper, cli, load_avatar, load_motion
 
-AVATAR = Path(physkin_core.__file__).parent / "assets" / "avatar.glb"
+AVATAR = physkin_core.BUNDLED_AVATAR
 
 
 def test_info(model_path, capsys):

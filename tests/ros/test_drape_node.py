@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physkin_core import Draper, load_avatar
+from physkin_core import BUNDLED_AVATAR, Draper, load_avatar
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
 from rclpy.parameter import Parameter  # noqa: E402
 
-from physkin_ros.drape_node import BUNDLED_AVATAR, DrapeNode  # noqa: E402
+from physkin_ros.drape_node import DrapeNode  # noqa: E402
 
 
 @pytest.fixture

@@ -12,8 +12,7 @@ messages = pytest.importorskip(
 
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 
-from physkin_core import Draper, load_avatar  # noqa: E402
-from physkin_ros.drape_node import BUNDLED_AVATAR  # noqa: E402
+from physkin_core import BUNDLED_AVATAR, Draper, load_avatar  # noqa: E402
 
 
 def test_description_and_garment_nodes(start, peer, garment_model, model_path):

@@ -8,11 +8,10 @@ import signal
 import numpy as np
 import pytest
 
-from physkin_core import Draper, load_avatar, load_motion
+from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_motion
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
-from physkin_ros.drape_node import BUNDLED_AVATAR  # noqa: E402
 
 
 @pytest.mark.parametrize("executor", ["events", "single"])
