@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -49,6 +50,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if extra is None:
             raise
         print(f"error: {error}; physkin {arguments[0]} needs: pip install 'physkin[{extra}]'", file=sys.stderr)
+    except BrokenPipeError:  # the reader of our output has gone, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except (ValueError, OSError, PictureError) as error:  # the core's own errors are ValueErrors
         print(f"error: {error}", file=sys.stderr)
     except KeyboardInterrupt:

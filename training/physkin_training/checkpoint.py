@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 from physkin_training.config import TrainingConfig
 from physkin_training.draping import Drape
 
-__all__ = ["CheckpointError", "load_checkpoint", "save_checkpoint"]
+__all__ = ["CheckpointError", "load_checkpoint", "load_drape", "save_checkpoint"]
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
 
@@ -71,6 +71,17 @@ def load_checkpoint(folder: Path, drape: Drape, optimiser: torch.optim.Optimizer
     if "cuda" in random and torch.cuda.is_available():
         torch.cuda.set_rng_state(random["cuda"])
     return step
+
+
+def load_drape(folder: Path, drape: Drape) -> None:
+    """Take over networks and skinning weights alone, whatever the configuration of the run that made them.
+
+    Raises CheckpointError when the file cannot be read or is of another garment or other sizes.
+    """
+    try:
+        drape.load_state_dict(load_file(folder / "drape.safetensors"))
+    except Exception as error:
+        raise CheckpointError(f"cannot start from checkpoint {folder}: {error}") from error
 
 
 def _plain(config: TrainingConfig) -> dict:

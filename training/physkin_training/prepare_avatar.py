@@ -18,9 +18,11 @@ from physkin_core.body_model import BODY_MODEL_PATH, BodyModel, load_body_model
 from physkin_core.canonical_pose import LIMB_SEGMENTS, limb_rotations
 from physkin_training.gltf_export import skinned_document, write_glb
 
-__all__ = ["AVATAR_PATH", "prepare_avatar", "prepare_vrm", "t_posed_body"]
+__all__ = ["AVATAR_PATH", "BUNDLED_BODY", "prepare_avatar", "prepare_vrm", "t_posed_body"]
 
 AVATAR_PATH = BODY_MODEL_PATH.with_name("avatar.glb")
+BUNDLED_BODY = 8
+"""Held-out body that the bundled avatar is: 1.75 m, of middling build."""
 VRM_BONES = BODY_MODEL_PATH.parents[1] / "bone_maps" / "vrm.json"
 ASSET = {
     "generator": "physkin_training.prepare_avatar",
@@ -28,7 +30,7 @@ ASSET = {
 }
 
 
-def prepare_avatar(path: Path, *, body_index: int = 0) -> None:
+def prepare_avatar(path: Path, *, body_index: int = BUNDLED_BODY) -> None:
     """Write held-out body `body_index` at the canonical pose to a GLB whose joints are named like the rig's bones."""
     body = load_body_model()
     heads, tails = body.bones(body.held_out_bodies[body_index])
@@ -48,7 +50,7 @@ def prepare_avatar(path: Path, *, body_index: int = 0) -> None:
     write_glb(path, builder)
 
 
-def prepare_vrm(path: Path, *, body_index: int = 0, vrm_version: str = "1.0") -> None:
+def prepare_vrm(path: Path, *, body_index: int = BUNDLED_BODY, vrm_version: str = "1.0") -> None:
     """Write the same person as a VRM stands: T-pose as rest, feet on the ground, only the 20 humanoid joints."""
     body = load_body_model()
     rig = body.rig
@@ -98,7 +100,7 @@ def main() -> None:
     """Command line entry."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--output", type=Path, default=AVATAR_PATH)
-    parser.add_argument("--body", type=int, default=0, help="index among the held-out bodies")
+    parser.add_argument("--body", type=int, default=BUNDLED_BODY, help="index among the held-out bodies")
     parser.add_argument("--vrm", choices=["1.0", "0.x"], help="write a T-posed VRM of this version instead of a GLB")
     arguments = parser.parse_args()
     if arguments.vrm:

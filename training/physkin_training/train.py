@@ -29,6 +29,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--config", type=Path, required=True, help="training configuration (TOML)")
     parser.add_argument("--output", type=Path, required=True, help="folder for checkpoint, scalars and the model")
     parser.add_argument("--resume", type=Path, metavar="FOLDER", help="go on from this checkpoint")
+    parser.add_argument("--start-from", type=Path, metavar="FOLDER", help="new run from this checkpoint's networks")
     parser.add_argument("--device", default=DEFAULT_DEVICE)
     parser.add_argument(
         "--stop-after", type=float, default=0, metavar="MINUTES", help="then write a checkpoint and stop"
@@ -41,6 +42,8 @@ def main(argv: list[str] | None = None) -> int:
         trainer = Trainer(config, resolve_device(arguments.device))
         if arguments.resume:
             trainer.resume(arguments.resume)
+        elif arguments.start_from:
+            trainer.start_from(arguments.start_from)
     except (ConfigError, CheckpointError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -19,7 +19,7 @@ import warp as wp
 from physkin_core.body_model import load_body_model
 from physkin_core.garment import load_garment
 from physkin_core.hyper_modulator import POINT_COUNT
-from physkin_training.checkpoint import load_checkpoint, save_checkpoint
+from physkin_training.checkpoint import load_checkpoint, load_drape, save_checkpoint
 from physkin_training.config import TrainingConfig
 from physkin_training.draping import Drape, GarmentNodes
 from physkin_training.physics_losses import PhysicsLosses
@@ -101,6 +101,10 @@ class Trainer:
     def resume(self, folder: Path) -> None:
         """Go on from a checkpoint of the same configuration."""
         self.step = self._summed_from = load_checkpoint(folder, self.drape, self.optimiser, config=self.config)
+
+    def start_from(self, folder: Path) -> None:
+        """Begin a new run with the networks and skinning weights of another run's checkpoint."""
+        load_drape(folder, self.drape)
 
     def _make_optimiser(self) -> torch.optim.Adam:
         optimisation = self.config.optimisation
