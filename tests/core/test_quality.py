@@ -1,0 +1,72 @@
+"""Quality figures where they can be worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from random_models import random_rotation, tube
+
+from physkin_core import Garment
+from physkin_core.quality import area_strain, contact_figures, edge_strain, jitter, signed_distance
+
+
+@pytest.mark.parametrize("factor, edge, area", [(1.0, 0, 0), (1.1, 10, 21), (0.9, 10, 19), (2.0, 100, 300)])
+def test_uniform_stretch(factor, edge, area):
+    """10 % longer edges are 21 % more area; shorter counts as longer; a rigid motion counts for nothing."""
+    garment, rng = tube(), np.random.default_rng(0)
+    moved = factor * garment.vertices @ random_rotation(rng).T + rng.normal(size=3)
+    assert edge_strain(garment, moved) == pytest.approx(edge, abs=1e-9)
+    assert area_strain(garment, moved) == pytest.approx(area, abs=1e-9)
+
+
+def test_strain_is_a_mean_over_edges_and_faces_not_over_length():
+    """A long and a short square side, the short one doubled: every edge counts the same."""
+    vertices = np.array([[0.0, 0, 0], [3, 0, 0], [3, 4, 0]])
+    garment = Garment(vertices, np.array([[0, 1, 2]]))
+    stretched = np.array([[0.0, 0, 0], [6, 0, 0], [6, 4, 0]])  # 3 -> 6, 4 -> 4, 5 -> sqrt(52)
+    assert edge_strain(garment, stretched) == pytest.approx(100 * (1 + 0 + (52**0.5 - 5) / 5) / 3)
+    assert area_strain(garment, stretched) == pytest.approx(100)
+
+
+def test_shear_keeps_area_and_samples_stay_apart():
+    garment = Garment(np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+    sheared = garment.vertices @ np.array([[1, 0, 0], [0.5, 1, 0], [0, 0, 1]])
+    batch = np.stack([garment.vertices, sheared, 2 * garment.vertices])
+    np.testing.assert_allclose(area_strain(garment, batch), [0, 0, 300], atol=1e-9)
+    diagonal, side = np.hypot(1.5, 1), np.hypot(0.5, 1)
+    expected = 100 * (2 * (side - 1) + (diagonal - 2**0.5) / 2**0.5) / 5
+    np.testing.assert_allclose(edge_strain(garment, batch), [0, expected, 100], atol=1e-9)
+    assert edge_strain(garment, np.stack([batch, batch])).shape == (2, 3)
+
+
+def test_signed_distance_to_a_box():
+    """Exact faces, edges and corners; negative inside."""
+    box = trimesh.creation.box(extents=(2, 2, 2))
+    points = np.array([[0, 0, 1.5], [0, 0, 0.9], [0.2, 0.3, 0], [2, 2, 0.5], [2, 2, 2], [-1.25, 0.1, 0.1]])
+    expected = [0.5, -0.1, -0.7, 2**0.5, 3**0.5, 0.25]
+    np.testing.assert_allclose(signed_distance(points, box.vertices, box.faces), expected, atol=1e-6)
+
+
+def test_contact_figures():
+    figures = contact_figures(np.array([[-0.004, 0.0, 0.001], [0.003, 0.1, -0.001]]))
+    assert figures == pytest.approx(
+        {"inside_percent": 100 * 2 / 6, "within_3mm_percent": 100 * 4 / 6, "max_depth_mm": 4.0}
+    )
+    assert contact_figures(np.array([0.002, 0.5]))["max_depth_mm"] == 0
+
+
+def test_jitter_is_the_second_difference():
+    """Steady motion has none; constant acceleration a has a; only half the vertices shaking counts half."""
+    time = np.arange(10.0)[:, None, None]
+    still = np.ones((4, 1)) * np.array([1.0, 2, 3])
+    assert jitter(still + 0.3 * time * np.array([1.0, -1, 2])) == pytest.approx(0, abs=1e-12)
+    assert jitter(still + 0.5 * time**2 * np.array([0, 3.0, 4])) == pytest.approx(5)
+    shaking = np.array([1.0, 1, 0, 0])[:, None] * (-1.0) ** time * np.array([1.0, 0, 0])
+    assert jitter(still + shaking) == pytest.approx(2)
+
+
+def test_jitter_needs_three_frames():
+    with pytest.raises(ValueError, match="at least 3 frames, got 2"):
+        jitter(np.zeros((2, 5, 3)))
+    assert jitter(np.zeros((3, 5, 3))) == 0

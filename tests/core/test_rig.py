@@ -1,0 +1,271 @@
+"""Rig: forward kinematics against a chain of 4x4 matrices, every rejection, and the way to JSON and back."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from random_models import random_rig, unit_rows
+from scipy.spatial.transform import Rotation
+
+from physkin_core import DegreeOfFreedom, Rig, RigError, load_body_model
+
+X, Y, Z = np.eye(3)
+
+
+def shift(t):
+    matrix = np.eye(4)
+    matrix[:3, 3] = t
+    return matrix
+
+
+def turn(axis, angle):
+    matrix = np.eye(4)
+    axis = np.asarray(axis, dtype=float)
+    matrix[:3, :3] = Rotation.from_rotvec(axis / np.linalg.norm(axis) * angle).as_matrix()
+    return matrix
+
+
+def oracle(rig: Rig, q, heads=None):
+    """Canonical-to-posed 4x4 matrices, a product of shifts and turns from the root down to each bone."""
+    heads = rig.heads if heads is None else heads
+    result = []
+    for bone in range(rig.bone_count):
+        path = [bone]
+        while rig.parents[path[0]] >= 0:
+            path.insert(0, int(rig.parents[path[0]]))
+        world = np.eye(4)
+        for step, at in enumerate(path):
+            world = world @ shift(heads[at] - (heads[path[step - 1]] if step else 0))
+            for dof, value in zip(rig.dofs, q, strict=True):
+                if dof.bone == rig.bone_names[at]:
+                    world = world @ turn(dof.axis, value - dof.rest)
+        result.append(world @ shift(-heads[bone]))
+    return np.array(result)
+
+
+@pytest.mark.parametrize("bones, dofs", [(1, 0), (1, 3), (5, 7), (36, 52), (128, 117)])
+def test_forward_kinematics_is_a_chain_of_matrices(bones, dofs):
+    """Random trees, rests that are not zero, axes that are not unit, several degrees of freedom a bone, other heads."""
+    rng = np.random.default_rng([bones, dofs])
+    rig = random_rig(rng, bones=bones, dofs=dofs)
+    q = rng.uniform(-2, 2, size=dofs)
+    np.testing.assert_allclose(rig.bone_transforms(q), oracle(rig, q)[:, :3], atol=1e-10)
+    heads = rig.heads + rng.normal(size=rig.heads.shape)
+    np.testing.assert_allclose(rig.bone_transforms(q, heads=heads), oracle(rig, q, heads)[:, :3], atol=1e-10)
+
+
+def test_forward_kinematics_of_a_batch_is_that_of_each():
+    """Leading axes are kept, and each pose is independent of the others."""
+    rng = np.random.default_rng(1)
+    rig = random_rig(rng)
+    q = rng.uniform(-2, 2, size=(2, 3, len(rig.dofs)))
+    batch = rig.bone_transforms(q)
+    assert batch.shape == (2, 3, rig.bone_count, 3, 4)
+    for index in np.ndindex(2, 3):
+        np.testing.assert_allclose(batch[index], oracle(rig, q[index])[:, :3], atol=1e-10)
+
+
+def test_rotations_of_a_bone_compose_intrinsically_in_listed_order():
+    """x then y: the y turn is about the axis that x has already turned, which is R_x R_y."""
+    dofs = [DegreeOfFreedom(f"arm_{n}", "arm", tuple(axis), -2, 2) for n, axis in (("x", X), ("y", Y))]
+    ends = np.array([[0, 0, 0], [1.0, 0, 0]])
+    for listed in (dofs, dofs[::-1]):
+        rig = Rig(("root", "arm"), np.array([-1, 0]), ends, ends + Z, tuple(listed))
+        values = {"arm_x": 0.4, "arm_y": -0.9}
+        rotation = rig.bone_transforms(np.array([values[name] for name in rig.joint_names]))[1, :, :3]
+        first, second = (turn(dof.axis, values[dof.name])[:3, :3] for dof in listed)
+        np.testing.assert_allclose(rotation, first @ second, atol=1e-12)
+        assert np.abs(rotation - second @ first).max() > 0.1
+
+
+def test_at_rest_nothing_moves_and_joint_centres_stay_attached():
+    rng = np.random.default_rng(2)
+    rig = random_rig(rng, bones=12, dofs=20)
+    np.testing.assert_allclose(rig.bone_transforms(rig.rest), np.tile(np.eye(4)[:3], (12, 1, 1)), atol=1e-12)
+    transforms = rig.bone_transforms(rng.uniform(-2, 2, size=20))
+    for bone in range(1, 12):
+        own, parents = (transforms[k, :, :3] @ rig.heads[bone] + transforms[k, :, 3] for k in (bone, rig.parents[bone]))
+        np.testing.assert_allclose(own, parents, atol=1e-12)
+
+
+def test_wrong_number_of_joint_positions_is_refused():
+    rig = random_rig(np.random.default_rng(3))
+    with pytest.raises(RigError, match=r"shape \(6,\); the last axis must be 7"):
+        rig.bone_transforms(np.zeros(6))
+
+
+def test_pose_vector_spans_minus_one_to_one():
+    """-1 at the lower limit, 0 in the middle, 1 at the upper limit and beyond, then gravity untouched."""
+    rng = np.random.default_rng(4)
+    rig = random_rig(rng)
+    gravity = unit_rows(rng, 1)[0]
+    d = len(rig.dofs)
+    for positions, value in [
+        (rig.lower, -1),
+        ((rig.lower + rig.upper) / 2, 0),
+        (rig.upper, 1),
+        (0.75 * rig.upper + 0.25 * rig.lower, 0.5),
+        (rig.lower - 3, -1),
+        (rig.upper + 3, 1),
+    ]:
+        vector = rig.pose_vector(positions, gravity)
+        assert vector.shape == (d + 3,) == (rig.pose_size,)
+        np.testing.assert_allclose(vector[:d], value, atol=1e-12)
+        np.testing.assert_array_equal(vector[d:], gravity)
+    batch = rig.pose_vector(np.stack([rig.lower, rig.upper]), np.stack([gravity, -gravity]))
+    np.testing.assert_allclose(batch[1], rig.pose_vector(rig.upper, -gravity))
+
+
+@pytest.mark.parametrize("bones, dofs", [(1, 0), (5, 7), (128, 117)])
+def test_json_round_trip_is_exact(bones, dofs):
+    """Through text, so that every number survives as written."""
+    rig = random_rig(np.random.default_rng([5, bones]), bones=bones, dofs=dofs)
+    back = Rig.from_json(json.loads(json.dumps(rig.to_json())))
+    assert back.bone_names == rig.bone_names and back.dofs == rig.dofs
+    for name in ("parents", "heads", "tails", "dof_bones", "dof_axes", "lower", "upper", "rest"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(rig, name))
+
+
+def test_arrays_are_read_only():
+    rig = random_rig(np.random.default_rng(6))
+    with pytest.raises(ValueError, match="read-only"):
+        rig.heads[0] = 1
+
+
+def test_bone_index_names_the_bones_there_are():
+    rig = random_rig(np.random.default_rng(7), bones=3)
+    assert rig.bone_index("bone2") == 2
+    with pytest.raises(RigError, match="no bone 'tail' in this rig; bones are bone0, bone1, bone2"):
+        rig.bone_index("tail")
+
+
+def known(reason):
+    return pytest.mark.xfail(strict=True, reason=reason)
+
+
+def two_bones(**changes) -> Rig:
+    fields = dict(
+        bone_names=("root", "arm"),
+        parents=np.array([-1, 0]),
+        heads=np.zeros((2, 3)),
+        tails=np.ones((2, 3)),
+        dofs=(DegreeOfFreedom("arm_x", "arm", (1, 0, 0), -1, 1),),
+    )
+    return Rig(**{**fields, **changes})
+
+
+def dof(**changes) -> tuple[DegreeOfFreedom]:
+    return (replace(DegreeOfFreedom("arm_x", "arm", (1.0, 0.0, 0.0), -1.0, 1.0), **changes),)
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        (dict(bone_names=(), parents=[], heads=[], tails=[], dofs=()), "at least one bone"),
+        (dict(bone_names=("root", "root")), "bone 'root' occurs twice"),
+        (dict(dofs=dof() * 2), "degree of freedom 'arm_x' occurs twice"),
+        (dict(parents=np.array([-1])), r"parents \(1,\)"),
+        (dict(heads=np.zeros((3, 3))), r"heads \(3, 3\)"),
+        (dict(tails=np.zeros((2, 2))), r"tails \(2, 2\)"),
+        (dict(heads=np.array([[0, 0, 0], [0, np.nan, 0]])), "finite"),
+        (dict(tails=np.array([[0, 0, 0], [0, np.inf, 0]])), "finite"),
+        (dict(parents=np.array([0, 0])), r"bone 0 \('root'\) must be the root with parent -1, got 0"),
+        (dict(parents=np.array([-1, -1])), "bone 'arm' has parent -1; a parent must come before"),
+        (dict(parents=np.array([-1, 1])), "bone 'arm' has parent 1"),
+        (dict(parents=np.array([-1, 7])), "bone 'arm' has parent 7"),
+        (dict(dofs=dof(bone="leg")), "'arm_x' turns unknown bone 'leg'"),
+        (dict(dofs=dof(axis=(0.0, 0.0, 0.0))), "'arm_x' has a zero axis"),
+        (dict(dofs=dof(axis=(1.0, 0.0))), "'arm_x': axis"),
+        (dict(dofs=dof(axis=(1.0, 0.0, np.nan))), "'arm_x': axis"),
+        (dict(dofs=dof(lower=-np.inf)), "'arm_x'.*finite"),
+        (dict(dofs=dof(rest=np.nan)), "'arm_x'.*finite"),
+        (dict(dofs=dof(lower=1.0, upper=1.0)), "'arm_x': lower 1.0 must be below upper 1.0"),
+        (dict(dofs=dof(lower=2.0)), "'arm_x': lower 2.0 must be below upper 1.0"),
+    ],
+)
+def test_inconsistent_rig_is_refused_by_name(changes, message):
+    two_bones()
+    with pytest.raises(RigError, match=message):
+        two_bones(**changes)
+
+
+def drop(data, *path):
+    del_from = data
+    for key in path[:-1]:
+        del_from = del_from[key]
+    del del_from[path[-1]]
+
+
+def put(data, value, *path):
+    for key in path[:-1]:
+        data = data[key]
+    data[path[-1]] = value
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda d: drop(d, "bones"),
+        lambda d: drop(d, "dofs"),
+        lambda d: drop(d, "bones", 1, "head"),
+        lambda d: drop(d, "dofs", 0, "axis"),
+        lambda d: put(d, 3, "bones"),
+        lambda d: put(d, "left", "bones", 1, "parent"),
+        lambda d: put(d, [0, 0], "bones", 1, "tail"),
+        lambda d: put(d, "high", "dofs", 0, "upper"),
+        lambda d: put(d, None, "dofs", 0, "axis"),
+        lambda d: put(d, 1, "dofs", 0, "stiffness"),
+        pytest.param(lambda d: put(d, 2**40, "bones", 1, "parent"), marks=known("OverflowError escapes")),
+        pytest.param(lambda d: put(d, 0.5, "bones", 1, "parent"), marks=known("truncated to 0")),
+        pytest.param(lambda d: put(d, [1, 0, 0], "bones", 1, "tial"), marks=known("ignored")),
+        pytest.param(lambda d: put(d, [], "joints"), marks=known("ignored")),
+    ],
+    ids=[
+        "no bones",
+        "no dofs",
+        "bone without head",
+        "dof without axis",
+        "bones is a number",
+        "parent is a name",
+        "tail of two numbers",
+        "upper is text",
+        "axis is null",
+        "unknown entry of a dof",
+        "parent beyond int32",
+        "parent is not an integer",
+        "unknown entry of a bone",
+        "unknown table",
+    ],
+)
+def test_malformed_json_is_a_rig_error(spoil):
+    data = two_bones().to_json()
+    Rig.from_json(data)
+    spoil(data)
+    with pytest.raises(RigError):
+        Rig.from_json(data)
+
+
+@pytest.mark.parametrize("data", [None, [], 3, {"bones": {"a": 1}, "dofs": []}])
+def test_json_of_another_kind_is_a_rig_error(data):
+    with pytest.raises(RigError):
+        Rig.from_json(data)
+
+
+def test_default_rig_is_the_one_described():
+    """36 bones, names NAME_x, _y, _z with zero the canonical pose, left and right mirrored."""
+    rig = load_body_model().rig
+    assert rig.bone_count == 36 and not rig.rest.any()
+    assert ((rig.lower <= 0) & (rig.upper >= 0)).all()
+    sided = {dof.name: dof for dof in rig.dofs}
+    for name, left in sided.items():
+        if ".L_" not in name:
+            continue
+        right = sided[name.replace(".L_", ".R_")]
+        mirror = -1 if name[-1] == "y" else 1  # an axis (pseudo-vector) mirrors in the XZ plane as (-x, y, -z)
+        assert right.bone == left.bone.replace(".L", ".R")
+        np.testing.assert_allclose(right.axis, np.array(left.axis) * mirror * np.array([1, -1, 1]), atol=5e-3)
+        limits = (right.lower, right.upper) if name[-1] == "y" else (-right.upper, -right.lower)
+        np.testing.assert_allclose(limits, (left.lower, left.upper), atol=5e-3)

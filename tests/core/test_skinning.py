@@ -1,0 +1,73 @@
+"""Linear blend skinning, vertex by vertex with 4x4 matrices and their inverses."""
+
+from __future__ import annotations
+
+import numpy as np
+from random_models import random_rotation, unit_rows
+
+from physkin_core.skinning import skin, skinning_matrices
+
+
+def scene(rng, *, n=20, m=6, influences=3):
+    weights = rng.uniform(size=(n, influences))
+    return dict(
+        node_rest=rng.normal(size=(m, 3)),
+        vertices=rng.normal(size=(n, 3)),
+        normals=unit_rows(rng, n),
+        influence_nodes=rng.integers(0, m, size=(n, influences)),
+        influence_weights=weights / weights.sum(axis=1, keepdims=True),
+    )
+
+
+def at(linear, translation):
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = linear, translation
+    return matrix
+
+
+def test_positions_and_normals_vertex_by_vertex():
+    """x' = sum w chi inverse(chi-bar) x with affine nodes; a garment node may occur twice at a vertex."""
+    rng = np.random.default_rng(0)
+    s, nodes = scene(rng), rng.normal(size=(6, 3, 4))
+    positions, normals = skin(nodes, **s)
+    for v in range(20):
+        total = np.zeros((4, 4))
+        for node, weight in zip(s["influence_nodes"][v], s["influence_weights"][v]):
+            chi = at(nodes[node][:, :3], nodes[node][:, 3])
+            total += weight * chi @ np.linalg.inv(at(np.eye(3), s["node_rest"][node]))
+        np.testing.assert_allclose(positions[v], (total @ [*s["vertices"][v], 1])[:3], atol=1e-12)
+        turned = total[:3, :3] @ s["normals"][v]
+        np.testing.assert_allclose(normals[v], turned / np.linalg.norm(turned), atol=1e-12)
+
+
+def test_matrices_keep_leading_axes():
+    rng = np.random.default_rng(1)
+    nodes, rest = rng.normal(size=(2, 4, 6, 3, 4)), rng.normal(size=(6, 3))
+    matrices = skinning_matrices(nodes, rest)
+    for index in np.ndindex(2, 4, 6):
+        expected = at(nodes[index][:, :3], nodes[index][:, 3]) @ np.linalg.inv(at(np.eye(3), rest[index[2]]))
+        np.testing.assert_allclose(matrices[index], expected[:3], atol=1e-12)
+
+
+def test_one_rigid_motion_of_all_nodes_moves_the_garment_rigidly():
+    rng = np.random.default_rng(2)
+    s, rotation, shift = scene(rng), random_rotation(rng), rng.normal(size=3)
+    nodes = np.array([np.c_[rotation, rotation @ rest + shift] for rest in s["node_rest"]])
+    positions, normals = skin(nodes, **s)
+    np.testing.assert_allclose(positions, s["vertices"] @ rotation.T + shift, atol=1e-12)
+    np.testing.assert_allclose(normals, s["normals"] @ rotation.T, atol=1e-12)
+
+
+def test_rest_nodes_give_the_rest_garment():
+    s = scene(np.random.default_rng(3))
+    nodes = np.concatenate([np.tile(np.eye(3), (6, 1, 1)), s["node_rest"][..., None]], axis=2)
+    positions, normals = skin(nodes, **s)
+    np.testing.assert_allclose(positions, s["vertices"], atol=1e-12)
+    np.testing.assert_allclose(normals, s["normals"], atol=1e-12)
+
+
+def test_normals_that_cancel_out_stay_finite():
+    s = scene(np.random.default_rng(4), m=2, influences=2)
+    s["influence_nodes"][:], s["influence_weights"][:] = [0, 1], 0.5
+    nodes = np.stack([np.c_[np.eye(3), np.zeros(3)], np.c_[-np.eye(3), np.zeros(3)]])
+    assert np.isfinite(skin(nodes, **s)[1]).all()

@@ -1,0 +1,225 @@
+"""Random rigs, garment models and avatars of any size, and a cloth tube whose geodesics are known.
+
+Everything is of about a person's size and has nothing regular about it. Dimensions: `b` bones, `d` degrees of freedom,
+`m` garment nodes, `n` garment vertices, `K` influences, `V` body vertices.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from physkin_core import Avatar, DegreeOfFreedom, Garment, GarmentModel, Rig
+from physkin_core.hyper_modulator import token_features
+
+TINY = dict(bones=4, dofs=5, nodes=6, influences=3)
+DEFAULT_RIG = dict(
+    bones=36,
+    dofs=52,
+    nodes=128,
+    influences=8,
+    rings=36,
+    segments=30,
+    pose_widths=(512,) * 4,
+    deformer_widths=(128,) * 4,
+)
+PAPER = dict(
+    bones=128,
+    dofs=117,
+    nodes=128,
+    influences=8,
+    rings=30,
+    segments=24,
+    pose_widths=(512,) * 4,
+    deformer_widths=(128,) * 4,
+)
+SIZES = {"tiny": TINY, "default rig": DEFAULT_RIG, "paper": PAPER}
+"""Arguments of `random_model`; "paper" has 128 bones and a pose vector of 120."""
+
+try:
+    from physkin_core import _native  # noqa: F401
+except ImportError as error:
+    _missing = f"needs the native module: {error}"
+else:
+    _missing = ""
+
+BACKENDS = [pytest.param("native", marks=pytest.mark.skipif(bool(_missing), reason=_missing)), "numpy"]
+"""Both backends, the native one skipped with a reason where it is not built."""
+
+needs_native = pytest.mark.skipif(bool(_missing), reason=_missing)
+
+
+def random_rotation(rng: np.random.Generator) -> np.ndarray:
+    """A rotation (3, 3), uniform over directions of its axes."""
+    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q * np.sign(np.linalg.det(q))
+
+
+def unit_rows(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Unit vectors (count, 3)."""
+    rows = rng.normal(size=(count, 3))
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+def tube(*, rings: int = 9, segments: int = 12, radius: float = 0.15, height: float = 0.4) -> Garment:
+    """An open cylinder of cloth about Z; vertex (ring r, segment s) has index r * segments + s, outside is outside."""
+    angle = 2 * np.pi * np.arange(segments) / segments
+    z = np.linspace(-height / 2, height / 2, rings)
+    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    vertices = np.concatenate([np.tile(ring, (rings, 1)), np.repeat(z, segments)[:, None]], axis=1)
+    index = np.arange(rings * segments).reshape(rings, segments)
+    a, d = index[:-1].ravel(), index[1:].ravel()
+    b, c = np.roll(index, -1, axis=1)[:-1].ravel(), np.roll(index, -1, axis=1)[1:].ravel()
+    return Garment(vertices, np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]))
+
+
+def tube_geodesics(vertices: np.ndarray, source: int, radius: float = 0.15) -> np.ndarray:
+    """Exact distance (n,) along the smooth cylinder from one vertex of `tube` to every other."""
+    angle = np.arctan2(vertices[:, 1], vertices[:, 0])
+    turn = np.abs(angle - angle[source])
+    turn = np.minimum(turn, 2 * np.pi - turn)
+    return np.hypot(radius * turn, vertices[:, 2] - vertices[source, 2])
+
+
+def random_rig(rng: np.random.Generator, *, bones: int = 5, dofs: int = 7) -> Rig:
+    """A random tree of bones, degrees of freedom in any order on any bone about any axis, rests that are not zero."""
+    heads = rng.uniform(-1, 1, size=(bones, 3))
+    heads[0] = 0
+    lower = rng.uniform(-2.0, -0.2, size=dofs)
+    upper = lower + rng.uniform(0.5, 3.0, size=dofs)
+    return Rig(
+        bone_names=tuple(f"bone{k}" for k in range(bones)),
+        parents=np.array([-1] + [rng.integers(0, k) for k in range(1, bones)]),
+        heads=heads,
+        tails=heads + rng.uniform(0.05, 0.4, size=(bones, 1)) * unit_rows(rng, bones),
+        dofs=tuple(
+            DegreeOfFreedom(
+                name=f"joint{k}",
+                bone=f"bone{rng.integers(bones)}",
+                axis=tuple(rng.uniform(0.5, 2.0) * unit_rows(rng, 1)[0]),
+                lower=float(lower[k]),
+                upper=float(upper[k]),
+                rest=float(rng.uniform(-0.3, 0.3)),
+            )
+            for k in range(dofs)
+        ),
+    )
+
+
+def random_layers(rng: np.random.Generator, sizes: tuple[int, ...], *, output_scale: float) -> tuple:
+    """He-initialised layers through `sizes`; outputs have about the size `output_scale`."""
+    layers = []
+    for k, (inputs, outputs) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+        gain = np.sqrt(2 / inputs) if k + 2 < len(sizes) else output_scale / np.sqrt(inputs)
+        weight, bias = rng.normal(size=(outputs, inputs)) * gain, rng.normal(size=outputs, scale=0.05)
+        layers.append((weight.astype(np.float32), bias.astype(np.float32)))
+    return tuple(layers)
+
+
+def random_hyper_modulator(
+    rng: np.random.Generator, outputs: int, *, width: int = 8, feed_forward: int = 16, blocks: int = 2
+) -> dict[str, np.ndarray]:
+    """Arrays of a hyper modulator whose every part matters to the result, layer norms included."""
+    linear = {
+        "embed": (width, token_features()),
+        "attention.input": (3 * width, width),
+        "attention.output": (width, width),
+        "feed_forward.0": (feed_forward, width),
+        "feed_forward.1": (width, feed_forward),
+        "pool": (1, width),
+        "output": (outputs, width),
+    }
+    norms = ["norm_1", "norm_2"]
+    for k in range(blocks):
+        linear |= {f"residual.{k}.0": (2 * width, width), f"residual.{k}.1": (width, 2 * width)}
+        norms.append(f"residual.{k}.norm")
+    arrays = {}
+    for name, shape in linear.items():
+        gain = 0.2 if name == "output" else 1.5
+        arrays[f"{name}.weight"] = rng.normal(size=shape) * gain / np.sqrt(shape[1])
+        arrays[f"{name}.bias"] = 0.1 * rng.normal(size=shape[0])
+    for name in norms:
+        arrays[f"{name}.weight"] = rng.uniform(0.5, 1.5, size=width)
+        arrays[f"{name}.bias"] = 0.2 * rng.normal(size=width)
+    return {name: array.astype(np.float32) for name, array in arrays.items()}
+
+
+def random_model(
+    rng: np.random.Generator,
+    *,
+    rig: Rig | None = None,
+    garment: Garment | None = None,
+    bones: int = 5,
+    dofs: int = 7,
+    nodes: int = 10,
+    influences: int = 4,
+    rings: int = 9,
+    segments: int = 12,
+    pose_widths: tuple[int, ...] = (16, 16),
+    deformer_widths: tuple[int, ...] = (12, 12),
+    node_outputs: int = 9,
+    activation: str = "silu",
+    width: int = 8,
+    correction: float = 0.1,
+) -> GarmentModel:
+    """A garment model with random networks and smooth random skinning weights.
+
+    rig, garment: default a random rig of `bones` and `dofs`, and a `tube` of `rings` by `segments`. correction: about
+    how large the node deformer's numbers are.
+    """
+    rig = random_rig(rng, bones=bones, dofs=dofs) if rig is None else rig
+    garment = tube(rings=rings, segments=segments) if garment is None else garment
+    chosen = rng.choice(len(garment.vertices), size=nodes, replace=False)
+    rest = garment.vertices[chosen].astype(np.float32)
+    distance = np.linalg.norm(garment.vertices[:, None] - rest, axis=-1)
+    influence_nodes = np.argsort(distance, axis=1)[:, :influences]
+    weights = np.exp(-np.take_along_axis(distance, influence_nodes, axis=1) / 0.05) * rng.uniform(
+        0.5, 1.5, size=influence_nodes.shape
+    )
+    deformer = random_layers(rng, (12 * nodes, *deformer_widths, node_outputs * nodes), output_scale=correction)
+    pose = random_layers(rng, (rig.pose_size, *pose_widths, 2 * sum(deformer_widths)), output_scale=0.3)
+    return GarmentModel(
+        name="random",
+        rig=rig,
+        garment=garment,
+        node_rest=rest,
+        node_bone=rng.integers(0, rig.bone_count, size=nodes).astype(np.int32),
+        influence_nodes=influence_nodes.astype(np.int32),
+        influence_weights=(weights / weights.sum(axis=1, keepdims=True)).astype(np.float32),
+        hyper_modulator=random_hyper_modulator(rng, 2 * sum(pose_widths), width=width),
+        pose_modulator=pose,
+        node_deformer=deformer,
+        activation=activation,
+        training={"seed": 7, "bodies": 3},
+        scores={"edge_strain_percent": 3.5},
+    )
+
+
+def random_avatar(rng: np.random.Generator, rig: Rig, *, influences: int = 3) -> Avatar:
+    """Another body for a rig: a bumpy ball with its own bone positions and random skinning."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
+    vertices = np.asarray(ball.vertices) * rng.uniform(0.9, 1.1, size=(len(ball.vertices), 1))
+    weights = rng.uniform(size=(len(vertices), influences))
+    heads = rig.heads + 0.05 * rng.normal(size=rig.heads.shape)
+    heads[0] = 0
+    return Avatar(
+        vertices=vertices.astype(np.float32),
+        faces=np.asarray(ball.faces).astype(np.int32),
+        bone_heads=heads.astype(np.float32),
+        bone_tails=(heads + (rig.tails - rig.heads) * rng.uniform(0.7, 1.3, size=(rig.bone_count, 1))).astype(
+            np.float32
+        ),
+        influence_bones=rng.integers(0, rig.bone_count, size=weights.shape).astype(np.int32),
+        influence_weights=(weights / weights.sum(axis=1, keepdims=True)).astype(np.float32),
+        source="random body",
+    )
+
+
+def random_pose(rng: np.random.Generator, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """Joint positions (d,) float32 over and a little beyond the limits, and a gravity direction (3,) float32."""
+    span = rig.upper - rig.lower
+    positions = rng.uniform(rig.lower - 0.1 * span, rig.upper + 0.1 * span)
+    return positions.astype(np.float32), unit_rows(rng, 1)[0].astype(np.float32)

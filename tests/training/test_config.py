@@ -1,0 +1,141 @@
+"""Training configuration: defaults, files, and the refusal of unknown keys, wrong types and impossible values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("torch", reason="needs the [training] extra")
+
+from physkin_core.garment_model import Material  # noqa: E402
+from physkin_training.config import ConfigError, TrainingConfig, load_config  # noqa: E402
+
+FOLDER = Path(__file__).parents[2] / "training" / "configs"
+MINIMAL = 'name = "shirt"\ngarment = "shirt.obj"\n'
+
+
+def load(tmp_path, text):
+    path = tmp_path / "run.toml"
+    path.write_text(text)
+    return load_config(path)
+
+
+def known(*values, reason="not checked"):
+    return pytest.param(*values, marks=pytest.mark.xfail(strict=True, reason=reason))
+
+
+def test_two_keys_are_enough(tmp_path):
+    """The rest is the paper's and the reference material's; the garment's path is relative to the file."""
+    config = load(tmp_path, MINIMAL)
+    assert config == TrainingConfig(name="shirt", garment=tmp_path / "shirt.obj")
+    assert config.material == Material() and config.garment_nodes.count == 128
+    assert config.networks.pose_hidden == 512 and config.networks.node_outputs == 9
+
+
+def test_values_reach_their_place(tmp_path):
+    """Integers stand for floats; infinity is a number."""
+    config = load(
+        tmp_path,
+        MINIMAL
+        + "seed = 3\n[optimisation]\nsteps = 7\nsamples = 8\nbodies = 2\nlearning_rate = 1\nforce_limit = inf\n"
+        + "[garment_nodes]\ncount = 9\n[poses]\nupright = 1\n[material]\ndensity = 1\n"
+        + '[networks]\nactivation = "relu"\n',
+    )
+    assert config.seed == 3 and config.optimisation.steps == 7 and config.optimisation.force_limit == float("inf")
+    assert config.optimisation.learning_rate == 1.0 and isinstance(config.optimisation.learning_rate, float)
+    assert config.garment_nodes.count == 9 and config.poses.upright == 1.0
+    assert config.networks.activation == "relu" and config.material.density == 1.0
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.toml")), ids=lambda path: path.stem)
+def test_shipped_configurations_load(path):
+    config = load_config(path)
+    assert path.stem.startswith(config.name) and config.garment.is_file()
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ('name = "shirt"', "garment"),
+        ('garment = "shirt.obj"', "name"),
+        ("name = 3\ngarment = 'a.obj'", "name must be str, got 3"),
+        ("name = 'a'\ngarment = 3", "garment must be Path, got 3"),
+    ],
+)
+def test_name_and_garment_are_needed(tmp_path, text, message):
+    with pytest.raises(ConfigError, match=message):
+        load(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("colour = 3", "unknown key 'colour'; allowed: name, garment, seed"),
+        ("[optimisation]\nstep = 3", "optimisation: unknown key 'step'; allowed: steps, samples"),
+        ("[networks]\nwidth = 3", "networks: unknown key 'width'"),
+        ("[material]\nyoung = 3", "material: unknown key 'young'"),
+        ("[cloth]\nx = 1", "unknown key 'cloth'"),
+    ],
+)
+def test_unknown_keys(tmp_path, text, message):
+    with pytest.raises(ConfigError, match=message):
+        load(tmp_path, MINIMAL + text)
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ('seed = "three"', "seed must be int, got 'three'"),
+        ("seed = 3.5", "seed must be int, got 3.5"),
+        ("seed = true", "seed must be int, got True"),
+        ("[optimisation]\nsteps = 1e5", "steps must be int, got 100000.0"),
+        ("[optimisation]\nlearning_rate = true", "learning_rate must be float, got True"),
+        ('[optimisation]\nlearning_rate = "1e-3"', "learning_rate must be float"),
+        ("[networks]\nactivation = 1", "activation must be str, got 1"),
+        ("optimisation = 3", "optimisation must be a table, got 3"),
+    ],
+)
+def test_wrong_types(tmp_path, text, message):
+    with pytest.raises(ConfigError, match=message):
+        load(tmp_path, MINIMAL + text)
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("[optimisation]\nsamples = 7\nbodies = 2", "samples 7 must be a multiple of optimisation.bodies 2"),
+        ("[optimisation]\nbodies = 0", "bodies 0"),
+        ("[optimisation]\nsteps = 0", "steps >= 1.* got 0"),
+        ("[optimisation]\nlearning_rate = 0", "learning_rate > 0.* 0.0"),
+        ("[optimisation]\nlearning_rate = -1e-3", "learning_rate > 0"),
+        ("[optimisation]\nencoder_points = 0", "encoder_points >= 1"),
+        ('[networks]\nactivation = "gelu"', "activation 'gelu' is not one of silu, relu"),
+        ("[networks]\nnode_outputs = 10", "node_outputs must be 9 .* or 12 .* got 10"),
+        known("[optimisation]\nlearning_rate = nan", "learning_rate"),
+        known("[optimisation]\nsamples = 0", "samples"),
+        known("[optimisation]\nsamples = -12\nbodies = 12", "samples"),
+        known("train_bodies = 0", "train_bodies"),
+        known("train_bodies = -3", "train_bodies"),
+        known("[garment_nodes]\ncount = 0", "count"),
+        known("[garment_nodes]\ninfluences = 0", "influences"),
+        known("[poses]\nupright = 1.5", "upright"),
+        known("[material]\npoisson_ratio = 1", "poisson_ratio"),
+        known("[material]\nyoungs_modulus = -60", "youngs_modulus"),
+        known("[networks]\ntoken_width = 30", "token_width"),
+        known("[networks]\npose_hidden = 0", "pose_hidden"),
+    ],
+)
+def test_impossible_values(tmp_path, text, message):
+    with pytest.raises(ConfigError, match=message):
+        load(tmp_path, MINIMAL + text)
+
+
+@pytest.mark.parametrize("content", [b"name = ", b"\xff\xfe", b"[a\n"])
+def test_unreadable_files(tmp_path, content):
+    path = tmp_path / "run.toml"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match="cannot read configuration .*run.toml"):
+        load_config(path)
+    with pytest.raises(ConfigError, match="nowhere.toml"):
+        load_config(tmp_path / "nowhere.toml")

@@ -1,0 +1,216 @@
+"""Evaluation: the figures of the run time's own drapes, the same for a seed, every pair counted, and all JSON keys."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+import trimesh
+
+torch = pytest.importorskip("torch", reason="needs the [training] extra")
+wp = pytest.importorskip("warp", reason="needs the [training] extra")
+
+from random_models import random_model, tube  # noqa: E402
+
+from physkin_core import (  # noqa: E402
+    Draper,
+    Garment,
+    avatar_from_body,
+    load_body_model,
+    load_garment_model,
+    quality,
+    save_garment_model,
+)
+from physkin_training.evaluate import Evaluation, Figures, evaluate_model, main, table  # noqa: E402
+from physkin_training.physics_losses import Energies  # noqa: E402
+
+CPU = torch.device("cpu")
+BODY = load_body_model()
+FIGURES = {
+    "edge_strain_percent",
+    "area_strain_percent",
+    "inside_percent",
+    "within_3mm_percent",
+    "stretch_j",
+    "bend_j",
+    "collision_j",
+    "gravity_j",
+    "energy_j",
+    "max_depth_mm",
+    "max_depth_p999_mm",
+}
+
+
+@pytest.fixture(scope="module")
+def model():
+    """A band about the waist, tight enough to be inside some bodies in places."""
+    wp.config.quiet = True
+    band = tube(rings=9, segments=20, radius=1.0, height=0.3)
+    garment = Garment(band.vertices * [0.15, 0.18, 1.0] + [0, 0, 0.12], band.faces)
+    return random_model(np.random.default_rng(1), rig=BODY.rig, garment=garment, nodes=12, correction=0.02)
+
+
+def signed_distance(points, vertices, faces):
+    """To the exact closest point; negative where that point's surface (the mean of the faces that meet there, weighted
+    by angle at a corner) faces away. Bodies in these poses run through themselves, so no ray can tell the side."""
+    body = trimesh.Trimesh(vertices, faces, process=False)
+    closest, distance, face = trimesh.proximity.closest_point(body, points)
+    share = trimesh.triangles.points_to_barycentric(body.triangles[face], closest)
+    sides = {tuple(edge): pair for edge, pair in zip(body.face_adjacency_edges.tolist(), body.face_adjacency)}
+    sign = np.empty(len(points))
+    for index in range(len(points)):
+        corners = sorted(body.faces[face[index]][share[index] > 1e-6].tolist())
+        if len(corners) == 1:
+            outward = body.vertex_normals[corners[0]]
+        elif len(corners) == 2:
+            outward = body.face_normals[sides[tuple(corners)]].sum(axis=0)
+        else:
+            outward = body.face_normals[face[index]]
+        sign[index] = np.sign((points[index] - closest[index]) @ outward)
+    return sign * distance
+
+
+def test_figures_are_those_of_the_run_time(model):
+    """Each pair draped by the Draper and measured without Warp or torch, by `quality` and exact closest points."""
+    evaluation = Evaluation(model, CPU, bodies=2, poses=2, seed=3)
+    rows = evaluation.figures(upright=False)
+    (batch,) = evaluation.batches(upright=False)
+    avatars = [avatar_from_body(BODY, coefficients) for coefficients in BODY.held_out_bodies[:2]]
+    expected = []
+    for index, (q, gravity) in enumerate(zip(batch.positions.numpy(), batch.gravity.numpy())):
+        avatar = avatars[index % 2]
+        draper = Draper(model, avatar, backend="numpy")
+        vertices = draper.drape(q, gravity)[:, :3].astype(np.float64)
+        body = avatar.posed_vertices(draper.bone_transforms(q))
+        contact = quality.contact_figures(signed_distance(vertices, body, avatar.faces))
+        weight = model.garment.vertex_areas * model.material.density * 9.81
+        expected.append(
+            [
+                quality.edge_strain(model.garment, vertices),
+                quality.area_strain(model.garment, vertices),
+                contact["inside_percent"],
+                contact["within_3mm_percent"],
+                contact["max_depth_mm"],
+                -(weight * (vertices @ gravity)).sum(),
+            ]
+        )
+    edge, area, inside, within, depth, gravity = np.transpose(expected)
+    row = rows["model"]
+    assert row["edge_strain_percent"] == pytest.approx(edge.mean(), rel=1e-3)
+    assert row["area_strain_percent"] == pytest.approx(area.mean(), rel=1e-3)
+    assert row["gravity_j"] == pytest.approx(gravity.mean(), rel=1e-3)
+    one_vertex = 100 / len(model.garment.vertices) / len(expected)
+    assert row["inside_percent"] == pytest.approx(inside.mean(), abs=1.01 * one_vertex) and inside.mean() > 1
+    assert row["within_3mm_percent"] == pytest.approx(within.mean(), abs=1.01 * one_vertex)
+    assert row["max_depth_mm"] == pytest.approx(depth.max(), abs=0.1)
+    assert row["energy_j"] == pytest.approx(row["stretch_j"] + row["bend_j"] + row["collision_j"])
+
+
+def test_plain_skinning_is_the_model_without_correctives(model):
+    """The same bodies and poses; on a model that corrects nothing both rows are equal."""
+    weight, bias = model.node_deformer[-1]
+    plain = replace(model, node_deformer=(*model.node_deformer[:-1], (0 * weight, 0 * bias)))
+    rows = Evaluation(plain, CPU, bodies=1, poses=2, seed=0).figures(upright=True)
+    assert rows["model"] == pytest.approx(rows["skinning"])
+    corrected = Evaluation(model, CPU, bodies=1, poses=2, seed=0).figures(upright=True)
+    assert corrected["skinning"] == pytest.approx(rows["skinning"])
+    assert corrected["model"]["edge_strain_percent"] != pytest.approx(rows["model"]["edge_strain_percent"], rel=1e-3)
+
+
+def test_figures_add_up_over_batches(model):
+    """In any batches the same; means over samples, depths the deepest."""
+    rng = np.random.default_rng(4)
+    n = len(model.garment.vertices)
+    vertices = torch.as_tensor(model.garment.vertices + 0.003 * rng.normal(size=(6, n, 3)), dtype=torch.float32)
+    terms = [torch.as_tensor(rng.uniform(size=6), dtype=torch.float32) for _ in range(4)]
+    distance = torch.as_tensor(rng.normal(scale=0.01, size=(6, n)), dtype=torch.float32)
+    results = []
+    for sizes in ((6,), (1, 2, 3)):
+        figures = Figures(model.garment, CPU)
+        for chunk in torch.arange(6).split(list(sizes)):
+            figures.add(vertices[chunk], Energies(*(t[chunk] for t in terms), signed_distance=distance[chunk]))
+        assert figures.samples == 6
+        results.append(figures.result())
+    assert results[0] == pytest.approx(results[1]) and set(results[0]) == FIGURES
+    row = results[0]
+    assert row["edge_strain_percent"] == pytest.approx(
+        quality.edge_strain(model.garment, vertices.double().numpy()).mean(), rel=1e-3
+    )
+    contact = quality.contact_figures(distance.numpy())
+    assert row["inside_percent"] == pytest.approx(contact["inside_percent"], rel=1e-5)
+    assert row["within_3mm_percent"] == pytest.approx(contact["within_3mm_percent"], rel=1e-5)
+    assert row["max_depth_mm"] == pytest.approx(contact["max_depth_mm"], rel=1e-5)
+    assert row["stretch_j"] == pytest.approx(terms[0].mean().item())
+    assert row["bend_j"] == pytest.approx(terms[1].mean().item())
+
+
+def test_the_same_seed_gives_the_same_scores(model):
+    """Bit for bit, whatever was drawn before; another seed, or tilted roots, give others."""
+    torch.manual_seed(0)
+    first = evaluate_model(model, CPU, bodies=2, poses=2, seed=3, minimum=0, steps=0)
+    torch.manual_seed(1)
+    assert evaluate_model(model, CPU, bodies=2, poses=2, seed=3, minimum=0, steps=0) == first
+    assert evaluate_model(model, CPU, bodies=2, poses=2, seed=4, minimum=0, steps=0)["model"] != first["model"]
+    assert first["tilted"]["gravity_j"] != pytest.approx(first["model"]["gravity_j"], rel=1e-3)
+
+
+def test_poses_are_uniform_over_the_limits_and_bodies_take_turns(model):
+    evaluation = Evaluation(model, CPU, bodies=2, poses=32, seed=0, batch=64)
+    (batch,) = evaluation.batches(upright=True)
+    within = (batch.positions.numpy() - BODY.rig.lower) / (BODY.rig.upper - BODY.rig.lower)
+    assert within.min() >= -1e-5 and within.max() <= 1 + 1e-5
+    assert np.abs(within.mean(axis=0) - 0.5).max() < 0.2 and within.std() == pytest.approx(12**-0.5, abs=0.01)
+    np.testing.assert_allclose(batch.gravity.numpy(), np.tile([0, 0, -1], (64, 1)), atol=1e-7)
+    assert torch.equal(batch.modulation[::2], batch.modulation[:1].expand(32, -1))
+    assert not torch.equal(batch.modulation[0], batch.modulation[1])
+    (tilted,) = evaluation.batches(upright=False)
+    assert torch.equal(tilted.positions, batch.positions)
+    tilt = np.degrees(np.arccos(-tilted.gravity.numpy()[:, 2]))
+    assert tilt.max() < 110.1 and np.quantile(tilt, 0.9) > 70
+
+
+@pytest.mark.xfail(strict=True, reason="a last partial batch is dropped, though the docstring says it is filled up")
+@pytest.mark.parametrize("bodies, poses, batch", [(3, 2, 4), (2, 3, 5)])
+def test_every_pair_counts(model, bodies, poses, batch):
+    evaluation = Evaluation(model, CPU, bodies=bodies, poses=poses, seed=0, batch=batch)
+    whole = Evaluation(model, CPU, bodies=bodies, poses=poses, seed=0, batch=bodies * poses)
+    expected = whole.figures(upright=True)["model"]
+    assert evaluation.figures(upright=True)["model"] == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("bodies", [0, -1, 1000])
+def test_impossible_numbers_of_bodies_are_refused(model, bodies):
+    with pytest.raises(ValueError, match=f"bodies must be 1 to {len(BODY.held_out_bodies)}, got {bodies}"):
+        Evaluation(model, CPU, bodies=bodies, poses=2, seed=0)
+
+
+def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsys):
+    """Four rows and the subset's, counts and material; stored in the model, readable again."""
+    save_garment_model(model, tmp_path / "band.safetensors")
+    arguments = ["--bodies", "1", "--poses", "2", "--seed", "9", "--minimum", "2", "--minimum-steps", "20"]
+    outputs = ["--json", str(tmp_path / "scores.json"), "--store", str(tmp_path / "scored.safetensors")]
+    assert main([str(tmp_path / "band.safetensors"), *arguments, *outputs, "--device", "cpu"]) == 0
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    rows = {"model", "skinning", "tilted", "subspace_minimum", "minimum", "model_on_subset"}
+    assert set(scores) == rows | {"counts", "material", "energy_ratio"}
+    for row in rows:
+        assert set(scores[row]) == FIGURES and all(np.isfinite(value) for value in scores[row].values()), row
+    counts = {"bodies": 1, "poses": 2, "seed": 9, "minimum_pairs": 2, "minimum_steps": 20}
+    assert scores["counts"] == counts and scores["material"] == asdict(model.material)
+    ratio = scores["model_on_subset"]["energy_j"] / scores["minimum"]["energy_j"]
+    assert scores["energy_ratio"] == pytest.approx(ratio)
+    printed = capsys.readouterr().out
+    assert printed.strip().endswith(table(scores).strip())
+    lines = table(scores).splitlines()
+    assert len(lines) == 2 + len(rows) and all(line.count("|") == lines[0].count("|") for line in lines)
+    assert f"{scores['tilted']['edge_strain_percent']:.3f}" in table(scores)
+    stored = load_garment_model(tmp_path / "scored.safetensors")
+    assert stored.scores == scores and stored.training == model.training
+
+
+def test_without_minima_their_rows_are_left_out(model):
+    scores = evaluate_model(model, CPU, bodies=1, poses=1, seed=0, minimum=0, steps=10)
+    assert set(scores) == {"model", "skinning", "tilted", "counts", "material"}
+    assert len(table(scores).splitlines()) == 2 + 3

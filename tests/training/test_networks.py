@@ -1,0 +1,161 @@
+"""Torch twins of the networks: the values of the run time, and the standard transformer layer the paper names."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from random_models import random_hyper_modulator, random_model, unit_rows
+
+torch = pytest.importorskip("torch", reason="needs the [training] extra")
+
+from physkin_core.hyper_modulator import body_modulation  # noqa: E402
+from physkin_core.mlp import modulation_size  # noqa: E402
+from physkin_core.node_deformer import node_corrections  # noqa: E402
+from physkin_core.pose_modulator import pose_modulation  # noqa: E402
+from physkin_training.export import drape_from_model  # noqa: E402
+from physkin_training.networks import HyperModulator, NetworkConfig, Networks  # noqa: E402
+
+
+def as_double(*arrays):
+    return [torch.as_tensor(np.asarray(array), dtype=torch.float64) for array in arrays]
+
+
+@pytest.mark.parametrize("activation", ["silu", "relu"])
+@pytest.mark.parametrize("node_outputs", [9, 12])
+@pytest.mark.parametrize(
+    "sizes",
+    [dict(), dict(bones=36, dofs=52, nodes=64, pose_widths=(96,) * 4, deformer_widths=(48,) * 4)],
+    ids=["tiny", "deep"],
+)
+def test_pose_modulator_and_node_deformer_agree(activation, node_outputs, sizes):
+    """The network weights of one garment model in both: the same modulation and the same node numbers, in float64."""
+    rng = np.random.default_rng([node_outputs, len(activation)])
+    model = random_model(rng, activation=activation, node_outputs=node_outputs, **sizes)
+    networks = drape_from_model(model).networks.double()
+    m = len(model.node_rest)
+    theta = rng.uniform(-1, 1, size=(5, model.rig.pose_size))
+    body = rng.normal(size=(5, modulation_size(model.pose_modulator)))
+    posed = rng.normal(size=(5, m, 3, 4))
+    with torch.no_grad():
+        modulation = networks.pose_modulator(*as_double(theta, body)).numpy()
+        raw = networks(*as_double(body, theta, posed)).numpy()
+    expected = pose_modulation(model.pose_modulator, theta, body, activation)
+    np.testing.assert_allclose(modulation, expected, atol=1e-10)
+    expected = node_corrections(model.node_deformer, posed, expected, activation)
+    assert raw.shape == (5, m, node_outputs)
+    np.testing.assert_allclose(raw.reshape(5, -1), expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("width, blocks, count", [(8, 2, 50), (32, 1, 600), (4, 0, 3)])
+def test_hyper_modulator_agrees(width, blocks, count):
+    """Points, attention, pooling and residual blocks; bodies of a batch do not see each other."""
+    rng = np.random.default_rng(width)
+    model = random_model(rng, width=width)
+    arrays = random_hyper_modulator(rng, modulation_size(model.pose_modulator), width=width, blocks=blocks)
+    config = NetworkConfig(token_width=width, feed_forward=16, residual_blocks=blocks)
+    twin = HyperModulator(config, modulation_size(model.pose_modulator))
+    twin.load_state_dict({name: torch.as_tensor(array) for name, array in arrays.items()})
+    points = rng.uniform(-1, 1, size=(3, count, 3)).astype(np.float32)
+    normals = np.stack([unit_rows(rng, count) for _ in range(3)]).astype(np.float32)
+    with torch.no_grad():
+        result = twin(torch.as_tensor(points), torch.as_tensor(normals)).numpy()
+        double = twin.double()(*as_double(points, normals)).numpy()
+    for body in range(3):
+        expected = body_modulation(arrays, points[body], normals[body])
+        np.testing.assert_allclose(result[body], expected, atol=3e-5)
+        np.testing.assert_allclose(double[body], expected, atol=3e-5)
+    assert np.abs(result[0] - result[1]).max() > 1e-3
+
+
+def test_the_encoder_is_one_standard_transformer_layer():
+    """`torch.nn.TransformerEncoderLayer` with 4 heads, post-norm and ReLU between embedding and pooling."""
+    torch.manual_seed(0)
+    config = NetworkConfig(token_width=16, feed_forward=24, residual_blocks=0)
+    network = HyperModulator(config, 5).double()
+    layer = torch.nn.TransformerEncoderLayer(16, 4, 24, dropout=0.0, batch_first=True, dtype=torch.float64)
+    twin = {
+        "self_attn.in_proj_weight": network.attention["input"].weight,
+        "self_attn.in_proj_bias": network.attention["input"].bias,
+        "self_attn.out_proj.weight": network.attention["output"].weight,
+        "self_attn.out_proj.bias": network.attention["output"].bias,
+        "linear1.weight": network.feed_forward[0].weight,
+        "linear1.bias": network.feed_forward[0].bias,
+        "linear2.weight": network.feed_forward[1].weight,
+        "linear2.bias": network.feed_forward[1].bias,
+        "norm1.weight": network.norm_1.weight,
+        "norm1.bias": network.norm_1.bias,
+        "norm2.weight": network.norm_2.weight,
+        "norm2.bias": network.norm_2.bias,
+    }
+    layer.load_state_dict({name: tensor.detach() for name, tensor in twin.items()})
+    points, normals = torch.randn(2, 2, 30, 3, dtype=torch.float64)
+    frequency = torch.pi * 2.0 ** torch.arange(6, dtype=torch.float64)
+    angles = (points[..., None] * frequency).reshape(2, 30, 18)
+    tokens = layer(network.embed(torch.cat([points, angles.sin(), angles.cos(), normals], dim=-1)))
+    pooled = (torch.softmax(network.pool(tokens), dim=1) * tokens).sum(dim=1)
+    torch.testing.assert_close(network(points, normals), network.output(pooled), rtol=1e-9, atol=1e-10)
+
+
+@pytest.mark.parametrize("activation", ["silu", "relu"])
+def test_gradients_of_all_networks(activation):
+    """Every parameter of all three gets the gradient that central differences measure, in float64."""
+    torch.manual_seed(1)
+    config = NetworkConfig(
+        pose_hidden=6, pose_layers=2, deformer_hidden=5, deformer_layers=2, activation=activation, token_width=4,
+        feed_forward=6, residual_blocks=1,
+    )  # fmt: skip
+    networks = Networks(config, pose_size=5, node_count=3).double()
+    for parameter in networks.parameters():  # last layers start near zero, where everything is flat
+        torch.nn.init.normal_(parameter, std=0.5)
+    points, normals = torch.randn(2, 2, 7, 3, dtype=torch.float64)
+    theta, posed = torch.randn(2, 5, dtype=torch.float64), torch.randn(2, 3, 3, 4, dtype=torch.float64)
+
+    def loss():
+        return networks(networks.hyper_modulator(points, normals), theta, posed).square().mean()
+
+    loss().backward()
+    step = 1e-5
+    for name, parameter in networks.named_parameters():
+        assert parameter.grad.abs().max() > 0 or name in ("pool.bias", "hyper_modulator.pool.bias"), name
+        direction = torch.randn_like(parameter)
+        with torch.no_grad():
+            values = []
+            for sign in (1, -1):
+                parameter += sign * step * direction
+                values.append(loss().item())
+                parameter -= sign * step * direction
+        measured = (values[0] - values[1]) / (2 * step)
+        assert (parameter.grad * direction).sum().item() == pytest.approx(measured, rel=1e-4, abs=1e-8), name
+
+
+def test_new_networks_correct_almost_nothing():
+    """Training starts from plain skinning: correctives of a millimetre or so."""
+    torch.manual_seed(2)
+    networks = Networks(NetworkConfig(pose_hidden=64, deformer_hidden=32, token_width=16), pose_size=20, node_count=9)
+    body = networks.hyper_modulator(torch.randn(4, 100, 3), torch.randn(4, 100, 3))
+    raw = networks(body, torch.rand(4, 20) * 2 - 1, torch.randn(4, 9, 3, 4))
+    assert raw.shape == (4, 9, 9) and 0 < raw.abs().max() < 0.03
+
+
+def test_default_sizes_are_the_papers():
+    networks = Networks(NetworkConfig(), pose_size=120, node_count=128)
+    pose = [tuple(layer.weight.shape) for layer in networks.pose_modulator.layers]
+    assert pose == [(512, 120), *[(512, 512)] * 3, (1024, 512)]
+    deformer = [tuple(layer.weight.shape) for layer in networks.node_deformer.layers]
+    assert deformer == [(128, 1536), *[(128, 128)] * 3, (1152, 128)]
+    assert networks.hyper_modulator.output.out_features == 4096
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (dict(activation="tanh"), "activation 'tanh' is not one of silu, relu"),
+        (dict(node_outputs=10), "node_outputs must be 9 .* got 10"),
+        pytest.param(
+            dict(token_width=30), "token_width", marks=pytest.mark.xfail(strict=True, reason="fails in the first step")
+        ),
+    ],
+)
+def test_impossible_networks_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        NetworkConfig(**change)
