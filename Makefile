@@ -6,8 +6,8 @@ DEMO_SECONDS ?= 10
 VENV := .venv
 PIP := $(VENV)/bin/pip install --quiet --constraint constraints.txt
 # Installed editable: Python changes are live, and a Python started in this folder finds the native module too.
-BUILT_FROM := pyproject.toml constraints.txt $(shell find native -type f)
-MESSAGES := $(shell find msg_defs -type f)
+BUILT_FROM := pyproject.toml constraints.txt $(shell find native -type f -not -path '*/__pycache__/*')
+MESSAGES := $(shell find msg_defs -type f -not -path '*/__pycache__/*')
 
 .PHONY: demo test test-slow lint format clean
 

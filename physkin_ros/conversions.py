@@ -156,8 +156,8 @@ def garment_description(draper: Draper, frame_id: str):
     message = GarmentDescription(
         model_name=model.name,
         vertex_count=draper.vertex_count,
-        faces=array("I", model.garment.faces.astype(np.uint32).tobytes()),
-        rest_vertices=array("f", model.garment.vertices.astype(np.float32).tobytes()),
+        faces=array("I", draper.faces.astype(np.uint32).tobytes()),
+        rest_vertices=array("f", draper.bound.vertices.astype(np.float32).tobytes()),
         node_count=len(model.node_rest),
         joint_names=list(draper.joint_names),
         joint_rest=array("f", model.rig.rest.astype(np.float32).tobytes()),

@@ -1,4 +1,4 @@
-"""Second process of the demo: plays a motion as joint states at a fixed rate and writes down when it sent what.
+"""Second process of the demo: plays a motion at a fixed rate, gravity and joint states, and writes down when.
 
 Dimensions: `T` joint states. Times are CLOCK_MONOTONIC, which all processes of a machine share [ns].
 """
@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
+from geometry_msgs.msg import Vector3Stamped
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -27,15 +28,19 @@ SETTLING_SECONDS = 0.5  # the reader may know of the writer a moment after the w
 
 
 def play(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-    """Publish `motion` on `joint_states`, each frame at its own deadline. Returns stamps and sending times (T,) [ns].
+    """Publish `motion` on `gravity` and `joint_states`, each frame at its own deadline.
 
-    Waits for a subscriber first, and at the end until everything has arrived. Raises TimeoutError when nobody listens.
+    Returns stamps and sending times (T,) [ns] of the joint states. Waits for a subscriber first, and at the end until
+    everything has arrived. Raises TimeoutError when nobody listens.
     """
     node = rclpy.create_node("demo_player")
     try:
         publisher = node.create_publisher(JointState, "joint_states", QoSProfile(depth=100))
-        _wait_for_subscriber(publisher)
+        gravity_publisher = node.create_publisher(Vector3Stamped, "gravity", QoSProfile(depth=100))
+        _wait_for_subscriber(publisher, gravity_publisher)
         frames = [array("d", frame) for frame in motion.positions.astype(np.float64).tolist()]
+        directions = motion.gravity.astype(np.float64).tolist()
+        tilt = Vector3Stamped()
         message = JointState(name=list(motion.joint_names))
         stamps = np.empty(len(frames), dtype=np.int64)
         sent = np.empty(len(frames), dtype=np.int64)
@@ -43,8 +48,10 @@ def play(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         for index, frame in enumerate(frames):
             time.sleep(max(0.0, start + index / motion.rate_hz - time.monotonic()))
             stamp = node.get_clock().now()
-            message.header.stamp = stamp.to_msg()
+            message.header.stamp = tilt.header.stamp = stamp.to_msg()
             message.position = frame
+            tilt.vector.x, tilt.vector.y, tilt.vector.z = directions[index]
+            gravity_publisher.publish(tilt)  # first: a joint state is draped with the latest
             stamps[index], sent[index] = stamp.nanoseconds, time.monotonic_ns()
             publisher.publish(message)
         publisher.wait_for_all_acked(Duration(seconds=5))
@@ -75,11 +82,11 @@ def main() -> int:
     return 0
 
 
-def _wait_for_subscriber(publisher) -> None:
+def _wait_for_subscriber(*publishers) -> None:
     deadline = time.monotonic() + DISCOVERY_SECONDS
-    while not publisher.get_subscription_count():
+    while not all(publisher.get_subscription_count() for publisher in publishers):
         if time.monotonic() > deadline:
-            raise TimeoutError(f"nobody has subscribed to joint_states for {DISCOVERY_SECONDS:.0f} s")
+            raise TimeoutError(f"nobody has subscribed to joint_states and gravity for {DISCOVERY_SECONDS:.0f} s")
         time.sleep(0.02)
     time.sleep(SETTLING_SECONDS)
 

@@ -13,12 +13,14 @@ __all__ = ["DrapeStatistics", "diagnostic_status"]
 class DrapeStatistics:
     """Counts since the node started, and evaluation times since the last report.
 
-    last_stamp_ns: stamp of the last joint state that was draped [ns], None before the first.
+    last_stamp_ns: stamp of the last joint state that was draped [ns], None before the first. gravity_rejected: messages
+    of a direction that is none; they count as rejections to warn about, but not as joint states.
     """
 
     received: int = 0
     published: int = 0
     rejected: int = 0
+    gravity_rejected: int = 0
     last_rejection: str = ""
     last_stamp_ns: int | None = None
     _evaluation_ns: list[int] = field(default_factory=list)
@@ -35,13 +37,18 @@ class DrapeStatistics:
         self.rejected += 1
         self.last_rejection = reason
 
+    def reject_gravity(self, reason: str) -> None:
+        """Count a gravity message that was not used, and keep why."""
+        self.gravity_rejected += 1
+        self.last_rejection = reason
+
     def report(self, now_ns: int) -> tuple[bool, str, dict[str, str]]:
         """State since the last report: whether all was well, a sentence, and named values as text.
 
         now_ns: time on the stamps' clock [ns].
         """
-        new_rejections = self.rejected - self._reported_rejections
-        self._reported_rejections = self.rejected
+        rejections = self.rejected + self.gravity_rejected
+        new_rejections, self._reported_rejections = rejections - self._reported_rejections, rejections
         times, self._evaluation_ns = self._evaluation_ns, []
         p50, p99 = np.percentile(times, (50, 99)) / 1e3 if times else (None, None)
         age = None if self.last_stamp_ns is None else (now_ns - self.last_stamp_ns) / 1e9
@@ -49,13 +56,14 @@ class DrapeStatistics:
             "joint states received": str(self.received),
             "clouds published": str(self.published),
             "joint states rejected": str(self.rejected),
+            "gravity messages rejected": str(self.gravity_rejected),
             "last rejection": self.last_rejection or "none",
             "evaluation p50 [us]": _number(p50, 1),
             "evaluation p99 [us]": _number(p99, 1),
             "last stamp age [s]": _number(age, 3),
         }
         if new_rejections:
-            return False, f"{new_rejections} joint states rejected: {self.last_rejection}", values
+            return False, f"{new_rejections} messages rejected: {self.last_rejection}", values
         return True, "draping" if times else "waiting for joint states", values
 
 

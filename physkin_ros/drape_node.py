@@ -1,19 +1,21 @@
 """The drape node: joint states in, garment point clouds out.
 
-Subscribes to `joint_states`; publishes `~/garment`, `/diagnostics` at 1 Hz and, where `physkin_msgs` is installed,
-`~/description` (once, transient local) and `~/nodes`. Topics are renamed by remapping, qualities of service by
-`qos_overrides` parameters.
+Subscribes to `joint_states` and `gravity`; publishes `~/garment`, `/diagnostics` at 1 Hz and, where `physkin_msgs` is
+installed, `~/description` (once, transient local) and `~/nodes`. Topics are renamed by remapping, qualities of service
+by `qos_overrides` parameters.
 """
 
 from __future__ import annotations
 
 import logging
 import sys
+from array import array
 from time import perf_counter_ns
 
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -30,6 +32,7 @@ from physkin_core import BUNDLED_AVATAR, UPRIGHT_GRAVITY, Draper, load_avatar, l
 from physkin_ros.conversions import GarmentCloud, JointStateReader, garment_description
 from physkin_ros.diagnostics import DrapeStatistics, diagnostic_status
 from physkin_ros.joint_map import load_joint_map
+from physkin_ros.ros4hri import ROS4HRI, Ros4hriReader
 from physkin_ros.transport import use_shipped_profile
 
 try:  # clouds never depend on our own messages
@@ -44,14 +47,31 @@ PARAMETERS = {
     "model": ("tshirt", "garment model: a .safetensors file, or the name of a shipped one"),
     "body_mesh": ("", "avatar to dress: a GLB, glTF, VRM, OBJ, PLY or STL file; empty: the bundled avatar"),
     "body_rig": ("", "rig file of a body_mesh that has no skin of its own; empty: NAME.rig.json beside it, if there"),
-    "joint_map": ("", "JSON file from incoming joint names to those of the rig; empty: the names are the rig's"),
+    "joint_map": (
+        "",
+        "JSON file from incoming joint names to those of the rig, or ros4hri for bodies of REP-155 (default rig only); "
+        "empty: the names are the rig's",
+    ),
     "frame_id": ("base_link", "TF frame the clouds are given in: the body's root, X forward, Y left, Z up"),
     "backend": ("native", "evaluator: native (C++) or numpy (readable reference, slow)"),
     "executor": ("events", "rclpy executor: events (least overhead) or single"),
-    "gravity": (UPRIGHT_GRAVITY.tolist(), "direction of gravity in the body's root frame; may be set while running"),
+    "gravity": (
+        UPRIGHT_GRAVITY.tolist(),
+        "direction of gravity in the body's root frame until the topic gravity gives one; may be set while running",
+    ),
 }
 """Name -> default and description. Only `gravity` can change while the node runs."""
-WARNING_PERIOD = 1.0  # [s] rejected joint states are warned about at most this often
+TOPICS = {
+    "joint_states": "in, sensor_msgs/JointState: pose of the body",
+    "gravity": "in, geometry_msgs/Vector3Stamped: direction of gravity in the body's root frame, any length but zero; "
+    "joint states are draped with the latest, so send it before them",
+    "~/garment": "out, sensor_msgs/PointCloud2: points [m] and normals, body's root frame, stamp of the joint state",
+    "/diagnostics": "out, diagnostic_msgs/DiagnosticArray at 1 Hz",
+    "~/description": "out, physkin_msgs/GarmentDescription: faces and names, latched; with physkin_msgs installed",
+    "~/nodes": "out, physkin_msgs/GarmentNodes: garment node transforms; with physkin_msgs installed",
+}
+"""Name -> direction, type and meaning, for the usage text."""
+WARNING_PERIOD = 1.0  # [s] rejected messages are warned about at most this often
 
 
 class DrapeNode(Node):
@@ -70,6 +90,9 @@ class DrapeNode(Node):
         for warning in avatar.warnings:
             self.get_logger().warning(warning)
         map_file = self._text("joint_map")
+        self._translate = None
+        if map_file == ROS4HRI:
+            self._translate, map_file = Ros4hriReader(model.rig).translate, ""
         self._reader = JointStateReader(
             model.rig.joint_names,
             model.rig.rest,
@@ -77,7 +100,7 @@ class DrapeNode(Node):
             on_unknown=self._warn_unknown,
         )
         self._draper = Draper(model, avatar, backend=self._text("backend"))
-        self._gravity = np.array(self.get_parameter("gravity").value)
+        self._gravity = np.array(self.get_parameter("gravity").value, dtype=np.float64)
         self.add_on_set_parameters_callback(self._on_parameters)
         self._statistics = DrapeStatistics()
         self._cloud = GarmentCloud(self._draper.vertex_count, self._text("frame_id"))
@@ -86,6 +109,7 @@ class DrapeNode(Node):
     def _declare_parameters(self) -> None:
         for name, (default, description) in PARAMETERS.items():
             descriptor = ParameterDescriptor(description=description, read_only=name != "gravity")
+            descriptor.dynamic_typing = name == "gravity"  # [0, 0, -1] on a command line are integers
             self.declare_parameter(name, default, descriptor)
         choices = {"executor": EXECUTORS, "backend": physkin_core.BACKENDS}
         for name, allowed in choices.items():
@@ -95,7 +119,7 @@ class DrapeNode(Node):
             if not self._text(name):
                 raise ValueError(f"parameter {name} must not be empty")
         if reason := _wrong_gravity(self.get_parameter("gravity").value):
-            raise ValueError(reason)
+            raise ValueError(f"parameter {reason}")
         unknown = [name for name in self._parameter_overrides if not self.has_parameter(name)]
         if unknown := sorted(name for name in unknown if not name.startswith("qos_overrides.")):
             self.get_logger().warning(f"no such parameter: {', '.join(unknown)}; there are {', '.join(PARAMETERS)}")
@@ -118,6 +142,8 @@ class DrapeNode(Node):
             self._nodes.header.frame_id = self._text("frame_id")
         self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(1.0, self._publish_diagnostics)
+        # first: when both have messages waiting, executors serve the older subscription before the younger
+        self.create_subscription(Vector3Stamped, "gravity", self._on_gravity, **quality)
         subscription = self.create_subscription(JointState, "joint_states", self._on_joint_state, **quality)
         self.get_logger().info(
             f"{self._draper.model.name} with {self._draper.vertex_count} vertices: "
@@ -127,7 +153,10 @@ class DrapeNode(Node):
     def _on_joint_state(self, message: JointState) -> None:
         self._statistics.received += 1
         try:
-            positions = self._reader.read(message.name, message.position)
+            names, values = message.name, message.position
+            if self._translate is not None:
+                names, values = self._translate(names, values)
+            positions = self._reader.read(names, values)
             started = perf_counter_ns()
             self._draper.drape(positions, self._gravity, out=self._cloud.points)
             evaluation_ns = perf_counter_ns() - started
@@ -145,11 +174,20 @@ class DrapeNode(Node):
             self._nodes.transforms = self._draper.node_transforms().ravel()
             self._nodes_publisher.publish(self._nodes)
 
+    def _on_gravity(self, message: Vector3Stamped) -> None:
+        direction = [message.vector.x, message.vector.y, message.vector.z]
+        if reason := _wrong_gravity(direction):
+            self._statistics.reject_gravity(reason)
+            self.get_logger().warning(f"gravity message ignored: {reason}", throttle_duration_sec=WARNING_PERIOD)
+            return
+        self._gravity = np.array(direction)
+
     def _publish_diagnostics(self) -> None:
         now = self.get_clock().now()
         well, summary, values = self._statistics.report(now.nanoseconds)
         model = self._draper.model.name
         values |= {"model": model, "backend": self._draper.backend, "instruction set": self._draper.instruction_set}
+        values["gravity"] = " ".join(f"{value:.3f}" for value in self._gravity)
         status = diagnostic_status(f"{self.get_name()}: {model}", self._draper.avatar.source, well, summary, values)
         report = DiagnosticArray(status=[status])
         report.header.stamp = now.to_msg()
@@ -159,8 +197,8 @@ class DrapeNode(Node):
         for parameter in parameters:
             if parameter.name == "gravity":
                 if reason := _wrong_gravity(parameter.value):
-                    return SetParametersResult(successful=False, reason=reason)
-                self._gravity = np.array(parameter.value)
+                    return SetParametersResult(successful=False, reason=f"parameter {reason}")
+                self._gravity = np.array(parameter.value, dtype=np.float64)
         return SetParametersResult(successful=True)
 
     def _warn_unknown(self, names: list[str]) -> None:
@@ -220,6 +258,7 @@ def _explain_usage(arguments: list[str]) -> int:
     """Text of --help; the same after arguments that mean nothing."""
     lines = ["usage: physkin node [--ros-args -p PARAMETER:=VALUE ... -r TOPIC:=TOPIC ...]", "", "parameters:"]
     lines += [f"  {name:<10} {text} (default {default!r})" for name, (default, text) in PARAMETERS.items()]
+    lines += ["", "topics:", *(f"  {name:<13} {text}" for name, text in TOPICS.items())]
     lines += ["", "Ended by SIGKILL the node leaves shared memory (/dev/shm/fastrtps_*) behind: fastdds shm clean."]
     wanted = bool({"-h", "--help"} & set(arguments))
     print("\n".join(lines), file=sys.stdout if wanted else sys.stderr)
@@ -230,10 +269,13 @@ def _explain_usage(arguments: list[str]) -> int:
 
 def _wrong_gravity(value) -> str:
     """Why `value` is not a direction; empty if it is one."""
-    vector = np.array(value, dtype=np.float64)
-    if vector.shape == (3,) and np.isfinite(vector).all() and np.linalg.norm(vector) > 1e-9:
-        return ""
-    return f"parameter gravity is {list(value)}; it must be three finite numbers, not all zero"
+    if isinstance(value, (list, tuple, array)):
+        value = list(value)
+        numbers = all(isinstance(number, (int, float)) and not isinstance(number, bool) for number in value)
+        with np.errstate(over="ignore"):
+            if numbers and len(value) == 3 and np.isfinite(value).all() and 1e-9 < np.linalg.norm(value) < np.inf:
+                return ""
+    return f"gravity is {value!r}; it must be three finite numbers, not all zero, such as [0.0, 0.0, -1.0]"
 
 
 def _forward_log() -> None:

@@ -51,6 +51,8 @@ def main(argv: list[str] | None = None) -> int:
 
 def build_wheel(work: Path) -> Path:
     """Path of the wheel for the present sources and Python, built if it is not there. Raises BuildError."""
+    work.mkdir(parents=True, exist_ok=True)
+    (work / "COLCON_IGNORE").touch()  # what is installed in here are packages too, ours a second time
     folder = work / _fingerprint()
     wheel = folder / _wheel_name()
     if wheel.exists():
@@ -74,13 +76,15 @@ def build_wheel(work: Path) -> Path:
 
 
 def _build_environment(work: Path) -> Path:
-    """Python of a virtual environment that holds the generators, made on first use."""
-    folder = work / f"environment-{_python_tag()}"
+    """Python of a virtual environment that holds the generators, made once for each Python and set of requirements."""
+    requirements = WHEEL_FILES / "requirements.txt"
+    folder = work / f"environment-{_python_tag()}-{hashlib.sha256(requirements.read_bytes()).hexdigest()[:12]}"
     python = folder / "bin" / "python"
     if not (folder / "complete").exists():
+        for outdated in work.glob(f"environment-{_python_tag()}*"):
+            shutil.rmtree(outdated)
         venv.create(folder, clear=True, with_pip=True)
-        requirements = str(WHEEL_FILES / "requirements.txt")
-        _run([str(python), "-m", "pip", "install", "--quiet", "-r", requirements], _without_ros(os.environ))
+        _run([str(python), "-m", "pip", "install", "--quiet", "-r", str(requirements)], _without_ros(os.environ))
         (folder / "complete").touch()
     return python
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -9,6 +10,25 @@ import time
 
 import numpy as np
 import pytest
+
+from physkin_core import save_garment_model
+
+
+@pytest.fixture(scope="session")
+def leaning_model(garment_model):
+    """The test's garment, but of a cloth that swings by centimetres when the body leans."""
+    (weight, bias), *layers = garment_model.pose_modulator
+    weight = weight.copy()
+    weight[:, -3:] *= 1000  # the end of the pose vector is gravity
+    return dataclasses.replace(garment_model, pose_modulator=((weight, bias), *layers))
+
+
+@pytest.fixture(scope="session")
+def leaning_model_path(leaning_model, tmp_path_factory):
+    """A file of it."""
+    path = tmp_path_factory.mktemp("models") / "leaning.safetensors"
+    save_garment_model(leaning_model, path)
+    return path
 
 
 @pytest.fixture
@@ -46,7 +66,7 @@ def start(domain):
 
 @pytest.fixture
 def peer(domain):
-    """A ROS node of the test's own that sends joint states and collects what the drape node publishes."""
+    """A ROS node of the test's own that sends joint states and gravity, and collects what the drape node publishes."""
     pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
     peer = Peer(domain)
     yield peer
@@ -59,6 +79,7 @@ class Peer:
     def __init__(self, domain: int) -> None:
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
+        from geometry_msgs.msg import Vector3Stamped
         from rclpy.executors import SingleThreadedExecutor
         from sensor_msgs.msg import JointState, PointCloud2
 
@@ -70,7 +91,8 @@ class Peer:
         self.clouds: dict[tuple[int, int], np.ndarray] = {}
         self.frame_ids: set[str] = set()
         self.reports: list[dict[str, str]] = []
-        self._joint_state = JointState
+        self._joint_state, self._vector = JointState, Vector3Stamped
+        self._gravity_publisher = self.node.create_publisher(Vector3Stamped, "gravity", 10)
         self._publisher = self.node.create_publisher(JointState, "joint_states", 10)
         self._subscription = self.node.create_subscription(PointCloud2, "drape_node/garment", self._on_cloud, 100)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
@@ -81,6 +103,12 @@ class Peer:
         message.header.stamp.sec, message.header.stamp.nanosec = stamp
         self._publisher.publish(message)
 
+    def send_gravity(self, direction) -> None:
+        """Publish the direction of gravity (3,)."""
+        message = self._vector()
+        message.vector.x, message.vector.y, message.vector.z = map(float, direction)
+        self._gravity_publisher.publish(message)
+
     def cloud(self, names, positions, stamp: tuple[int, int]) -> np.ndarray:
         """The cloud (n, 6) that a joint state is answered with."""
         self.send(names, positions, stamp)
@@ -89,7 +117,8 @@ class Peer:
 
     def connect(self) -> None:
         """Wait for the drape node."""
-        ready = (self._publisher.get_subscription_count, self._subscription.get_publisher_count)
+        publishers = (self._publisher, self._gravity_publisher)
+        ready = (*(each.get_subscription_count for each in publishers), self._subscription.get_publisher_count)
         self.spin_until(lambda: all(count() for count in ready), "drape node")
         self.spin(0.5)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from physkin_core import BUNDLED_AVATAR, Draper, load_avatar
 from physkin_ros.conversions import JointStateError, JointStateReader
 from physkin_ros.joint_map import MappedJoint
 
@@ -99,6 +100,19 @@ def test_other_clouds_are_refused():
     message.fields = message.fields[::-1]
     with pytest.raises(ValueError, match="no garment cloud"):
         conversions.read_cloud(message)
+
+
+def test_description_of_a_point_set(garment_model):
+    """It has no faces, whatever the garment's mesh has, and as many rest vertices as points."""
+    pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
+    avatar, garment = load_avatar(BUNDLED_AVATAR, garment_model.rig), garment_model.garment
+    points = garment.vertices[::7]
+    for arguments, vertices, faces in (({}, garment.vertices, garment.faces), ({"points": points}, points, [])):
+        draper = Draper(garment_model, avatar, **arguments)
+        message = cloud_conversions().garment_description(draper, "torso")
+        assert message.vertex_count == len(vertices)
+        np.testing.assert_allclose(np.reshape(message.rest_vertices, (-1, 3)), vertices, atol=1e-6)
+        np.testing.assert_array_equal(message.faces, np.ravel(faces))
 
 
 def cloud_conversions():

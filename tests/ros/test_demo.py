@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,22 +13,26 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
+from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_motion  # noqa: E402
 from physkin_ros.children import ChildFailedError, Children  # noqa: E402
+from physkin_ros.demo import ERROR_ALLOWED  # noqa: E402
 from physkin_ros.demo_report import DemoReport  # noqa: E402
 
 
-def test_demo_ends_well(start, model_path, tmp_path):
+def test_demo_ends_well(start, leaning_model_path, tmp_path):
     """Every joint state comes back as a cloud; figures and picture are there."""
     pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")
     picture = tmp_path / "demo.png"
-    arguments = ("--seconds", "2", "--garment", str(model_path), "--output", str(picture))
+    arguments = ("--seconds", "2", "--garment", str(leaning_model_path), "--output", str(picture), "--motion", "crawl")
     demo = start("physkin_core.cli", "demo", *arguments)
     output, _ = demo.communicate(timeout=120)
     assert demo.returncode == 0, output
     table = {line[:32].strip(): line[32:].strip() for line in output.splitlines() if line.startswith("  ")}
     assert table["joint states sent"] == table["clouds received"] == "120"
     assert table["clouds lost"] == table["clouds with values not finite"] == "0"
-    assert table["evaluator [us]"].startswith("p50 ") and table["end to end [ms]"].startswith("p50 ")
+    assert float(table["largest error [mm]"].split()[0]) < 1
+    assert table["evaluator [us]"].startswith("median of each second's p50 ")
+    assert table["end to end [ms]"].startswith("p50 ")
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
@@ -82,6 +87,19 @@ def test_report_measures_latency():
     """Receipt minus sending of the same stamp, whatever order the clouds come in."""
     report = _report(np.array([10, 20, 30]), [30, 10, 99], [True] * 3, received=[5_000_030, 2_000_010, 0])
     np.testing.assert_allclose(report.latencies_ms(), [5.0, 2.0])
+
+
+def test_report_compares_with_the_core(leaning_model):
+    """A cloud draped as if the body stood upright is far from right when it crawls, as is one that is not finite."""
+    draper, motion = Draper(leaning_model, load_avatar(BUNDLED_AVATAR, leaning_model.rig)), load_motion("crawl")
+    order = [motion.joint_names.index(name) for name in draper.joint_names]
+    positions = motion.positions[3][order]
+    right, upright = draper.drape(positions, motion.gravity[3]), draper.drape(positions)
+    stamps = np.arange(motion.frame_count)
+    report = replace(_report(stamps, stamps, [True]), kept_stamps=stamps[3:4], kept=right[None])
+    assert report.largest_error(draper, motion) < 1e-7
+    assert replace(report, kept=upright[None]).largest_error(draper, motion) > ERROR_ALLOWED
+    assert replace(report, kept=right[None] * np.nan).largest_error(draper, motion) == np.inf
 
 
 def _report(sent, stamps, finite, received=None) -> DemoReport:

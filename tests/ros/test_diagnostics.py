@@ -32,6 +32,16 @@ def test_rejections_warn_until_reported():
     statistics = DrapeStatistics()
     statistics.reject("too odd")
     well, summary, _ = statistics.report(now_ns=0)
-    assert not well and summary == "1 joint states rejected: too odd"
+    assert not well and summary == "1 messages rejected: too odd"
     well, _, values = statistics.report(now_ns=0)
     assert well and values["joint states rejected"] == "1" and values["last rejection"] == "too odd"
+
+
+def test_gravity_rejections_are_counted_apart():
+    """They warn as well, but are no joint states."""
+    statistics = DrapeStatistics()
+    statistics.reject_gravity("no direction")
+    well, summary, values = statistics.report(now_ns=0)
+    assert not well and summary == "1 messages rejected: no direction"
+    assert (values["gravity messages rejected"], values["joint states rejected"]) == ("1", "0")
+    assert values["last rejection"] == "no direction"

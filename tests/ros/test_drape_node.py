@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+
 import numpy as np
 import pytest
 
-from physkin_core import BUNDLED_AVATAR, Draper, load_avatar
+from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
 from rclpy.parameter import Parameter  # noqa: E402
 
 from physkin_ros.drape_node import DrapeNode  # noqa: E402
+from physkin_ros.ros4hri import Ros4hriReader  # noqa: E402
 
 
 @pytest.fixture
 def drape_node(peer, model_path):
     """A node that drapes the test's garment on the bundled avatar."""
-    node = DrapeNode(context=peer.context, parameter_overrides=[Parameter("model", value=str(model_path))])
-    peer.executor.add_node(node)
-    peer.connect()
-    yield node
-    node.destroy_node()
+    with running_node(peer, {"model": str(model_path)}) as node:
+        yield node
 
 
 @pytest.fixture(scope="module")
@@ -95,10 +95,57 @@ def test_gravity_can_change_while_running(peer, drape_node, draper):
     (result,) = drape_node.set_parameters([Parameter("gravity", value=down)])
     assert result.successful
     np.testing.assert_array_equal(peer.cloud(names, rest, (1, 0)), draper.drape(rest, np.array(down)))
-    (result,) = drape_node.set_parameters([Parameter("gravity", value=[0.0, 0.0, 0.0])])
-    assert not result.successful and "three finite numbers" in result.reason
+    for wrong in ([0.0, 0.0, 0.0], [0, -1], [True, False, True], "down", 9.81, None):
+        (result,) = drape_node.set_parameters([Parameter("gravity", value=wrong)])
+        assert not result.successful and f"gravity is {wrong!r}; it must be three finite" in result.reason
+    (result,) = drape_node.set_parameters([Parameter("gravity", value=[0, 1, 0])])
+    assert result.successful
+    np.testing.assert_array_equal(peer.cloud(names, rest, (2, 0)), draper.drape(rest, np.array([0, 1, 0])))
     (result,) = drape_node.set_parameters([Parameter("model", value="dress")])
     assert not result.successful
+
+
+def test_gravity_messages(peer, leaning_model_path):
+    """A direction of any length goes with the joint states after it; what is no direction leaves the last good one."""
+    model = load_garment_model(leaning_model_path)
+    draper = Draper(model, load_avatar(BUNDLED_AVATAR, model.rig))
+    names, positions = draper.joint_names, np.linspace(-0.2, 0.2, len(draper.joint_names)).astype(np.float32)
+    with running_node(peer, {"model": str(leaning_model_path)}):
+        upright = peer.cloud(names, positions, (1, 0))
+        for index, down in enumerate(np.array([[4.0, -2.0, -5.0], [0, 0, 0.01], [1.0, 0.0, 0.0]])):
+            peer.send_gravity(down)
+            tilted = peer.cloud(names, positions, (2, index))
+            np.testing.assert_allclose(tilted, draper.drape(positions, down), atol=1e-6)
+            assert np.abs(tilted - upright).max() > 1e-3
+        for count, bad in enumerate([(0, 0, 0), (0, np.nan, -1), (np.inf, 0, 0), (1e200, 1e200, 1e200)], start=1):
+            peer.send_gravity(bad)
+            peer.spin_until(lambda n=count: _latest(peer, "gravity messages rejected") == str(n), "diagnostics")
+            assert "must be three finite numbers" in _latest(peer, "last rejection")
+            np.testing.assert_array_equal(peer.cloud(names, positions, (3, count)), tilted)
+        assert _latest(peer, "joint states rejected") == "0" and _latest(peer, "gravity") == "1.000 0.000 0.000"
+
+
+def test_ros4hri_joint_states(peer, model_path, draper):
+    """With joint_map ros4hri, bodies of REP-155 are understood, id and all."""
+    with running_node(peer, {"model": str(model_path), "joint_map": "ros4hri"}):
+        names, angles = ["l_p_shoulder_67dd1", "l_elbow_67dd1", "waist_67dd1"], [1.0, 0.5, 0.3]
+        joints, positions = Ros4hriReader(draper.model.rig).translate(names, angles)
+        state = draper.model.rig.rest.astype(np.float32)
+        state[[draper.joint_names.index(joint) for joint in joints]] = positions
+        np.testing.assert_allclose(peer.cloud(names, angles, (1, 0)), draper.drape(state), atol=1e-6)
+
+
+@contextmanager
+def running_node(peer, parameters):
+    """A drape node in the peer's executor."""
+    overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+    node = DrapeNode(context=peer.context, parameter_overrides=overrides)
+    peer.executor.add_node(node)
+    try:
+        peer.connect()
+        yield node
+    finally:
+        node.destroy_node()
 
 
 def _latest(peer, key: str) -> str:

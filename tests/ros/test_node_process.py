@@ -13,13 +13,13 @@ from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_motion
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
 
-
 @pytest.mark.parametrize("executor", ["events", "single"])
 def test_clouds_equal_the_core(start, peer, garment_model, model_path, executor):
     """Every cloud is what `Draper.drape` gives for its joint state, and SIGINT ends the node with status 0."""
     draper = Draper(garment_model, load_avatar(BUNDLED_AVATAR, garment_model.rig))
-    parameters = ["-p", f"model:={model_path}", "-p", f"executor:={executor}", "-p", "frame_id:=body_7"]
-    node = start("physkin_ros", "--ros-args", *parameters)
+    values = {"model": model_path, "executor": executor, "frame_id": "body_7", "gravity": "[0, 0, -1]"}
+    parameters = [f"{name}:={value}" for name, value in values.items()]
+    node = start("physkin_ros", "--ros-args", *(word for text in parameters for word in ("-p", text)))
     peer.connect()
     motion = load_motion("walk")
     index = [list(motion.joint_names).index(name) for name in draper.joint_names]
@@ -57,6 +57,8 @@ def test_sigterm_and_remapping(start, peer, model_path):
         ({"backend": "gpu"}, "parameter backend is 'gpu'; allowed: native, numpy"),
         ({"executor": "many"}, "parameter executor is 'many'; allowed: events, single"),
         ({"gravity": "[0.0, 0.0, .nan]"}, "three finite numbers"),
+        ({"gravity": "[0, 0, 0]"}, "parameter gravity is [0, 0, 0]; it must be three finite numbers"),
+        ({"gravity": "down"}, "parameter gravity is 'down'; it must be three finite numbers"),
     ],
 )
 def test_start_up_errors_are_one_line(start, garment_model, model_path, tmp_path, parameters, reason):
@@ -77,3 +79,4 @@ def test_unknown_arguments(start):
     assert node.wait(30) == 2
     output = node.stdout.read()
     assert "error: unknown arguments: --model tshirt" in output and "body_mesh" in output
+    assert "geometry_msgs/Vector3Stamped" in output

@@ -172,7 +172,6 @@ def test_pruning_to_more_than_there_are_changes_nothing():
     assert torch.equal(drape.skinning_weights, before)
 
 
-@pytest.mark.xfail(strict=True, reason="equals of the weakest that stays all stay; a resumed run then prunes them")
 def test_pruning_leaves_no_more_than_asked_for_among_equals():
     """A vertex midway between garment nodes has influences of equal strength."""
     drape = drape_from_model(random_model(np.random.default_rng(8), influences=4))

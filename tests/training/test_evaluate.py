@@ -12,7 +12,7 @@ import trimesh
 torch = pytest.importorskip("torch", reason="needs the [training] extra")
 wp = pytest.importorskip("warp", reason="needs the [training] extra")
 
-from random_models import random_model, tube  # noqa: E402
+from random_models import random_model, random_rig, tube  # noqa: E402
 
 from physkin_core import (  # noqa: E402
     Draper,
@@ -40,6 +40,7 @@ FIGURES = {
     "energy_j",
     "max_depth_mm",
     "max_depth_p999_mm",
+    "pairs",
 }
 
 
@@ -171,13 +172,62 @@ def test_poses_are_uniform_over_the_limits_and_bodies_take_turns(model):
     assert tilt.max() < 110.1 and np.quantile(tilt, 0.9) > 70
 
 
-@pytest.mark.xfail(strict=True, reason="a last partial batch is dropped, though the docstring says it is filled up")
 @pytest.mark.parametrize("bodies, poses, batch", [(3, 2, 4), (2, 3, 5)])
 def test_every_pair_counts(model, bodies, poses, batch):
     evaluation = Evaluation(model, CPU, bodies=bodies, poses=poses, seed=0, batch=batch)
     whole = Evaluation(model, CPU, bodies=bodies, poses=poses, seed=0, batch=bodies * poses)
     expected = whole.figures(upright=True)["model"]
-    assert evaluation.figures(upright=True)["model"] == pytest.approx(expected, rel=1e-4)
+    # A sample's place on the grid rounds, so that of two faces meeting at an edge the other may be the closest one,
+    # and contact leaves out deep faces that look away from the garment.
+    assert evaluation.figures(upright=True)["model"] == pytest.approx(expected, rel=5e-3)
+    assert expected["pairs"] == bodies * poses
+
+
+@pytest.mark.parametrize("count, expected", [(1, 1), (3, 3), (100, 4)])
+def test_minima_on_fewer_or_more_pairs_than_a_batch(model, count, expected):
+    """Only as many pairs count as were asked for, or as there are."""
+    rows = Evaluation(model, CPU, bodies=2, poses=2, seed=0, batch=2).minima(count=count, steps=2)
+    assert {row["pairs"] for row in rows.values()} == {expected}
+
+
+def test_a_model_for_another_rig_is_refused(model, tmp_path, capsys):
+    """Fewer bones would be read out of bounds, other limits silently give other poses."""
+    rig = BODY.rig
+    fewer = random_rig(np.random.default_rng(0), dofs=len(rig.dofs))
+    wider = replace(rig, dofs=(replace(rig.dofs[0], upper=rig.dofs[0].upper + 0.1), *rig.dofs[1:]))
+    moved = replace(rig, heads=rig.heads + 0.01)
+    for other, message in ((fewer, "5 bones, expected"), (wider, "axes or limits"), (moved, "in other places")):
+        foreign = replace(model, rig=other, node_bone=np.zeros_like(model.node_bone))
+        with pytest.raises(ValueError, match=f"for another rig than the body model's: .*{message}"):
+            Evaluation(foreign, CPU, bodies=1, poses=1, seed=0)
+    save_garment_model(foreign, tmp_path / "foreign.safetensors")
+    assert main([str(tmp_path / "foreign.safetensors"), "--bodies", "1", "--poses", "1", "--device", "cpu"]) == 2
+    assert capsys.readouterr().err.startswith("error: garment model 'random' is for another rig")
+
+
+def test_skinning_to_four_influences_is_that_model(model):
+    """The row is the model's own after its weakest influences are dropped and the others renormalised."""
+    rng = np.random.default_rng(5)
+    nodes = np.stack([rng.permutation(12)[:6] for _ in model.garment.vertices]).astype(np.int32)
+    weights = rng.dirichlet(np.ones(6), size=len(nodes)).astype(np.float32)
+    six = replace(model, influence_nodes=nodes, influence_weights=weights)
+    kept = np.where(np.argsort(np.argsort(-weights, axis=1), axis=1) < 4, weights, 0)
+    four = replace(six, influence_weights=kept / kept.sum(axis=1, keepdims=True))
+    scores = evaluate_model(six, CPU, bodies=1, poses=2, seed=0, minimum=0, steps=0)
+    expected = evaluate_model(four, CPU, bodies=1, poses=2, seed=0, minimum=0, steps=0)
+    assert scores["fewer_influences"] == pytest.approx(expected["model"], rel=1e-3)
+    assert scores["fewer_influences"]["edge_strain_percent"] != pytest.approx(scores["model"]["edge_strain_percent"])
+    assert "| 6 -> 4 influences |" in table(scores)
+
+
+def test_a_garment_that_has_left_the_body_is_warned_of(model):
+    """Strain looks excellent on a dress that hangs over the head."""
+    scores = evaluate_model(model, CPU, bodies=1, poses=1, seed=0, minimum=0, steps=0)
+    weight = (model.garment.vertex_areas * model.material.density * 9.81).sum()
+    assert scores["weight_n"] == pytest.approx(weight)
+    for lift, warned in ((0.19, False), (0.21, True)):
+        scores["model"]["gravity_j"] = scores["skinning"]["gravity_j"] + lift * weight
+        assert ("WARNING: the garment lies 0.21 m higher" in table(scores)) == warned
 
 
 @pytest.mark.parametrize("bodies", [0, -1, 1000])
@@ -194,17 +244,20 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
     assert main([str(tmp_path / "band.safetensors"), *arguments, *outputs, "--device", "cpu"]) == 0
     scores = json.loads((tmp_path / "scores.json").read_text())
     rows = {"model", "skinning", "tilted", "subspace_minimum", "minimum", "model_on_subset"}
-    assert set(scores) == rows | {"counts", "material", "energy_ratio"}
+    assert set(scores) == rows | {"counts", "material", "energy_ratio", "weight_n"}
     for row in rows:
-        assert set(scores[row]) == FIGURES and all(np.isfinite(value) for value in scores[row].values()), row
-    counts = {"bodies": 1, "poses": 2, "seed": 9, "minimum_pairs": 2, "minimum_steps": 20}
+        more = {"gradient_norm"} if row.endswith("minimum") else set()
+        assert set(scores[row]) == FIGURES | more and all(np.isfinite(value) for value in scores[row].values()), row
+    counts = {"bodies": 1, "poses": 2, "seed": 9, "pairs": 2, "influences": 4, "minimum_pairs": 2}
+    counts["minimum_steps"] = 20
     assert scores["counts"] == counts and scores["material"] == asdict(model.material)
     ratio = scores["model_on_subset"]["energy_j"] / scores["minimum"]["energy_j"]
     assert scores["energy_ratio"] == pytest.approx(ratio)
     printed = capsys.readouterr().out
     assert printed.strip().endswith(table(scores).strip())
-    lines = table(scores).splitlines()
+    lines = [line for line in table(scores).splitlines() if line.startswith("|")]
     assert len(lines) == 2 + len(rows) and all(line.count("|") == lines[0].count("|") for line in lines)
+    assert f"model / full-space minimum: {scores['energy_ratio']:.2f} (2 pairs)" in table(scores)
     assert f"{scores['tilted']['edge_strain_percent']:.3f}" in table(scores)
     stored = load_garment_model(tmp_path / "scored.safetensors")
     assert stored.scores == scores and stored.training == model.training
@@ -212,5 +265,5 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
 
 def test_without_minima_their_rows_are_left_out(model):
     scores = evaluate_model(model, CPU, bodies=1, poses=1, seed=0, minimum=0, steps=10)
-    assert set(scores) == {"model", "skinning", "tilted", "counts", "material"}
+    assert set(scores) == {"model", "skinning", "tilted", "counts", "material", "weight_n"}
     assert len(table(scores).splitlines()) == 2 + 3

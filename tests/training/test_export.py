@@ -16,7 +16,6 @@ from training.small_runs import small_config  # noqa: E402
 
 from physkin_core import Draper, avatar_from_body, load_body_model, load_garment_model, save_garment_model  # noqa: E402
 from physkin_core.binding import encode_body  # noqa: E402
-from physkin_training import export  # noqa: E402
 from physkin_training.export import agreement, drape_from_model, encode_bodies, model_from_drape  # noqa: E402
 from physkin_training.plain_model import plain_model  # noqa: E402
 from physkin_training.trainer import Trainer  # noqa: E402
@@ -92,26 +91,36 @@ def test_the_exported_model_drapes_as_the_trained_one(trained, tmp_path):
 
 def test_agreement_of_small_and_random_models(trained, tmp_path):
     """Below 0.1 mm, also for a model of another activation and affine garment nodes."""
-    assert agreement(exported(trained, 3), poses=3) < 1e-4
+
+    def twins(model):
+        return agreement(model, drape_from_model(model), poses=3).largest
+
+    assert twins(exported(trained, 3)) < 1e-4
     model = random_model(np.random.default_rng(0), rig=BODY.rig, activation="relu", node_outputs=12)
-    assert agreement(model, poses=3) < 1e-4
+    assert twins(model) < 1e-4
     save_garment_model(model, tmp_path / "random.safetensors")
-    assert agreement(load_garment_model(tmp_path / "random.safetensors"), poses=3) < 1e-4
+    assert twins(load_garment_model(tmp_path / "random.safetensors")) < 1e-4
 
 
-def test_agreement_sees_a_difference(trained, monkeypatch):
+def test_agreement_sees_a_difference(trained):
     """One garment node's translation wrong by a centimetre in torch."""
     model = exported(trained, 3)
+    spoilt = drape_from_model(model)
+    with torch.no_grad():
+        spoilt.networks.node_deformer.layers[-1].bias[6] += 0.01
+    difference = agreement(model, spoilt, poses=2)
+    shares = np.where(model.influence_nodes == 0, model.influence_weights, 0).sum(axis=1)
+    assert difference.largest == pytest.approx(0.01 * shares.max(), rel=0.05)
+    assert difference.mean == pytest.approx(0.01 * shares.mean(), rel=0.05)
 
-    def spoilt(model):
-        drape = drape_from_model(model)
-        with torch.no_grad():
-            drape.networks.node_deformer.layers[-1].bias[6] += 0.01
-        return drape
 
-    monkeypatch.setattr(export, "drape_from_model", spoilt)
-    strongest = model.influence_weights[model.influence_nodes == 0].max()
-    assert agreement(model, poses=2) == pytest.approx(0.01 * strongest, rel=0.05)
+def test_agreement_tells_what_pruning_costs(trained):
+    """Nothing with all influences, millimetres and more with a few of them; the twin check sees none of it."""
+    costs = [agreement(exported(trained, influences), trained.drape, poses=2) for influences in (6, 3, 1)]
+    assert costs[0].largest < 1e-4
+    assert 1e-3 < costs[1].largest < costs[2].largest and costs[1].mean < costs[2].mean
+    model = exported(trained, 1)
+    assert agreement(model, drape_from_model(model), poses=2).largest < 1e-4
 
 
 @pytest.mark.parametrize("influences", [1, 3, 6])

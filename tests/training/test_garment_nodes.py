@@ -86,17 +86,37 @@ def two_tubes():
     )
 
 
-@pytest.mark.xfail(strict=True, reason="heat distances to another piece are an arbitrary constant")
 def test_every_piece_of_a_garment_gets_nodes():
     """Two pieces of the same size: a trouser leg is not left without garment nodes of its own, and no vertex follows
     nodes of the other piece only."""
     garment = two_tubes()
     nodes, distances = sample_garment_nodes(garment, 12)
-    assert np.isfinite(distances).all()
+    same = (nodes < 144)[:, None] == (np.arange(288) < 144)
+    np.testing.assert_array_equal(np.isfinite(distances), same)
     assert 4 <= (nodes < 144).sum() <= 8
     order, weights = initial_skinning_weights(garment, distances, 4)
     own = (nodes[order] < 144) == (np.arange(288)[:, None] < 144)
-    assert (weights * own).sum(axis=1).min() > 0.5
+    assert (weights * own).sum(axis=1).min() == pytest.approx(1)
+
+
+def test_pieces_are_measured_as_if_alone():
+    """Distances within a piece are those of the piece by itself, and its first node is its farthest from its middle."""
+    one = tube(rings=9, segments=16)
+    nodes, distances = sample_garment_nodes(two_tubes(), 2)
+    alone, expected = sample_garment_nodes(one, 1)
+    assert nodes[0] == alone[0] and nodes[1] >= 144
+    np.testing.assert_array_equal(distances[0, :144], expected[0])
+
+
+def test_fewer_garment_nodes_than_pieces_are_refused():
+    with pytest.raises(ValueError, match="cannot cover 2 separate pieces of the garment with 1 garment nodes"):
+        sample_garment_nodes(two_tubes(), 1)
+
+
+def test_a_vertex_without_a_face_is_refused():
+    one = tube(rings=3, segments=5)
+    with pytest.raises(ValueError, match="garment vertex 15 belongs to no face"):
+        sample_garment_nodes(Garment(np.vstack([one.vertices, [0, 0, 3]]), one.faces), 3)
 
 
 def test_skinning_weights_row_by_row(cloth):

@@ -151,9 +151,9 @@ def test_default_sizes_are_the_papers():
     [
         (dict(activation="tanh"), "activation 'tanh' is not one of silu, relu"),
         (dict(node_outputs=10), "node_outputs must be 9 .* got 10"),
-        pytest.param(
-            dict(token_width=30), "token_width", marks=pytest.mark.xfail(strict=True, reason="fails in the first step")
-        ),
+        (dict(token_width=30), "networks.token_width must be a multiple of 4, got 30"),
+        (dict(deformer_layers=0), "networks.deformer_layers must be at least 1, got 0"),
+        (dict(residual_blocks=-1), "networks.residual_blocks must be at least 0, got -1"),
     ],
 )
 def test_impossible_networks_are_refused(change, message):

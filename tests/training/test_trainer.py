@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -17,8 +18,10 @@ from training.small_runs import as_toml, small_config  # noqa: E402
 
 from physkin_core import load_garment, load_garment_model  # noqa: E402
 from physkin_core.hyper_modulator import POINT_COUNT  # noqa: E402
+from physkin_training import train  # noqa: E402
 from physkin_training import trainer as trainer_module  # noqa: E402
 from physkin_training.config import load_config  # noqa: E402
+from physkin_training.export import Agreement  # noqa: E402
 from physkin_training.train import main  # noqa: E402
 from physkin_training.trainer import TERMS, Trainer  # noqa: E402
 
@@ -143,6 +146,48 @@ def test_energies_are_means_over_the_steps_since_asked(tmp_path, monkeypatch):
     assert len(caught) == 2
 
 
+def test_the_median_is_that_of_the_last_step(tmp_path, monkeypatch):
+    """Against the energies of each sample, caught on their way."""
+    trainer = Trainer(small_config(tmp_path, samples=5, bodies=1), CPU)
+    caught = []
+    original = trainer.losses.__call__
+
+    class Losses:
+        contact_stiffness = trainer.losses.contact_stiffness
+
+        def __call__(self, *arguments):
+            caught.append(original(*arguments))
+            return caught[-1]
+
+    monkeypatch.setattr(trainer, "losses", Losses())
+    for _ in trainer.run(3):
+        pass
+    energies = caught[-1][1]
+    values = sorted((energies.stretch + energies.collision).tolist())
+    assert trainer.median_energy() == pytest.approx(values[2])
+
+
+@pytest.mark.parametrize("decay", [0.0, 0.5, 0.999])
+def test_the_average_follows_the_parameters(tmp_path, decay):
+    """Step by step, with a decay that grows from 1/10 to the configuration's; 0 averages nothing."""
+    trainer = Trainer(small_config(tmp_path, average=decay), CPU)
+    expected = trainer.drape.skinning_logits.detach().double().clone()
+    start = expected.clone()
+    for step in trainer.run(6):
+        share = min(decay, step / (step + 9))
+        expected = share * expected + (1 - share) * trainer.drape.skinning_logits.detach().double()
+        torch.testing.assert_close(trainer.averaged.skinning_logits.detach().double(), expected, atol=1e-5, rtol=0)
+    assert not torch.equal(expected, start)
+    assert (trainer.averaged is trainer.drape) == (decay == 0)
+    kept = trainer.averaged.skinning_weights > 0
+    assert torch.equal(kept, trainer.drape.skinning_weights > 0) and (kept.sum(dim=1) == 3).all()
+
+
+def test_more_bodies_than_there_are_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="train_bodies must be 1 to [0-9]+, got 1000000"):
+        Trainer(replace(small_config(tmp_path), train_bodies=1000000), CPU)
+
+
 def test_pruning_again_changes_nothing(tmp_path):
     """A run resumed after pruning prunes once more."""
     trainer = Trainer(small_config(tmp_path), CPU)
@@ -181,7 +226,8 @@ def test_the_command_writes_model_checkpoint_and_scalars(config_file, tmp_path):
     assert main([*common, "--resume", str(out / "checkpoint")]) == 0
     rows = [json.loads(line) for line in (out / "losses.jsonl").read_text().splitlines()]
     assert [row["step"] for row in rows] == [4, 8, 12]
-    assert all(math.isfinite(row[term]) for row in rows for term in (*TERMS, "range", "gradient_norm", "seconds"))
+    keys = (*TERMS, "range", "gradient_norm", "seconds", "median_stretch_and_collision")
+    assert all(math.isfinite(row[term]) for row in rows for term in keys)
     assert list((out / "scalars").iterdir())
     model = load_garment_model(out / "band.safetensors")
     assert model.name == "band" and model.influence_nodes.shape[1] == 3
@@ -191,12 +237,100 @@ def test_the_command_writes_model_checkpoint_and_scalars(config_file, tmp_path):
     np.testing.assert_allclose(model.garment.vertices, garment.vertices, atol=1e-6)
 
 
-def test_an_export_that_drapes_otherwise_is_an_error(config_file, tmp_path, monkeypatch, capsys):
-    from physkin_training import train
+@pytest.mark.parametrize(
+    "distances, message",
+    [
+        ((0.0062, 0.0), "drapes 6.20 mm away from the trained drape, allowed 5 mm"),
+        ((0.0, 0.0042), "drapes 4.20 mm away from the same model in torch, allowed 1 mm"),
+        ((math.nan, 0.0), "drapes nan mm away"),
+    ],
+)
+def test_an_export_that_drapes_otherwise_is_refused(config_file, tmp_path, monkeypatch, capsys, distances, message):
+    remaining = list(distances)
+    monkeypatch.setattr(train, "agreement", lambda model, drape: Agreement(remaining.pop(0), 0.0))
+    out = tmp_path / "out"
+    assert main(["--config", str(config_file), "--output", str(out), "--device", "cpu"]) == 1
+    assert message in capsys.readouterr().err
+    assert not list(out.glob("*.safetensors"))
 
-    monkeypatch.setattr(train, "agreement", lambda model: 0.0042)
-    assert main(["--config", str(config_file), "--output", str(tmp_path / "out"), "--device", "cpu"]) == 1
-    assert "4.20 mm away" in capsys.readouterr().err
+
+def step_then(action, at):
+    """A step of the trainer that calls `action` in step `at`."""
+    original = Trainer._compute_step
+
+    def step(trainer):
+        original(trainer)
+        if trainer.step == at - 1:
+            action(trainer)
+
+    return step
+
+
+def test_ctrl_c_saves_an_exact_checkpoint(config_file, tmp_path, monkeypatch, caplog):
+    """The step finishes; the run then goes on as if nothing had been."""
+    caplog.set_level("INFO")
+    common = ["--config", str(config_file), "--device", "cpu", "--output"]
+    assert main([*common, str(tmp_path / "straight")]) == 0
+    with monkeypatch.context() as context:
+        context.setattr(Trainer, "_compute_step", step_then(lambda _: signal.raise_signal(signal.SIGINT), at=5))
+        assert main([*common, str(tmp_path / "out")]) == 130
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    checkpoint = tmp_path / "out" / "checkpoint"
+    assert json.loads((checkpoint / "state.json").read_text())["step"] == 5
+    assert f"stopped at step 5; go on with --resume {checkpoint}" in caplog.text
+    assert main([*common, str(tmp_path / "out"), "--resume", str(checkpoint)]) == 0
+    first, second = (load_garment_model(tmp_path / run / "band.safetensors").arrays() for run in ("straight", "out"))
+    for name, array in first.items():
+        np.testing.assert_array_equal(array, second[name], err_msg=name)
+
+
+def spoil_energies(trainer):
+    trainer._energy_sum[0] = math.inf
+
+
+def spoil_gradient(trainer):
+    trainer.gradient_norm.fill_(math.nan)
+
+
+@pytest.mark.parametrize("spoil", [spoil_energies, spoil_gradient])
+@pytest.mark.parametrize("arguments, kept", [(["--checkpoint-every", "1e-9"], 8), (["--log-every", "1"], None)])
+def test_a_run_that_diverges_keeps_the_good_checkpoint(
+    config_file, tmp_path, monkeypatch, capsys, spoil, arguments, kept
+):
+    """Checkpoints at every step, or none; the ninth step is no longer finite."""
+    monkeypatch.setattr(Trainer, "_compute_step", step_then(spoil, at=9))
+    common = ["--config", str(config_file), "--device", "cpu", "--output", str(tmp_path / "out")]
+    assert main([*common, *arguments]) == 1
+    error = capsys.readouterr().err
+    assert "error: energies or gradients are not finite at step 9" in error and ("start from it" in error) == bool(kept)
+    state = tmp_path / "out" / "checkpoint" / "state.json"
+    assert (json.loads(state.read_text())["step"] if state.exists() else None) == kept
+    assert not list((tmp_path / "out").glob("*.safetensors"))
+
+
+def test_the_model_file_tells_what_it_was_started_from(config_file, tmp_path):
+    common = ["--config", str(config_file), "--device", "cpu", "--output"]
+    assert main([*common, str(tmp_path / "first")]) == 0
+    config_file.write_text(config_file.read_text().replace("seed = 5", "seed = 6"))
+    assert main([*common, str(tmp_path / "second"), "--start-from", str(tmp_path / "first" / "checkpoint")]) == 0
+    training = load_garment_model(tmp_path / "second" / "band.safetensors").training
+    assert training["seed"] == 6
+    assert training["started_from"]["seed"] == 5 and training["started_from"]["step"] == 12
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["--resume", "a", "--start-from", "b"], "not allowed with argument"),
+        (["--log-every", "0"], "0 must be at least 1 step"),
+        (["--checkpoint-every", "0"], "0 must be above 0 minutes"),
+        (["--stop-after", "nan"], "nan must be above 0 minutes"),
+    ],
+)
+def test_impossible_arguments(config_file, tmp_path, capsys, arguments, message):
+    with pytest.raises(SystemExit):
+        main(["--config", str(config_file), "--output", str(tmp_path / "out"), "--device", "cpu", *arguments])
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,14 @@
 """Checkpoints: a folder of safetensors files and one JSON file, enough to go on exactly where a run stopped.
 
-Networks, first moments and second moments lie in files of their own, so that none grows large.
+Networks, their moving average, first moments and second moments lie in files of their own, so that none grows large.
+A checkpoint is written beside the one it replaces and takes its place once complete: an interrupted save loses nothing.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+import shutil
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
@@ -18,76 +20,174 @@ from physkin_training.draping import Drape
 __all__ = ["CheckpointError", "load_checkpoint", "load_drape", "save_checkpoint"]
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
+TENSOR_FILES = ("drape", "average", *MOMENTS, "random")
+SAME = 1e-6
+"""Rest positions [m] and joint limits [rad] that differ by less are the same: another processor rounds differently."""
 
 
 class CheckpointError(ValueError):
-    """A checkpoint is missing, damaged, or of another configuration."""
+    """A checkpoint is missing, damaged, or of another configuration, garment or body."""
 
 
 def save_checkpoint(
-    folder: Path, drape: Drape, optimiser: torch.optim.Optimizer, *, step: int, config: TrainingConfig
+    folder: Path,
+    drape: Drape,
+    averaged: Drape,
+    optimiser: torch.optim.Optimizer,
+    *,
+    step: int,
+    config: TrainingConfig,
+    started_from: Mapping | None = None,
 ) -> None:
-    """Write drape, optimiser and random state into `folder`. The state file is written last and makes it valid."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "state.json").unlink(missing_ok=True)
+    """Write drape, moving average, optimiser and random state as `folder`, replacing a checkpoint that is there.
+
+    started_from: plain data on the run this one began from. Raises CheckpointError when other files lie in `folder`.
+    """
+    folder = folder.resolve()
+    _refuse_other_files(folder)
+    partial, previous = _sibling(folder, "partial"), _sibling(folder, "previous")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
     names = {id(parameter): name for name, parameter in drape.named_parameters()}
-    save_file({name: tensor.contiguous() for name, tensor in drape.state_dict().items()}, folder / "drape.safetensors")
+    _save(drape.state_dict(), partial / "drape.safetensors")
+    _save(dict(averaged.named_parameters()), partial / "average.safetensors")
     for moment in MOMENTS:
-        tensors = {names[id(p)]: state[moment].contiguous() for p, state in optimiser.state.items()}
-        save_file(tensors, folder / f"{moment}.safetensors")
+        moments = {names[id(p)]: state[moment] for p, state in optimiser.state.items()}
+        _save(moments, partial / f"{moment}.safetensors")
     random = {"cpu": torch.get_rng_state()}
     if torch.cuda.is_available():
         random["cuda"] = torch.cuda.get_rng_state()
-    save_file(random, folder / "random.safetensors")
-    state = {"step": step, "config": _plain(config)}
-    (folder / "state.json").write_text(json.dumps(state, indent=1))
+    _save(random, partial / "random.safetensors")
+    state = {"step": step, "config": config.as_plain_data(), "started_from": started_from}
+    (partial / "state.json").write_text(json.dumps(state, indent=1))
+    if folder.exists():
+        shutil.rmtree(previous, ignore_errors=True)
+        folder.rename(previous)
+    partial.rename(folder)
+    shutil.rmtree(previous, ignore_errors=True)
 
 
-def load_checkpoint(folder: Path, drape: Drape, optimiser: torch.optim.Optimizer, *, config: TrainingConfig) -> int:
-    """Restore what `save_checkpoint` wrote; returns the number of finished steps.
+def load_checkpoint(
+    folder: Path, drape: Drape, averaged: Drape, optimiser: torch.optim.Optimizer, *, config: TrainingConfig
+) -> tuple[int, dict | None]:
+    """Restore what `save_checkpoint` wrote; returns the number of finished steps and `started_from`.
 
-    Raises CheckpointError when files are missing or do not fit, or the configuration differs (naming the entry).
+    Raises CheckpointError when files are missing or do not fit, or the configuration, the garment or the body differs
+    (naming the entry).
+    """
+    state = _read_state(folder)
+    files = {name: _read_tensors(folder, name) for name in TENSOR_FILES}
+    _check_same_config(state["config"], config.as_plain_data())
+    parameters = dict(drape.named_parameters())
+    try:
+        _check_same_model(files["drape"], drape)
+        _check_fit(files["average"], parameters, "average")
+        for moment in MOMENTS:
+            _check_fit(files[moment], parameters if state["step"] > 0 else {}, moment)
+        _set_random_state(files["random"])
+    except CheckpointError as error:
+        raise CheckpointError(f"checkpoint {folder} {error}") from error
+    drape.load_state_dict(files["drape"])
+    averaged.load_state_dict(files["drape"] | files["average"])
+    for name, parameter in parameters.items() if state["step"] > 0 else ():
+        entry = {moment: files[moment][name].to(parameter.device) for moment in MOMENTS}
+        entry["step"] = torch.tensor(float(state["step"]), device=parameter.device)
+        optimiser.state[parameter] = entry
+    return state["step"], state.get("started_from")
+
+
+def load_drape(folder: Path, drape: Drape) -> dict:
+    """Take over networks and skinning weights (their moving average) alone, whatever the run's configuration was.
+
+    Returns plain data on that run: its configuration, `step` and `started_from`. Raises CheckpointError when the files
+    cannot be read or are of another garment, another body or other sizes.
     """
     try:
-        state = json.loads((folder / "state.json").read_text())
-        tensors = load_file(folder / "drape.safetensors")
-        moments = {moment: load_file(folder / f"{moment}.safetensors") for moment in MOMENTS}
-        random = load_file(folder / "random.safetensors")
-    except Exception as error:
-        raise CheckpointError(f"cannot read checkpoint {folder}: {error}") from error
-    _check_same_config(state["config"], _plain(config))
-    try:
-        drape.load_state_dict(tensors)
-    except RuntimeError as error:
-        raise CheckpointError(f"checkpoint {folder} does not fit the model: {error}") from error
-    step = int(state["step"])
-    for name, parameter in drape.named_parameters():
-        entry = {moment: moments[moment][name].to(parameter.device) for moment in MOMENTS if name in moments[moment]}
-        if entry:
-            on_device = parameter.device if parameter.is_cuda else "cpu"
-            entry["step"] = torch.tensor(float(step), device=on_device)
-            optimiser.state[parameter] = entry
-    torch.set_rng_state(random["cpu"])
-    if "cuda" in random and torch.cuda.is_available():
-        torch.cuda.set_rng_state(random["cuda"])
-    return step
-
-
-def load_drape(folder: Path, drape: Drape) -> None:
-    """Take over networks and skinning weights alone, whatever the configuration of the run that made them.
-
-    Raises CheckpointError when the file cannot be read or is of another garment or other sizes.
-    """
-    try:
-        drape.load_state_dict(load_file(folder / "drape.safetensors"))
-    except Exception as error:
+        state = _read_state(folder)
+        tensors = _read_tensors(folder, "drape")
+        _check_same_model(tensors, drape)
+        average = _read_tensors(folder, "average")
+        _check_fit(average, dict(drape.named_parameters()), "average")
+    except CheckpointError as error:
         raise CheckpointError(f"cannot start from checkpoint {folder}: {error}") from error
+    drape.load_state_dict(tensors | average)
+    run = state["config"] | {"step": state["step"]}
+    return run | ({"started_from": state["started_from"]} if state.get("started_from") else {})
 
 
-def _plain(config: TrainingConfig) -> dict:
-    plain = asdict(config)
-    plain["garment"] = config.garment.name
-    return plain
+def _sibling(folder: Path, suffix: str) -> Path:
+    return folder.with_name(f"{folder.name}.{suffix}")
+
+
+def _complete(folder: Path) -> Path:
+    """The folder, or what an interrupted save had just moved aside."""
+    folder = folder.resolve()
+    previous = _sibling(folder, "previous")
+    return previous if not folder.exists() and previous.exists() else folder
+
+
+def _refuse_other_files(folder: Path) -> None:
+    own = {"state.json", *(f"{name}.safetensors" for name in TENSOR_FILES)}
+    others = sorted(path.name for path in folder.iterdir() if path.name not in own) if folder.exists() else []
+    if others:
+        raise CheckpointError(f"{folder} holds {', '.join(others)}; a checkpoint needs a folder of its own")
+
+
+def _save(tensors: Mapping[str, torch.Tensor], path: Path) -> None:
+    save_file({name: tensor.detach().contiguous() for name, tensor in tensors.items()}, path)
+
+
+def _read_state(folder: Path) -> dict:
+    try:
+        state = json.loads((_complete(folder) / "state.json").read_text())
+    except (OSError, ValueError) as error:
+        raise CheckpointError(f"cannot read checkpoint {folder}: {error}") from error
+    state = state if isinstance(state, dict) else {}
+    step, config = state.get("step"), state.get("config")
+    if type(step) is not int or step < 0 or not isinstance(config, dict):
+        raise CheckpointError(
+            f"cannot read checkpoint {folder}: state.json needs a step of at least 0 and a config table, "
+            f"got {step!r} and {config!r}"
+        )
+    return state
+
+
+def _read_tensors(folder: Path, name: str) -> dict[str, torch.Tensor]:
+    try:
+        return load_file(_complete(folder) / f"{name}.safetensors")
+    except Exception as error:  # safetensors raises errors of its own, OSError and ValueError
+        raise CheckpointError(f"cannot read checkpoint {folder}: {name}.safetensors: {error}") from error
+
+
+def _check_same_model(tensors: dict, drape: Drape) -> None:
+    """Sizes must fit, and what is not trained (mesh, garment nodes, body, joint limits) must be the drape's own."""
+    _check_fit(tensors, drape.state_dict(), "drape")
+    fixed = {name: buffer.cpu() for name, buffer in drape.named_buffers() if name != "influence_bias"}
+    differing = [
+        name for name, own in fixed.items() if not torch.allclose(tensors[name].to(own.dtype), own, rtol=0, atol=SAME)
+    ]
+    if differing:
+        raise CheckpointError(f"is of another garment, body or garment nodes: {', '.join(differing)} differ")
+
+
+def _check_fit(tensors: Mapping, expected: Mapping, file: str) -> None:
+    if odd := sorted(set(tensors) ^ set(expected)):
+        raise CheckpointError(f"does not fit the model: {file}.safetensors has too much or lacks {', '.join(odd)}")
+    for name, tensor in tensors.items():
+        if tensor.shape != expected[name].shape:
+            raise CheckpointError(
+                f"does not fit the model: {file}.safetensors has {name} of shape {tuple(tensor.shape)}, "
+                f"expected {tuple(expected[name].shape)}"
+            )
+
+
+def _set_random_state(random: Mapping[str, torch.Tensor]) -> None:
+    try:
+        torch.set_rng_state(random["cpu"])
+        if "cuda" in random and torch.cuda.is_available():
+            torch.cuda.set_rng_state(random["cuda"])
+    except (KeyError, TypeError, RuntimeError) as error:
+        raise CheckpointError(f"has no usable random state: {error!r}") from error
 
 
 def _check_same_config(saved: dict, current: dict) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+import re
 import tomllib
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import get_type_hints
 
@@ -17,6 +20,13 @@ class ConfigError(ValueError):
     """A training configuration cannot be used."""
 
 
+def _check(config, table: str, keys: str, allowed: str, holds: Callable) -> None:
+    for key in keys.split():
+        value = getattr(config, key)
+        if not holds(value):
+            raise ConfigError(f"{table}{key} must be {allowed}, got {value!r}")
+
+
 @dataclass(frozen=True)
 class OptimisationConfig:
     """Steps and schedules.
@@ -25,7 +35,8 @@ class OptimisationConfig:
     after a linear warm-up over `warm_up` of the run. Pose range and contact stiffness (from `initial_contact` of the
     material's) grow until `growth` of the run. From `prune_at` of the run on, only `garment_nodes.influences` garment
     nodes a vertex remain; from `full_encoding` on, bodies are encoded from all 4096 points, before from
-    `encoder_points` of them. `contact_linear_beyond` [m] and `force_limit` [N]: see `PhysicsLosses`.
+    `encoder_points` of them. `contact_linear_beyond` [m] and `force_limit` [N]: see `PhysicsLosses`. `average`:
+    decay a step of the moving average of networks and skinning weights that is exported, 0 for none.
     """
 
     steps: int = 150000
@@ -43,6 +54,21 @@ class OptimisationConfig:
     gradient_clip: float = 1.0
     contact_linear_beyond: float = 0.005
     force_limit: float = 5.0
+    average: float = 0.999
+
+    def __post_init__(self) -> None:
+        def check(keys: str, allowed: str, holds: Callable) -> None:
+            _check(self, "optimisation.", keys, allowed, holds)
+
+        check("steps samples bodies encoder_points", "at least 1", lambda value: value >= 1)
+        check("learning_rate skinning_rate", "finite and above 0", lambda value: 0 < value < math.inf)
+        check("gradient_clip contact_linear_beyond force_limit", "above 0", lambda value: value > 0)
+        check(
+            "final_rate warm_up growth initial_contact prune_at full_encoding", "0 to 1", lambda value: 0 <= value <= 1
+        )
+        check("average", "at least 0 and below 1", lambda value: 0 <= value < 1)
+        multiple = f"a multiple of optimisation.bodies {self.bodies}"
+        check("samples", multiple, lambda value: value % self.bodies == 0)
 
 
 @dataclass(frozen=True)
@@ -53,6 +79,13 @@ class GarmentNodeConfig:
     initial_influences: int = 16
     influences: int = 8
 
+    def __post_init__(self) -> None:
+        _check(self, "garment_nodes.", "count", "at least 1", lambda value: value >= 1)
+        fewer = f"1 to garment_nodes.count {self.count}"
+        _check(self, "garment_nodes.", "initial_influences", fewer, lambda value: 1 <= value <= self.count)
+        fewer = f"1 to garment_nodes.initial_influences {self.initial_influences}"
+        _check(self, "garment_nodes.", "influences", fewer, lambda value: 1 <= value <= self.initial_influences)
+
 
 @dataclass(frozen=True)
 class PoseConfig:
@@ -61,10 +94,14 @@ class PoseConfig:
     upright: float = 0.5
     largest_tilt_degrees: float = 110.0
 
+    def __post_init__(self) -> None:
+        _check(self, "poses.", "upright", "0 to 1", lambda value: 0 <= value <= 1)
+        _check(self, "poses.", "largest_tilt_degrees", "0 to 180", lambda value: 0 <= value <= 180)
+
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """All of one training run. `garment` is a mesh path relative to the configuration file."""
+    """All of one training run. name: of the model file. garment: mesh path relative to the configuration file."""
 
     name: str
     garment: Path
@@ -77,14 +114,13 @@ class TrainingConfig:
     material: Material = field(default_factory=Material)
 
     def __post_init__(self) -> None:
-        o = self.optimisation
-        if o.bodies < 1 or o.samples % o.bodies:
-            raise ConfigError(f"optimisation.samples {o.samples} must be a multiple of optimisation.bodies {o.bodies}")
-        if o.steps < 1 or o.learning_rate <= 0 or o.encoder_points < 1:
-            raise ConfigError(
-                "optimisation needs steps >= 1, learning_rate > 0 and encoder_points >= 1; got "
-                f"{o.steps}, {o.learning_rate}, {o.encoder_points}"
-            )
+        _check(self, "", "name", "a plain file name", lambda value: re.fullmatch(r"\w[\w. -]*", value))
+        _check(self, "", "seed", "0 to 2^63 - 1", lambda value: 0 <= value < 2**63)
+        _check(self, "", "train_bodies", "at least 1", lambda value: value >= 1)
+
+    def as_plain_data(self) -> dict:
+        """Tables, strings and numbers, for checkpoints and the model file; of the garment's path only the file name."""
+        return asdict(self) | {"garment": self.garment.name}
 
 
 def load_config(path: str | Path) -> TrainingConfig:

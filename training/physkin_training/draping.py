@@ -51,10 +51,10 @@ class Drape(nn.Module):
         super().__init__()
         self.networks = Networks(config, pose_size=rig.pose_size, node_count=len(nodes.rest))
         self.skinning_logits = nn.Parameter(_tensor(np.log(np.maximum(nodes.influence_weights, 1e-12))))
-        self.register_buffer("influence_nodes", torch.as_tensor(nodes.influence_nodes, dtype=torch.int64))
+        self.register_buffer("influence_nodes", _tensor(nodes.influence_nodes, torch.int64))
         self.register_buffer("influence_bias", torch.zeros_like(self.skinning_logits))
         self.register_buffer("node_rest", _tensor(nodes.rest))
-        self.register_buffer("node_bone", torch.as_tensor(nodes.bone, dtype=torch.int64))
+        self.register_buffer("node_bone", _tensor(nodes.bone, torch.int64))
         self.register_buffer("vertices", _tensor(garment.vertices))
         self.register_buffer("garment_heads", _tensor(rig.heads))
         self.register_buffer("garment_lengths", _tensor(np.linalg.norm(rig.tails - rig.heads, axis=1)))
@@ -69,8 +69,9 @@ class Drape(nn.Module):
     def prune_influences(self, keep: int) -> None:
         """Leave only the `keep` strongest influences of every vertex; the others stay zero from here on."""
         weights = self.skinning_weights.detach()
-        threshold = weights.topk(min(keep, weights.shape[1]), dim=1).values[:, -1:]
-        self.influence_bias.masked_fill_(weights < threshold, float("-inf"))
+        strongest = weights.topk(min(keep, weights.shape[1]), dim=1).indices
+        others = torch.ones_like(weights, dtype=torch.bool).scatter_(1, strongest, False)
+        self.influence_bias.masked_fill_(others, float("-inf"))
 
     def node_positions(self, bodies: BodySet) -> torch.Tensor:
         """Twin of `physkin_core.garment_nodes.node_positions_on_body` for all bodies, (S, m, 3) [m]."""
@@ -129,5 +130,5 @@ def compose_nodes(posed: torch.Tensor, delta: torch.Tensor) -> torch.Tensor:
     return torch.cat([turned[..., :3], turned[..., 3:] + posed[..., 3:]], dim=-1)
 
 
-def _tensor(array: np.ndarray) -> torch.Tensor:
-    return torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32)
+def _tensor(array: np.ndarray, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+    return torch.as_tensor(np.array(array), dtype=dtype)

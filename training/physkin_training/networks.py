@@ -34,6 +34,13 @@ class NetworkConfig:
     residual_blocks: int = 2
 
     def __post_init__(self) -> None:
+        for key in ("pose_hidden", "pose_layers", "deformer_hidden", "deformer_layers", "token_width", "feed_forward"):
+            if getattr(self, key) < 1:
+                raise ValueError(f"networks.{key} must be at least 1, got {getattr(self, key)}")
+        if self.residual_blocks < 0:
+            raise ValueError(f"networks.residual_blocks must be at least 0, got {self.residual_blocks}")
+        if self.token_width % HEADS:
+            raise ValueError(f"networks.token_width must be a multiple of {HEADS}, got {self.token_width}")
         if self.activation not in ACTIVATIONS:
             raise ValueError(f"activation {self.activation!r} is not one of {', '.join(ACTIVATIONS)}")
         if self.node_outputs not in (9, 12):

@@ -25,7 +25,8 @@ GRAVITY = 9.81
 """Gravitational acceleration [m/s2]."""
 
 DEEP = 0.01
-"""Beyond this depth [m] a hit counts only if body and cloth face the same way: else it is the wrong side of a limb."""
+"""Beyond this depth [m] below the contact offset a hit counts only if body and cloth face the same way: else it is the
+wrong side of a limb."""
 
 
 @wp.kernel

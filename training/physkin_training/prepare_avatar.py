@@ -15,7 +15,7 @@ import numpy as np
 
 from physkin_core.avatar import avatar_from_body
 from physkin_core.body_model import BODY_MODEL_PATH, BodyModel, load_body_model
-from physkin_core.canonical_pose import LIMB_SEGMENTS, limb_rotations
+from physkin_core.canonical_pose import LIMB_SEGMENTS, limb_rotations, turned_down_the_chain
 from physkin_training.gltf_export import skinned_document, write_glb
 
 __all__ = ["AVATAR_PATH", "BUNDLED_BODY", "prepare_avatar", "prepare_vrm", "t_posed_body"]
@@ -86,14 +86,10 @@ def t_posed_body(body: BodyModel, coefficients: np.ndarray) -> tuple[np.ndarray,
         outward = np.array([0.0, 1.0 if start.endswith("L") else -1.0, 0.0])
         straight[end] = straight[start] + (outward if "arm" in start else np.array([0.0, 0.0, -1.0]))
     turns = limb_rotations(dict(zip(rig.bone_names, heads)), straight)
-    rotation, posed = np.tile(np.eye(3), (rig.bone_count, 1, 1)), heads.copy()
-    for bone in range(1, rig.bone_count):
-        parent = rig.parents[bone]
-        posed[bone] = posed[parent] + rotation[parent] @ (heads[bone] - heads[parent])
-        rotation[bone] = turns.get(rig.bone_names[bone], rotation[parent])
-    translation = posed - np.einsum("bij,bj->bi", rotation, heads)
-    transforms = np.concatenate([rotation, translation[..., None]], axis=2)
-    return avatar.posed_vertices(transforms), posed, np.einsum("bij,bj->bi", rotation, tails) + translation
+    turns = {rig.bone_index(name): turn for name, turn in turns.items()}
+    transforms, posed = turned_down_the_chain(heads, rig.parents, turns)
+    tails = np.einsum("bij,bj->bi", transforms[..., :3], tails) + transforms[..., 3]
+    return avatar.posed_vertices(transforms), posed, tails
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from physkin_core.body_model import BODY_MODEL_PATH
-from physkin_core.canonical_pose import limb_rotations
+from physkin_core.canonical_pose import blended, limb_rotations, turned_down_the_chain
 from physkin_core.rig import Rig
 from physkin_training.default_rig import default_dofs
 
@@ -66,9 +66,10 @@ def prepare_body_model(path: Path, *, train: int = 512, held_out: int = 64, seed
     vertices = to_root_frame(rest["rest_vertices"].numpy(), rest["rest_bone_heads"].numpy()[:, :1])
     canonical = dict(zip(names, heads[0], strict=True))
     for body in range(len(vertices)):
-        _put_into_canonical_pose(
-            vertices[body], heads[body], names, parents, influence_bones, influence_weights, canonical
-        )
+        turns = limb_rotations(dict(zip(names, heads[body], strict=True)), canonical)
+        turns = {names.index(name): turn for name, turn in turns.items()}
+        transforms, heads[body] = turned_down_the_chain(heads[body], parents, turns)
+        vertices[body] = blended(vertices[body], transforms, influence_bones, influence_weights)
     tails = _tails(names, parents, heads, vertices, influence_bones, influence_weights)
     rig = Rig(names, parents, heads[0], tails[0], default_dofs(canonical))
 
@@ -109,22 +110,6 @@ def _strongest_influences(bones: np.ndarray, weights: np.ndarray) -> tuple[np.nd
     order = np.argsort(-weights, axis=1, kind="stable")[:, :INFLUENCES]
     bones, weights = np.take_along_axis(bones, order, axis=1), np.take_along_axis(weights, order, axis=1)
     return bones, weights / weights.sum(axis=1, keepdims=True)
-
-
-def _put_into_canonical_pose(vertices, heads, names, parents, influence_bones, influence_weights, canonical) -> None:
-    """Pose one body in place: vertices (V, 3), heads (b, 3), so that its limbs point as the canonical body's."""
-    turns = limb_rotations(dict(zip(names, heads, strict=True)), canonical)
-    rotation = np.tile(np.eye(3), (len(names), 1, 1))
-    posed = heads.copy()
-    for bone in range(1, len(names)):
-        parent = parents[bone]
-        rotation[bone] = turns.get(names[bone], rotation[parent])
-        posed[bone] = posed[parent] + rotation[parent] @ (heads[bone] - heads[parent])
-    translation = posed - np.einsum("bij,bj->bi", rotation, heads)
-    blended = np.einsum("vk,vkij->vij", influence_weights, rotation[influence_bones])
-    offset = np.einsum("vk,vki->vi", influence_weights, translation[influence_bones])
-    vertices[:] = np.einsum("vij,vj->vi", blended, vertices) + offset
-    heads[:] = posed
 
 
 def _tails(names, parents, heads, vertices, influence_bones, influence_weights) -> np.ndarray:

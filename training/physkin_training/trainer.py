@@ -9,6 +9,7 @@ Dimensions: `B` samples, `S` bodies of a step, `n` garment vertices.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,15 +27,21 @@ from physkin_training.physics_losses import PhysicsLosses
 from physkin_training.pose_sampling import PoseSampler, pose_range
 from physkin_training.posed_bodies import BodySet, PosedBodies
 
-__all__ = ["TERMS", "Trainer"]
+__all__ = ["TERMS", "Trainer", "TrainingDiverged"]
 
 TERMS = ("stretch", "bend", "collision", "gravity")
+
+
+class TrainingDiverged(RuntimeError):
+    """Energies or gradients are no longer finite."""
 
 
 class Trainer:
     """A training run that can stop anywhere and go on exactly.
 
-    `step` counts finished steps; `drape` is the model in training.
+    `step` counts finished steps; `drape` is the model in training, `averaged` its exponential moving average, which is
+    what to export and evaluate (the drape itself where the configuration averages nothing). `started_from`: plain data
+    on the run this one took its networks from, or None.
     """
 
     def __init__(self, config: TrainingConfig, device: torch.device) -> None:
@@ -42,8 +49,11 @@ class Trainer:
         self.config = config
         self.device = device
         self.step = 0
+        self.started_from: dict | None = None
         optimisation = config.optimisation
         body_model = load_body_model()
+        if config.train_bodies > len(body_model.train_bodies):
+            raise ValueError(f"train_bodies must be 1 to {len(body_model.train_bodies)}, got {config.train_bodies}")
         self.rig = body_model.rig
         self.garment = load_garment(config.garment)
         nodes = GarmentNodes.sample(
@@ -51,6 +61,7 @@ class Trainer:
         )
         self.nodes = nodes
         self.drape = Drape(self.garment, nodes, self.rig, config.networks).to(device)
+        self.averaged = copy.deepcopy(self.drape).requires_grad_(False) if optimisation.average > 0 else self.drape
         self.bodies = BodySet(body_model, body_model.train_bodies[: config.train_bodies], device)
         self.posed_bodies = PosedBodies(body_model, self.bodies, optimisation.samples)
         self.node_positions = self.drape.node_positions(self.bodies)
@@ -69,7 +80,9 @@ class Trainer:
             largest_tilt=math.radians(config.poses.largest_tilt_degrees),
         )
         self.range = torch.zeros((), device=device)
+        self._average_decay = torch.zeros((), device=device)
         self._energy_sum = torch.zeros(4, device=device)
+        self._stretch_and_collision = torch.zeros(optimisation.samples, device=device)
         self._summed_from = 0
         self.gradient_norm = torch.zeros((), device=device)
         self.optimiser = self._make_optimiser()
@@ -87,24 +100,50 @@ class Trainer:
             yield self.step
 
     def mean_energies(self) -> dict[str, float]:
-        """Mean energies [J] a sample by term over the steps since the last call. Waits for the device."""
+        """Mean energies [J] a sample by term over the steps since the last call. Waits for the device.
+
+        Raises TrainingDiverged when they are not finite.
+        """
+        self.check_finite()
         steps = max(1, self.step - self._summed_from)
         means = (self._energy_sum / steps).tolist()
         self._energy_sum.zero_()
         self._summed_from = self.step
         return dict(zip(TERMS, means, strict=True))
 
+    def median_energy(self) -> float:
+        """Median of stretch and contact energy [J] over the last step's samples: the few worst poses, which decide the
+        mean, do not move it. Waits for the device."""
+        return self._stretch_and_collision.median().item()
+
+    def check_finite(self) -> None:
+        """Raise TrainingDiverged when energies since the last report or the last gradient are not finite."""
+        if not torch.isfinite(torch.cat([self._energy_sum, self.gradient_norm[None]])).all():
+            raise TrainingDiverged(f"energies or gradients are not finite at step {self.step}")
+
     def save(self, folder: Path) -> None:
-        """Write a checkpoint (see `physkin_training.checkpoint`)."""
-        save_checkpoint(folder, self.drape, self.optimiser, step=self.step, config=self.config)
+        """Write a checkpoint (see `physkin_training.checkpoint`). Raises TrainingDiverged and leaves `folder` as it is
+        when the run has diverged."""
+        self.check_finite()
+        save_checkpoint(
+            folder,
+            self.drape,
+            self.averaged,
+            self.optimiser,
+            step=self.step,
+            config=self.config,
+            started_from=self.started_from,
+        )
 
     def resume(self, folder: Path) -> None:
         """Go on from a checkpoint of the same configuration."""
-        self.step = self._summed_from = load_checkpoint(folder, self.drape, self.optimiser, config=self.config)
+        step, self.started_from = load_checkpoint(folder, self.drape, self.averaged, self.optimiser, config=self.config)
+        self.step = self._summed_from = step
 
     def start_from(self, folder: Path) -> None:
         """Begin a new run with the networks and skinning weights of another run's checkpoint."""
-        load_drape(folder, self.drape)
+        self.started_from = load_drape(folder, self.drape)
+        self.averaged.load_state_dict(self.drape.state_dict())
 
     def _make_optimiser(self) -> torch.optim.Adam:
         optimisation = self.config.optimisation
@@ -132,10 +171,13 @@ class Trainer:
         rates = (optimisation.learning_rate, optimisation.skinning_rate)
         for group, rate in zip(self.optimiser.param_groups, rates, strict=True):
             group["lr"].fill_(rate * factor)
+        # A young average forgets faster, so that it does not hold on to the untrained start.
+        self._average_decay.fill_(min(optimisation.average, (1 + self.step) / (10 + self.step)))
         if progress >= optimisation.prune_at and not self._pruned:
             self._pruned = True
             self._graph = None
             self.drape.prune_influences(self.config.garment_nodes.influences)
+            self.averaged.influence_bias.copy_(self.drape.influence_bias)
         points = POINT_COUNT if progress >= optimisation.full_encoding else optimisation.encoder_points
         if points != self._encoder_points:
             self._encoder_points = points
@@ -184,6 +226,18 @@ class Trainer:
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(self.drape.parameters(), optimisation.gradient_clip, foreach=True)
         self.optimiser.step()
+        self._update_average()
         self.gradient_norm.copy_(norm)
         terms = [energies.stretch, energies.bend, energies.collision, energies.gravity]
         self._energy_sum += torch.stack([term.mean() for term in terms])
+        self._stretch_and_collision.copy_(energies.stretch + energies.collision)
+
+    @torch.no_grad()
+    def _update_average(self) -> None:
+        """average = parameter + decay * (average - parameter): in place, and the decay may sit in a tensor."""
+        if self.averaged is self.drape:
+            return
+        average, parameters = list(self.averaged.parameters()), list(self.drape.parameters())
+        torch._foreach_sub_(average, parameters)
+        torch._foreach_mul_(average, self._average_decay)
+        torch._foreach_add_(average, parameters)
