@@ -6,7 +6,7 @@ from physkin_core.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
 from physkin_core.garment import Garment, GarmentError, load_garment
 from physkin_core.garment_model import GarmentModel, GarmentModelError, Material
 from physkin_core.model_file import ModelFileError, load_garment_model, save_garment_model
-from physkin_core.motion import Motion, MotionError, load_motion
+from physkin_core.motion import Motion, MotionError, bundled_motions, load_motion
 from physkin_core.rig import DegreeOfFreedom, Rig, RigError
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "Rig",
     "RigError",
     "avatar_from_body",
+    "bundled_motions",
     "load_avatar",
     "load_body_model",
     "load_garment",

@@ -16,7 +16,7 @@ import numpy as np
 from physkin_core.avatar import Avatar, AvatarError
 from physkin_core.body_model import load_body_model
 from physkin_core.bone_naming import OWN_NAMES, match_bones
-from physkin_core.canonical_pose import limb_rotations, smallest_rotation
+from physkin_core.canonical_pose import blended, limb_rotations, smallest_rotation, turned_down_the_chain
 from physkin_core.rig import Rig
 
 __all__ = ["SkinnedMesh", "check_size", "clean_surface", "place_bones", "retarget", "turn_upright"]
@@ -256,21 +256,12 @@ def _canonical(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> Sk
     except ValueError as error:
         raise AvatarError(f"avatar {mesh.source}: {error}") from error
     joint_turn = {joint: turns[bone] for bone, joint in bone_joint.items() if bone in turns}
-    rotation = np.tile(np.eye(3), (len(mesh.joint_names), 1, 1))
-    posed = np.array(mesh.joint_heads, dtype=np.float64)
-    for joint, parent in enumerate(mesh.joint_parents):
-        if parent >= 0:
-            posed[joint] = posed[parent] + rotation[parent] @ (mesh.joint_heads[joint] - mesh.joint_heads[parent])
-            rotation[joint] = rotation[parent]
-        rotation[joint] = joint_turn.get(joint, rotation[joint])
-    translation = posed - np.einsum("jab,jb->ja", rotation, mesh.joint_heads)
-    blended = np.einsum("vk,vkab->vab", mesh.influence_weights, rotation[mesh.influence_joints])
-    offset = np.einsum("vk,vka->va", mesh.influence_weights, translation[mesh.influence_joints])
+    transforms, posed = turned_down_the_chain(mesh.joint_heads, mesh.joint_parents, joint_turn)
     return replace(
         mesh,
-        vertices=np.einsum("vab,vb->va", blended, mesh.vertices) + offset,
+        vertices=blended(mesh.vertices, transforms, mesh.influence_joints, mesh.influence_weights),
         joint_heads=posed,
-        joint_tails=np.einsum("jab,jb->ja", rotation, mesh.joint_tails) + translation,
+        joint_tails=np.einsum("jab,jb->ja", transforms[..., :3], mesh.joint_tails) + transforms[..., 3],
     )
 
 

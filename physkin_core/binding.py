@@ -28,6 +28,8 @@ log = logging.getLogger(__name__)
 
 FARTHEST_POINT = 0.05
 """A point farther [m] than this from the trained garment's surface is refused by `bind_points`."""
+POINTS_AT_ONCE = 8192
+"""Points whose skinning weights over all garment nodes `bind_points` holds at a time."""
 
 
 def encode_body(model: GarmentModel, avatar: Avatar) -> np.ndarray:
@@ -80,43 +82,71 @@ def bind_garment(model: GarmentModel, avatar: Avatar) -> BoundGarment:
 def bind_points(model: GarmentModel, points: np.ndarray, *, normals: np.ndarray | None = None) -> dict[str, np.ndarray]:
     """Skin other points of the same garment to the trained garment nodes.
 
-    points: (n, 3) [m] in the model's canonical space. normals: (n, 3), default those of the trained surface.
+    points: (n, 3) [m] in the model's canonical space. normals: (n, 3) of any length but zero, default those of the
+    trained surface.
     Returns the fields of `BoundGarment` to replace: vertices, normals, influence_nodes, influence_weights.
-    Raises ValueError when points are not finite, or lie farther than 5 cm from the trained garment.
+    Raises ValueError when points or normals are not finite, normals are not one a point or have no length, or points
+    lie farther than 5 cm from the trained garment.
     """
     import trimesh
 
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.isfinite(points).all():
         raise ValueError(f"points to bind must be a finite, non-empty (n, 3) array, got shape {points.shape}")
+    if normals is not None:
+        normals = _checked_normals(normals, points.shape)
     garment = model.garment
+    low, high = garment.vertices.min(axis=0), garment.vertices.max(axis=0)
+    beyond = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0), axis=1)
+    _reject_far_points(beyond, "at least ", model.name)  # at once, where closest points of centimetres take minutes
     surface = trimesh.Trimesh(garment.vertices, garment.faces, process=False)
     closest, distance, face = trimesh.proximity.closest_point(surface, points)
-    if distance.max() > FARTHEST_POINT:
-        raise ValueError(
-            f"point {int(distance.argmax())} is {distance.max() * 100:.1f} cm from garment {model.name!r}, at most "
-            f"{FARTHEST_POINT * 100:.0f} cm allowed: is the mesh in the model's canonical space, in metres?"
-        )
+    _reject_far_points(distance, "", model.name)
     corners = garment.faces[face]
     barycentric = trimesh.triangles.points_to_barycentric(garment.vertices[corners], closest)
-    dense = np.zeros((len(points), len(model.node_rest)))
-    rows = np.arange(len(points))[:, None]
-    for corner in range(3):
-        share = model.influence_weights[corners[:, corner]] * np.clip(barycentric[:, corner, None], 0, 1)
-        np.add.at(dense, (rows, model.influence_nodes[corners[:, corner]]), share)
-    influences = model.influence_nodes.shape[1]
-    nodes = np.argsort(-dense, axis=1, kind="stable")[:, :influences]
-    weights = np.take_along_axis(dense, nodes, axis=1)
     if normals is None:
         at_vertices = vertex_normals(garment.vertices, garment.faces)[corners]
         normals = np.einsum("nc,nci->ni", barycentric, at_vertices)
-    normals = np.asarray(normals, dtype=np.float64)
+    chunks = [slice(start, start + POINTS_AT_ONCE) for start in range(0, len(points), POINTS_AT_ONCE)]
+    influences = [_influences_in_faces(model, corners[chunk], barycentric[chunk]) for chunk in chunks]
     return {
         "vertices": _float(points),
         "normals": _float(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)),
-        "influence_nodes": nodes.astype(np.int32),
-        "influence_weights": _float(weights / weights.sum(axis=1, keepdims=True)),
+        "influence_nodes": np.concatenate([nodes for nodes, _ in influences]),
+        "influence_weights": np.concatenate([weights for _, weights in influences]),
     }
+
+
+def _checked_normals(normals: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    normals = np.asarray(normals, dtype=np.float64)
+    if normals.shape != shape or not np.isfinite(normals).all():
+        raise ValueError(f"normals must be finite, one a point: shape {shape}, got {normals.shape}")
+    length = np.linalg.norm(normals, axis=1)
+    if length.min() < 1e-9:
+        raise ValueError(f"normals must have a length; that of point {int(length.argmin())} is {length.min():.1e}")
+    return normals
+
+
+def _reject_far_points(distance: np.ndarray, bound: str, garment: str) -> None:
+    if distance.max() > FARTHEST_POINT:
+        raise ValueError(
+            f"point {int(distance.argmax())} is {bound}{distance.max() * 100:.1f} cm from garment {garment!r}, at most "
+            f"{FARTHEST_POINT * 100:.0f} cm allowed: is the mesh in the model's canonical space, in metres?"
+        )
+
+
+def _influences_in_faces(
+    model: GarmentModel, corners: np.ndarray, barycentric: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Skinning weights inside faces: the corners' mixed, the K largest kept. corners, barycentric: (n, 3)."""
+    dense = np.zeros((len(corners), len(model.node_rest)))
+    rows = np.arange(len(corners))[:, None]
+    for corner in range(3):
+        share = model.influence_weights[corners[:, corner]] * np.clip(barycentric[:, corner, None], 0, 1)
+        np.add.at(dense, (rows, model.influence_nodes[corners[:, corner]]), share)
+    nodes = np.argsort(-dense, axis=1, kind="stable")[:, : model.influence_nodes.shape[1]]
+    weights = np.take_along_axis(dense, nodes, axis=1)
+    return nodes.astype(np.int32), _float(weights / weights.sum(axis=1, keepdims=True))
 
 
 def _float(array: np.ndarray) -> np.ndarray:

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["BoundGarment"]
+from physkin_core.mlp import Layer
 
-Layer = tuple[np.ndarray, np.ndarray]
+__all__ = ["BoundGarment"]
 
 
 @dataclass(frozen=True)

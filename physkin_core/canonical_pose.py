@@ -3,6 +3,8 @@
 The trunk stays as it is; each limb segment is turned by the smallest rotation that gives it the canonical rig's
 direction, children following their parents. Applied alike to training bodies and to users' avatars, so that the same
 person encodes alike from a T-pose and from an A-pose.
+
+Dimensions: `V` vertices, `j` joints, `K` influences.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-__all__ = ["LIMB_SEGMENTS", "limb_rotations", "smallest_rotation"]
+__all__ = ["LIMB_SEGMENTS", "blended", "limb_rotations", "smallest_rotation", "turned_down_the_chain"]
 
 
 def _segments() -> dict[str, tuple[str, str]]:
@@ -64,3 +66,29 @@ def limb_rotations(heads: Mapping[str, np.ndarray], canonical_heads: Mapping[str
         rotations[bone] = smallest_rotation(direction, target) @ carried
         previous_end[end] = bone
     return rotations
+
+
+def turned_down_the_chain(
+    heads: np.ndarray, parents: np.ndarray, turns: Mapping[int, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Give joints the world rotations (3, 3) of `turns`; the others follow their parents, to which all stay attached.
+
+    heads: (j, 3) [m]. parents: (j,), a parent before its children, -1 for none.
+    Returns transforms (j, 3, 4) from the old to the new pose, and the new heads (j, 3).
+    """
+    rotation, posed = np.tile(np.eye(3), (len(heads), 1, 1)), np.array(heads, dtype=np.float64)
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            posed[joint] = posed[parent] + rotation[parent] @ (heads[joint] - heads[parent])
+            rotation[joint] = rotation[parent]
+        rotation[joint] = turns.get(joint, rotation[joint])
+    translation = posed - np.einsum("jab,jb->ja", rotation, heads)
+    return np.concatenate([rotation, translation[..., None]], axis=2), posed
+
+
+def blended(
+    vertices: np.ndarray, transforms: np.ndarray, influence_joints: np.ndarray, influence_weights: np.ndarray
+) -> np.ndarray:
+    """Vertices (V, 3) moved by linear blend skinning. transforms: (j, 3, 4). influence_*: (V, K). Returns (V, 3)."""
+    matrices = np.einsum("vk,vkab->vab", influence_weights, transforms[influence_joints])
+    return np.einsum("vab,vb->va", matrices[..., :3], vertices) + matrices[..., 3]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from physkin_core import Draper, Motion, Rig
+    from physkin_core import Draper
 
 __all__ = ["main"]
 
@@ -95,22 +95,16 @@ def _drape(options: argparse.Namespace) -> int:
     for warning in avatar.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     draper = Draper(model, avatar, backend=options.backend)
-    positions = _rig_positions(motion, options.frame, model.rig)
+    positions = motion.positions_for(model.rig)[options.frame]
     cloth = draper.drape(positions, motion.gravity[options.frame])
     write(options.output, draper, avatar.posed_vertices(draper.bone_transforms(positions)), cloth)
     print(f"wrote {options.output}")
     return 0
 
 
-def _rig_positions(motion: Motion, frame: int, rig: Rig) -> np.ndarray:
-    """Joint positions (d,) [rad] of a frame in the rig's order; joints the motion does not have stay at rest."""
-    known = dict(zip(motion.joint_names, motion.positions[frame]))
-    return np.array([known.get(name, rest) for name, rest in zip(rig.joint_names, rig.rest)], dtype=np.float32)
-
-
 def _write_obj(path: Path, draper: Draper, body: np.ndarray, cloth: np.ndarray) -> None:
     """A Wavefront OBJ with the objects `body` and `garment`, metres, Z up."""
-    first = 1 + len(body) + draper.model.garment.faces
+    first = 1 + len(body) + draper.faces
     parts = [("body", body, 1 + draper.avatar.faces), ("garment", cloth[:, :3], first)]
     with open(path, "w", encoding="ascii") as file:
         for name, vertices, faces in parts:
@@ -122,7 +116,7 @@ def _write_obj(path: Path, draper: Draper, body: np.ndarray, cloth: np.ndarray) 
 def _write_png(path: Path, draper: Draper, body: np.ndarray, cloth: np.ndarray) -> None:
     from physkin_core.picture import CLOTH_COLOUR, Mesh, render, save_png
 
-    meshes = [Mesh(body, draper.avatar.faces), Mesh(cloth[:, :3], draper.model.garment.faces, CLOTH_COLOUR)]
+    meshes = [Mesh(body, draper.avatar.faces), Mesh(cloth[:, :3], draper.faces, CLOTH_COLOUR)]
     save_png(path, render(meshes, size=(800, 1000)))
 
 

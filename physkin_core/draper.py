@@ -6,6 +6,7 @@ Dimensions: `d` scalar degrees of freedom, `n` garment vertices, `m` garment nod
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal
 
@@ -51,6 +52,7 @@ class Draper:
         self.avatar = avatar
         self.backend = backend
         self.bound: BoundGarment = bound
+        self._faces = model.garment.faces if points is None else np.empty((0, 3), dtype=np.int32)
         self._evaluator = _evaluator(backend, bound)
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
 
@@ -69,16 +71,27 @@ class Draper:
         """Number of points n that `drape` writes."""
         return len(self.bound.vertices)
 
+    @property
+    def faces(self) -> np.ndarray:
+        """(f, 3) int32 triangles between the points that `drape` writes; (0, 3) when `points` were given."""
+        return self._faces
+
     def drape(
-        self, joint_positions: np.ndarray, gravity: np.ndarray = UPRIGHT_GRAVITY, *, out: np.ndarray | None = None
+        self,
+        joint_positions: np.ndarray | Mapping[str, float],
+        gravity: np.ndarray = UPRIGHT_GRAVITY,
+        *,
+        out: np.ndarray | None = None,
     ) -> np.ndarray:
         """Deform the garment for one pose.
 
-        joint_positions: (d,) [rad] in the order of `joint_names`. gravity: (3,) direction in the root frame, any length
-        but zero. out: (n, 6) or (n, 3) writable float32 view, any row stride; default a new (n, 6).
-        Returns `out`: x, y, z [m], then the unit normal.
-        Raises ValueError on wrong lengths or values that are not finite, naming the joint.
+        joint_positions: (d,) [rad] in the order of `joint_names`, or positions by joint name, the others being at rest.
+        gravity: (3,) direction in the root frame, any length but zero. out: (n, 6) or (n, 3) writable float32 view, any
+        row stride; default a new (n, 6). Returns `out`: x, y, z [m], then the unit normal.
+        Raises ValueError on wrong lengths, unknown joints or values that are not finite, naming the joint.
         """
+        if isinstance(joint_positions, Mapping):
+            joint_positions = self.model.rig.joint_positions(joint_positions)
         positions = np.ascontiguousarray(joint_positions, dtype=np.float32)
         if positions.shape != (len(self.joint_names),):
             raise ValueError(f"joint positions have shape {positions.shape}, expected ({len(self.joint_names)},)")

@@ -54,7 +54,7 @@ class Garment:
 
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, dtype=np.float64)
-        faces = np.ascontiguousarray(self.faces, dtype=np.int32)
+        faces = np.asarray(self.faces)
         if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
             raise GarmentError(f"vertices {vertices.shape} and faces {faces.shape} must be (n, 3) and (f, 3)")
         if len(faces) == 0:
@@ -62,8 +62,12 @@ class Garment:
         if not np.isfinite(vertices).all():
             bad = int(np.argwhere(~np.isfinite(vertices).all(axis=1))[0, 0])
             raise GarmentError(f"garment vertex {bad} is not finite: {vertices[bad].tolist()}")
+        if faces.dtype.kind not in "iu":
+            raise GarmentError(f"garment faces are of type {faces.dtype}, expected an integer index of each corner")
         if faces.min() < 0 or faces.max() >= len(vertices):
-            raise GarmentError(f"garment face index {faces.max()} outside 0..{len(vertices) - 1}")
+            bad = faces.min() if faces.min() < 0 else faces.max()
+            raise GarmentError(f"garment face index {bad} outside 0..{len(vertices) - 1}")
+        faces = np.array(faces, dtype=np.int32, order="C")
         areas = face_areas(vertices, faces)
         if areas.min() < 1e-12:
             raise GarmentError(f"garment face {int(areas.argmin())} is degenerate: area {areas.min():.2e} m2")
@@ -84,12 +88,20 @@ class Garment:
 
 
 def load_garment(path: str | Path) -> Garment:
-    """Read a garment mesh (OBJ, PLY, STL; metres, root frame of its canonical body). Raises GarmentError."""
+    """Read a garment mesh (OBJ, PLY, STL; metres, root frame of its canonical body). Raises GarmentError.
+
+    Vertices at equal positions (texture seams, the triangle soup of an STL file) become one, at the first one's place.
+    """
     import trimesh
 
     try:
         mesh = trimesh.load_mesh(path, process=False)
-        return Garment(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+        garment = Garment(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+        _, first, inverse = np.unique(garment.vertices + 0.0, axis=0, return_index=True, return_inverse=True)
+        if len(first) == len(garment.vertices):
+            return garment
+        kept, place = np.unique(first, return_inverse=True)
+        return Garment(garment.vertices[kept], place[inverse.reshape(-1)][garment.faces])
     except GarmentError:
         raise
     except Exception as error:

@@ -5,8 +5,10 @@ Dimensions: `n` vertices, `f` faces, `m` garment nodes, `K` influences a vertex.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from numbers import Real
 
 import numpy as np
 
@@ -28,6 +30,7 @@ class Material:
 
     youngs_modulus [N/m] and poisson_ratio of the StVK membrane, bending [J] of the dihedral energy, density [kg/m2],
     contact_offset [m], contact_stiffness [J/m4] (energy = stiffness * vertex area * depth^2).
+    Raises ValueError naming a value that is not a finite number or has no physical meaning, and what is allowed.
     """
 
     youngs_modulus: float = 60.0
@@ -37,13 +40,26 @@ class Material:
     contact_offset: float = 0.003
     contact_stiffness: float = 4.0e6
 
+    def __post_init__(self) -> None:
+        for name in (entry.name for entry in fields(self)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
+                raise ValueError(f"material {name} is {value!r}, allowed: a finite number")
+            if name in ("youngs_modulus", "density") and value <= 0:
+                raise ValueError(f"material {name} is {value}, allowed: more than 0")
+            if name == "poisson_ratio" and not 0 <= value < 1:
+                raise ValueError(f"material {name} is {value}, allowed: from 0 to below 1")
+            if value < 0:
+                raise ValueError(f"material {name} is {value}, allowed: 0 or more")
+            object.__setattr__(self, name, float(value))
+
 
 @dataclass(frozen=True)
 class GarmentModel:
     """Everything a run needs. Raises GarmentModelError naming what does not fit.
 
     garment: mesh the model was trained on. node_rest: (m, 3); node_bone: (m,) int32, index into `rig`.
-    influence_nodes: (n, K) int32; influence_weights: (n, K) float32, rows sum to 1.
+    influence_nodes: (n, K) int32; influence_weights: (n, K) float32, rows sum to 1. Other integer types are converted.
     hyper_modulator: arrays by name (see `physkin_core.hyper_modulator`). pose_modulator, node_deformer: layers.
     training, scores: plain data on how it was trained (seed, bodies, steps) and how it measured up.
     """
@@ -64,7 +80,12 @@ class GarmentModel:
     scores: Mapping = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        m, n = len(self.node_rest), len(self.garment.vertices)
+        m, n = _rows(self.node_rest), len(self.garment.vertices)
+        if not isinstance(self.name, str) or not self.name.strip():
+            raise GarmentModelError(f"a garment model needs a name, got {self.name!r}")
+        for key in ("training", "scores"):
+            if not isinstance(getattr(self, key), Mapping):
+                raise GarmentModelError(f"{key} must be an object of names and values, got {getattr(self, key)!r}")
         if self.activation not in ACTIVATIONS:
             raise GarmentModelError(f"unknown activation {self.activation!r}; known: {', '.join(ACTIVATIONS)}")
         _expect("garment_nodes.rest", self.node_rest, (m, 3))
@@ -72,8 +93,8 @@ class GarmentModel:
         influences = self.influence_nodes.shape[1] if self.influence_nodes.ndim == 2 else 0
         _expect("skinning.nodes", self.influence_nodes, (n, influences))
         _expect("skinning.weights", self.influence_weights, (n, influences))
-        _expect_range("garment_nodes.bone", self.node_bone, self.rig.bone_count)
-        _expect_range("skinning.nodes", self.influence_nodes, m)
+        object.__setattr__(self, "node_bone", _indices("garment_nodes.bone", self.node_bone, self.rig.bone_count))
+        object.__setattr__(self, "influence_nodes", _indices("skinning.nodes", self.influence_nodes, m))
         sums = self.influence_weights.sum(axis=1)
         if self.influence_weights.min() < 0 or np.abs(sums - 1).max() > 1e-3:
             raise GarmentModelError("skinning weights must be non-negative and sum to 1 at every vertex")
@@ -81,7 +102,11 @@ class GarmentModel:
         _expect_chain("node_deformer", self.node_deformer, 12 * m, (9 * m, 12 * m))
         _expect_hyper_modulator(self.hyper_modulator, modulation_size(self.pose_modulator))
         for name, array in self.arrays().items():
-            if array.dtype.kind == "f" and not np.isfinite(array).all():
+            if name in ("garment.faces", "garment_nodes.bone", "skinning.nodes"):
+                continue
+            if array.dtype.kind != "f":
+                raise GarmentModelError(f"{name} is of type {array.dtype}, expected floating point numbers")
+            if not np.isfinite(array).all():
                 raise GarmentModelError(f"{name} holds a value that is not finite")
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -105,25 +130,33 @@ def _expect(name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:
         raise GarmentModelError(f"{name} has shape {array.shape}, expected {shape}, none of them empty")
 
 
-def _expect_range(name: str, indices: np.ndarray, count: int) -> None:
+def _rows(array: np.ndarray) -> int:
+    return array.shape[0] if array.ndim else 0
+
+
+def _indices(name: str, indices: np.ndarray, count: int) -> np.ndarray:
+    """The indices as int32, once they are known to be whole numbers from 0 to count - 1."""
+    if indices.dtype.kind not in "iu":
+        raise GarmentModelError(f"{name} is of type {indices.dtype}, expected an integer index")
     if indices.min() < 0 or indices.max() >= count:
         raise GarmentModelError(f"{name} holds index {indices.min()}..{indices.max()}, allowed 0..{count - 1}")
+    return indices.astype(np.int32, copy=False)
 
 
 def _expect_chain(name: str, layers: tuple[Layer, ...], inputs: int, outputs: tuple[int, ...]) -> None:
     if not layers:
         raise GarmentModelError(f"{name} has no layers")
     for index, (weight, bias) in enumerate(layers):
-        _expect(f"{name}.{index}.weight", weight, (len(bias), inputs))
-        _expect(f"{name}.{index}.bias", bias, (len(bias),))
-        inputs = len(bias)
+        _expect(f"{name}.{index}.weight", weight, (bias.size, inputs))
+        _expect(f"{name}.{index}.bias", bias, (bias.size,))
+        inputs = bias.size
     if inputs not in outputs:
         raise GarmentModelError(f"{name} gives {inputs} numbers, expected {' or '.join(map(str, outputs))}")
 
 
 def _expect_hyper_modulator(network: Mapping[str, np.ndarray], outputs: int) -> None:
     try:
-        width, hidden = network["embed.weight"].shape[0], network["feed_forward.0.weight"].shape[0]
+        width, hidden = _rows(network["embed.weight"]), _rows(network["feed_forward.0.weight"])
         shapes = {
             "embed": (width, token_features()),
             "attention.input": (3 * width, width),
@@ -136,7 +169,7 @@ def _expect_hyper_modulator(network: Mapping[str, np.ndarray], outputs: int) -> 
         norms = ["norm_1", "norm_2"]
         block = 0
         while f"residual.{block}.norm.weight" in network:
-            inner = network[f"residual.{block}.0.weight"].shape[0]
+            inner = _rows(network[f"residual.{block}.0.weight"])
             shapes |= {f"residual.{block}.0": (inner, width), f"residual.{block}.1": (width, inner)}
             norms.append(f"residual.{block}.norm")
             block += 1

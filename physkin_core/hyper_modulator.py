@@ -48,7 +48,7 @@ def body_modulation(network: Mapping[str, np.ndarray], points: np.ndarray, norma
     tokens = _layer_norm(network, "norm_1", tokens + attended)
     hidden = np.maximum(_linear(network, "feed_forward.0", tokens), 0)
     tokens = _layer_norm(network, "norm_2", tokens + _linear(network, "feed_forward.1", hidden))
-    share = _softmax(_linear(network, "pool", tokens), axis=0)
+    share = _softmax_in_place(_linear(network, "pool", tokens), axis=0)
     body = (share * tokens).sum(axis=0)
     block = 0
     while f"residual.{block}.norm.weight" in network:
@@ -66,7 +66,7 @@ def _self_attention(network: Mapping[str, np.ndarray], tokens: np.ndarray) -> np
     scale = np.float32(1 / np.sqrt(width // HEADS))
     for start in range(0, count, QUERY_CHUNK):
         chunk = slice(start, start + QUERY_CHUNK)
-        share = _softmax((query[:, chunk] * scale) @ key.transpose(0, 2, 1), axis=-1)
+        share = _softmax_in_place((query[:, chunk] * scale) @ key.transpose(0, 2, 1), axis=-1)
         out[chunk] = (share @ value).transpose(1, 0, 2)
     return out.reshape(count, width)
 
@@ -81,6 +81,9 @@ def _layer_norm(network: Mapping[str, np.ndarray], name: str, x: np.ndarray) -> 
     return centred / deviation * network[f"{name}.weight"] + network[f"{name}.bias"]
 
 
-def _softmax(x: np.ndarray, axis: int) -> np.ndarray:
-    x = np.exp(x - x.max(axis=axis, keepdims=True))
-    return x / x.sum(axis=axis, keepdims=True)
+def _softmax_in_place(x: np.ndarray, axis: int) -> np.ndarray:
+    """Overwrites and returns `x`: a chunk's scores are by far the largest array, and one copy of them is enough."""
+    x -= x.max(axis=axis, keepdims=True)
+    np.exp(x, out=x)
+    x /= x.sum(axis=axis, keepdims=True)
+    return x

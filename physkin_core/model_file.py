@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -37,7 +38,7 @@ def load_garment_model(path: str | Path) -> GarmentModel:
     """Read and check a garment model; a bare name such as "tshirt" means a shipped one.
 
     Raises ModelFileError when the file is missing, truncated, altered, of a newer schema version, or holds an array of
-    the wrong shape, an index out of range or a value that is not finite.
+    an unknown name, the wrong shape or type, an index out of range or a value that is not finite.
     """
     from safetensors import SafetensorError, safe_open
 
@@ -50,12 +51,11 @@ def load_garment_model(path: str | Path) -> GarmentModel:
         raise ModelFileError(f"cannot read garment model {path}: {error}") from error
     _check_header(path, metadata, tensors)
     arrays = {
-        name: tensor.astype(np.int32 if name in INDEX_ARRAYS else np.float32, copy=False)
-        for name, tensor in tensors.items()
+        name: tensor.astype(np.float32) if tensor.dtype.kind == "f" else tensor for name, tensor in tensors.items()
     }
     try:
         weights = arrays["skinning.weights"]
-        return GarmentModel(
+        model = GarmentModel(
             name=metadata["name"],
             rig=Rig.from_json(json.loads(metadata["rig"])),
             garment=Garment(arrays["garment.vertices"], arrays["garment.faces"]),
@@ -75,10 +75,16 @@ def load_garment_model(path: str | Path) -> GarmentModel:
         raise ModelFileError(f"garment model {path} lacks {error}") from error
     except (GarmentModelError, GarmentError, RigError, TypeError, ValueError) as error:
         raise ModelFileError(f"garment model {path} is not valid: {error}") from error
+    if unknown := sorted(arrays.keys() - model.arrays().keys()):
+        raise ModelFileError(f"garment model {path} holds unknown arrays: {', '.join(unknown)}")
+    return model
 
 
 def save_garment_model(model: GarmentModel, path: str | Path) -> None:
-    """Write a garment model (a checked `GarmentModel`) to `path`, replacing what is there in one step."""
+    """Write a garment model (a checked `GarmentModel`) to `path`, replacing what is there in one step.
+
+    Raises ModelFileError, and writes nothing, when a value is too large for the precision it is stored in.
+    """
     from safetensors.numpy import save
 
     tensors = {name: np.ascontiguousarray(_stored(name, array)) for name, array in model.arrays().items()}
@@ -102,7 +108,7 @@ def save_garment_model(model: GarmentModel, path: str | Path) -> None:
 
 def _resolve(path: str | Path) -> Path:
     candidate = Path(path)
-    if candidate.suffix == "" and not candidate.exists():
+    if candidate.suffix == "" and not candidate.is_file():
         shipped = sorted(file.stem for file in MODELS_PATH.glob("*.safetensors"))
         if str(path) in shipped:
             return MODELS_PATH / f"{path}.safetensors"
@@ -114,7 +120,7 @@ def _check_header(path: Path, metadata: Mapping[str, str], tensors: Mapping[str,
     if metadata.get("format") != FORMAT:
         raise ModelFileError(f"{path} is not a garment model: format {metadata.get('format')!r}, expected {FORMAT!r}")
     version = metadata.get("schema_version", "")
-    if not version.isdigit() or int(version) < 1:
+    if not re.fullmatch("[1-9][0-9]{0,8}", version):
         raise ModelFileError(f"garment model {path} has schema version {version!r}, expected 1 to {SCHEMA_VERSION}")
     if int(version) > SCHEMA_VERSION:
         raise ModelFileError(
@@ -138,7 +144,12 @@ def _digest(metadata: Mapping[str, str], tensors: Mapping[str, np.ndarray]) -> s
 def _stored(name: str, array: np.ndarray) -> np.ndarray:
     if name in INDEX_ARRAYS:
         return array.astype(np.min_scalar_type(int(array.max())))
-    return array.astype(np.float32 if name in GEOMETRY_ARRAYS else np.float16)
+    with np.errstate(over="ignore"):
+        stored = array.astype(np.float32 if name in GEOMETRY_ARRAYS else np.float16)
+    if not np.isfinite(stored).all():
+        largest = np.finfo(stored.dtype).max
+        raise ModelFileError(f"{name} holds {np.abs(array).max():.3g}; {stored.dtype} stores at most {largest:.3g}")
+    return stored
 
 
 def _with_prefix(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

@@ -13,8 +13,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from physkin_core.rig import Rig
 
 __all__ = ["MOTIONS_DIRECTORY", "Motion", "MotionError", "bundled_motions", "load_motion", "save_motion"]
 
@@ -95,6 +99,23 @@ class Motion:
         gap = np.abs(self.positions[-1] - self.positions[0]).max(initial=0.0)
         tilt = np.linalg.norm(self.gravity[-1] - self.gravity[0])
         return bool(gap < CLOSED_POSITION and tilt < CLOSED_GRAVITY)
+
+    def positions_for(self, rig: Rig) -> np.ndarray:
+        """Joint positions (T, d) float32 [rad] in the order of another rig, matched by name.
+
+        Joints of the rig that the clip does not have stay at rest; those that only the clip has are left out.
+        Raises MotionError when no name matches.
+        """
+        column = {name: k for k, name in enumerate(self.joint_names)}
+        matched = [k for k, name in enumerate(rig.joint_names) if name in column]
+        if not matched:
+            raise MotionError(
+                f"motion {self.name!r} has no joint of the rig: it moves {', '.join(self.joint_names[:3])}, ..., "
+                f"the rig has {', '.join(rig.joint_names[:3])}, ..."
+            )
+        positions = np.tile(rig.rest.astype(np.float32), (self.frame_count, 1))
+        positions[:, matched] = self.positions[:, [column[rig.joint_names[k]] for k in matched]]
+        return positions
 
     def resampled(self, rate_hz: float) -> Motion:
         """The clip at another rate, by cubic splines, so that velocities do not jump at the old frames.

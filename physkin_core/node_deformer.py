@@ -16,13 +16,14 @@ __all__ = ["fold_first_layer", "node_corrections"]
 
 
 def node_corrections(
-    layers: Sequence[Layer], posed_nodes: np.ndarray, modulation: np.ndarray, activation: str
+    layers: Sequence[Layer], transforms: np.ndarray, modulation: np.ndarray, activation: str
 ) -> np.ndarray:
     """Raw numbers of delta-chi (see `garment_nodes.delta_transforms`).
 
-    posed_nodes: (..., m, 3, 4) chi_skin. modulation: from `pose_modulation`. Returns (..., 9 m) or (..., 12 m).
+    transforms: (..., m, 3, 4) chi_skin; (..., u, 3, 4) of the bones used when the first layer is folded onto them.
+    modulation: from `pose_modulation`. Returns (..., 9 m) or (..., 12 m).
     """
-    return modulated_mlp(layers, posed_nodes.reshape(*posed_nodes.shape[:-3], -1), modulation, activation)
+    return modulated_mlp(layers, transforms.reshape(*transforms.shape[:-3], -1), modulation, activation)
 
 
 def fold_first_layer(

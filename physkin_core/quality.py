@@ -11,6 +11,9 @@ from physkin_core.garment import Garment, face_areas
 
 __all__ = ["area_strain", "contact_figures", "edge_strain", "jitter", "signed_distance"]
 
+ON_EDGE = 1e-6
+"""A closest point with a smaller barycentric coordinate lies on the edge."""
+
 
 def edge_strain(garment: Garment, vertices: np.ndarray) -> np.ndarray:
     """eps_e: mean |l - l0| / l0 over edges [%] (paper: Error Metrics). vertices: (..., n, 3). Returns (...)."""
@@ -25,11 +28,37 @@ def area_strain(garment: Garment, vertices: np.ndarray) -> np.ndarray:
 
 
 def signed_distance(points: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray) -> np.ndarray:
-    """Distance to the closest point of a closed body surface [m], negative inside. points: (n, 3). Returns (n,)."""
+    """Distance to the closest point of a closed body surface [m], negative inside. points: (n, 3). Returns (n,).
+
+    The sign is that of the angle-weighted pseudo-normal at the closest point (Baerentzen and Aanaes 2005), as in the
+    training's contact: where a body intersects itself, its nearest skin decides, and edges and corners are exact.
+    """
     import trimesh
 
     body = trimesh.Trimesh(body_vertices, body_faces, process=False)
-    return -trimesh.proximity.signed_distance(body, points)
+    closest, distance, face = trimesh.proximity.closest_point(body, points)
+    barycentric = trimesh.triangles.points_to_barycentric(body.triangles[face], closest)
+    at_face, at_edge, at_corner = _pseudo_normals(body.vertices, body.faces)
+    touched = (barycentric > ON_EDGE).sum(axis=1)[:, None]  # corners with a share: 1 at a corner, 2 on an edge
+    normal = np.where(touched == 2, at_edge[face, barycentric.argmin(axis=1)], at_face[face])
+    normal = np.where(touched == 1, at_corner[body.faces[face, barycentric.argmax(axis=1)]], normal)
+    return np.where(((points - closest) * normal).sum(axis=1) < 0, -distance, distance)
+
+
+def _pseudo_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of faces (f, 3), unit; of the edge opposite each face's corner (f, 3, 3); of vertices (n, 3), angle-weighted."""
+    sides = np.roll(vertices[faces], -1, axis=1) - vertices[faces]  # from corner k to corner k + 1
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    back = -np.roll(sides, 1, axis=1)
+    angles = np.arctan2(np.linalg.norm(np.cross(sides, back), axis=-1), (sides * back).sum(axis=-1))
+    at_corner = np.zeros((len(vertices), 3))
+    np.add.at(at_corner, faces, angles[..., None] * normals[:, None])
+    ends = np.sort(np.stack([np.roll(faces, -1, axis=1), np.roll(faces, -2, axis=1)], axis=-1), axis=-1).reshape(-1, 2)
+    edges, owner = np.unique(ends, axis=0, return_inverse=True)
+    at_edge = np.zeros((len(edges), 3))
+    np.add.at(at_edge, owner.reshape(faces.shape), normals[:, None])
+    return normals, at_edge[owner.reshape(faces.shape)], at_corner
 
 
 def contact_figures(distances: np.ndarray) -> dict[str, float]:

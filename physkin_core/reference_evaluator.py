@@ -9,7 +9,8 @@ import numpy as np
 
 from physkin_core.bound_garment import BoundGarment
 from physkin_core.garment_nodes import compose_nodes, delta_transforms, pose_nodes
-from physkin_core.mlp import modulated_mlp, modulation_size
+from physkin_core.node_deformer import node_corrections
+from physkin_core.pose_modulator import pose_modulation
 from physkin_core.rig import forward_kinematics, pose_vector
 from physkin_core.skinning import skin
 
@@ -41,10 +42,8 @@ class ReferenceEvaluator:
         heads = bound.bone_heads.astype(np.float64)
         bones = forward_kinematics(bound.bone_parents, heads, bound.dof_bone, bound.dof_axis, q - bound.dof_rest)
         pose = pose_vector(q, bound.dof_lower.astype(np.float64), bound.dof_upper.astype(np.float64), gravity)
-        no_modulation = np.zeros(modulation_size(bound.pose_layers))
-        modulation = modulated_mlp(bound.pose_layers, pose, no_modulation, bound.activation)
-        seen = bones[bound.deformer_bones].reshape(-1)
-        raw = modulated_mlp(bound.deformer_layers, seen, modulation, bound.activation)
+        modulation = pose_modulation(bound.pose_layers, pose, None, bound.activation)
+        raw = node_corrections(bound.deformer_layers, bones[bound.deformer_bones], modulation, bound.activation)
         posed = pose_nodes(bones, bound.node_bone, bound.node_positions)
         self._nodes = compose_nodes(posed, delta_transforms(raw, len(bound.node_bone)))
         out[:, :3], normals = skin(

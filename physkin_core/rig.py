@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -62,7 +63,7 @@ class Rig:
             raise RigError("a rig needs at least one bone, got none")
         _reject_duplicates("bone", self.bone_names)
         _reject_duplicates("degree of freedom", [dof.name for dof in self.dofs])
-        parents = np.ascontiguousarray(self.parents, dtype=np.int32)
+        parents = np.asarray(self.parents)
         heads = np.ascontiguousarray(self.heads, dtype=np.float64)
         tails = np.ascontiguousarray(self.tails, dtype=np.float64)
         if parents.shape != (b,) or heads.shape != (b, 3) or tails.shape != (b, 3):
@@ -70,6 +71,8 @@ class Rig:
                 f"rig of {b} bones: parents {parents.shape}, heads {heads.shape}, tails {tails.shape}; "
                 f"expected ({b},), ({b}, 3), ({b}, 3)"
             )
+        if parents.dtype.kind not in "iu":
+            raise RigError(f"parents must be integer bone indices, -1 for the root, got {parents.tolist()}")
         if not (np.isfinite(heads).all() and np.isfinite(tails).all()):
             raise RigError("bone heads and tails must be finite")
         if parents[0] != -1:
@@ -85,7 +88,7 @@ class Rig:
         numbers = np.array([[d.lower, d.upper, d.rest] for d in self.dofs], dtype=np.float64).reshape(-1, 3)
         axes = np.array([d.axis for d in self.dofs], dtype=np.float64).reshape(-1, 3)
         derived = {
-            "parents": parents,
+            "parents": np.array(parents, dtype=np.int32),
             "heads": heads,
             "tails": tails,
             "dof_bones": np.array([bone_index[d.bone] for d in self.dofs], dtype=np.int32),
@@ -119,6 +122,23 @@ class Rig:
             return self.bone_names.index(name)
         except ValueError:
             raise RigError(f"no bone {name!r} in this rig; bones are {', '.join(self.bone_names)}") from None
+
+    def joint_positions(self, mapping: Mapping[str, float], *, start: np.ndarray | None = None) -> np.ndarray:
+        """Joint positions (d,) [rad] in this rig's order, from positions by joint name.
+
+        start: (d,) positions of the joints that `mapping` leaves out, default their rest.
+        Raises RigError naming an unknown joint and those that are called alike.
+        """
+        positions = np.array(self.rest if start is None else start, dtype=np.float64)
+        if positions.shape != (len(self.dofs),):
+            raise RigError(f"start has shape {positions.shape}, expected ({len(self.dofs)},)")
+        index = {name: k for k, name in enumerate(self.joint_names)}
+        for name, value in mapping.items():
+            if name not in index:
+                close = get_close_matches(str(name), self.joint_names) or self.joint_names
+                raise RigError(f"no joint {name!r} in this rig; did you mean one of {', '.join(close)}?")
+            positions[index[name]] = value
+        return positions
 
     def pose_vector(self, joint_positions: np.ndarray, gravity: np.ndarray) -> np.ndarray:
         """Network input theta: joint positions scaled to [-1, 1] by their limits (clipped), then gravity.
@@ -156,9 +176,12 @@ class Rig:
         """Inverse of `to_json`. Raises RigError on missing, unknown or malformed entries."""
         try:
             bones, dofs = data["bones"], data["dofs"]
+            _reject_unknown("rig", data, ("bones", "dofs"))
+            for bone in bones:
+                _reject_unknown(f"bone {bone['name']!r}", bone, ("name", "parent", "head", "tail"))
             return cls(
                 bone_names=tuple(str(bone["name"]) for bone in bones),
-                parents=np.array([bone["parent"] for bone in bones], dtype=np.int32),
+                parents=np.array([bone["parent"] for bone in bones]),
                 heads=np.array([bone["head"] for bone in bones], dtype=np.float64),
                 tails=np.array([bone["tail"] for bone in bones], dtype=np.float64),
                 dofs=tuple(DegreeOfFreedom(**{**dof, "axis": tuple(dof["axis"])}) for dof in dofs),
@@ -206,6 +229,11 @@ def _reject_duplicates(kind: str, names: Sequence[str]) -> None:
         if name in seen:
             raise RigError(f"{kind} {name!r} occurs twice")
         seen.add(name)
+
+
+def _reject_unknown(where: str, entries: Mapping, allowed: Sequence[str]) -> None:
+    if unknown := sorted(str(key) for key in set(entries) - set(allowed)):
+        raise RigError(f"{where} has unknown entries {', '.join(unknown)}; allowed: {', '.join(allowed)}")
 
 
 def _check_dof(dof: DegreeOfFreedom, bone_index: Mapping[str, int]) -> None:

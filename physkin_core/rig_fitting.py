@@ -9,6 +9,7 @@ unknowns. Metres, root frame axes.
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,8 @@ from physkin_core.rig import Rig
 from physkin_core.surface_sampling import sample_surface
 
 __all__ = ["FittedBody", "carry_influences", "fit_body", "template_on_skeleton"]
+
+log = logging.getLogger(__name__)
 
 SAMPLES = 2500
 TRIAL_ITERATIONS, ITERATIONS = 6, 18
@@ -90,6 +93,7 @@ def fit_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> Fitted
 
     vertices: (V, 3) [m], upright, any origin; faces: (f, 3). The best start is refined. Deterministic, seconds.
     """
+    log.info("fitting the body model to a mesh of %d vertices without a skeleton: takes seconds", len(vertices))
     points = _with_normals(*sample_surface(vertices, faces, 8 * SAMPLES))
     width = np.ptp(vertices, axis=0)
     trials = []

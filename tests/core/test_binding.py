@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from random_models import BACKENDS, SIZES, random_avatar, random_model, tube
 
-from physkin_core import Draper, avatar_from_body, load_body_model
+from physkin_core import Draper, avatar_from_body, binding, load_body_model
 from physkin_core.binding import bind_garment, bind_points, encode_body
 from physkin_core.garment import vertex_normals
 from physkin_core.garment_nodes import closest_bones
@@ -170,13 +170,25 @@ def test_far_points_are_refused(model):
         bind_points(model, 100 * model.garment.vertices[::50])
 
 
+def test_centimetres_are_refused_at_once(model, monkeypatch):
+    """By the bounding box, before any closest point is looked for."""
+    monkeypatch.setattr(trimesh.proximity, "closest_point", None)
+    with pytest.raises(ValueError, match=r"is at least \d+\.\d cm from garment 'random'.* in metres\?"):
+        bind_points(model, 100 * model.garment.vertices)
+
+
+def test_points_bound_in_parts_are_bound_alike(model, monkeypatch):
+    points = point_cloud(model.garment)
+    expected = bind_points(model, points)
+    monkeypatch.setattr(binding, "POINTS_AT_ONCE", 7)
+    for name, array in bind_points(model, points).items():
+        np.testing.assert_array_equal(array, expected[name], err_msg=name)
+
+
 @pytest.mark.parametrize(
     "normals",
-    [
-        pytest.param(shape, marks=pytest.mark.xfail(strict=True, reason="given normals are not checked"))
-        for shape in (np.ones((7, 3)), np.ones((1, 3)), np.full((20, 3), np.nan))
-    ],
-    ids=["too few", "one for all", "nan"],
+    [np.ones((7, 3)), np.ones((1, 3)), np.full((20, 3), np.nan), np.ones((20, 3)) * (np.arange(20) != 5)[:, None]],
+    ids=["too few", "one for all", "nan", "no length"],
 )
 def test_normals_must_be_finite_and_one_a_point(model, normals):
     with pytest.raises(ValueError, match="normals"):

@@ -7,7 +7,13 @@ import pytest
 from random_models import random_rotation, unit_rows
 
 from physkin_core import load_body_model
-from physkin_core.canonical_pose import LIMB_SEGMENTS, limb_rotations, smallest_rotation
+from physkin_core.canonical_pose import (
+    LIMB_SEGMENTS,
+    blended,
+    limb_rotations,
+    smallest_rotation,
+    turned_down_the_chain,
+)
 
 
 def angle_of(rotation):
@@ -98,3 +104,28 @@ def test_segments_missing_on_either_side_are_skipped():
     rotations = limb_rotations(heads, skeleton())
     assert "lowerarm01.L" not in rotations and "upperarm01.L" in rotations and len(rotations) == 7
     assert len(limb_rotations(skeleton(), heads)) == 7
+
+
+def test_turns_go_down_the_chain():
+    """Joints with a turn have it as their world rotation, others their parent's; all stay attached; two roots."""
+    rng = np.random.default_rng(2)
+    parents, heads = np.array([-1, 0, 1, 1, -1, 4]), rng.normal(size=(6, 3))
+    turns = {1: random_rotation(rng), 3: random_rotation(rng), 4: random_rotation(rng)}
+    transforms, posed = turned_down_the_chain(heads, parents, turns)
+    expected = [np.eye(3), turns[1], turns[1], turns[3], turns[4], turns[4]]
+    np.testing.assert_allclose(transforms[..., :3], expected)
+    np.testing.assert_allclose(posed[[0, 4]], heads[[0, 4]])
+    for joint, parent in enumerate(parents):
+        for carrier in {joint, parent} - {-1}:
+            moved = transforms[carrier, :, :3] @ heads[joint] + transforms[carrier, :, 3]
+            np.testing.assert_allclose(moved, posed[joint], atol=1e-12)
+
+
+def test_blending_vertex_by_vertex():
+    rng = np.random.default_rng(3)
+    vertices, transforms = rng.normal(size=(8, 3)), rng.normal(size=(4, 3, 4))
+    joints, weights = rng.integers(0, 4, size=(8, 2)), rng.dirichlet(np.ones(2), size=8)
+    moved = blended(vertices, transforms, joints, weights)
+    for vertex, result, own, share in zip(vertices, moved, joints, weights):
+        expected = sum(w * (transforms[j] @ [*vertex, 1.0]) for j, w in zip(own, share))
+        np.testing.assert_allclose(result, expected, atol=1e-12)

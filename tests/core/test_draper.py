@@ -168,6 +168,19 @@ def test_joint_positions_may_be_any_numbers(backend):
         np.testing.assert_array_equal(draper.drape(same), expected)
 
 
+def test_joint_positions_may_be_given_by_name():
+    """The others are at rest; an unknown joint is named."""
+    _, model, avatar = scene(14)
+    draper = Draper(model, avatar, backend="numpy")
+    q = model.rig.rest.copy()
+    q[3] += 0.4
+    np.testing.assert_array_equal(draper.drape({"joint3": q[3]}), draper.drape(q))
+    with pytest.raises(ValueError, match="no joint 'elbow'"):
+        draper.drape({"elbow": 0.4})
+    with pytest.raises(ValueError, match="joint 'joint3' is nan"):
+        draper.drape({"joint3": np.nan})
+
+
 # --- The output ---
 
 
@@ -279,8 +292,11 @@ def test_points_replace_the_vertices(backend):
     points = model.garment.vertices[::3]
     draper = Draper(model, avatar, backend=backend, points=points, normals=unit_rows(rng, len(points)))
     assert draper.vertex_count == len(points) < len(model.garment.vertices)
+    assert draper.faces.shape == (0, 3) and draper.faces.dtype == np.int32
     pose = random_pose(rng, model.rig)
-    own = Draper(model, avatar, backend=backend).drape(*pose)
+    trained = Draper(model, avatar, backend=backend)
+    np.testing.assert_array_equal(trained.faces, model.garment.faces)
+    own = trained.drape(*pose)
     draped = draper.drape(*pose)
     np.testing.assert_allclose(draped[:, :3], own[::3, :3], atol=1e-5)
     np.testing.assert_allclose(np.linalg.norm(draped[:, 3:], axis=1), 1, atol=1e-5)

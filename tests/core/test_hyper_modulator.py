@@ -96,7 +96,6 @@ def test_chunks_change_nothing(monkeypatch, chunk):
     np.testing.assert_allclose(body_modulation(network, *surface), expected, atol=1e-5)
 
 
-@pytest.mark.xfail(strict=True, reason="peak is 78 MB: softmax makes three copies of a chunk's scores")
 def test_paper_size_stays_below_64_megabytes():
     """4096 points at width 128; all scores at once would take 268 MB."""
     rng = np.random.default_rng(2)

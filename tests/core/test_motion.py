@@ -6,6 +6,7 @@ from safetensors.numpy import load_file, save_file
 
 from physkin_core.body_model import load_body_model
 from physkin_core.motion import MOTIONS_DIRECTORY, Motion, MotionError, bundled_motions, load_motion, save_motion
+from physkin_core.rig import DegreeOfFreedom, Rig
 
 DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -220,3 +221,16 @@ def test_bad_rate_or_length(value):
         spinning().resampled(value)
     with pytest.raises(MotionError, match="seconds"):
         spinning().looped(value)
+
+
+def test_positions_for_a_rig_go_by_name():
+    """Another order, a joint that the clip lacks and one that the rig lacks; nothing in common is an error."""
+    motion = spinning()
+    dofs = tuple(DegreeOfFreedom(name, "root", (1, 0, 0), -1, 1, rest) for name, rest in (("c", 0.3), ("b", 0.1)))
+    rig = Rig(("root",), np.array([-1]), np.zeros((1, 3)), np.ones((1, 3)), dofs)
+    positions = motion.positions_for(rig)
+    assert positions.shape == (9, 2) and positions.dtype == np.float32
+    np.testing.assert_array_equal(positions[:, 0], np.float32(0.3))
+    np.testing.assert_array_equal(positions[:, 1], motion.positions[:, 1])
+    with pytest.raises(MotionError, match="motion 'spinning' has no joint of the rig: it moves a, b"):
+        motion.positions_for(load_body_model().rig)

@@ -48,6 +48,49 @@ def test_signed_distance_to_a_box():
     np.testing.assert_allclose(signed_distance(points, box.vertices, box.faces), expected, atol=1e-6)
 
 
+def oracle_signed_distance(point, vertices, faces):
+    """Every face's closest point (Ericson's regions), the nearest faces' normals weighted by their angle there."""
+    found = []
+    for face in faces:
+        a, b, c = vertices[face]
+        normal = np.cross(b - a, c - a) / np.linalg.norm(np.cross(b - a, c - a))
+        shares = np.linalg.solve(np.c_[b - a, c - a, normal], point - a)[:2]
+        candidates = [a + np.c_[b - a, c - a] @ shares] if min(*shares, 1 - shares.sum()) >= 0 else []
+        for start, end in ((a, b), (b, c), (c, a)):
+            along = np.clip((point - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
+            candidates.append(start + along * (end - start))
+        closest = min(candidates, key=lambda candidate: np.linalg.norm(point - candidate))
+        arms = [corner - closest for corner in (a, b, c) if np.linalg.norm(corner - closest) > 1e-9]
+        inside = len(arms) == 3 and min(np.linalg.norm(np.cross(arms[i], arms[i - 1])) for i in range(3)) > 1e-9
+        on_edge = len(arms) == 3 and not inside
+        cosine = arms[0] @ arms[1] / np.linalg.norm(arms[0]) / np.linalg.norm(arms[1])
+        angle = np.pi if on_edge else 2 * np.pi if inside else np.arccos(cosine)
+        found.append((np.linalg.norm(point - closest), angle * normal, closest))
+    least, _, closest = min(found, key=lambda entry: entry[0])
+    pseudo_normal = sum(normal for distance, normal, _ in found if distance < least + 1e-9)
+    return -least if (point - closest) @ pseudo_normal < 0 else least
+
+
+@pytest.mark.parametrize("shape", ["box", "spike", "overlapping balls"])
+def test_signed_distance_against_every_face(shape):
+    """Points anywhere, above edges and above corners; where balls overlap, the nearer skin says what is inside."""
+    rng = np.random.default_rng(0)
+    if shape == "overlapping balls":
+        ball = trimesh.creation.icosphere(subdivisions=1)
+        other = ball.copy().apply_translation([1.2, 0.1, 0])
+        vertices = np.concatenate([ball.vertices, other.vertices])
+        faces = np.concatenate([ball.faces, other.faces + len(ball.vertices)])
+    else:
+        body = trimesh.creation.box() if shape == "box" else trimesh.creation.cone(radius=0.2, height=2, sections=5)
+        vertices, faces = np.asarray(body.vertices), np.asarray(body.faces)
+    vertices = vertices @ random_rotation(rng).T
+    points = rng.uniform(1.3 * vertices.min(axis=0), 1.3 * vertices.max(axis=0), size=(60, 3))
+    corners = vertices[faces[rng.integers(0, len(faces), 20)]]
+    points = np.concatenate([points, 1.1 * corners[:, 0], 0.55 * (corners[:, 0] + corners[:, 1])])
+    expected = [oracle_signed_distance(point, vertices, faces) for point in points]
+    np.testing.assert_allclose(signed_distance(points, vertices, faces), expected, atol=1e-7)
+
+
 def test_contact_figures():
     figures = contact_figures(np.array([[-0.004, 0.0, 0.001], [0.003, 0.1, -0.001]]))
     assert figures == pytest.approx(
