@@ -217,6 +217,9 @@ def spin(node: DrapeNode) -> None:
             executor.spin_once(timeout_sec=1.0)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except RuntimeError:  # rclpy's, when a signal ends the context between ok() and the wait
+        if rclpy.ok():
+            raise
     finally:
         executor.remove_node(node)
         executor.shutdown()

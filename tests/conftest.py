@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,9 @@ from physkin_core import Garment, GarmentModel, load_body_model, load_garment_mo
 from physkin_core.garment import vertex_normals
 from physkin_core.hyper_modulator import token_features
 from physkin_core.mlp import modulation_size
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background: children would inherit the deafness
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

@@ -71,6 +71,14 @@ def oracle_signed_distance(point, vertices, faces):
     return -least if (point - closest) @ pseudo_normal < 0 else least
 
 
+def test_signed_distance_of_points_that_all_but_touch():
+    """Micrometres from a corner, where several faces are all but equally near."""
+    box, rng = trimesh.creation.box(), np.random.default_rng(1)
+    points = 0.5 + rng.uniform(-5e-5, 5e-5, size=(100, 3))
+    expected = [oracle_signed_distance(point, np.asarray(box.vertices), box.faces) for point in points]
+    np.testing.assert_allclose(signed_distance(points, box.vertices, box.faces), expected, atol=1e-7)
+
+
 @pytest.mark.parametrize("shape", ["box", "spike", "overlapping balls"])
 def test_signed_distance_against_every_face(shape):
     """Points anywhere, above edges and above corners; where balls overlap, the nearer skin says what is inside."""

@@ -28,8 +28,8 @@ def test_clouds_equal_the_core(start, peer, garment_model, model_path, executor)
         np.testing.assert_allclose(cloud, draper.drape(motion.positions[frame][index]), atol=1e-6)
     assert peer.frame_ids == {"body_7"}
     node.send_signal(signal.SIGINT)
-    assert node.wait(10) == 0
-    output = node.stdout.read()
+    status, output = node.wait(10), node.stdout.read()
+    assert status == 0, output
     assert "Traceback" not in output and "encoded body" in output and " ms" in output
 
 
