@@ -35,14 +35,16 @@ def signed_distance(points: np.ndarray, body_vertices: np.ndarray, body_faces: n
     """
     import trimesh
 
-    body = trimesh.Trimesh(body_vertices, body_faces, process=False)
+    # In millimetres: trimesh takes squared distances that differ by less than 1e-8 for equal, in metres up to 0.1 mm.
+    points = 1000 * np.asarray(points, dtype=np.float64)
+    body = trimesh.Trimesh(1000 * np.asarray(body_vertices, dtype=np.float64), body_faces, process=False)
     closest, distance, face = trimesh.proximity.closest_point(body, points)
     barycentric = trimesh.triangles.points_to_barycentric(body.triangles[face], closest)
     at_face, at_edge, at_corner = _pseudo_normals(body.vertices, body.faces)
     touched = (barycentric > ON_EDGE).sum(axis=1)[:, None]  # corners with a share: 1 at a corner, 2 on an edge
     normal = np.where(touched == 2, at_edge[face, barycentric.argmin(axis=1)], at_face[face])
     normal = np.where(touched == 1, at_corner[body.faces[face, barycentric.argmax(axis=1)]], normal)
-    return np.where(((points - closest) * normal).sum(axis=1) < 0, -distance, distance)
+    return np.where(((points - closest) * normal).sum(axis=1) < 0, -distance, distance) / 1000
 
 
 def _pseudo_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
