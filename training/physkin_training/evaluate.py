@@ -11,7 +11,7 @@ import copy
 import json
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -49,7 +49,6 @@ class Figures:
         self.face_areas = torch.as_tensor(garment.face_areas.copy(), dtype=torch.float32, device=device)
         self.sums: dict[str, float] = {}
         self.samples = 0
-        self.deepest = 0.0
         self.depths: list[torch.Tensor] = []
 
     def add(self, vertices: torch.Tensor, energies: Energies, *, count: int | None = None) -> None:
@@ -150,12 +149,15 @@ class Evaluation:
         """Mean energy and energies of drapes (B, n, 3) against the bodies of the batch posed last."""
         return self.losses(vertices, batch.gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
 
-    def figures(self, *, upright: bool) -> dict[str, dict[str, float]]:
+    def figures(
+        self, *, upright: bool, only: Collection[str] = ("model", "skinning", "fewer_influences")
+    ) -> dict[str, dict[str, float]]:
         """The model, plain skinning, and the model with only the `FEWER_INFLUENCES` strongest influences a vertex
-        (renormalised), over all pairs."""
+        (renormalised), over all pairs; of these rows, those named in `only`."""
         fewer = copy.deepcopy(self.drape)
         fewer.prune_influences(FEWER_INFLUENCES)
         drapes = {"model": self.drape, "skinning": self.drape, "fewer_influences": fewer}
+        drapes = {name: drape for name, drape in drapes.items() if name in only}
         rows = {name: Figures(self.model.garment, self.device) for name in drapes}
         with torch.no_grad():
             for batch in self.batches(upright=upright):
@@ -219,11 +221,10 @@ def evaluate_model(
     """All rows of one model as plain data. minimum: pairs for the minima, 0 to leave them out."""
     batch = 64 if device.type == "cuda" else min(16, bodies * poses)
     evaluation = Evaluation(model, device, bodies=bodies, poses=poses, seed=seed, batch=batch)
-    scores: dict = evaluation.figures(upright=True)
-    scores["tilted"] = evaluation.figures(upright=False)["model"]
     influences = model.influence_weights.shape[1]
-    if influences <= FEWER_INFLUENCES:
-        del scores["fewer_influences"]
+    rows = ["model", "skinning", *(["fewer_influences"] if influences > FEWER_INFLUENCES else [])]
+    scores: dict = evaluation.figures(upright=True, only=rows)
+    scores["tilted"] = evaluation.figures(upright=False, only=["model"])["model"]
     scores["counts"] = {"bodies": bodies, "poses": poses, "seed": seed, "pairs": scores["model"]["pairs"]}
     scores["counts"]["influences"] = influences
     scores["material"] = asdict(model.material)

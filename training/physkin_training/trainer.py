@@ -146,17 +146,13 @@ class Trainer:
         self.averaged.load_state_dict(self.drape.state_dict())
 
     def _make_optimiser(self) -> torch.optim.Adam:
-        optimisation = self.config.optimisation
-
-        def rate(value: float) -> torch.Tensor | float:
-            return torch.tensor(value, device=self.device)
-
+        """Adam whose learning rates sit in tensors, which `_set_schedules` fills."""
         groups = [
-            {"params": list(self.drape.networks.parameters()), "lr": rate(optimisation.learning_rate)},
-            {"params": [self.drape.skinning_logits], "lr": rate(optimisation.skinning_rate)},
+            {"params": list(self.drape.networks.parameters()), "lr": torch.zeros((), device=self.device)},
+            {"params": [self.drape.skinning_logits], "lr": torch.zeros((), device=self.device)},
         ]
         on_gpu = self.device.type == "cuda"
-        return torch.optim.Adam(groups, capturable=on_gpu, fused=on_gpu, foreach=False if not on_gpu else None)
+        return torch.optim.Adam(groups, capturable=on_gpu, fused=on_gpu)
 
     def _set_schedules(self) -> None:
         optimisation = self.config.optimisation
