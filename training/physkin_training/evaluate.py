@@ -27,6 +27,7 @@ from physkin_training.export import drape_from_model, encode_bodies
 from physkin_training.minimum import Minimum, full_space_minimum, subspace_minimum
 from physkin_training.physics_losses import GRAVITY, Energies, PhysicsLosses
 from physkin_training.posed_bodies import BodySet, PosedBodies
+from physkin_training.wearing import Wearing
 
 __all__ = ["Evaluation", "Figures"]
 
@@ -119,7 +120,7 @@ class Evaluation:
         self.bodies = BodySet(body_model, body_model.held_out_bodies[:bodies], device)
         self.batch = min(batch, bodies * poses)
         self.posed_bodies = PosedBodies(body_model, self.bodies, self.batch)
-        self.losses = PhysicsLosses(model.garment, model.material, self.batch, device, reach=REACH)
+        self.losses = PhysicsLosses(model.garment, model.material, self.batch, device, wearing=Wearing.of(model.garment, body_model), reach=REACH)
         self.modulations = encode_bodies(self.drape, self.bodies.vertices.cpu().numpy(), body_model.faces)
         self.node_positions = self.drape.node_positions(self.bodies)
 
