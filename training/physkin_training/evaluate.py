@@ -58,15 +58,26 @@ class Batch:
 class Evaluation:
     """Held-out bodies and seeded poses for one garment model on one device.
 
-    Raises ValueError when the model is for another rig than the body model's, or there are not so many bodies.
+    bodies: how many, the first of the held-out ones; or the indices of which ones. Raises ValueError when the model is
+    for another rig than the body model's, or there are not so many bodies.
     """
 
     def __init__(
-        self, model: GarmentModel, device: torch.device, *, bodies: int, poses: int, seed: int, batch: int = 64
+        self,
+        model: GarmentModel,
+        device: torch.device,
+        *,
+        bodies: int | Sequence[int],
+        poses: int,
+        seed: int,
+        batch: int = 64,
     ) -> None:
         body_model = load_body_model()
-        if not 1 <= bodies <= len(body_model.held_out_bodies):
-            raise ValueError(f"bodies must be 1 to {len(body_model.held_out_bodies)}, got {bodies}")
+        held_out = body_model.held_out_bodies
+        if isinstance(bodies, int):
+            if not 1 <= bodies <= len(held_out):
+                raise ValueError(f"bodies must be 1 to {len(held_out)}, got {bodies}")
+            bodies = range(bodies)
         if poses < 1:
             raise ValueError(f"poses must be at least 1, got {poses}")
         if model.rig.to_json() != body_model.rig.to_json():
@@ -74,8 +85,8 @@ class Evaluation:
             raise ValueError(f"garment model {model.name!r} is for another rig than the body model's: {difference}")
         self.model, self.device, self.poses, self.seed = model, device, poses, seed
         self.drape: Drape = drape_from_model(model).to(device).eval()
-        self.bodies = BodySet(body_model, body_model.held_out_bodies[:bodies], device)
-        self.batch = min(batch, bodies * poses)
+        self.bodies = BodySet(body_model, held_out[list(bodies)], device)
+        self.batch = min(batch, len(bodies) * poses)
         self.posed_bodies = PosedBodies(body_model, self.bodies, self.batch)
         self.losses = PhysicsLosses(model.garment, model.material, self.batch, device, reach=REACH)
         self.modulations = encode_bodies(self.drape, self.bodies.vertices.cpu().numpy(), body_model.faces)

@@ -30,10 +30,12 @@ class Pairs:
     def __len__(self) -> int:
         return len(self.body)
 
+    def __getitem__(self, chosen: torch.Tensor) -> Pairs:
+        return Pairs(self.positions[chosen], self.gravity[chosen], self.body[chosen])
+
     def spread(self, count: int) -> Pairs:
         """`count` of the pairs, evenly spread over them (at most all)."""
-        chosen = torch.linspace(0, len(self) - 1, min(count, len(self))).round().long()
-        return Pairs(self.positions[chosen], self.gravity[chosen], self.body[chosen])
+        return self[torch.linspace(0, len(self) - 1, min(count, len(self))).round().long()]
 
 
 def uniform_pairs(rig: Rig, *, bodies: int, poses: int, seed: int, upright: bool) -> Pairs:
