@@ -21,6 +21,7 @@ COLUMNS = {
     "collision_j": "contact J",
     "gravity_j": "gravity J",
     "jitter_mm": "jitter mm",
+    "jitter_ratio": "/ skinning's",
 }
 ROWS = {
     "skinning": "plain skinning",
@@ -42,8 +43,9 @@ def table(scores: Mapping) -> str:
     rows = {label.format(**scores["counts"]): scores[row] for row, label in ROWS.items() if row in scores}
     motion = scores.get("motion")
     if motion:
-        rows |= {"plain skinning, motion": motion["skinning"], "the model, motion": motion["model"]}
-        rows |= {f"the model, {clip}": figures["model"] for clip, figures in motion["clips"].items()}
+        rows["plain skinning, motion"] = motion["skinning"]
+        for clip, scored in {"motion": motion, **motion["clips"]}.items():
+            rows[f"the model, {clip}"] = scored["model"] | {"jitter_ratio": scored["jitter_ratio"]}
     lines = ["| | " + " | ".join(COLUMNS.values()) + " |", "|---|" + "---|" * len(COLUMNS)]
     for label, figures in rows.items():
         cells = [f"{figures[column]:.3f}" if column in figures else "" for column in COLUMNS]
