@@ -215,6 +215,9 @@ def test_clips_that_cannot_be_measured_are_refused(model):
     evaluation = Evaluation(model, CPU, bodies=1, poses=1, seed=0)
     with pytest.raises(ValueError, match="'walk' is too short: jitter needs 3 frames at 60 Hz"):
         evaluation.motion([clip("walk", 2)])
+    still = replace(clip("walk", 5), positions=clip("walk", 5).positions[[0] * 5])
+    with pytest.raises(ValueError, match="'walk' stands still"):
+        evaluation.motion([still])
     with pytest.raises(ValueError, match="different names, got walk, walk"):
         evaluation.motion([clip("walk", 5), clip("walk", 6)])
     walk = clip("walk", 5)

@@ -189,7 +189,8 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     for row, figures in drapes.figures.items():
         listed = ", ".join(f"{figures[figure]:.3f} {unit}" for figure, unit in PRINTED.items())
-        print(f"{row} ({figures['pairs']} pairs): {listed}")
+        after = f" after {arguments.minimum_steps} steps" if row == "minimum" else ""
+        print(f"{row}{after} ({figures['pairs']} pairs): {listed}")
     print(f"wrote {arguments.output}")
     return 0
 

@@ -15,6 +15,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from physkin_core.body_model import load_body_model
@@ -129,7 +130,8 @@ class Evaluation:
         """Model and plain skinning on every frame of clips on every body: `model`, `skinning`, `jitter_ratio`; `clips`
         by name with the same; `counts`.
 
-        Raises MotionError when a clip moves none of the rig's joints, ValueError when one is too short or comes twice.
+        Raises MotionError when a clip moves none of the rig's joints, ValueError when one is too short, stands still or
+        comes twice.
         """
         clips = {motion.name: motion.resampled(MOTION_RATE) for motion in motions}
         if len(clips) < len(motions):
@@ -137,6 +139,8 @@ class Evaluation:
         for motion in clips.values():
             if motion.frame_count < 3:
                 raise ValueError(f"motion {motion.name!r} is too short: jitter needs 3 frames at {MOTION_RATE:g} Hz")
+            if not np.ptp(motion.positions, axis=0).any():
+                raise ValueError(f"motion {motion.name!r} stands still: jitter is measured against plain skinning's")
         total = {name: Figures(self.model.garment, self.device) for name in ("model", "skinning")}
         results: dict = {"clips": {}}
         for name, motion in clips.items():
