@@ -64,7 +64,7 @@ def test_drapes_are_the_run_times_and_the_minimum_is_lower(model):
     poses, _ = chosen_poses(model.rig, count=2, seed=0)
     drapes = drape_all(evaluation, poses, minimum_steps=10)
     assert list(drapes.garments) == ["model", "minimum"]
-    for pair in (0, 5):
+    for pair in (1, 3):
         avatar = avatar_from_body(BODY, BODY.held_out_bodies[bodies[pair % 3]])
         draper = Draper(model, avatar, backend="numpy")
         q, gravity = poses.positions[pair // 3].numpy(), poses.gravity[pair // 3].numpy()
