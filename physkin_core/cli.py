@@ -24,6 +24,7 @@ FORWARDED = {
     "demo": ("physkin_ros.demo", "run the node between a motion player and a listener; print figures, draw a picture"),
     "train": ("physkin_training.train", "train a garment from its mesh and physics"),
     "evaluate": ("physkin_training.evaluate", "measure a garment model on bodies it has not seen"),
+    "contact-sheet": ("physkin_training.contact_sheet", "draw a garment model on thin, average and heavy bodies"),
 }
 """Subcommand -> module whose `main(argv)` it calls, and what it does."""
 

@@ -38,11 +38,11 @@ class OptimisationConfig:
     `encoder_points` of them. `contact_linear_beyond` [m], `heavy_energy` [J]: see `PhysicsLosses`. `average`: decay a step of the moving average of networks and skinning weights that is exported, 0 for none.
     """
 
-    steps: int = 150000
+    steps: int = 100000
     samples: int = 96
     bodies: int = 12
     learning_rate: float = 5e-4
-    skinning_rate: float = 5e-3
+    skinning_rate: float = 1e-2
     final_rate: float = 0.005
     warm_up: float = 0.01
     growth: float = 0.35
@@ -50,11 +50,11 @@ class OptimisationConfig:
     late_reach: float = 0.05
     prune_from: float = 0.3
     prune_at: float = 0.6
-    full_encoding: float = 0.85
+    full_encoding: float = 0.93
     encoder_points: int = 1024
     gradient_clip: float = 10.0
     contact_linear_beyond: float = 0.01
-    heavy_energy: float = 0.2
+    heavy_energy: float = 0.1
     average: float = 0.999
 
     def __post_init__(self) -> None:
@@ -65,7 +65,9 @@ class OptimisationConfig:
         check("learning_rate skinning_rate", "finite and above 0", lambda value: 0 < value < math.inf)
         check("gradient_clip contact_linear_beyond heavy_energy late_reach", "above 0", lambda value: value > 0)
         check(
-            "final_rate warm_up growth initial_contact prune_from prune_at full_encoding", "0 to 1", lambda value: 0 <= value <= 1
+            "final_rate warm_up growth initial_contact prune_from prune_at full_encoding",
+            "0 to 1",
+            lambda value: 0 <= value <= 1,
         )
         check("average", "at least 0 and below 1", lambda value: 0 <= value < 1)
         multiple = f"a multiple of optimisation.bodies {self.bodies}"

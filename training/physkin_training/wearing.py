@@ -45,9 +45,7 @@ class Wearing:
         """Read off the garment maker's body. Raises ValueError for a garment without an opening."""
         body = body_model.vertices(body_model.garment_body)
         faces = body_model.faces
-        vertex_bone = body_model.influence_bones[
-            np.arange(len(body)), body_model.influence_weights.argmax(axis=1)
-        ]
+        vertex_bone = body_model.influence_bones[np.arange(len(body)), body_model.influence_weights.argmax(axis=1)]
         corner_bones = vertex_bone[faces]
         face_bone = np.where(corner_bones[:, 1] == corner_bones[:, 2], corner_bones[:, 1], corner_bones[:, 0])
         worn = np.zeros((len(garment.vertices), body_model.rig.bone_count), dtype=bool)
