@@ -222,22 +222,13 @@ nb::ndarray<nb::numpy, const float, nb::shape<-1, -1>> corrections(const BoundEv
           nb::find(self)};
 }
 
-nb::dict machine_floors(const std::optional<std::string>& instruction_set) {
-  const MachineFloors floors = measure_machine_floors(select_kernels(instruction_set.value_or("")));
-  nb::dict rates;
-  rates["multiply_adds_per_second"] = floors.multiply_adds_per_second;
-  rates["l2_bytes_per_second"] = floors.l2_bytes_per_second;
-  rates["l3_bytes_per_second"] = floors.l3_bytes_per_second;
-  rates["memory_bytes_per_second"] = floors.memory_bytes_per_second;
-  return rates;
-}
-
 }  // namespace
 }  // namespace physkin
 
 NB_MODULE(_native, module) {
   using physkin::BoundEvaluator;
   using physkin::BoundStep;
+  using physkin::MachineProbe;
   nb::class_<BoundEvaluator>(module, "Evaluator")
       .def(nb::init<nb::handle, const std::optional<std::string>&, const std::optional<std::string>&>(), "garment"_a,
            "instruction_set"_a = nb::none(), "precision"_a = nb::none())
@@ -268,5 +259,12 @@ NB_MODULE(_native, module) {
       .def("compose_nodes", &BoundStep::compose_nodes)
       .def("skin", &BoundStep::skin);
   module.def("supported_instruction_sets", physkin::supported_instruction_sets);
-  module.def("machine_floors", physkin::machine_floors, "instruction_set"_a = nb::none());
+  nb::class_<MachineProbe>(module, "MachineProbe")
+      .def("__init__",
+           [](MachineProbe* self, std::int64_t bytes, const std::optional<std::string>& instruction_set) {
+             new (self) MachineProbe(physkin::select_kernels(instruction_set.value_or("")), bytes);
+           },
+           "bytes"_a, "instruction_set"_a = nb::none())
+      .def("read", &MachineProbe::read)
+      .def("multiply_add", &MachineProbe::multiply_add, "rounds"_a);
 }

@@ -1,19 +1,30 @@
-// What this machine's core can do at best: measured, for `physkin bench`.
+// Probes of what a core of this machine can do at best, for `physkin bench` to time beside the evaluator.
 #pragma once
 
+#include "arena.hpp"
 #include "kernels.hpp"
 
 namespace physkin {
 
-// Rates of one core with one instruction set, the best of several short runs.
-struct MachineFloors {
-  double multiply_adds_per_second = 0.0;  // of 32-bit floats, in registers
-  double l2_bytes_per_second = 0.0;       // reading 512 KiB again and again
-  double l3_bytes_per_second = 0.0;       // 4 MiB: what network weights take
-  double memory_bytes_per_second = 0.0;   // 256 MiB, once
-};
+class MachineProbe {
+ public:
+  // bytes: how much `read` reads; rounded up to 1024.
+  MachineProbe(const Kernels& kernels, std::int64_t bytes);
+  MachineProbe(const MachineProbe&) = delete;  // its members point into its own arena
+  MachineProbe& operator=(const MachineProbe&) = delete;
 
-// Takes about a third of a second and 256 MiB for as long.
-MachineFloors measure_machine_floors(const Kernels& kernels);
+  // Reads the memory once, from front to back. Returns the bytes read.
+  std::int64_t read() noexcept;
+
+  // Multiplies and adds 32-bit floats in registers. Returns how many times.
+  std::int64_t multiply_add(int rounds) noexcept;
+
+ private:
+  const Kernels& kernels_;
+  Arena arena_;
+  std::int64_t bytes_;
+  const unsigned char* memory_;
+  float* result_;
+};
 
 }  // namespace physkin
