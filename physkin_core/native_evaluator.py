@@ -42,9 +42,9 @@ class NativeEvaluator:
         activations rounded to 16 bits. By default the environment variable PHYSKIN_NATIVE_PRECISION decides, and
         without it "fp32".
 
-    With ReLU networks, the network weights of activations that are zero can be skipped, which changes no bit of a frame.
-    Whether that pays is measured here, in milliseconds; the environment variable PHYSKIN_NATIVE_ZEROS ("skip" or "read")
-    decides without measuring.
+    With ReLU networks, the network weights of activations that are zero can be skipped, which changes no bit of a
+    frame. Whether that pays is measured here, in milliseconds; the environment variable PHYSKIN_NATIVE_ZEROS ("skip" or
+    "read") decides without measuring.
 
     Raises ValueError if an array of `bound` has another dtype, shape or layout than `BoundGarment` states, an
     index is out of range, a value is not finite, the instruction set is unknown or not supported by this CPU, or the
@@ -101,8 +101,8 @@ class NativeEvaluator:
         it keeps the arrays and this evaluator alive. Its methods `pose`, `run_networks`, `compose_nodes` and `skin`
         repeat single stages of the last frame, for timing.
 
-        Raises TypeError or ValueError as `evaluate` does; `step()` raises ValueError if an input or the networks' output
-        is not finite (`out` is then unchanged).
+        Raises TypeError or ValueError as `evaluate` does; `step()` raises ValueError if an input or the networks'
+        output is not finite (`out` is then unchanged).
         """
         try:
             return _native.Step(self._evaluator, joint_positions, gravity, out)

@@ -122,23 +122,26 @@ struct Modulation {
   const float* shift;
 };
 
-// Listed rows lie too irregularly for the processor to fetch them ahead of time by itself.
-constexpr int kAhead = 12;
+// Rows are fetched ahead of time: listed ones lie too irregularly for the processor to do it by itself, and with all rows
+// it stops at the end of every page. Distances by measurement (Zen 5, weights in L3).
+constexpr int kListedRowsAhead = 12;
+constexpr std::ptrdiff_t kBytesAhead = 4096;
 
 inline void prefetch(const unsigned char* row, std::ptrdiff_t bytes) {
   for (std::ptrdiff_t at = 0; at < bytes; at += 64) __builtin_prefetch(row + at);
 }
 
-// kCount * kLanes outputs from `at` on. `listed`: rows that are not zero; null for all.
-template <class Rows, int kCount>
+// kCount * kLanes outputs from `at` on. `listed`: the rows to read, if not all.
+template <class Rows, bool kListed, int kCount>
 inline void dense_panel(const PackedLayer& layer, const Rows& rows, const unsigned char* weights,
                         const std::int32_t* listed, int row_count, int at, Modulation modulation, Activation activation,
                         float* output) {
   typename Rows::Sum sum[kCount] = {};
   constexpr std::ptrdiff_t kRow = Rows::bytes(kCount * kLanes);
   for (int k = 0; k < row_count; ++k) {
-    const int row = listed == nullptr ? k : listed[k];
-    if (listed != nullptr && k + kAhead < row_count) prefetch(weights + listed[k + kAhead] * kRow, kRow);
+    const int row = kListed ? listed[k] : k;
+    if (!kListed) prefetch(weights + row * kRow + kBytesAhead, kRow);
+    if (kListed && k + kListedRowsAhead < row_count) prefetch(weights + listed[k + kListedRowsAhead] * kRow, kRow);
     rows.template add<kCount>(weights + row * kRow, row, sum);
   }
   for (int v = 0; v < kCount; ++v, at += kLanes) {
@@ -151,10 +154,10 @@ inline void dense_panel(const PackedLayer& layer, const Rows& rows, const unsign
 }
 
 // The last panel of a layer may be narrower by whole groups.
-template <class Rows, int kCount = kSums, class... Arguments>
+template <class Rows, bool kListed, int kCount = kSums, class... Arguments>
 inline void dense_panel_of(int count, const Arguments&... arguments) {
-  if (count == kCount) return dense_panel<Rows, kCount>(arguments...);
-  if constexpr (kCount * kLanes > kGroup) dense_panel_of<Rows, kCount - kGroup / kLanes>(count, arguments...);
+  if (count == kCount) return dense_panel<Rows, kListed, kCount>(arguments...);
+  if constexpr (kCount * kLanes > kGroup) dense_panel_of<Rows, kListed, kCount - kGroup / kLanes>(count, arguments...);
 }
 
 template <class Rows, bool kSkipZeros>
@@ -177,7 +180,7 @@ void dense(const PackedLayer& layer, const float* input, const float* scale, con
   const int padded = padded_to_group(layer.outputs);
   for (int at = 0; at < padded; at += kPanel) {
     const int width = padded - at < kPanel ? padded - at : kPanel;
-    dense_panel_of<Rows>(width / kLanes, layer, rows, weights, listed, row_count, at, Modulation{scale, shift}, activation,
+    dense_panel_of<Rows, kSkipZeros>(width / kLanes, layer, rows, weights, listed, row_count, at, Modulation{scale, shift}, activation,
                          output);
     weights += std::ptrdiff_t(all_rows) * Rows::bytes(width);
   }

@@ -79,9 +79,7 @@ def paper_case(activation: str) -> BenchmarkCase:
     axes = rng.normal(size=(PAPER_DOFS, 3))
     used = np.sort(rng.choice(PAPER_BONES, size=PAPER_USED_BONES, replace=False)).astype(np.int32)
     bound = BoundGarment(
-        bone_parents=np.maximum(np.arange(PAPER_BONES) // 2 - 1, np.minimum(np.arange(PAPER_BONES) - 1, 0)).astype(
-            np.int32
-        ),
+        bone_parents=(np.arange(PAPER_BONES, dtype=np.int32) + 1) // 2 - 1,
         bone_heads=heads,
         dof_bone=np.arange(PAPER_DOFS, dtype=np.int32),
         dof_axis=(axes / np.linalg.norm(axes, axis=1, keepdims=True)).astype(np.float32),

@@ -41,8 +41,9 @@ class CaseResult:
 
     native: timings by (precision, instruction set, stage). cold: by name, caches emptied before every call.
     network_peers, skinning_peers: timings by name. missing: why a peer was left out.
-    probes: "fma", "l2", "l3", "memory" and the reading of each precision's network weights. amounts: what a probe does a
-    call (multiply-adds or bytes). errors: by precision and figure. weight_count, skinning_terms: the sizes of the work.
+    probes: "fma", "l2", "l3", "memory" and reading as many bytes as each precision's network weights. amounts: what a
+    probe does a call (multiply-adds or bytes). errors: by precision and figure. weight_count, skinning_terms: the sizes
+    of the work.
     """
 
     case: BenchmarkCase
@@ -68,11 +69,8 @@ def measure_case(
     skinning_peers: Iterable[Peer] = SKINNING_PEERS,
 ) -> CaseResult:
     """Check and time everything there is for a case. rounds, cold_rounds: turns that each thing to time gets."""
-    bound, pose, gravity = (
-        case.bound,
-        case.joint_positions[len(case.joint_positions) // 2].copy(),
-        case.gravity[0].copy(),
-    )
+    middle = len(case.joint_positions) // 2
+    bound, pose, gravity = case.bound, case.joint_positions[middle].copy(), case.gravity[middle].copy()
     evaluators, steps, outputs = {}, {}, []
     for level in supported_instruction_sets():
         for precision in PRECISIONS:

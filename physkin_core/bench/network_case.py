@@ -55,10 +55,8 @@ def network_case(bound: BoundGarment, joint_positions: np.ndarray, gravity: np.n
     *hidden, (weight, bias) = bound.pose_layers
     pairs, start = [], 0
     for _, hidden_bias in bound.deformer_layers[:-1]:
-        scale, shift = (
-            slice(start, start + len(hidden_bias)),
-            slice(start + len(hidden_bias), start + 2 * len(hidden_bias)),
-        )
+        width = len(hidden_bias)
+        scale, shift = slice(start, start + width), slice(start + width, start + 2 * width)
         pairs.append(((weight[scale], bias[scale] + np.float32(1)), (weight[shift], bias[shift])))
         start = shift.stop
     return NetworkCase(

@@ -48,9 +48,7 @@ def prepare_peers(
         except ImportError as reason:
             missing[peer.name] = f"not installed ({reason}); pip install 'physkin[bench]'"
         except Exception as reason:  # a peer must never end the benchmark, whatever it dislikes
-            missing[peer.name] = (
-                f"failed: {type(reason).__name__}: {str(reason).splitlines()[0] if str(reason) else ''}"
-            )
+            missing[peer.name] = f"failed: {type(reason).__name__}: {str(reason).partition(chr(10))[0]}"
         else:
             if error <= peer.tolerance:
                 calls[peer.name] = runner.run

@@ -118,33 +118,19 @@ def _numba_kernel():
     @numba.njit(fastmath=True, boundscheck=False)
     def kernel(matrices, nodes, weights, vertices, normals, out):
         for v in range(vertices.shape[0]):
-            a = b = c = d = e = f = g = h = i = j = k = l = zero  # noqa: E741 (the twelve numbers of a matrix)
-            for influence in range(nodes.shape[1]):
-                w, m = weights[v, influence], nodes[v, influence]
-                a, b, c, d = (
-                    a + w * matrices[m, 0],
-                    b + w * matrices[m, 1],
-                    c + w * matrices[m, 2],
-                    d + w * matrices[m, 3],
-                )
-                e, f, g, h = (
-                    e + w * matrices[m, 4],
-                    f + w * matrices[m, 5],
-                    g + w * matrices[m, 6],
-                    h + w * matrices[m, 7],
-                )
-                i, j, k, l = (
-                    i + w * matrices[m, 8],
-                    j + w * matrices[m, 9],
-                    k + w * matrices[m, 10],
-                    l + w * matrices[m, 11],
-                )  # noqa: E741
+            # The three rows of the blended matrix, as scalars: small arrays would be allocated vertex by vertex.
+            a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = c0 = c1 = c2 = c3 = zero
+            for k in range(nodes.shape[1]):
+                w, m = weights[v, k], matrices[nodes[v, k]]
+                a0, a1, a2, a3 = a0 + w * m[0], a1 + w * m[1], a2 + w * m[2], a3 + w * m[3]
+                b0, b1, b2, b3 = b0 + w * m[4], b1 + w * m[5], b2 + w * m[6], b3 + w * m[7]
+                c0, c1, c2, c3 = c0 + w * m[8], c1 + w * m[9], c2 + w * m[10], c3 + w * m[11]
             x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
-            out[v, 0] = a * x + b * y + c * z + d
-            out[v, 1] = e * x + f * y + g * z + h
-            out[v, 2] = i * x + j * y + k * z + l
+            out[v, 0] = a0 * x + a1 * y + a2 * z + a3
+            out[v, 1] = b0 * x + b1 * y + b2 * z + b3
+            out[v, 2] = c0 * x + c1 * y + c2 * z + c3
             x, y, z = normals[v, 0], normals[v, 1], normals[v, 2]
-            p, q, r = a * x + b * y + c * z, e * x + f * y + g * z, i * x + j * y + k * z
+            p, q, r = a0 * x + a1 * y + a2 * z, b0 * x + b1 * y + b2 * z, c0 * x + c1 * y + c2 * z
             inverse = one / np.sqrt(p * p + q * q + r * r)
             out[v, 3], out[v, 4], out[v, 5] = p * inverse, q * inverse, r * inverse
 

@@ -31,8 +31,8 @@ def time_in_turns(
 ) -> dict[str, Timing]:
     """Time every call `rounds` x `repeats` times, round robin.
 
-    A turn starts with one call that is not timed, so that the timed ones find what the call itself leaves in the caches.
-    before_each: run, untimed, before every timed call (to empty the caches); the first call of a turn is left out then.
+    A turn starts with one call that is not timed, so that the timed ones find what the call itself leaves in caches.
+    before_each: run, untimed, before every timed call (to empty the caches); the untimed call is left out then.
     Each sample holds about 0.1 us of Python.
     """
     samples: dict[str, list[int]] = {name: [] for name in calls}
