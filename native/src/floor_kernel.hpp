@@ -2,6 +2,7 @@
 // kernel_unit.cpp only (see simd.hpp).
 #pragma once
 
+#include "dense_kernel.hpp"
 #include "kernels.hpp"
 #include "simd.hpp"
 
@@ -27,6 +28,7 @@ inline void read_memory(const unsigned char* data, std::int64_t bytes, float* re
   Ints sum[kChains] = {};
   constexpr int kStep = kChains * kLanes * 4;
   for (const unsigned char* end = data + bytes; data < end; data += kStep) {
+    for (int at = 0; at < kStep; at += 64) __builtin_prefetch(data + kBytesAhead + at);  // as the networks do
     for (int k = 0; k < kChains; ++k) sum[k] ^= load_ints(data + k * kLanes * 4);
   }
   Ints total = {};
