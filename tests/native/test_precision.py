@@ -116,6 +116,25 @@ def test_overflow_is_not_swallowed(zeros, activation, precision, level, make_gar
     assert (out == 7.0).all()
 
 
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("activation", ["silu", "relu"])
+@pytest.mark.parametrize("zeros", ["skip", "read"])
+def test_nan_alone_is_not_swallowed(zeros, activation, precision, level, make_garment, monkeypatch):
+    """A layer whose inputs are all NaN, none infinite: an infinite scale and an infinite shift have cancelled."""
+    monkeypatch.setenv("PHYSKIN_NATIVE_ZEROS", zeros)
+    sizes = dict(dofs=0, pose_widths=(8,) * 9, deformer_widths=(8, 8))
+    garment = make_garment(np.random.default_rng(30), activation=activation, **sizes)
+    for weight, bias in garment.pose_layers[:-1]:
+        weight[:], bias[:] = 1e6, 1e6
+    garment.pose_layers[-1][0][:] = np.repeat([1, -1, 0, 0], 8)[:, None]  # of the first hidden layer alone
+    garment.pose_layers[-1][1][:] = 0
+    garment.deformer_layers[0][0][:], garment.deformer_layers[0][1][:] = 0, 1
+    evaluator = NativeEvaluator(garment, instruction_set=level, precision=precision)
+    with pytest.raises(ValueError, match=r"node deformer output\[0\] is -?nan"):
+        frame(evaluator, garment, (np.empty(0), np.array([0, 0, 1.0])))
+
+
 def test_environment_sets_the_default_precision(make_garment, monkeypatch):
     garment = make_garment(np.random.default_rng(25))
     monkeypatch.delenv("PHYSKIN_NATIVE_PRECISION", raising=False)
