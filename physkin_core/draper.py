@@ -30,8 +30,10 @@ class Draper:
     """Drapes one garment on one body, a pose at a time.
 
     backend: "native" (C++, the one to use) or "numpy" (readable reference, slow); never switched silently.
+    precision: of the native backend's network weights, "fp32", "bf16" or "int8" (see `NativeEvaluator`); None for its
+    default. The NumPy backend knows fp32 only.
     points, normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical space.
-    Raises ValueError for an unknown backend, a body of another rig, or points that are not this garment's.
+    Raises ValueError for an unknown backend or precision, a body of another rig, or points that are not this garment's.
     """
 
     def __init__(
@@ -40,11 +42,14 @@ class Draper:
         avatar: Avatar,
         *,
         backend: Literal["native", "numpy"] = "native",
+        precision: Literal["fp32", "bf16", "int8"] | None = None,
         points: np.ndarray | None = None,
         normals: np.ndarray | None = None,
     ) -> None:
         if backend not in BACKENDS:
             raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
+        if backend == "numpy" and precision not in (None, "fp32"):
+            raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
         bound = bind_garment(model, avatar)
         if points is not None:
             bound = replace(bound, **bind_points(model, points, normals=normals))
@@ -53,7 +58,7 @@ class Draper:
         self.backend = backend
         self.bound: BoundGarment = bound
         self._faces = model.garment.faces if points is None else np.empty((0, 3), dtype=np.int32)
-        self._evaluator = _evaluator(backend, bound)
+        self._evaluator = _evaluator(backend, bound, precision)
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
 
     @property
@@ -116,11 +121,11 @@ class Draper:
         return self.model.rig.bone_transforms(joint_positions, heads=self.avatar.bone_heads)
 
 
-def _evaluator(backend: str, bound: BoundGarment):
+def _evaluator(backend: str, bound: BoundGarment, precision: str | None):
     if backend == "native":
         from physkin_core.native_evaluator import NativeEvaluator
 
-        return NativeEvaluator(bound)
+        return NativeEvaluator(bound, precision=precision)
     from physkin_core.reference_evaluator import ReferenceEvaluator
 
     return ReferenceEvaluator(bound)

@@ -1,5 +1,6 @@
 // Compiled once per instruction set, with PHYSKIN_ISA set to its name and the flags that CMakeLists.txt gives it.
 #include "dense_kernel.hpp"
+#include "floor_kernel.hpp"
 #include "skinning_kernel.hpp"
 
 #define PHYSKIN_TEXT_OF(name) #name
@@ -8,6 +9,14 @@
 namespace physkin::PHYSKIN_ISA {
 
 extern const Kernels kernels;
-const Kernels kernels{PHYSKIN_TEXT(PHYSKIN_ISA), dense, skin};
+const Kernels kernels{
+    PHYSKIN_TEXT(PHYSKIN_ISA),
+    kPanel,
+    {dense<Fp32Rows, false>, dense<Bf16Rows, false>, dense<Int8Rows, false>},
+    {dense<Fp32Rows, true>, dense<Bf16Rows, true>, dense<Int8Rows, true>},
+    skin,
+    multiply_add,
+    read_memory,
+};
 
 }  // namespace physkin::PHYSKIN_ISA
