@@ -30,7 +30,9 @@ def drapes(count, *, seed=4):
 
 def count_in(figures, batch, pick, **options):
     vertices, terms, distance, inside = (a[pick] for a in batch)
-    figures.add(vertices, Energies(*terms.T, signed_distance=distance), inside, **options)
+    figures.add(
+        vertices, Energies(*terms.T, band=torch.zeros(len(distance)), signed_distance=distance), inside, **options
+    )
 
 
 @pytest.mark.parametrize("sizes", [(6,), (1, 2, 3)])

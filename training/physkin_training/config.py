@@ -34,8 +34,10 @@ class OptimisationConfig:
     samples: poses a step, spread evenly over `bodies`. Learning rates decay along a cosine to `final_rate` of the start
     after a linear warm-up over `warm_up` of the run. Pose range and contact stiffness (from `initial_contact` of the
     material's) grow until `growth` of the run; then contact is looked for `late_reach` [m] away, before 0.1 m. From
-    `prune_from` to `prune_at` of the run, influences a vertex fall one by one to `garment_nodes.influences`; from `full_encoding` on, bodies are encoded from all 4096 points, before from
-    `encoder_points` of them. `contact_linear_beyond` [m], `heavy_energy` [J]: see `PhysicsLosses`. `average`: decay a step of the moving average of networks and skinning weights that is exported, 0 for none.
+    `prune_from` to `prune_at` of the run, influences a vertex fall one by one to `garment_nodes.influences`; from
+    `full_encoding` on, bodies are encoded from all 4096 points, before from `encoder_points` of them.
+    `contact_linear_beyond` [m], `heavy_energy` [J]: see `PhysicsLosses`. `average`: decay a step of the moving average
+    of networks and skinning weights that is exported, 0 for none.
     """
 
     steps: int = 100000
@@ -70,6 +72,7 @@ class OptimisationConfig:
             lambda value: 0 <= value <= 1,
         )
         check("average", "at least 0 and below 1", lambda value: 0 <= value < 1)
+        check("prune_at", f"at least optimisation.prune_from {self.prune_from}", lambda value: value >= self.prune_from)
         multiple = f"a multiple of optimisation.bodies {self.bodies}"
         check("samples", multiple, lambda value: value % self.bodies == 0)
 

@@ -1,11 +1,12 @@
-"""Physics losses as Warp kernels with gradients written by hand (paper: Training): stretch, bend, collision, gravity, and
-a band that holds the garment up.
+"""Physics losses as Warp kernels with gradients written by hand (paper: Training): stretch, bend, collision, gravity,
+and a band that holds the garment up.
 
 Each kernel writes the energy [J] of its elements and adds dE/dx [N] to a shared gradient array in one pass; torch sees
 one differentiable operation per energy, whose backward pass is a product. Nothing allocates or waits for the host, so a
 training step can be captured as a CUDA graph.
 
-Dimensions: `B` samples, `n` garment vertices, `f` faces, `q` hinges, `V` body vertices, `k` band vertices. Metres, root frame.
+Dimensions: `B` samples, `n` garment vertices, `f` faces, `q` hinges, `V` body vertices, `k` band vertices. Metres,
+root frame.
 """
 
 from __future__ import annotations
@@ -216,10 +217,10 @@ class PhysicsLosses:
     """Physics losses of one garment for a fixed number of samples on one device.
 
     contact_stiffness is a tensor (1,) [J/m4] that a schedule may change between steps. reach: farthest distance [m] at
-    which the body is looked for, read at every call. wearing: what of the body counts as contact, and the band; without it
-    all of the body counts and nothing holds the garment up. For training only: contact force grows no more from a depth of
-    `linear_beyond` [m], and a sample's gradient is weighted by 1 / sqrt(1 + E / heavy_energy) of its energy E [J]
-    without gravity, so that the few heaviest poses do not outweigh all others. By default neither acts.
+    which the body is looked for, read at every call. wearing: what of the body counts as contact, and the band; without
+    it all of the body counts and nothing holds the garment up. For training only: contact force grows no more from a
+    depth of `linear_beyond` [m], and a sample's gradient is weighted by 1 / sqrt(1 + E / heavy_energy) of its energy
+    E [J] without gravity, so that the few heaviest poses do not outweigh all others. By default neither acts.
     """
 
     def __init__(

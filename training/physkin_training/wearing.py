@@ -28,9 +28,9 @@ BAND_WIDTH = 0.03
 class Wearing:
     """A garment on the garment maker's body.
 
-    faces: (f, 3) int32, faces of the body that cloth is in contact with; face_bone: (f,) int32, the bone that moves each
-    most. worn: (n, b) bool, the vertex lies on that bone's part. band: (k,) int32 vertices of the neckband or waistband;
-    band_place: (k,) int32 the body vertex closest to each, band_distance: (k,) float32 [m] away.
+    faces: (f, 3) int32, faces of the body that cloth may be in contact with; face_bone: (f,) int32, the bone that moves
+    each most. worn: (n, b) bool, the vertex lies on that bone's part. band: (k,) int32 vertices of the neckband or
+    waistband; band_place: (k,) int32 the body vertex closest to each, band_distance: (k,) float32 [m] away.
     """
 
     faces: np.ndarray
