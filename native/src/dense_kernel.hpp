@@ -7,8 +7,8 @@
 
 namespace physkin::PHYSKIN_ISA {
 
-// Eight independent sums hide the latency of the fused multiply-add. Every output has one sum, over its inputs in order:
-// leaving out inputs that are zero changes no bit of it.
+// Eight independent sums hide the latency of the fused multiply-add. Every output has one sum, over its inputs in
+// order: leaving out inputs that are zero changes no bit of it.
 constexpr int kSums = 8;
 constexpr int kPanel = kSums * kLanes;
 static_assert(kPanel % kGroup == 0);
@@ -122,8 +122,8 @@ struct Modulation {
   const float* shift;
 };
 
-// Rows are fetched ahead of time: listed ones lie too irregularly for the processor to do it by itself, and with all rows
-// it stops at the end of every page. Distances by measurement (Zen 5, weights in L3).
+// Rows are fetched ahead of time: listed ones lie too irregularly for the processor to do it by itself, and with all
+// rows it stops at the end of every page. Distances by measurement (Zen 5, weights in L3).
 constexpr int kListedRowsAhead = 12;
 constexpr std::ptrdiff_t kBytesAhead = 4096;
 
@@ -180,8 +180,8 @@ void dense(const PackedLayer& layer, const float* input, const float* scale, con
   const int padded = padded_to_group(layer.outputs);
   for (int at = 0; at < padded; at += kPanel) {
     const int width = padded - at < kPanel ? padded - at : kPanel;
-    dense_panel_of<Rows, kSkipZeros>(width / kLanes, layer, rows, weights, listed, row_count, at, Modulation{scale, shift}, activation,
-                         output);
+    dense_panel_of<Rows, kSkipZeros>(width / kLanes, layer, rows, weights, listed, row_count, at,
+                                     Modulation{scale, shift}, activation, output);
     weights += std::ptrdiff_t(all_rows) * Rows::bytes(width);
   }
 }

@@ -45,7 +45,8 @@ Rejection Evaluator::step(const float* joint_positions, const float* gravity, co
   if (const auto bad = reject_beyond("gravity", gravity, 3, FLT_MAX)) return bad;
   pose(joint_positions, gravity);
   const float* corrections = run_networks();
-  if (const auto bad = reject_beyond("node deformer output", corrections, node_deformer_.outputs(), kLargest)) return bad;
+  const std::size_t count = node_deformer_.outputs();
+  if (const auto bad = reject_beyond("node deformer output", corrections, count, kLargest)) return bad;
   compose_nodes(corrections);
   return skin(node_transforms_, rows);
 }
@@ -67,7 +68,8 @@ void Evaluator::compose_nodes(const float* corrections) noexcept {
 }
 
 Rejection Evaluator::skin(const float* node_transforms, const VertexRows& rows) noexcept {
-  if (const auto bad = reject_beyond("node_transforms", node_transforms, 12 * std::size_t(nodes()), kLargest)) return bad;
+  const std::size_t count = 12 * std::size_t(nodes());
+  if (const auto bad = reject_beyond("node_transforms", node_transforms, count, kLargest)) return bad;
   garment_nodes_.compute_skinning_matrices(node_transforms, skinning_matrices_);
   kernels_.skin(blocks_, skinning_matrices_, rows);
   return {};

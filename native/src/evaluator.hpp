@@ -18,8 +18,8 @@ class Evaluator {
   Evaluator(const Evaluator&) = delete;  // its members point into its own arena
   Evaluator& operator=(const Evaluator&) = delete;
 
-  // One frame. joint_positions (dofs) in radians, gravity (3): unit direction in the root frame. If an input or what the
-  // networks make of it is not finite, says so and leaves the rows and the last frame as they were.
+  // One frame. joint_positions (dofs) in radians, gravity (3): unit direction in the root frame. If an input or what
+  // the networks make of it is not finite, says so and leaves the rows and the last frame as they were.
   Rejection step(const float* joint_positions, const float* gravity, const VertexRows& rows) noexcept;
 
   // The last stage alone: skins the garment with the given node_transforms (nodes, 3, 4), which must be finite.

@@ -1,5 +1,5 @@
-// Loops that do nothing but multiply and add, or nothing but read: what bounds the other kernels from below. Included by
-// kernel_unit.cpp only (see simd.hpp).
+// Loops that do nothing but multiply and add, or nothing but read: what bounds the other kernels from below. Included
+// by kernel_unit.cpp only (see simd.hpp).
 #pragma once
 
 #include "dense_kernel.hpp"

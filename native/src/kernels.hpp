@@ -1,5 +1,5 @@
-// The kernels that take the time of a frame, and the data layouts they work on. Each instruction set has its own compiled
-// copy (kernel_unit.cpp); dispatch.hpp chooses one.
+// The kernels that take the time of a frame, and the data layouts they work on. Each instruction set has its own
+// compiled copy (kernel_unit.cpp); dispatch.hpp chooses one.
 #pragma once
 
 #include <cstddef>
@@ -39,8 +39,8 @@ struct DenseScratch {
 };
 
 // output = activation((1 + scale) * (W input + bias) + shift). scale and shift may both be null (no modulation).
-// input must be 64-byte aligned and readable to a multiple of 64 bytes. Writes padded_to_group(outputs) floats and reads
-// as many of scale and shift; those beyond outputs are unspecified.
+// input must be 64-byte aligned and readable to a multiple of 64 bytes. Writes padded_to_group(outputs) floats and
+// reads as many of scale and shift; those beyond outputs are unspecified.
 using DenseKernel = void (*)(const PackedLayer& layer, const float* input, const float* scale, const float* shift,
                              Activation activation, const DenseScratch& scratch, float* output);
 

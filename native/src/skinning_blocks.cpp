@@ -31,8 +31,8 @@ struct Block {
 // Vertices that a block is chosen from: the work of packing grows with it, the unions hardly shrink beyond.
 constexpr std::size_t kWindow = 256;
 
-// Blocks with small unions: vertices sorted by their sets, a block taking from the first of those left whichever adds the
-// fewest garment nodes. A fifth smaller unions than blocks of neighbours in sorted order.
+// Blocks with small unions: vertices sorted by their sets, a block taking from the first of those left whichever adds
+// the fewest garment nodes. A fifth smaller unions than blocks of neighbours in sorted order.
 std::vector<Block> choose_blocks(const std::vector<NodeSet>& sets, int node_count) {
   std::vector<std::int32_t> order(sets.size());
   std::iota(order.begin(), order.end(), 0);

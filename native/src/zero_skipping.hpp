@@ -7,8 +7,8 @@
 
 namespace physkin {
 
-// Times runs of one network with and without skipping. Caches and clocks drift: the two take turns, the fastest round of
-// each counts.
+// Times runs of one network with and without skipping. Caches and clocks drift: the two take turns, the fastest round
+// of each counts.
 class ZeroSkippingTrial {
  public:
   explicit ZeroSkippingTrial(Mlp& network) : network_(network) {}

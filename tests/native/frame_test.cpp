@@ -1,7 +1,7 @@
 // The evaluator as a C++ library, without Python: counts what a frame allocates, on garments of odd sizes.
 //
-// Prints "<instruction set> <precision> <allocations>" for each garment. All buffers have their exact size, so that a build with
-// the address sanitizer finds a kernel that reads or writes beyond them.
+// Prints "<instruction set> <precision> <allocations>" for each garment. All buffers have their exact size,
+// so that a build with the address sanitizer finds a kernel that reads or writes beyond them.
 #include <cstdio>
 #include <cstdlib>
 #include <random>
