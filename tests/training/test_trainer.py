@@ -96,8 +96,8 @@ def test_the_seed_decides_the_start(tmp_path):
 def test_schedules(tmp_path, monkeypatch):
     """Range, contact stiffness, learning rates, pruning and number of body points at every step of a hundred."""
     config = small_config(
-        tmp_path, steps=100, growth=0.5, warm_up=0.1, final_rate=0.01, prune_from=0.25, prune_at=0.625, full_encoding=0.8,
-        initial_contact=0.05, late_reach=0.04,
+        tmp_path, steps=100, growth=0.5, warm_up=0.1, final_rate=0.01, prune_from=0.25, prune_at=0.625,
+        full_encoding=0.8, initial_contact=0.05, late_reach=0.04,
     )  # fmt: skip
     trainer = Trainer(config, CPU)
     rows, points, reaches, pruned_at = [], [], [], []
