@@ -202,11 +202,15 @@ def contact_hessian_kernel(
     stiffness: wp.array(dtype=wp.float32),
     reach: wp.float32,
     diagonal: wp.array(dtype=wp.int32),
+    gradient: wp.array2d(dtype=wp.vec3),
     blocks: wp.array2d(dtype=wp.mat33),
 ):
     """2 k A (outward outward^T) of every vertex whose contact energy was above zero; the losses decide which."""
     s, v = wp.tid()
-    if not active[s] or energy[s, v] <= 0.0:
+    if not active[s]:
+        return
+    gradient[s, v] = wp.vec3(0.0, 0.0, 0.0)
+    if energy[s, v] <= 0.0:
         return
     point = x[s, v] + body_offset[s]
     hit = wp.mesh_query_point_no_sign(body, point, reach)
@@ -217,6 +221,7 @@ def contact_hessian_kernel(
         if gap > 1.0e-6:
             outward = away / gap
         k = 2.0 * stiffness[0] * vertex_area[v]
+        gradient[s, v] = -wp.sqrt(2.0 * k * energy[s, v]) * outward
         blocks[s, diagonal[v]] = blocks[s, diagonal[v]] + k * wp.outer(outward, outward)
 
 
@@ -296,11 +301,10 @@ class EnergyHessian:
         self._vertex_area = array(garment.vertex_areas, wp.float32)
         self._blocks = torch.zeros(samples, len(pattern), 3, 3, device=device)
         self._inverse = torch.zeros(samples, n, 3, 3, device=device)
+        self.contact_gradient = torch.zeros(samples, n, 3, device=device)
         self.active = torch.ones(samples, dtype=torch.bool, device=device)
 
-    def assemble(
-        self, x: torch.Tensor, body: wp.Mesh, body_offset: torch.Tensor, exact: torch.Tensor
-    ) -> None:
+    def assemble(self, x: torch.Tensor, body: wp.Mesh, body_offset: torch.Tensor, exact: torch.Tensor) -> None:
         """Compute the blocks at x (B, n, 3), which the losses have been evaluated at last.
 
         exact: (B,) bool, else every element's block is made positive semidefinite.
@@ -334,7 +338,7 @@ class EnergyHessian:
                 *(wp.from_torch(self.losses.element_energies["collision"]), self._vertex_area),
                 *(wp.from_torch(self.losses.contact_stiffness), self.losses.reach, self._diagonal),
             ],
-            outputs=[blocks],
+            outputs=[wp.from_torch(self.contact_gradient, dtype=wp.vec3), blocks],
             device=self.device,
         )
 
@@ -375,7 +379,9 @@ class EnergyHessian:
 def _pattern(elements: list[np.ndarray], n: int) -> tuple[np.ndarray, list[np.ndarray]]:
     """Sorted keys row * n + column (z,) of the blocks that elements (e, corners) need, and where each element's
     corners * corners blocks lie among them."""
-    keys = [(element[:, :, None].astype(np.int64) * n + element[:, None, :]).reshape(len(element), -1)
-            for element in elements]
+    keys = [
+        (element[:, :, None].astype(np.int64) * n + element[:, None, :]).reshape(len(element), element.shape[1] ** 2)
+        for element in elements
+    ]
     pattern = np.unique(np.concatenate([key.reshape(-1) for key in keys]))
     return pattern, [np.searchsorted(pattern, key) for key in keys]

@@ -24,7 +24,8 @@ from physkin_core.rig import Rig
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.draping import Drape, compose_nodes, delta_transforms
 from physkin_training.export import drape_from_model, encode_bodies
-from physkin_training.minimum import Minimum, full_space_minimum, subspace_minimum
+from physkin_training.full_space_solver import FullSpaceSolver
+from physkin_training.minimum import subspace_minimum
 from physkin_training.physics_losses import GRAVITY, Energies, PhysicsLosses
 from physkin_training.posed_bodies import BodySet, PosedBodies
 
@@ -175,6 +176,7 @@ class Evaluation:
         end (see `Minimum`).
         """
         rows = {name: Figures(self.model.garment, self.device) for name in ("model", "subspace_minimum", "minimum")}
+        solver = FullSpaceSolver(self.model.garment, self.losses, self.batch, self.device)
         norms: dict[str, list[float]] = {"subspace_minimum": [], "minimum": []}
         for batch in self.batches(upright=True, count=min(count, len(self.bodies) * self.poses)):
 
@@ -188,10 +190,8 @@ class Evaluation:
             with torch.no_grad():
                 better = self.energy(subspace.vertices, batch)[1].total < self.energy(own, batch)[1].total
             start = torch.where(better[:, None, None], subspace.vertices, own)
-            minima: dict[str, Minimum] = {
-                "subspace_minimum": subspace,
-                "minimum": full_space_minimum(objective, start, steps=steps),
-            }
+            place = (batch.gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
+            minima = {"subspace_minimum": subspace, "minimum": solver.minimise(start, *place)}
             for name, minimum in minima.items():
                 norms[name] += minimum.gradient_norm[: batch.count].tolist()
             for name, vertices in {"model": own, **{k: m.vertices for k, m in minima.items()}}.items():

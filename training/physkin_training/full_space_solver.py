@@ -1,8 +1,9 @@
 """Newton's method for the energy's minimum over all vertices of a garment, several samples at once.
 
 Every iteration solves H step = -gradient by conjugate gradients, only as exactly as the distance from the minimum
-deserves, and goes along the step as far as the energy falls (Nocedal and Wright 2006, chapters 3, 6 and 7). H is the
-exact second derivative where that serves: where it curves down, the block-wise positive one takes its place.
+deserves (Nocedal and Wright 2006, chapter 7). H is the exact second derivative while that curves up along the steps, and
+the one made positive block by block where it did not. A step that does not decrease the energy is solved for anew with
+what it taught about single vertices (`vertex_secants`), and at last shortened.
 
 Dimensions: `B` samples, `n` garment vertices. Metres, newtons, joules.
 """
@@ -18,8 +19,9 @@ import warp as wp
 from physkin_core.garment import Garment
 from physkin_training.energy_hessian import EnergyHessian
 from physkin_training.physics_losses import GRAVITY, PhysicsLosses
+from physkin_training.vertex_secants import Trial, VertexSecants
 
-__all__ = ["FullSpaceSolver", "Solution"]
+__all__ = ["FullSpaceSolver", "Progress", "Solution"]
 
 LARGEST_STEP = 0.02
 """No vertex moves farther [m] in one iteration: contact is looked for anew before cloth can pass through a limb."""
@@ -27,23 +29,29 @@ SUFFICIENT = 1e-4
 """Share of the decrease expected along a step that it must bring."""
 ROUNDING = 3e-9
 """Change of the energy, relative to the sum of its terms' sizes, that single precision cannot tell from none."""
+SOLVES = 8
+"""Steps solved for in one iteration at most; after that the last one is shortened."""
 HALVINGS = 10
 """A step shorter than 2^-10 is given up, and the next one damped more."""
-RETRIES = 4
-CREASE = 1e-4
 GIVE_UP = 6
 """Iterations in a row without any progress after which a sample is left where it is."""
+FORCING = 0.1
+"""Largest residual of the linear systems, relative to their right-hand sides."""
 FIRST_DAMPING = 100.0
 """[N/m3], against a cloth of 0.2 kg/m2: its own weight would then move it by 2 cm."""
+COOLING, HEATING = 0.5, 4.0
+"""Change of the damping after a full step, and after one that had to be shortened much."""
+SYNCHRONISE_EVERY = 8
+"""Products after which a GPU is asked whether all samples are solved; a CPU is asked every time."""
 
 
 @dataclass(frozen=True)
 class Solution:
     """Where the solver ended.
 
-    vertices: (B, n, 3) [m]. converged: (B,) bool, whether gradient_norm (B,) [N], the norm over all vertices, is at most
-    `tolerance` times force_scale [N]. energies: (B,) float64 [J] by term. iterations: (B,) Newton steps, and
-    products: matrix products of all of them together.
+    vertices: (B, n, 3) [m]. converged: (B,) bool, whether gradient_norm (B,) [N] is at most the tolerance times
+    force_scale [N]; the norm is over all vertices, see `VertexSecants.least_gradient` for those in creases of the body.
+    energies: (B,) float64 [J] by term. iterations: (B,) Newton steps.
     """
 
     vertices: torch.Tensor
@@ -52,7 +60,6 @@ class Solution:
     force_scale: float
     energies: dict[str, torch.Tensor]
     iterations: torch.Tensor
-    products: int
 
     @property
     def energy(self) -> torch.Tensor:
@@ -62,52 +69,50 @@ class Solution:
 
 @dataclass(frozen=True)
 class Progress:
-    """State after an iteration: energy (B,) float64 [J], gradient norm (B,) [N], length (B,) of the step taken as a
-    share of Newton's, and which samples are still under way (B,) bool."""
+    """State after an iteration: energy (B,) float64 [J], gradient norm (B,) [N], matrix products so far, and which
+    samples were still under way (B,) bool."""
 
     iteration: int
     energy: torch.Tensor
     gradient_norm: torch.Tensor
-    share: torch.Tensor
+    products: int
     active: torch.Tensor
-    attempt: int=0
 
 
-class Kinks:
-    def __init__(self, x):
-        self.blocks = torch.zeros(*x.shape, 3, device=x.device)
-        self.jump = torch.zeros_like(x)
-        self.place = torch.full_like(x, 1e3)
+@dataclass(frozen=True)
+class _Point:
+    vertices: torch.Tensor
+    gradient: torch.Tensor
+    terms: dict[str, torch.Tensor]
+    contact: torch.Tensor  # (B, n) [J]
 
-    def learn(self, open_, x, step, gradient, new_gradient, product):
-        surprise = new_gradient - gradient - product
-        along = (surprise * step).sum(dim=2)
-        chosen = open_[:, None] & (along > 0.1 * (gradient * step).sum(dim=2).abs()) & (along > 1e-12)
-        factor = torch.where(chosen, 1 / along.clamp_min(1e-12), 0.0)
-        added = factor[:, :, None, None] * surprise[:, :, :, None] * surprise[:, :, None, :]
-        self.blocks += added
-        self.jump = torch.where(chosen[:, :, None], new_gradient - gradient, self.jump)
-        self.place = torch.where(chosen[:, :, None], x + step, self.place)
-        return added
-
-    def least(self, x, gradient):
-        near = torch.linalg.vector_norm(x - self.place, dim=2) < CREASE
-        size = (self.jump * self.jump).sum(dim=2).clamp_min(1e-20)
-        share = (-(gradient * self.jump).sum(dim=2) / size).clamp(0, 1)
-        return gradient + torch.where(near, share, 0.0)[:, :, None] * self.jump
+    @property
+    def energy(self) -> torch.Tensor:
+        return sum(self.terms.values())
 
 
 class FullSpaceSolver:
     """Minimises the energy of `losses` over the vertices of their garment.
 
-    The force scale is the garment's weight: at a tolerance of 1e-3 the norm of all vertices' residual forces is a
-    thousandth of what the garment weighs.
+    The force scale is the garment's weight: at a tolerance of 0.01 the residual forces of all vertices together are a
+    hundredth of what the garment weighs. held: (n,) bool, vertices that stay where they are; default none.
     """
 
-    def __init__(self, garment: Garment, losses: PhysicsLosses, samples: int, device: torch.device) -> None:
+    def __init__(
+        self,
+        garment: Garment,
+        losses: PhysicsLosses,
+        samples: int,
+        device: torch.device,
+        *,
+        held: torch.Tensor | None = None,
+    ) -> None:
         self.losses = losses
         self.force_scale = float(garment.vertex_areas.sum()) * losses.material.density * GRAVITY
-        self.hessian = EnergyHessian(garment, losses, samples, device)
+        self._hessian = EnergyHessian(garment, losses, samples, device)
+        free = torch.ones(len(garment.vertices), device=device)
+        self._free = (free if held is None else free * ~held.to(device))[:, None]
+        self._patience = 1 if device.type == "cpu" else SYNCHRONISE_EVERY
 
     def minimise(
         self,
@@ -116,128 +121,148 @@ class FullSpaceSolver:
         body: wp.Mesh,
         body_offset: torch.Tensor,
         *,
-        tolerance: float = 1e-3,
-        iterations: int = 200,
+        tolerance: float = 1e-2,
+        iterations: int = 300,
         products: int = 300,
         watch: Callable[[Progress], None] | None = None,
     ) -> Solution:
         """From `start` (B, n, 3) to the minimum under gravity (B, 3) on the posed bodies (see `PhysicsLosses`).
 
         tolerance: of the gradient norm, relative to the force scale. iterations: Newton steps at most. products: matrix
-        products at most in one of them. watch: called after every iteration.
+        products at most for one step. watch: called after every iteration.
         Raises ValueError when the energy at `start` is not finite.
         """
-        x = start.detach().clone().contiguous()
-        samples, device = len(x), x.device
 
-        def evaluate(points: torch.Tensor) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
-            gradient = self.losses.evaluate(points, gravity, body, body_offset)[1]
+        def evaluate(vertices: torch.Tensor) -> _Point:
+            gradient = self.losses.evaluate(vertices, gravity, body, body_offset)[1] * self._free
             elements = self.losses.element_energies
-            return {name: values.sum(dim=1, dtype=torch.float64) for name, values in elements.items()}, gradient
+            terms = {name: values.sum(dim=1, dtype=torch.float64) for name, values in elements.items()}
+            return _Point(vertices, gradient, terms, elements["collision"].clone())
 
-        terms, gradient = evaluate(x)
-        if not torch.isfinite(sum(terms.values())).all():
-            raise ValueError("the energy at the start is not finite")
-        damping = torch.full((samples,), FIRST_DAMPING, device=device)
-        exact = torch.zeros(samples, dtype=torch.bool, device=device)
-        taken = torch.zeros(samples, dtype=torch.int64, device=device)
-        failures = torch.zeros(samples, dtype=torch.int64, device=device)
-        kinks = Kinks(x)
-        used = 0
+        here = evaluate(start.detach().clone().contiguous())
+        if not torch.isfinite(here.energy).all():
+            raise ValueError(
+                f"the energy at the start is {here.energy.tolist()} J; the start must be finite and regular"
+            )
+        secants = VertexSecants(here.vertices)
+        damping = torch.full_like(here.energy, FIRST_DAMPING, dtype=torch.float32)
+        exact = torch.zeros_like(here.energy, dtype=torch.bool)
+        taken, failures, used = (torch.zeros_like(exact, dtype=torch.int64) for _ in range(3))
         for iteration in range(iterations):
-            norm = _norm(kinks.least(x, gradient))
+            norm = _norm(secants.least_gradient(here.vertices, here.gradient))
             active = (norm > tolerance * self.force_scale) & (failures < GIVE_UP)
             if not active.any():
                 break
-            self.hessian.active.copy_(active)
-            self.hessian.assemble(x, body, body_offset, exact)
-            self.hessian.add_to_diagonal(kinks.blocks, damping)
-            forcing = (norm / self.force_scale).sqrt().clamp(max=0.1)
-            energy = sum(terms.values())
-            noise = ROUNDING * sum(values.abs() for values in terms.values())
-            share = active.to(torch.float64)
-            open_ = active.clone()
-            negative = torch.zeros_like(open_)
-            step = torch.zeros_like(x)
-            for attempt in range(RETRIES + HALVINGS):
-                if attempt < RETRIES:
-                    self.hessian.active.copy_(open_)
-                    again, down, count = self._conjugate_gradients(-gradient, forcing, products)
-                    step = torch.where(open_[:, None, None], _shortened(again), step)
-                    negative |= down & open_
-                    used += count
-                    slope = _dot(gradient, step)
-                there = x + share.to(x.dtype)[:, None, None] * step
-                new_terms, new_gradient = evaluate(there)
-                change = sum(new_terms.values()) - energy
-                enough = change <= SUFFICIENT * share * slope
-                level = (change <= noise) & (_dot(new_gradient, step).abs() <= slope.abs())
-                open_ &= ~(enough | level)
-                if not open_.any():
-                    break
-                if attempt < RETRIES:
-                    added = kinks.learn(open_, x, step, gradient, new_gradient, self._product(step))
-                    self.hessian.add_to_diagonal(added, torch.zeros_like(damping))
-                else:
-                    best = -slope * share**2 / (2 * (change - slope * share))
-                    best = torch.nan_to_num(best, nan=0.0).clamp(0.1 * share, 0.5 * share)
-                    share = torch.where(open_, best, share)
-            if open_.any():
-                share = torch.where(open_, 0.0, share)
-                there = x + share.to(x.dtype)[:, None, None] * step
-                new_terms, new_gradient = evaluate(there)
-            x, terms, gradient = there, new_terms, new_gradient
+            self._hessian.active.copy_(active)
+            self._hessian.assemble(here.vertices, body, body_offset, exact)
+            self._hessian.add_to_diagonal(secants.blocks, damping)
+            forcing = (norm / self.force_scale).sqrt().clamp(max=FORCING)
+            there, share, bent, count = self._step(evaluate, here, secants, active, forcing, products)
+            self._hessian.active.copy_(active)
+            secants.arrive(active & (share > 0), here.vertices, here.gradient, self._trial(here, there))
+            here = there
             taken += active
-            kinks.blocks *= 0.5
-            full, failed = share >= 1, active & (share == 0)
-            failures = torch.where(failed, failures + 1, 0)
-            exact = full & ~negative
-            factor = torch.where(full & ~negative, 0.2, torch.where(share < 0.3, 4.0, 1.0))
+            used += count
+            failures = torch.where(active & (share == 0), failures + 1, 0)
+            exact = (share >= 1) & ~bent
+            factor = torch.where(exact, COOLING, torch.where(share < 0.3, HEATING, 1.0))
             damping = torch.where(active, damping * factor, damping).clamp(1e-3, 1e5)
             if watch:
-                watch(Progress(iteration, sum(terms.values()), _norm(kinks.least(x, gradient)), share, active, attempt))
-        norm = _norm(kinks.least(x, gradient))
-        return Solution(x, norm <= tolerance * self.force_scale, norm, self.force_scale, terms, taken, used)
+                norm = _norm(secants.least_gradient(here.vertices, here.gradient))
+                watch(Progress(iteration, here.energy, norm, int(used.max()), active))
+        norm = _norm(secants.least_gradient(here.vertices, here.gradient))
+        converged = norm <= tolerance * self.force_scale
+        return Solution(here.vertices, converged, norm, self.force_scale, here.terms, taken)
 
-    def _product(self, step):
-        product = torch.zeros_like(step)
-        self.hessian.multiply(step, product)
-        return product
+    def _step(
+        self,
+        evaluate: Callable[[torch.Tensor], _Point],
+        here: _Point,
+        secants: VertexSecants,
+        active: torch.Tensor,
+        forcing: torch.Tensor,
+        products: int,
+    ) -> tuple[_Point, torch.Tensor, torch.Tensor, int]:
+        """A point of less energy; what share of its last step each sample took (B,), 0 if none helped; which samples
+        met negative curvature (B,); and the matrix products used."""
+        noise = ROUNDING * sum(values.abs() for values in here.terms.values())
+        share = active.to(torch.float64)
+        waiting = active.clone()
+        bent = torch.zeros_like(waiting)
+        step = torch.zeros_like(here.vertices)
+        used = 0
+        for attempt in range(SOLVES + HALVINGS):
+            if attempt < SOLVES:
+                self._hessian.active.copy_(waiting)
+                solved, down, count = self._conjugate_gradients(-here.gradient, forcing, products)
+                step = torch.where(waiting[:, None, None], _shortened(solved), step)
+                bent |= down
+                used += count
+                slope = _dot(here.gradient, step)
+            there = evaluate(here.vertices + share.to(step.dtype)[:, None, None] * step)
+            change = there.energy - here.energy
+            enough = change <= SUFFICIENT * share * slope
+            level = (change <= noise) & (_dot(there.gradient, step).abs() <= slope.abs())
+            waiting &= ~(enough | level)
+            if not waiting.any():
+                return there, share, bent, used
+            if attempt < SOLVES:
+                self._hessian.active.copy_(active)
+                added = secants.learn(waiting, here.vertices, here.gradient, self._trial(here, there))
+                self._hessian.add_to_diagonal(added, torch.zeros_like(forcing))
+            else:
+                best = torch.nan_to_num(-slope * share**2 / (2 * (change - slope * share)), nan=0.0)
+                share = torch.where(waiting, best.clamp(0.1 * share, 0.5 * share), share)
+        share = torch.where(waiting, 0.0, share)
+        there = evaluate(here.vertices + share.to(step.dtype)[:, None, None] * step)
+        return there, share, bent, used
+
+    def _trial(self, here: _Point, there: _Point) -> Trial:
+        """What was foreseen of the way from here to there, by the second derivative at hand."""
+        step = there.vertices - here.vertices
+        foreseen = torch.zeros_like(step)
+        self._hessian.multiply(step, foreseen)
+        along = (self._hessian.contact_gradient * step).sum(dim=2)
+        # k depth^2 with the depth changed along the normal: k depth^2 is the energy, -2 k depth normal the gradient.
+        squared = torch.where(here.contact > 0, along**2 / (4 * here.contact.clamp_min(1e-20)), 0.0)
+        return Trial(there.vertices, there.gradient, foreseen, there.contact - here.contact - along - squared)
 
     def _conjugate_gradients(
         self, force: torch.Tensor, forcing: torch.Tensor, products: int
     ) -> tuple[torch.Tensor, torch.Tensor, int]:
-        """Steps (B, n, 3), which samples met negative curvature (B,), and how many products were needed."""
-        step = torch.zeros_like(force)
-        residual = force * self.hessian.active[:, None, None]
+        """Steps (B, n, 3), which samples met negative curvature (B,), and how many products were needed.
+
+        A sample that meets negative curvature stops where it is (Steihaug 1983).
+        """
+        step, product = torch.zeros_like(force), torch.zeros_like(force)
+        residual = force * self._hessian.active[:, None, None]
         goal = forcing * _norm(residual)
-        ahead = self.hessian.precondition(residual)
+        ahead = self._hessian.precondition(residual)
         direction = ahead.clone()
-        product = torch.zeros_like(force)
         rho = _dot(residual, ahead)
-        open_ = self.hessian.active.clone()
-        negative = torch.zeros_like(open_)
+        waiting = self._hessian.active.clone()
+        bent = torch.zeros_like(waiting)
         for count in range(1, products + 1):
-            self.hessian.multiply(direction, product)
+            self._hessian.multiply(direction, product)
+            product *= self._free
             curvature = _dot(direction, product)
-            size = _dot(direction, direction)
-            down = open_ & (curvature <= 1e-6 * size)
-            negative |= down
-            open_ = open_ & ~down
-            alpha = torch.where(open_, rho / curvature, 0.0)
-            if count == 1:  # nothing found yet: go along the gradient, as far as the longest step allows
+            down = waiting & (curvature <= 1e-6 * _dot(direction, direction))
+            bent |= down
+            waiting = waiting & ~down
+            alpha = torch.where(waiting, rho / curvature, 0.0)
+            if count == 1:  # nothing found yet: along the preconditioned gradient
                 alpha = torch.where(down, 1.0, alpha)
             alpha = alpha.to(step.dtype)[:, None, None]
             step += alpha * direction
             residual -= alpha * product
-            open_ &= _norm(residual) > goal
-            if not open_.any():
+            waiting &= _norm(residual) > goal
+            if count % self._patience == 0 and not waiting.any():
                 break
-            ahead = self.hessian.precondition(residual)
+            ahead = self._hessian.precondition(residual)
             previous, rho = rho, _dot(residual, ahead)
-            beta = torch.where(open_, rho / previous, 0.0).to(step.dtype)[:, None, None]
+            beta = torch.where(waiting, rho / previous, 0.0).to(step.dtype)[:, None, None]
             direction = ahead + beta * direction
-        return step, negative, count
+        return step, bent, count
 
 
 def _shortened(step: torch.Tensor) -> torch.Tensor:
