@@ -1,4 +1,4 @@
-"""Second derivatives of the physics losses: against finite differences of their gradient, and positive where promised."""
+"""Second derivatives of the physics losses: against finite differences, and positive where promised."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Energy minima: what garment nodes can reach, and the order start > subspace minimum > full-space minimum on a clothed body."""
+"""Energy minima: what garment nodes can reach, and start > subspace minimum > full-space minimum on a clothed body."""
 
 from __future__ import annotations
 

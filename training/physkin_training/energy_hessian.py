@@ -9,8 +9,6 @@ Dimensions: `B` samples, `n` garment vertices, `f` faces, `q` hinges, `z` blocks
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import torch
 import warp as wp
@@ -343,7 +341,10 @@ class EnergyHessian:
         )
 
     def add_to_diagonal(self, blocks: torch.Tensor, damping: torch.Tensor) -> None:
-        """Add one block a vertex (B, n, 3, 3), and its area times the damping (B,) [N/m3] (call before `precondition`)."""
+        """Add a block for every vertex (B, n, 3, 3), and its area times the damping (B,) [N/m3].
+
+        `precondition` needs it, be both zero.
+        """
         wp.launch(
             damp_and_invert_kernel,
             dim=self._inverse.shape[:2],

@@ -1,9 +1,9 @@
 """Newton's method for the energy's minimum over all vertices of a garment, several samples at once.
 
 Every iteration solves H step = -gradient by conjugate gradients, only as exactly as the distance from the minimum
-deserves (Nocedal and Wright 2006, chapter 7). H is the exact second derivative while that curves up along the steps, and
-the one made positive block by block where it did not. A step that does not decrease the energy is solved for anew with
-what it taught about single vertices (`vertex_secants`), and at last shortened.
+deserves (Nocedal and Wright 2006, chapter 7). H is the exact second derivative while that curves up along the steps,
+and the one made positive block by block where it did not. A step that does not decrease the energy is solved for anew
+with what it taught about single vertices (`vertex_secants`), and at last shortened.
 
 Dimensions: `B` samples, `n` garment vertices. Metres, newtons, joules.
 """
@@ -35,6 +35,10 @@ HALVINGS = 10
 """A step shorter than 2^-10 is given up, and the next one damped more."""
 GIVE_UP = 6
 """Iterations in a row without any progress after which a sample is left where it is."""
+STALL_AFTER = 25
+STALL_SHARE = 1e-3
+"""A sample is given up, too, when so many iterations neither halve its gradient norm nor bring its energy down by more
+than this share of the sum of its terms' sizes."""
 FORCING = 0.1
 """Largest residual of the linear systems, relative to their right-hand sides."""
 FIRST_DAMPING = 100.0
@@ -89,6 +93,10 @@ class _Point:
     @property
     def energy(self) -> torch.Tensor:
         return sum(self.terms.values())
+
+    @property
+    def size(self) -> torch.Tensor:
+        return sum(values.abs() for values in self.terms.values())
 
 
 class FullSpaceSolver:
@@ -148,9 +156,15 @@ class FullSpaceSolver:
         damping = torch.full_like(here.energy, FIRST_DAMPING, dtype=torch.float32)
         exact = torch.zeros_like(here.energy, dtype=torch.bool)
         taken, failures, used = (torch.zeros_like(exact, dtype=torch.int64) for _ in range(3))
+        stalled = torch.zeros_like(exact)
+        then, lowest, norm_then = here.energy, torch.full_like(damping, torch.inf), torch.full_like(damping, torch.inf)
         for iteration in range(iterations):
             norm = _norm(secants.least_gradient(here.vertices, here.gradient))
-            active = (norm > tolerance * self.force_scale) & (failures < GIVE_UP)
+            lowest = torch.minimum(lowest, norm)
+            if iteration and iteration % STALL_AFTER == 0:
+                stalled |= (then - here.energy < STALL_SHARE * here.size) & (lowest > 0.5 * norm_then)
+                then, norm_then = here.energy, lowest
+            active = (norm > tolerance * self.force_scale) & (failures < GIVE_UP) & ~stalled
             if not active.any():
                 break
             self._hessian.active.copy_(active)
@@ -185,7 +199,7 @@ class FullSpaceSolver:
     ) -> tuple[_Point, torch.Tensor, torch.Tensor, int]:
         """A point of less energy; what share of its last step each sample took (B,), 0 if none helped; which samples
         met negative curvature (B,); and the matrix products used."""
-        noise = ROUNDING * sum(values.abs() for values in here.terms.values())
+        noise = ROUNDING * here.size
         share = active.to(torch.float64)
         waiting = active.clone()
         bent = torch.zeros_like(waiting)

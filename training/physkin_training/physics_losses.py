@@ -287,7 +287,7 @@ class PhysicsLosses:
 
     @property
     def element_energies(self) -> dict[str, torch.Tensor]:
-        """Energies [J] of the last evaluation by term and element, each (B, elements); contact and gravity by vertex."""
+        """Energies [J] by term and element, each (B, elements), where last evaluated; contact and gravity by vertex."""
         return self._element
 
     def _array(self, values: np.ndarray, dtype) -> wp.array:
