@@ -23,6 +23,7 @@ FORWARDED = {
     "node": ("physkin_ros.drape_node", "run the ROS 2 node: joint states in, garment point clouds out"),
     "demo": ("physkin_ros.demo", "run the node between a motion player and a listener; print figures, draw a picture"),
     "train": ("physkin_training.train", "train a garment from its mesh and physics"),
+    "simulate": ("physkin_training.simulate", "drape a garment on an avatar by minimising its energy"),
     "evaluate": ("physkin_training.evaluate", "measure a garment model on bodies it has not seen"),
 }
 """Subcommand -> module whose `main(argv)` it calls, and what it does."""

@@ -29,7 +29,7 @@ SUFFICIENT = 1e-4
 """Share of the decrease expected along a step that it must bring."""
 ROUNDING = 3e-9
 """Change of the energy, relative to the sum of its terms' sizes, that single precision cannot tell from none."""
-SOLVES = 8
+SOLVES = 4
 """Steps solved for in one iteration at most; after that the last one is shortened."""
 HALVINGS = 10
 """A step shorter than 2^-10 is given up, and the next one damped more."""
