@@ -116,7 +116,7 @@ class DrapeSimulation:
         if stages:
             here = self._partly(poses, 0.0)
             skin, linear = self._start(here)
-            place = self._minimise(skin, here, **ON_THE_WAY).vertices.double().cpu().numpy()
+            place = self.run_from(skin, here, **ON_THE_WAY).vertices.double().cpu().numpy()
         for stage in range(1, stages + 1):
             here = self._partly(poses, stage / stages)
             next_skin, next_linear = self._start(here)
@@ -124,8 +124,18 @@ class DrapeSimulation:
             place = next_skin + (next_linear @ turned)[..., 0]
             skin, linear = next_skin, next_linear
             if stage < stages:
-                place = self._minimise(place, here, **ON_THE_WAY).vertices.double().cpu().numpy()
-        return self._minimise(place, poses, tolerance=tolerance, iterations=iterations, watch=watch)
+                place = self.run_from(place, here, **ON_THE_WAY).vertices.double().cpu().numpy()
+        return self.run_from(place, poses, tolerance=tolerance, iterations=iterations, watch=watch)
+
+    def run_from(self, start: np.ndarray, poses: Poses, **options) -> Solution:
+        """Minimise at the poses from vertices (B, n, 3) [m]. options: of `FullSpaceSolver.minimise`."""
+        self.body.pose(poses.positions)
+        return self.solver.minimise(*self._tensors(start, poses.gravity), self.body.mesh, self.body.offset, **options)
+
+    def energies(self, vertices: np.ndarray, poses: Poses) -> dict[str, torch.Tensor]:
+        """Energies (B,) [J] by term of drapes (B, n, 3) at the poses."""
+        self.body.pose(poses.positions)
+        return self.losses.evaluate(*self._tensors(vertices, poses.gravity), self.body.mesh, self.body.offset)[0]
 
     def _partly(self, poses: Poses, share: float) -> Poses:
         positions = self.rig.rest + share * (poses.positions - self.rig.rest)
@@ -143,12 +153,8 @@ class DrapeSimulation:
             turns.append(np.einsum("vk,vkij->vij", bound.influence_weights, linear[bound.influence_nodes]))
         return np.stack(drapes), np.stack(turns)
 
-    def _minimise(self, start: np.ndarray, poses: Poses, **options) -> Solution:
-        self.body.pose(poses.positions)
-        vertices, gravity = (
-            torch.as_tensor(array, dtype=torch.float32, device=self.device) for array in (start, poses.gravity)
-        )
-        return self.solver.minimise(vertices, gravity, self.body.mesh, self.body.offset, **options)
+    def _tensors(self, *arrays: np.ndarray) -> tuple[torch.Tensor, ...]:
+        return tuple(torch.as_tensor(array, dtype=torch.float32, device=self.device) for array in arrays)
 
 
 def main(argv: list[str] | None = None) -> int:
