@@ -213,8 +213,11 @@ def _simulate(options: argparse.Namespace) -> int:
         print(f"warning: {warning}", file=sys.stderr)
     poses = _poses(options, model.rig)
     stages = options.stages if options.stages is not None else 0 if options.start_from else 8
+    device = resolve_device(options.device)
+    if device.type == "cpu":
+        torch.set_num_threads(1)  # vectors are short: more threads would only wait for each other
     began = time.perf_counter()
-    simulation = DrapeSimulation(garment, avatar, model, material, len(poses.positions), resolve_device(options.device))
+    simulation = DrapeSimulation(garment, avatar, model, material, len(poses.positions), device)
     result = simulation.run(poses, stages=stages, tolerance=options.tolerance, iterations=options.iterations)
     seconds = time.perf_counter() - began
     vertices = result.vertices.double().cpu().numpy()
