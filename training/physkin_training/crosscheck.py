@@ -38,8 +38,8 @@ __all__ = ["NewtonDrape", "newton_drape", "surface_distance"]
 
 STEP_S = 1 / 600
 SWEEPS = 10
-"""Iterations of vertex block descent a time step. Longer steps or fewer iterations let the cloth stretch as it falls, and
-slip through the body."""
+"""Iterations of vertex block descent a time step; fewer, or longer steps, let cloth stretch as it falls, and slip
+through the body."""
 KEPT_VELOCITY = 0.98
 """Share of the velocity left after a time step."""
 SLOW = 2e-3
