@@ -100,7 +100,7 @@ def test_a_hanging_tube_reaches_the_minimum_of_the_oracle():
             + oracle.gravity_energy(x, garment, material, direction)
         )
         total.backward()
-        return float(total), leaf.grad.numpy().reshape(-1)
+        return float(total.detach()), leaf.grad.numpy().reshape(-1)
 
     start = garment.vertices[~top].reshape(-1)
     expected = minimize(energy, start, jac=True, method="L-BFGS-B", options={"maxiter": 300, "gtol": 1e-6})
