@@ -62,7 +62,7 @@ def test_drapes_are_the_run_times_and_the_minimum_is_lower(model):
     bodies = [5, 2, 9]
     evaluation = Evaluation(model, torch.device("cpu"), bodies=bodies, poses=2, seed=0, batch=4)
     poses, _ = chosen_poses(model.rig, count=2, seed=0)
-    drapes = drape_all(evaluation, poses, minimum_steps=10)
+    drapes = drape_all(evaluation, poses, minimum=True)
     assert list(drapes.garments) == ["model", "minimum"]
     for pair in (1, 3):
         avatar = avatar_from_body(BODY, BODY.held_out_bodies[bodies[pair % 3]])
@@ -76,7 +76,7 @@ def test_drapes_are_the_run_times_and_the_minimum_is_lower(model):
     for row, vertices in drapes.garments.items():
         strain = quality.edge_strain(model.garment, vertices).mean()
         assert figures[row]["edge_strain_percent"] == pytest.approx(strain, rel=1e-3) and figures[row]["pairs"] == 6
-    assert list(drape_all(evaluation, poses, minimum_steps=0).garments) == ["model"]
+    assert list(drape_all(evaluation, poses, minimum=False).garments) == ["model"]
 
 
 @pytest.mark.parametrize("gravity", [[0, 0, -1], [0, 0, 1], [1, 0, 0], [0.48, -0.6, 0.64]])
@@ -100,7 +100,7 @@ def test_the_command_draws_every_cell(model, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(contact_sheet, "render", render)
     save(model, tmp_path / "band.safetensors")
     arguments = ["contact-sheet", str(tmp_path / "band.safetensors"), "-o", str(tmp_path / "sheet.png")]
-    options = ["--poses", "2", "--width", "40", "--minimum-steps", "2", "--device", "cpu"]
+    options = ["--poses", "2", "--width", "40", "--minimum", "--device", "cpu"]
     assert cli.main([*arguments, *options]) == 0
     sheet = np.asarray(image.open(tmp_path / "sheet.png"))
     assert sheet.shape[1] == 4 + 12 * 44
@@ -116,8 +116,7 @@ def test_the_command_draws_every_cell(model, tmp_path, monkeypatch, capsys):
     [
         (["-o", "{tmp}/none/sheet.png"], "none/sheet.png: no such directory"),
         (["-o", "{tmp}/sheet.jpg"], "sheet.jpg: the name must end in .png"),
-        (["-o", "{tmp}/sheet.png", "--width", "0"], "got 0 and 0"),
-        (["-o", "{tmp}/sheet.png", "--minimum-steps", "-1"], "got -1 and 170"),
+        (["-o", "{tmp}/sheet.png", "--width", "0"], "at least 1, got 0"),
         (["-o", "{tmp}/sheet.png", "--poses", "0"], "poses must be at least 1, got 0"),
     ],
 )

@@ -287,6 +287,7 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
     assert set(scores) == rows | {"counts", "material", "energy_ratio", "weight_n", "motion"}
     for row in rows:
         more = {"gradient_norm"} if row.endswith("minimum") else set()
+        more |= {"converged_percent"} if row == "minimum" else set()
         assert set(scores[row]) == FIGURES | more and all(np.isfinite(value) for value in scores[row].values()), row
     counts = {"bodies": 1, "poses": 2, "seed": 9, "pairs": 2, "influences": 4, "minimum_pairs": 2}
     counts["minimum_steps"] = 20

@@ -25,10 +25,9 @@ from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet
 from physkin_core.quality import edge_strain
 from physkin_core.rig import Rig
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
-from physkin_training.evaluate import Batch, Evaluation
+from physkin_training.evaluate import Evaluation
 from physkin_training.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 from physkin_training.figures import Figures
-from physkin_training.minimum import full_space_minimum
 
 __all__ = ["Drapes", "chosen_bodies", "chosen_poses", "drape_all", "draw"]
 
@@ -85,12 +84,12 @@ def chosen_poses(rig: Rig, *, count: int, seed: int) -> tuple[Pairs, list[str]]:
     return Pairs(*(torch.cat(field) for field in fields)), names
 
 
-def drape_all(evaluation: Evaluation, poses: Pairs, *, minimum_steps: int) -> Drapes:
-    """Every pose on every body of the evaluation, pose by pose. minimum_steps: 0 leaves the minimum out."""
+def drape_all(evaluation: Evaluation, poses: Pairs, *, minimum: bool) -> Drapes:
+    """Every pose on every body of the evaluation, pose by pose. minimum: beside its full-space minimum."""
     count = len(evaluation.bodies)
     pairs = poses[torch.arange(len(poses)).repeat_interleave(count)]
     pairs = replace(pairs, body=torch.arange(count).repeat(len(poses)))
-    rows = ["model", "minimum"] if minimum_steps else ["model"]
+    rows = ["model", "minimum"] if minimum else ["model"]
     figures = {row: Figures(evaluation.model.garment, evaluation.device) for row in rows}
     garments: dict[str, list] = {row: [] for row in rows}
     bodies = []
@@ -99,8 +98,8 @@ def drape_all(evaluation: Evaluation, poses: Pairs, *, minimum_steps: int) -> Dr
         bodies.append((points - evaluation.posed_bodies.offset[:, None])[: batch.count].cpu().numpy())
         with torch.no_grad():
             drapes = {"model": evaluation.drape(batch.modulation, batch.positions, batch.gravity, batch.posed_nodes)}
-        if minimum_steps:
-            drapes["minimum"] = _minimum(evaluation, drapes["model"], batch, minimum_steps)
+        if minimum:
+            drapes["minimum"] = evaluation.full_space_minimum(drapes["model"], batch).vertices
         for row, vertices in drapes.items():
             evaluation.count_in(figures[row], vertices, batch)
             garments[row].append(vertices[: batch.count].cpu().numpy())
@@ -138,10 +137,6 @@ def draw(
     return contact_sheet(pictures, columns=columns * len(drapes.garments), captions=texts, gap=4)
 
 
-def _minimum(evaluation: Evaluation, start: torch.Tensor, batch: Batch, steps: int) -> torch.Tensor:
-    return full_space_minimum(lambda vertices: evaluation.energy(vertices, batch)[0], start, steps=steps).vertices
-
-
 def _to_world(gravity: np.ndarray) -> np.ndarray:
     """The smallest rotation (3, 3) that turns a gravity direction (3,) to -Z; about X where none is smallest."""
     from scipy.spatial.transform import Rotation
@@ -159,7 +154,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="PNG")
     parser.add_argument("--poses", type=int, default=12, help="poses on each of the three bodies (default 12)")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--minimum-steps", type=int, default=0, help="of the full-space minimum (default 0: none)")
+    parser.add_argument("--minimum", action="store_true", help="beside the full-space minimum (minutes on a CPU)")
     parser.add_argument("--width", type=int, default=170, help="of one picture, in pixels (default 170)")
     parser.add_argument("--device", default=DEFAULT_DEVICE)
     arguments = parser.parse_args(argv)
@@ -168,18 +163,15 @@ def main(argv: list[str] | None = None) -> int:
             raise ValueError(f"cannot write {arguments.output}: the name must end in .png")
         if not arguments.output.resolve().parent.is_dir():
             raise ValueError(f"cannot write {arguments.output}: no such directory")
-        if arguments.minimum_steps < 0 or arguments.width < 1:
-            raise ValueError(
-                "--minimum-steps must be at least 0 and --width at least 1, "
-                f"got {arguments.minimum_steps} and {arguments.width}"
-            )
+        if arguments.width < 1:
+            raise ValueError(f"--width must be at least 1, got {arguments.width}")
         model = load_garment_model(arguments.model)
         bodies = chosen_bodies(load_body_model())
         evaluation = Evaluation(
             model, resolve_device(arguments.device), bodies=list(bodies.values()), poses=arguments.poses, seed=0
         )
         poses, names = chosen_poses(model.rig, count=arguments.poses, seed=arguments.seed)
-        drapes = drape_all(evaluation, poses, minimum_steps=arguments.minimum_steps)
+        drapes = drape_all(evaluation, poses, minimum=arguments.minimum)
         captions = [f"{name}, {body}" for name in names for body in bodies]
         gravity = poses.gravity.numpy().repeat(len(bodies), axis=0)
         sheet = draw(drapes, model, gravity, captions, columns=POSES_A_ROW * len(bodies), width=arguments.width)
@@ -189,8 +181,7 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     for row, figures in drapes.figures.items():
         listed = ", ".join(f"{figures[figure]:.3f} {unit}" for figure, unit in PRINTED.items())
-        after = f" after {arguments.minimum_steps} steps" if row == "minimum" else ""
-        print(f"{row}{after} ({figures['pairs']} pairs): {listed}")
+        print(f"{row} ({figures['pairs']} pairs): {listed}")
     print(f"wrote {arguments.output}")
     return 0
 

@@ -28,8 +28,9 @@ from physkin_training.draping import Drape, compose_nodes, delta_transforms
 from physkin_training.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 from physkin_training.export import drape_from_model, encode_bodies
 from physkin_training.figures import Figures
+from physkin_training.full_space_solver import FullSpaceSolver, Solution
 from physkin_training.inside_by_vertex import inside_by_vertex
-from physkin_training.minimum import Minimum, full_space_minimum, subspace_minimum
+from physkin_training.minimum import subspace_minimum
 from physkin_training.physics_losses import GRAVITY, Energies, PhysicsLosses
 from physkin_training.posed_bodies import BodySet, PosedBodies
 from physkin_training.score_table import table
@@ -177,9 +178,10 @@ class Evaluation:
         """Model, subspace minimum and full-space minimum on `count` upright pairs (at most all of them).
 
         The full-space minimum starts from the lower of the other two. Minima also hold the mean `gradient_norm` at the
-        end (see `Minimum`).
+        end, the full-space one the `converged_percent` of its samples (see `Solution`).
         """
         rows = {name: Figures(self.model.garment, self.device) for name in ("model", "subspace_minimum", "minimum")}
+        converged: list[bool] = []
         norms: dict[str, list[float]] = {"subspace_minimum": [], "minimum": []}
         for batch in self.batches(self.uniform(upright=True).spread(count)):
 
@@ -193,10 +195,8 @@ class Evaluation:
             with torch.no_grad():
                 better = self.energy(subspace.vertices, batch)[1].total < self.energy(own, batch)[1].total
             start = torch.where(better[:, None, None], subspace.vertices, own)
-            minima: dict[str, Minimum] = {
-                "subspace_minimum": subspace,
-                "minimum": full_space_minimum(objective, start, steps=steps),
-            }
+            minima = {"subspace_minimum": subspace, "minimum": self.full_space_minimum(start, batch)}
+            converged += minima["minimum"].converged[: batch.count].tolist()
             for name, minimum in minima.items():
                 norms[name] += minimum.gradient_norm[: batch.count].tolist()
             for name, vertices in {"model": own, **{k: m.vertices for k, m in minima.items()}}.items():
@@ -204,7 +204,13 @@ class Evaluation:
         results = {name: figures.result() for name, figures in rows.items()}
         for name, values in norms.items():
             results[name]["gradient_norm"] = sum(values) / len(values)
+        results["minimum"]["converged_percent"] = 100 * sum(converged) / len(converged)
         return results
+
+    def full_space_minimum(self, start: torch.Tensor, batch: Batch) -> Solution:
+        """Minimise over all vertices from drapes (B, n, 3), against the bodies of the batch posed last."""
+        solver = FullSpaceSolver(self.model.garment, self.losses, self.batch, self.device)
+        return solver.minimise(start, batch.gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
 
     def _raw(self, batch: Batch) -> torch.Tensor:
         vector = self.drape.pose_vector(batch.positions, batch.gravity)

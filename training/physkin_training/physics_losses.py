@@ -247,9 +247,9 @@ class PhysicsLosses:
         n, f, q = len(garment.vertices), len(garment.faces), len(garment.hinges)
         self._faces = self._array(garment.faces, wp.int32)
         self._hinges = self._array(garment.hinges, wp.int32)
-        self._rest_inverse = self._array(_rest_inverse(garment), wp.mat22)
+        self._rest_inverse = self._array(face_rest_inverse(garment), wp.mat22)
         self._rest_area = self._array(garment.face_areas, wp.float32)
-        rest_angle, edge_factor = _hinge_rest(garment)
+        rest_angle, edge_factor = hinge_rest(garment)
         self._rest_angle = self._array(rest_angle, wp.float32)
         self._bend_stiffness = self._array(material.bending * edge_factor, wp.float32)
         self._vertex_area = self._array(garment.vertex_areas, wp.float32)
@@ -358,6 +358,11 @@ class PhysicsLosses:
             )
         return {name: tensor.sum(dim=1) for name, tensor in self._element.items()}, gradient
 
+    @property
+    def element_energies(self) -> dict[str, torch.Tensor]:
+        """Energies [J] by term and element, each (B, elements), where last evaluated; contact and gravity by vertex."""
+        return self._element
+
     def _array(self, values: np.ndarray, dtype) -> wp.array:
         scalar = np.int32 if dtype is wp.int32 else np.float32
         return wp.array(np.ascontiguousarray(values, dtype=scalar), dtype=dtype, device=self.device)
@@ -381,7 +386,7 @@ class _PhysicsEnergy(torch.autograd.Function):
         return gradient * (upstream / len(gradient)), None, None, None, None
 
 
-def _rest_inverse(garment: Garment) -> np.ndarray:
+def face_rest_inverse(garment: Garment) -> np.ndarray:
     """Inverse of the rest edge matrix of every face in its own plane, (f, 2, 2) [1/m]."""
     corners = garment.vertices[garment.faces]
     d1, d2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -392,7 +397,7 @@ def _rest_inverse(garment: Garment) -> np.ndarray:
     return np.linalg.inv(np.stack([np.stack([length, along], axis=1), np.stack([zero, across], axis=1)], axis=1))
 
 
-def _hinge_rest(garment: Garment) -> tuple[np.ndarray, np.ndarray]:
+def hinge_rest(garment: Garment) -> tuple[np.ndarray, np.ndarray]:
     """Rest dihedral angle (q,) [rad] and 3 |e|^2 / (A_a + A_b) (q,) of every hinge."""
     x0, x1, x2, x3 = (garment.vertices[garment.hinges[:, k]] for k in range(4))
     edge = x1 - x0

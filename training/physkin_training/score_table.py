@@ -54,6 +54,7 @@ def table(scores: Mapping) -> str:
         pairs = scores["counts"]["minimum_pairs"]
         ratio = f"{scores['energy_ratio']:.2f}"
         lines += ["", f"Stretch, bend and contact energy, model / full-space minimum: {ratio} ({pairs} pairs)"]
+        lines += [f"Full-space minima converged: {scores['minimum']['converged_percent']:.0f} %"]
     if motion:
         of = "{clips} clips, {frames} frames at {rate_hz:g} Hz, {bodies} bodies".format(**motion["counts"])
         lines += ["", f"Jitter, model / plain skinning: {motion['jitter_ratio']:.2f} ({of})"]
