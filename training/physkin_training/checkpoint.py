@@ -1,6 +1,7 @@
 """Checkpoints: a folder of safetensors files and one JSON file, enough to go on exactly where a run stopped.
 
-Networks, their moving average, first moments and second moments lie in files of their own, so that none grows large.
+Networks, their moving average, the best average so far, first moments and second moments lie in files of their own, so
+that none grows large.
 A checkpoint is written beside the one it replaces and takes its place once complete: an interrupted save loses nothing.
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -16,11 +18,13 @@ from safetensors.torch import load_file, save_file
 
 from physkin_training.config import TrainingConfig
 from physkin_training.draping import Drape
+from physkin_training.processes import Processes
+from physkin_training.validation import BestModel
 
-__all__ = ["CheckpointError", "load_checkpoint", "load_drape", "save_checkpoint"]
+__all__ = ["CheckpointError", "Progress", "load_checkpoint", "load_drape", "save_checkpoint"]
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
-TENSOR_FILES = ("drape", "average", *MOMENTS, "random")
+TENSOR_FILES = ("drape", "average", "best", *MOMENTS, "random")
 OWN_BUFFERS = ("influence_bias", "networks.node_mean", "networks.node_scale")
 """What a run sets for itself, beside what it trains."""
 SAME = 1e-6
@@ -31,36 +35,54 @@ class CheckpointError(ValueError):
     """A checkpoint is missing, damaged, or of another configuration, garment or body."""
 
 
+@dataclass(frozen=True)
+class Progress:
+    """How far a run is: finished steps, the best model yet, and plain data on the run that this one began from."""
+
+    step: int
+    best: BestModel | None = None
+    started_from: dict | None = None
+
+
 def save_checkpoint(
     folder: Path,
     drape: Drape,
     averaged: Drape,
     optimiser: torch.optim.Optimizer,
     *,
-    step: int,
+    progress: Progress,
     config: TrainingConfig,
-    started_from: Mapping | None = None,
+    processes: Processes,
 ) -> None:
-    """Write drape, moving average, optimiser and random state as `folder`, replacing a checkpoint that is there.
+    """Write drape, moving average, optimiser and random states as `folder`, replacing a checkpoint that is there.
 
-    started_from: plain data on the run this one began from. Raises CheckpointError when other files lie in `folder`.
+    Every process must call it; the first writes. Raises CheckpointError when other files lie in `folder`.
     """
+    random = {"cpu": processes.gather(torch.get_rng_state())}
+    if torch.cuda.is_available():
+        random["cuda"] = processes.gather(torch.cuda.get_rng_state())
+    if not processes.writes:
+        return
     folder = folder.resolve()
     _refuse_other_files(folder)
     partial, previous = _sibling(folder, "partial"), _sibling(folder, "previous")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     names = {id(parameter): name for name, parameter in drape.named_parameters()}
+    best = progress.best
     _save(drape.state_dict(), partial / "drape.safetensors")
     _save(dict(averaged.named_parameters()), partial / "average.safetensors")
+    _save(best.parameters if best else {}, partial / "best.safetensors")
     for moment in MOMENTS:
         moments = {names[id(p)]: state[moment] for p, state in optimiser.state.items()}
         _save(moments, partial / f"{moment}.safetensors")
-    random = {"cpu": torch.get_rng_state()}
-    if torch.cuda.is_available():
-        random["cuda"] = torch.cuda.get_rng_state()
     _save(random, partial / "random.safetensors")
-    state = {"step": step, "config": config.as_plain_data(), "started_from": started_from}
+    state = {
+        "step": progress.step,
+        "best": {"step": best.step, "energy_j": best.energy} if best else None,
+        "config": config.as_plain_data(),
+        "started_from": progress.started_from,
+    }
     (partial / "state.json").write_text(json.dumps(state, indent=1))
     if folder.exists():
         shutil.rmtree(previous, ignore_errors=True)
@@ -70,9 +92,15 @@ def save_checkpoint(
 
 
 def load_checkpoint(
-    folder: Path, drape: Drape, averaged: Drape, optimiser: torch.optim.Optimizer, *, config: TrainingConfig
-) -> tuple[int, dict | None]:
-    """Restore what `save_checkpoint` wrote; returns the number of finished steps and `started_from`.
+    folder: Path,
+    drape: Drape,
+    averaged: Drape,
+    optimiser: torch.optim.Optimizer,
+    *,
+    config: TrainingConfig,
+    processes: Processes,
+) -> Progress:
+    """Restore what `save_checkpoint` wrote; random states only to as many processes as wrote them, to others new ones.
 
     Raises CheckpointError when files are missing or do not fit, or the configuration, the garment or the body differs
     (naming the entry).
@@ -84,9 +112,10 @@ def load_checkpoint(
     try:
         _check_same_model(files["drape"], drape)
         _check_fit(files["average"], parameters, "average")
+        _check_fit(files["best"], parameters if state["best"] else {}, "best")
         for moment in MOMENTS:
             _check_fit(files[moment], parameters if state["step"] > 0 else {}, moment)
-        _set_random_state(files["random"])
+        _set_random_state(files["random"], processes, seed=config.seed, step=state["step"])
     except CheckpointError as error:
         raise CheckpointError(f"checkpoint {folder} {error}") from error
     drape.load_state_dict(files["drape"])
@@ -95,25 +124,31 @@ def load_checkpoint(
         entry = {moment: files[moment][name].to(parameter.device) for moment in MOMENTS}
         entry["step"] = torch.tensor(float(state["step"]), device=parameter.device)
         optimiser.state[parameter] = entry
-    return state["step"], state.get("started_from")
+    best = None
+    if state["best"]:
+        tensors = {name: tensor.to(parameters[name].device) for name, tensor in files["best"].items()}
+        best = BestModel(state["best"]["step"], state["best"]["energy_j"], tensors)
+    return Progress(state["step"], best, state.get("started_from"))
 
 
 def load_drape(folder: Path, drape: Drape) -> dict:
-    """Take over networks and skinning weights (their moving average) alone, whatever the run's configuration was.
+    """Take over networks and skinning weights alone, whatever the run's configuration was: the best that the run kept,
+    or where it kept none yet the moving average.
 
-    Returns plain data on that run: its configuration, `step` and `started_from`. Raises CheckpointError when the files
-    cannot be read or are of another garment, another body or other sizes.
+    Returns plain data on that run: its configuration, the `step` they are of and `started_from`. Raises CheckpointError
+    when the files cannot be read or are of another garment, another body or other sizes.
     """
     try:
         state = _read_state(folder)
         tensors = _read_tensors(folder, "drape")
         _check_same_model(tensors, drape)
-        average = _read_tensors(folder, "average")
-        _check_fit(average, dict(drape.named_parameters()), "average")
+        file = "best" if state["best"] else "average"
+        learnt = _read_tensors(folder, file)
+        _check_fit(learnt, dict(drape.named_parameters()), file)
     except CheckpointError as error:
         raise CheckpointError(f"cannot start from checkpoint {folder}: {error}") from error
-    drape.load_state_dict(tensors | average)
-    run = state["config"] | {"step": state["step"]}
+    drape.load_state_dict(tensors | learnt)
+    run = state["config"] | {"step": state["best"]["step"] if state["best"] else state["step"]}
     return run | ({"started_from": state["started_from"]} if state.get("started_from") else {})
 
 
@@ -151,6 +186,13 @@ def _read_state(folder: Path) -> dict:
             f"cannot read checkpoint {folder}: state.json needs a step of at least 0 and a config table, "
             f"got {step!r} and {config!r}"
         )
+    best = state.setdefault("best", None)
+    if best is not None and not (
+        isinstance(best, dict) and type(best.get("step")) is int and type(best.get("energy_j")) is float
+    ):
+        raise CheckpointError(
+            f"cannot read checkpoint {folder}: state.json needs best to be null or have step and energy_j, got {best!r}"
+        )
     return state
 
 
@@ -183,12 +225,15 @@ def _check_fit(tensors: Mapping, expected: Mapping, file: str) -> None:
             )
 
 
-def _set_random_state(random: Mapping[str, torch.Tensor]) -> None:
+def _set_random_state(random: Mapping[str, torch.Tensor], processes: Processes, *, seed: int, step: int) -> None:
     try:
-        torch.set_rng_state(random["cpu"])
+        if len(random["cpu"]) != processes.count:
+            processes.seed_samples(seed, step)
+            return
+        torch.set_rng_state(random["cpu"][processes.rank])
         if "cuda" in random and torch.cuda.is_available():
-            torch.cuda.set_rng_state(random["cuda"])
-    except (KeyError, TypeError, RuntimeError) as error:
+            torch.cuda.set_rng_state(random["cuda"][processes.rank])
+    except (KeyError, IndexError, TypeError, RuntimeError) as error:
         raise CheckpointError(f"has no usable random state: {error!r}") from error
 
 

@@ -37,7 +37,8 @@ class OptimisationConfig:
     `prune_from` to `prune_at` of the run, influences a vertex fall one by one to `garment_nodes.influences`; from
     `full_encoding` on, bodies are encoded from all 4096 points, before from `encoder_points` of them.
     `contact_linear_beyond` [m], `heavy_energy` [J]: see `PhysicsLosses`. `average`: decay a step of the moving average
-    of networks and skinning weights that is exported, 0 for none.
+    of networks and skinning weights that is exported, 0 for none. `validate_every`: steps from one measurement of the
+    average to the next, once range and influences are final; the best one is exported.
     """
 
     steps: int = 100000
@@ -58,12 +59,13 @@ class OptimisationConfig:
     contact_linear_beyond: float = 0.01
     heavy_energy: float = 0.1
     average: float = 0.999
+    validate_every: int = 500
 
     def __post_init__(self) -> None:
         def check(keys: str, allowed: str, holds: Callable) -> None:
             _check(self, "optimisation.", keys, allowed, holds)
 
-        check("steps samples bodies encoder_points", "at least 1", lambda value: value >= 1)
+        check("steps samples bodies encoder_points validate_every", "at least 1", lambda value: value >= 1)
         check("learning_rate skinning_rate", "finite and above 0", lambda value: 0 < value < math.inf)
         check("gradient_clip contact_linear_beyond heavy_energy late_reach", "above 0", lambda value: value > 0)
         check(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import logging
 import math
 import signal
@@ -14,8 +13,10 @@ from pathlib import Path
 from physkin_core.model_file import load_garment_model, save_garment_model
 from physkin_training.checkpoint import CheckpointError
 from physkin_training.config import ConfigError, load_config
-from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.devices import DEFAULT_DEVICE
 from physkin_training.export import Agreement, agreement, drape_from_model, model_from_drape
+from physkin_training.processes import join, leave
+from physkin_training.run_reports import RunReports
 from physkin_training.trainer import Trainer, TrainingDiverged
 
 __all__ = ["main"]
@@ -45,10 +46,11 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("--log-every", type=_steps, default=200, metavar="STEPS")
     arguments = parser.parse_args(argv)
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
     try:
         config = load_config(arguments.config)
-        trainer = Trainer(config, resolve_device(arguments.device))
+        processes, device = join(arguments.device)
+        logging.basicConfig(level=logging.INFO if processes.writes else logging.WARNING, format="%(message)s")
+        trainer = Trainer(config, device, processes=processes)
         if arguments.resume:
             trainer.resume(arguments.resume)
         elif arguments.start_from:
@@ -68,9 +70,13 @@ def main(argv: list[str] | None = None) -> int:
     except CheckpointError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
+    trainer.close()
+    leave()
     if stopped is not None:
         log.info("stopped at step %d; go on with --resume %s", trainer.step, checkpoint)
         return stopped
+    if not processes.writes:
+        return 0
     return _export(trainer, arguments.output / f"{config.name}.safetensors")
 
 
@@ -108,60 +114,37 @@ class _Interrupt:
 
 def _train(trainer: Trainer, arguments: argparse.Namespace, checkpoint: Path) -> int | None:
     """Run to the end (returns None), until the time is up or until Ctrl-C (returns the exit status)."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-    from torch.utils.tensorboard import SummaryWriter
-
     steps = trainer.config.optimisation.steps
-    first_step = trainer.step
-    started = saved = time.perf_counter()
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with (
-        SummaryWriter(arguments.output / "scalars") as writer,
-        open(arguments.output / "losses.jsonl", "a") as record,
-        Progress(*columns, disable=not sys.stderr.isatty()) as progress,
-        _Interrupt() as interrupt,
-    ):
-        task = progress.add_task("training", total=steps, completed=trainer.step)
+    saved = time.perf_counter()
+    with RunReports(trainer, arguments.output, every=arguments.log_every) as reports, _Interrupt() as interrupt:
         for step in trainer.run(steps):
-            if interrupt.requested:
+            report = step % arguments.log_every == 0 or step == steps
+            late = report and step < steps and reports.seconds > 60 * arguments.stop_after
+            due = time.perf_counter() - saved > 60 * arguments.checkpoint_every
+            interrupted, due, late = trainer.processes.any(interrupt.requested, due, late)
+            if interrupted:
                 return INTERRUPTED
-            if time.perf_counter() - saved > 60 * arguments.checkpoint_every:
+            if due:
                 trainer.save(checkpoint)
                 saved = time.perf_counter()
-            if step % arguments.log_every and step != steps:
-                continue
-            energies = trainer.mean_energies()
-            seconds = time.perf_counter() - started
-            row = {"step": step, "seconds": seconds, "range": trainer.range.item()} | energies
-            row["median_stretch_and_collision"] = trainer.median_energy()
-            row["gradient_norm"] = trainer.gradient_norm.item()
-            record.write(json.dumps(row) + "\n")
-            record.flush()
-            for name, value in row.items():
-                writer.add_scalar(name, value, step)
-            total = sum(energies.values())
-            progress.update(task, completed=step, description=f"energy {total:8.4f} J")
-            if not sys.stderr.isatty() and step // arguments.log_every % 10 == 0:
-                rate = (step - first_step) * trainer.config.optimisation.samples / seconds
-                terms = "  ".join(f"{name} {value:.4f}" for name, value in energies.items())
-                median = row["median_stretch_and_collision"]
-                log.info(
-                    "step %d/%d  %s  median %.4f  range %.1f  %.0f samples/s",
-                    *(step, steps, terms, median, row["range"], rate),
-                )
-            if seconds > 60 * arguments.stop_after and step < steps:
+            if report:
+                reports.report()
+            if late:
                 return 0
     return None
 
 
 def _export(trainer: Trainer, path: Path) -> int:
-    """Write the model file, unless it drapes otherwise than the trained drape; returns the exit status."""
-    config = trainer.config
-    training = config.as_plain_data()
+    """Write the model file of the run's best drape, unless it drapes otherwise; returns the exit status."""
+    config, drape, best = trainer.config, trainer.best_drape(), trainer.best
+    training = config.as_plain_data() | {"step": best.step if best else trainer.step}
+    if best:
+        training["validation_energy_j"] = best.energy
+        log.info("the model is the one of step %d, with the lowest validation energy, %.4f J", best.step, best.energy)
     if trainer.started_from:
         training["started_from"] = trainer.started_from
     model = model_from_drape(
-        trainer.averaged,
+        drape,
         trainer.garment,
         trainer.rig,
         name=config.name,
@@ -172,7 +155,7 @@ def _export(trainer: Trainer, path: Path) -> int:
     unchecked = path.with_suffix(".unchecked")
     save_garment_model(model, unchecked)
     stored = load_garment_model(unchecked)
-    cost, twin = agreement(stored, trainer.averaged), agreement(stored, drape_from_model(stored))
+    cost, twin = agreement(stored, drape), agreement(stored, drape_from_model(stored))
     log.info("half precision and pruning move vertices by %.3f mm at most, %.4f mm on average", *_mm(cost))
     log.info("run time and torch agree to %.4f mm at most, %.4f mm on average", *_mm(twin))
     for difference, allowed, other in (

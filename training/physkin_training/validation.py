@@ -1,0 +1,120 @@
+"""Which model of a run to keep: mean energy of the averaged networks on bodies and poses that stay the same.
+
+A run can end in a worse state than it has been through (docs/training.md), so the best is kept. The bodies are training
+bodies: held-out ones are for the figures, and a model chosen by them would flatter itself.
+
+Dimensions: `k` batches, `B` samples of this process, `S` bodies of this process, `n` garment vertices.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from physkin_core.body_model import BodyModel
+from physkin_core.garment import Garment
+from physkin_core.hyper_modulator import POINT_COUNT
+from physkin_core.surface_sampling import sample_surface
+from physkin_training.config import TrainingConfig
+from physkin_training.draping import Drape
+from physkin_training.physics_losses import PhysicsLosses
+from physkin_training.pose_sampling import PoseSampler
+from physkin_training.posed_bodies import BodySet, PosedBodies
+from physkin_training.processes import Processes
+from physkin_training.wearing import Wearing
+
+__all__ = ["BestModel", "Validation"]
+
+BATCHES = 4
+"""The set is this many times as large as a training step's: four passes forward cost about as much as three steps."""
+
+
+@dataclass(frozen=True)
+class BestModel:
+    """The averaged networks and skinning weights of the step with the lowest validation energy [J] so far."""
+
+    step: int
+    energy: float
+    parameters: dict[str, torch.Tensor]
+
+    @classmethod
+    def of(cls, drape: Drape, *, step: int, energy: float) -> BestModel:
+        """A copy of what the drape is now."""
+        parameters = {name: parameter.detach().clone() for name, parameter in drape.named_parameters()}
+        return cls(step, energy, parameters)
+
+
+class Validation:
+    """A fixed set of bodies and poses over the full range; the configuration's seed decides it, on any device.
+
+    All buffers are its own and it draws nothing from torch's random streams, so that neither a recorded step nor the
+    samples to come notice it. Of several processes each measures its share of the same set.
+    """
+
+    def __init__(
+        self,
+        config: TrainingConfig,
+        body_model: BodyModel,
+        garment: Garment,
+        bodies: BodySet,
+        wearing: Wearing,
+        processes: Processes,
+    ) -> None:
+        device = bodies.vertices.device
+        optimisation = config.optimisation
+        self._processes = processes
+        generator = torch.Generator().manual_seed(config.seed)
+        chosen = torch.randint(len(bodies), (BATCHES, optimisation.bodies), generator=generator)
+        sampler = PoseSampler(
+            body_model.rig,
+            torch.device("cpu"),
+            upright=config.poses.upright,
+            largest_tilt=math.radians(config.poses.largest_tilt_degrees),
+        )
+        samples = [sampler.sample(optimisation.samples, 1.0, generator=generator) for _ in range(BATCHES)]
+
+        def share(values: torch.Tensor) -> torch.Tensor:
+            return values.chunk(processes.count, dim=1)[processes.rank].contiguous().to(device)
+
+        self._positions, self._gravity = (share(torch.stack(part)) for part in zip(*samples))
+        self._chosen = share(chosen)
+        self._per_body = optimisation.samples // optimisation.bodies
+        self._points, self._normals = self._surfaces(bodies)
+        count = self._positions.shape[1]
+        self._posed_bodies = PosedBodies(body_model, bodies, count, faces=wearing.faces)
+        self._losses = PhysicsLosses(
+            garment,
+            config.material,
+            count,
+            device,
+            wearing=wearing,
+            linear_beyond=optimisation.contact_linear_beyond,
+        )
+
+    @torch.no_grad()
+    def energy(self, drape: Drape, node_positions: torch.Tensor) -> float:
+        """Mean energy [J], all terms, at the material's full contact stiffness; contact grows linearly where it does in
+        training. node_positions: of all bodies of the set (see `Drape.node_positions`). Waits for the device."""
+        total = torch.zeros(1, device=node_positions.device)
+        for batch, chosen in enumerate(self._chosen):
+            positions, gravity = self._positions[batch], self._gravity[batch]
+            body_index = chosen.repeat_interleave(self._per_body)
+            bones = self._posed_bodies.pose(positions, body_index)
+            posed_nodes = drape.posed_nodes(bones, node_positions[body_index])
+            modulation = drape.networks.hyper_modulator(self._points[batch], self._normals[batch])
+            vertices = drape(modulation.repeat_interleave(self._per_body, dim=0), positions, gravity, posed_nodes)
+            mean, _ = self._losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
+            total += mean / BATCHES
+        self._processes.average([total])
+        return total.item()
+
+    def _surfaces(self, bodies: BodySet) -> tuple[torch.Tensor, torch.Tensor]:
+        """Points and normals (k, S, N, 3) of the chosen bodies, the ones that the run time takes."""
+        vertices, faces = bodies.vertices[self._chosen].cpu().numpy(), bodies.faces.cpu().numpy()
+        pairs = [sample_surface(body, faces, POINT_COUNT) for batch in vertices for body in batch]
+        shape = (*self._chosen.shape, POINT_COUNT, 3)
+        device = bodies.vertices.device
+        return tuple(torch.as_tensor(np.stack(part), device=device).view(shape) for part in zip(*pairs))
