@@ -41,13 +41,16 @@ def write_belly_band(path: Path) -> None:
 
 
 def small_config(folder: Path, **optimisation) -> TrainingConfig:
-    """Twelve steps of two samples; influences are pruned after the third, all body points used in the twelfth."""
+    """Twelve steps of two samples; influences are pruned after the third, all body points used in the twelfth.
+
+    The average is measured after the eighth and the twelfth.
+    """
     path = folder / "band.obj"
     if not path.exists():
         write_belly_band(path)
     schedule = OptimisationConfig(
         steps=12, samples=2, bodies=2, growth=0.5, warm_up=0.1, prune_from=0.2, prune_at=0.25, full_encoding=0.9,
-        encoder_points=64, learning_rate=2e-3,
+        encoder_points=64, learning_rate=2e-3, validate_every=4,
     )  # fmt: skip
     return TrainingConfig(
         name="band",

@@ -53,18 +53,25 @@ def exactly_equal(one, other):
     for (name, left), right in zip(one.averaged.named_parameters(), other.averaged.parameters(), strict=True):
         assert torch.equal(left, right), name
     assert torch.equal(one.averaged.influence_bias, other.averaged.influence_bias)
+    assert (one.best is None) == (other.best is None)
+    if one.best:
+        assert (one.best.step, one.best.energy) == (other.best.step, other.best.energy)
+        for name, tensor in one.best.parameters.items():
+            assert torch.equal(tensor, other.best.parameters[name]), name
     assert torch.equal(one.range, other.range)
     assert torch.equal(one.losses.contact_stiffness, other.losses.contact_stiffness)
 
 
 @pytest.mark.parametrize("stop", [2, 6, 11])
 def test_resumed_run_is_exactly_the_straight_one(straight, stop):
-    """Stopped before influences are pruned, after that, and while bodies are encoded from all points."""
+    """Stopped before influences are pruned, after that, and while bodies are encoded from all points, with an average
+    of step 8 kept that is better than the last one."""
     folder, expected = straight
     torch.manual_seed(99)  # whatever was drawn before must not matter
     trainer = Trainer(small_config(folder), CPU)
     trainer.resume(folder / f"step{stop}")
     assert trainer.step == stop
+    assert (trainer.best.step if trainer.best else None) == (8 if stop == 11 else None)
     run(trainer, 12)
     assert trainer.step == expected.step == 12
     exactly_equal(trainer, expected)
@@ -118,6 +125,19 @@ def test_a_new_run_may_start_from_another(straight, tmp_path):
     again = Trainer(replace(config, seed=8), CPU)
     again.resume(tmp_path / "second")
     assert again.started_from == trainer.started_from
+
+
+def test_a_new_run_starts_from_the_best_that_was_kept(straight):
+    """Not from the average where the other run stopped."""
+    folder, _ = straight
+    trainer = Trainer(small_config(folder), CPU)
+    trainer.start_from(folder / "step11")
+    best = load_file(folder / "step11" / "best.safetensors")
+    average = load_file(folder / "step11" / "average.safetensors")
+    for name, parameter in trainer.drape.named_parameters():
+        assert torch.equal(parameter, best[name]), name
+    assert not torch.equal(average["skinning_logits"], best["skinning_logits"])
+    assert trainer.started_from["step"] == 8 and trainer.best is None
 
 
 def test_starting_from_other_sizes_is_refused(straight, tmp_path):
@@ -185,7 +205,7 @@ def test_a_missing_folder_is_refused(straight, tmp_path):
         resume(straight, tmp_path / "nowhere")
 
 
-TENSORS = ("drape", "average", "exp_avg", "exp_avg_sq", "random")
+TENSORS = ("drape", "average", "best", "exp_avg", "exp_avg_sq", "random")
 FILES = ("state.json", *(f"{name}.safetensors" for name in TENSORS))
 
 
@@ -222,12 +242,15 @@ def test_tensors_of_another_model_are_refused(straight, copy):
         [],
         {"config": None},
         "no step",
+        "an odd best",
     ],
 )
 def test_a_state_without_its_entries_is_refused(straight, copy, content):
     if content == "no step":
         content = json.loads((copy / "state.json").read_text())
         del content["step"]
+    if content == "an odd best":
+        content = json.loads((copy / "state.json").read_text()) | {"best": {"step": 5}}
     (copy / "state.json").write_text(json.dumps(content))
     with pytest.raises(CheckpointError):
         resume(straight, copy)
@@ -239,8 +262,9 @@ def test_a_state_without_its_entries_is_refused(straight, copy, content):
         ("exp_avg", lambda t: {**t, "skinning_logits": torch.zeros(3)}),
         ("exp_avg_sq", lambda t: {"skinning_logits": t["skinning_logits"]}),
         ("average", lambda t: {"skinning_logits": t["skinning_logits"]}),
+        ("best", lambda t: {"skinning_logits": torch.zeros(3)}),
         ("random", lambda t: {"gpu": t["cpu"]}),
-        ("random", lambda t: {"cpu": t["cpu"][:5].clone()}),
+        ("random", lambda t: {"cpu": t["cpu"][:, :5].clone()}),
     ],
 )
 def test_an_optimiser_state_that_does_not_fit_is_refused(straight, copy, file, change):

@@ -236,6 +236,11 @@ def test_the_command_writes_model_checkpoint_and_scalars(config_file, tmp_path):
     assert model.name == "band" and model.influence_nodes.shape[1] == 3
     assert model.training["seed"] == 5 and model.training["optimisation"]["steps"] == 12
     assert model.training["garment"] == "band.obj", "no path of this machine"
+    assert (model.training["step"], model.training["validation_energy_j"]) == (
+        rows[-1]["best_step"],
+        rows[-1]["best_validation_energy"],
+    )
+    assert "validation_energy" not in rows[0] and rows[1]["validation_energy"] == rows[1]["best_validation_energy"]
     garment = load_garment(tmp_path / "band.obj")
     np.testing.assert_allclose(model.garment.vertices, garment.vertices, atol=1e-6)
 

@@ -230,9 +230,12 @@ def _set_random_state(random: Mapping[str, torch.Tensor], processes: Processes, 
         if len(random["cpu"]) != processes.count:
             processes.seed_samples(seed, step)
             return
-        torch.set_rng_state(random["cpu"][processes.rank])
-        if "cuda" in random and torch.cuda.is_available():
-            torch.cuda.set_rng_state(random["cuda"][processes.rank])
+        own = {
+            device: states[processes.rank].clone() for device, states in random.items()
+        }  # set_rng_state wants no view
+        torch.set_rng_state(own["cpu"])
+        if "cuda" in own and torch.cuda.is_available():
+            torch.cuda.set_rng_state(own["cuda"])
     except (KeyError, IndexError, TypeError, RuntimeError) as error:
         raise CheckpointError(f"has no usable random state: {error!r}") from error
 

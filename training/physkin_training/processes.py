@@ -12,6 +12,7 @@ Tensors on GPUs travel by NCCL, those on the CPU by gloo.
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,6 +23,9 @@ import torch.distributed as dist
 from physkin_training.devices import resolve_device
 
 __all__ = ["Processes", "join", "leave"]
+
+LETTING_GO = 0.2
+"""Time [s] that gloo's threads get to let go of what they were given."""
 
 
 @dataclass(frozen=True)
@@ -103,4 +107,8 @@ def join(device_name: str) -> tuple[Processes, torch.device]:
 def leave() -> None:
     """Take leave of the other processes. CUDA graphs that hold an all-reduce must be gone by then."""
     if dist.is_initialized():
+        dist.barrier()
+        # gloo's threads let go of the last tensors a moment after the main thread has them, for which they need the
+        # interpreter; where it is already ending, they abort the process (torch 2.13, Python 3.11).
+        time.sleep(LETTING_GO)
         dist.destroy_process_group()

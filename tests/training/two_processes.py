@@ -1,0 +1,60 @@
+"""What each of two processes does in test_processes, started by torchrun: a small run, and what came of it as files."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import torch
+import warp as wp
+from safetensors.torch import save_file
+from training.small_runs import small_config
+
+from physkin_training.processes import join, leave
+from physkin_training.trainer import Trainer
+
+
+def steps(trainer: Trainer, count: int) -> None:
+    for _ in trainer.run(count):
+        pass
+
+
+def main(folder: Path) -> None:
+    wp.config.quiet = True
+    processes, device = join("cpu")
+    config = small_config(folder, gradient_clip=1e9)
+
+    def report(name: str, tensors: dict[str, torch.Tensor]) -> None:
+        copies = {key: tensor.detach().clone().contiguous() for key, tensor in tensors.items()}
+        save_file(copies, folder / f"{name}{processes.rank}.safetensors")
+
+    trainer = Trainer(config, device, processes=processes)
+    trainer.save(folder / "start")
+    original, drawn = trainer._draw, []
+
+    def draw():
+        drawn.append(original())
+        return drawn[-1]
+
+    trainer._draw = draw
+    steps(trainer, 1)
+    report("drawn", {str(index): tensor for index, tensor in enumerate(drawn[0])})
+    report("gradient", {name: parameter.grad for name, parameter in trainer.drape.named_parameters()})
+    report("energies", {"mean": torch.tensor(list(trainer.mean_energies().values()))})
+    steps(trainer, 5)
+    trainer.save(folder / "middle")
+    steps(trainer, 6)
+    report("end", trainer.drape.state_dict())
+    report("best", trainer.best.parameters | {"step": torch.tensor(trainer.best.step)})
+
+    resumed = Trainer(config, device, processes=processes)
+    resumed.resume(folder / "middle")
+    steps(resumed, 6)
+    report("resumed", resumed.drape.state_dict())
+    flags = processes.any(False, processes.rank == 1, True)
+    report("flags", {"any": torch.tensor(flags)})
+    leave()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
