@@ -34,6 +34,7 @@ FIGURES = {
     "edge_strain_percent",
     "area_strain_percent",
     "inside_percent",
+    "inside_worn_percent",
     "inside_by_vertex_percent",
     "within_3mm_percent",
     "stretch_j",

@@ -30,9 +30,14 @@ def drapes(count, *, seed=4):
 
 def count_in(figures, batch, pick, **options):
     vertices, terms, distance, inside = (a[pick] for a in batch)
-    figures.add(
-        vertices, Energies(*terms.T, band=torch.zeros(len(distance)), signed_distance=distance), inside, **options
-    )
+    band = torch.zeros(len(distance))
+    energies = Energies(*terms.T, band=band, signed_distance=distance, at_worn_part=worn_parts(distance))
+    figures.add(vertices, energies, inside, **options)
+
+
+def worn_parts(distance):
+    """Flags (B, n) that depend on the vertex alone: every third one."""
+    return (torch.arange(distance.shape[1]) % 3 == 0).expand_as(distance)
 
 
 @pytest.mark.parametrize("sizes", [(6,), (1, 2, 3)])
@@ -47,6 +52,8 @@ def test_figures_are_those_of_quality(sizes):
     assert row["area_strain_percent"] == pytest.approx(quality.area_strain(GARMENT, vertices.numpy()).mean(), rel=1e-4)
     for name, value in contact.items():
         assert row[name] == pytest.approx(value, rel=1e-5), name
+    inside_worn = (distance < 0) & worn_parts(distance)
+    assert row["inside_worn_percent"] == pytest.approx(100 * inside_worn.double().mean().item(), rel=1e-5)
     assert row["inside_by_vertex_percent"] == pytest.approx(100 * inside.double().mean().item(), rel=1e-5)
     for name, column in zip(TERMS, terms.T):
         assert row[f"{name}_j"] == pytest.approx(column.mean().item()), name

@@ -150,6 +150,8 @@ def test_deep_contact_counts_only_with_parts_a_vertex_is_worn_on(scene):
         plain = run(scene, shrunk)[0].collision.numpy()
         np.testing.assert_array_equal(mine, plain)
         assert mine.min() > 0
+        assert run(scene, shrunk, wearing=worn_on(garment, body, worn=True))[0].at_worn_part.all()
+        assert not run(scene, shrunk, wearing=worn_on(garment, body, worn=False))[0].at_worn_part.any()
         if depth == "deep":
             assert strange.max() < 0.01 * mine.min()
         else:

@@ -58,6 +58,7 @@ class Figures:
             "edge_strain_percent": 100 * ((length - self.edge_lengths).abs() / self.edge_lengths).mean(dim=1),
             "area_strain_percent": 100 * ((area - self.face_areas).abs() / self.face_areas).mean(dim=1),
             "inside_percent": 100 * (distance < 0).float().mean(dim=1),
+            "inside_worn_percent": 100 * ((distance < 0) & energies.at_worn_part[:count]).float().mean(dim=1),
             "inside_by_vertex_percent": 100 * inside_by_vertex[:count].float().mean(dim=1),
             "within_3mm_percent": 100 * (distance < CLOSE).float().mean(dim=1),
             "stretch_j": energies.stretch[:count],

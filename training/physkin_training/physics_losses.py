@@ -130,6 +130,7 @@ def collision_kernel(
     energy: wp.array2d(dtype=wp.float32),
     gradient: wp.array2d(dtype=wp.vec3),
     signed_distance: wp.array2d(dtype=wp.float32),
+    at_worn_part: wp.array2d(dtype=wp.bool),
 ):
     """Squared depth below the contact offset, to the exact closest point of the posed body; linear when deeper."""
     s, v = wp.tid()
@@ -137,17 +138,19 @@ def collision_kernel(
     hit = wp.mesh_query_point_sign_normal(body, point, reach)
     energy[s, v] = 0.0
     signed_distance[s, v] = reach
+    at_worn_part[s, v] = False
     if hit.result:
         closest = wp.mesh_eval_position(body, hit.face, hit.u, hit.v)
         away = point - closest
         gap = wp.length(away)
         distance = hit.sign * gap
         signed_distance[s, v] = distance
+        mine = worn[v, face_bone[hit.face % face_bone.shape[0]]]
+        at_worn_part[s, v] = mine
         depth = contact_offset - distance
         if depth > 0.0:
             outward = wp.mesh_eval_face_normal(body, hit.face)
-            strange = not worn[v, face_bone[hit.face % face_bone.shape[0]]] or wp.dot(outward, normals[s, v]) < 0.0
-            if depth < DEEP or not strange:
+            if depth < DEEP or (mine and wp.dot(outward, normals[s, v]) >= 0.0):
                 if gap > 1.0e-6:
                     outward = away * (hit.sign / gap)
                 k = stiffness[0] * vertex_area[v]
@@ -198,7 +201,8 @@ def gravity_kernel(
 
 @dataclass(frozen=True)
 class Energies:
-    """Energies of each sample (B,) [J] by term, and signed distance to the body (B, n) [m], capped at the reach."""
+    """Energies of each sample (B,) [J] by term, signed distance to the body (B, n) [m], capped at the reach, and
+    whether the closest part of the body is one that the vertex is worn on (B, n) bool."""
 
     stretch: torch.Tensor
     bend: torch.Tensor
@@ -206,6 +210,7 @@ class Energies:
     gravity: torch.Tensor
     band: torch.Tensor
     signed_distance: torch.Tensor
+    at_worn_part: torch.Tensor
 
     @property
     def total(self) -> torch.Tensor:
@@ -279,6 +284,7 @@ class PhysicsLosses:
             ]
         self._normals = torch.zeros(samples, n, 3, device=device)
         self.signed_distance = buffer(n)
+        self.at_worn_part = torch.zeros(samples, n, dtype=torch.bool, device=device)
 
     def __call__(
         self, x: torch.Tensor, gravity: torch.Tensor, body: wp.Mesh, body_offset: torch.Tensor
@@ -289,7 +295,7 @@ class PhysicsLosses:
         Returns the differentiable mean total energy [J] and the (detached) energies.
         """
         total, *parts = _PhysicsEnergy.apply(x, self, gravity, body, body_offset)
-        return total, Energies(*parts, signed_distance=self.signed_distance)
+        return total, Energies(*parts, signed_distance=self.signed_distance, at_worn_part=self.at_worn_part)
 
     def evaluate(
         self, x: torch.Tensor, gravity: torch.Tensor, body: wp.Mesh, body_offset: torch.Tensor
@@ -331,7 +337,12 @@ class PhysicsLosses:
                 self._worn,
                 _vec3(self._normals),
             ],
-            outputs=[element["collision"], forces, wp.from_torch(self.signed_distance)],
+            outputs=[
+                element["collision"],
+                forces,
+                wp.from_torch(self.signed_distance),
+                wp.from_torch(self.at_worn_part),
+            ],
             device=self.device,
         )
         wp.launch(

@@ -13,6 +13,7 @@ COLUMNS = {
     "edge_strain_percent": "edge %",
     "area_strain_percent": "area %",
     "inside_percent": "inside %",
+    "inside_worn_percent": "inside worn parts %",
     "within_3mm_percent": "< 3 mm %",
     "max_depth_p999_mm": "depth p99.9 mm",
     "max_depth_mm": "deepest mm",
