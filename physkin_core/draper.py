@@ -45,7 +45,7 @@ class Draper:
     ) -> None:
         if backend not in BACKENDS:
             raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
-        bound = bind_garment(model, avatar)
+        bound = bind_garment(model, avatar, backend=backend)
         if points is not None:
             bound = replace(bound, **bind_points(model, points, normals=normals))
         self.model = model

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "body_encoder.hpp"
 #include "dispatch.hpp"
 #include "evaluator.hpp"
 
@@ -107,6 +108,63 @@ BoundGarment bound_garment(nb::handle source) {
   return g;
 }
 
+DenseWeights named_layer(const nb::dict& network, const std::string& name) {
+  const std::string weight = name + ".weight", bias = name + ".bias";
+  std::vector<int> shape{-1, -1};
+  DenseWeights layer;
+  layer.matrix = view<float>(network[weight.c_str()], weight, shape);
+  layer.outputs = shape[0];
+  layer.inputs = shape[1];
+  shape = {layer.outputs};
+  layer.bias = view<float>(network[bias.c_str()], bias, shape);
+  return layer;
+}
+
+LayerNorm named_norm(const nb::dict& network, const std::string& name) {
+  const std::string weight = name + ".weight", bias = name + ".bias";
+  std::vector<int> shape{-1};
+  LayerNorm norm;
+  norm.weight = view<float>(network[weight.c_str()], weight, shape);
+  norm.width = shape[0];
+  norm.bias = view<float>(network[bias.c_str()], bias, shape);
+  return norm;
+}
+
+BodyEncoder body_encoder(const nb::dict& network) {
+  BodyEncoder e;
+  e.embed = named_layer(network, "embed");
+  e.attention_input = named_layer(network, "attention.input");
+  e.attention_output = named_layer(network, "attention.output");
+  e.norm_1 = named_norm(network, "norm_1");
+  e.norm_2 = named_norm(network, "norm_2");
+  e.feed_forward_0 = named_layer(network, "feed_forward.0");
+  e.feed_forward_1 = named_layer(network, "feed_forward.1");
+  e.pool = named_layer(network, "pool");
+  for (std::string block = "residual.0"; network.contains((block + ".norm.weight").c_str());
+       block = "residual." + std::to_string(e.residual.size())) {
+    e.residual.push_back({named_norm(network, block + ".norm"), named_layer(network, block + ".0"),
+                          named_layer(network, block + ".1")});
+  }
+  e.output = named_layer(network, "output");
+  return e;
+}
+
+void encode(const nb::dict& network, nb::handle points, nb::handle normals,
+            const nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>& out,
+            const std::optional<std::string>& instruction_set) {
+  const BodyEncoder encoder = body_encoder(network);
+  std::vector<int> shape{-1, 3};
+  const float* at = view<float>(points, "points", shape);
+  const float* normal = view<float>(normals, "normals", shape);
+  if (out.shape(0) != std::size_t(encoder.output.outputs)) {
+    throw nb::value_error(("out has " + std::to_string(out.shape(0)) + " elements; expected " +
+                           std::to_string(encoder.output.outputs)).c_str());
+  }
+  const Kernels& kernels = select_kernels(instruction_set.value_or(""));
+  const nb::gil_scoped_release release;
+  encode_body(encoder, kernels, at, normal, shape[0], out.data());
+}
+
 template <class T>
 void read_strided(const AnyArray& array, float* target) {
   const T* source = static_cast<const T*>(array.data());
@@ -189,5 +247,7 @@ NB_MODULE(_native, module) {
                          self.evaluator().node_transforms(), {nodes, 3, 4}, nb::find(self));
                    })
       .def_prop_ro("instruction_set", [](const BoundEvaluator& self) { return self.evaluator().instruction_set(); });
+  module.def("encode_body", &physkin::encode, "network"_a, "points"_a, "normals"_a, "out"_a.noconvert(),
+             "instruction_set"_a = nb::none());
   module.def("supported_instruction_sets", physkin::supported_instruction_sets);
 }

@@ -1,6 +1,7 @@
 // Compiled once per instruction set, with PHYSKIN_ISA set to its name and the flags that CMakeLists.txt gives it.
 #include "dense_kernel.hpp"
 #include "skinning_kernel.hpp"
+#include "token_kernel.hpp"
 
 #define PHYSKIN_TEXT_OF(name) #name
 #define PHYSKIN_TEXT(name) PHYSKIN_TEXT_OF(name)
@@ -8,6 +9,6 @@
 namespace physkin::PHYSKIN_ISA {
 
 extern const Kernels kernels;
-const Kernels kernels{PHYSKIN_TEXT(PHYSKIN_ISA), dense, skin};
+const Kernels kernels{PHYSKIN_TEXT(PHYSKIN_ISA), dense, skin, token_linear, token_norm, token_attention};
 
 }  // namespace physkin::PHYSKIN_ISA

@@ -1,4 +1,4 @@
-// The two kernels that take the time of a frame, and the data layouts they work on. Each instruction set has its own
+// The kernels that take the time of a frame and of encoding a body, and the data layouts they work on. Each instruction set has its own
 // compiled copy (kernel_unit.cpp); dispatch.hpp chooses one.
 #pragma once
 
@@ -42,6 +42,27 @@ struct VertexRows {
   bool with_normals = false;
 };
 
+// The body encoder works on tiles of kTokens tokens, feature by feature: tile[feature][kTokens], 64-byte aligned.
+constexpr int kTokens = 64;
+constexpr float kLayerNormEpsilon = 1e-5f;
+
+struct LayerNorm {
+  int width = 0;
+  const float* weight = nullptr;  // (width,)
+  const float* bias = nullptr;    // (width,)
+};
+
+// One head's keys and values (head_width, kTokens) in every tile, `tile_stride` floats from tile to tile.
+struct TokenAttention {
+  int head_width = 0, count = 0;  // tokens that exist; those that fill up the last tile are no keys
+  float scale = 1.0f;
+  const float* keys = nullptr;
+  const float* values = nullptr;
+  std::ptrdiff_t tile_stride = 0;
+};
+
+constexpr std::size_t attention_scratch(int head_width) { return (std::size_t(head_width) + kTokens + 2) * kTokens; }
+
 struct Kernels {
   const char* instruction_set;
 
@@ -52,6 +73,15 @@ struct Kernels {
 
   // x' = sum_k w_k M_k x, normal' = normalised sum_k w_k A_k normal, with M = [A | c] in matrices (nodes, 12).
   void (*skin)(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows);
+
+  // output tile = activation(W tile + bias), for none and relu.
+  void (*token_linear)(const DenseWeights& layer, const float* tile, Activation activation, float* output);
+
+  // tile = layer norm of (tile + added), over the features of each token.
+  void (*token_norm)(const LayerNorm& norm, const float* added, float* tile);
+
+  // Overwrites the queries (head_width, kTokens) of one tile with softmax(scale * query keys) values.
+  void (*token_attention)(const TokenAttention& attention, float* query, float* scratch);
 };
 
 }  // namespace physkin
