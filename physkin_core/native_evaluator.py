@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core.bound_garment import BoundGarment
+from physkin_core.push_out import BoundPushOut, ContactResidual
 
 try:
     from physkin_core import _native
@@ -33,18 +34,26 @@ class NativeEvaluator:
     bound: its arrays are copied and packed; later changes to them have no effect.
     instruction_set: one of `supported_instruction_sets()`. By default the environment variable PHYSKIN_NATIVE_ISA
         decides, and without it the widest supported set.
+    push_out: what keeps the garment out of this body, from `bind_push_out`; default nothing does.
 
-    Raises ValueError if an array of `bound` has another dtype, shape or layout than `BoundGarment` states, an
+    Raises ValueError if an array of `bound` or `push_out` has another dtype, shape or layout than its class states, an
     index is out of range, a value is not finite, or the instruction set is unknown or not supported by this CPU.
     """
 
-    def __init__(self, bound: BoundGarment, *, instruction_set: str | None = None):
-        self._evaluator = _native.Evaluator(bound, instruction_set)
+    def __init__(
+        self, bound: BoundGarment, *, instruction_set: str | None = None, push_out: BoundPushOut | None = None
+    ):
+        self._evaluator = _native.Evaluator(bound, instruction_set, push_out)
 
     @property
     def instruction_set(self) -> str:
         """Name of the instruction set in use."""
         return self._evaluator.instruction_set
+
+    @property
+    def residual(self) -> ContactResidual:
+        """Contact that the push-out left in the last frame; zeros without push-out."""
+        return ContactResidual(*self._evaluator.residual)
 
     def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> None:
         """Computes one frame into `out`.

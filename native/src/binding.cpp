@@ -108,6 +108,26 @@ BoundGarment bound_garment(nb::handle source) {
   return g;
 }
 
+BoundPushOut bound_push_out(nb::handle source) {
+  BoundPushOut b;
+  const int v = b.body_count = length(source, "body_vertices");
+  const int c = b.candidate_count = length(source, "body_bend");
+  b.block_count = length(source, "block_vertices");
+  b.listed_count = length(source, "candidates");
+  b.body_vertices = field<float>(source, "body_vertices", {v, 3});
+  b.body_normals = field<float>(source, "body_normals", {v, 3});
+  std::vector<int> shape{v, -1};
+  b.body_bones = view<std::int32_t>(source.attr("body_bones"), "body_bones", shape);
+  b.influences = shape[1];
+  b.body_weights = field<float>(source, "body_weights", shape);
+  b.body_bend = field<float>(source, "body_bend", {c});
+  b.body_patch = field<std::int32_t>(source, "body_patch", {c, kPatch, 3});
+  b.block_vertices = field<std::int32_t>(source, "block_vertices", {b.block_count, kBlock});
+  b.candidate_start = field<std::int32_t>(source, "candidate_start", {b.block_count + 1});
+  b.candidates = field<std::int32_t>(source, "candidates", {b.listed_count});
+  return b;
+}
+
 DenseWeights named_layer(const nb::dict& network, const std::string& name) {
   const std::string weight = name + ".weight", bias = name + ".bias";
   std::vector<int> shape{-1, -1};
@@ -202,8 +222,9 @@ VertexRows vertex_rows(const OutputArray& out, int vertex_count) {
 // The evaluator with room for its converted inputs.
 class BoundEvaluator {
  public:
-  BoundEvaluator(nb::handle garment, const std::optional<std::string>& instruction_set)
-      : evaluator_(bound_garment(garment), select_kernels(instruction_set.value_or(""))),
+  BoundEvaluator(nb::handle garment, const std::optional<std::string>& instruction_set, nb::handle push_out)
+      : evaluator_(bound_garment(garment), select_kernels(instruction_set.value_or("")),
+                   push_out.is_none() ? nullptr : &static_cast<const BoundPushOut&>(bound_push_out(push_out))),
         joint_positions_(evaluator_.dofs()) {}
 
   void evaluate(const AnyArray& joint_positions, const AnyArray& gravity, const OutputArray& out) {
@@ -236,7 +257,8 @@ class BoundEvaluator {
 NB_MODULE(_native, module) {
   using physkin::BoundEvaluator;
   nb::class_<BoundEvaluator>(module, "Evaluator")
-      .def(nb::init<nb::handle, const std::optional<std::string>&>(), "garment"_a, "instruction_set"_a = nb::none())
+      .def(nb::init<nb::handle, const std::optional<std::string>&, nb::handle>(), "garment"_a,
+           "instruction_set"_a = nb::none(), "push_out"_a = nb::none())
       .def("evaluate", &BoundEvaluator::evaluate, "joint_positions"_a.noconvert(), "gravity"_a.noconvert(),
            "out"_a.noconvert())
       .def("skin", &BoundEvaluator::skin, "node_transforms"_a.noconvert(), "out"_a.noconvert())
@@ -245,6 +267,11 @@ NB_MODULE(_native, module) {
                      const std::size_t nodes = std::size_t(self.evaluator().nodes());
                      return nb::ndarray<nb::numpy, const float, nb::shape<-1, 3, 4>>(
                          self.evaluator().node_transforms(), {nodes, 3, 4}, nb::find(self));
+                   })
+      .def_prop_ro("residual",
+                   [](const BoundEvaluator& self) {
+                     const physkin::ContactResidual& residual = self.evaluator().residual();
+                     return nb::make_tuple(residual.deepest, residual.left_inside);
                    })
       .def_prop_ro("instruction_set", [](const BoundEvaluator& self) { return self.evaluator().instruction_set(); });
   module.def("encode_body", &physkin::encode, "network"_a, "points"_a, "normals"_a, "out"_a.noconvert(),

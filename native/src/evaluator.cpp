@@ -29,7 +29,7 @@ const BoundGarment& validated(const BoundGarment& garment) {
 
 }  // namespace
 
-Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels)
+Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, const BoundPushOut* push_out)
     : kernels_(kernels),
       rig_(validated(g), arena_),
       pose_modulator_(g.pose_layers, g.activation, arena_),
@@ -42,7 +42,9 @@ Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels)
       bone_transforms_(arena_.take<float>(12 * g.bones)),
       deformer_input_(arena_.take<float>(12 * g.deformer_bone_count)),
       node_transforms_(arena_.take<float>(12 * g.nodes)),
-      skinning_matrices_(arena_.take<float>(12 * g.nodes)) {}
+      skinning_matrices_(arena_.take<float>(12 * g.nodes)) {
+  if (push_out != nullptr) push_out_.emplace(*push_out, g.bones, g.vertex_count, arena_);
+}
 
 void Evaluator::evaluate(const float* joint_positions, const float* gravity, const VertexRows& rows) {
   check("joint_positions", joint_positions, rig_.dofs(), FLT_MAX);
@@ -59,6 +61,7 @@ void Evaluator::evaluate(const float* joint_positions, const float* gravity, con
 
   garment_nodes_.compose(bone_transforms_, corrections, node_transforms_);
   skin(node_transforms_, rows);
+  if (push_out_) residual_ = push_out_->apply(kernels_, bone_transforms_, rows);
 }
 
 void Evaluator::skin(const float* node_transforms, const VertexRows& rows) {

@@ -1,19 +1,22 @@
 // The per-frame path: joint positions to garment vertices and normals. Single-threaded; a frame allocates nothing.
 #pragma once
 
+#include <optional>
+
 #include "arena.hpp"
 #include "bound_garment.hpp"
 #include "garment_nodes.hpp"
 #include "kernels.hpp"
 #include "mlp.hpp"
+#include "push_out.hpp"
 #include "rig.hpp"
 
 namespace physkin {
 
 class Evaluator {
  public:
-  // Validates and copies the garment; throws std::invalid_argument.
-  Evaluator(const BoundGarment& garment, const Kernels& kernels);
+  // Validates and copies the garment, and with it what keeps it out of the body; throws std::invalid_argument.
+  Evaluator(const BoundGarment& garment, const Kernels& kernels, const BoundPushOut* push_out = nullptr);
   Evaluator(const Evaluator&) = delete;  // its members point into its own arena
   Evaluator& operator=(const Evaluator&) = delete;
 
@@ -21,11 +24,14 @@ class Evaluator {
   // leaves the rows and the last frame as they were, if an input or what the networks make of it is not finite.
   void evaluate(const float* joint_positions, const float* gravity, const VertexRows& rows);
 
-  // The last stage alone: skins the garment with the given node_transforms (nodes, 3, 4).
+  // Skinning alone, without push-out, with the given node_transforms (nodes, 3, 4).
   void skin(const float* node_transforms, const VertexRows& rows);
 
   // (nodes, 3, 4) of the last frame, root frame, metres.
   const float* node_transforms() const { return node_transforms_; }
+
+  // Contact that the push-out left in the last frame; none without push-out.
+  const ContactResidual& residual() const { return residual_; }
 
   int dofs() const { return rig_.dofs(); }
   int nodes() const { return garment_nodes_.count(); }
@@ -48,6 +54,8 @@ class Evaluator {
   float* deformer_input_;
   float* node_transforms_;
   float* skinning_matrices_;
+  std::optional<PushOut> push_out_;
+  ContactResidual residual_;
 };
 
 }  // namespace physkin

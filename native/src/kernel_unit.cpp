@@ -1,4 +1,5 @@
 // Compiled once per instruction set, with PHYSKIN_ISA set to its name and the flags that CMakeLists.txt gives it.
+#include "contact_kernel.hpp"
 #include "dense_kernel.hpp"
 #include "skinning_kernel.hpp"
 #include "token_kernel.hpp"
@@ -9,6 +10,7 @@
 namespace physkin::PHYSKIN_ISA {
 
 extern const Kernels kernels;
-const Kernels kernels{PHYSKIN_TEXT(PHYSKIN_ISA), dense, skin, token_linear, token_norm, token_attention};
+const Kernels kernels{PHYSKIN_TEXT(PHYSKIN_ISA), dense,     skin,            token_linear, token_norm,
+                      token_attention,           find_near, closest_on_patch};
 
 }  // namespace physkin::PHYSKIN_ISA
