@@ -52,9 +52,9 @@ WORN_RADIUS = 0.10
 """Body vertices farther [m] than this from a garment vertex at the canonical pose are not what it is worn on."""
 BIND_REACH = 0.006
 """A sampled pose counts for a garment vertex when it comes this near [m] to the body."""
-BIND_POSES = 512
-BIND_SPREADS = ((1, 1), (0.4, 0.4), (2, 2))
-"""Beta distributions between the joint limits, in turn: anywhere, at the limits, in between."""
+BIND_POSES = 768
+BIND_SPREADS = ((0.5, 0.5), (0.25, 0.25), (1, 1))
+"""Beta distributions between the joint limits, in turn: towards the limits, at most limits, anywhere."""
 BIND_FARTHEST = 0.035
 NEIGHBOURS = 4
 """Body vertices nearer than BIND_FARTHEST [m] that a sampled pose looks at, to find one that may count."""
