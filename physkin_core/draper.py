@@ -120,7 +120,7 @@ class Draper:
 
     @property
     def residual(self) -> ContactResidual | None:
-        """What the push-out left inside the body in the last `drape`; None for a draper without push-out."""
+        """What the push-out knows to be left inside in the last `drape` (see there); None without push-out."""
         return self._evaluator.residual if self._pushes_out else None
 
     def node_transforms(self) -> np.ndarray:

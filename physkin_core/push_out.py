@@ -65,6 +65,8 @@ class ContactResidual:
     """What is left of a frame's contact after the push-out, with the parts of the body the garment is worn on.
 
     deepest: depth [m] of the deepest vertex, 0 when all are outside. left_inside: vertices deeper than 0.5 mm.
+    Both cover the vertices that the push-out looked at, by the triangles it knows of: a vertex that came near a part of
+    the body which no sampled pose had brought it near to is neither pushed nor counted.
     """
 
     deepest: float
