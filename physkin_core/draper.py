@@ -32,10 +32,12 @@ class Draper:
     """Drapes one garment on one body, a pose at a time.
 
     backend: "native" (C++, the one to use) or "numpy" (readable reference, slow); never switched silently.
+    precision: of the native backend's network weights, "fp32", "bf16" or "int8" (see `NativeEvaluator`); None for its
+        default. The NumPy backend knows fp32 only.
     push_out: move vertices that end up inside the body out of it again, frame by frame. Takes seconds to set up for a
         body, then tens of microseconds a frame; see `residual` and `physkin_core.push_out`.
     points, normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical space.
-    Raises ValueError for an unknown backend, a body of another rig, or points that are not this garment's.
+    Raises ValueError for an unknown backend or precision, a body of another rig, or points that are not this garment's.
     """
 
     def __init__(
@@ -44,12 +46,15 @@ class Draper:
         avatar: Avatar,
         *,
         backend: Literal["native", "numpy"] = "native",
+        precision: Literal["fp32", "bf16", "int8"] | None = None,
         push_out: bool = False,
         points: np.ndarray | None = None,
         normals: np.ndarray | None = None,
     ) -> None:
         if backend not in BACKENDS:
             raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
+        if backend == "numpy" and precision not in (None, "fp32"):
+            raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
         bound = bind_garment(model, avatar, backend=backend)
         if points is not None:
             bound = replace(bound, **bind_points(model, points, normals=normals))
@@ -58,12 +63,12 @@ class Draper:
         self.backend = backend
         self.bound: BoundGarment = bound
         self._faces = model.garment.faces if points is None else np.empty((0, 3), dtype=np.int32)
-        self._evaluator = _evaluator(backend, bound, None)
+        self._evaluator = _evaluator(backend, bound, precision, None)
         self._pushes_out = push_out
         if push_out:
             started = perf_counter()
             bound_push_out = bind_push_out(self.drape, model.rig, avatar)
-            self._evaluator = _evaluator(backend, bound, bound_push_out)
+            self._evaluator = _evaluator(backend, bound, precision, bound_push_out)
             log.info("bound the push-out of %s in %.1f s", model.name, perf_counter() - started)
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
 
@@ -132,11 +137,11 @@ class Draper:
         return self.model.rig.bone_transforms(joint_positions, heads=self.avatar.bone_heads)
 
 
-def _evaluator(backend: str, bound: BoundGarment, push_out: BoundPushOut | None):
+def _evaluator(backend: str, bound: BoundGarment, precision: str | None, push_out: BoundPushOut | None):
     if backend == "native":
         from physkin_core.native_evaluator import NativeEvaluator
 
-        return NativeEvaluator(bound, push_out=push_out)
+        return NativeEvaluator(bound, precision=precision, push_out=push_out)
     from physkin_core.reference_evaluator import ReferenceEvaluator
 
     return ReferenceEvaluator(bound, push_out=push_out)

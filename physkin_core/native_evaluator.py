@@ -6,6 +6,7 @@ Dimensions as in `bound_garment`: `d` degrees of freedom, `m` garment nodes, `n`
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -20,7 +21,11 @@ except ImportError as error:
         "folder, install with `pip install -e .`, or start Python in another folder to use the installed package."
     ) from error
 
-__all__ = ["NativeEvaluator", "supported_instruction_sets"]
+__all__ = ["PRECISIONS", "NativeEvaluator", "Precision", "supported_instruction_sets"]
+
+Precision = Literal["fp32", "bf16", "int8"]
+PRECISIONS: tuple[Precision, ...] = ("fp32", "bf16", "int8")
+"""Precisions of network weights."""
 
 
 def supported_instruction_sets() -> list[str]:
@@ -34,16 +39,29 @@ class NativeEvaluator:
     bound: its arrays are copied and packed; later changes to them have no effect.
     instruction_set: one of `supported_instruction_sets()`. By default the environment variable PHYSKIN_NATIVE_ISA
         decides, and without it the widest supported set.
+    precision: of the network weights, one of `PRECISIONS`: "fp32"; "bf16", widened in registers; "int8", with
+        activations rounded to 16 bits. By default the environment variable PHYSKIN_NATIVE_PRECISION decides, and
+        without it "fp32".
     push_out: what keeps the garment out of this body, from `bind_push_out`; default nothing does.
 
+    With ReLU networks, the network weights of activations that are zero can be skipped, which changes no bit of a
+    frame. Whether that pays is measured here, in milliseconds; the environment variable PHYSKIN_NATIVE_ZEROS ("skip" or
+    "read") decides without measuring.
+
     Raises ValueError if an array of `bound` or `push_out` has another dtype, shape or layout than its class states, an
-    index is out of range, a value is not finite, or the instruction set is unknown or not supported by this CPU.
+    index is out of range, a value is not finite, the instruction set is unknown or not supported by this CPU, or the
+    precision is unknown.
     """
 
     def __init__(
-        self, bound: BoundGarment, *, instruction_set: str | None = None, push_out: BoundPushOut | None = None
-    ):
-        self._evaluator = _native.Evaluator(bound, instruction_set, push_out)
+        self,
+        bound: BoundGarment,
+        *,
+        instruction_set: str | None = None,
+        precision: Precision | None = None,
+        push_out: BoundPushOut | None = None,
+    ) -> None:
+        self._evaluator = _native.Evaluator(bound, instruction_set, precision, push_out)
 
     @property
     def instruction_set(self) -> str:
@@ -54,6 +72,21 @@ class NativeEvaluator:
     def residual(self) -> ContactResidual:
         """Contact that the push-out left in the last frame; zeros without push-out."""
         return ContactResidual(*self._evaluator.residual)
+
+    @property
+    def precision(self) -> str:
+        """Precision of the network weights."""
+        return self._evaluator.precision
+
+    @property
+    def skips_zeros(self) -> tuple[bool, bool]:
+        """Whether pose modulator and node deformer skip network weights of activations that are zero."""
+        return self._evaluator.skips_zeros
+
+    @property
+    def skinning_terms(self) -> int:
+        """Garment nodes blended, summed over blocks of 16 vertices: each costs 12 multiply-adds a vertex."""
+        return self._evaluator.skinning_terms
 
     def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> None:
         """Computes one frame into `out`.
@@ -72,8 +105,24 @@ class NativeEvaluator:
         except TypeError:
             raise TypeError(_explain(joint_positions=joint_positions, gravity=gravity, out=out)) from None
 
+    def bind_step(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> _native.Step:
+        """A frame bound to its arrays: they are checked once, and then `step()` reads and writes them where they lie.
+
+        joint_positions: (d,) [rad] and gravity: (3,), C-contiguous float32, to be changed in place between frames.
+        out: as in `evaluate`. Returns an object whose method `step()`, of no arguments, converts and allocates nothing;
+        it keeps the arrays and this evaluator alive. Its methods `pose`, `run_networks`, `compose_nodes`, `skin` and
+        `push_out` repeat single stages of the last frame, for timing.
+
+        Raises TypeError or ValueError as `evaluate` does; `step()` raises ValueError if an input or the networks'
+        output is not finite (`out` is then unchanged).
+        """
+        try:
+            return _native.Step(self._evaluator, joint_positions, gravity, out)
+        except TypeError:
+            raise TypeError(_explain(joint_positions=joint_positions, gravity=gravity, out=out)) from None
+
     def skin(self, node_transforms: np.ndarray, out: np.ndarray) -> None:
-        """The last stage alone: skins the garment with given node transforms, (m, 3, 4) float32, C-contiguous.
+        """Skinning alone, without push-out, from given node transforms, (m, 3, 4) float32, C-contiguous.
 
         out and errors as in `evaluate`.
         """
@@ -88,6 +137,10 @@ class NativeEvaluator:
         Zeros before the first frame.
         """
         return self._evaluator.node_transforms.copy()
+
+    def corrections(self) -> np.ndarray:
+        """What the node deformer gave last, (m, 9) or (m, 12) float32; zeros before the first frame."""
+        return self._evaluator.corrections.copy()
 
 
 def _explain(**arrays: object) -> str:

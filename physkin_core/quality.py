@@ -9,7 +9,10 @@ import numpy as np
 
 from physkin_core.garment import Garment, face_areas
 
-__all__ = ["area_strain", "contact_figures", "edge_strain", "jitter", "signed_distance"]
+__all__ = ["CLOSE", "area_strain", "contact_figures", "edge_strain", "inside_by_vertex", "jitter", "signed_distance"]
+
+CLOSE = 0.003
+"""Garment vertices nearer to the body than this [m] are counted as close."""
 
 ON_EDGE = 1e-6
 """A closest point with a smaller barycentric coordinate lies on the edge."""
@@ -47,6 +50,22 @@ def signed_distance(points: np.ndarray, body_vertices: np.ndarray, body_faces: n
     return np.where(((points - closest) * normal).sum(axis=1) < 0, -distance, distance) / 1000
 
 
+def inside_by_vertex(points: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray) -> np.ndarray:
+    """Whether points (n, 3) are behind the nearest body vertex, by its area-weighted normal. Returns (n,) bool.
+
+    As GAPS counts them (Chen et al. 2024), for comparison: unlike the sign of `signed_distance` it depends on how the
+    body is triangulated.
+    """
+    from scipy.spatial import cKDTree
+
+    corners = np.asarray(body_vertices, dtype=np.float64)[body_faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros((len(body_vertices), 3))
+    np.add.at(normals, body_faces, cross[:, None])
+    _, nearest = cKDTree(body_vertices).query(points)
+    return ((points - body_vertices[nearest]) * normals[nearest]).sum(axis=-1) < 0
+
+
 def _pseudo_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of faces (f, 3), unit; of the edge opposite each face's corner (f, 3, 3); of vertices (n, 3), angle-weighted."""
     sides = np.roll(vertices[faces], -1, axis=1) - vertices[faces]  # from corner k to corner k + 1
@@ -70,7 +89,7 @@ def contact_figures(distances: np.ndarray) -> dict[str, float]:
     """
     return {
         "inside_percent": float(100 * (distances < 0).mean()),
-        "within_3mm_percent": float(100 * (distances < 0.003).mean()),
+        "within_3mm_percent": float(100 * (distances < CLOSE).mean()),
         "max_depth_mm": float(1000 * max(0.0, -distances.min())),
     }
 

@@ -8,7 +8,9 @@ import pytest
 HEAVY = ("torch", "warp", "rclpy", "trimesh", "pygltflib")
 
 
-@pytest.mark.parametrize("module", ["physkin_core", "physkin_core.native_evaluator", "physkin_core.cli"])
+@pytest.mark.parametrize(
+    "module", ["physkin_core", "physkin_core.native_evaluator", "physkin_core.cli", "physkin_core.bench"]
+)
 def test_import_loads_no_heavy_package(module, tmp_path):
     code = f"import sys, {module}; print(*sorted({{name.split('.')[0] for name in sys.modules}}))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)

@@ -13,6 +13,7 @@
 #include "body_encoder.hpp"
 #include "dispatch.hpp"
 #include "evaluator.hpp"
+#include "machine_floors.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -219,18 +220,24 @@ VertexRows vertex_rows(const OutputArray& out, int vertex_count) {
   return {reinterpret_cast<unsigned char*>(out.data()), std::ptrdiff_t(stride), columns == 6};
 }
 
+void raise_if(const Rejection& rejection) {
+  if (rejection) throw nb::value_error(rejection.message().c_str());
+}
+
 // The evaluator with room for its converted inputs.
 class BoundEvaluator {
  public:
-  BoundEvaluator(nb::handle garment, const std::optional<std::string>& instruction_set, nb::handle push_out)
+  BoundEvaluator(nb::handle garment, const std::optional<std::string>& instruction_set,
+                 const std::optional<std::string>& precision, nb::handle push_out)
       : evaluator_(bound_garment(garment), select_kernels(instruction_set.value_or("")),
+                   select_precision(precision.value_or("")),
                    push_out.is_none() ? nullptr : &static_cast<const BoundPushOut&>(bound_push_out(push_out))),
         joint_positions_(evaluator_.dofs()) {}
 
   void evaluate(const AnyArray& joint_positions, const AnyArray& gravity, const OutputArray& out) {
     read_vector(joint_positions, "joint_positions", evaluator_.dofs(), joint_positions_.data());
     read_vector(gravity, "gravity", 3, gravity_);
-    evaluator_.evaluate(joint_positions_.data(), gravity_, vertex_rows(out, evaluator_.vertex_count()));
+    raise_if(evaluator_.step(joint_positions_.data(), gravity_, vertex_rows(out, evaluator_.vertex_count())));
   }
 
   void skin(const nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>& node_transforms,
@@ -240,9 +247,10 @@ class BoundEvaluator {
       const std::string shape = shape_text({evaluator_.nodes(), 3, 4});
       throw nb::value_error(("node_transforms must have shape " + shape).c_str());
     }
-    evaluator_.skin(node_transforms.data(), vertex_rows(out, evaluator_.vertex_count()));
+    raise_if(evaluator_.skin(node_transforms.data(), vertex_rows(out, evaluator_.vertex_count())));
   }
 
+  Evaluator& evaluator() { return evaluator_; }
   const Evaluator& evaluator() const { return evaluator_; }
 
  private:
@@ -251,14 +259,59 @@ class BoundEvaluator {
   float gravity_[3] = {};
 };
 
+// A frame whose arrays were checked once: a call converts and allocates nothing. Keeps evaluator and arrays alive.
+class BoundStep {
+ public:
+  using InputArray = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+  BoundStep(nb::handle evaluator, InputArray joint_positions, InputArray gravity, OutputArray out)
+      : owner_(nb::borrow(evaluator)),
+        evaluator_(nb::cast<BoundEvaluator&>(evaluator).evaluator()),
+        joint_positions_(std::move(joint_positions)),
+        gravity_(std::move(gravity)),
+        out_(std::move(out)),
+        rows_(vertex_rows(out_, evaluator_.vertex_count())) {
+    check_length(joint_positions_, "joint_positions", evaluator_.dofs());
+    check_length(gravity_, "gravity", 3);
+  }
+
+  void step() { raise_if(evaluator_.step(joint_positions_.data(), gravity_.data(), rows_)); }
+  void pose() { evaluator_.pose(joint_positions_.data(), gravity_.data()); }
+  void run_networks() { evaluator_.run_networks(); }
+  void compose_nodes() { evaluator_.compose_nodes(evaluator_.corrections()); }
+  void skin() { raise_if(evaluator_.skin(evaluator_.node_transforms(), rows_)); }
+  void push_out() { evaluator_.push_out(rows_); }
+
+ private:
+  static void check_length(const InputArray& array, const char* name, int count) {
+    if (array.shape(0) != std::size_t(count)) {
+      throw nb::value_error((std::string(name) + " must have shape (" + std::to_string(count) + ",)").c_str());
+    }
+  }
+
+  nb::object owner_;
+  Evaluator& evaluator_;
+  InputArray joint_positions_, gravity_;
+  OutputArray out_;
+  VertexRows rows_;
+};
+
+nb::ndarray<nb::numpy, const float, nb::shape<-1, -1>> corrections(const BoundEvaluator& self) {
+  const Evaluator& evaluator = self.evaluator();
+  return {evaluator.corrections(), {std::size_t(evaluator.nodes()), std::size_t(evaluator.correction_size())},
+          nb::find(self)};
+}
+
 }  // namespace
 }  // namespace physkin
 
 NB_MODULE(_native, module) {
   using physkin::BoundEvaluator;
+  using physkin::BoundStep;
+  using physkin::MachineProbe;
   nb::class_<BoundEvaluator>(module, "Evaluator")
-      .def(nb::init<nb::handle, const std::optional<std::string>&, nb::handle>(), "garment"_a,
-           "instruction_set"_a = nb::none(), "push_out"_a = nb::none())
+      .def(nb::init<nb::handle, const std::optional<std::string>&, const std::optional<std::string>&, nb::handle>(),
+           "garment"_a, "instruction_set"_a = nb::none(), "precision"_a = nb::none(), "push_out"_a = nb::none())
       .def("evaluate", &BoundEvaluator::evaluate, "joint_positions"_a.noconvert(), "gravity"_a.noconvert(),
            "out"_a.noconvert())
       .def("skin", &BoundEvaluator::skin, "node_transforms"_a.noconvert(), "out"_a.noconvert())
@@ -273,8 +326,33 @@ NB_MODULE(_native, module) {
                      const physkin::ContactResidual& residual = self.evaluator().residual();
                      return nb::make_tuple(residual.deepest, residual.left_inside);
                    })
-      .def_prop_ro("instruction_set", [](const BoundEvaluator& self) { return self.evaluator().instruction_set(); });
+      .def_prop_ro("corrections", physkin::corrections)
+      .def_prop_ro("instruction_set", [](const BoundEvaluator& self) { return self.evaluator().instruction_set(); })
+      .def_prop_ro("precision", [](const BoundEvaluator& self) { return precision_name(self.evaluator().precision()); })
+      .def_prop_ro("skips_zeros",
+                   [](const BoundEvaluator& self) {
+                     return nb::make_tuple(self.evaluator().pose_modulator_skips_zeros(),
+                                           self.evaluator().node_deformer_skips_zeros());
+                   })
+      .def_prop_ro("skinning_terms", [](const BoundEvaluator& self) { return self.evaluator().skinning_terms(); });
+  nb::class_<BoundStep>(module, "Step")
+      .def(nb::init<nb::handle, BoundStep::InputArray, BoundStep::InputArray, physkin::OutputArray>(), "evaluator"_a,
+           "joint_positions"_a.noconvert(), "gravity"_a.noconvert(), "out"_a.noconvert())
+      .def("step", &BoundStep::step, "Computes one frame from what the bound input arrays hold now.")
+      .def("pose", &BoundStep::pose)
+      .def("run_networks", &BoundStep::run_networks)
+      .def("compose_nodes", &BoundStep::compose_nodes)
+      .def("skin", &BoundStep::skin)
+      .def("push_out", &BoundStep::push_out);
   module.def("encode_body", &physkin::encode, "network"_a, "points"_a, "normals"_a, "out"_a.noconvert(),
              "instruction_set"_a = nb::none());
   module.def("supported_instruction_sets", physkin::supported_instruction_sets);
+  nb::class_<MachineProbe>(module, "MachineProbe")
+      .def("__init__",
+           [](MachineProbe* self, std::int64_t bytes, const std::optional<std::string>& instruction_set) {
+             new (self) MachineProbe(physkin::select_kernels(instruction_set.value_or("")), bytes);
+           },
+           "bytes"_a, "instruction_set"_a = nb::none())
+      .def("read", &MachineProbe::read)
+      .def("multiply_add", &MachineProbe::multiply_add, "rounds"_a);
 }

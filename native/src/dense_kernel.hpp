@@ -3,8 +3,15 @@
 
 #include "kernels.hpp"
 #include "simd.hpp"
+#include "simd_pairs.hpp"
 
 namespace physkin::PHYSKIN_ISA {
+
+// Eight independent sums hide the latency of the fused multiply-add. Every output has one sum, over its inputs in
+// order: leaving out inputs that are zero changes no bit of it.
+constexpr int kSums = 8;
+constexpr int kPanel = kSums * kLanes;
+static_assert(kPanel % kGroup == 0);
 
 inline Floats activate(Floats v, Activation activation) {
   switch (activation) {
@@ -15,32 +22,167 @@ inline Floats activate(Floats v, Activation activation) {
   return v;
 }
 
-inline void dense(const PackedLayer& layer, const float* input, const float* scale, const float* shift,
-                  Activation activation, float* output) {
-  constexpr int kVectors = kPanel / kLanes;
-  // Eight independent sums hide the latency of the fused multiply-add; narrow panels get them from several inputs.
-  constexpr int kUnroll = 8 / kVectors;
+// --- Rows of network weights by precision: what a row is multiplied with, its bytes, and the sums it adds to. ---
 
-  const float* weights = layer.weights;
-  for (int panel = 0; panel < layer.outputs; panel += kPanel) {
-    Floats sum[kUnroll][kVectors] = {};
-    int i = 0;
-    for (; i + kUnroll <= layer.inputs; i += kUnroll) {
-      for (int u = 0; u < kUnroll; ++u) {
-        for (int v = 0; v < kVectors; ++v) sum[u][v] += load(weights + v * kLanes) * input[i + u];
-        weights += kPanel;
-      }
+struct Fp32Rows {
+  typedef Floats Sum;
+  static constexpr int kInputs = 1;  // inputs a row
+  static constexpr int bytes(int outputs) { return 4 * outputs; }
+
+  const float* input;
+
+  void prepare(const PackedLayer&, const float* layer_input, const DenseScratch&) { input = layer_input; }
+  bool is_zero(int row) const { return input[row] == 0.0f; }
+
+  template <int kCount>
+  void add(const unsigned char* weights, int row, Sum* sum) const {
+    const float x = input[row];
+    const float* w = reinterpret_cast<const float*>(weights);
+    for (int v = 0; v < kCount; ++v) sum[v] += load(w + v * kLanes) * x;
+  }
+
+  Floats value(Sum sum, const PackedLayer& layer, int at) const { return sum + load(layer.bias + at); }
+};
+
+struct Bf16Rows : Fp32Rows {
+  static constexpr int bytes(int outputs) { return 2 * outputs; }
+
+  template <int kCount>
+  void add(const unsigned char* weights, int row, Sum* sum) const {
+    const float x = input[row];
+    for (int v = 0; v < kCount / 2; ++v) {
+      const Ints words = load_ints(weights + 4 * v * kLanes);
+      sum[v] += (Floats)(words << 16) * x;
+      sum[kCount / 2 + v] += (Floats)words * x;
     }
-    for (; i < layer.inputs; ++i, weights += kPanel) {
-      for (int v = 0; v < kVectors; ++v) sum[0][v] += load(weights + v * kLanes) * input[i];
+  }
+};
+
+struct Int8Rows {
+  typedef Ints Sum;
+  static constexpr int kInputs = 2;
+  static constexpr int bytes(int outputs) { return 2 * outputs; }
+
+  const std::int16_t* quantised;
+  float unit;  // input of 1 in integers; NaN if an input is not finite, as the layer's outputs must be then
+
+  void prepare(const PackedLayer& layer, const float* input, const DenseScratch& scratch) {
+    Floats largest = {}, poison = {};
+    for (int i = 0; i < layer.inputs; i += kLanes) {
+      const Floats v = inside(input, i, layer.inputs);
+      const Floats magnitude = v < 0.0f ? -v : v;
+      largest = magnitude > largest ? magnitude : largest;
+      poison += v * 0.0f;
     }
-    for (int v = 0; v < kVectors; ++v) {
-      const int at = panel + v * kLanes;
-      Floats value = load(layer.bias + at);
-      for (int u = 0; u < kUnroll; ++u) value += sum[u][v];
-      if (scale != nullptr) value = value * (1.0f + load_unaligned(scale + at)) + load_unaligned(shift + at);
-      store(output + at, activate(value, activation));
+    float most = 1e-30f, bad = 0.0f;
+    for (int lane = 0; lane < kLanes; ++lane) {
+      most = largest[lane] > most ? largest[lane] : most;
+      bad += poison[lane];
     }
+    unit = most / layer.input_limit + bad;
+    const float scale = layer.input_limit / most;
+    constexpr float kRound = 12582912.0f;  // 1.5 * 2^23: adding it rounds to an integer in the low bits
+    typedef std::int16_t Shorts __attribute__((vector_size(2 * kLanes), may_alias));
+    for (int i = 0; i < layer.inputs; i += kLanes) {
+      const Ints rounded = (Ints)(inside(input, i, layer.inputs) * scale + kRound) - (Ints)(Floats{} + kRound);
+      *reinterpret_cast<Shorts*>(scratch.quantised + i) = __builtin_convertvector(rounded, Shorts);
+    }
+    if (layer.inputs % 2 != 0) scratch.quantised[layer.inputs] = 0;
+    quantised = scratch.quantised;
+  }
+
+  static Floats inside(const float* input, int i, int count) {
+    Ints lane;
+    for (int k = 0; k < kLanes; ++k) lane[k] = k;
+    return lane + i < count ? load(input + i) : Floats{};
+  }
+
+  std::int32_t pair(int row) const {
+    std::int32_t both;
+    __builtin_memcpy(&both, quantised + 2 * row, sizeof both);
+    return both;
+  }
+  bool is_zero(int row) const { return pair(row) == 0; }
+
+  template <int kCount>
+  void add(const unsigned char* weights, int row, Sum* sum) const {
+    const Ints both = Ints{} + pair(row);
+    for (int v = 0; v < kCount; ++v) sum[v] = add_pair_products(sum[v], weights + 2 * v * kLanes, both);
+  }
+
+  Floats value(Sum sum, const PackedLayer& layer, int at) const {
+    return __builtin_convertvector(sum, Floats) * (load(layer.output_scale + at) * unit) + load(layer.bias + at);
+  }
+};
+
+// --- The layer ---
+
+struct Modulation {
+  const float* scale;
+  const float* shift;
+};
+
+// Rows are fetched ahead of time: listed ones lie too irregularly for the processor to do it by itself, and with all
+// rows it stops at the end of every page. Distances by measurement (Zen 5, weights in L3).
+constexpr int kListedRowsAhead = 12;
+constexpr std::ptrdiff_t kBytesAhead = 4096;
+
+inline void prefetch(const unsigned char* row, std::ptrdiff_t bytes) {
+  for (std::ptrdiff_t at = 0; at < bytes; at += 64) __builtin_prefetch(row + at);
+}
+
+// kCount * kLanes outputs from `at` on. `listed`: the rows to read, if not all.
+template <class Rows, bool kListed, int kCount>
+inline void dense_panel(const PackedLayer& layer, const Rows& rows, const unsigned char* weights,
+                        const std::int32_t* listed, int row_count, int at, Modulation modulation, Activation activation,
+                        float* output) {
+  typename Rows::Sum sum[kCount] = {};
+  constexpr std::ptrdiff_t kRow = Rows::bytes(kCount * kLanes);
+  for (int k = 0; k < row_count; ++k) {
+    const int row = kListed ? listed[k] : k;
+    if (!kListed) prefetch(weights + row * kRow + kBytesAhead, kRow);
+    if (kListed && k + kListedRowsAhead < row_count) prefetch(weights + listed[k + kListedRowsAhead] * kRow, kRow);
+    rows.template add<kCount>(weights + row * kRow, row, sum);
+  }
+  for (int v = 0; v < kCount; ++v, at += kLanes) {
+    Floats value = rows.value(sum[v], layer, at);
+    if (modulation.scale != nullptr) {
+      value = value * (1.0f + load_unaligned(modulation.scale + at)) + load_unaligned(modulation.shift + at);
+    }
+    store(output + at, activate(value, activation));
+  }
+}
+
+// The last panel of a layer may be narrower by whole groups.
+template <class Rows, bool kListed, int kCount = kSums, class... Arguments>
+inline void dense_panel_of(int count, const Arguments&... arguments) {
+  if (count == kCount) return dense_panel<Rows, kListed, kCount>(arguments...);
+  if constexpr (kCount * kLanes > kGroup) dense_panel_of<Rows, kListed, kCount - kGroup / kLanes>(count, arguments...);
+}
+
+template <class Rows, bool kSkipZeros>
+void dense(const PackedLayer& layer, const float* input, const float* scale, const float* shift, Activation activation,
+           const DenseScratch& scratch, float* output) {
+  Rows rows;
+  rows.prepare(layer, input, scratch);
+  const int all_rows = (layer.inputs + Rows::kInputs - 1) / Rows::kInputs;
+  int row_count = all_rows;
+  if (kSkipZeros) {
+    row_count = 0;
+    for (int row = 0; row < all_rows; ++row) {
+      scratch.rows[row_count] = row;
+      row_count += !rows.is_zero(row);
+    }
+  }
+  const std::int32_t* listed = kSkipZeros ? scratch.rows : nullptr;
+
+  const unsigned char* weights = layer.weights;
+  const int padded = padded_to_group(layer.outputs);
+  for (int at = 0; at < padded; at += kPanel) {
+    const int width = padded - at < kPanel ? padded - at : kPanel;
+    dense_panel_of<Rows, kSkipZeros>(width / kLanes, layer, rows, weights, listed, row_count, at,
+                                     Modulation{scale, shift}, activation, output);
+    weights += std::ptrdiff_t(all_rows) * Rows::bytes(width);
   }
 }
 

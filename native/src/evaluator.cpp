@@ -2,25 +2,17 @@
 
 #include <algorithm>
 #include <cfloat>
-#include <stdexcept>
-#include <string>
+#include <cmath>
+#include <vector>
 
-#include "finite.hpp"
 #include "skinning_blocks.hpp"
+#include "zero_skipping.hpp"
 
 namespace physkin {
 namespace {
 
 // Metres; far beyond any garment, and small enough that nothing computed from it overflows.
 constexpr float kLargest = 1e6f;
-
-void check(const char* name, const float* values, std::size_t count, float limit) {
-  const std::size_t bad = first_beyond(values, count, limit);
-  if (bad < count) {
-    throw std::invalid_argument(std::string(name) + "[" + std::to_string(bad) + "] is " + std::to_string(values[bad]) +
-                                "; every value must be finite and within +-" + std::to_string(limit));
-  }
-}
 
 const BoundGarment& validated(const BoundGarment& garment) {
   validate(garment);
@@ -29,11 +21,12 @@ const BoundGarment& validated(const BoundGarment& garment) {
 
 }  // namespace
 
-Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, const BoundPushOut* push_out)
+Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, Precision precision, const BoundPushOut* push_out)
     : kernels_(kernels),
+      precision_(precision),
       rig_(validated(g), arena_),
-      pose_modulator_(g.pose_layers, g.activation, arena_),
-      node_deformer_(g.deformer_layers, g.activation, arena_),
+      pose_modulator_(g.pose_layers, g.activation, precision, kernels, arena_),
+      node_deformer_(g.deformer_layers, g.activation, precision, kernels, arena_),
       garment_nodes_(g, arena_),
       blocks_(pack_skinning_blocks(g, arena_)),
       deformer_bone_count_(g.deformer_bone_count),
@@ -42,32 +35,80 @@ Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, const BoundP
       bone_transforms_(arena_.take<float>(12 * g.bones)),
       deformer_input_(arena_.take<float>(12 * g.deformer_bone_count)),
       node_transforms_(arena_.take<float>(12 * g.nodes)),
-      skinning_matrices_(arena_.take<float>(12 * g.nodes)) {
+      skinning_matrices_(arena_.take<float>(12 * g.nodes)),
+      corrections_(arena_.take<float>(g.deformer_layers.back().outputs)) {
   if (push_out != nullptr) push_out_.emplace(*push_out, g.bones, g.vertex_count, arena_);
+  choose_zero_skipping(g);
 }
 
-void Evaluator::evaluate(const float* joint_positions, const float* gravity, const VertexRows& rows) {
-  check("joint_positions", joint_positions, rig_.dofs(), FLT_MAX);
-  check("gravity", gravity, 3, FLT_MAX);
+Rejection Evaluator::step(const float* joint_positions, const float* gravity, const VertexRows& rows) noexcept {
+  if (const auto bad = reject_beyond("joint_positions", joint_positions, rig_.dofs(), FLT_MAX)) return bad;
+  if (const auto bad = reject_beyond("gravity", gravity, 3, FLT_MAX)) return bad;
+  pose(joint_positions, gravity);
+  const float* corrections = run_networks();
+  const std::size_t count = node_deformer_.outputs();
+  if (const auto bad = reject_beyond("node deformer output", corrections, count, kLargest)) return bad;
+  compose_nodes(corrections);
+  if (const auto bad = skin(node_transforms_, rows)) return bad;
+  push_out(rows);
+  return {};
+}
 
+void Evaluator::pose(const float* joint_positions, const float* gravity) noexcept {
   rig_.compute_bone_transforms(joint_positions, bone_transforms_);
   rig_.compute_pose_vector(joint_positions, gravity, pose_);
   for (int k = 0; k < deformer_bone_count_; ++k) {
     std::copy_n(bone_transforms_ + 12 * deformer_bones_[k], 12, deformer_input_ + 12 * k);
   }
-  const float* modulation = pose_modulator_.run(kernels_, pose_, nullptr);
-  const float* corrections = node_deformer_.run(kernels_, deformer_input_, modulation);
-  check("node deformer output", corrections, node_deformer_.outputs(), kLargest);
+}
 
+const float* Evaluator::run_networks() noexcept {
+  return corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, nullptr));
+}
+
+void Evaluator::compose_nodes(const float* corrections) noexcept {
   garment_nodes_.compose(bone_transforms_, corrections, node_transforms_);
-  skin(node_transforms_, rows);
+}
+
+Rejection Evaluator::skin(const float* node_transforms, const VertexRows& rows) noexcept {
+  const std::size_t count = 12 * std::size_t(nodes());
+  if (const auto bad = reject_beyond("node_transforms", node_transforms, count, kLargest)) return bad;
+  garment_nodes_.compute_skinning_matrices(node_transforms, skinning_matrices_);
+  kernels_.skin(blocks_, skinning_matrices_, rows);
+  return {};
+}
+
+void Evaluator::push_out(const VertexRows& rows) noexcept {
   if (push_out_) residual_ = push_out_->apply(kernels_, bone_transforms_, rows);
 }
 
-void Evaluator::skin(const float* node_transforms, const VertexRows& rows) {
-  check("node_transforms", node_transforms, 12 * std::size_t(nodes()), kLargest);
-  garment_nodes_.compute_skinning_matrices(node_transforms, skinning_matrices_);
-  kernels_.skin(blocks_, skinning_matrices_, rows);
+void Evaluator::choose_zero_skipping(const BoundGarment& g) {
+  const ZeroSkipping wanted = select_zero_skipping();
+  pose_modulator_.set_zero_skipping(wanted == ZeroSkipping::always);
+  node_deformer_.set_zero_skipping(wanted == ZeroSkipping::always);
+  if (wanted != ZeroSkipping::measured || g.activation != Activation::relu) return;
+
+  constexpr int kPoses = 16, kRounds = 5;
+  constexpr float kGravity[3] = {0.0f, 0.0f, -1.0f};
+  std::vector<float> joint_positions(g.dofs);
+  ZeroSkippingTrial modulator(pose_modulator_), deformer(node_deformer_);
+  for (int round = 0; round < 2 * kRounds; ++round) {
+    modulator.begin_round(round % 2 != 0);
+    deformer.begin_round(round % 2 != 0);
+    for (int k = 0; k < kPoses; ++k) {
+      // Poses spread over the joint limits, the same at every start.
+      for (int d = 0; d < g.dofs; ++d) {
+        const float share = std::fmod(0.6180340f * float((k + 1) * (d + 1)), 1.0f);
+        joint_positions[d] = g.dof_lower[d] + share * (g.dof_upper[d] - g.dof_lower[d]);
+      }
+      pose(joint_positions.data(), kGravity);
+      deformer.timed_run(deformer_input_, modulator.timed_run(pose_, nullptr));
+    }
+    modulator.end_round();
+    deformer.end_round();
+  }
+  modulator.decide();
+  deformer.decide();
 }
 
 }  // namespace physkin

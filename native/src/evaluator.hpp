@@ -9,6 +9,7 @@
 #include "kernels.hpp"
 #include "mlp.hpp"
 #include "push_out.hpp"
+#include "rejection.hpp"
 #include "rig.hpp"
 
 namespace physkin {
@@ -16,31 +17,49 @@ namespace physkin {
 class Evaluator {
  public:
   // Validates and copies the garment, and with it what keeps it out of the body; throws std::invalid_argument.
-  Evaluator(const BoundGarment& garment, const Kernels& kernels, const BoundPushOut* push_out = nullptr);
+  Evaluator(const BoundGarment& garment, const Kernels& kernels, Precision precision = Precision::fp32,
+            const BoundPushOut* push_out = nullptr);
   Evaluator(const Evaluator&) = delete;  // its members point into its own arena
   Evaluator& operator=(const Evaluator&) = delete;
 
-  // joint_positions (dofs) in radians, gravity (3): unit direction in the root frame. Throws std::invalid_argument, and
-  // leaves the rows and the last frame as they were, if an input or what the networks make of it is not finite.
-  void evaluate(const float* joint_positions, const float* gravity, const VertexRows& rows);
+  // One frame. joint_positions (dofs) in radians, gravity (3): unit direction in the root frame. If an input or what
+  // the networks make of it is not finite, says so and leaves the rows and the last frame as they were.
+  Rejection step(const float* joint_positions, const float* gravity, const VertexRows& rows) noexcept;
 
-  // Skinning alone, without push-out, with the given node_transforms (nodes, 3, 4).
-  void skin(const float* node_transforms, const VertexRows& rows);
+  // Skinning alone, without push-out, from the given node_transforms (nodes, 3, 4), which must be finite.
+  Rejection skin(const float* node_transforms, const VertexRows& rows) noexcept;
+
+  // The stages of a frame, in order, each from what the last one left; `step` checks what lies between them.
+  void pose(const float* joint_positions, const float* gravity) noexcept;
+  const float* run_networks() noexcept;  // corrections (nodes, 9 or 12)
+  void compose_nodes(const float* corrections) noexcept;
+  void push_out(const VertexRows& rows) noexcept;  // after skin; does nothing if there is none
 
   // (nodes, 3, 4) of the last frame, root frame, metres.
   const float* node_transforms() const { return node_transforms_; }
+  // What the networks last gave, (nodes, 9 or 12); zeros before the first frame.
+  const float* corrections() const { return corrections_; }
 
   // Contact that the push-out left in the last frame; none without push-out.
   const ContactResidual& residual() const { return residual_; }
 
   int dofs() const { return rig_.dofs(); }
   int nodes() const { return garment_nodes_.count(); }
+  int correction_size() const { return garment_nodes_.correction_size(); }
   int vertex_count() const { return blocks_.vertex_count; }
+  // Garment nodes over all blocks of kBlock vertices: each costs 12 multiply-adds a vertex.
+  int skinning_terms() const { return blocks_.influence_start[blocks_.block_count]; }
   const char* instruction_set() const { return kernels_.instruction_set; }
+  Precision precision() const { return precision_; }
+  bool pose_modulator_skips_zeros() const { return pose_modulator_.skips_zeros(); }
+  bool node_deformer_skips_zeros() const { return node_deformer_.skips_zeros(); }
 
  private:
+  void choose_zero_skipping(const BoundGarment& garment);
+
   // Members are built in this order, so that a frame walks the arena from front to back.
   const Kernels& kernels_;
+  Precision precision_;
   Arena arena_;
   Rig rig_;
   Mlp pose_modulator_;
@@ -54,6 +73,7 @@ class Evaluator {
   float* deformer_input_;
   float* node_transforms_;
   float* skinning_matrices_;
+  const float* corrections_;
   std::optional<PushOut> push_out_;
   ContactResidual residual_;
 };

@@ -1,6 +1,7 @@
 // Compiled once per instruction set, with PHYSKIN_ISA set to its name and the flags that CMakeLists.txt gives it.
 #include "contact_kernel.hpp"
 #include "dense_kernel.hpp"
+#include "floor_kernel.hpp"
 #include "skinning_kernel.hpp"
 #include "token_kernel.hpp"
 
@@ -10,7 +11,19 @@
 namespace physkin::PHYSKIN_ISA {
 
 extern const Kernels kernels;
-const Kernels kernels{PHYSKIN_TEXT(PHYSKIN_ISA), dense,     skin,            token_linear, token_norm,
-                      token_attention,           find_near, closest_on_patch};
+const Kernels kernels{
+    PHYSKIN_TEXT(PHYSKIN_ISA),
+    kPanel,
+    {dense<Fp32Rows, false>, dense<Bf16Rows, false>, dense<Int8Rows, false>},
+    {dense<Fp32Rows, true>, dense<Bf16Rows, true>, dense<Int8Rows, true>},
+    skin,
+    multiply_add,
+    read_memory,
+    token_linear,
+    token_norm,
+    token_attention,
+    find_near,
+    closest_on_patch,
+};
 
 }  // namespace physkin::PHYSKIN_ISA

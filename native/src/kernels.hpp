@@ -1,25 +1,14 @@
-// The kernels that take the time of a frame and of encoding a body, and the data layouts they work on. Each instruction set has its own
-// compiled copy (kernel_unit.cpp); dispatch.hpp chooses one.
+// The kernels that take the time of a frame and of encoding a body, and the data layouts they work on. Each instruction
+// set has its own compiled copy (kernel_unit.cpp); dispatch.hpp chooses one.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 
 #include "bound_garment.hpp"
+#include "packed_layer.hpp"
 
 namespace physkin {
-
-// A layer's outputs are computed in panels of kPanel; within a panel the network weights of one input lie together:
-// weights[panel][input][kPanel]. An input is one broadcast, there is no horizontal sum, and memory is read in order.
-constexpr int kPanel = 32;
-
-constexpr int padded_to_panel(int count) { return (count + kPanel - 1) / kPanel * kPanel; }
-
-struct PackedLayer {
-  int inputs = 0, outputs = 0;
-  const float* weights = nullptr;  // (panels, inputs, kPanel), 64-byte aligned, zeros beyond outputs
-  const float* bias = nullptr;     // (panels, kPanel)
-};
 
 // Vertices in blocks of kBlock that share most of their garment nodes. Skinning weights are dense over the block's
 // union of garment nodes, so that every lane does the same work on the same broadcast matrix.
@@ -88,17 +77,32 @@ struct PatchPoint {
   int triangle;
   float second, third;
 };
+// Room for what a dense kernel makes of its inputs; the arrays hold a value for each input of the widest layer and
+// kGroup more, and are 64-byte aligned.
+struct DenseScratch {
+  std::int32_t* rows = nullptr;       // rows of network weights to read, when zeros are skipped
+  std::int16_t* quantised = nullptr;  // int8: the inputs as 16-bit integers
+};
+
+// output = activation((1 + scale) * (W input + bias) + shift). scale and shift may both be null (no modulation).
+// input must be 64-byte aligned and readable to a multiple of 64 bytes. Writes padded_to_group(outputs) floats and
+// reads as many of scale and shift; those beyond outputs are unspecified.
+using DenseKernel = void (*)(const PackedLayer& layer, const float* input, const float* scale, const float* shift,
+                             Activation activation, const DenseScratch& scratch, float* output);
 
 struct Kernels {
   const char* instruction_set;
+  int panel;  // outputs of a layer computed at once
 
-  // output = activation((1 + scale) * (W input + bias) + shift). scale and shift may both be null (no modulation).
-  // Writes padded_to_panel(outputs) floats and reads as many of scale and shift; those beyond outputs are unspecified.
-  void (*dense)(const PackedLayer& layer, const float* input, const float* scale, const float* shift,
-                Activation activation, float* output);
+  DenseKernel dense[kPrecisionCount];           // by Precision
+  DenseKernel dense_skipping[kPrecisionCount];  // the same, bit for bit, reading no network weights of zero inputs
 
   // x' = sum_k w_k M_k x, normal' = normalised sum_k w_k A_k normal, with M = [A | c] in matrices (nodes, 12).
   void (*skin)(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows);
+
+  // What bounds the others from below (floor_kernel.hpp).
+  std::int64_t (*multiply_add)(int rounds, float* result);
+  void (*read_memory)(const unsigned char* data, std::int64_t bytes, float* result);
 
   // output tile = activation(W tile + bias), for none and relu.
   void (*token_linear)(const DenseWeights& layer, const float* tile, Activation activation, float* output);

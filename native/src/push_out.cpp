@@ -103,6 +103,7 @@ Contact contact(const Kernels& kernels, const std::int32_t* patch, const float* 
 PushOut::PushOut(const BoundPushOut& b, int bones, int garment_vertices, Arena& arena) {
   validate(b, bones, garment_vertices);
   BoundGarment body;  // as far as skinning it goes, a body is a garment whose nodes are bones
+  body.nodes = bones;
   body.vertex_count = b.body_count;
   body.influences = b.influences;
   body.vertices = b.body_vertices;
@@ -134,7 +135,8 @@ PushOut::PushOut(const BoundPushOut& b, int bones, int garment_vertices, Arena& 
   near_ = arena.take<NearVertex>(std::size_t(b.block_count) * kBlock);
 }
 
-ContactResidual PushOut::apply(const Kernels& kernels, const float* bone_transforms, const VertexRows& rows) {
+ContactResidual PushOut::apply(const Kernels& kernels, const float* bone_transforms,
+                               const VertexRows& rows) noexcept {
   kernels.skin(body_, bone_transforms, {reinterpret_cast<unsigned char*>(posed_), kBodyRow, true});
   const int count = kernels.find_near(blocks_, posed_, rows, kLookCloser, near_);
   ContactResidual residual;

@@ -34,7 +34,7 @@ class PushOut {
   PushOut(const BoundPushOut& bound, int bones, int garment_vertices, Arena& arena);
 
   // Moves the garment in `rows`. bone_transforms: (bones, 3, 4) canonical to posed, of this body. Allocates nothing.
-  ContactResidual apply(const Kernels& kernels, const float* bone_transforms, const VertexRows& rows);
+  ContactResidual apply(const Kernels& kernels, const float* bone_transforms, const VertexRows& rows) noexcept;
 
  private:
   SkinningBlocks body_;

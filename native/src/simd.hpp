@@ -21,6 +21,9 @@ typedef float Floats __attribute__((vector_size(4 * kLanes), may_alias));
 typedef float UnalignedFloats __attribute__((vector_size(4 * kLanes), may_alias, aligned(4)));
 typedef std::int32_t Ints __attribute__((vector_size(4 * kLanes)));
 
+typedef std::int32_t StoredInts __attribute__((vector_size(4 * kLanes), may_alias));
+
+inline Ints load_ints(const void* p) { return (Ints)*reinterpret_cast<const StoredInts*>(p); }
 inline Floats load(const float* p) { return *reinterpret_cast<const Floats*>(p); }
 inline Floats load_unaligned(const float* p) { return *reinterpret_cast<const UnalignedFloats*>(p); }
 inline void store(float* p, Floats v) { *reinterpret_cast<Floats*>(p) = v; }

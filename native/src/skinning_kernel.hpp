@@ -29,13 +29,50 @@ inline void skin_lanes(const float* matrices, const std::int32_t* nodes, int nod
   for (int r = 0; r < 3; ++r) store(skinned + (3 + r) * kBlock, normal[r] * inverse);
 }
 
+// Four floats, whatever the width of the registers: rows are put together four vertices at a time.
+typedef float Quad __attribute__((vector_size(16), may_alias));
+
+inline void store_floats(unsigned char* target, Quad v, int count) {
+  __builtin_memcpy(target, &v, std::size_t(count) * sizeof(float));
+}
+
+// Writes vertices `lane` to lane + 3 of a block: the transpose of their columns, in registers.
+template <bool kNormals>
+inline void write_quad(const float* skinned, const std::int32_t* vertex, int lane, const VertexRows& rows) {
+  const auto column = [&](int c) { return *reinterpret_cast<const Quad*>(skinned + c * kBlock + lane); };
+  const Quad x = column(0), y = column(1), z = column(2), nx = kNormals ? column(3) : z;
+  const Quad xy_low = __builtin_shufflevector(x, y, 0, 4, 1, 5), xy_high = __builtin_shufflevector(x, y, 2, 6, 3, 7);
+  const Quad zn_low = __builtin_shufflevector(z, nx, 0, 4, 1, 5), zn_high = __builtin_shufflevector(z, nx, 2, 6, 3, 7);
+  const Quad first[4] = {
+      __builtin_shufflevector(xy_low, zn_low, 0, 1, 4, 5), __builtin_shufflevector(xy_low, zn_low, 2, 3, 6, 7),
+      __builtin_shufflevector(xy_high, zn_high, 0, 1, 4, 5), __builtin_shufflevector(xy_high, zn_high, 2, 3, 6, 7)};
+  unsigned char* row[4];
+  for (int k = 0; k < 4; ++k) row[k] = rows.data + vertex[lane + k] * rows.stride * std::ptrdiff_t(sizeof(float));
+  for (int k = 0; k < 4; ++k) store_floats(row[k], first[k], kNormals ? 4 : 3);
+  if (!kNormals) return;
+  const Quad ny = column(4), nz = column(5);
+  const Quad low = __builtin_shufflevector(ny, nz, 0, 4, 1, 5), high = __builtin_shufflevector(ny, nz, 2, 6, 3, 7);
+  constexpr std::ptrdiff_t kRest = 4 * sizeof(float);
+  store_floats(row[0] + kRest, low, 2);
+  store_floats(row[1] + kRest, __builtin_shufflevector(low, low, 2, 3, 2, 3), 2);
+  store_floats(row[2] + kRest, high, 2);
+  store_floats(row[3] + kRest, __builtin_shufflevector(high, high, 2, 3, 2, 3), 2);
+}
+
+// The garment's last block may be short.
 template <int kColumns>
-inline void write_rows(const float* skinned, const std::int32_t* vertex, int count, const VertexRows& rows) {
+inline void write_some(const float* skinned, const std::int32_t* vertex, int count, const VertexRows& rows) {
   for (int lane = 0; lane < count; ++lane) {
     float row[kColumns];
     for (int c = 0; c < kColumns; ++c) row[c] = skinned[c * kBlock + lane];
     __builtin_memcpy(rows.data + vertex[lane] * rows.stride * std::ptrdiff_t(sizeof(float)), row, sizeof row);
   }
+}
+
+template <bool kNormals>
+inline void write_rows(const float* skinned, const std::int32_t* vertex, int count, const VertexRows& rows) {
+  if (count < kBlock) return write_some<kNormals ? 6 : 3>(skinned, vertex, count, rows);
+  for (int lane = 0; lane < kBlock; lane += 4) write_quad<kNormals>(skinned, vertex, lane, rows);
 }
 
 inline void skin(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows) {
@@ -52,9 +89,9 @@ inline void skin(const SkinningBlocks& blocks, const float* matrices, const Vert
     const int left = blocks.vertex_count - block * kBlock;
     const int count = left < kBlock ? left : kBlock;
     if (rows.with_normals) {
-      write_rows<6>(skinned, vertex, count, rows);
+      write_rows<true>(skinned, vertex, count, rows);
     } else {
-      write_rows<3>(skinned, vertex, count, rows);
+      write_rows<false>(skinned, vertex, count, rows);
     }
   }
 }

@@ -314,3 +314,21 @@ def test_drapers_do_not_share_state(backend):
         result = first.drape(*pose)
         assert np.abs(second.drape(*pose) - result).max() > 1e-3
         np.testing.assert_array_equal(result, expected)
+
+
+@needs_native
+@pytest.mark.parametrize("precision", ["fp32", "bf16", "int8"])
+def test_precision_reaches_the_native_evaluator(precision):
+    """Each gives about the same garment, and not the same numbers."""
+    rng, model, avatar = scene(41, **SIZES["tiny"])
+    q, gravity = random_pose(rng, model.rig)
+    exact = Draper(model, avatar, precision="fp32").drape(q, gravity)
+    rounded = Draper(model, avatar, precision=precision).drape(q, gravity)
+    assert np.abs(rounded - exact).max() < 0.1
+    assert np.array_equal(rounded, exact) == (precision == "fp32")
+
+
+def test_numpy_backend_refuses_other_precisions():
+    _, model, avatar = scene(42, **SIZES["tiny"])
+    with pytest.raises(ValueError, match="numpy backend computes with the model's own network weights, not in 'bf16'"):
+        Draper(model, avatar, backend="numpy", precision="bf16")

@@ -19,7 +19,7 @@ def worn():
     avatar = avatar_from_body(BODY, BODY.held_out_bodies[0])
     draper = Draper(model, avatar, backend="numpy")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "BIND_POSES", 64)
+        patch.setattr(module, "BIND_POSES", 256)
         bound = bind_push_out(draper.drape, model.rig, avatar)
     return model, avatar, draper, bound
 

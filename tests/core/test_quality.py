@@ -8,7 +8,7 @@ import trimesh
 from random_models import random_rotation, tube
 
 from physkin_core import Garment
-from physkin_core.quality import area_strain, contact_figures, edge_strain, jitter, signed_distance
+from physkin_core.quality import area_strain, contact_figures, edge_strain, inside_by_vertex, jitter, signed_distance
 
 
 @pytest.mark.parametrize("factor, edge, area", [(1.0, 0, 0), (1.1, 10, 21), (0.9, 10, 19), (2.0, 100, 300)])
@@ -97,6 +97,33 @@ def test_signed_distance_against_every_face(shape):
     points = np.concatenate([points, 1.1 * corners[:, 0], 0.55 * (corners[:, 0] + corners[:, 1])])
     expected = [oracle_signed_distance(point, vertices, faces) for point in points]
     np.testing.assert_allclose(signed_distance(points, vertices, faces), expected, atol=1e-7)
+
+
+def test_inside_by_the_nearest_vertex():
+    """Of a box, by its corners: right along a diagonal; half-way along an edge, just above a face, it is wrong."""
+    box = trimesh.creation.box(extents=(2, 2, 2))
+    points = np.array([[0.9, 0.9, 0.9], [1.1, 1.1, 1.1], [-0.9, 0.9, -0.9], [-1.1, -1.1, 1.1], [0.05, 0.1, 1.01]])
+    assert inside_by_vertex(points, box.vertices, box.faces).tolist() == [True, False, True, False, True]
+    assert signed_distance(points, box.vertices, box.faces)[4] > 0
+
+
+def test_inside_by_the_nearest_vertex_against_a_loop():
+    """Normals are the sums of the adjoining faces' areas."""
+    rng = np.random.default_rng(2)
+    cone = trimesh.creation.cone(radius=0.4, height=1, sections=7)
+    vertices = np.asarray(cone.vertices) @ random_rotation(rng).T
+    points = rng.uniform(vertices.min(axis=0), vertices.max(axis=0), size=(80, 3))
+    expected = []
+    for point in points:
+        nearest = np.linalg.norm(vertices - point, axis=1).argmin()
+        normal = sum(
+            np.cross(vertices[b] - vertices[a], vertices[c] - vertices[a])
+            for a, b, c in cone.faces
+            if nearest in (a, b, c)
+        )
+        expected.append((point - vertices[nearest]) @ normal < 0)
+    assert 10 < sum(expected) < 70
+    assert inside_by_vertex(points, vertices, cone.faces).tolist() == expected
 
 
 def test_contact_figures():

@@ -1,7 +1,7 @@
 // The evaluator as a C++ library, without Python: counts what a frame allocates, on garments of odd sizes.
 //
-// Prints "<instruction set> <allocations>" for each garment. All buffers have their exact size, so that a build with
-// the address sanitizer finds a kernel that reads or writes beyond them.
+// Prints "<instruction set> <precision> <allocations>" for each garment. All buffers have their exact size,
+// so that a build with the address sanitizer finds a kernel that reads or writes beyond them.
 #include <cstdio>
 #include <cstdlib>
 #include <random>
@@ -58,7 +58,8 @@ struct Layers {
 };
 
 // Frames of one garment; returns how often they reached the heap.
-long run(const physkin::Kernels& kernels, int bones, int dofs, int nodes, int vertices, int influences, int width) {
+long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin::Activation activation, int bones,
+         int dofs, int nodes, int vertices, int influences, int width) {
   std::vector<std::int32_t> parents(bones);
   for (int j = 0; j < bones; ++j) parents[j] = j - 1;
   const auto heads = uniform(3 * bones, -1, 1), axis = uniform(3 * dofs, -1, 1), rest = uniform(dofs, -1, 1);
@@ -85,6 +86,7 @@ long run(const physkin::Kernels& kernels, int bones, int dofs, int nodes, int ve
   g.dof_rest = rest.data();
   g.dof_lower = lower.data();
   g.dof_upper = upper.data();
+  g.activation = activation;
   g.pose_layers = pose.layers;
   g.deformer_bones = used.data();
   g.deformer_layers = deformer.layers;
@@ -103,7 +105,8 @@ long run(const physkin::Kernels& kernels, int bones, int dofs, int nodes, int ve
   const auto patch = indices(std::size_t(candidates) * physkin::kPatch * 3, vertices);
   const auto listed = indices(3 * std::size_t(blocks), candidates);
   std::vector<std::int32_t> block_vertices(std::size_t(blocks) * physkin::kBlock, -1), start(blocks + 1);
-  for (int v = 0; v < vertices; ++v) block_vertices[v / (physkin::kBlock - 1) * physkin::kBlock + v % (physkin::kBlock - 1)] = v;
+  constexpr int kFilled = physkin::kBlock - 1;
+  for (int v = 0; v < vertices; ++v) block_vertices[v / kFilled * physkin::kBlock + v % kFilled] = v;
   for (int block = 0; block <= blocks; ++block) start[block] = 3 * block;
   physkin::BoundPushOut out_of_body;
   out_of_body.body_count = vertices;
@@ -121,15 +124,15 @@ long run(const physkin::Kernels& kernels, int bones, int dofs, int nodes, int ve
   out_of_body.candidate_start = start.data();
   out_of_body.candidates = listed.data();
 
-  physkin::Evaluator evaluator(g, kernels, &out_of_body);
+  physkin::Evaluator evaluator(g, kernels, precision, &out_of_body);
   std::vector<float> out(6 * std::size_t(vertices));
   const auto q = uniform(dofs, -1, 1), gravity = uniform(3, -1, 1);
   const physkin::VertexRows full{reinterpret_cast<unsigned char*>(out.data()), 6, true};
   const physkin::VertexRows positions_only{full.data, 3, false};
   const long before = allocations;
   for (int frame = 0; frame < 3; ++frame) {
-    evaluator.evaluate(q.data(), gravity.data(), full);
-    evaluator.evaluate(q.data(), gravity.data(), positions_only);
+    if (evaluator.step(q.data(), gravity.data(), full)) std::abort();
+    if (evaluator.step(q.data(), gravity.data(), positions_only)) std::abort();
   }
   return allocations - before;
 }
@@ -137,10 +140,18 @@ long run(const physkin::Kernels& kernels, int bones, int dofs, int nodes, int ve
 }  // namespace
 
 int main() {
+  using physkin::Activation;
+  using physkin::Precision;
+  setenv("PHYSKIN_NATIVE_ZEROS", "skip", 1);
   for (const std::string& name : physkin::supported_instruction_sets()) {
     const physkin::Kernels& kernels = physkin::select_kernels(name);
-    for (const int size : {1, 2, 3, 7, 15, 16, 17, 31, 32, 33, 64, 100}) {
-      std::printf("%s %ld\n", name.c_str(), run(kernels, 1 + size / 3, size, size, 3 * size, 1 + size % 8, size));
+    for (const Precision precision : {Precision::fp32, Precision::bf16, Precision::int8}) {
+      for (const int size : {1, 2, 3, 7, 15, 16, 17, 31, 32, 33, 64, 100}) {
+        const Activation activation = size % 2 != 0 ? Activation::relu : Activation::silu;
+        const long count =
+            run(kernels, precision, activation, 1 + size / 3, size, size, 3 * size, 1 + size % 8, size);
+        std::printf("%s %s %ld\n", name.c_str(), physkin::precision_name(precision), count);
+      }
     }
   }
   return allocations > 0 ? 0 : 1;  // zero: the counting itself did not work

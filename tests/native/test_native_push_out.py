@@ -106,6 +106,34 @@ def test_any_rows_get_the_same_vertices(instruction_set, in_contact):
         assert native.residual == residual
 
 
+@pytest.mark.parametrize("precision", native_evaluator.PRECISIONS)
+def test_a_bound_step_is_the_same_frame(precision, in_contact):
+    """A bound step pushes out too, bit for bit, also stage by stage; a refused pose keeps vertices and residual."""
+    rng = np.random.default_rng(11)
+    garment, push_out, pose, gravity = in_contact(rng, vertices=200, size=40)
+    native = NativeEvaluator(garment, precision=precision, push_out=push_out)
+    expected, skinned, out = (np.zeros((200, 6), dtype=np.float32) for _ in range(3))
+    native.evaluate(pose, gravity, expected)
+    residual = native.residual
+    native.skin(native.node_transforms(), skinned)
+    assert (skinned != expected).any()
+    q = pose.astype(np.float32)
+    bound = native.bind_step(q, gravity.astype(np.float32), out)
+    native.evaluate(np.zeros_like(pose), gravity, skinned)
+    bound.step()
+    np.testing.assert_array_equal(out, expected)
+    assert native.residual == residual
+    out[:] = 0
+    bound.skin()
+    bound.push_out()
+    np.testing.assert_array_equal(out, expected)
+    q[0] = np.nan
+    with pytest.raises(ValueError, match="joint_positions"):
+        bound.step()
+    np.testing.assert_array_equal(out, expected)
+    assert native.residual == residual
+
+
 def test_without_push_out_nothing_is_left(in_contact):
     """The residual is zero, and `skin` alone never pushes."""
     rng = np.random.default_rng(5)

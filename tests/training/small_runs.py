@@ -24,6 +24,7 @@ SIZES = NetworkConfig(
     pose_layers=2,
     deformer_hidden=16,
     deformer_layers=2,
+    node_outputs=9,
     token_width=8,
     feed_forward=16,
     residual_blocks=1,
@@ -45,8 +46,8 @@ def small_config(folder: Path, **optimisation) -> TrainingConfig:
     if not path.exists():
         write_belly_band(path)
     schedule = OptimisationConfig(
-        steps=12, samples=2, bodies=2, growth=0.5, warm_up=0.1, prune_at=0.25, full_encoding=0.9, encoder_points=64,
-        learning_rate=2e-3,
+        steps=12, samples=2, bodies=2, growth=0.5, warm_up=0.1, prune_from=0.2, prune_at=0.25, full_encoding=0.9,
+        encoder_points=64, learning_rate=2e-3,
     )  # fmt: skip
     return TrainingConfig(
         name="band",

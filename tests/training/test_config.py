@@ -22,11 +22,11 @@ def load(tmp_path, text):
 
 
 def test_two_keys_are_enough(tmp_path):
-    """The rest is the paper's and the reference material's; the garment's path is relative to the file."""
+    """The rest is the shipped garments' recipe and the reference material; the path is relative to the file."""
     config = load(tmp_path, MINIMAL)
     assert config == TrainingConfig(name="shirt", garment=tmp_path / "shirt.obj")
     assert config.material == Material() and config.garment_nodes.count == 128
-    assert config.networks.pose_hidden == 512 and config.networks.node_outputs == 9
+    assert config.networks.pose_hidden == 384 and config.networks.node_outputs == 12
 
 
 def test_values_reach_their_place(tmp_path):
@@ -34,11 +34,11 @@ def test_values_reach_their_place(tmp_path):
     config = load(
         tmp_path,
         MINIMAL
-        + "seed = 3\n[optimisation]\nsteps = 7\nsamples = 8\nbodies = 2\nlearning_rate = 1\nforce_limit = inf\n"
+        + "seed = 3\n[optimisation]\nsteps = 7\nsamples = 8\nbodies = 2\nlearning_rate = 1\nheavy_energy = inf\n"
         + "[garment_nodes]\ncount = 19\n[poses]\nupright = 1\n[material]\ndensity = 1\n"
         + '[networks]\nactivation = "relu"\n',
     )
-    assert config.seed == 3 and config.optimisation.steps == 7 and config.optimisation.force_limit == float("inf")
+    assert config.seed == 3 and config.optimisation.steps == 7 and config.optimisation.heavy_energy == float("inf")
     assert config.optimisation.learning_rate == 1.0 and isinstance(config.optimisation.learning_rate, float)
     assert config.garment_nodes.count == 19 and config.poses.upright == 1.0
     assert config.networks.activation == "relu" and config.material.density == 1.0
@@ -122,7 +122,11 @@ def test_wrong_types(tmp_path, text, message):
         ("[optimisation]\nskinning_rate = inf", "optimisation.skinning_rate must be finite and above 0, got inf"),
         ("[optimisation]\ngrowth = 1.1", "optimisation.growth must be 0 to 1, got 1.1"),
         ("[optimisation]\naverage = 1.0", "optimisation.average must be at least 0 and below 1, got 1.0"),
-        ("[optimisation]\nforce_limit = 0.0", "optimisation.force_limit must be above 0, got 0.0"),
+        ("[optimisation]\nheavy_energy = 0.0", "optimisation.heavy_energy must be above 0, got 0.0"),
+        (
+            "[optimisation]\nprune_at = 0.2",
+            "optimisation.prune_at must be at least optimisation.prune_from 0.3, got 0.2",
+        ),
         ("[garment_nodes]\ncount = 12", "initial_influences must be 1 to garment_nodes.count 12, got 16"),
         ("[garment_nodes]\ninfluences = 17", "influences must be 1 to garment_nodes.initial_influences 16, got 17"),
         ("[poses]\nlargest_tilt_degrees = 181", "poses.largest_tilt_degrees must be 0 to 180, got 181.0"),

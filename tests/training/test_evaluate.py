@@ -20,11 +20,13 @@ from physkin_core import (  # noqa: E402
     avatar_from_body,
     load_body_model,
     load_garment_model,
+    load_motion,
     quality,
     save_garment_model,
 )
-from physkin_training.evaluate import Evaluation, Figures, evaluate_model, main, table  # noqa: E402
-from physkin_training.physics_losses import Energies  # noqa: E402
+from physkin_core.motion import MotionError, save_motion  # noqa: E402
+from physkin_training.evaluate import Evaluation, evaluate_model, main  # noqa: E402
+from physkin_training.score_table import table  # noqa: E402
 
 CPU = torch.device("cpu")
 BODY = load_body_model()
@@ -32,6 +34,7 @@ FIGURES = {
     "edge_strain_percent",
     "area_strain_percent",
     "inside_percent",
+    "inside_by_vertex_percent",
     "within_3mm_percent",
     "stretch_j",
     "bend_j",
@@ -77,7 +80,7 @@ def test_figures_are_those_of_the_run_time(model):
     """Each pair draped by the Draper and measured without Warp or torch, by `quality` and exact closest points."""
     evaluation = Evaluation(model, CPU, bodies=2, poses=2, seed=3)
     rows = evaluation.figures(upright=False)
-    (batch,) = evaluation.batches(upright=False)
+    (batch,) = evaluation.batches(evaluation.uniform(upright=False))
     avatars = [avatar_from_body(BODY, coefficients) for coefficients in BODY.held_out_bodies[:2]]
     expected = []
     for index, (q, gravity) in enumerate(zip(batch.positions.numpy(), batch.gravity.numpy())):
@@ -94,10 +97,11 @@ def test_figures_are_those_of_the_run_time(model):
                 contact["inside_percent"],
                 contact["within_3mm_percent"],
                 contact["max_depth_mm"],
+                100 * quality.inside_by_vertex(vertices, body, avatar.faces).mean(),
                 -(weight * (vertices @ gravity)).sum(),
             ]
         )
-    edge, area, inside, within, depth, gravity = np.transpose(expected)
+    edge, area, inside, within, depth, by_vertex, gravity = np.transpose(expected)
     row = rows["model"]
     assert row["edge_strain_percent"] == pytest.approx(edge.mean(), rel=1e-3)
     assert row["area_strain_percent"] == pytest.approx(area.mean(), rel=1e-3)
@@ -105,6 +109,8 @@ def test_figures_are_those_of_the_run_time(model):
     one_vertex = 100 / len(model.garment.vertices) / len(expected)
     assert row["inside_percent"] == pytest.approx(inside.mean(), abs=1.01 * one_vertex) and inside.mean() > 1
     assert row["within_3mm_percent"] == pytest.approx(within.mean(), abs=1.01 * one_vertex)
+    assert row["inside_by_vertex_percent"] == pytest.approx(by_vertex.mean(), abs=1.01 * one_vertex)
+    assert abs(by_vertex.mean() - inside.mean()) > 1.01 * one_vertex, "else either could be the other"
     assert row["max_depth_mm"] == pytest.approx(depth.max(), abs=0.1)
     assert row["energy_j"] == pytest.approx(row["stretch_j"] + row["bend_j"] + row["collision_j"])
 
@@ -120,33 +126,6 @@ def test_plain_skinning_is_the_model_without_correctives(model):
     assert corrected["model"]["edge_strain_percent"] != pytest.approx(rows["model"]["edge_strain_percent"], rel=1e-3)
 
 
-def test_figures_add_up_over_batches(model):
-    """In any batches the same; means over samples, depths the deepest."""
-    rng = np.random.default_rng(4)
-    n = len(model.garment.vertices)
-    vertices = torch.as_tensor(model.garment.vertices + 0.003 * rng.normal(size=(6, n, 3)), dtype=torch.float32)
-    terms = [torch.as_tensor(rng.uniform(size=6), dtype=torch.float32) for _ in range(4)]
-    distance = torch.as_tensor(rng.normal(scale=0.01, size=(6, n)), dtype=torch.float32)
-    results = []
-    for sizes in ((6,), (1, 2, 3)):
-        figures = Figures(model.garment, CPU)
-        for chunk in torch.arange(6).split(list(sizes)):
-            figures.add(vertices[chunk], Energies(*(t[chunk] for t in terms), signed_distance=distance[chunk]))
-        assert figures.samples == 6
-        results.append(figures.result())
-    assert results[0] == pytest.approx(results[1]) and set(results[0]) == FIGURES
-    row = results[0]
-    assert row["edge_strain_percent"] == pytest.approx(
-        quality.edge_strain(model.garment, vertices.double().numpy()).mean(), rel=1e-3
-    )
-    contact = quality.contact_figures(distance.numpy())
-    assert row["inside_percent"] == pytest.approx(contact["inside_percent"], rel=1e-5)
-    assert row["within_3mm_percent"] == pytest.approx(contact["within_3mm_percent"], rel=1e-5)
-    assert row["max_depth_mm"] == pytest.approx(contact["max_depth_mm"], rel=1e-5)
-    assert row["stretch_j"] == pytest.approx(terms[0].mean().item())
-    assert row["bend_j"] == pytest.approx(terms[1].mean().item())
-
-
 def test_the_same_seed_gives_the_same_scores(model):
     """Bit for bit, whatever was drawn before; another seed, or tilted roots, give others."""
     torch.manual_seed(0)
@@ -157,19 +136,16 @@ def test_the_same_seed_gives_the_same_scores(model):
     assert first["tilted"]["gravity_j"] != pytest.approx(first["model"]["gravity_j"], rel=1e-3)
 
 
-def test_poses_are_uniform_over_the_limits_and_bodies_take_turns(model):
-    evaluation = Evaluation(model, CPU, bodies=2, poses=32, seed=0, batch=64)
-    (batch,) = evaluation.batches(upright=True)
-    within = (batch.positions.numpy() - BODY.rig.lower) / (BODY.rig.upper - BODY.rig.lower)
-    assert within.min() >= -1e-5 and within.max() <= 1 + 1e-5
-    assert np.abs(within.mean(axis=0) - 0.5).max() < 0.2 and within.std() == pytest.approx(12**-0.5, abs=0.01)
-    np.testing.assert_allclose(batch.gravity.numpy(), np.tile([0, 0, -1], (64, 1)), atol=1e-7)
-    assert torch.equal(batch.modulation[::2], batch.modulation[:1].expand(32, -1))
-    assert not torch.equal(batch.modulation[0], batch.modulation[1])
-    (tilted,) = evaluation.batches(upright=False)
-    assert torch.equal(tilted.positions, batch.positions)
-    tilt = np.degrees(np.arccos(-tilted.gravity.numpy()[:, 2]))
-    assert tilt.max() < 110.1 and np.quantile(tilt, 0.9) > 70
+def test_batches_hold_their_pairs_and_bodies_take_turns(model):
+    evaluation = Evaluation(model, CPU, bodies=2, poses=3, seed=0, batch=4)
+    pairs = evaluation.uniform(upright=True)
+    first, second = evaluation.batches(pairs)
+    assert (first.count, second.count) == (4, 2)
+    assert torch.equal(torch.cat([first.positions, second.positions[:2]]), pairs.positions)
+    assert torch.equal(second.positions[2:], pairs.positions[:2]), "filled up from the start"
+    assert first.body.tolist() == [0, 1, 0, 1]
+    assert torch.equal(first.modulation[::2], first.modulation[:1].expand(2, -1))
+    assert not torch.equal(first.modulation[0], first.modulation[1])
 
 
 @pytest.mark.parametrize("bodies, poses, batch", [(3, 2, 4), (2, 3, 5)])
@@ -188,6 +164,66 @@ def test_minima_on_fewer_or_more_pairs_than_a_batch(model, count, expected):
     """Only as many pairs count as were asked for, or as there are."""
     rows = Evaluation(model, CPU, bodies=2, poses=2, seed=0, batch=2).minima(count=count, steps=2)
     assert {row["pairs"] for row in rows.values()} == {expected}
+
+
+def clip(name, frames, *, every=4):
+    """Some frames of a shipped clip, `every` apart, as a clip at 60 Hz."""
+    motion = load_motion(name)
+    chosen = {
+        k: getattr(motion, k)[: frames * every : every] for k in ("positions", "root_orientation", "root_position")
+    }
+    return replace(motion, **chosen)
+
+
+def test_motion_is_measured_on_the_run_times_own_frames(model):
+    """Two clips on two bodies, draped by the Draper and measured by `quality`: every frame counts once, and jitter is
+    of frames of one clip on one body. Cartwheel turns gravity."""
+    clips = [clip("cartwheel", 6), clip("walk", 5)]
+    rows = Evaluation(model, CPU, bodies=2, poses=2, seed=0).motion(clips)
+    assert rows["counts"] == {"clips": 2, "frames": 11, "bodies": 2, "rate_hz": 60.0}
+    edge, jitter, gravity, weight = [], {}, [], model.garment.vertex_areas * model.material.density * 9.81
+    drapers = [Draper(model, avatar_from_body(BODY, c), backend="numpy") for c in BODY.held_out_bodies[:2]]
+    for motion in clips:
+        positions = motion.positions_for(model.rig)
+        for draper in drapers:
+            frames = [draper.drape(q, g)[:, :3].copy() for q, g in zip(positions, motion.gravity)]
+            edge += [quality.edge_strain(model.garment, frame) for frame in frames]
+            gravity += [-(weight * (frame @ g)).sum() for frame, g in zip(frames, motion.gravity)]
+            jitter.setdefault(motion.name, []).append(quality.jitter(np.stack(frames)))
+    assert rows["model"]["pairs"] == 22
+    assert rows["model"]["edge_strain_percent"] == pytest.approx(np.mean(edge), rel=1e-3)
+    assert rows["model"]["gravity_j"] == pytest.approx(np.mean(gravity), rel=1e-3)
+    per_clip = {name: 1000 * np.mean(values) for name, values in jitter.items()}
+    for name, value in per_clip.items():
+        assert rows["clips"][name]["model"]["jitter_mm"] == pytest.approx(value, rel=1e-3)
+    expected = (4 * per_clip["cartwheel"] + 3 * per_clip["walk"]) / 7
+    assert rows["model"]["jitter_mm"] == pytest.approx(expected, rel=1e-3)
+    assert rows["jitter_ratio"] == pytest.approx(rows["model"]["jitter_mm"] / rows["skinning"]["jitter_mm"])
+    assert set(rows["model"]) == set(rows["skinning"]) == FIGURES | {"jitter_mm"}
+    assert rows["jitter_ratio"] != pytest.approx(1, abs=0.01)
+
+
+def test_motion_without_correctives_has_ratio_one_at_any_rate(model):
+    """A clip recorded at 30 Hz is measured at 60."""
+    weight, bias = model.node_deformer[-1]
+    plain = replace(model, node_deformer=(*model.node_deformer[:-1], (0 * weight, 0 * bias)))
+    rows = Evaluation(plain, CPU, bodies=1, poses=2, seed=0).motion([replace(clip("walk", 4), rate_hz=30.0)])
+    assert rows["counts"]["frames"] == 7 and rows["jitter_ratio"] == pytest.approx(1)
+
+
+def test_clips_that_cannot_be_measured_are_refused(model):
+    evaluation = Evaluation(model, CPU, bodies=1, poses=1, seed=0)
+    with pytest.raises(ValueError, match="'walk' is too short: jitter needs 3 frames at 60 Hz"):
+        evaluation.motion([clip("walk", 2)])
+    still = replace(clip("walk", 5), positions=clip("walk", 5).positions[[0] * 5])
+    with pytest.raises(ValueError, match="'walk' stands still"):
+        evaluation.motion([still])
+    with pytest.raises(ValueError, match="different names, got walk, walk"):
+        evaluation.motion([clip("walk", 5), clip("walk", 6)])
+    walk = clip("walk", 5)
+    foreign = replace(walk, joint_names=tuple(f"other{k}" for k in range(len(walk.joint_names))))
+    with pytest.raises(MotionError, match="no joint of the rig"):
+        evaluation.motion([foreign])
 
 
 def test_a_model_for_another_rig_is_refused(model, tmp_path, capsys):
@@ -240,13 +276,18 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
     """Four rows and the subset's, counts and material; stored in the model, readable again."""
     save_garment_model(model, tmp_path / "band.safetensors")
     arguments = ["--bodies", "1", "--poses", "2", "--seed", "9", "--minimum", "2", "--minimum-steps", "20"]
+    short, alone = clip("run", 4), clip("jump", 3)
+    save_motion(short, tmp_path / "short.safetensors")
+    save_motion(alone, tmp_path / "alone.safetensors")
+    arguments += ["--motion", str(tmp_path / "short.safetensors"), str(tmp_path / "alone.safetensors")]
     outputs = ["--json", str(tmp_path / "scores.json"), "--store", str(tmp_path / "scored.safetensors")]
     assert main([str(tmp_path / "band.safetensors"), *arguments, *outputs, "--device", "cpu"]) == 0
     scores = json.loads((tmp_path / "scores.json").read_text())
     rows = {"model", "skinning", "tilted", "subspace_minimum", "minimum", "model_on_subset"}
-    assert set(scores) == rows | {"counts", "material", "energy_ratio", "weight_n"}
+    assert set(scores) == rows | {"counts", "material", "energy_ratio", "weight_n", "motion"}
     for row in rows:
         more = {"gradient_norm"} if row.endswith("minimum") else set()
+        more |= {"converged_percent"} if row == "minimum" else set()
         assert set(scores[row]) == FIGURES | more and all(np.isfinite(value) for value in scores[row].values()), row
     counts = {"bodies": 1, "poses": 2, "seed": 9, "pairs": 2, "influences": 4, "minimum_pairs": 2}
     counts["minimum_steps"] = 20
@@ -256,9 +297,13 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
     printed = capsys.readouterr().out
     assert printed.strip().endswith(table(scores).strip())
     lines = [line for line in table(scores).splitlines() if line.startswith("|")]
-    assert len(lines) == 2 + len(rows) and all(line.count("|") == lines[0].count("|") for line in lines)
+    assert len(lines) == 2 + len(rows) + 4 and all(line.count("|") == lines[0].count("|") for line in lines)
     assert f"model / full-space minimum: {scores['energy_ratio']:.2f} (2 pairs)" in table(scores)
     assert f"{scores['tilted']['edge_strain_percent']:.3f}" in table(scores)
+    jump = scores["motion"]["clips"]["jump"]
+    assert lines[-1].endswith(f"| {jump['model']['jitter_mm']:.3f} | {jump['jitter_ratio']:.3f} |")
+    jitter = f"{scores['motion']['jitter_ratio']:.2f} (2 clips, 7 frames at 60 Hz, 1 bodies)"
+    assert f"Jitter, model / plain skinning: {jitter}" in table(scores)
     stored = load_garment_model(tmp_path / "scored.safetensors")
     assert stored.scores == scores and stored.training == model.training
 

@@ -174,7 +174,7 @@ def test_bodies_are_encoded_as_at_run_time(trained):
     encoded = encode_bodies(trained.drape, np.stack([avatar.vertices for avatar in avatars]), BODY.faces).numpy()
     for index, avatar in enumerate(avatars):
         np.testing.assert_allclose(encoded[index], encode_body(model, avatar), atol=2e-4)
-    assert np.abs(encoded[0] - encoded[1]).max() > 1e-3
+    assert np.abs(encoded[0] - encoded[1]).max() > 5e-4
 
 
 def test_the_untrained_model_is_plain_skinning(trained, tmp_path):

@@ -134,16 +134,46 @@ def test_new_networks_correct_almost_nothing():
     networks = Networks(NetworkConfig(pose_hidden=64, deformer_hidden=32, token_width=16), pose_size=20, node_count=9)
     body = networks.hyper_modulator(torch.randn(4, 100, 3), torch.randn(4, 100, 3))
     raw = networks(body, torch.rand(4, 20) * 2 - 1, torch.randn(4, 9, 3, 4))
-    assert raw.shape == (4, 9, 9) and 0 < raw.abs().max() < 0.03
+    assert raw.shape == (4, 9, 12) and 0 < raw.abs().max() < 0.03
 
 
-def test_default_sizes_are_the_papers():
-    networks = Networks(NetworkConfig(), pose_size=120, node_count=128)
-    pose = [tuple(layer.weight.shape) for layer in networks.pose_modulator.layers]
+def test_sizes():
+    """The paper's; and the default ones: hardly more numbers a frame, the first deformer layer folded onto 20 bones."""
+    paper = NetworkConfig(pose_hidden=512, pose_layers=4, deformer_hidden=128, deformer_layers=4)
+
+    def shapes(config):
+        networks = Networks(config, pose_size=120, node_count=128)
+        parts = networks.pose_modulator, networks.node_deformer
+        return [[tuple(layer.weight.shape) for layer in part.layers] for part in parts], networks
+
+    (pose, deformer), networks = shapes(paper)
     assert pose == [(512, 120), *[(512, 512)] * 3, (1024, 512)]
-    deformer = [tuple(layer.weight.shape) for layer in networks.node_deformer.layers]
-    assert deformer == [(128, 1536), *[(128, 128)] * 3, (1152, 128)]
+    assert deformer == [(128, 1536), *[(128, 128)] * 3, (1536, 128)]
     assert networks.hyper_modulator.output.out_features == 4096
+    numbers = []
+    for config in (paper, NetworkConfig()):
+        (pose, deformer), _ = shapes(config)
+        numbers.append(sum(a * b for a, b in [*pose, (deformer[0][0], 12 * 20), *deformer[1:]]))
+    assert numbers[0] == 1_648_640 and numbers[1] < 1.1 * numbers[0]
+
+
+def test_normalised_nodes_fold_into_the_first_layer():
+    """Inputs of mean 0 and spread 1, numbers that hardly vary left out; the folded layer gives the same."""
+    torch.manual_seed(3)
+    config = NetworkConfig(pose_hidden=8, deformer_hidden=6, token_width=4, feed_forward=4)
+    networks = Networks(config, pose_size=5, node_count=3).double()
+    posed = 2 + 0.5 * torch.randn(4000, 3, 3, 4, dtype=torch.float64)
+    posed[:, 1, 0, 0] = 1.0
+    networks.normalise_nodes(posed)
+    inputs = (posed.flatten(1) - networks.node_mean) * networks.node_scale
+    assert inputs.mean(dim=0).abs().max() < 1e-9
+    constant = 12
+    assert inputs[:, constant].abs().max() == 0
+    others = torch.arange(36) != constant
+    torch.testing.assert_close(inputs[:, others].std(dim=0), torch.ones(35, dtype=torch.float64))
+    weight, bias = networks.folded_first_layer()
+    expected = networks.node_deformer.layers[0](inputs)
+    torch.testing.assert_close(posed.flatten(1) @ weight.T + bias, expected)
 
 
 @pytest.mark.parametrize(

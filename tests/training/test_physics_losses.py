@@ -11,7 +11,8 @@ trimesh = pytest.importorskip("trimesh")
 
 from physkin_core.garment import Garment  # noqa: E402
 from physkin_core.garment_model import Material  # noqa: E402
-from physkin_training.physics_losses import PhysicsLosses  # noqa: E402
+from physkin_training.physics_losses import BAND_SLACK, BAND_STIFFNESS, PhysicsLosses  # noqa: E402
+from physkin_training.wearing import Wearing  # noqa: E402
 from training import physics_oracle as oracle  # noqa: E402
 
 MATERIAL = Material(contact_stiffness=5.0e4, bending=1e-3)
@@ -114,3 +115,76 @@ def test_wrong_side_hits_are_ignored(scene):
     inside_out = shrunk * np.array([-1.0, 1.0, 1.0])
     energies, _ = evaluate(scene, np.repeat(inside_out[None], SAMPLES, axis=0))
     assert energies["collision"].max() == 0
+
+
+def worn_on(garment, body, *, worn: bool, band=(), distance=0.0) -> Wearing:
+    """All faces of the body belong to one part, on which the whole garment lies or does not."""
+    band = np.array(band, dtype=np.int32)
+    return Wearing(
+        faces=np.asarray(body.faces, dtype=np.int32),
+        face_bone=np.zeros(len(body.faces), dtype=np.int32),
+        worn=np.full((len(garment.vertices), 1), worn),
+        band=band,
+        band_place=np.arange(len(band), dtype=np.int32),
+        band_distance=np.full(len(band), distance, dtype=np.float32),
+    )
+
+
+def run(scene, x, **options):
+    garment, _, _, offset, mesh, gravity = scene
+    losses = PhysicsLosses(garment, MATERIAL, SAMPLES, torch.device("cpu"), **options)
+    leaf = torch.tensor(np.asarray(x), dtype=torch.float32, requires_grad=True)
+    as_float = [torch.as_tensor(a, dtype=torch.float32) for a in (gravity, offset)]
+    total, energies = losses(leaf, as_float[0], mesh, as_float[1])
+    total.backward()
+    return energies, leaf.grad.numpy()
+
+
+def test_deep_contact_counts_only_with_parts_a_vertex_is_worn_on(scene):
+    """Another limb, run through by the cloth, does not hold it; touching cloth does, worn or not."""
+    garment, body, *_ = scene
+    for scale, depth in ((0.7, "deep"), (1.08, "shallow")):
+        shrunk = np.repeat((garment.vertices * np.array([scale, scale, 1.0]))[None], SAMPLES, axis=0)
+        mine = run(scene, shrunk, wearing=worn_on(garment, body, worn=True))[0].collision.numpy()
+        strange = run(scene, shrunk, wearing=worn_on(garment, body, worn=False))[0].collision.numpy()
+        plain = run(scene, shrunk)[0].collision.numpy()
+        np.testing.assert_array_equal(mine, plain)
+        assert mine.min() > 0
+        if depth == "deep":
+            assert strange.max() < 0.01 * mine.min()
+        else:
+            np.testing.assert_array_equal(strange, mine)
+
+
+def test_the_band_holds_beyond_its_slack(scene):
+    """Energy and gradient of three vertices against the formula; none while within limit and slack."""
+    garment, body, x, offset, _, _ = scene
+    band, distance = [0, 5, 9], 0.01
+    places = np.asarray(body.vertices)[: len(band)]
+    energies, gradient = run(scene, x, wearing=worn_on(garment, body, worn=True, band=band, distance=distance))
+    _, without = run(scene, x, wearing=worn_on(garment, body, worn=True))
+    held = (gradient - without) * SAMPLES
+    for sample in range(SAMPLES):
+        away = x[sample, band] - places
+        length = np.linalg.norm(away, axis=1)
+        beyond = length - distance - BAND_SLACK
+        assert beyond.min() > 0, "the scene must pull"
+        stiffness = BAND_STIFFNESS * garment.vertex_areas[band]
+        assert energies.band[sample].item() == pytest.approx((stiffness * beyond**2).sum(), rel=1e-4)
+        expected = np.zeros_like(held[sample])
+        expected[band] = away * (2 * stiffness * beyond / length)[:, None]
+        np.testing.assert_allclose(held[sample], expected, atol=2e-4 * np.abs(gradient).max())
+    slack, _ = run(scene, x, wearing=worn_on(garment, body, worn=True, band=band, distance=1.0))
+    assert slack.band.abs().max() == 0
+
+
+def test_heavy_samples_weigh_less(scene):
+    """A sample's gradient is multiplied by 1 / sqrt(1 + E / heavy_energy), E without gravity; energies stay."""
+    x = np.stack([scene[2][0], scene[0].vertices + 0.1 * (scene[2][0] - scene[0].vertices)])
+    energies, plain = run(scene, x)
+    same, weighted = run(scene, x, heavy_energy=0.02)
+    strained = (energies.stretch + energies.bend + energies.collision + energies.band).numpy()
+    assert strained[0] > 1.5 * strained[1]
+    np.testing.assert_array_equal(same.total.numpy(), energies.total.numpy())
+    factor = 1 / np.sqrt(1 + strained / 0.02)
+    np.testing.assert_allclose(weighted, plain * factor[:, None, None], rtol=1e-4, atol=1e-7)

@@ -112,3 +112,14 @@ def test_a_seed_gives_the_same_samples():
     np.testing.assert_array_equal(first[0], again[0])
     np.testing.assert_array_equal(first[1], again[1])
     assert len(np.unique(first[0][:, 0])) == 50
+
+
+def test_a_generator_of_its_own_leaves_the_others_alone():
+    """The same samples whatever was drawn before, and nothing taken from the device's own generator."""
+    sampler = PoseSampler(RIG, torch.device("cpu"), upright=0.5, largest_tilt=1.0)
+    drawn = []
+    for seed in (0, 1):
+        state = torch.manual_seed(seed).get_state()
+        drawn.append(sampler.sample(50, 1.0, generator=torch.Generator().manual_seed(3)))
+        assert torch.equal(torch.get_rng_state(), state)
+    assert all(torch.equal(first, again) for first, again in zip(*drawn))

@@ -19,7 +19,6 @@ from training.small_runs import as_toml, small_config  # noqa: E402
 from physkin_core import load_garment, load_garment_model  # noqa: E402
 from physkin_core.hyper_modulator import POINT_COUNT  # noqa: E402
 from physkin_training import train  # noqa: E402
-from physkin_training import trainer as trainer_module  # noqa: E402
 from physkin_training.config import load_config  # noqa: E402
 from physkin_training.export import Agreement  # noqa: E402
 from physkin_training.train import main  # noqa: E402
@@ -97,17 +96,18 @@ def test_the_seed_decides_the_start(tmp_path):
 def test_schedules(tmp_path, monkeypatch):
     """Range, contact stiffness, learning rates, pruning and number of body points at every step of a hundred."""
     config = small_config(
-        tmp_path, steps=100, growth=0.5, warm_up=0.1, final_rate=0.01, prune_at=0.3, full_encoding=0.8,
-        initial_contact=0.05,
+        tmp_path, steps=100, growth=0.5, warm_up=0.1, final_rate=0.01, prune_from=0.25, prune_at=0.625,
+        full_encoding=0.8, initial_contact=0.05, late_reach=0.04,
     )  # fmt: skip
     trainer = Trainer(config, CPU)
-    rows, points, pruned_at = [], [], []
+    rows, points, reaches, pruned_at = [], [], [], []
     monkeypatch.setattr(trainer.drape, "prune_influences", lambda keep: pruned_at.append((trainer.step, keep)))
 
     def record():
         rates = [float(group["lr"]) for group in trainer.optimiser.param_groups]
         rows.append((trainer.range.item(), trainer.losses.contact_stiffness.item(), *rates))
         points.append(trainer._encoder_points)
+        reaches.append(trainer.losses.reach)
 
     monkeypatch.setattr(trainer, "_compute_step", record)
     assert list(trainer.run(1000)) == list(range(1, 101)), "no more steps than the configuration has"
@@ -116,8 +116,9 @@ def test_schedules(tmp_path, monkeypatch):
         assert stiffness == pytest.approx(4e6 * min(1.0, 0.05 + 0.95 * step / 50), rel=1e-4), step
         factor = min(1.0, step / 10) * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * step / 100)))
         assert network_rate == pytest.approx(2e-3 * factor, rel=1e-4, abs=1e-9), step
-        assert skinning_rate == pytest.approx(5e-3 * factor, rel=1e-4, abs=1e-9), step
-    assert pruned_at == [(30, 3)]
+        assert skinning_rate == pytest.approx(1e-2 * factor, rel=1e-4, abs=1e-9), step
+    assert pruned_at == [(26, 5), (38, 4), (51, 3)], "one by one from 6"
+    assert reaches == [0.1] * 50 + [0.04] * 50
     assert points == [64] * 80 + [POINT_COUNT] * 20
 
 
@@ -129,6 +130,7 @@ def test_energies_are_means_over_the_steps_since_asked(tmp_path, monkeypatch):
 
     class Losses:
         contact_stiffness = trainer.losses.contact_stiffness
+        reach = trainer.losses.reach
 
         def __call__(self, *arguments):
             result = original(*arguments)
@@ -154,6 +156,7 @@ def test_the_median_is_that_of_the_last_step(tmp_path, monkeypatch):
 
     class Losses:
         contact_stiffness = trainer.losses.contact_stiffness
+        reach = trainer.losses.reach
 
         def __call__(self, *arguments):
             caught.append(original(*arguments))
@@ -351,7 +354,3 @@ def test_errors_of_the_command_are_one_line(config_file, tmp_path, capsys, spoil
     error = capsys.readouterr().err
     assert error.startswith("error: ") and message in error and "Traceback" not in error
     assert not out.exists()
-
-
-def test_terms_are_those_of_the_losses():
-    assert trainer_module.TERMS == ("stretch", "bend", "collision", "gravity")

@@ -21,6 +21,8 @@ __all__ = ["CheckpointError", "load_checkpoint", "load_drape", "save_checkpoint"
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
 TENSOR_FILES = ("drape", "average", *MOMENTS, "random")
+OWN_BUFFERS = ("influence_bias", "networks.node_mean", "networks.node_scale")
+"""What a run sets for itself, beside what it trains."""
 SAME = 1e-6
 """Rest positions [m] and joint limits [rad] that differ by less are the same: another processor rounds differently."""
 
@@ -160,9 +162,9 @@ def _read_tensors(folder: Path, name: str) -> dict[str, torch.Tensor]:
 
 
 def _check_same_model(tensors: dict, drape: Drape) -> None:
-    """Sizes must fit, and what is not trained (mesh, garment nodes, body, joint limits) must be the drape's own."""
+    """Sizes must fit, and what is given (mesh, garment nodes, body, joint limits) must be the drape's own."""
     _check_fit(tensors, drape.state_dict(), "drape")
-    fixed = {name: buffer.cpu() for name, buffer in drape.named_buffers() if name != "influence_bias"}
+    fixed = {name: buffer.cpu() for name, buffer in drape.named_buffers() if name not in OWN_BUFFERS}
     differing = [
         name for name, own in fixed.items() if not torch.allclose(tensors[name].to(own.dtype), own, rtol=0, atol=SAME)
     ]

@@ -33,27 +33,30 @@ class OptimisationConfig:
 
     samples: poses a step, spread evenly over `bodies`. Learning rates decay along a cosine to `final_rate` of the start
     after a linear warm-up over `warm_up` of the run. Pose range and contact stiffness (from `initial_contact` of the
-    material's) grow until `growth` of the run. From `prune_at` of the run on, only `garment_nodes.influences` garment
-    nodes a vertex remain; from `full_encoding` on, bodies are encoded from all 4096 points, before from
-    `encoder_points` of them. `contact_linear_beyond` [m] and `force_limit` [N]: see `PhysicsLosses`. `average`:
-    decay a step of the moving average of networks and skinning weights that is exported, 0 for none.
+    material's) grow until `growth` of the run; then contact is looked for `late_reach` [m] away, before 0.1 m. From
+    `prune_from` to `prune_at` of the run, influences a vertex fall one by one to `garment_nodes.influences`; from
+    `full_encoding` on, bodies are encoded from all 4096 points, before from `encoder_points` of them.
+    `contact_linear_beyond` [m], `heavy_energy` [J]: see `PhysicsLosses`. `average`: decay a step of the moving average
+    of networks and skinning weights that is exported, 0 for none.
     """
 
-    steps: int = 150000
+    steps: int = 100000
     samples: int = 96
     bodies: int = 12
     learning_rate: float = 5e-4
-    skinning_rate: float = 5e-3
+    skinning_rate: float = 1e-2
     final_rate: float = 0.005
     warm_up: float = 0.01
-    growth: float = 0.15
-    initial_contact: float = 0.05
-    prune_at: float = 0.25
-    full_encoding: float = 0.85
+    growth: float = 0.35
+    initial_contact: float = 0.1
+    late_reach: float = 0.05
+    prune_from: float = 0.3
+    prune_at: float = 0.6
+    full_encoding: float = 0.93
     encoder_points: int = 1024
-    gradient_clip: float = 1.0
-    contact_linear_beyond: float = 0.005
-    force_limit: float = 5.0
+    gradient_clip: float = 10.0
+    contact_linear_beyond: float = 0.01
+    heavy_energy: float = 0.1
     average: float = 0.999
 
     def __post_init__(self) -> None:
@@ -62,11 +65,14 @@ class OptimisationConfig:
 
         check("steps samples bodies encoder_points", "at least 1", lambda value: value >= 1)
         check("learning_rate skinning_rate", "finite and above 0", lambda value: 0 < value < math.inf)
-        check("gradient_clip contact_linear_beyond force_limit", "above 0", lambda value: value > 0)
+        check("gradient_clip contact_linear_beyond heavy_energy late_reach", "above 0", lambda value: value > 0)
         check(
-            "final_rate warm_up growth initial_contact prune_at full_encoding", "0 to 1", lambda value: 0 <= value <= 1
+            "final_rate warm_up growth initial_contact prune_from prune_at full_encoding",
+            "0 to 1",
+            lambda value: 0 <= value <= 1,
         )
         check("average", "at least 0 and below 1", lambda value: 0 <= value < 1)
+        check("prune_at", f"at least optimisation.prune_from {self.prune_from}", lambda value: value >= self.prune_from)
         multiple = f"a multiple of optimisation.bodies {self.bodies}"
         check("samples", multiple, lambda value: value % self.bodies == 0)
 

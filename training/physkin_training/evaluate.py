@@ -1,6 +1,7 @@
-"""Quality figures of a garment model on held-out bodies and uniform poses, beside plain skinning and the two minima.
+"""Quality figures of a garment model on held-out bodies, beside plain skinning and the two minima.
 
-`physkin evaluate MODEL` prints a table and writes JSON; deterministic for a seed on one kind of device.
+Poses are uniform in the joint limits, or frames of motion. `physkin evaluate MODEL` prints a table and writes JSON;
+deterministic for a seed on one kind of device.
 Dimensions: `B` samples of a batch, `n` garment vertices, `m` garment nodes.
 """
 
@@ -9,81 +10,40 @@ from __future__ import annotations
 import argparse
 import copy
 import json
-import math
 import sys
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from physkin_core.body_model import load_body_model
 from physkin_core.garment_model import GarmentModel
 from physkin_core.model_file import load_garment_model, save_garment_model
+from physkin_core.motion import Motion, bundled_motions, load_motion
 from physkin_core.rig import Rig
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.draping import Drape, compose_nodes, delta_transforms
+from physkin_training.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 from physkin_training.export import drape_from_model, encode_bodies
-from physkin_training.minimum import Minimum, full_space_minimum, subspace_minimum
+from physkin_training.figures import Figures
+from physkin_training.full_space_solver import FullSpaceSolver, Solution
+from physkin_training.inside_by_vertex import inside_by_vertex
+from physkin_training.minimum import subspace_minimum
 from physkin_training.physics_losses import GRAVITY, Energies, PhysicsLosses
 from physkin_training.posed_bodies import BodySet, PosedBodies
+from physkin_training.score_table import table
+from physkin_training.wearing import Wearing
 
-__all__ = ["Evaluation", "Figures"]
+__all__ = ["Evaluation", "evaluate_model"]
 
 REACH = 0.3
 """Bodies are looked for up to this distance [m], beyond the deepest penetration."""
 FEWER_INFLUENCES = 4
 """What skinning to so few influences, which most engines support, would cost is measured too."""
-LARGEST_LIFT = 0.2
-"""Mean rise [m] of the garment above plain skinning from which on it is taken to have left the body."""
-
-
-class Figures:
-    """Accumulates the quality figures over batches."""
-
-    def __init__(self, garment, device: torch.device) -> None:
-        self.garment = garment
-        self.edges = torch.as_tensor(garment.edges.copy(), dtype=torch.int64, device=device)
-        self.edge_lengths = torch.as_tensor(garment.edge_lengths.copy(), dtype=torch.float32, device=device)
-        self.faces = torch.as_tensor(garment.faces.copy(), dtype=torch.int64, device=device)
-        self.face_areas = torch.as_tensor(garment.face_areas.copy(), dtype=torch.float32, device=device)
-        self.sums: dict[str, float] = {}
-        self.samples = 0
-        self.depths: list[torch.Tensor] = []
-
-    def add(self, vertices: torch.Tensor, energies: Energies, *, count: int | None = None) -> None:
-        """Count in the first `count` (default all) of a batch of drapes (B, n, 3)."""
-        vertices = vertices[:count]
-        ends = vertices[:, self.edges]
-        length = torch.linalg.norm(ends[:, :, 1] - ends[:, :, 0], dim=-1)
-        corners = vertices[:, self.faces]
-        cross = torch.linalg.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
-        area = torch.linalg.norm(cross, dim=-1) / 2
-        distance = energies.signed_distance[:count]
-        per_sample = {
-            "edge_strain_percent": 100 * ((length - self.edge_lengths).abs() / self.edge_lengths).mean(dim=1),
-            "area_strain_percent": 100 * ((area - self.face_areas).abs() / self.face_areas).mean(dim=1),
-            "inside_percent": 100 * (distance < 0).float().mean(dim=1),
-            "within_3mm_percent": 100 * (distance < 0.003).float().mean(dim=1),
-            "stretch_j": energies.stretch[:count],
-            "bend_j": energies.bend[:count],
-            "collision_j": energies.collision[:count],
-            "gravity_j": energies.gravity[:count],
-        }
-        for name, values in per_sample.items():
-            self.sums[name] = self.sums.get(name, 0.0) + float(values.double().sum())
-        self.depths.append((-distance).amax(dim=1).clamp_min(0))
-        self.samples += len(vertices)
-
-    def result(self) -> dict[str, float]:
-        """Means over `pairs` samples; depths in mm: the deepest of all, and the 99.9th percentile of each sample's
-        deepest."""
-        depths = 1000 * torch.cat(self.depths)
-        means = {name: value / self.samples for name, value in self.sums.items()}
-        means["max_depth_mm"] = float(depths.max())
-        means["max_depth_p999_mm"] = float(torch.quantile(depths, 0.999))
-        means["energy_j"] = means["stretch_j"] + means["bend_j"] + means["collision_j"]
-        return means | {"pairs": self.samples}
+MOTION_RATE = 60.0
+"""Frames a second at which motion is measured; clips of another rate are resampled."""
 
 
 @dataclass(frozen=True)
@@ -95,20 +55,32 @@ class Batch:
     modulation: torch.Tensor
     positions: torch.Tensor
     gravity: torch.Tensor
+    body: torch.Tensor
 
 
 class Evaluation:
     """Held-out bodies and seeded poses for one garment model on one device.
 
-    Raises ValueError when the model is for another rig than the body model's, or there are not so many bodies.
+    bodies: how many, the first of the held-out ones; or the indices of which ones. Raises ValueError when the model is
+    for another rig than the body model's, or there are not so many bodies.
     """
 
     def __init__(
-        self, model: GarmentModel, device: torch.device, *, bodies: int, poses: int, seed: int, batch: int = 64
+        self,
+        model: GarmentModel,
+        device: torch.device,
+        *,
+        bodies: int | Sequence[int],
+        poses: int,
+        seed: int,
+        batch: int = 64,
     ) -> None:
         body_model = load_body_model()
-        if not 1 <= bodies <= len(body_model.held_out_bodies):
-            raise ValueError(f"bodies must be 1 to {len(body_model.held_out_bodies)}, got {bodies}")
+        held_out = body_model.held_out_bodies
+        if isinstance(bodies, int):
+            if not 1 <= bodies <= len(held_out):
+                raise ValueError(f"bodies must be 1 to {len(held_out)}, got {bodies}")
+            bodies = range(bodies)
         if poses < 1:
             raise ValueError(f"poses must be at least 1, got {poses}")
         if model.rig.to_json() != body_model.rig.to_json():
@@ -116,67 +88,102 @@ class Evaluation:
             raise ValueError(f"garment model {model.name!r} is for another rig than the body model's: {difference}")
         self.model, self.device, self.poses, self.seed = model, device, poses, seed
         self.drape: Drape = drape_from_model(model).to(device).eval()
-        self.bodies = BodySet(body_model, body_model.held_out_bodies[:bodies], device)
-        self.batch = min(batch, bodies * poses)
+        self.bodies = BodySet(body_model, held_out[list(bodies)], device)
+        self.batch = min(batch, len(bodies) * poses)
         self.posed_bodies = PosedBodies(body_model, self.bodies, self.batch)
-        self.losses = PhysicsLosses(model.garment, model.material, self.batch, device, reach=REACH)
+        wearing = Wearing.of(model.garment, body_model)
+        self.losses = PhysicsLosses(model.garment, model.material, self.batch, device, wearing=wearing, reach=REACH)
         self.modulations = encode_bodies(self.drape, self.bodies.vertices.cpu().numpy(), body_model.faces)
         self.node_positions = self.drape.node_positions(self.bodies)
 
-    def batches(self, *, upright: bool, count: int | None = None) -> Iterator[Batch]:
-        """All pairs, or `count` pairs spread evenly over them, `self.batch` at a time: kernels keep their size, so a
-        last partial batch is filled up with pairs that do not count."""
-        generator = torch.Generator().manual_seed(self.seed)
-        pairs = len(self.bodies) * self.poses
-        rig = self.model.rig
-        within = torch.rand(pairs, len(rig.lower), generator=generator)
-        lower, upper = (torch.as_tensor(a.copy(), dtype=torch.float32) for a in (rig.lower, rig.upper))
-        positions = lower + within * (upper - lower)
-        tilt = torch.rand(pairs, generator=generator) * math.radians(110) * (0.0 if upright else 1.0)
-        azimuth = torch.rand(pairs, generator=generator) * 2 * math.pi
-        gravity = torch.stack([tilt.sin() * azimuth.cos(), tilt.sin() * azimuth.sin(), -tilt.cos()], dim=1)
-        body = torch.arange(pairs) % len(self.bodies)
-        chosen = torch.arange(pairs) if count is None else torch.linspace(0, pairs - 1, count).round().long()
-        for start in range(0, len(chosen), self.batch):
-            real = len(chosen[start : start + self.batch])
-            pick = chosen[torch.arange(start, start + self.batch) % len(chosen)]
-            q, g, b = (a[pick].to(self.device) for a in (positions, gravity, body))
+    def uniform(self, *, upright: bool) -> Pairs:
+        """The seed's pairs of every body with `poses` poses uniform in the limits."""
+        return uniform_pairs(self.model.rig, bodies=len(self.bodies), poses=self.poses, seed=self.seed, upright=upright)
+
+    def batches(self, pairs: Pairs) -> Iterator[Batch]:
+        """All pairs in order, `self.batch` at a time: kernels keep their size, so a last partial batch is filled up
+        with pairs that do not count."""
+        for start in range(0, len(pairs), self.batch):
+            pick = torch.arange(start, start + self.batch) % len(pairs)
+            q, g, b = (a[pick].to(self.device) for a in (pairs.positions, pairs.gravity, pairs.body))
             bones = self.posed_bodies.pose(q, b)
             posed_nodes = self.drape.posed_nodes(bones, self.node_positions[b])
-            yield Batch(real, posed_nodes, self.modulations[b], q, g)
+            yield Batch(min(self.batch, len(pairs) - start), posed_nodes, self.modulations[b], q, g, b)
 
     def energy(self, vertices: torch.Tensor, batch: Batch) -> tuple[torch.Tensor, Energies]:
         """Mean energy and energies of drapes (B, n, 3) against the bodies of the batch posed last."""
         return self.losses(vertices, batch.gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
+
+    def count_in(self, figures: Figures, vertices: torch.Tensor, batch: Batch, *, motion: bool = False) -> None:
+        """Count drapes (B, n, 3) of the batch posed last in. motion: they are frames, each body's a take."""
+        with torch.no_grad():
+            energies = self.energy(vertices, batch)[1]
+            inside = inside_by_vertex(vertices, self.posed_bodies, reach=REACH)
+        figures.add(vertices, energies, inside, takes=batch.body if motion else None, count=batch.count)
 
     def figures(
         self, *, upright: bool, only: Collection[str] = ("model", "skinning", "fewer_influences")
     ) -> dict[str, dict[str, float]]:
         """The model, plain skinning, and the model with only the `FEWER_INFLUENCES` strongest influences a vertex
         (renormalised), over all pairs; of these rows, those named in `only`."""
+        rows = self._rows(self.uniform(upright=upright), only)
+        return {name: figures.result() for name, figures in rows.items()}
+
+    def motion(self, motions: Sequence[Motion]) -> dict:
+        """Model and plain skinning on every frame of clips on every body: `model`, `skinning`, `jitter_ratio`; `clips`
+        by name with the same; `counts`.
+
+        Raises MotionError when a clip moves none of the rig's joints, ValueError when one is too short, stands still or
+        comes twice.
+        """
+        clips = {motion.name: motion.resampled(MOTION_RATE) for motion in motions}
+        if len(clips) < len(motions):
+            raise ValueError(f"clips must have different names, got {', '.join(motion.name for motion in motions)}")
+        for motion in clips.values():
+            if motion.frame_count < 3:
+                raise ValueError(f"motion {motion.name!r} is too short: jitter needs 3 frames at {MOTION_RATE:g} Hz")
+            if not np.ptp(motion.positions, axis=0).any():
+                raise ValueError(f"motion {motion.name!r} stands still: jitter is measured against plain skinning's")
+        total = {name: Figures(self.model.garment, self.device) for name in ("model", "skinning")}
+        results: dict = {"clips": {}}
+        for name, motion in clips.items():
+            rows = self._rows(motion_pairs(motion, self.model.rig, bodies=len(self.bodies)), total, motion=True)
+            for row, figures in rows.items():
+                total[row].include(figures)
+            results["clips"][name] = _with_jitter_ratio(rows)
+        results["counts"] = {
+            "clips": len(clips),
+            "frames": sum(motion.frame_count for motion in clips.values()),
+            "bodies": len(self.bodies),
+            "rate_hz": MOTION_RATE,
+        }
+        return _with_jitter_ratio(total) | results
+
+    def _rows(self, pairs: Pairs, only: Collection[str], *, motion: bool = False) -> dict[str, Figures]:
         fewer = copy.deepcopy(self.drape)
         fewer.prune_influences(FEWER_INFLUENCES)
         drapes = {"model": self.drape, "skinning": self.drape, "fewer_influences": fewer}
         drapes = {name: drape for name, drape in drapes.items() if name in only}
         rows = {name: Figures(self.model.garment, self.device) for name in drapes}
         with torch.no_grad():
-            for batch in self.batches(upright=upright):
+            for batch in self.batches(pairs):
                 raw = self._raw(batch)
                 for name, drape in drapes.items():
                     delta = delta_transforms(torch.zeros_like(raw) if name == "skinning" else raw)
                     vertices = drape.skin(compose_nodes(batch.posed_nodes, delta))
-                    rows[name].add(vertices, self.energy(vertices, batch)[1], count=batch.count)
-        return {name: figures.result() for name, figures in rows.items()}
+                    self.count_in(rows[name], vertices, batch, motion=motion)
+        return rows
 
     def minima(self, *, count: int, steps: int) -> dict[str, dict[str, float]]:
         """Model, subspace minimum and full-space minimum on `count` upright pairs (at most all of them).
 
         The full-space minimum starts from the lower of the other two. Minima also hold the mean `gradient_norm` at the
-        end (see `Minimum`).
+        end, the full-space one the `converged_percent` of its samples (see `Solution`).
         """
         rows = {name: Figures(self.model.garment, self.device) for name in ("model", "subspace_minimum", "minimum")}
+        converged: list[bool] = []
         norms: dict[str, list[float]] = {"subspace_minimum": [], "minimum": []}
-        for batch in self.batches(upright=True, count=min(count, len(self.bodies) * self.poses)):
+        for batch in self.batches(self.uniform(upright=True).spread(count)):
 
             def objective(vertices: torch.Tensor, batch: Batch = batch) -> torch.Tensor:
                 return self.energy(vertices, batch)[0]
@@ -188,23 +195,31 @@ class Evaluation:
             with torch.no_grad():
                 better = self.energy(subspace.vertices, batch)[1].total < self.energy(own, batch)[1].total
             start = torch.where(better[:, None, None], subspace.vertices, own)
-            minima: dict[str, Minimum] = {
-                "subspace_minimum": subspace,
-                "minimum": full_space_minimum(objective, start, steps=steps),
-            }
+            minima = {"subspace_minimum": subspace, "minimum": self.full_space_minimum(start, batch)}
+            converged += minima["minimum"].converged[: batch.count].tolist()
             for name, minimum in minima.items():
                 norms[name] += minimum.gradient_norm[: batch.count].tolist()
             for name, vertices in {"model": own, **{k: m.vertices for k, m in minima.items()}}.items():
-                with torch.no_grad():
-                    rows[name].add(vertices, self.energy(vertices, batch)[1], count=batch.count)
+                self.count_in(rows[name], vertices, batch)
         results = {name: figures.result() for name, figures in rows.items()}
         for name, values in norms.items():
             results[name]["gradient_norm"] = sum(values) / len(values)
+        results["minimum"]["converged_percent"] = 100 * sum(converged) / len(converged)
         return results
+
+    def full_space_minimum(self, start: torch.Tensor, batch: Batch) -> Solution:
+        """Minimise over all vertices from drapes (B, n, 3), against the bodies of the batch posed last."""
+        solver = FullSpaceSolver(self.model.garment, self.losses, self.batch, self.device)
+        return solver.minimise(start, batch.gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
 
     def _raw(self, batch: Batch) -> torch.Tensor:
         vector = self.drape.pose_vector(batch.positions, batch.gravity)
         return self.drape.networks(batch.modulation, vector, batch.posed_nodes)
+
+
+def _with_jitter_ratio(rows: dict[str, Figures]) -> dict:
+    results: dict = {name: figures.result() for name, figures in rows.items()}
+    return results | {"jitter_ratio": results["model"]["jitter_mm"] / results["skinning"]["jitter_mm"]}
 
 
 def _difference(rig: Rig, other: Rig) -> str:
@@ -216,9 +231,21 @@ def _difference(rig: Rig, other: Rig) -> str:
 
 
 def evaluate_model(
-    model: GarmentModel, device: torch.device, *, bodies: int, poses: int, seed: int, minimum: int, steps: int
+    model: GarmentModel,
+    device: torch.device,
+    *,
+    bodies: int,
+    poses: int,
+    seed: int,
+    minimum: int,
+    steps: int,
+    motions: Sequence[Motion] = (),
 ) -> dict:
-    """All rows of one model as plain data. minimum: pairs for the minima, 0 to leave them out."""
+    """All rows of one model as plain data. minimum: pairs for the minima, 0 to leave them out. motions: clips for the
+    rows on motion.
+
+    Raises ValueError for another rig than the body model's, impossible counts and clips that cannot be used.
+    """
     batch = 64 if device.type == "cuda" else min(16, bodies * poses)
     evaluation = Evaluation(model, device, bodies=bodies, poses=poses, seed=seed, batch=batch)
     influences = model.influence_weights.shape[1]
@@ -229,6 +256,8 @@ def evaluate_model(
     scores["counts"]["influences"] = influences
     scores["material"] = asdict(model.material)
     scores["weight_n"] = float(model.garment.vertex_areas.sum() * model.material.density * GRAVITY)
+    if motions:
+        scores["motion"] = evaluation.motion(motions)
     if minimum:
         subset = evaluation.minima(count=minimum, steps=steps)
         scores |= {"subspace_minimum": subset["subspace_minimum"], "minimum": subset["minimum"]}
@@ -238,51 +267,6 @@ def evaluate_model(
     return scores
 
 
-COLUMNS = {
-    "edge_strain_percent": "edge %",
-    "area_strain_percent": "area %",
-    "inside_percent": "inside %",
-    "within_3mm_percent": "< 3 mm %",
-    "max_depth_p999_mm": "depth p99.9 mm",
-    "max_depth_mm": "deepest mm",
-    "stretch_j": "stretch J",
-    "bend_j": "bend J",
-    "collision_j": "contact J",
-    "gravity_j": "gravity J",
-}
-ROWS = {
-    "skinning": "plain skinning",
-    "model": "the model",
-    "fewer_influences": "{influences} -> 4 influences",
-    "tilted": "the model, tilted roots",
-    "model_on_subset": "the model, subset",
-    "subspace_minimum": "subspace minimum, subset",
-    "minimum": "full-space minimum, subset",
-}
-
-
-def table(scores: dict) -> str:
-    """The rows of `evaluate_model` as a Markdown table; below it the energy ratio, and a warning when the garment has
-    left the body (strain and contact of such a garment look excellent)."""
-    lines = ["| | " + " | ".join(COLUMNS.values()) + " |", "|---|" + "---|" * len(COLUMNS)]
-    for row, label in ROWS.items():
-        if row in scores:
-            name = label.format(**scores["counts"])
-            lines.append(f"| {name} | " + " | ".join(f"{scores[row][column]:.3f}" for column in COLUMNS) + " |")
-    if "energy_ratio" in scores:
-        pairs = scores["counts"]["minimum_pairs"]
-        ratio = f"{scores['energy_ratio']:.2f}"
-        lines += ["", f"Stretch, bend and contact energy, model / full-space minimum: {ratio} ({pairs} pairs)"]
-    lift = (scores["model"]["gravity_j"] - scores["skinning"]["gravity_j"]) / scores["weight_n"]
-    if lift > LARGEST_LIFT:
-        lines += [
-            "",
-            f"WARNING: the garment lies {lift:.2f} m higher than with plain skinning on average; it may have left the "
-            "body, and its other figures then mean nothing. Look at it.",
-        ]
-    return "\n".join(lines)
-
-
 def main(argv: list[str] | None = None) -> int:
     """Command line entry: `physkin evaluate MODEL`."""
     parser = argparse.ArgumentParser(prog="physkin evaluate", description=__doc__.splitlines()[0])
@@ -290,6 +274,13 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--bodies", type=int, default=16, help="held-out bodies (default 16)")
     parser.add_argument("--poses", type=int, default=256, help="uniform poses a body (default 256)")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--motion",
+        nargs="*",
+        default=bundled_motions(),
+        metavar="CLIP",
+        help="shipped clips or motion files to measure on as well (default all shipped ones; none given: none)",
+    )
     parser.add_argument("--minimum", type=int, default=0, metavar="PAIRS", help="also minimise that many pairs")
     parser.add_argument("--minimum-steps", type=int, default=2000)
     parser.add_argument("--device", default=DEFAULT_DEVICE)
@@ -306,6 +297,7 @@ def main(argv: list[str] | None = None) -> int:
             seed=arguments.seed,
             minimum=arguments.minimum,
             steps=arguments.minimum_steps,
+            motions=[load_motion(clip) for clip in arguments.motion],
         )
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -17,6 +17,7 @@ from physkin_core.draper import Draper
 from physkin_core.garment import Garment
 from physkin_core.garment_model import GarmentModel, Material
 from physkin_core.hyper_modulator import POINT_COUNT
+from physkin_core.mlp import Layer
 from physkin_core.rig import Rig
 from physkin_core.surface_sampling import sample_surface
 from physkin_training.draping import Drape, GarmentNodes
@@ -56,7 +57,7 @@ def model_from_drape(
         influence_weights=kept / kept.sum(axis=1, keepdims=True),
         hyper_modulator=hyper,
         pose_modulator=_layers(drape.networks.pose_modulator),
-        node_deformer=_layers(drape.networks.node_deformer),
+        node_deformer=(_numpy(*drape.networks.folded_first_layer()), *_layers(drape.networks.node_deformer)[1:]),
         activation=drape.networks.pose_modulator.activation,
         material=material,
         training=training or {},
@@ -71,7 +72,8 @@ def drape_from_model(model: GarmentModel) -> Drape:
     for network in ("pose_modulator", "node_deformer"):
         for index, (weight, bias) in enumerate(getattr(model, network)):
             state |= {f"{network}.layers.{index}.weight": weight, f"{network}.layers.{index}.bias": bias}
-    drape.networks.load_state_dict({key: torch.as_tensor(np.array(array)) for key, array in state.items()})
+    as_tensors = {key: torch.as_tensor(np.array(array)) for key, array in state.items()}
+    drape.networks.load_state_dict(drape.networks.state_dict() | as_tensors)
     drape.influence_bias.masked_fill_(torch.as_tensor(model.influence_weights == 0), float("-inf"))
     return drape
 
@@ -139,4 +141,8 @@ def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8, seed: int = 
 
 
 def _layers(network: ModulatedMLP) -> tuple:
-    return tuple((layer.weight.detach().cpu().numpy(), layer.bias.detach().cpu().numpy()) for layer in network.layers)
+    return tuple(_numpy(layer.weight, layer.bias) for layer in network.layers)
+
+
+def _numpy(weight: torch.Tensor, bias: torch.Tensor) -> Layer:
+    return weight.detach().cpu().numpy(), bias.detach().cpu().numpy()

@@ -1,4 +1,4 @@
-"""Energy minima a model is measured against: garment nodes free per pose (subspace) and every vertex free (full space).
+"""The energy's minimum over the garment nodes' numbers, free per pose (the full space has `full_space_solver`).
 
 The same energies, minimised with Adam under a cosine-decayed rate, a fixed number of steps; the gradient norms at the
 end are reported with the result, so that a reader can tell how well it converged.
@@ -15,7 +15,7 @@ import torch
 
 from physkin_training.draping import Drape, compose_nodes, delta_transforms
 
-__all__ = ["Minimum", "full_space_minimum", "subspace_minimum"]
+__all__ = ["Minimum", "subspace_minimum"]
 
 Energy = Callable[[torch.Tensor], torch.Tensor]
 """Differentiable mean energy [J] of garment vertices (B, n, 3)."""
@@ -24,42 +24,28 @@ Energy = Callable[[torch.Tensor], torch.Tensor]
 @dataclass(frozen=True)
 class Minimum:
     """Where a minimisation ended: vertices (B, n, 3) [m], and norm (B,) of each sample's energy gradient there, by the
-    free numbers ([N] in the full space). Both detached."""
+    free numbers. Both detached."""
 
     vertices: torch.Tensor
     gradient_norm: torch.Tensor
 
 
-def full_space_minimum(energy: Energy, vertices: torch.Tensor, *, steps: int, rate: float = 2e-3) -> Minimum:
-    """Minimise over all vertices from `vertices` (B, n, 3). rate: first Adam step [m]."""
-    return _minimise(lambda free: free, vertices, energy, steps=steps, rate=rate)
-
-
 def subspace_minimum(
     energy: Energy, drape: Drape, posed_nodes: torch.Tensor, raw: torch.Tensor, *, steps: int, rate: float = 5e-3
 ) -> Minimum:
-    """Minimise over the garment nodes' numbers `raw` (B, m, 9 or 12), skinning weights fixed."""
-    return _minimise(
-        lambda free: drape.skin(compose_nodes(posed_nodes, delta_transforms(free))),
-        raw,
-        energy,
-        steps=steps,
-        rate=rate,
-    )
-
-
-def _minimise(
-    shape: Callable[[torch.Tensor], torch.Tensor], start: torch.Tensor, energy: Energy, *, steps: int, rate: float
-) -> Minimum:
-    free = start.detach().clone().requires_grad_(True)
+    """Minimise over the garment nodes' numbers `raw` (B, m, 9 or 12), skinning weights fixed. rate: first Adam step."""
+    free = raw.detach().clone().requires_grad_(True)
     optimiser = torch.optim.Adam([free], lr=rate)
 
+    def shape() -> torch.Tensor:
+        return drape.skin(compose_nodes(posed_nodes, delta_transforms(free)))
+
     def compute_gradient() -> None:
-        (free.grad,) = torch.autograd.grad(energy(shape(free)) * len(free), free)
+        (free.grad,) = torch.autograd.grad(energy(shape()) * len(free), free)
 
     for step in range(steps):
         optimiser.param_groups[0]["lr"] = rate * (0.001 + 0.999 * 0.5 * (1 + math.cos(math.pi * step / steps)))
         compute_gradient()
         optimiser.step()
     compute_gradient()
-    return Minimum(shape(free).detach(), torch.linalg.vector_norm(free.grad.flatten(1), dim=1))
+    return Minimum(shape().detach(), torch.linalg.vector_norm(free.grad.flatten(1), dim=1))

@@ -1,10 +1,12 @@
-"""Physics losses as Warp kernels with gradients written by hand: stretch, bend, collision, gravity (paper: Training).
+"""Physics losses as Warp kernels with gradients written by hand (paper: Training): stretch, bend, collision, gravity,
+and a band that holds the garment up.
 
 Each kernel writes the energy [J] of its elements and adds dE/dx [N] to a shared gradient array in one pass; torch sees
 one differentiable operation per energy, whose backward pass is a product. Nothing allocates or waits for the host, so a
 training step can be captured as a CUDA graph.
 
-Dimensions: `B` samples, `n` garment vertices, `f` faces, `q` hinges, `V` body vertices. Metres, root frame.
+Dimensions: `B` samples, `n` garment vertices, `f` faces, `q` hinges, `V` body vertices, `k` band vertices. Metres,
+root frame.
 """
 
 from __future__ import annotations
@@ -18,15 +20,25 @@ import warp as wp
 
 from physkin_core.garment import Garment
 from physkin_core.garment_model import Material
+from physkin_training.wearing import Wearing
 
-__all__ = ["Energies", "PhysicsLosses"]
+__all__ = ["TERMS", "Energies", "PhysicsLosses"]
+
+TERMS = ("stretch", "bend", "collision", "gravity", "band")
+"""The energies, in the order of `Energies`."""
 
 GRAVITY = 9.81
 """Gravitational acceleration [m/s2]."""
 
 DEEP = 0.01
-"""Beyond this depth [m] below the contact offset a hit counts only if body and cloth face the same way: else it is the
-wrong side of a limb."""
+"""Beyond this depth [m] below the contact offset a hit counts only if the vertex is worn on that part of the body, and
+body and cloth face the same way: else it is another limb, or the wrong side of this one."""
+
+BAND_STIFFNESS = 2.0e4
+"""What holds a garment up [J/m4]: energy = stiffness * vertex area * (distance beyond the slack)^2."""
+
+BAND_SLACK = 0.02
+"""How far [m] a vertex of the band may move from its place on the body before it is held."""
 
 
 @wp.kernel
@@ -112,6 +124,8 @@ def collision_kernel(
     contact_offset: wp.float32,
     linear_beyond: wp.float32,
     reach: wp.float32,
+    face_bone: wp.array(dtype=wp.int32),
+    worn: wp.array2d(dtype=wp.bool),
     normals: wp.array2d(dtype=wp.vec3),
     energy: wp.array2d(dtype=wp.float32),
     gradient: wp.array2d(dtype=wp.vec3),
@@ -132,14 +146,40 @@ def collision_kernel(
         depth = contact_offset - distance
         if depth > 0.0:
             outward = wp.mesh_eval_face_normal(body, hit.face)
-            wrong_side = depth > DEEP and wp.dot(outward, normals[s, v]) < 0.0
-            if not wrong_side:
+            strange = not worn[v, face_bone[hit.face % face_bone.shape[0]]] or wp.dot(outward, normals[s, v]) < 0.0
+            if depth < DEEP or not strange:
                 if gap > 1.0e-6:
                     outward = away * (hit.sign / gap)
                 k = stiffness[0] * vertex_area[v]
                 bounded = wp.min(depth, linear_beyond)
                 energy[s, v] = k * bounded * (2.0 * depth - bounded)
                 wp.atomic_add(gradient, s, v, outward * (-2.0 * k * bounded))
+
+
+@wp.kernel
+def band_kernel(
+    x: wp.array2d(dtype=wp.vec3),
+    body_points: wp.array(dtype=wp.vec3),
+    body_offset: wp.array(dtype=wp.vec3),
+    vertices_per_body: wp.int32,
+    band: wp.array(dtype=wp.int32),
+    place: wp.array(dtype=wp.int32),
+    limit: wp.array(dtype=wp.float32),
+    vertex_area: wp.array(dtype=wp.float32),
+    energy: wp.array2d(dtype=wp.float32),
+    gradient: wp.array2d(dtype=wp.vec3),
+):
+    """Squared distance of a band vertex beyond its limit from the body vertex where it is worn."""
+    s, k = wp.tid()
+    v = band[k]
+    away = x[s, v] + body_offset[s] - body_points[s * vertices_per_body + place[k]]
+    distance = wp.length(away)
+    beyond = distance - limit[k]
+    energy[s, k] = 0.0
+    if beyond > 0.0:
+        stiffness = BAND_STIFFNESS * vertex_area[v]
+        energy[s, k] = stiffness * beyond * beyond
+        wp.atomic_add(gradient, s, v, away * (2.0 * stiffness * beyond / distance))
 
 
 @wp.kernel
@@ -164,21 +204,23 @@ class Energies:
     bend: torch.Tensor
     collision: torch.Tensor
     gravity: torch.Tensor
+    band: torch.Tensor
     signed_distance: torch.Tensor
 
     @property
     def total(self) -> torch.Tensor:
         """Sum of the terms (B,)."""
-        return self.stretch + self.bend + self.collision + self.gravity
+        return self.stretch + self.bend + self.collision + self.gravity + self.band
 
 
 class PhysicsLosses:
     """Physics losses of one garment for a fixed number of samples on one device.
 
     contact_stiffness is a tensor (1,) [J/m4] that a schedule may change between steps. reach: farthest distance [m] at
-    which the body is looked for. linear_beyond: depth [m] from which contact force grows no more. force_limit: largest
-    norm of a sample's gradient [N] that reaches the networks. Both only tame training, where a few poses of a body that
-    runs through itself would outweigh all others; by default neither acts.
+    which the body is looked for, read at every call. wearing: what of the body counts as contact, and the band; without
+    it all of the body counts and nothing holds the garment up. For training only: contact force grows no more from a
+    depth of `linear_beyond` [m], and a sample's gradient is weighted by 1 / sqrt(1 + E / heavy_energy) of its energy
+    E [J] without gravity, so that the few heaviest poses do not outweigh all others. By default neither acts.
     """
 
     def __init__(
@@ -188,14 +230,15 @@ class PhysicsLosses:
         samples: int,
         device: torch.device,
         *,
+        wearing: Wearing | None = None,
         reach: float = 0.1,
         linear_beyond: float = math.inf,
-        force_limit: float = math.inf,
+        heavy_energy: float = math.inf,
     ) -> None:
         self.material = material
         self.reach = reach
         self.linear_beyond = linear_beyond
-        self.force_limit = force_limit
+        self.heavy_energy = heavy_energy
         self.device = wp.device_from_torch(device)
         young, poisson = material.youngs_modulus, material.poisson_ratio
         self._mu = young / (2 * (1 + poisson))
@@ -204,9 +247,9 @@ class PhysicsLosses:
         n, f, q = len(garment.vertices), len(garment.faces), len(garment.hinges)
         self._faces = self._array(garment.faces, wp.int32)
         self._hinges = self._array(garment.hinges, wp.int32)
-        self._rest_inverse = self._array(_rest_inverse(garment), wp.mat22)
+        self._rest_inverse = self._array(face_rest_inverse(garment), wp.mat22)
         self._rest_area = self._array(garment.face_areas, wp.float32)
-        rest_angle, edge_factor = _hinge_rest(garment)
+        rest_angle, edge_factor = hinge_rest(garment)
         self._rest_angle = self._array(rest_angle, wp.float32)
         self._bend_stiffness = self._array(material.bending * edge_factor, wp.float32)
         self._vertex_area = self._array(garment.vertex_areas, wp.float32)
@@ -220,7 +263,20 @@ class PhysicsLosses:
             "bend": buffer(q),
             "collision": buffer(n),
             "gravity": buffer(n),
+            "band": buffer(0 if wearing is None else len(wearing.band)),
         }
+        face_bone = np.zeros(1) if wearing is None else wearing.face_bone
+        worn = np.ones((n, 1), dtype=bool) if wearing is None else wearing.worn
+        self._face_bone = self._array(face_bone, wp.int32)
+        self._worn = wp.array(worn, dtype=wp.bool, device=self.device)
+        self._band: list[wp.array] = []
+        if wearing is not None:
+            limit = wearing.band_distance + BAND_SLACK
+            self._band = [
+                self._array(wearing.band, wp.int32),
+                self._array(wearing.band_place, wp.int32),
+                self._array(limit, wp.float32),
+            ]
         self._normals = torch.zeros(samples, n, 3, device=device)
         self.signed_distance = buffer(n)
 
@@ -271,6 +327,8 @@ class PhysicsLosses:
                 self.material.contact_offset,
                 self.linear_beyond,
                 self.reach,
+                self._face_bone,
+                self._worn,
                 _vec3(self._normals),
             ],
             outputs=[element["collision"], forces, wp.from_torch(self.signed_distance)],
@@ -283,7 +341,27 @@ class PhysicsLosses:
             outputs=[element["gravity"], forces],
             device=self.device,
         )
+        if self._band:
+            wp.launch(
+                band_kernel,
+                dim=(samples, len(self._band[0])),
+                inputs=[
+                    points,
+                    body.points,
+                    wp.from_torch(body_offset, dtype=wp.vec3),
+                    len(body.points) // samples,
+                    *self._band,
+                    self._vertex_area,
+                ],
+                outputs=[element["band"], forces],
+                device=self.device,
+            )
         return {name: tensor.sum(dim=1) for name, tensor in self._element.items()}, gradient
+
+    @property
+    def element_energies(self) -> dict[str, torch.Tensor]:
+        """Energies [J] by term and element, each (B, elements), where last evaluated; contact and gravity by vertex."""
+        return self._element
 
     def _array(self, values: np.ndarray, dtype) -> wp.array:
         scalar = np.int32 if dtype is wp.int32 else np.float32
@@ -294,11 +372,11 @@ class _PhysicsEnergy(torch.autograd.Function):
     @staticmethod
     def forward(ctx, x, losses, gravity, body, body_offset):
         energies, gradient = losses.evaluate(x, gravity, body, body_offset)
-        if math.isfinite(losses.force_limit):
-            norm = torch.linalg.vector_norm(gradient, dim=(1, 2), keepdim=True)
-            gradient = gradient * (losses.force_limit / norm.clamp_min(losses.force_limit))
+        if math.isfinite(losses.heavy_energy):
+            strained = energies["stretch"] + energies["bend"] + energies["collision"] + energies["band"]
+            gradient = gradient * torch.rsqrt(1 + strained / losses.heavy_energy)[:, None, None]
         ctx.save_for_backward(gradient)
-        parts = tuple(energies[name] for name in ("stretch", "bend", "collision", "gravity"))
+        parts = tuple(energies[name] for name in TERMS)
         ctx.mark_non_differentiable(*parts)
         return sum(parts).mean(), *parts
 
@@ -308,7 +386,7 @@ class _PhysicsEnergy(torch.autograd.Function):
         return gradient * (upstream / len(gradient)), None, None, None, None
 
 
-def _rest_inverse(garment: Garment) -> np.ndarray:
+def face_rest_inverse(garment: Garment) -> np.ndarray:
     """Inverse of the rest edge matrix of every face in its own plane, (f, 2, 2) [1/m]."""
     corners = garment.vertices[garment.faces]
     d1, d2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -319,7 +397,7 @@ def _rest_inverse(garment: Garment) -> np.ndarray:
     return np.linalg.inv(np.stack([np.stack([length, along], axis=1), np.stack([zero, across], axis=1)], axis=1))
 
 
-def _hinge_rest(garment: Garment) -> tuple[np.ndarray, np.ndarray]:
+def hinge_rest(garment: Garment) -> tuple[np.ndarray, np.ndarray]:
     """Rest dihedral angle (q,) [rad] and 3 |e|^2 / (A_a + A_b) (q,) of every hinge."""
     x0, x1, x2, x3 = (garment.vertices[garment.hinges[:, k]] for k in range(4))
     edge = x1 - x0

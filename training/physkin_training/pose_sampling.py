@@ -1,4 +1,5 @@
-"""Training poses: uniform in a box around the A-pose that grows to the joint limits, under gravity of tilted roots.
+"""Poses of training and evaluation: uniform in a box around the A-pose that, in training, grows to the joint limits,
+under gravity of tilted roots.
 
 Paper: Training. Dimensions: `B` samples, `d` degrees of freedom.
 """
@@ -40,14 +41,23 @@ class PoseSampler:
         self.upright = upright
         self.largest_tilt = largest_tilt
 
-    def sample(self, count: int, share: torch.Tensor | float) -> tuple[torch.Tensor, torch.Tensor]:
-        """share: part of the joint limits and of the largest tilt in use, 0 to 1 (a tensor may change)."""
-        device = self.lower.device
-        within = torch.rand(count, len(self.lower), device=device)
+    def sample(
+        self, count: int, share: torch.Tensor | float, *, generator: torch.Generator | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Joint positions (count, d) and gravity directions (count, 3).
+
+        share: part of the joint limits and of the largest tilt in use, 0 to 1 (a tensor may change). generator: of the
+        sampler's device; default that device's own.
+        """
+
+        def uniform(*shape: int) -> torch.Tensor:
+            return torch.rand(*shape, device=self.lower.device, generator=generator)
+
+        within = uniform(count, len(self.lower))
         reach_down, reach_up = (self.lower - self.rest) * share, (self.upper - self.rest) * share
         positions = self.rest + reach_down + within * (reach_up - reach_down)
-        tilt = torch.rand(count, device=device) * self.largest_tilt * share
-        tilt = torch.where(torch.rand(count, device=device) < self.upright, torch.zeros_like(tilt), tilt)
-        azimuth = torch.rand(count, device=device) * (2 * torch.pi)
+        tilt = uniform(count) * self.largest_tilt * share
+        tilt = torch.where(uniform(count) < self.upright, torch.zeros_like(tilt), tilt)
+        azimuth = uniform(count) * (2 * torch.pi)
         gravity = torch.stack([tilt.sin() * azimuth.cos(), tilt.sin() * azimuth.sin(), -tilt.cos()], dim=1)
         return positions, gravity

@@ -118,10 +118,11 @@ class BodySet:
 class PosedBodies:
     """Poses a fixed number of samples, each a body of a `BodySet`, and keeps their joint contact mesh.
 
-    `bone_transforms` (B, b, 3, 4), `offset` (B, 3), `mesh`: valid after `pose`.
+    faces: (f, 3) of the body that the contact mesh has, default all. `bone_transforms` (B, b, 3, 4), `offset` (B, 3),
+    `mesh`: valid after `pose`.
     """
 
-    def __init__(self, model: BodyModel, bodies: BodySet, samples: int) -> None:
+    def __init__(self, model: BodyModel, bodies: BodySet, samples: int, *, faces: np.ndarray | None = None) -> None:
         wp.init()
         torch_device = bodies.vertices.device
         self.device = wp.device_from_torch(torch_device)
@@ -144,11 +145,12 @@ class PosedBodies:
         self.offset = (grid - (side - 1) / 2).float() * GRID_SPACING
         vertex_count = bodies.vertices.shape[1]
         first_vertex = (torch.arange(samples, device=torch_device) * vertex_count)[:, None, None]
-        faces = (bodies.faces[None] + first_vertex).reshape(-1).to(torch.int32)
+        own_faces = bodies.faces if faces is None else torch.as_tensor(faces, device=torch_device, dtype=torch.int64)
+        faces_of_all = (own_faces[None] + first_vertex).reshape(-1).to(torch.int32)
         points = (bodies.vertices[:1] + self.offset[:, None]).reshape(-1, 3)
         self.mesh = wp.Mesh(
             points=wp.array(points.cpu().numpy(), dtype=wp.vec3, device=self.device),
-            indices=wp.array(faces.cpu().numpy(), dtype=wp.int32, device=self.device),
+            indices=wp.array(faces_of_all.cpu().numpy(), dtype=wp.int32, device=self.device),
         )
 
     def pose(self, joint_positions: torch.Tensor, body_index: torch.Tensor) -> torch.Tensor:

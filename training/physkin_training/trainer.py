@@ -23,13 +23,31 @@ from physkin_core.hyper_modulator import POINT_COUNT
 from physkin_training.checkpoint import load_checkpoint, load_drape, save_checkpoint
 from physkin_training.config import TrainingConfig
 from physkin_training.draping import Drape, GarmentNodes
-from physkin_training.physics_losses import PhysicsLosses
+from physkin_training.physics_losses import TERMS, PhysicsLosses
 from physkin_training.pose_sampling import PoseSampler, pose_range
 from physkin_training.posed_bodies import BodySet, PosedBodies
+from physkin_training.wearing import Wearing
 
-__all__ = ["TERMS", "Trainer", "TrainingDiverged"]
+__all__ = ["Trainer", "TrainingDiverged"]
 
-TERMS = ("stretch", "bend", "collision", "gravity")
+
+EARLY_REACH = 0.1
+"""How far [m] bodies are looked for while the pose range grows: heavy ones start that deep in the garment."""
+
+
+NORMALISING_POSES = 2048
+"""Poses from which the node deformer's inputs are scaled."""
+
+
+def influences_left(progress: float, config: TrainingConfig) -> int:
+    """Influences a vertex at `progress` (0 to 1) of the run: they fall one by one from `prune_from` to `prune_at`."""
+    most, fewest = config.garment_nodes.initial_influences, config.garment_nodes.influences
+    start, end = config.optimisation.prune_from, config.optimisation.prune_at
+    if progress < start:
+        return most
+    if progress >= end:
+        return fewest
+    return most - math.ceil((most - fewest) * (progress - start) / (end - start))
 
 
 class TrainingDiverged(RuntimeError):
@@ -61,33 +79,37 @@ class Trainer:
         )
         self.nodes = nodes
         self.drape = Drape(self.garment, nodes, self.rig, config.networks).to(device)
-        self.averaged = copy.deepcopy(self.drape).requires_grad_(False) if optimisation.average > 0 else self.drape
         self.bodies = BodySet(body_model, body_model.train_bodies[: config.train_bodies], device)
-        self.posed_bodies = PosedBodies(body_model, self.bodies, optimisation.samples)
         self.node_positions = self.drape.node_positions(self.bodies)
-        self.losses = PhysicsLosses(
-            self.garment,
-            config.material,
-            optimisation.samples,
-            device,
-            linear_beyond=optimisation.contact_linear_beyond,
-            force_limit=optimisation.force_limit,
-        )
         self.sampler = PoseSampler(
             self.rig,
             device,
             upright=config.poses.upright,
             largest_tilt=math.radians(config.poses.largest_tilt_degrees),
         )
+        wearing = Wearing.of(self.garment, body_model).worn_faces()
+        self.posed_bodies = PosedBodies(body_model, self.bodies, optimisation.samples, faces=wearing.faces)
+        self._normalise_nodes()
+        self.averaged = copy.deepcopy(self.drape).requires_grad_(False) if optimisation.average > 0 else self.drape
+        self.losses = PhysicsLosses(
+            self.garment,
+            config.material,
+            optimisation.samples,
+            device,
+            wearing=wearing,
+            reach=EARLY_REACH,
+            linear_beyond=optimisation.contact_linear_beyond,
+            heavy_energy=optimisation.heavy_energy,
+        )
         self.range = torch.zeros((), device=device)
         self._average_decay = torch.zeros((), device=device)
-        self._energy_sum = torch.zeros(4, device=device)
+        self._energy_sum = torch.zeros(len(TERMS), device=device)
         self._stretch_and_collision = torch.zeros(optimisation.samples, device=device)
         self._summed_from = 0
         self.gradient_norm = torch.zeros((), device=device)
         self.optimiser = self._make_optimiser()
         self._graph: torch.cuda.CUDAGraph | None = None
-        self._pruned = False
+        self._influences = config.garment_nodes.initial_influences
         self._encoder_points = config.optimisation.encoder_points
 
     def run(self, steps: int) -> Iterator[int]:
@@ -145,6 +167,17 @@ class Trainer:
         self.started_from = load_drape(folder, self.drape)
         self.averaged.load_state_dict(self.drape.state_dict())
 
+    def _normalise_nodes(self) -> None:
+        """Scale the node deformer's inputs by their spread over poses of the full range."""
+        samples = self.config.optimisation.samples
+        posed = []
+        for _ in range(math.ceil(NORMALISING_POSES / samples)):
+            positions, _ = self.sampler.sample(samples, 1.0)
+            body = torch.randint(len(self.bodies), (samples,), device=self.device)
+            bones = self.posed_bodies.pose(positions, body)
+            posed.append(self.drape.posed_nodes(bones, self.node_positions[body]))
+        self.drape.networks.normalise_nodes(torch.cat(posed))
+
     def _make_optimiser(self) -> torch.optim.Adam:
         """Adam whose learning rates sit in tensors, which `_set_schedules` fills."""
         groups = [
@@ -169,14 +202,15 @@ class Trainer:
             group["lr"].fill_(rate * factor)
         # A young average forgets faster, so that it does not hold on to the untrained start.
         self._average_decay.fill_(min(optimisation.average, (1 + self.step) / (10 + self.step)))
-        if progress >= optimisation.prune_at and not self._pruned:
-            self._pruned = True
-            self._graph = None
-            self.drape.prune_influences(self.config.garment_nodes.influences)
+        influences = influences_left(progress, self.config)
+        if influences < self._influences:
+            self._influences = influences
+            self.drape.prune_influences(influences)
             self.averaged.influence_bias.copy_(self.drape.influence_bias)
         points = POINT_COUNT if progress >= optimisation.full_encoding else optimisation.encoder_points
-        if points != self._encoder_points:
-            self._encoder_points = points
+        reach = EARLY_REACH if progress < optimisation.growth else optimisation.late_reach
+        if (points, reach) != (self._encoder_points, self.losses.reach):
+            self._encoder_points, self.losses.reach = points, reach
             self._graph = None
 
     def _replay_step(self) -> None:
@@ -224,8 +258,7 @@ class Trainer:
         self.optimiser.step()
         self._update_average()
         self.gradient_norm.copy_(norm)
-        terms = [energies.stretch, energies.bend, energies.collision, energies.gravity]
-        self._energy_sum += torch.stack([term.mean() for term in terms])
+        self._energy_sum += torch.stack([getattr(energies, term).mean() for term in TERMS])
         self._stretch_and_collision.copy_(energies.stretch + energies.collision)
 
     @torch.no_grad()

@@ -1,0 +1,39 @@
+// Loops that do nothing but multiply and add, or nothing but read: what bounds the other kernels from below. Included
+// by kernel_unit.cpp only (see simd.hpp).
+#pragma once
+
+#include "dense_kernel.hpp"
+#include "kernels.hpp"
+#include "simd.hpp"
+
+namespace physkin::PHYSKIN_ISA {
+
+// Independent chains in registers; returns the multiply-adds done (of single floats).
+inline std::int64_t multiply_add(int rounds, float* result) {
+  constexpr int kChains = 12;
+  Floats sum[kChains] = {};
+  const Floats factor = load(result), term = factor * 0.5f;
+  for (int round = 0; round < rounds; ++round) {
+    for (int k = 0; k < kChains; ++k) sum[k] = sum[k] * factor + term;
+  }
+  Floats total = {};
+  for (int k = 0; k < kChains; ++k) total += sum[k];
+  store(result, total);
+  return std::int64_t(rounds) * kChains * kLanes;
+}
+
+// Reads `bytes`, a multiple of 1024, from front to back. `result` (16) depends on every byte.
+inline void read_memory(const unsigned char* data, std::int64_t bytes, float* result) {
+  constexpr int kChains = 8;
+  Ints sum[kChains] = {};
+  constexpr int kStep = kChains * kLanes * 4;
+  for (const unsigned char* end = data + bytes; data < end; data += kStep) {
+    for (int at = 0; at < kStep; at += 64) __builtin_prefetch(data + kBytesAhead + at);  // as the networks do
+    for (int k = 0; k < kChains; ++k) sum[k] ^= load_ints(data + k * kLanes * 4);
+  }
+  Ints total = {};
+  for (int k = 0; k < kChains; ++k) total ^= sum[k];
+  store(result, (Floats)total);
+}
+
+}  // namespace physkin::PHYSKIN_ISA

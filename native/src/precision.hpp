@@ -1,0 +1,27 @@
+// Precision in which network weights are stored.
+#pragma once
+
+#include <string>
+
+namespace physkin {
+
+// fp32: the reference. bf16: 16-bit floats, widened in registers, activations in fp32. int8: 8-bit integers with one
+// scale an output, activations rounded to 16-bit integers layer by layer.
+enum class Precision { fp32, bf16, int8 };
+constexpr int kPrecisionCount = 3;
+
+const char* precision_name(Precision precision);
+
+// The named precision; an empty name means the environment variable PHYSKIN_NATIVE_PRECISION, and without that fp32.
+// Throws std::invalid_argument for an unknown name.
+Precision select_precision(const std::string& name = "");
+
+// What to do where a network's activations hold zeros, as ReLU's do: skip the network weights they would be multiplied
+// with, read all, or time both on this machine when an evaluator is built. Skipping changes no bit of the result.
+enum class ZeroSkipping { measured, never, always };
+
+// From the environment variable PHYSKIN_NATIVE_ZEROS: "skip", "read", or empty for measured. Throws
+// std::invalid_argument for anything else.
+ZeroSkipping select_zero_skipping();
+
+}  // namespace physkin

@@ -1,0 +1,39 @@
+// Products of pairs of 8-bit network weights and 16-bit inputs: the one operation that vector extensions have no word
+// for. Included by kernel_unit.cpp only (see simd.hpp).
+#pragma once
+
+#include "simd.hpp"
+
+#if defined(__SSE2__)
+#include <immintrin.h>
+#endif
+
+namespace physkin::PHYSKIN_ISA {
+
+// Without overflow unless an input was not finite; what comes of those is thrown away.
+inline Ints wrapping_sum(Ints a, Ints b) {
+  typedef std::uint32_t Words __attribute__((vector_size(4 * kLanes)));
+  return (Ints)((Words)a + (Words)b);
+}
+
+// sum[k] + weights[2 k] * (low half of pair[k]) + weights[2 k + 1] * (high half of pair[k]), as 32-bit integers.
+inline Ints add_pair_products(Ints sum, const unsigned char* weights, Ints pair) {
+#if defined(__AVX512BW__)
+  const __m512i wide = _mm512_cvtepi8_epi16(*reinterpret_cast<const __m256i*>(weights));
+  return wrapping_sum(sum, (Ints)_mm512_madd_epi16(wide, (__m512i)pair));
+#elif defined(__AVX2__)
+  const __m256i wide = _mm256_cvtepi8_epi16(*reinterpret_cast<const __m128i*>(weights));
+  return wrapping_sum(sum, (Ints)_mm256_madd_epi16(wide, (__m256i)pair));
+#elif defined(__SSE2__)
+  const __m128i bytes = _mm_loadl_epi64(reinterpret_cast<const __m128i*>(weights));
+  const __m128i wide = _mm_srai_epi16(_mm_unpacklo_epi8(bytes, bytes), 8);
+  return wrapping_sum(sum, (Ints)_mm_madd_epi16(wide, (__m128i)pair));
+#else
+  typedef std::int16_t Shorts __attribute__((vector_size(2 * kLanes), may_alias));
+  const Ints both = __builtin_convertvector(*reinterpret_cast<const Shorts*>(weights), Ints);
+  const Ints low = ((both << 24) >> 24) * ((pair << 16) >> 16), high = (both >> 8) * (pair >> 16);
+  return wrapping_sum(sum, wrapping_sum(low, high));
+#endif
+}
+
+}  // namespace physkin::PHYSKIN_ISA

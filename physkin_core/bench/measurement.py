@@ -1,0 +1,170 @@
+"""One case of the benchmark: the native evaluator in every precision, its peers, and the machine's limits, in turns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from physkin_core import _native
+from physkin_core.bench.cases import BenchmarkCase
+from physkin_core.bench.network_case import network_case
+from physkin_core.bench.network_peers import NETWORK_PEERS
+from physkin_core.bench.peers import Peer, prepare_peers
+from physkin_core.bench.skinning_peers import SKINNING_PEERS, skinning_case
+from physkin_core.bench.timing import Timing, time_in_turns
+from physkin_core.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
+from physkin_core.quality import edge_strain
+from physkin_core.reference_evaluator import ReferenceEvaluator
+
+__all__ = ["BYTES_A_WEIGHT", "CaseResult", "measure_case"]
+
+STAGES = {
+    "posing": "pose",
+    "networks": "run_networks",
+    "composition": "compose_nodes",
+    "skinning": "skin",
+    "frame": "step",
+}
+"""Stage -> method of a bound step."""
+
+BYTES_A_WEIGHT = {"fp32": 4, "bf16": 2, "int8": 1}
+MULTIPLY_ADD_ROUNDS = 5000
+L2_BYTES, L3_BYTES, MEMORY_BYTES = 512 << 10, 4 << 20, 256 << 20
+COLD_PEERS = ("litert_fp32", "litert_int8")
+
+
+@dataclass
+class CaseResult:
+    """Figures of one case.
+
+    native: timings by (precision, instruction set, stage). cold: by name, caches emptied before every call.
+    network_peers, skinning_peers: timings by name. missing: why a peer was left out.
+    probes: "fma", "l2", "l3", "memory" and reading as many bytes as each precision's network weights. amounts: what a
+    probe does a call (multiply-adds or bytes). errors: by precision and figure. weight_count, skinning_terms: the sizes
+    of the work.
+    """
+
+    case: BenchmarkCase
+    weight_count: int
+    skinning_terms: int
+    skips_zeros: dict[str, tuple[bool, bool]]
+    native: dict[tuple[str, str, str], Timing] = field(default_factory=dict)
+    network_peers: dict[str, Timing] = field(default_factory=dict)
+    skinning_peers: dict[str, Timing] = field(default_factory=dict)
+    missing: dict[str, str] = field(default_factory=dict)
+    probes: dict[str, Timing] = field(default_factory=dict)
+    amounts: dict[str, int] = field(default_factory=dict)
+    cold: dict[str, Timing] = field(default_factory=dict)
+    errors: dict[str, dict[str, float]] = field(default_factory=dict)
+
+
+def measure_case(
+    case: BenchmarkCase,
+    *,
+    rounds: int,
+    cold_rounds: int,
+    network_peers: Iterable[Peer] = NETWORK_PEERS,
+    skinning_peers: Iterable[Peer] = SKINNING_PEERS,
+) -> CaseResult:
+    """Check and time everything there is for a case. rounds, cold_rounds: turns that each thing to time gets."""
+    middle = len(case.joint_positions) // 2
+    bound, pose, gravity = case.bound, case.joint_positions[middle].copy(), case.gravity[middle].copy()
+    evaluators, steps, outputs = {}, {}, []
+    for level in supported_instruction_sets():
+        for precision in PRECISIONS:
+            evaluator = NativeEvaluator(bound, instruction_set=level, precision=precision)
+            outputs.append(np.empty((len(bound.vertices), 6), dtype=np.float32))
+            steps[precision, level] = evaluator.bind_step(pose, gravity, outputs[-1])
+            steps[precision, level].step()
+            evaluators[precision, level] = evaluator
+    widest = supported_instruction_sets()[-1]
+    exact = evaluators["fp32", widest]
+    networks = network_case(bound, pose, gravity)
+    skinning = skinning_case(bound, exact.node_transforms())
+    result = CaseResult(
+        case=case,
+        weight_count=networks.weight_count,
+        skinning_terms=exact.skinning_terms,
+        skips_zeros={precision: evaluators[precision, widest].skips_zeros for precision in PRECISIONS},
+    )
+    network_calls, missing = prepare_peers(network_peers, networks, networks.expected)
+    result.missing |= {f"networks.{name}": reason for name, reason in missing.items()}
+    skinning_calls, missing = prepare_peers(skinning_peers, skinning, skinning.expected)
+    result.missing |= {f"skinning.{name}": reason for name, reason in missing.items()}
+    probes = _probes(result, widest)
+
+    calls: dict[tuple, Callable[[], object]] = {
+        ("native", precision, level, stage): getattr(step, method)
+        for (precision, level), step in steps.items()
+        for stage, method in STAGES.items()
+    }
+    calls |= {("networks", name): call for name, call in network_calls.items()}
+    calls |= {("skinning", name): call for name, call in skinning_calls.items()}
+    calls |= {("probe", name): call for name, call in probes.items()}
+    for key, timing in time_in_turns(calls, rounds=rounds).items():
+        match key:
+            case "native", *names:
+                result.native[tuple(names)] = timing
+            case "networks", name:
+                result.network_peers[name] = timing
+            case "skinning", name:
+                result.skinning_peers[name] = timing
+            case "probe", name:
+                result.probes[name] = timing
+
+    cold = {f"frame.{precision}": steps[precision, widest].step for precision in PRECISIONS}
+    cold |= {f"networks.{precision}": steps[precision, widest].run_networks for precision in PRECISIONS}
+    cold |= {f"networks.{name}": network_calls[name] for name in COLD_PEERS if name in network_calls}
+    result.cold = time_in_turns(cold, rounds=cold_rounds, repeats=1, before_each=_cache_flusher())
+    for precision in PRECISIONS:
+        result.errors[precision] = _errors(case, evaluators[precision, widest])
+    return result
+
+
+def _probes(result: CaseResult, level: str) -> dict[str, Callable[[], object]]:
+    sizes = {"l2": L2_BYTES, "l3": L3_BYTES}
+    sizes |= {f"read_{name}": bytes_each * result.weight_count for name, bytes_each in BYTES_A_WEIGHT.items()}
+    probes = {name: _native.MachineProbe(size, level) for name, size in sizes.items()}
+    calls: dict[str, Callable[[], object]] = {name: probe.read for name, probe in probes.items()}
+    calls["fma"] = lambda: probes["l2"].multiply_add(MULTIPLY_ADD_ROUNDS)
+    result.amounts = {name: call() for name, call in calls.items()}
+    memory = _native.MachineProbe(MEMORY_BYTES, level)
+    result.amounts["memory"] = memory.read()
+    result.probes["memory"] = time_in_turns({"memory": memory.read}, rounds=3, repeats=1)["memory"]
+    return calls
+
+
+def _cache_flusher() -> Callable[[], None]:
+    """Writes to four times as much memory as last-level caches usually hold for a core."""
+    filler = np.zeros(128 << 17)
+
+    def flush() -> None:
+        np.add(filler, 1, out=filler)
+
+    return flush
+
+
+def _errors(case: BenchmarkCase, evaluator: NativeEvaluator) -> dict[str, float]:
+    """Against the float64 reference, over the case's poses: millimetres, relative error of the networks' output."""
+    reference = ReferenceEvaluator(case.bound)
+    out, expected = np.empty((2, len(case.bound.vertices), 6), dtype=np.float32)
+    distances, strains = [], []
+    for pose, gravity in zip(case.joint_positions, case.gravity):
+        evaluator.evaluate(pose, gravity, out)
+        reference.evaluate(pose, gravity, expected)
+        distances.append(np.linalg.norm(out[:, :3].astype(np.float64) - expected[:, :3], axis=1))
+        if case.garment is not None:
+            strains.append([float(edge_strain(case.garment, vertices[:, :3])) for vertices in (out, expected)])
+    networks = network_case(case.bound, pose, gravity)
+    corrections = evaluator.corrections().reshape(networks.expected.shape)
+    errors = {
+        "networks.relative": float(np.linalg.norm(corrections - networks.expected) / np.linalg.norm(networks.expected)),
+        "vertices.mm.mean": 1e3 * float(np.mean(distances)),
+        "vertices.mm.p99": 1e3 * float(np.percentile(distances, 99)),
+        "vertices.mm.max": 1e3 * float(np.max(distances)),
+    }
+    if strains:
+        errors["edge_strain.percent.change"] = float(np.subtract(*np.mean(strains, axis=0)))
+    return errors

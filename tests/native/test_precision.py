@@ -1,0 +1,270 @@
+"""Network weights in less than fp32, skipped zeros and bound steps, on every instruction set of this CPU."""
+
+import gc
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from physkin_core.bench.network_case import network_case
+from physkin_core.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
+from physkin_core.reference_evaluator import ReferenceEvaluator
+
+LEVELS = supported_instruction_sets()
+ROUNDING = {"fp32": 5e-7, "bf16": 2**-9, "int8": 1 / 127}
+"""Relative, a layer: of the network weights; of sums and inputs where those are exact."""
+SHAPES = {
+    "small": dict(),
+    "odd widths": dict(nodes=13, vertices=101, pose_widths=(37, 19, 65), deformer_widths=(33, 7, 50)),
+    "narrow last panels": dict(nodes=11, pose_widths=(160, 96), deformer_widths=(224, 130)),
+    "paper": dict(bones=128, dofs=117, nodes=128, vertices=300, pose_widths=(512,) * 4, deformer_widths=(128,) * 4),
+}
+
+
+def frame(evaluator, garment, pose):
+    out = np.full((len(garment.vertices), 6), np.nan, dtype=np.float32)
+    evaluator.evaluate(*pose, out)
+    return out
+
+
+# --- Precision ---
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("activation", ["silu", "relu"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_networks_agree_with_reference(shape, activation, precision, level, make_garment, make_pose):
+    """Within the rounding of the network weights, layer by layer, in the norm; each output within four times that."""
+    rng = np.random.default_rng(list(f"{shape}{activation}".encode()))
+    garment = make_garment(rng, activation=activation, **SHAPES[shape])
+    evaluator = NativeEvaluator(garment, instruction_set=level, precision=precision)
+    assert (evaluator.precision, evaluator.instruction_set) == (precision, level)
+    layers = len(garment.pose_layers) + len(garment.deformer_layers)
+    for _ in range(3):
+        pose = make_pose(rng, garment)
+        out = frame(evaluator, garment, pose)
+        expected = network_case(garment, *pose).expected
+        error = np.abs(evaluator.corrections().reshape(expected.shape) - expected)
+        typical = np.sqrt((expected**2).mean())
+        assert np.sqrt((error**2).mean()) <= layers * ROUNDING[precision] * typical
+        assert error.max() <= 4 * layers * ROUNDING[precision] * np.abs(expected).max()
+        reference = np.empty_like(out)
+        ReferenceEvaluator(garment).evaluate(*pose, reference)
+        size = np.abs(reference[:, :3]).max()
+        assert np.abs(out[:, :3] - reference[:, :3]).max() <= 4 * layers * ROUNDING[precision] * max(size, 1)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("precision", ["bf16", "int8"])
+def test_precision_is_used(precision, level, make_garment, make_pose):
+    """Rounded network weights give another frame than exact ones."""
+    rng = np.random.default_rng(21)
+    garment = make_garment(rng)
+    pose = make_pose(rng, garment)
+    exact, rounded = (
+        frame(NativeEvaluator(garment, instruction_set=level, precision=name), garment, pose)
+        for name in ("fp32", precision)
+    )
+    assert not np.array_equal(exact, rounded)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_int8_of_whole_numbers_is_exact(level, make_garment):
+    """Network weights that are whole numbers up to 127, and inputs that are 0 or 1, lose nothing."""
+    rng = np.random.default_rng(22)
+    garment = make_garment(rng, bones=6, used_bones=6, nodes=40, pose_widths=(), deformer_widths=())
+    weight, bias = garment.deformer_layers[0]
+    weight[:] = rng.integers(-127, 128, size=weight.shape)
+    weight[:, 0] = 127
+    bias[:] = 0
+    evaluator = NativeEvaluator(garment, instruction_set=level, precision="int8")
+    frame(evaluator, garment, (garment.dof_rest, np.array([0, 0, -1], dtype=np.float32)))
+    bones = np.tile(np.eye(3, 4).ravel(), 6)
+    np.testing.assert_allclose(evaluator.corrections().ravel(), weight.astype(float) @ bones, atol=1e-3)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_int8_sums_do_not_overflow(level, make_garment):
+    """Where every product of a long row is as large as can be, inputs are rounded more coarsely."""
+    garment = make_garment(
+        np.random.default_rng(23), bones=1, dofs=0, nodes=1, pose_widths=(), deformer_widths=(3000,), activation="relu"
+    )
+    garment.pose_layers[0][0][:] = garment.pose_layers[0][1][:] = 0
+    for (weight, bias), value in zip(garment.deformer_layers, (0, 1e-3)):
+        weight[:], bias[:] = value, 1 if value == 0 else 0
+    evaluator = NativeEvaluator(garment, instruction_set=level, precision="int8")
+    frame(evaluator, garment, (np.empty(0), np.array([0, 0, -1.0])))
+    np.testing.assert_allclose(evaluator.corrections(), 3.0, rtol=1e-4)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("activation", ["silu", "relu"])
+@pytest.mark.parametrize("zeros", ["skip", "read"])
+def test_overflow_is_not_swallowed(zeros, activation, precision, level, make_garment, make_pose, monkeypatch):
+    """Infinities and NaN inside the networks reach the check, whatever rounds or skips in between."""
+    monkeypatch.setenv("PHYSKIN_NATIVE_ZEROS", zeros)
+    rng = np.random.default_rng(24)
+    garment = make_garment(rng, activation=activation, deformer_widths=(12,) * 12)
+    for weight, _ in garment.deformer_layers:
+        weight *= np.float32(3e4)
+    evaluator = NativeEvaluator(garment, instruction_set=level, precision=precision)
+    out = np.full((len(garment.vertices), 6), 7.0, dtype=np.float32)
+    with pytest.raises(ValueError, match="node deformer output"):
+        evaluator.evaluate(*make_pose(rng, garment), out)
+    assert (out == 7.0).all()
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("activation", ["silu", "relu"])
+@pytest.mark.parametrize("zeros", ["skip", "read"])
+def test_nan_alone_is_not_swallowed(zeros, activation, precision, level, make_garment, monkeypatch):
+    """A layer whose inputs are all NaN, none infinite: an infinite scale and an infinite shift have cancelled."""
+    monkeypatch.setenv("PHYSKIN_NATIVE_ZEROS", zeros)
+    sizes = dict(dofs=0, pose_widths=(8,) * 9, deformer_widths=(8, 8))
+    garment = make_garment(np.random.default_rng(30), activation=activation, **sizes)
+    for weight, bias in garment.pose_layers[:-1]:
+        weight[:], bias[:] = 1e6, 1e6
+    garment.pose_layers[-1][0][:] = np.repeat([1, -1, 0, 0], 8)[:, None]  # of the first hidden layer alone
+    garment.pose_layers[-1][1][:] = 0
+    garment.deformer_layers[0][0][:], garment.deformer_layers[0][1][:] = 0, 1
+    evaluator = NativeEvaluator(garment, instruction_set=level, precision=precision)
+    with pytest.raises(ValueError, match=r"node deformer output\[0\] is -?nan"):
+        frame(evaluator, garment, (np.empty(0), np.array([0, 0, 1.0])))
+
+
+def test_environment_sets_the_default_precision(make_garment, monkeypatch):
+    garment = make_garment(np.random.default_rng(25))
+    monkeypatch.delenv("PHYSKIN_NATIVE_PRECISION", raising=False)
+    assert NativeEvaluator(garment).precision == "fp32"
+    monkeypatch.setenv("PHYSKIN_NATIVE_PRECISION", "bf16")
+    assert NativeEvaluator(garment).precision == "bf16"
+    assert NativeEvaluator(garment, precision="int8").precision == "int8"
+    monkeypatch.setenv("PHYSKIN_NATIVE_PRECISION", "fp8")
+    with pytest.raises(ValueError, match=r"'fp8' \(from PHYSKIN_NATIVE_PRECISION\) is unknown"):
+        NativeEvaluator(garment)
+    with pytest.raises(ValueError, match="'double' is unknown; it may be fp32, bf16 or int8"):
+        NativeEvaluator(garment, precision="double")
+
+
+# --- Skipping zeros ---
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("activation", ["silu", "relu"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_skipping_zeros_changes_no_bit(shape, activation, precision, level, make_garment, make_pose, monkeypatch):
+    rng = np.random.default_rng(list(f"zeros {shape}".encode()))
+    garment = make_garment(rng, activation=activation, **SHAPES[shape])
+    pose = make_pose(rng, garment)
+    results = {}
+    for zeros in ("skip", "read"):
+        monkeypatch.setenv("PHYSKIN_NATIVE_ZEROS", zeros)
+        evaluator = NativeEvaluator(garment, instruction_set=level, precision=precision)
+        assert evaluator.skips_zeros == (zeros == "skip",) * 2
+        results[zeros] = frame(evaluator, garment, pose), evaluator.corrections()
+    assert all(map(np.array_equal, *results.values()))
+
+
+def test_skipping_is_measured_for_relu_only(make_garment, monkeypatch):
+    """A dead network is nothing but zeros: skipping them is many times faster, on any machine."""
+    monkeypatch.delenv("PHYSKIN_NATIVE_ZEROS", raising=False)
+    sizes = dict(pose_widths=(512,) * 4, deformer_widths=(256,) * 4)
+    dead = make_garment(np.random.default_rng(26), activation="relu", **sizes)
+    for _, bias in (*dead.pose_layers[:-1], *dead.deformer_layers[:-1]):
+        bias[:] = -1000
+    assert NativeEvaluator(dead).skips_zeros == (True, True)
+    assert NativeEvaluator(make_garment(np.random.default_rng(26), **sizes)).skips_zeros == (False, False)
+    monkeypatch.setenv("PHYSKIN_NATIVE_ZEROS", "maybe")
+    with pytest.raises(ValueError, match="PHYSKIN_NATIVE_ZEROS is 'maybe'; it may be skip or read"):
+        NativeEvaluator(dead)
+
+
+# --- Steps with bound arrays ---
+
+
+@pytest.fixture
+def bound_step(make_garment, make_pose):
+    """An evaluator, its garment, the arrays of a step and the step."""
+    rng = np.random.default_rng(27)
+    garment = make_garment(rng)
+    evaluator = NativeEvaluator(garment)
+    pose, out = make_pose(rng, garment), np.zeros((len(garment.vertices), 6), dtype=np.float32)
+    return evaluator, garment, pose, out, evaluator.bind_step(*pose, out)
+
+
+def test_step_equals_evaluate(bound_step, make_pose):
+    """It reads what the arrays hold when it is called."""
+    evaluator, garment, pose, out, bound = bound_step
+    rng = np.random.default_rng(28)
+    for _ in range(3):
+        for array, values in zip(pose, make_pose(rng, garment)):
+            array[:] = values
+        assert bound.step() is None
+        assert np.array_equal(out, frame(evaluator, garment, pose))
+
+
+def test_step_allocates_no_python_object(bound_step):
+    step = bound_step[-1].step
+    step()
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        tracemalloc.reset_peak()
+        for _ in range(1000):
+            step()
+        current, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert current - before < 200 and peak - before < 200  # the loop's own counter and iterator
+
+
+def test_step_keeps_its_arrays_alive(make_garment, make_pose):
+    rng = np.random.default_rng(29)
+    garment = make_garment(rng)
+    pose = make_pose(rng, garment)
+    expected = frame(NativeEvaluator(garment), garment, pose)
+    out = np.zeros_like(expected)
+    view = memoryview(out)
+    bound = NativeEvaluator(garment).bind_step(*(array.copy() for array in pose), out)
+    del out
+    gc.collect()
+    _ = [np.full(1000, np.nan) for _ in range(100)]
+    bound.step()
+    assert np.array_equal(np.asarray(view), expected)
+
+
+def test_step_rejects_what_is_not_finite(bound_step):
+    _, _, (positions, gravity), out, bound = bound_step
+    bound.step()
+    before = out.copy()
+    for name, array in (("joint_positions", positions), ("gravity", gravity)):
+        kept, array[1] = array[1], np.nan
+        with pytest.raises(ValueError, match=rf"{name}\[1\] is nan"):
+            bound.step()
+        array[1] = kept
+    assert np.array_equal(out, before)
+    bound.step()
+
+
+@pytest.mark.parametrize(
+    "change, error",
+    [
+        (lambda q, g, out: (q.astype(np.float64), g, out), TypeError),
+        (lambda q, g, out: (np.repeat(q, 2)[::2], g, out), TypeError),
+        (lambda q, g, out: (q, list(g), out), TypeError),
+        (lambda q, g, out: (q, g, out.astype(np.float64)), TypeError),
+        (lambda q, g, out: (q[:-1].copy(), g, out), ValueError),
+        (lambda q, g, out: (q, g[:2].copy(), out), ValueError),
+        (lambda q, g, out: (q, g, out[:-1]), ValueError),
+        (lambda q, g, out: (q, g, np.zeros((len(out), 12), np.float32)[:, ::2]), ValueError),
+    ],
+)
+def test_step_converts_nothing(change, error, bound_step):
+    """An array that would need a copy is refused when it is bound."""
+    evaluator, _, pose, out, _ = bound_step
+    with pytest.raises(error):
+        evaluator.bind_step(*change(*pose, out))

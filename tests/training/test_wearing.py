@@ -1,0 +1,80 @@
+"""How a garment is worn: parts each vertex lies on and the band of the uppermost opening."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from random_models import tube
+
+from physkin_core.body_model import load_body_model
+from physkin_core.garment import Garment, load_garment
+from physkin_training.wearing import BAND_WIDTH, WORN_WITHIN, Wearing
+
+GARMENTS = Path(__file__).parents[2] / "training" / "garments"
+BODY = load_body_model()
+SURFACE = BODY.vertices(BODY.garment_body)
+BONES = BODY.rig.bone_names
+
+
+def wearing(name: str) -> tuple[Garment, Wearing]:
+    garment = load_garment(GARMENTS / f"{name}.obj")
+    return garment, Wearing.of(garment, BODY)
+
+
+@pytest.mark.parametrize(
+    "name, lowest, highest",
+    [("tshirt", 0.45, 0.57), ("dress", 0.45, 0.57), ("trousers", 0.0, 0.07), ("skirt", 0.0, 0.07)],
+)
+def test_the_band_is_the_neckline_or_the_waistline(name, lowest, highest):
+    """Heights above the root [m]; both sides of the opening; each vertex placed on the closest body vertex."""
+    garment, worn = wearing(name)
+    band = garment.vertices[worn.band]
+    assert lowest < band[:, 2].min() and band[:, 2].max() < highest
+    assert band[:, 1].min() < -0.05 and band[:, 1].max() > 0.05
+    distance = np.linalg.norm(SURFACE[worn.band_place] - band, axis=1)
+    np.testing.assert_allclose(worn.band_distance, distance, atol=1e-6)
+    nearest = np.linalg.norm(SURFACE[None] - band[::20, None], axis=2).min(axis=1)
+    np.testing.assert_allclose(distance[::20], nearest, atol=1e-6)
+
+
+def test_the_higher_of_two_openings_counts():
+    """A tube: its upper ring and all within the band's width of it."""
+    garment = tube(rings=11, segments=30, radius=0.2, height=0.2)
+    worn = Wearing.of(garment, BODY)
+    height = garment.vertices[:, 2]
+    expected = np.flatnonzero(height.max() - height < BAND_WIDTH)
+    np.testing.assert_array_equal(worn.band, expected)
+    assert len(expected) == 60
+
+
+def test_a_closed_surface_is_refused():
+    faces = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
+    corners = [[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]
+    with pytest.raises(ValueError, match="no opening"):
+        Wearing.of(Garment(np.array(corners), np.array(faces)), BODY)
+
+
+def test_parts_a_shirt_is_worn_on():
+    """The trunk under its front and an arm under its sleeve; no hand and no foot anywhere."""
+    garment, worn = wearing("tshirt")
+    sleeve = garment.vertices[:, 1].argmax()
+    belly = np.linalg.norm(garment.vertices - [0.15, 0.0, 0.15], axis=1).argmin()
+    assert worn.worn[sleeve, BONES.index("upperarm02.L")] and not worn.worn[sleeve, BONES.index("spine03")]
+    assert worn.worn[belly, BONES.index("spine04")] and not worn.worn[belly, BONES.index("upperarm02.L")]
+    for part in ("wrist.L", "wrist.R", "foot.L", "lowerleg02.R"):
+        assert not worn.worn[:, BONES.index(part)].any(), part
+
+
+def test_worn_faces_are_those_near_the_garment():
+    """All faces of a part or none; what is left out is farther from the cloth than the limit."""
+    garment, worn = wearing("skirt")
+    left = worn.worn_faces()
+    assert 0 < len(left.faces) < len(worn.faces) == len(BODY.faces)
+    assert set(left.face_bone) == set(np.flatnonzero(worn.worn.any(axis=0)))
+    np.testing.assert_array_equal(left.worn, worn.worn)
+    outside = worn.faces[~np.isin(worn.face_bone, left.face_bone)]
+    whole = SURFACE[outside[::50]].mean(axis=1)
+    distance = np.linalg.norm(whole[:, None] - garment.vertices[None], axis=2).min(axis=1)
+    assert distance.min() > WORN_WITHIN - 0.03

@@ -1,0 +1,68 @@
+"""The table that `physkin evaluate` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+__all__ = ["table"]
+
+LARGEST_LIFT = 0.2
+"""Mean rise [m] of the garment above plain skinning from which on it is taken to have left the body."""
+
+COLUMNS = {
+    "edge_strain_percent": "edge %",
+    "area_strain_percent": "area %",
+    "inside_percent": "inside %",
+    "within_3mm_percent": "< 3 mm %",
+    "max_depth_p999_mm": "depth p99.9 mm",
+    "max_depth_mm": "deepest mm",
+    "stretch_j": "stretch J",
+    "bend_j": "bend J",
+    "collision_j": "contact J",
+    "gravity_j": "gravity J",
+    "jitter_mm": "jitter mm",
+    "jitter_ratio": "/ skinning's",
+}
+ROWS = {
+    "skinning": "plain skinning",
+    "model": "the model",
+    "fewer_influences": "{influences} -> 4 influences",
+    "tilted": "the model, tilted roots",
+    "model_on_subset": "the model, subset",
+    "subspace_minimum": "subspace minimum, subset",
+    "minimum": "full-space minimum, subset",
+}
+
+
+def table(scores: Mapping) -> str:
+    """The rows of `evaluate_model` as a Markdown table.
+
+    Below it the energy ratio, the jitter ratio, and a warning when the garment has left the body (strain and contact of
+    such a garment look excellent).
+    """
+    rows = {label.format(**scores["counts"]): scores[row] for row, label in ROWS.items() if row in scores}
+    motion = scores.get("motion")
+    if motion:
+        rows["plain skinning, motion"] = motion["skinning"]
+        for clip, scored in {"motion": motion, **motion["clips"]}.items():
+            rows[f"the model, {clip}"] = scored["model"] | {"jitter_ratio": scored["jitter_ratio"]}
+    lines = ["| | " + " | ".join(COLUMNS.values()) + " |", "|---|" + "---|" * len(COLUMNS)]
+    for label, figures in rows.items():
+        cells = [f"{figures[column]:.3f}" if column in figures else "" for column in COLUMNS]
+        lines.append(f"| {label} | " + " | ".join(cells) + " |")
+    if "energy_ratio" in scores:
+        pairs = scores["counts"]["minimum_pairs"]
+        ratio = f"{scores['energy_ratio']:.2f}"
+        lines += ["", f"Stretch, bend and contact energy, model / full-space minimum: {ratio} ({pairs} pairs)"]
+        lines += [f"Full-space minima converged: {scores['minimum']['converged_percent']:.0f} %"]
+    if motion:
+        of = "{clips} clips, {frames} frames at {rate_hz:g} Hz, {bodies} bodies".format(**motion["counts"])
+        lines += ["", f"Jitter, model / plain skinning: {motion['jitter_ratio']:.2f} ({of})"]
+    lift = (scores["model"]["gravity_j"] - scores["skinning"]["gravity_j"]) / scores["weight_n"]
+    if lift > LARGEST_LIFT:
+        lines += [
+            "",
+            f"WARNING: the garment lies {lift:.2f} m higher than with plain skinning on average; it may have left the "
+            "body, and its other figures then mean nothing. Look at it.",
+        ]
+    return "\n".join(lines)

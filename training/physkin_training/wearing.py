@@ -1,0 +1,85 @@
+"""How a garment is worn: which body parts each vertex lies on, and the band of its uppermost opening that holds it up.
+
+Both are read off the garment maker's body at the canonical pose and carried to every other body, which shares its mesh.
+Dimensions: `n` garment vertices, `b` bones, `f` contact faces, `k` band vertices. Metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from physkin_core.body_model import BodyModel
+from physkin_core.garment import Garment
+
+__all__ = ["Wearing"]
+
+WORN_WITHIN = 0.15
+"""A vertex is worn on the body parts that come this close [m] at the canonical pose."""
+BAND_WIDTH = 0.03
+"""Vertices this close [m] to the uppermost opening make up the band."""
+
+
+@dataclass(frozen=True)
+class Wearing:
+    """A garment on the garment maker's body.
+
+    faces: (f, 3) int32, faces of the body that cloth may be in contact with; face_bone: (f,) int32, the bone that moves
+    each most. worn: (n, b) bool, the vertex lies on that bone's part. band: (k,) int32 vertices of the neckband or
+    waistband; band_place: (k,) int32 the body vertex closest to each, band_distance: (k,) float32 [m] away.
+    """
+
+    faces: np.ndarray
+    face_bone: np.ndarray
+    worn: np.ndarray
+    band: np.ndarray
+    band_place: np.ndarray
+    band_distance: np.ndarray
+
+    @classmethod
+    def of(cls, garment: Garment, body_model: BodyModel) -> Wearing:
+        """Read off the garment maker's body. Raises ValueError for a garment without an opening."""
+        body = body_model.vertices(body_model.garment_body)
+        faces = body_model.faces
+        vertex_bone = body_model.influence_bones[np.arange(len(body)), body_model.influence_weights.argmax(axis=1)]
+        corner_bones = vertex_bone[faces]
+        face_bone = np.where(corner_bones[:, 1] == corner_bones[:, 2], corner_bones[:, 1], corner_bones[:, 0])
+        worn = np.zeros((len(garment.vertices), body_model.rig.bone_count), dtype=bool)
+        for bone in np.unique(vertex_bone):
+            distance, _ = cKDTree(body[vertex_bone == bone]).query(garment.vertices, distance_upper_bound=WORN_WITHIN)
+            worn[:, bone] = np.isfinite(distance)
+
+        opening = garment.vertices[_uppermost_opening(garment)]
+        distance, _ = cKDTree(opening).query(garment.vertices, distance_upper_bound=BAND_WIDTH)
+        band = np.flatnonzero(np.isfinite(distance))
+        gap, place = cKDTree(body).query(garment.vertices[band])
+        return cls(
+            faces=faces,
+            face_bone=face_bone.astype(np.int32),
+            worn=worn,
+            band=band.astype(np.int32),
+            band_place=place.astype(np.int32),
+            band_distance=gap.astype(np.float32),
+        )
+
+    def worn_faces(self) -> Wearing:
+        """Contact only with faces of parts on which some vertex of the garment lies."""
+        keep = self.worn.any(axis=0)[self.face_bone]
+        return replace(self, faces=self.faces[keep], face_bone=self.face_bone[keep])
+
+
+def _uppermost_opening(garment: Garment) -> np.ndarray:
+    """Vertices of the boundary loop whose centre is highest."""
+    directed = garment.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    edges, count = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+    boundary = edges[count == 1]
+    if len(boundary) == 0:
+        raise ValueError("the garment has no opening: every edge has two faces")
+    n = len(garment.vertices)
+    _, label = connected_components(coo_array((np.ones(len(boundary)), boundary.T), shape=(n, n)), directed=False)
+    loops = [np.unique(boundary[label[boundary[:, 0]] == loop]) for loop in np.unique(label[boundary[:, 0]])]
+    return max(loops, key=lambda loop: garment.vertices[loop, 2].mean())
