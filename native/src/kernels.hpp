@@ -58,6 +58,9 @@ constexpr int kBodyRow = 8;
 // Triangles around a candidate that the exact distance looks at.
 constexpr int kPatch = 8;
 
+// Candidates of one block, a power of two.
+constexpr int kMaxCandidates = 1024;
+
 // Garment vertices in blocks of kBlock that share the body vertices they may come near (see push_out.hpp).
 struct ContactBlocks {
   int block_count = 0;

@@ -61,6 +61,13 @@ void validate(const BoundPushOut& b, int bones, int garment_vertices) {
     throw std::invalid_argument("candidate_start must ascend from 0 to the number of candidates, " +
                                 std::to_string(b.listed_count));
   }
+  for (int block = 0; block < b.block_count; ++block) {
+    const int count = b.candidate_start[block + 1] - b.candidate_start[block];
+    if (count > kMaxCandidates) {
+      throw std::invalid_argument("candidate_start gives block " + std::to_string(block) + " " + std::to_string(count) +
+                                  " candidates; at most " + std::to_string(kMaxCandidates) + " are allowed");
+    }
+  }
 }
 
 float smooth_step(float t) { return t * t * (3 - 2 * t); }
