@@ -35,7 +35,7 @@ CLEARANCE = 0.001
 """Distance [m] from the body to which deep vertices are pushed."""
 SOFTNESS = 0.0015
 """Half the width [m] of the band around CLEARANCE in which the push sets in; beyond it vertices stay as they are."""
-LOOK_CLOSER = 0.004
+LOOK_CLOSER = 0.003
 """Estimated distance [m] below which the exact one is computed."""
 TRUSTED_DEPTH = 0.025
 LARGEST_DEPTH = 0.05
@@ -50,9 +50,9 @@ ROUNDS = 2
 
 WORN_RADIUS = 0.10
 """Body vertices farther [m] than this from a garment vertex at the canonical pose are not what it is worn on."""
-BIND_REACH = 0.006
+BIND_REACH = 0.009
 """A sampled pose counts for a garment vertex when it comes this near [m] to the body."""
-BIND_POSES = 768
+BIND_POSES = 384
 BIND_SPREADS = ((0.5, 0.5), (0.25, 0.25), (1, 1))
 """Beta distributions between the joint limits, in turn: towards the limits, at most limits, anywhere."""
 BIND_FARTHEST = 0.035
@@ -220,21 +220,21 @@ def bind_push_out(
     worn = worn[:, kept]
 
     bend = _bend(body, normals, faces)[kept]
+    skin_body = _BodySkin(body[kept], normals[kept], avatar.influence_bones[kept], avatar.influence_weights[kept])
     random = np.random.default_rng(seed)
     pairs = [np.empty((0, 2), dtype=np.int64)]
     for pose in range(BIND_POSES):
         share = random.beta(*BIND_SPREADS[pose % len(BIND_SPREADS)], len(rig.lower))
         q = rig.lower + share * (rig.upper - rig.lower) if pose else rig.rest
         gravity = random.normal(size=3) if pose % 4 == 3 else np.array([0.0, 0.0, -1.0])
-        cloth = drape(q, gravity / np.linalg.norm(gravity)).astype(np.float64)
-        bones = rig.bone_transforms(q, heads=avatar.bone_heads)
-        matrices = _blend(bones, avatar.influence_bones[kept], avatar.influence_weights[kept])
-        posed = np.einsum("vij,vj->vi", matrices[..., :3], body[kept]) + matrices[..., 3]
-        outward = _unit(np.einsum("vij,vj->vi", matrices[..., :3], normals[kept]))
-        _, near = cKDTree(posed).query(cloth[:, :3], k=NEIGHBOURS, distance_upper_bound=BIND_FARTHEST)
+        cloth = drape(q, gravity / np.linalg.norm(gravity))
+        posed, outward = skin_body(rig.bone_transforms(q, heads=avatar.bone_heads))
+        tree = cKDTree(posed, balanced_tree=False, compact_nodes=False)
+        _, near = tree.query(cloth[:, :3], k=NEIGHBOURS, distance_upper_bound=BIND_FARTHEST)
         rows = np.flatnonzero(near[:, 0] < len(kept))
         found, near = near[rows] < len(kept), np.minimum(near[rows], len(kept) - 1)
-        allowed = found & worn[rows[:, None], near] & ((outward[near] * cloth[rows, None, 3:]).sum(axis=-1) > 0)
+        facing = np.einsum("rki,ri->rk", outward[near], cloth[rows, 3:]) > 0
+        allowed = found & facing & worn[rows[:, None], near]
         nearest = near[np.arange(len(rows)), allowed.argmax(axis=1)]
         offset = cloth[rows, :3] - posed[nearest]
         height = (offset * outward[nearest]).sum(axis=1) + bend[nearest] * (offset * offset).sum(axis=1)
@@ -263,6 +263,26 @@ def bind_push_out(
         candidate_start=np.searchsorted(by_block[:, 0], np.arange(len(blocks) + 1)).astype(np.int32),
         candidates=np.ascontiguousarray(place[by_block[:, 1]], dtype=np.int32),
     )
+
+
+class _BodySkin:
+    """Linear blend skinning of a body as one matrix product, for many poses: bone transforms -> points, unit normals.
+
+    Called with bone_transforms (b, 3, 4); returns two (V, 3) float32.
+    """
+
+    def __init__(self, body: np.ndarray, normals: np.ndarray, bones: np.ndarray, weights: np.ndarray) -> None:
+        dense = np.zeros((len(body), bones.max(initial=0) + 1), dtype=np.float32)
+        np.add.at(dense, (np.arange(len(body))[:, None], bones), weights)
+        place = np.concatenate([body, np.ones((len(body), 1))], axis=1).astype(np.float32)
+        self._bone_count = dense.shape[1]
+        self._place = (dense[:, :, None] * place[:, None]).reshape(len(body), 4 * self._bone_count)
+        self._normal = (dense[:, :, None] * _float(normals)[:, None]).reshape(len(body), 3 * self._bone_count)
+
+    def __call__(self, bone_transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        columns = _float(bone_transforms[: self._bone_count].transpose(0, 2, 1))  # (bones, 4, 3)
+        turned = self._normal @ columns[:, :3].reshape(-1, 3)
+        return self._place @ columns.reshape(-1, 3), _unit(turned)
 
 
 def _worn_on(rest: np.ndarray, body: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ namespace {
 // Metres; their meaning is explained where the reference states them (physkin_core/push_out.py).
 constexpr float kClearance = 0.001f;
 constexpr float kSoftness = 0.0015f;
-constexpr float kLookCloser = 0.004f;
+constexpr float kLookCloser = 0.003f;
 constexpr float kTrustedDepth = 0.025f;
 constexpr float kLargestDepth = 0.05f;
 constexpr float kToleratedDepth = 0.0005f;
