@@ -23,8 +23,8 @@ inline auto join(const Four* v) {
   } else if constexpr (kCount == 2) {
     return (Eight)__builtin_shufflevector(v[0], v[1], 0, 1, 2, 3, 4, 5, 6, 7);
   } else {
-    return (Sixteen)__builtin_shufflevector(join<2>(v), join<2>(v + 2), 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14,
-                                            15);
+    const Eight low = join<2>(v), high = join<2>(v + 2);
+    return (Sixteen)__builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
   }
 }
 
@@ -38,7 +38,8 @@ struct Columns {
     for (int k = 0; k < kFours; ++k) {
       const Four a = row(4 * k), b = row(4 * k + 1), c = row(4 * k + 2), d = row(4 * k + 3);
       const Four ab = __builtin_shufflevector(a, b, 0, 4, 1, 5), cd = __builtin_shufflevector(c, d, 0, 4, 1, 5);
-      const Four ab_high = __builtin_shufflevector(a, b, 2, 6, 3, 7), cd_high = __builtin_shufflevector(c, d, 2, 6, 3, 7);
+      const Four ab_high = __builtin_shufflevector(a, b, 2, 6, 3, 7);
+      const Four cd_high = __builtin_shufflevector(c, d, 2, 6, 3, 7);
       column[0][k] = __builtin_shufflevector(ab, cd, 0, 1, 4, 5);
       column[1][k] = __builtin_shufflevector(ab, cd, 2, 3, 6, 7);
       column[2][k] = __builtin_shufflevector(ab_high, cd_high, 0, 1, 4, 5);
