@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import replace
+from time import perf_counter
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from physkin_core.avatar import Avatar
 from physkin_core.binding import bind_garment, bind_points
 from physkin_core.bound_garment import BoundGarment
 from physkin_core.garment_model import GarmentModel
+from physkin_core.push_out import BoundPushOut, ContactResidual, bind_push_out
 
 __all__ = ["BACKENDS", "UPRIGHT_GRAVITY", "Draper"]
 
@@ -31,7 +33,9 @@ class Draper:
 
     backend: "native" (C++, the one to use) or "numpy" (readable reference, slow); never switched silently.
     precision: of the native backend's network weights, "fp32", "bf16" or "int8" (see `NativeEvaluator`); None for its
-    default. The NumPy backend knows fp32 only.
+        default. The NumPy backend knows fp32 only.
+    push_out: move vertices that end up inside the body out of it again, frame by frame. Takes seconds to set up for a
+        body, then tens of microseconds a frame; see `residual` and `physkin_core.push_out`.
     points, normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical space.
     Raises ValueError for an unknown backend or precision, a body of another rig, or points that are not this garment's.
     """
@@ -43,6 +47,7 @@ class Draper:
         *,
         backend: Literal["native", "numpy"] = "native",
         precision: Literal["fp32", "bf16", "int8"] | None = None,
+        push_out: bool = False,
         points: np.ndarray | None = None,
         normals: np.ndarray | None = None,
     ) -> None:
@@ -50,7 +55,7 @@ class Draper:
             raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
         if backend == "numpy" and precision not in (None, "fp32"):
             raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
-        bound = bind_garment(model, avatar)
+        bound = bind_garment(model, avatar, backend=backend)
         if points is not None:
             bound = replace(bound, **bind_points(model, points, normals=normals))
         self.model = model
@@ -58,7 +63,13 @@ class Draper:
         self.backend = backend
         self.bound: BoundGarment = bound
         self._faces = model.garment.faces if points is None else np.empty((0, 3), dtype=np.int32)
-        self._evaluator = _evaluator(backend, bound, precision)
+        self._evaluator = _evaluator(backend, bound, precision, None)
+        self._pushes_out = push_out
+        if push_out:
+            started = perf_counter()
+            bound_push_out = bind_push_out(self.drape, model.rig, avatar)
+            self._evaluator = _evaluator(backend, bound, precision, bound_push_out)
+            log.info("bound the push-out of %s in %.1f s", model.name, perf_counter() - started)
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
 
     @property
@@ -112,6 +123,11 @@ class Draper:
         self._evaluator.evaluate(positions, (down / length).astype(np.float32), out)
         return out
 
+    @property
+    def residual(self) -> ContactResidual | None:
+        """What the push-out knows to be left inside in the last `drape` (see there); None without push-out."""
+        return self._evaluator.residual if self._pushes_out else None
+
     def node_transforms(self) -> np.ndarray:
         """Garment node transforms chi (m, 3, 4) of the last `drape`, canonical garment node frame to root frame."""
         return self._evaluator.node_transforms()
@@ -121,11 +137,11 @@ class Draper:
         return self.model.rig.bone_transforms(joint_positions, heads=self.avatar.bone_heads)
 
 
-def _evaluator(backend: str, bound: BoundGarment, precision: str | None):
+def _evaluator(backend: str, bound: BoundGarment, precision: str | None, push_out: BoundPushOut | None):
     if backend == "native":
         from physkin_core.native_evaluator import NativeEvaluator
 
-        return NativeEvaluator(bound, precision=precision)
+        return NativeEvaluator(bound, precision=precision, push_out=push_out)
     from physkin_core.reference_evaluator import ReferenceEvaluator
 
-    return ReferenceEvaluator(bound)
+    return ReferenceEvaluator(bound, push_out=push_out)

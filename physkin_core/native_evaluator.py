@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from physkin_core.bound_garment import BoundGarment
+from physkin_core.push_out import BoundPushOut, ContactResidual
 
 try:
     from physkin_core import _native
@@ -41,25 +42,36 @@ class NativeEvaluator:
     precision: of the network weights, one of `PRECISIONS`: "fp32"; "bf16", widened in registers; "int8", with
         activations rounded to 16 bits. By default the environment variable PHYSKIN_NATIVE_PRECISION decides, and
         without it "fp32".
+    push_out: what keeps the garment out of this body, from `bind_push_out`; default nothing does.
 
     With ReLU networks, the network weights of activations that are zero can be skipped, which changes no bit of a
     frame. Whether that pays is measured here, in milliseconds; the environment variable PHYSKIN_NATIVE_ZEROS ("skip" or
     "read") decides without measuring.
 
-    Raises ValueError if an array of `bound` has another dtype, shape or layout than `BoundGarment` states, an
+    Raises ValueError if an array of `bound` or `push_out` has another dtype, shape or layout than its class states, an
     index is out of range, a value is not finite, the instruction set is unknown or not supported by this CPU, or the
     precision is unknown.
     """
 
     def __init__(
-        self, bound: BoundGarment, *, instruction_set: str | None = None, precision: Precision | None = None
+        self,
+        bound: BoundGarment,
+        *,
+        instruction_set: str | None = None,
+        precision: Precision | None = None,
+        push_out: BoundPushOut | None = None,
     ) -> None:
-        self._evaluator = _native.Evaluator(bound, instruction_set, precision)
+        self._evaluator = _native.Evaluator(bound, instruction_set, precision, push_out)
 
     @property
     def instruction_set(self) -> str:
         """Name of the instruction set in use."""
         return self._evaluator.instruction_set
+
+    @property
+    def residual(self) -> ContactResidual:
+        """Contact that the push-out left in the last frame; zeros without push-out."""
+        return ContactResidual(*self._evaluator.residual)
 
     @property
     def precision(self) -> str:
@@ -98,8 +110,8 @@ class NativeEvaluator:
 
         joint_positions: (d,) [rad] and gravity: (3,), C-contiguous float32, to be changed in place between frames.
         out: as in `evaluate`. Returns an object whose method `step()`, of no arguments, converts and allocates nothing;
-        it keeps the arrays and this evaluator alive. Its methods `pose`, `run_networks`, `compose_nodes` and `skin`
-        repeat single stages of the last frame, for timing.
+        it keeps the arrays and this evaluator alive. Its methods `pose`, `run_networks`, `compose_nodes`, `skin` and
+        `push_out` repeat single stages of the last frame, for timing.
 
         Raises TypeError or ValueError as `evaluate` does; `step()` raises ValueError if an input or the networks'
         output is not finite (`out` is then unchanged).
@@ -110,7 +122,7 @@ class NativeEvaluator:
             raise TypeError(_explain(joint_positions=joint_positions, gravity=gravity, out=out)) from None
 
     def skin(self, node_transforms: np.ndarray, out: np.ndarray) -> None:
-        """The last stage alone: skins the garment with given node transforms, (m, 3, 4) float32, C-contiguous.
+        """Skinning alone, without push-out, from given node transforms, (m, 3, 4) float32, C-contiguous.
 
         out and errors as in `evaluate`.
         """

@@ -11,6 +11,7 @@ from physkin_core.bound_garment import BoundGarment
 from physkin_core.garment_nodes import compose_nodes, delta_transforms, pose_nodes
 from physkin_core.node_deformer import node_corrections
 from physkin_core.pose_modulator import pose_modulation
+from physkin_core.push_out import BoundPushOut, ContactResidual, push_out
 from physkin_core.rig import forward_kinematics, pose_vector
 from physkin_core.skinning import skin
 
@@ -22,8 +23,10 @@ class ReferenceEvaluator:
 
     instruction_set = "numpy"
 
-    def __init__(self, bound: BoundGarment) -> None:
+    def __init__(self, bound: BoundGarment, *, push_out: BoundPushOut | None = None) -> None:
         self._bound = bound
+        self._push_out = push_out
+        self._residual = ContactResidual(0.0, 0)
         self._nodes = np.zeros((len(bound.node_bone), 3, 4))
 
     def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> None:
@@ -46,11 +49,19 @@ class ReferenceEvaluator:
         raw = node_corrections(bound.deformer_layers, bones[bound.deformer_bones], modulation, bound.activation)
         posed = pose_nodes(bones, bound.node_bone, bound.node_positions)
         self._nodes = compose_nodes(posed, delta_transforms(raw, len(bound.node_bone)))
-        out[:, :3], normals = skin(
+        positions, normals = skin(
             self._nodes, bound.node_rest, bound.vertices, bound.normals, bound.influence_nodes, bound.influence_weights
         )
+        if self._push_out is not None:
+            self._residual = push_out(self._push_out, bones, positions, normals)
+        out[:, :3] = positions
         if out.shape[1] == 6:
             out[:, 3:] = normals
+
+    @property
+    def residual(self) -> ContactResidual:
+        """Contact that the push-out left in the last frame; zeros without push-out."""
+        return self._residual
 
     def node_transforms(self) -> np.ndarray:
         """Garment node transforms (m, 3, 4) of the last frame."""

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-__all__ = ["DrapeStatistics", "diagnostic_status"]
+from physkin_core.push_out import ContactResidual
+
+__all__ = ["DrapeStatistics", "contact_values", "diagnostic_status"]
 
 
 @dataclass
@@ -65,6 +67,14 @@ class DrapeStatistics:
         if new_rejections:
             return False, f"{new_rejections} messages rejected: {self.last_rejection}", values
         return True, "draping" if times else "waiting for joint states", values
+
+
+def contact_values(residual: ContactResidual) -> dict[str, str]:
+    """What the push-out left of the last frame's contact, as named values."""
+    return {
+        "vertices left inside": str(residual.left_inside),
+        "deepest left inside [mm]": _number(1e3 * residual.deepest, 2),
+    }
 
 
 def diagnostic_status(name: str, hardware_id: str, well: bool, message: str, values: dict[str, str]):

@@ -30,7 +30,7 @@ from sensor_msgs.msg import JointState, PointCloud2
 import physkin_core
 from physkin_core import BUNDLED_AVATAR, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
 from physkin_ros.conversions import GarmentCloud, JointStateReader, garment_description
-from physkin_ros.diagnostics import DrapeStatistics, diagnostic_status
+from physkin_ros.diagnostics import DrapeStatistics, contact_values, diagnostic_status
 from physkin_ros.joint_map import load_joint_map
 from physkin_ros.ros4hri import ROS4HRI, Ros4hriReader
 from physkin_ros.transport import use_shipped_profile
@@ -54,6 +54,15 @@ PARAMETERS = {
     ),
     "frame_id": ("base_link", "TF frame the clouds are given in: the body's root, X forward, Y left, Z up"),
     "backend": ("native", "evaluator: native (C++) or numpy (readable reference, slow)"),
+    "precision": (
+        "fp32",
+        "of the network weights: fp32, bf16 or int8, each faster and coarser than the last; numpy knows fp32 only",
+    ),
+    "push_out": (
+        False,
+        "move vertices that end up inside the body out of it, in microseconds a frame; the node takes seconds more to "
+        "start, and its diagnostics tell what is left inside",
+    ),
     "executor": ("events", "rclpy executor: events (least overhead) or single"),
     "gravity": (
         UPRIGHT_GRAVITY.tolist(),
@@ -99,7 +108,13 @@ class DrapeNode(Node):
             joint_map=load_joint_map(map_file, model.rig.joint_names) if map_file else None,
             on_unknown=self._warn_unknown,
         )
-        self._draper = Draper(model, avatar, backend=self._text("backend"))
+        self._draper = Draper(
+            model,
+            avatar,
+            backend=self._text("backend"),
+            precision=self._text("precision"),
+            push_out=self.get_parameter("push_out").value,
+        )
         self._gravity = np.array(self.get_parameter("gravity").value, dtype=np.float64)
         self.add_on_set_parameters_callback(self._on_parameters)
         self._statistics = DrapeStatistics()
@@ -115,7 +130,7 @@ class DrapeNode(Node):
         for name, allowed in choices.items():
             if self._text(name) not in allowed:
                 raise ValueError(f"parameter {name} is {self._text(name)!r}; allowed: {', '.join(allowed)}")
-        for name in ("model", "frame_id"):
+        for name in ("model", "frame_id", "precision"):
             if not self._text(name):
                 raise ValueError(f"parameter {name} must not be empty")
         if reason := _wrong_gravity(self.get_parameter("gravity").value):
@@ -187,6 +202,9 @@ class DrapeNode(Node):
         well, summary, values = self._statistics.report(now.nanoseconds)
         model = self._draper.model.name
         values |= {"model": model, "backend": self._draper.backend, "instruction set": self._draper.instruction_set}
+        values["precision"] = self._text("precision")
+        if (residual := self._draper.residual) is not None:
+            values |= contact_values(residual)
         values["gravity"] = " ".join(f"{value:.3f}" for value in self._gravity)
         status = diagnostic_status(f"{self.get_name()}: {model}", self._draper.avatar.source, well, summary, values)
         report = DiagnosticArray(status=[status])

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "body_encoder.hpp"
 #include "dispatch.hpp"
 #include "evaluator.hpp"
 #include "machine_floors.hpp"
@@ -108,6 +109,83 @@ BoundGarment bound_garment(nb::handle source) {
   return g;
 }
 
+BoundPushOut bound_push_out(nb::handle source) {
+  BoundPushOut b;
+  const int v = b.body_count = length(source, "body_vertices");
+  const int c = b.candidate_count = length(source, "body_bend");
+  b.block_count = length(source, "block_vertices");
+  b.listed_count = length(source, "candidates");
+  b.body_vertices = field<float>(source, "body_vertices", {v, 3});
+  b.body_normals = field<float>(source, "body_normals", {v, 3});
+  std::vector<int> shape{v, -1};
+  b.body_bones = view<std::int32_t>(source.attr("body_bones"), "body_bones", shape);
+  b.influences = shape[1];
+  b.body_weights = field<float>(source, "body_weights", shape);
+  b.body_bend = field<float>(source, "body_bend", {c});
+  b.body_patch = field<std::int32_t>(source, "body_patch", {c, kPatch, 3});
+  b.block_vertices = field<std::int32_t>(source, "block_vertices", {b.block_count, kBlock});
+  b.candidate_start = field<std::int32_t>(source, "candidate_start", {b.block_count + 1});
+  b.candidates = field<std::int32_t>(source, "candidates", {b.listed_count});
+  return b;
+}
+
+DenseWeights named_layer(const nb::dict& network, const std::string& name) {
+  const std::string weight = name + ".weight", bias = name + ".bias";
+  std::vector<int> shape{-1, -1};
+  DenseWeights layer;
+  layer.matrix = view<float>(network[weight.c_str()], weight, shape);
+  layer.outputs = shape[0];
+  layer.inputs = shape[1];
+  shape = {layer.outputs};
+  layer.bias = view<float>(network[bias.c_str()], bias, shape);
+  return layer;
+}
+
+LayerNorm named_norm(const nb::dict& network, const std::string& name) {
+  const std::string weight = name + ".weight", bias = name + ".bias";
+  std::vector<int> shape{-1};
+  LayerNorm norm;
+  norm.weight = view<float>(network[weight.c_str()], weight, shape);
+  norm.width = shape[0];
+  norm.bias = view<float>(network[bias.c_str()], bias, shape);
+  return norm;
+}
+
+BodyEncoder body_encoder(const nb::dict& network) {
+  BodyEncoder e;
+  e.embed = named_layer(network, "embed");
+  e.attention_input = named_layer(network, "attention.input");
+  e.attention_output = named_layer(network, "attention.output");
+  e.norm_1 = named_norm(network, "norm_1");
+  e.norm_2 = named_norm(network, "norm_2");
+  e.feed_forward_0 = named_layer(network, "feed_forward.0");
+  e.feed_forward_1 = named_layer(network, "feed_forward.1");
+  e.pool = named_layer(network, "pool");
+  for (std::string block = "residual.0"; network.contains((block + ".norm.weight").c_str());
+       block = "residual." + std::to_string(e.residual.size())) {
+    e.residual.push_back({named_norm(network, block + ".norm"), named_layer(network, block + ".0"),
+                          named_layer(network, block + ".1")});
+  }
+  e.output = named_layer(network, "output");
+  return e;
+}
+
+void encode(const nb::dict& network, nb::handle points, nb::handle normals,
+            const nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>& out,
+            const std::optional<std::string>& instruction_set) {
+  const BodyEncoder encoder = body_encoder(network);
+  std::vector<int> shape{-1, 3};
+  const float* at = view<float>(points, "points", shape);
+  const float* normal = view<float>(normals, "normals", shape);
+  if (out.shape(0) != std::size_t(encoder.output.outputs)) {
+    throw nb::value_error(("out has " + std::to_string(out.shape(0)) + " elements; expected " +
+                           std::to_string(encoder.output.outputs)).c_str());
+  }
+  const Kernels& kernels = select_kernels(instruction_set.value_or(""));
+  const nb::gil_scoped_release release;
+  encode_body(encoder, kernels, at, normal, shape[0], out.data());
+}
+
 template <class T>
 void read_strided(const AnyArray& array, float* target) {
   const T* source = static_cast<const T*>(array.data());
@@ -150,9 +228,10 @@ void raise_if(const Rejection& rejection) {
 class BoundEvaluator {
  public:
   BoundEvaluator(nb::handle garment, const std::optional<std::string>& instruction_set,
-                 const std::optional<std::string>& precision)
+                 const std::optional<std::string>& precision, nb::handle push_out)
       : evaluator_(bound_garment(garment), select_kernels(instruction_set.value_or("")),
-                   select_precision(precision.value_or(""))),
+                   select_precision(precision.value_or("")),
+                   push_out.is_none() ? nullptr : &static_cast<const BoundPushOut&>(bound_push_out(push_out))),
         joint_positions_(evaluator_.dofs()) {}
 
   void evaluate(const AnyArray& joint_positions, const AnyArray& gravity, const OutputArray& out) {
@@ -201,6 +280,7 @@ class BoundStep {
   void run_networks() { evaluator_.run_networks(); }
   void compose_nodes() { evaluator_.compose_nodes(evaluator_.corrections()); }
   void skin() { raise_if(evaluator_.skin(evaluator_.node_transforms(), rows_)); }
+  void push_out() { evaluator_.push_out(rows_); }
 
  private:
   static void check_length(const InputArray& array, const char* name, int count) {
@@ -230,8 +310,8 @@ NB_MODULE(_native, module) {
   using physkin::BoundStep;
   using physkin::MachineProbe;
   nb::class_<BoundEvaluator>(module, "Evaluator")
-      .def(nb::init<nb::handle, const std::optional<std::string>&, const std::optional<std::string>&>(), "garment"_a,
-           "instruction_set"_a = nb::none(), "precision"_a = nb::none())
+      .def(nb::init<nb::handle, const std::optional<std::string>&, const std::optional<std::string>&, nb::handle>(),
+           "garment"_a, "instruction_set"_a = nb::none(), "precision"_a = nb::none(), "push_out"_a = nb::none())
       .def("evaluate", &BoundEvaluator::evaluate, "joint_positions"_a.noconvert(), "gravity"_a.noconvert(),
            "out"_a.noconvert())
       .def("skin", &BoundEvaluator::skin, "node_transforms"_a.noconvert(), "out"_a.noconvert())
@@ -240,6 +320,11 @@ NB_MODULE(_native, module) {
                      const std::size_t nodes = std::size_t(self.evaluator().nodes());
                      return nb::ndarray<nb::numpy, const float, nb::shape<-1, 3, 4>>(
                          self.evaluator().node_transforms(), {nodes, 3, 4}, nb::find(self));
+                   })
+      .def_prop_ro("residual",
+                   [](const BoundEvaluator& self) {
+                     const physkin::ContactResidual& residual = self.evaluator().residual();
+                     return nb::make_tuple(residual.deepest, residual.left_inside);
                    })
       .def_prop_ro("corrections", physkin::corrections)
       .def_prop_ro("instruction_set", [](const BoundEvaluator& self) { return self.evaluator().instruction_set(); })
@@ -257,7 +342,10 @@ NB_MODULE(_native, module) {
       .def("pose", &BoundStep::pose)
       .def("run_networks", &BoundStep::run_networks)
       .def("compose_nodes", &BoundStep::compose_nodes)
-      .def("skin", &BoundStep::skin);
+      .def("skin", &BoundStep::skin)
+      .def("push_out", &BoundStep::push_out);
+  module.def("encode_body", &physkin::encode, "network"_a, "points"_a, "normals"_a, "out"_a.noconvert(),
+             "instruction_set"_a = nb::none());
   module.def("supported_instruction_sets", physkin::supported_instruction_sets);
   nb::class_<MachineProbe>(module, "MachineProbe")
       .def("__init__",

@@ -21,7 +21,7 @@ const BoundGarment& validated(const BoundGarment& garment) {
 
 }  // namespace
 
-Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, Precision precision)
+Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, Precision precision, const BoundPushOut* push_out)
     : kernels_(kernels),
       precision_(precision),
       rig_(validated(g), arena_),
@@ -37,6 +37,7 @@ Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, Precision pr
       node_transforms_(arena_.take<float>(12 * g.nodes)),
       skinning_matrices_(arena_.take<float>(12 * g.nodes)),
       corrections_(arena_.take<float>(g.deformer_layers.back().outputs)) {
+  if (push_out != nullptr) push_out_.emplace(*push_out, g.bones, g.vertex_count, arena_);
   choose_zero_skipping(g);
 }
 
@@ -48,7 +49,9 @@ Rejection Evaluator::step(const float* joint_positions, const float* gravity, co
   const std::size_t count = node_deformer_.outputs();
   if (const auto bad = reject_beyond("node deformer output", corrections, count, kLargest)) return bad;
   compose_nodes(corrections);
-  return skin(node_transforms_, rows);
+  if (const auto bad = skin(node_transforms_, rows)) return bad;
+  push_out(rows);
+  return {};
 }
 
 void Evaluator::pose(const float* joint_positions, const float* gravity) noexcept {
@@ -73,6 +76,10 @@ Rejection Evaluator::skin(const float* node_transforms, const VertexRows& rows) 
   garment_nodes_.compute_skinning_matrices(node_transforms, skinning_matrices_);
   kernels_.skin(blocks_, skinning_matrices_, rows);
   return {};
+}
+
+void Evaluator::push_out(const VertexRows& rows) noexcept {
+  if (push_out_) residual_ = push_out_->apply(kernels_, bone_transforms_, rows);
 }
 
 void Evaluator::choose_zero_skipping(const BoundGarment& g) {

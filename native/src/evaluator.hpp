@@ -1,11 +1,14 @@
 // The per-frame path: joint positions to garment vertices and normals. Single-threaded; a frame allocates nothing.
 #pragma once
 
+#include <optional>
+
 #include "arena.hpp"
 #include "bound_garment.hpp"
 #include "garment_nodes.hpp"
 #include "kernels.hpp"
 #include "mlp.hpp"
+#include "push_out.hpp"
 #include "rejection.hpp"
 #include "rig.hpp"
 
@@ -13,8 +16,9 @@ namespace physkin {
 
 class Evaluator {
  public:
-  // Validates and copies the garment; throws std::invalid_argument.
-  Evaluator(const BoundGarment& garment, const Kernels& kernels, Precision precision = Precision::fp32);
+  // Validates and copies the garment, and with it what keeps it out of the body; throws std::invalid_argument.
+  Evaluator(const BoundGarment& garment, const Kernels& kernels, Precision precision = Precision::fp32,
+            const BoundPushOut* push_out = nullptr);
   Evaluator(const Evaluator&) = delete;  // its members point into its own arena
   Evaluator& operator=(const Evaluator&) = delete;
 
@@ -22,18 +26,22 @@ class Evaluator {
   // the networks make of it is not finite, says so and leaves the rows and the last frame as they were.
   Rejection step(const float* joint_positions, const float* gravity, const VertexRows& rows) noexcept;
 
-  // The last stage alone: skins the garment with the given node_transforms (nodes, 3, 4), which must be finite.
+  // Skinning alone, without push-out, from the given node_transforms (nodes, 3, 4), which must be finite.
   Rejection skin(const float* node_transforms, const VertexRows& rows) noexcept;
 
   // The stages of a frame, in order, each from what the last one left; `step` checks what lies between them.
   void pose(const float* joint_positions, const float* gravity) noexcept;
   const float* run_networks() noexcept;  // corrections (nodes, 9 or 12)
   void compose_nodes(const float* corrections) noexcept;
+  void push_out(const VertexRows& rows) noexcept;  // after skin; does nothing if there is none
 
   // (nodes, 3, 4) of the last frame, root frame, metres.
   const float* node_transforms() const { return node_transforms_; }
   // What the networks last gave, (nodes, 9 or 12); zeros before the first frame.
   const float* corrections() const { return corrections_; }
+
+  // Contact that the push-out left in the last frame; none without push-out.
+  const ContactResidual& residual() const { return residual_; }
 
   int dofs() const { return rig_.dofs(); }
   int nodes() const { return garment_nodes_.count(); }
@@ -66,6 +74,8 @@ class Evaluator {
   float* node_transforms_;
   float* skinning_matrices_;
   const float* corrections_;
+  std::optional<PushOut> push_out_;
+  ContactResidual residual_;
 };
 
 }  // namespace physkin

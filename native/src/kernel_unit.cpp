@@ -1,7 +1,9 @@
 // Compiled once per instruction set, with PHYSKIN_ISA set to its name and the flags that CMakeLists.txt gives it.
+#include "contact_kernel.hpp"
 #include "dense_kernel.hpp"
 #include "floor_kernel.hpp"
 #include "skinning_kernel.hpp"
+#include "token_kernel.hpp"
 
 #define PHYSKIN_TEXT_OF(name) #name
 #define PHYSKIN_TEXT(name) PHYSKIN_TEXT_OF(name)
@@ -17,6 +19,11 @@ const Kernels kernels{
     skin,
     multiply_add,
     read_memory,
+    token_linear,
+    token_norm,
+    token_attention,
+    find_near,
+    closest_on_patch,
 };
 
 }  // namespace physkin::PHYSKIN_ISA

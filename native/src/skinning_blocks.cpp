@@ -68,6 +68,7 @@ std::vector<Block> choose_blocks(const std::vector<NodeSet>& sets, int node_coun
     std::sort(block.nodes.begin(), block.nodes.end());
     blocks.push_back(std::move(block));
   }
+  if (blocks.empty()) return blocks;
   // Blocks of equal size follow each other, so that the processor foresees where the loop over garment nodes ends. The
   // last one, which may be short of vertices, stays last.
   std::stable_sort(blocks.begin(), blocks.end() - 1,

@@ -97,7 +97,34 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
   g.influence_nodes = influence_nodes.data();
   g.influence_weights = weights.data();
 
-  physkin::Evaluator evaluator(g, kernels, precision);
+  // A body of as many vertices as the garment, scattered over the same box, and blocks of all but full length.
+  const auto body = uniform(3 * vertices, -1, 1), body_normals = uniform(3 * vertices, -1, 1);
+  const int candidates = (vertices + 1) / 2, blocks = (vertices + physkin::kBlock - 2) / (physkin::kBlock - 1);
+  const auto body_bones = indices(std::size_t(vertices) * influences, bones);
+  const auto bend = uniform(candidates, -5, 5);
+  const auto patch = indices(std::size_t(candidates) * physkin::kPatch * 3, vertices);
+  const auto listed = indices(3 * std::size_t(blocks), candidates);
+  std::vector<std::int32_t> block_vertices(std::size_t(blocks) * physkin::kBlock, -1), start(blocks + 1);
+  constexpr int kFilled = physkin::kBlock - 1;
+  for (int v = 0; v < vertices; ++v) block_vertices[v / kFilled * physkin::kBlock + v % kFilled] = v;
+  for (int block = 0; block <= blocks; ++block) start[block] = 3 * block;
+  physkin::BoundPushOut out_of_body;
+  out_of_body.body_count = vertices;
+  out_of_body.candidate_count = candidates;
+  out_of_body.influences = influences;
+  out_of_body.block_count = blocks;
+  out_of_body.listed_count = 3 * blocks;
+  out_of_body.body_vertices = body.data();
+  out_of_body.body_normals = body_normals.data();
+  out_of_body.body_bones = body_bones.data();
+  out_of_body.body_weights = weights.data();
+  out_of_body.body_bend = bend.data();
+  out_of_body.body_patch = patch.data();
+  out_of_body.block_vertices = block_vertices.data();
+  out_of_body.candidate_start = start.data();
+  out_of_body.candidates = listed.data();
+
+  physkin::Evaluator evaluator(g, kernels, precision, &out_of_body);
   std::vector<float> out(6 * std::size_t(vertices));
   const auto q = uniform(dofs, -1, 1), gravity = uniform(3, -1, 1);
   const physkin::VertexRows full{reinterpret_cast<unsigned char*>(out.data()), 6, true};

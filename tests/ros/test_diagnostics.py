@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from physkin_ros.diagnostics import DrapeStatistics
+from physkin_core.push_out import ContactResidual
+from physkin_ros.diagnostics import DrapeStatistics, contact_values
 
 
 def test_before_the_first_joint_state():
@@ -45,3 +46,9 @@ def test_gravity_rejections_are_counted_apart():
     assert not well and summary == "1 messages rejected: no direction"
     assert (values["gravity messages rejected"], values["joint states rejected"]) == ("1", "0")
     assert values["last rejection"] == "no direction"
+
+
+def test_contact_left_is_told_in_millimetres():
+    """The push-out's residual as text."""
+    values = contact_values(ContactResidual(deepest=0.00123, left_inside=4))
+    assert values == {"vertices left inside": "4", "deepest left inside [mm]": "1.23"}

@@ -1,0 +1,137 @@
+"""The native body encoder against the NumPy hyper modulator, on every instruction set of this CPU."""
+
+import numpy as np
+import pytest
+from random_models import random_avatar, random_hyper_modulator, random_model, unit_rows
+
+from physkin_core import Draper
+from physkin_core.hyper_modulator import body_modulation
+
+native_body_encoder = pytest.importorskip("physkin_core.native_body_encoder")
+from physkin_core.native_evaluator import supported_instruction_sets  # noqa: E402
+
+encode = native_body_encoder.native_body_modulation
+SETS = supported_instruction_sets()
+CASES = [  # points, token width, feed-forward width, residual blocks, outputs
+    (1, 8, 16, 0, 1),
+    (2, 12, 1, 1, 7),
+    (63, 128, 256, 2, 300),
+    (64, 20, 33, 3, 5),
+    (65, 36, 70, 1, 33),
+    (129, 100, 31, 2, 64),
+    (501, 64, 128, 0, 1000),
+]
+
+
+def random_points(rng, count):
+    return rng.uniform(-1, 1, size=(count, 3)).astype(np.float32), unit_rows(rng, count).astype(np.float32)
+
+
+def reference(network, points, normals):
+    return body_modulation({name: array.astype(np.float64) for name, array in network.items()}, points, normals)
+
+
+@pytest.mark.parametrize("instruction_set", SETS)
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_agrees_with_the_reference(instruction_set, case):
+    """To 1e-5 of the largest output, whatever the sizes; none is a multiple of anything."""
+    count, width, feed_forward, blocks, outputs = case
+    rng = np.random.default_rng(sum(case))
+    network = random_hyper_modulator(rng, outputs, width=width, feed_forward=feed_forward, blocks=blocks)
+    points, normals = random_points(rng, count)
+    result = encode(network, points, normals, instruction_set=instruction_set)
+    expected = reference(network, points, normals)
+    assert result.dtype == np.float32 and result.shape == (outputs,)
+    np.testing.assert_allclose(result, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("instruction_set", SETS)
+def test_sharp_attention_agrees(instruction_set):
+    """Scores in the hundreds: the running maximum must rescale what came before it, in any order of the points."""
+    rng = np.random.default_rng(5)
+    network = random_hyper_modulator(rng, 40, width=16)
+    network["attention.input.weight"] *= 8
+    points, normals = random_points(rng, 300)
+    expected = reference(network, points, normals)
+    for order in (np.arange(300), np.arange(300)[::-1], rng.permutation(300)):
+        result = encode(network, points[order], normals[order], instruction_set=instruction_set)
+        np.testing.assert_allclose(result, expected, rtol=0, atol=1e-4 * np.abs(expected).max())
+
+
+def test_accepts_half_precision_and_strided_arrays():
+    """Network weights as a model file stores them; points as slices of a larger array."""
+    rng = np.random.default_rng(6)
+    network = {name: array.astype(np.float16) for name, array in random_hyper_modulator(rng, 9).items()}
+    cloud = np.concatenate(random_points(rng, 70), axis=1)
+    expected = reference(network, cloud[:, :3], cloud[:, 3:])
+    np.testing.assert_allclose(encode(network, cloud[:, :3], cloud[:, 3:]), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", ["points", "normals", "attention.input.weight", "norm_2.bias", "output.bias"])
+def test_values_that_are_not_finite_are_refused(name, value):
+    """Wherever they come in, and by name."""
+    rng = np.random.default_rng(7)
+    network = random_hyper_modulator(rng, 9)
+    points, normals = random_points(rng, 70)
+    {"points": points, "normals": normals, **network}[name].reshape(-1)[-1] = value
+    with pytest.raises(ValueError, match="finite"):
+        encode(network, points, normals)
+
+
+def test_an_overflow_is_not_swallowed():
+    """Finite numbers, allowed one by one, whose attention overflows: refused, as the reference gives no number."""
+    rng = np.random.default_rng(8)
+    network = random_hyper_modulator(rng, 9)
+    for name in ("embed.weight", "attention.input.weight", "attention.output.weight"):
+        network[name][:] = np.sign(network[name]) * 1e6
+    points, normals = random_points(rng, 70)
+    points *= 1e6
+    for instruction_set in SETS:
+        with pytest.raises(ValueError, match="finite"):
+            encode(network, points, normals, instruction_set=instruction_set)
+
+
+@pytest.mark.parametrize(
+    "name", ["embed.weight", "attention.input.bias", "norm_1.weight", "feed_forward.1.weight", "pool.weight"]
+)
+def test_wrong_shapes_are_refused(name):
+    """One row too few, in an array that the others have to fit."""
+    rng = np.random.default_rng(9)
+    network = random_hyper_modulator(rng, 9)
+    network[name] = network[name][:, :-1] if network[name].ndim == 2 else network[name][:-1]
+    with pytest.raises(ValueError, match=r"shape|features"):
+        encode(network, *random_points(rng, 70))
+
+
+def test_other_mistakes_are_refused():
+    """A missing array, a width that four heads do not divide, no points, normals of another number, an unknown set."""
+    rng = np.random.default_rng(10)
+    network = random_hyper_modulator(rng, 9)
+    points, normals = random_points(rng, 70)
+    with pytest.raises(KeyError, match="norm_2"):
+        encode({name: array for name, array in network.items() if name != "norm_2.weight"}, points, normals)
+    with pytest.raises(ValueError, match="multiple of 4"):
+        encode(random_hyper_modulator(rng, 9, width=10), points, normals)
+    with pytest.raises(ValueError, match="no points"):
+        encode(network, points[:0], normals[:0])
+    with pytest.raises(ValueError, match="normals"):
+        encode(network, points, normals[:-1])
+    with pytest.raises(ValueError, match="v9"):
+        encode(network, points, normals, instruction_set="v9")
+
+
+def test_the_native_draper_encodes_natively(monkeypatch):
+    """And ends up with the reference's network weights; the NumPy backend never gets here."""
+    rng = np.random.default_rng(11)
+    model = random_model(rng)
+    avatar = random_avatar(rng, model.rig)
+    calls = []
+    monkeypatch.setattr(native_body_encoder, "native_body_modulation", lambda *a: calls.append(1) or encode(*a))
+    native = Draper(model, avatar)
+    assert len(calls) == 1
+    numpy = Draper(model, avatar, backend="numpy")
+    assert len(calls) == 1
+    for (weight, bias), (expected_weight, expected_bias) in zip(native.bound.pose_layers, numpy.bound.pose_layers):
+        np.testing.assert_allclose(weight, expected_weight, rtol=0, atol=1e-5 * np.abs(expected_weight).max())
+        np.testing.assert_allclose(bias, expected_bias, rtol=0, atol=1e-5 * np.abs(expected_bias).max())
