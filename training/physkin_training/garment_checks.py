@@ -155,6 +155,8 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray, int]:
         vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
     except Exception as error:
         raise GarmentError(f"cannot read garment mesh {path}: {error}") from error
+    if len(faces) == 0:
+        raise GarmentError(f"garment {path} holds no faces")
     polygons = 0
     if path.suffix.lower() == ".obj":
         with open(path, errors="replace") as file:
@@ -187,15 +189,18 @@ def _check_placement(checks: _Checks, surface: BodySurface) -> None:
     changed = "ok" if placed.unit == "metres" else "repaired"
     checks.say("units", changed, f"{placed.unit}; {extent} m", ", ".join(UNITS))
     changed = "ok" if np.array_equal(placed.turn, np.eye(3)) else "repaired"
-    checks.say("orientation", changed, placed.axes, "Z up, X forward, or quarter turns of it")
+    checks.say("orientation", changed, placed.axes, "Z or Y up, facing along an axis; turned to Z up, X forward")
     allowed = "where it is worn on the body, the body's root at the origin or its feet on the floor"
-    moved = float(np.linalg.norm(placed.shift))
     found = f"mean distance to the body {1000 * placed.cost:.0f} mm"
     if placed.cost > WORN:
         return checks.say("position", "refused", f"{found}: it does not lie on the body anywhere", allowed)
-    if moved:
+    if placed.shift.any():
         shift = ", ".join(f"{value:.3f}" for value in placed.shift)
-        return checks.say("position", "repaired", f"moved by ({shift}) m; {found}", allowed)
+        if placed.searched:
+            found += "; the closest fit, see whether front and height are right"
+        return checks.say(
+            "position", "warning" if placed.searched else "repaired", f"moved by ({shift}) m; {found}", allowed
+        )
     return checks.say("position", "ok", found, allowed)
 
 
@@ -279,7 +284,9 @@ def _check_scale(checks: _Checks, surface: BodySurface) -> None:
 
 def _check_edges(checks: _Checks) -> None:
     low, high = EDGE_RANGE
-    allowed = f"mean edge {1000 * low:g} to {1000 * high:g} mm, up to {MOST_VERTICES} vertices; coarser ones are refined"
+    allowed = (
+        f"mean edge {1000 * low:g} to {1000 * high:g} mm, up to {MOST_VERTICES} vertices; coarser ones are refined"
+    )
     before = _edge_mean(checks)
     while _edge_mean(checks) > high:
         checks.vertices, checks.faces = mesh_repair.refined(checks.vertices, checks.faces)

@@ -29,8 +29,8 @@ INSIDE = 4.0
 MOSTLY_INSIDE = 0.1
 """Share of vertices in the body from which on other places are tried."""
 TRIED_POINTS = 300
-CLEARLY = 0.8
-"""Another reading must cost less than this share of the simpler one."""
+CLEARLY, MUCH = 0.8, 0.5
+"""Another unit or turn must cost less than this share of the simpler one; and another place less than that."""
 WORN = 0.1
 """[m] largest cost of a garment that is where it is worn; the shipped ones have 0.02 to 0.08, hanging skirts the most."""
 HEIGHT_STEP = 0.03
@@ -41,13 +41,15 @@ SCALES = (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15)
 class Placement:
     """How to read a mesh: x = scale * turn @ file + shift. cost [m]: of `Fit.cost` there.
 
-    unit: key of `UNITS`. turn: (3, 3) rotation by quarters. shift: (3,) [m].
+    unit: key of `UNITS`. turn: (3, 3) rotation by quarters. shift: (3,) [m]. searched: the shift is the closest fit, and
+    not one of the usual origins; then front and back of a garment that is alike on both can be mistaken.
     """
 
     unit: str
     turn: np.ndarray
     shift: np.ndarray
     cost: float
+    searched: bool = False
 
     def applied(self, vertices: np.ndarray) -> np.ndarray:
         """File coordinates (n, 3) as root frame [m]."""
@@ -113,21 +115,28 @@ def find_placement(vertices: np.ndarray, body: BodySurface) -> Placement:
         for unit in units
     ]
     floor = np.array([0.0, 0.0, body.vertices[:, 2].min()])
-    best = _simplest(
-        replace(reading, shift=shift, cost=float(fit.cost(points + shift)))
+    best, standing = (
+        _simplest(
+            replace(reading, shift=shift, cost=float(fit.cost(points + shift))) for reading, points, _ in readings
+        )
         for shift in (np.zeros(3), floor)
-        for reading, points, _ in readings
     )
+    best = _moved_if_better(best, standing)
     if best.cost <= WORN and fit.inside(best.applied(tried)).mean() < MOSTLY_INSIDE:
         return best
     other = _simplest(_best_place(fit, *reading) for reading in readings)
     shift, cost = fit.settled(UNITS[other.unit] * tried @ other.turn.T, other.shift, HEIGHT_STEP / 2)
-    return _simplest([best, replace(other, shift=shift, cost=cost)])
+    return _moved_if_better(best, replace(other, shift=shift, cost=cost, searched=True))
 
 
 def _simplest(readings: Iterable[Placement]) -> Placement:
-    """The first one, unless a later one is clearly better."""
+    """The first one, unless a later one costs clearly less."""
     return reduce(lambda best, other: other if other.cost < CLEARLY * best.cost else best, readings)
+
+
+def _moved_if_better(best: Placement, other: Placement) -> Placement:
+    """Another place for a garment that may well be worn where it is only if that costs much less."""
+    return other if other.cost < (MUCH if best.cost <= WORN else CLEARLY) * best.cost else best
 
 
 def _best_place(fit: Fit, reading: Placement, points: np.ndarray, centre: np.ndarray) -> Placement:
@@ -150,16 +159,19 @@ def best_scale(points: np.ndarray, body: BodySurface) -> tuple[float, float, flo
 
 
 def quarter_turns() -> list[np.ndarray]:
-    """The 24 rotations by quarters, the likely ones first: as it is, Y up (facing Z, facing -Z), facing -Y."""
+    """Rotations by quarters that take Z or Y up, the likely ones first: as it is, Y up (facing Z, -Z), facing -Y.
+
+    Other axes up are not tried: what hangs head down or lies on its side there would be put on by the wrong end.
+    """
     turns = []
     for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
         turn = np.zeros((3, 3))
         turn[range(3), order] = signs
-        if np.linalg.det(turn) > 0:
+        if np.linalg.det(turn) > 0 and _axis(turn[2]) in ("Y", "Z"):
             turns.append(turn)
     likely = [("X", "Z"), ("Z", "Y"), ("-Z", "Y"), ("-Y", "Z")]
     names = [(_axis(turn[0]), _axis(turn[2])) for turn in turns]
-    ranks = [likely.index(name) if name in likely else len(likely) + (name[1] not in ("Y", "Z")) for name in names]
+    ranks = [likely.index(name) if name in likely else len(likely) for name in names]
     return [turns[index] for index in np.argsort(ranks, kind="stable")]
 
 

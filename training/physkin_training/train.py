@@ -145,9 +145,10 @@ def _train(trainer: Trainer, arguments: argparse.Namespace, checkpoint: Path) ->
                 rate = (step - first_step) * trainer.config.optimisation.samples / seconds
                 terms = "  ".join(f"{name} {value:.4f}" for name, value in energies.items())
                 median = row["median_stretch_and_collision"]
+                left = (steps - step) * seconds / (step - first_step) / 60
                 log.info(
-                    "step %d/%d  %s  median %.4f  range %.1f  %.0f samples/s",
-                    *(step, steps, terms, median, row["range"], rate),
+                    "step %d/%d  %s  median %.4f  range %.1f  %.0f samples/s  %.1f minutes left",
+                    *(step, steps, terms, median, row["range"], rate, left),
                 )
             if seconds > 60 * arguments.stop_after and step < steps:
                 return 0
