@@ -254,7 +254,7 @@ def test_a_mesh_from_anywhere_is_put_on_the_body(shirt, template):
         (huge, "units", "longest extent"),
         (book, "manifold", "faces at edges of three"),
         (doubled, "one layer", "export the outer surface only"),
-        (lambda v, f: (np.where(np.arange(len(v))[:, None] == 7, np.nan, v), f), "triangles", "1 vertices have no finite"),
+        (lambda v, f: (np.where(np.arange(len(v))[:, None] == 7, np.nan, v), f), "triangles", "1 vertices have no"),
         (lambda v, f: (v, f[:0]), "triangles", "no faces"),
         (lambda v, f: (v, f + 1), "triangles", "vertices that are not there"),
     ],

@@ -100,7 +100,7 @@ def as_toml(config: TrainingConfig) -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Command line entry. Returns 0, 1 when the mesh is refused or training fails, 2 after an error, 130 after Ctrl-C."""
+    """Command line entry. Returns 0, 1 when the mesh is refused or training fails, 2 for an error, 130 for Ctrl-C."""
     options = _parser().parse_args(argv)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     try:

@@ -75,8 +75,8 @@ def write_report(
     if shown:
         parts += ["<p>As it was trained, on the template's body:</p>", shown[0], "<h2>Drapes</h2>"]
         parts += [
-            '<p class="note">Bodies that training has not seen; poses uniform in the joint limits and frames of motion. '
-            "Percent: mean edge strain.</p>",
+            '<p class="note">Bodies that training has not seen; poses uniform in the joint limits and frames of '
+            "motion. Percent: mean edge strain.</p>",
             shown[1],
         ]
     parts += ["<h2>Figures</h2>", html_table(table(scores)), "<h2>Training</h2>", loss_curve(_read_losses(losses))]
@@ -94,15 +94,15 @@ def _verdicts(checked: CheckedGarment) -> str:
 
 
 def html_table(markdown: str) -> str:
-    """A Markdown table and the lines after it as HTML."""
-    rows, after = [], []
-    for line in markdown.splitlines():
-        if not line.startswith("|"):
-            after.append(line)
-        elif not line.startswith("|---"):
-            kind = "td" if rows else "th"
-            cells = line.strip("|").split("|")
-            rows.append("<tr>" + "".join(f"<{kind}>{html.escape(cell.strip())}</{kind}>" for cell in cells) + "</tr>")
+    """A Markdown table, without columns that are empty, and the lines after it as HTML."""
+    lines = markdown.splitlines()
+    after = [line for line in lines if not line.startswith("|")]
+    cells = [line[1:-1].split("|") for line in lines if line.startswith("|") and not line.startswith("|---")]
+    filled = [column for column in zip(*cells) if any(cell.strip() for cell in column[1:])]
+    rows = []
+    for row in zip(*filled):
+        kind = "td" if rows else "th"
+        rows.append("<tr>" + "".join(f"<{kind}>{html.escape(cell.strip())}</{kind}>" for cell in row) + "</tr>")
     notes = "".join(f"<p>{html.escape(line)}</p>" for line in after if line)
     return "<table>" + "\n".join(rows) + "</table>" + notes
 

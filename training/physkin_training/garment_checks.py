@@ -1,4 +1,4 @@
-"""Is a mesh fit to be trained as a garment? Every check says so in plain words, and repairs what can be repaired safely.
+"""Is a mesh fit to be trained as a garment? Every check says so in plain words, and repairs what is safe to repair.
 
 Dimensions: `n` vertices, `f` faces. Metres, root frame, the body in its canonical pose.
 """

@@ -32,7 +32,7 @@ TRIED_POINTS = 300
 CLEARLY, MUCH = 0.8, 0.5
 """Another unit or turn must cost less than this share of the simpler one; and another place less than that."""
 WORN = 0.1
-"""[m] largest cost of a garment that is where it is worn; the shipped ones have 0.02 to 0.08, hanging skirts the most."""
+"""[m] largest cost of a garment that is where it is worn; the shipped ones have 0.02 to 0.08, the skirt the most."""
 HEIGHT_STEP = 0.03
 SCALES = (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15)
 
@@ -41,7 +41,7 @@ SCALES = (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15)
 class Placement:
     """How to read a mesh: x = scale * turn @ file + shift. cost [m]: of `Fit.cost` there.
 
-    unit: key of `UNITS`. turn: (3, 3) rotation by quarters. shift: (3,) [m]. searched: the shift is the closest fit, and
+    unit: key of `UNITS`. turn: (3, 3) rotation by quarters. shift: (3,) [m]. searched: the shift is the closest fit,
     not one of the usual origins; then front and back of a garment that is alike on both can be mistaken.
     """
 
