@@ -67,7 +67,8 @@ def test_the_report_embeds_its_pictures(garment_model, tmp_path):
     from physkin_core import load_body_model
     from physkin_core.avatar import avatar_from_body
     from physkin_training import fit_report
-    from physkin_training.garment_checks import CheckedGarment, Verdict
+    from physkin_training.garment_checks import CheckedGarment
+    from physkin_training.verdicts import Verdict
 
     body_model = load_body_model()
     template = avatar_from_body(body_model, body_model.garment_body)

@@ -13,16 +13,11 @@ pytest.importorskip("warp", reason="needs the [training] extra")
 from physkin_core import load_body_model, load_garment  # noqa: E402
 from physkin_core.avatar import avatar_from_body  # noqa: E402
 from physkin_core.garment import GarmentError  # noqa: E402
-from physkin_training.garment_checks import (  # noqa: E402
-    CheckedGarment,
-    check_garment,
-    check_mesh,
-    verdict_table,
-    write_garment,
-)
+from physkin_training.garment_checks import CheckedGarment, check_garment, check_mesh, write_garment  # noqa: E402
 from physkin_training.garment_fitting import CLEARANCE, carried  # noqa: E402
 from physkin_training.mesh_repair import refined  # noqa: E402
 from physkin_training.surface_queries import BodySurface, piercing_edges  # noqa: E402
+from physkin_training.verdicts import verdict_table  # noqa: E402
 
 GARMENTS = Path(__file__).parents[2] / "training" / "garments"
 Y_UP = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
@@ -240,7 +235,8 @@ def test_a_mesh_from_anywhere_is_put_on_the_body(shirt, template):
     """No usual origin: the place is searched, which is warned of, and found to about a centimetre."""
     vertices, faces = shirt()
     checked = check_mesh(1000 * (vertices @ Y_UP.T + [0.3, 0.5, -0.2]), faces, template, template)
-    assert outcomes(checked) == {"units": "repaired", "orientation": "repaired", "position": "warning"}
+    expected = {"units": "repaired", "orientation": "repaired", "position": "warning", "overlap": "repaired"}
+    assert outcomes(checked) == expected
     assert "front and height" in found(checked, "position")
     assert np.abs(checked.vertices - vertices).max() < 0.02
 

@@ -24,8 +24,9 @@ from physkin_training import train
 from physkin_training.config import TrainingConfig, load_config
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.fit_report import write_report
-from physkin_training.garment_checks import CheckedGarment, check_garment, verdict_table, write_garment
+from physkin_training.garment_checks import CheckedGarment, check_garment, write_garment
 from physkin_training.trainer import Trainer
+from physkin_training.verdicts import verdict_table
 
 __all__ = ["StepTime", "as_toml", "main", "measure_step", "steps_in"]
 

@@ -29,7 +29,7 @@ INSIDE = 4.0
 MOSTLY_INSIDE = 0.1
 """Share of vertices in the body from which on other places are tried."""
 TRIED_POINTS = 300
-CLEARLY, MUCH = 0.8, 0.5
+CLEARLY, MUCH = 0.8, 0.6
 """Another unit or turn must cost less than this share of the simpler one; and another place less than that."""
 WORN = 0.1
 """[m] largest cost of a garment that is where it is worn; the shipped ones have 0.02 to 0.08, the skirt the most."""
