@@ -33,7 +33,9 @@ CLEARLY, MUCH = 0.8, 0.6
 """Another unit or turn must cost less than this share of the simpler one; and another place less than that."""
 WORN = 0.1
 """[m] largest cost of a garment that is where it is worn; the shipped ones have 0.02 to 0.08, the skirt the most."""
-HEIGHT_STEP = 0.03
+HEIGHT_STEP, FORWARD_STEPS = 0.03, (-0.05, 0.0, 0.05)
+"""[m] of the coarse search for a place, whose best `STARTS` are settled finely."""
+STARTS = 4
 SCALES = (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15)
 
 
@@ -125,8 +127,7 @@ def find_placement(vertices: np.ndarray, body: BodySurface) -> Placement:
     if best.cost <= WORN and fit.inside(best.applied(tried)).mean() < MOSTLY_INSIDE:
         return best
     other = _simplest(_best_place(fit, *reading) for reading in readings)
-    shift, cost = fit.settled(UNITS[other.unit] * tried @ other.turn.T, other.shift, HEIGHT_STEP / 2)
-    return _moved_if_better(best, replace(other, shift=shift, cost=cost, searched=True))
+    return _moved_if_better(best, other)
 
 
 def _simplest(readings: Iterable[Placement]) -> Placement:
@@ -140,13 +141,15 @@ def _moved_if_better(best: Placement, other: Placement) -> Placement:
 
 
 def _best_place(fit: Fit, reading: Placement, points: np.ndarray, centre: np.ndarray) -> Placement:
-    """The best place at any height, around the trunk."""
+    """The best place at any height, around the trunk, from the best few of a coarse search."""
     heights = np.arange(fit.body.vertices[:, 2].min(), fit.body.vertices[:, 2].max(), HEIGHT_STEP)
     trunk = fit.body.vertices[np.abs(fit.body.vertices[:, 1]) < 0.2]
     forward = np.array([np.median(trunk[np.abs(trunk[:, 2] - h) < 0.1, 0]) for h in heights])
-    shifts = np.column_stack([forward, np.zeros_like(heights), heights]) - centre
-    costs = fit.cost(points + shifts[:, None])
-    return replace(reading, shift=shifts[costs.argmin()], cost=float(costs.min()))
+    middle = np.column_stack([forward, np.zeros_like(heights), heights]) - centre
+    shifts = np.concatenate([middle + [ahead, 0.0, 0.0] for ahead in FORWARD_STEPS])
+    starts = shifts[np.argsort(fit.cost(points + shifts[:, None]))[:STARTS]]
+    shift, cost = min((fit.settled(points, start, HEIGHT_STEP) for start in starts), key=lambda found: found[1])
+    return replace(reading, shift=shift, cost=cost, searched=True)
 
 
 def best_scale(points: np.ndarray, body: BodySurface) -> tuple[float, float, float]:
