@@ -79,11 +79,13 @@ class RunReports:
 
     def _log(self, row: dict) -> None:
         optimisation = self._trainer.config.optimisation
-        rate = (row["step"] - self._first_step) * optimisation.samples / row["seconds"]
         terms = "  ".join(f"{term} {row[term]:.4f}" for term in TERMS)
+        done = row["step"] - self._first_step
+        rate = done * optimisation.samples / row["seconds"]
+        left = (optimisation.steps - row["step"]) * row["seconds"] / done / 60
         log.info(
-            "step %d/%d  %s  median %.4f  range %.1f  %.0f samples/s",
-            *(row["step"], optimisation.steps, terms, row["median_stretch_and_collision"], row["range"], rate),
+            "step %d/%d  %s  median %.4f  range %.1f  %.0f samples/s  %.1f minutes left",
+            *(row["step"], optimisation.steps, terms, row["median_stretch_and_collision"], row["range"], rate, left),
         )
         if "best_step" in row:
             log.info(
