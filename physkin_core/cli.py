@@ -22,6 +22,11 @@ __all__ = ["main"]
 FORWARDED = {
     "node": ("physkin_ros.drape_node", "run the ROS 2 node: joint states in, garment point clouds out"),
     "demo": ("physkin_ros.demo", "run the node between a motion player and a listener; print figures, draw a picture"),
+    "replay": (
+        "physkin_ros.replay",
+        "drape the joint states of a bag; write clouds, figures and a report. Needs no ROS",
+    ),
+    "convert": ("physkin_ros.convert", "write a motion clip as a bag of joint states"),
     "train": ("physkin_training.train", "train a garment from its mesh and physics"),
     "bench": ("physkin_core.bench", "time a frame, its stages and other engines on this machine"),
     "simulate": ("physkin_training.simulate", "drape a garment on an avatar by minimising its energy"),
@@ -32,6 +37,7 @@ FORWARDED = {
 
 EXTRAS = {
     "ros": ("rclpy", "sensor_msgs", "diagnostic_msgs", "rcl_interfaces"),
+    "replay": ("rosbags",),
     "training": ("torch", "warp", "potpourri3d", "rich", "tensorboard"),
     "view": ("mitsuba", "PIL"),
 }
