@@ -188,24 +188,23 @@ def main(argv: list[str] | None = None) -> int:
     options = _parser().parse_args(argv)
     direction = _direction(options.gravity)
     baseline = load_baseline(options.baseline) if options.baseline else None
-    model = load_garment_model(options.model)
-    avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
-    for warning in avatar.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
-    draper = Draper(model, avatar, backend=options.backend)
+    output = BagWriter(options.output, storage=options.storage) if options.output else nullcontext()
     with BagReader(options.bag, topic=options.topic, gravity_topic=options.gravity_topic) as bag:
+        draper = _draper(options)
         every = options.contact_every
         if every is None:
             every = max(1, -(-bag.joint_state_count // CONTACT_CLOUDS))
-        settings = {
-            "joint_map": options.joint_map,
-            "gravity": direction,
-            "contact_every": every,
-            "topic": options.garment_topic,
-            "frame_id": options.frame_id,
-        }
-        with BagWriter(options.output, storage=options.storage) if options.output else nullcontext() as writer:
-            found = replay(draper, bag, writer, **settings)
+        with output as writer:
+            found = replay(
+                draper,
+                bag,
+                writer,
+                joint_map=options.joint_map,
+                gravity=direction,
+                contact_every=every,
+                topic=options.garment_topic,
+                frame_id=options.frame_id,
+            )
             if not found.frames:
                 raise BagError(
                     f"bag {bag.path}: none of the {found.counts['joint_states']} joint states on {bag.topic} could be "
@@ -224,6 +223,14 @@ def main(argv: list[str] | None = None) -> int:
     if baseline and not worse:
         print(f"not worse than {options.baseline}")
     return 1 if worse else 0
+
+
+def _draper(options: argparse.Namespace) -> Draper:
+    model = load_garment_model(options.model)
+    avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
+    for warning in avatar.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    return Draper(model, avatar, backend=options.backend)
 
 
 def _most_frequent(reasons: Counter) -> str:
