@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -504,3 +505,14 @@ def test_clouds_that_are_not_finite_are_not_dense(tmp_path):
         writer.write_cloud("/garment", points, SimpleNamespace(sec=1, nanosec=2), "torso", 5)
     ((_, _, message),) = recorded(tmp_path / "out.mcap")
     assert not message.is_dense and message.header.frame_id == "torso"
+
+
+def test_every_key_is_explained(figures):
+    """docs/replay.md knows what --json writes."""
+    text = (Path(__file__).parents[2] / "docs" / "replay.md").read_text()
+    named = set(re.findall(r"`(\w+)`", text))
+    keys = set(figures)
+    for section in ("bag", "run", "counts", "figures", "series"):
+        keys |= set(figures[section])
+    keys |= set(figures["figures"]["jitter_mm"])
+    assert keys - named == set()
