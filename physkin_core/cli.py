@@ -26,7 +26,7 @@ FORWARDED = {
         "physkin_ros.replay",
         "drape the joint states of a bag; write clouds, figures and a report. Needs no ROS",
     ),
-    "convert": ("physkin_ros.convert", "write a motion clip as a bag of joint states"),
+    "convert": ("physkin_ros.convert", "write a motion clip, BVH or AMC file as a bag of joint states"),
     "train": ("physkin_training.train", "train a garment from its mesh and physics"),
     "bench": ("physkin_core.bench", "time a frame, its stages and other engines on this machine"),
     "simulate": ("physkin_training.simulate", "drape a garment on an avatar by minimising its energy"),

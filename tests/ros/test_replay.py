@@ -455,11 +455,13 @@ def test_convert_writes_what_the_clip_holds(tmp_path, capsys):
         (["replay", "{tmp}/text.db3"], "bag "),
         (["replay", "{tmp}/strange.mcap", "-o", "{tmp}/out"], "none of the 1 joint states on /joint_states"),
         (["convert", "nosuch", "{tmp}/a.mcap"], "no bundled motion 'nosuch'"),
+        (["convert", "{tmp}/none.bvh", "{tmp}/a.mcap"], "cannot read"),
+        (["convert", "{tmp}/text.amc", "{tmp}/a.mcap"], "text.asf"),
     ],
 )
 def test_errors_are_one_line(quick, arguments, reason, bag, model_path, tmp_path, capsys):
     """Exit status 2, a sentence on stderr, and nothing left behind."""
-    for suffix in (".mcap", ".db3"):
+    for suffix in (".mcap", ".db3", ".amc"):
         (tmp_path / f"text{suffix}").write_text("this is no bag" * 100)
     with BagWriter(tmp_path / "strange.mcap") as writer:
         writer.write("/joint_states", JOINT_STATE, joint_state(["tail"], [0.0]), 1)
