@@ -33,8 +33,8 @@ from physkin_core.skinning import plain_skinning  # noqa: E402
 from physkin_ros.bags import GRAVITY, JOINT_STATE, TYPES, BagError, BagReader, BagWriter, write_motion  # noqa: E402
 from physkin_ros.conversions import read_cloud  # noqa: E402
 from physkin_ros.replay import replay  # noqa: E402
-from physkin_ros.replay_figures import TOLERANCES, BaselineError, describe, load_baseline, regressions  # noqa: E402
-from physkin_ros.replay_report import write_report  # noqa: E402
+from physkin_ros.replay_figures import TOLERANCES, BaselineError, describe, load_baseline, regressions, summary  # noqa: E402
+from physkin_ros.replay_report import thumbnails, write_report  # noqa: E402
 
 CLOUDS = "/drape_node/garment"
 TIME, HEADER, VECTOR3 = (
@@ -276,6 +276,28 @@ def test_jitter_is_not_measured_over_gaps(draper, motion, tmp_path):
     assert missing == [0, 1, 6, 7] and figures["counts"]["jitter_clouds"] == 8
 
 
+@pytest.mark.parametrize("count", [1, 3])
+def test_little_is_enough_for_a_page(count, draper, tmp_path):
+    """One joint state, or several at one moment, upside down: no rate and no jitter, but figures, plots and scenes."""
+    path, page, scenes = tmp_path / "one.mcap", tmp_path / "page.html", []
+    with BagWriter(path) as writer:
+        writer.write("/gravity", GRAVITY, gravity(0, 0, 1), 7)
+        for _ in range(count):
+            writer.write("/joint_states", JOINT_STATE, joint_state(draper.joint_names, draper.model.rig.rest), 7)
+    found, figures = run(draper, path)
+    assert figures["counts"]["draped"] == count and figures["figures"]["jitter_mm"]["mean"] is None
+    assert figures["bag"]["rate_hz"] is None and figures["figures"]["inside_percent"]["max"] is None
+    write_report(page, json.loads(json.dumps(figures, allow_nan=False)))
+    assert page.read_text().count("<svg") == 3 and summary(figures)
+    with pytest.MonkeyPatch.context() as patch:
+        blank = np.zeros((4, 4, 3), dtype=np.uint8)
+        patch.setattr("physkin_ros.replay_report.render", lambda meshes, **_: scenes.append(meshes) or blank)
+        pytest.importorskip("PIL", reason="needs pillow: pip install 'physkin[view]'")
+        thumbnails(found, draper, count=2)
+    body = scenes[0][0].vertices
+    assert body[body[:, 2].argmax()] @ [0, 0, 1] == pytest.approx(-draper.avatar.vertices[:, 2].min(), abs=1e-3)
+
+
 def test_joints_beyond_their_limits_are_named(draper, tmp_path):
     """The networks have not seen such poses."""
     joint, rig = draper.joint_names[3], draper.model.rig
@@ -289,7 +311,7 @@ def test_joints_beyond_their_limits_are_named(draper, tmp_path):
 def test_baseline_of_the_same_run_passes(quick, leaning_model_path, bag, tmp_path, capsys):
     """And its report says so."""
     old, page, output = tmp_path / "old.json", tmp_path / "page.html", tmp_path / "out"
-    arguments = ["replay", str(bag), "--model", str(leaning_model_path), "--contact-every", "6"]
+    arguments = ["replay", str(bag), "--model", str(leaning_model_path), "--contact-every", "12"]
     assert cli.main([*arguments, "--json", str(old), "-o", str(output)]) == 0
     clouds = np.stack([read_cloud(message) for _, _, message in recorded(output)])
     assert json.loads(old.read_text())["clouds_sha256"] == hashlib.sha256(clouds.tobytes()).hexdigest()
@@ -408,8 +430,6 @@ def test_missing_pictures_are_explained(draper, bag, monkeypatch):
 def test_pictures_in_the_page(draper, bag):
     """First and last cloud, as PNG."""
     pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")
-    from physkin_ros.replay_report import thumbnails
-
     found, _ = run(draper, bag)
     pictures, remark = thumbnails(found, draper, count=2)
     assert [caption for caption, _ in pictures] == ["0.00 s", "0.18 s"] and not remark
