@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from physkin_core import MotionError, load_body_model
 from physkin_core.mocap import load_mocap
@@ -78,8 +79,6 @@ def write_amc(folder, frames):
         lines += ["direction {} {} {}".format(*end[name]), "length 0", "axis 30 40 50 XYZ", "dof rx ry rz", "end"]
         hierarchy += [f"{ASF_NAMES[parent]} {fixed}", f"{fixed} {ASF_NAMES[name]}"]
     (folder / "07.asf").write_text("\n".join([*lines, *hierarchy, "end"]) + "\n")
-    from scipy.spatial.transform import Rotation
-
     axis = Rotation.from_euler("xyz", [30, 40, 50], degrees=True)
     text = [":FULLY-SPECIFIED", ":DEGREES"]
     for index, frame in enumerate(frames, start=1):
@@ -198,3 +197,15 @@ def test_amc_needs_its_skeleton(rig, tmp_path):
         load_mocap(path, rig)
     with pytest.raises(MotionError, match="source_rate_hz"):
         load_mocap(path, rig, skeleton=tmp_path / "other.asf", source_rate_hz=0.0)
+
+
+def test_straight_arm_turns_about_itself(rig, tmp_path):
+    """Its elbow's axis is known from the frames in which it bends, so that the sleeve twists with the arm."""
+    turned = []
+    for twist in (0, 60):
+        frames = [POSE] * 6 + [{**POSE, "LeftArm": (-80, twist, 0), "LeftForeArm": (0, 0, 0)}] * 12
+        motion, _ = load_mocap(write_bvh(tmp_path / "a.bvh", frames), rig)
+        turned.append(rig.bone_transforms(motion.positions[14])[rig.bone_index("upperarm02.L"), :, :3])
+    along = [0, np.cos(np.radians(80)), -np.sin(np.radians(80))]
+    twisted = np.degrees(Rotation.from_matrix(turned[1] @ turned[0].T).as_rotvec()) @ along
+    assert twisted == pytest.approx(60, abs=15)
