@@ -84,9 +84,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin demo", description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=_positive, default=10.0, help="how long to play (default %(default)g)")
     parser.add_argument("--output", type=Path, default=Path("demo.png"), help="picture (default %(default)s)")
-    parser.add_argument(
-        "--garment", default="tshirt", help="name of a shipped garment, or a model file (default %(default)s)"
-    )
+    parser.add_argument("--garment", default="tshirt", help="shipped garment or model file (default %(default)s)")
     parser.add_argument("--body", default="", help="avatar file (default: the bundled avatar)")
     parser.add_argument("--motion", default="dance", help="bundled motion or a motion file (default %(default)s)")
     parser.add_argument("--backend", default="native", choices=("native", "numpy"), help="default %(default)s")
