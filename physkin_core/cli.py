@@ -22,16 +22,16 @@ __all__ = ["main"]
 FORWARDED = {
     "node": ("physkin_ros.drape_node", "run the ROS 2 node: joint states in, garment point clouds out"),
     "demo": ("physkin_ros.demo", "run the node between a motion player and a listener; print figures, draw a picture"),
-    "replay": (
-        "physkin_ros.replay",
-        "drape the joint states of a bag; write clouds, figures and a report. Needs no ROS",
-    ),
-    "convert": ("physkin_ros.convert", "write a motion clip, BVH or AMC file as a bag of joint states"),
     "train": ("physkin_training.train", "train a garment from its mesh and physics"),
     "bench": ("physkin_core.bench", "time a frame, its stages and other engines on this machine"),
     "simulate": ("physkin_training.simulate", "drape a garment on an avatar by minimising its energy"),
     "evaluate": ("physkin_training.evaluate", "measure a garment model on bodies it has not seen"),
     "contact-sheet": ("physkin_training.contact_sheet", "draw a garment model on thin, average and heavy bodies"),
+    "replay": (
+        "physkin_ros.replay",
+        "drape the joint states of a bag; write clouds, figures and a report. Needs no ROS",
+    ),
+    "convert": ("physkin_ros.convert", "write a motion clip, BVH or AMC file as a bag of joint states"),
 }
 """Subcommand -> module whose `main(argv)` it calls, and what it does."""
 
