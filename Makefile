@@ -43,7 +43,7 @@ $(VENV)/installed-demo: $(BUILT_FROM) | $(VENV)/bin/python
 # torch goes first and alone, so that the build the user's pip is set up for (CPU or CUDA) is the one the rest meets.
 $(VENV)/installed-test: $(BUILT_FROM) $(MESSAGES) | $(VENV)/bin/python
 	$(PIP) torch
-	$(PIP) --editable ".[ros,training,view,test]"
+	$(PIP) --editable ".[ros,replay,training,view,test]"
 	$(VENV)/bin/python msg_defs/wheel/build.py --install
 	touch $@ $(VENV)/installed-demo $(VENV)/installed-lint
 

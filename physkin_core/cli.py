@@ -28,11 +28,17 @@ FORWARDED = {
     "simulate": ("physkin_training.simulate", "drape a garment on an avatar by minimising its energy"),
     "evaluate": ("physkin_training.evaluate", "measure a garment model on bodies it has not seen"),
     "contact-sheet": ("physkin_training.contact_sheet", "draw a garment model on thin, average and heavy bodies"),
+    "replay": (
+        "physkin_ros.replay",
+        "drape the joint states of a bag; write clouds, figures and a report. Needs no ROS",
+    ),
+    "convert": ("physkin_ros.convert", "write a motion clip, BVH or AMC file as a bag of joint states"),
 }
 """Subcommand -> module whose `main(argv)` it calls, and what it does."""
 
 EXTRAS = {
     "ros": ("rclpy", "sensor_msgs", "diagnostic_msgs", "rcl_interfaces"),
+    "replay": ("rosbags",),
     "training": ("torch", "warp", "potpourri3d", "rich", "tensorboard"),
     "view": ("mitsuba", "PIL"),
 }

@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["skin", "skinning_matrices"]
+from physkin_core.bound_garment import BoundGarment
+from physkin_core.garment_nodes import pose_nodes
+
+__all__ = ["plain_skinning", "skin", "skinning_matrices"]
 
 
 def skinning_matrices(nodes: np.ndarray, node_rest: np.ndarray) -> np.ndarray:
@@ -35,3 +38,15 @@ def skin(
     positions = np.einsum("nij,nj->ni", blended[..., :3], vertices) + blended[..., 3]
     turned = np.einsum("nij,nj->ni", blended[..., :3], normals)
     return positions, turned / np.maximum(np.linalg.norm(turned, axis=-1, keepdims=True), 1e-12)
+
+
+def plain_skinning(bound: BoundGarment, bone_transforms: np.ndarray) -> np.ndarray:
+    """The garment as its garment nodes carry it without any correction: what a model's drape is compared with.
+
+    bone_transforms: (b, 3, 4) of this body, from `Draper.bone_transforms`. Returns (n, 3).
+    """
+    nodes = pose_nodes(bone_transforms, bound.node_bone, bound.node_positions)
+    blended = np.einsum(
+        "nk,nkij->nij", bound.influence_weights, skinning_matrices(nodes, bound.node_rest)[bound.influence_nodes]
+    )
+    return np.einsum("nij,nj->ni", blended[..., :3], bound.vertices) + blended[..., 3]

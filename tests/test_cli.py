@@ -65,10 +65,14 @@ def test_errors_are_one_line(arguments, reason, model_path, tmp_path, capsys):
     assert lines[-1].startswith("error: ") and reason in lines[-1]
 
 
-@pytest.mark.parametrize(("command", "package", "extra"), [("node", "rclpy", "ros"), ("train", "torch", "training")])
+@pytest.mark.parametrize(
+    ("command", "package", "extra"),
+    [("node", "rclpy", "ros"), ("replay", "rosbags", "replay"), ("train", "torch", "training")],
+)
 def test_missing_extra_is_named(command, package, extra, monkeypatch, capsys):
     """One line says what to install."""
-    for name in [name for name in sys.modules if name.split(".")[0] in ("physkin_ros", "physkin_training")]:
+    hidden = ("physkin_ros", "physkin_training", package)
+    for name in [name for name in sys.modules if name.split(".")[0] in hidden]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)  # makes `import` raise ModuleNotFoundError
     assert cli.main([command]) == 2

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from random_models import random_rotation, unit_rows
 
-from physkin_core.skinning import skin, skinning_matrices
+from physkin_core import BUNDLED_AVATAR, Draper, load_avatar
+from physkin_core.skinning import plain_skinning, skin, skinning_matrices
 
 
 def scene(rng, *, n=20, m=6, influences=3):
@@ -71,3 +74,14 @@ def test_normals_that_cancel_out_stay_finite():
     s["influence_nodes"][:], s["influence_weights"][:] = [0, 1], 0.5
     nodes = np.stack([np.c_[np.eye(3), np.zeros(3)], np.c_[-np.eye(3), np.zeros(3)]])
     assert np.isfinite(skin(nodes, **s)[1]).all()
+
+
+def test_plain_skinning_is_a_model_that_corrects_nothing(garment_model):
+    """The evaluator agrees when the node deformer's last layer is zero."""
+    *layers, (weight, bias) = garment_model.node_deformer
+    plain = dataclasses.replace(garment_model, node_deformer=(*layers, (0 * weight, 0 * bias)))
+    draper = Draper(plain, load_avatar(BUNDLED_AVATAR, plain.rig))
+    rig = plain.rig
+    positions = np.random.default_rng(2).uniform(rig.lower, rig.upper).astype(np.float32)
+    skinned = plain_skinning(draper.bound, draper.bone_transforms(positions))
+    np.testing.assert_allclose(draper.drape(positions)[:, :3], skinned, atol=1e-5)

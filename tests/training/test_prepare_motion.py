@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from physkin_core.body_model import load_body_model
-from physkin_training.prepare_motion import FRAME_SIZE, JOINTS, prepare_motion, read_clip, retarget
+from physkin_core.motion_retargeting import retarget
+from physkin_training.prepare_motion import FRAME_SIZE, JOINTS, prepare_motion, read_clip
 
 STANDING = np.zeros(FRAME_SIZE)
 STANDING[0], STANDING[2] = 1 / 30, 0.9
