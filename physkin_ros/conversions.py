@@ -15,7 +15,15 @@ import numpy as np
 from physkin_core import Draper
 from physkin_ros.joint_map import MappedJoint
 
-__all__ = ["CLOUD_FIELDS", "GarmentCloud", "JointStateError", "JointStateReader", "garment_description", "read_cloud"]
+__all__ = [
+    "CLOUD_FIELDS",
+    "GarmentCloud",
+    "JointStateError",
+    "JointStateReader",
+    "garment_description",
+    "gravity_direction",
+    "read_cloud",
+]
 
 CLOUD_FIELDS = ("x", "y", "z", "normal_x", "normal_y", "normal_z")
 FLOAT32 = 7  # sensor_msgs/PointField.FLOAT32
@@ -164,6 +172,17 @@ def garment_description(draper: Draper, frame_id: str):
     )
     message.header.frame_id = frame_id
     return message
+
+
+def gravity_direction(value) -> np.ndarray:
+    """A direction of gravity (3,) from three numbers of any length but zero. Raises ValueError."""
+    if isinstance(value, (list, tuple, array)):
+        value = list(value)
+        numbers = all(isinstance(number, (int, float)) and not isinstance(number, bool) for number in value)
+        with np.errstate(over="ignore"):
+            if numbers and len(value) == 3 and np.isfinite(value).all() and 1e-9 < np.linalg.norm(value) < np.inf:
+                return np.array(value, dtype=np.float64)
+    raise ValueError(f"gravity is {value!r}; it must be three finite numbers, not all zero, such as [0.0, 0.0, -1.0]")
 
 
 def _some(names: Sequence[str], count: int = 4) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import sys
-from array import array
 from time import perf_counter_ns
 
 import numpy as np
@@ -29,7 +28,7 @@ from sensor_msgs.msg import JointState, PointCloud2
 
 import physkin_core
 from physkin_core import BUNDLED_AVATAR, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
-from physkin_ros.conversions import GarmentCloud, JointStateReader, garment_description
+from physkin_ros.conversions import GarmentCloud, JointStateReader, garment_description, gravity_direction
 from physkin_ros.diagnostics import DrapeStatistics, contact_values, diagnostic_status
 from physkin_ros.joint_map import load_joint_map
 from physkin_ros.ros4hri import ROS4HRI, Ros4hriReader
@@ -133,8 +132,10 @@ class DrapeNode(Node):
         for name in ("model", "frame_id", "precision"):
             if not self._text(name):
                 raise ValueError(f"parameter {name} must not be empty")
-        if reason := _wrong_gravity(self.get_parameter("gravity").value):
-            raise ValueError(f"parameter {reason}")
+        try:
+            gravity_direction(self.get_parameter("gravity").value)
+        except ValueError as error:
+            raise ValueError(f"parameter {error}") from None
         unknown = [name for name in self._parameter_overrides if not self.has_parameter(name)]
         if unknown := sorted(name for name in unknown if not name.startswith("qos_overrides.")):
             self.get_logger().warning(f"no such parameter: {', '.join(unknown)}; there are {', '.join(PARAMETERS)}")
@@ -190,12 +191,11 @@ class DrapeNode(Node):
             self._nodes_publisher.publish(self._nodes)
 
     def _on_gravity(self, message: Vector3Stamped) -> None:
-        direction = [message.vector.x, message.vector.y, message.vector.z]
-        if reason := _wrong_gravity(direction):
-            self._statistics.reject_gravity(reason)
-            self.get_logger().warning(f"gravity message ignored: {reason}", throttle_duration_sec=WARNING_PERIOD)
-            return
-        self._gravity = np.array(direction)
+        try:
+            self._gravity = gravity_direction([message.vector.x, message.vector.y, message.vector.z])
+        except ValueError as error:
+            self._statistics.reject_gravity(str(error))
+            self.get_logger().warning(f"gravity message ignored: {error}", throttle_duration_sec=WARNING_PERIOD)
 
     def _publish_diagnostics(self) -> None:
         now = self.get_clock().now()
@@ -214,9 +214,10 @@ class DrapeNode(Node):
     def _on_parameters(self, parameters) -> SetParametersResult:
         for parameter in parameters:
             if parameter.name == "gravity":
-                if reason := _wrong_gravity(parameter.value):
-                    return SetParametersResult(successful=False, reason=f"parameter {reason}")
-                self._gravity = np.array(parameter.value, dtype=np.float64)
+                try:
+                    self._gravity = gravity_direction(parameter.value)
+                except ValueError as error:
+                    return SetParametersResult(successful=False, reason=f"parameter {error}")
         return SetParametersResult(successful=True)
 
     def _warn_unknown(self, names: list[str]) -> None:
@@ -286,17 +287,6 @@ def _explain_usage(arguments: list[str]) -> int:
     if not wanted:
         print(f"error: unknown arguments: {' '.join(arguments)}", file=sys.stderr)
     return 0 if wanted else 2
-
-
-def _wrong_gravity(value) -> str:
-    """Why `value` is not a direction; empty if it is one."""
-    if isinstance(value, (list, tuple, array)):
-        value = list(value)
-        numbers = all(isinstance(number, (int, float)) and not isinstance(number, bool) for number in value)
-        with np.errstate(over="ignore"):
-            if numbers and len(value) == 3 and np.isfinite(value).all() and 1e-9 < np.linalg.norm(value) < np.inf:
-                return ""
-    return f"gravity is {value!r}; it must be three finite numbers, not all zero, such as [0.0, 0.0, -1.0]"
 
 
 def _forward_log() -> None:

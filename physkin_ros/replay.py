@@ -21,10 +21,11 @@ from time import perf_counter_ns
 import numpy as np
 
 from physkin_core import BACKENDS, BUNDLED_AVATAR, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
+from physkin_core.native_evaluator import PRECISIONS
 from physkin_core.quality import CLOSE, area_strain, edge_strain, signed_distance
 from physkin_core.skinning import plain_skinning
 from physkin_ros.bags import STORAGES, BagError, BagReader, BagWriter, decode
-from physkin_ros.conversions import JointStateReader
+from physkin_ros.conversions import JointStateReader, gravity_direction
 from physkin_ros.joint_map import load_joint_map
 from physkin_ros.replay_figures import describe, load_baseline, regressions, summary
 from physkin_ros.replay_report import thumbnails, write_report
@@ -107,7 +108,7 @@ def replay(
             found.counts["gravity_messages"] += 1
             try:
                 vector = decode(message).vector
-                gravity = _direction([vector.x, vector.y, vector.z])
+                gravity = gravity_direction([vector.x, vector.y, vector.z])
             except ValueError as error:
                 found.reject("gravity_rejected", str(error))
             continue
@@ -174,19 +175,10 @@ class _Measurements:
             found.contact.append((len(found.edge_strain) - 1, *map(float, shares), depth))
 
 
-def _direction(values: list[float]) -> np.ndarray:
-    """A gravity direction as the ROS node accepts it. Raises ValueError."""
-    with np.errstate(over="ignore"):
-        length = np.linalg.norm(values)
-    if not 1e-9 < length < np.inf:
-        raise ValueError(f"gravity is {values}; it must be three finite numbers, not all zero")
-    return np.array(values)
-
-
 def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0, or 1 when something is worse than in the baseline, which is then told."""
     options = _parser().parse_args(argv)
-    direction = _direction(options.gravity)
+    direction = gravity_direction(options.gravity)
     baseline = load_baseline(options.baseline) if options.baseline else None
     output = BagWriter(options.output, storage=options.storage) if options.output else nullcontext()
     with BagReader(options.bag, topic=options.topic, gravity_topic=options.gravity_topic) as bag:
@@ -230,7 +222,7 @@ def _draper(options: argparse.Namespace) -> Draper:
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
     for warning in avatar.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    return Draper(model, avatar, backend=options.backend)
+    return Draper(model, avatar, backend=options.backend, precision=options.precision, push_out=options.push_out)
 
 
 def _most_frequent(reasons: Counter) -> str:
@@ -250,6 +242,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--gravity-topic", help="gravity's direction (default /gravity, if the bag has it)")
     parser.add_argument("--gravity", type=float, nargs=3, default=UPRIGHT_GRAVITY.tolist(), metavar=("X", "Y", "Z"))
     parser.add_argument("--backend", choices=BACKENDS, default="native")
+    parser.add_argument(
+        "--precision", choices=PRECISIONS, help="of the native backend's network weights (default fp32)"
+    )
+    parser.add_argument("--push-out", action="store_true", help="bring vertices out of the body, as the node can")
     parser.add_argument("-o", "--output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3")
     parser.add_argument("--storage", choices=STORAGES, help="of an output folder (default mcap)")
     parser.add_argument("--garment-topic", default=GARMENT_TOPIC, help="of the clouds (default %(default)s)")
