@@ -10,8 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from random_models import tube
+from random_models import random_model, tube
 
+from physkin_core import Garment, GarmentModel, load_body_model
 from physkin_training.config import (
     GarmentNodeConfig,
     NetworkConfig,
@@ -38,6 +39,14 @@ def write_belly_band(path: Path) -> None:
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in vertices.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (garment.faces + 1).tolist()]
     path.write_text("\n".join(lines) + "\n")
+
+
+def waist_band_model() -> GarmentModel:
+    """A model with random networks of a band about the waist, tight enough to be inside some bodies in places."""
+    band = tube(rings=9, segments=20, radius=1.0, height=0.3)
+    garment = Garment(band.vertices * [0.15, 0.18, 1.0] + [0, 0, 0.12], band.faces)
+    rig = load_body_model().rig
+    return random_model(np.random.default_rng(1), rig=rig, garment=garment, nodes=12, correction=0.02)
 
 
 def small_config(folder: Path, **optimisation) -> TrainingConfig:

@@ -8,9 +8,10 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs the [training] extra")
 wp = pytest.importorskip("warp", reason="needs the [training] extra")
 
-from random_models import random_model, tube  # noqa: E402
 
-from physkin_core import Draper, Garment, avatar_from_body, cli, load_body_model, load_motion, quality  # noqa: E402
+from training.small_runs import waist_band_model  # noqa: E402
+
+from physkin_core import Draper, avatar_from_body, cli, load_body_model, load_motion, quality  # noqa: E402
 from physkin_core import save_garment_model as save  # noqa: E402
 from physkin_training import contact_sheet  # noqa: E402
 from physkin_training.contact_sheet import chosen_bodies, chosen_poses, drape_all  # noqa: E402
@@ -22,9 +23,7 @@ BODY = load_body_model()
 @pytest.fixture(scope="module")
 def model():
     wp.config.quiet = True
-    band = tube(rings=9, segments=20, radius=1.0, height=0.3)
-    garment = Garment(band.vertices * [0.15, 0.18, 1.0] + [0, 0, 0.12], band.faces)
-    return random_model(np.random.default_rng(1), rig=BODY.rig, garment=garment, nodes=12, correction=0.02)
+    return waist_band_model()
 
 
 def test_bodies_are_the_leanest_the_middle_and_the_heaviest():

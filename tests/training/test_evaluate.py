@@ -12,11 +12,11 @@ import trimesh
 torch = pytest.importorskip("torch", reason="needs the [training] extra")
 wp = pytest.importorskip("warp", reason="needs the [training] extra")
 
-from random_models import random_model, random_rig, tube  # noqa: E402
+from random_models import random_rig  # noqa: E402
+from training.small_runs import waist_band_model  # noqa: E402
 
 from physkin_core import (  # noqa: E402
     Draper,
-    Garment,
     avatar_from_body,
     load_body_model,
     load_garment_model,
@@ -52,9 +52,7 @@ FIGURES = {
 def model():
     """A band about the waist, tight enough to be inside some bodies in places."""
     wp.config.quiet = True
-    band = tube(rings=9, segments=20, radius=1.0, height=0.3)
-    garment = Garment(band.vertices * [0.15, 0.18, 1.0] + [0, 0, 0.12], band.faces)
-    return random_model(np.random.default_rng(1), rig=BODY.rig, garment=garment, nodes=12, correction=0.02)
+    return waist_band_model()
 
 
 def signed_distance(points, vertices, faces):

@@ -122,9 +122,8 @@ def test_schedules(tmp_path, monkeypatch):
     assert points == [64] * 80 + [POINT_COUNT] * 20
 
 
-def test_energies_are_means_over_the_steps_since_asked(tmp_path, monkeypatch):
-    """Against the energies of each step, caught on their way."""
-    trainer = Trainer(small_config(tmp_path), CPU)
+def catch_energies(trainer, monkeypatch):
+    """A list that the energies of every step to come are added to."""
     caught = []
     original = trainer.losses.__call__
 
@@ -133,39 +132,36 @@ def test_energies_are_means_over_the_steps_since_asked(tmp_path, monkeypatch):
         reach = trainer.losses.reach
 
         def __call__(self, *arguments):
-            result = original(*arguments)
-            caught.append([getattr(result[1], term).mean().item() for term in TERMS])
-            return result
+            loss, energies = original(*arguments)
+            caught.append(energies)
+            return loss, energies
 
     monkeypatch.setattr(trainer, "losses", Losses())
+    return caught
+
+
+def test_energies_are_means_over_the_steps_since_asked(tmp_path, monkeypatch):
+    """Against the energies of each step, caught on their way."""
+    trainer = Trainer(small_config(tmp_path), CPU)
+    caught = catch_energies(trainer, monkeypatch)
     for count in (3, 2):
         caught.clear()
         for _ in trainer.run(count):
             pass
         means = trainer.mean_energies()
+        per_step = [[getattr(energies, term).mean().item() for term in TERMS] for energies in caught]
         assert list(means) == list(TERMS)
-        np.testing.assert_allclose(list(means.values()), np.mean(caught, axis=0), rtol=1e-4)
+        np.testing.assert_allclose(list(means.values()), np.mean(per_step, axis=0), rtol=1e-4)
     assert len(caught) == 2
 
 
 def test_the_median_is_that_of_the_last_step(tmp_path, monkeypatch):
     """Against the energies of each sample, caught on their way."""
     trainer = Trainer(small_config(tmp_path, samples=5, bodies=1), CPU)
-    caught = []
-    original = trainer.losses.__call__
-
-    class Losses:
-        contact_stiffness = trainer.losses.contact_stiffness
-        reach = trainer.losses.reach
-
-        def __call__(self, *arguments):
-            caught.append(original(*arguments))
-            return caught[-1]
-
-    monkeypatch.setattr(trainer, "losses", Losses())
+    caught = catch_energies(trainer, monkeypatch)
     for _ in trainer.run(3):
         pass
-    energies = caught[-1][1]
+    energies = caught[-1]
     values = sorted((energies.stretch + energies.collision).tolist())
     assert trainer.median_energy() == pytest.approx(values[2])
 

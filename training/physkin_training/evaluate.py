@@ -13,6 +13,7 @@ import json
 import sys
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -209,8 +210,11 @@ class Evaluation:
 
     def full_space_minimum(self, start: torch.Tensor, batch: Batch) -> Solution:
         """Minimise over all vertices from drapes (B, n, 3), against the bodies of the batch posed last."""
-        solver = FullSpaceSolver(self.model.garment, self.losses, self.batch, self.device)
-        return solver.minimise(start, batch.gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
+        return self._solver.minimise(start, batch.gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
+
+    @cached_property
+    def _solver(self) -> FullSpaceSolver:
+        return FullSpaceSolver(self.model.garment, self.losses, self.batch, self.device)
 
     def _raw(self, batch: Batch) -> torch.Tensor:
         vector = self.drape.pose_vector(batch.positions, batch.gravity)

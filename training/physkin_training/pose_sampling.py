@@ -11,6 +11,7 @@ import math
 import torch
 
 from physkin_core.rig import Rig
+from physkin_training.config import PoseConfig
 
 __all__ = ["PoseSampler", "pose_range"]
 
@@ -32,6 +33,11 @@ class PoseSampler:
 
     upright: share of samples whose root stands upright; the others lean by up to `largest_tilt` [rad] any way.
     """
+
+    @classmethod
+    def configured(cls, config: PoseConfig, rig: Rig, device: torch.device) -> PoseSampler:
+        """The sampler of a training configuration."""
+        return cls(rig, device, upright=config.upright, largest_tilt=math.radians(config.largest_tilt_degrees))
 
     def __init__(self, rig: Rig, device: torch.device, *, upright: float, largest_tilt: float) -> None:
         def tensor(values) -> torch.Tensor:

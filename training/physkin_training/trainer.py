@@ -32,7 +32,6 @@ from physkin_training.wearing import Wearing
 
 __all__ = ["Trainer", "TrainingDiverged"]
 
-
 NORMALISING_POSES = 2048
 """Poses from which the node deformer's inputs are scaled."""
 
@@ -78,12 +77,7 @@ class Trainer:
         self.drape = Drape(self.garment, nodes, self.rig, config.networks).to(device)
         self.bodies = BodySet(body_model, body_model.train_bodies[: config.train_bodies], device)
         self.node_positions = self.drape.node_positions(self.bodies)
-        self.sampler = PoseSampler(
-            self.rig,
-            device,
-            upright=config.poses.upright,
-            largest_tilt=math.radians(config.poses.largest_tilt_degrees),
-        )
+        self.sampler = PoseSampler.configured(config.poses, self.rig, device)
         wearing = Wearing.of(self.garment, body_model).worn_faces()
         self.posed_bodies = PosedBodies(body_model, self.bodies, self._samples, faces=wearing.faces)
         self._normalise_nodes()

@@ -8,7 +8,6 @@ Dimensions: `k` batches, `B` samples of this process, `S` bodies of this process
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,12 +67,7 @@ class Validation:
         self._processes = processes
         generator = torch.Generator().manual_seed(config.seed)
         chosen = torch.randint(len(bodies), (BATCHES, optimisation.bodies), generator=generator)
-        sampler = PoseSampler(
-            body_model.rig,
-            torch.device("cpu"),
-            upright=config.poses.upright,
-            largest_tilt=math.radians(config.poses.largest_tilt_degrees),
-        )
+        sampler = PoseSampler.configured(config.poses, body_model.rig, torch.device("cpu"))
         samples = [sampler.sample(optimisation.samples, 1.0, generator=generator) for _ in range(BATCHES)]
 
         def share(values: torch.Tensor) -> torch.Tensor:
