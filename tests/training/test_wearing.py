@@ -74,6 +74,9 @@ def test_worn_faces_are_those_near_the_garment():
     assert 0 < len(left.faces) < len(worn.faces) == len(BODY.faces)
     assert set(left.face_bone) == set(np.flatnonzero(worn.worn.any(axis=0)))
     np.testing.assert_array_equal(left.worn, worn.worn)
+    own = SURFACE[left.faces[left.own_face]].mean(axis=1)
+    nearest = np.linalg.norm(SURFACE[left.faces].mean(axis=1)[None] - garment.vertices[::40, None], axis=2).min(axis=1)
+    np.testing.assert_allclose(np.linalg.norm(own - garment.vertices, axis=1)[::40], nearest, atol=1e-6)
     outside = worn.faces[~np.isin(worn.face_bone, left.face_bone)]
     whole = SURFACE[outside[::50]].mean(axis=1)
     distance = np.linalg.norm(whole[:, None] - garment.vertices[None], axis=2).min(axis=1)

@@ -34,10 +34,13 @@ DEEP = 0.01
 """Beyond this depth [m] below the contact offset a hit counts only if the vertex is worn on that part of the body, and
 body and cloth face the same way: else it is another limb, or the wrong side of this one."""
 
-BAND_STIFFNESS = 2.0e4
+LED_BACK_BEYOND = 0.001
+"""Depth [m] behind its own place on the body up to which the force grows that leads a lost vertex back."""
+
+BAND_STIFFNESS = 1.0e5
 """What holds a garment up [J/m4]: energy = stiffness * vertex area * (distance beyond the slack)^2."""
 
-BAND_SLACK = 0.02
+BAND_SLACK = 0.015
 """How far [m] a vertex of the band may move from its place on the body before it is held."""
 
 
@@ -126,13 +129,17 @@ def collision_kernel(
     reach: wp.float32,
     face_bone: wp.array(dtype=wp.int32),
     worn: wp.array2d(dtype=wp.bool),
+    own_face: wp.array(dtype=wp.int32),
     normals: wp.array2d(dtype=wp.vec3),
     energy: wp.array2d(dtype=wp.float32),
     gradient: wp.array2d(dtype=wp.vec3),
     signed_distance: wp.array2d(dtype=wp.float32),
     at_worn_part: wp.array2d(dtype=wp.bool),
 ):
-    """Squared depth below the contact offset, to the exact closest point of the posed body; linear when deeper."""
+    """Squared depth below the contact offset, to the exact closest point of the posed body; linear when deeper.
+
+    own_face: face of the body that each vertex lies on, which leads back a vertex lost inside the body; or empty.
+    """
     s, v = wp.tid()
     point = x[s, v] + body_offset[s]
     hit = wp.mesh_query_point_sign_normal(body, point, reach)
@@ -157,6 +164,16 @@ def collision_kernel(
                 bounded = wp.min(depth, linear_beyond)
                 energy[s, v] = k * bounded * (2.0 * depth - bounded)
                 wp.atomic_add(gradient, s, v, outward * (-2.0 * k * bounded))
+            elif own_face.shape[0] > 0:
+                face = s * face_bone.shape[0] + own_face[v]
+                outward = wp.mesh_eval_face_normal(body, face)
+                centre = wp.mesh_eval_position(body, face, 1.0 / 3.0, 1.0 / 3.0)
+                behind = contact_offset - wp.dot(point - centre, outward)
+                if behind > 0.0:
+                    k = stiffness[0] * vertex_area[v]
+                    bounded = wp.min(behind, LED_BACK_BEYOND)
+                    energy[s, v] = k * bounded * (2.0 * behind - bounded)
+                    wp.atomic_add(gradient, s, v, outward * (-2.0 * k * bounded))
 
 
 @wp.kernel
@@ -223,9 +240,11 @@ class PhysicsLosses:
 
     contact_stiffness is a tensor (1,) [J/m4] that a schedule may change between steps. reach: farthest distance [m] at
     which the body is looked for, read at every call. wearing: what of the body counts as contact, and the band; without
-    it all of the body counts and nothing holds the garment up. For training only: contact force grows no more from a
-    depth of `linear_beyond` [m], and a sample's gradient is weighted by 1 / sqrt(1 + E / heavy_energy) of its energy
-    E [J] without gravity, so that the few heaviest poses do not outweigh all others. By default neither acts.
+    it all of the body counts and nothing holds the garment up. For training only, and by default none of them acts:
+    contact force grows no more from a depth of `linear_beyond` [m]; with `leads_back`, a vertex deep in the body whose
+    hit does not count, as it is in another limb or on the wrong side, is pushed before the plane of the body face it is
+    worn on; a sample's gradient is weighted by 1 / sqrt(1 + E / heavy_energy) of its energy E [J] without gravity, so
+    that the few heaviest poses do not outweigh all others.
     """
 
     def __init__(
@@ -238,6 +257,7 @@ class PhysicsLosses:
         wearing: Wearing | None = None,
         reach: float = 0.1,
         linear_beyond: float = math.inf,
+        leads_back: bool = False,
         heavy_energy: float = math.inf,
     ) -> None:
         self.material = material
@@ -272,7 +292,9 @@ class PhysicsLosses:
         }
         face_bone = np.zeros(1) if wearing is None else wearing.face_bone
         worn = np.ones((n, 1), dtype=bool) if wearing is None else wearing.worn
+        own_face = wearing.own_face if leads_back and wearing is not None else np.zeros(0)
         self._face_bone = self._array(face_bone, wp.int32)
+        self._own_face = self._array(own_face, wp.int32)
         self._worn = wp.array(worn, dtype=wp.bool, device=self.device)
         self._band: list[wp.array] = []
         if wearing is not None:
@@ -335,6 +357,7 @@ class PhysicsLosses:
                 self.reach,
                 self._face_bone,
                 self._worn,
+                self._own_face,
                 _vec3(self._normals),
             ],
             outputs=[

@@ -91,6 +91,7 @@ class Trainer:
             wearing=wearing,
             reach=EARLY_REACH,
             linear_beyond=optimisation.contact_linear_beyond,
+            leads_back=True,
             heavy_energy=optimisation.heavy_energy,
         )
         self._validation = Validation(config, body_model, self.garment, self.bodies, wearing, self.processes)

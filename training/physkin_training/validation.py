@@ -86,6 +86,7 @@ class Validation:
             device,
             wearing=wearing,
             linear_beyond=optimisation.contact_linear_beyond,
+            leads_back=True,
         )
 
     @torch.no_grad()

@@ -29,13 +29,15 @@ class Wearing:
     """A garment on the garment maker's body.
 
     faces: (f, 3) int32, faces of the body that cloth may be in contact with; face_bone: (f,) int32, the bone that moves
-    each most. worn: (n, b) bool, the vertex lies on that bone's part. band: (k,) int32 vertices of the neckband or
+    each most. worn: (n, b) bool, the vertex lies on that bone's part. own_face: (n,) int32, of the `faces` of
+    worn parts the one whose centre is closest. band: (k,) int32 vertices of the neckband or
     waistband; band_place: (k,) int32 the body vertex closest to each, band_distance: (k,) float32 [m] away.
     """
 
     faces: np.ndarray
     face_bone: np.ndarray
     worn: np.ndarray
+    own_face: np.ndarray
     band: np.ndarray
     band_place: np.ndarray
     band_distance: np.ndarray
@@ -53,6 +55,7 @@ class Wearing:
             distance, _ = cKDTree(body[vertex_bone == bone]).query(garment.vertices, distance_upper_bound=WORN_WITHIN)
             worn[:, bone] = np.isfinite(distance)
 
+        near = np.flatnonzero(worn.any(axis=0)[face_bone])
         opening = garment.vertices[_uppermost_opening(garment)]
         distance, _ = cKDTree(opening).query(garment.vertices, distance_upper_bound=BAND_WIDTH)
         band = np.flatnonzero(np.isfinite(distance))
@@ -61,6 +64,7 @@ class Wearing:
             faces=faces,
             face_bone=face_bone.astype(np.int32),
             worn=worn,
+            own_face=near[cKDTree(body[faces[near]].mean(axis=1)).query(garment.vertices)[1]].astype(np.int32),
             band=band.astype(np.int32),
             band_place=place.astype(np.int32),
             band_distance=gap.astype(np.float32),
@@ -69,7 +73,13 @@ class Wearing:
     def worn_faces(self) -> Wearing:
         """Contact only with faces of parts on which some vertex of the garment lies."""
         keep = self.worn.any(axis=0)[self.face_bone]
-        return replace(self, faces=self.faces[keep], face_bone=self.face_bone[keep])
+        kept = np.cumsum(keep) - 1
+        return replace(
+            self,
+            faces=self.faces[keep],
+            face_bone=self.face_bone[keep],
+            own_face=kept[self.own_face].astype(np.int32),
+        )
 
 
 def _uppermost_opening(garment: Garment) -> np.ndarray:
