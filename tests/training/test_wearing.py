@@ -63,6 +63,9 @@ def test_parts_a_shirt_is_worn_on():
     belly = np.linalg.norm(garment.vertices - [0.15, 0.0, 0.15], axis=1).argmin()
     assert worn.worn[sleeve, BONES.index("upperarm02.L")] and not worn.worn[sleeve, BONES.index("spine03")]
     assert worn.worn[belly, BONES.index("spine04")] and not worn.worn[belly, BONES.index("upperarm02.L")]
+    side = np.linalg.norm(garment.vertices - [0.05, 0.15, 0.27], axis=1).argmin()
+    arm = [worn.worn[side, BONES.index(part)] for part in ("upperarm01.L", "upperarm02.L")]
+    assert worn.worn[side, BONES.index("spine02")] and not any(arm), garment.vertices[side]
     for part in ("wrist.L", "wrist.R", "foot.L", "lowerleg02.R"):
         assert not worn.worn[:, BONES.index(part)].any(), part
 
