@@ -18,7 +18,7 @@ from physkin_core.bound_garment import BoundGarment
 from physkin_core.garment import vertex_normals
 from physkin_core.garment_model import GarmentModel
 from physkin_core.garment_nodes import node_positions_on_body
-from physkin_core.hyper_modulator import POINT_COUNT, body_modulation
+from physkin_core.hyper_modulator import POINT_COUNT, at_fit, body_modulation
 from physkin_core.mlp import fold_modulation
 from physkin_core.node_deformer import fold_first_layer
 from physkin_core.surface_sampling import sample_surface
@@ -33,17 +33,21 @@ POINTS_AT_ONCE = 8192
 """Points whose skinning weights over all garment nodes `bind_points` holds at a time."""
 
 
-def encode_body(model: GarmentModel, avatar: Avatar, *, backend: Literal["native", "numpy"] = "numpy") -> np.ndarray:
+def encode_body(
+    model: GarmentModel, avatar: Avatar, *, fit: float = 0.0, backend: Literal["native", "numpy"] = "numpy"
+) -> np.ndarray:
     """Run the hyper modulator on a body: modulation (s,) float32 of the pose modulator.
 
-    backend: "native" (C++, an order of magnitude faster on one core) or "numpy" (readable reference).
+    fit: of the garment, 0 (the template) to 1 (made to measure). backend: "native" (C++, an order of magnitude faster
+    on one core) or "numpy" (readable reference).
     """
+    network = at_fit(model.hyper_modulator, fit)
     points, normals = sample_surface(avatar.vertices, avatar.faces, POINT_COUNT)
     if backend == "native":
         from physkin_core.native_body_encoder import native_body_modulation
 
-        return native_body_modulation(model.hyper_modulator, points, normals)
-    return body_modulation(model.hyper_modulator, points, normals).astype(np.float32)
+        return native_body_modulation(network, points, normals)
+    return body_modulation(network, points, normals).astype(np.float32)
 
 
 def bind_garment(model: GarmentModel, avatar: Avatar, *, backend: Literal["native", "numpy"] = "numpy") -> BoundGarment:

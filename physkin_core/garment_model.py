@@ -60,7 +60,7 @@ class GarmentModel:
 
     garment: mesh the model was trained on. node_rest: (m, 3); node_bone: (m,) int32, index into `rig`.
     influence_nodes: (n, K) int32; influence_weights: (n, K) float32, rows sum to 1. Other integer types are converted.
-    hyper_modulator: arrays by name (see `physkin_core.hyper_modulator`). pose_modulator, node_deformer: layers.
+    hyper_modulator: arrays by name (see `physkin_core.hyper_modulator`); "fit" only where made to measure was learnt. pose_modulator, node_deformer: layers.
     training, scores: plain data on how it was trained (seed, bodies, steps) and how it measured up.
     """
 
@@ -108,6 +108,11 @@ class GarmentModel:
                 raise GarmentModelError(f"{name} is of type {array.dtype}, expected floating point numbers")
             if not np.isfinite(array).all():
                 raise GarmentModelError(f"{name} holds a value that is not finite")
+
+    @property
+    def made_to_measure(self) -> bool:
+        """Whether the networks have learnt rest shapes graded to the body (`fit` above 0), too."""
+        return "fit" in self.hyper_modulator
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Every array by its name in the garment model file."""
@@ -183,6 +188,8 @@ def _expect_hyper_modulator(network: Mapping[str, np.ndarray], outputs: int) -> 
         raise GarmentModelError(f"hyper_modulator lacks {error}") from None
     if width % 4:
         raise GarmentModelError(f"hyper_modulator token width {width} is not a multiple of its 4 heads")
-    known = {f"{name}.{part}" for name in [*shapes, *norms] for part in ("weight", "bias")}
+    if "fit" in network:
+        _expect("hyper_modulator.fit", network["fit"], (width,))
+    known = {f"{name}.{part}" for name in [*shapes, *norms] for part in ("weight", "bias")} | {"fit"}
     if unknown := sorted(set(network) - known):
         raise GarmentModelError(f"hyper_modulator has unknown arrays: {', '.join(unknown)}")

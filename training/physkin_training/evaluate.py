@@ -32,7 +32,7 @@ from physkin_training.figures import Figures
 from physkin_training.full_space_solver import FullSpaceSolver, Solution
 from physkin_training.inside_by_vertex import inside_by_vertex
 from physkin_training.minimum import subspace_minimum
-from physkin_training.physics_losses import GRAVITY, Energies, PhysicsLosses
+from physkin_training.physics_losses import Energies, PhysicsLosses
 from physkin_training.posed_bodies import BodySet, PosedBodies
 from physkin_training.score_table import table
 from physkin_training.wearing import Wearing
@@ -57,13 +57,15 @@ class Batch:
     positions: torch.Tensor
     gravity: torch.Tensor
     body: torch.Tensor
+    rest: RestShape | None = None
 
 
 class Evaluation:
     """Held-out bodies and seeded poses for one garment model on one device.
 
-    bodies: how many, the first of the held-out ones; or the indices of which ones. Raises ValueError when the model is
-    for another rig than the body model's, or there are not so many bodies.
+    bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, 0 (the template)
+    to 1 (made to measure); strains are then against the rest shape at that fit. Raises ValueError when the model is for
+    another rig than the body model's or has not learnt the fit, or there are not so many bodies.
     """
 
     def __init__(

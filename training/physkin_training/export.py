@@ -67,7 +67,8 @@ def model_from_drape(
 def drape_from_model(model: GarmentModel) -> Drape:
     """The torch drape of a garment model (for evaluation, or to train on)."""
     nodes = GarmentNodes(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
-    drape = Drape(model.garment, nodes, model.rig, network_config(model))
+    config, both = network_config(model), model.made_to_measure
+    drape = Drape(model.garment, nodes, model.rig, config, made_to_measure=both)
     state = {f"hyper_modulator.{key}": array for key, array in model.hyper_modulator.items()}
     for network in ("pose_modulator", "node_deformer"):
         for index, (weight, bias) in enumerate(getattr(model, network)):
@@ -94,15 +95,17 @@ def network_config(model: GarmentModel) -> NetworkConfig:
     )
 
 
-def encode_bodies(drape: Drape, vertices: np.ndarray, faces: np.ndarray) -> torch.Tensor:
-    """Body modulations (S, s) of bodies (S, V, 3), from the same surface points as the run time takes."""
+def encode_bodies(drape: Drape, vertices: np.ndarray, faces: np.ndarray, *, fit: float = 0.0) -> torch.Tensor:
+    """Body modulations (S, s) of bodies (S, V, 3), from the same surface points as the run time takes. fit: of the
+    garment, above 0 only for a drape that has learnt it."""
     device = drape.node_rest.device
+    fits = torch.full((1,), fit, device=device) if fit else None
     modulations = []
     with torch.no_grad():
         for body in vertices:
             points, normals = sample_surface(body, faces, POINT_COUNT)
             pair = [torch.as_tensor(a, dtype=torch.float32, device=device)[None] for a in (points, normals)]
-            modulations.append(drape.networks.hyper_modulator(*pair))
+            modulations.append(drape.networks.hyper_modulator(*pair, fits))
     return torch.cat(modulations)
 
 
