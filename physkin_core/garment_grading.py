@@ -53,7 +53,7 @@ class GarmentGrading:
         return np.moveaxis(smooth, 0, 1).reshape(*displacement.shape[:-2], -1, 3)
 
     def closest_vertices(self, points: np.ndarray) -> np.ndarray:
-        """The garment vertex closest to each of points (k, 3), such as garment nodes, which are graded as it is (k,)."""
+        """(k,) the garment vertex closest to each of points (k, 3): garment nodes are graded as theirs is."""
         from scipy.spatial import cKDTree
 
         return cKDTree(self.garment.vertices).query(points)[1]

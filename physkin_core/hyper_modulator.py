@@ -38,8 +38,10 @@ def encode_points(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def at_fit(network: Mapping[str, np.ndarray], fit: float) -> dict[str, np.ndarray]:
-    """The hyper modulator of a garment worn at a fit, 0 (the template) to 1 (made to measure): every token is shifted by
-    fit times the learnt vector `fit`, which goes into a bias. Without fit, any network will do."""
+    """The hyper modulator of a garment worn at a fit, 0 (the template) to 1 (made to measure).
+
+    Every token is shifted by fit times the learnt vector "fit" (D,), which goes into a bias. At 0 any network will do.
+    """
     folded = {name: array for name, array in network.items() if name != "fit"}
     if fit:
         folded["embed.bias"] = network["embed.bias"] + np.float32(fit) * network["fit"]

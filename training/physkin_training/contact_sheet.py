@@ -27,7 +27,6 @@ from physkin_core.rig import Rig
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.evaluate import Evaluation
 from physkin_training.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
-from physkin_training.figures import Figures
 
 __all__ = ["Drapes", "chosen_bodies", "chosen_poses", "drape_all", "draw"]
 
@@ -90,14 +89,15 @@ def drape_all(evaluation: Evaluation, poses: Pairs, *, minimum: bool) -> Drapes:
     pairs = poses[torch.arange(len(poses)).repeat_interleave(count)]
     pairs = replace(pairs, body=torch.arange(count).repeat(len(poses)))
     rows = ["model", "minimum"] if minimum else ["model"]
-    figures = {row: Figures(evaluation.model.garment, evaluation.device) for row in rows}
+    figures = {row: evaluation.new_figures() for row in rows}
     garments: dict[str, list] = {row: [] for row in rows}
     bodies = []
     for batch in evaluation.batches(pairs):
         points = wp.to_torch(evaluation.posed_bodies.mesh.points).view(evaluation.batch, -1, 3)
         bodies.append((points - evaluation.posed_bodies.offset[:, None])[: batch.count].cpu().numpy())
         with torch.no_grad():
-            drapes = {"model": evaluation.drape(batch.modulation, batch.positions, batch.gravity, batch.posed_nodes)}
+            inputs = (batch.modulation, batch.positions, batch.gravity, batch.posed_nodes, batch.rest)
+            drapes = {"model": evaluation.drape(*inputs)}
         if minimum:
             drapes["minimum"] = evaluation.full_space_minimum(drapes["model"], batch).vertices
         for row, vertices in drapes.items():

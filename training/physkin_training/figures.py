@@ -46,10 +46,10 @@ class Figures:
     ) -> None:
         """Count in the first `count` (default all) of a batch of drapes (B, n, 3) [m].
 
-        inside_by_vertex: (B, n) bool, see the function of that name. rest_row: (B,) integers, which rest shape each has,
-        default the first. takes: (B,) int64, for drapes that are frames of
-        motion, the take that each is of: a take's frames come together and in order, over as many batches as need be,
-        and jitter is that of `physkin_core.quality.jitter` over each take by itself.
+        inside_by_vertex: (B, n) bool, see the function of that name. rest_row: (B,) integers, which rest shape each
+        has, default the first. takes: (B,) int64, for drapes that are frames of motion, the take that each is of: a
+        take's frames come together and in order, over as many batches as need be, and jitter is that of
+        `physkin_core.quality.jitter` over each take by itself.
         """
         vertices = vertices[:count]
         ends = vertices[:, self.edges]

@@ -232,8 +232,8 @@ class PhysicsLosses:
     it all of the body counts and nothing holds the garment up. For training only: contact force grows no more from a
     depth of `linear_beyond` [m], and a sample's gradient is weighted by 1 / sqrt(1 + E / heavy_energy) of its energy
     E [J] without gravity, so that the few heaviest poses do not outweigh all others. By default neither acts.
-    rest: the garment's rest shapes, default its own alone; `rest_row` (B,) int32 says which of them each sample has, the
-    first one until it is changed in place.
+    rest: the garment's rest shapes, default its own alone; `rest_row` (B,) int32 says which of them each sample has,
+    the first one until it is changed in place.
     """
 
     def __init__(

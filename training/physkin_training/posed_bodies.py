@@ -80,7 +80,8 @@ def pose_body_kernel(
 class BodySet:
     """Bodies of the compact body model on one device: surfaces, bones and surface points for the hyper modulator.
 
-    coefficients: (S, c) shape coefficients, NumPy. `vertices` (S, V, 3), `heads`, `tails` (S, b, 3) [m], canonical pose.
+    coefficients: (S, c) shape coefficients, NumPy. `vertices` (S, V, 3), `heads`, `tails` (S, b, 3) [m], canonical
+    pose.
     """
 
     def __init__(self, model: BodyModel, coefficients: np.ndarray, device: torch.device) -> None:

@@ -53,8 +53,8 @@ class Validation:
 
     All buffers are its own and it draws nothing from torch's random streams, so that neither a recorded step nor the
     samples to come notice it. Of several processes each measures its share of the same set.
-    fits, rest: rest shapes of the set, where training has them made to measure, too; the set is then measured both ways.
-    `made_to_measure`: the part of the last `energy` [J] that is of these, None where there are none.
+    fits, rest: rest shapes of the set, where training has them made to measure, too; then the set is measured both
+    ways. `made_to_measure`: the last mean energy [J] of these, None where there are none.
     """
 
     def __init__(
