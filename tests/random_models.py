@@ -180,6 +180,7 @@ def random_model(
     )
     deformer = random_layers(rng, (12 * nodes, *deformer_widths, node_outputs * nodes), output_scale=correction)
     pose = random_layers(rng, (rig.pose_size, *pose_widths, 2 * sum(deformer_widths)), output_scale=0.3)
+    node_bone = rng.integers(0, rig.bone_count, size=nodes).astype(np.int32)
     hyper = random_hyper_modulator(rng, 2 * sum(pose_widths), width=width)
     if made_to_measure:
         hyper["fit"] = rng.normal(size=width).astype(np.float32)
@@ -188,7 +189,7 @@ def random_model(
         rig=rig,
         garment=garment,
         node_rest=rest,
-        node_bone=rng.integers(0, rig.bone_count, size=nodes).astype(np.int32),
+        node_bone=node_bone,
         influence_nodes=influence_nodes.astype(np.int32),
         influence_weights=(weights / weights.sum(axis=1, keepdims=True)).astype(np.float32),
         hyper_modulator=hyper,

@@ -50,8 +50,9 @@ def face_rest_inverse(garment: Garment) -> np.ndarray:
     length = np.linalg.norm(d1, axis=1)
     along = (d1 * d2).sum(axis=1) / length
     across = 2 * garment.face_areas / length
-    zero = np.zeros_like(length)
-    return np.linalg.inv(np.stack([np.stack([length, along], axis=1), np.stack([zero, across], axis=1)], axis=1))
+    inverse = np.zeros((len(length), 2, 2))  # of ((length, along), (0, across))
+    inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1] = 1 / length, -along / (length * across), 1 / across
+    return inverse
 
 
 def hinge_rest(garment: Garment) -> tuple[np.ndarray, np.ndarray]:
