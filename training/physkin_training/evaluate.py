@@ -20,6 +20,7 @@ import numpy as np
 import torch
 
 from physkin_core.body_model import load_body_model
+from physkin_core.garment import Garment
 from physkin_core.garment_model import GarmentModel
 from physkin_core.model_file import load_garment_model, save_garment_model
 from physkin_core.motion import Motion, bundled_motions, load_motion
@@ -128,6 +129,11 @@ class Evaluation:
                 self.losses.rest_row.copy_(worn.rows)
             posed_nodes = self.drape.posed_nodes(bones, positions)
             yield Batch(min(self.batch, len(pairs) - start), posed_nodes, self.modulations[b], q, g, b, rest)
+
+    def rest_garment(self, body: int) -> Garment:
+        """The garment in the rest shape that body `body` of this evaluation wears."""
+        garment = self.model.garment
+        return garment.reshaped(self._fits.shapes[1 + body]) if self._fits else garment
 
     def new_figures(self) -> Figures:
         """Figures that count nothing yet, with strains against this evaluation's rest shapes."""
