@@ -12,6 +12,7 @@ trimesh = pytest.importorskip("trimesh")
 from physkin_core.garment import Garment  # noqa: E402
 from physkin_core.garment_model import Material  # noqa: E402
 from physkin_training.physics_losses import BAND_SLACK, BAND_STIFFNESS, LED_BACK_BEYOND, PhysicsLosses  # noqa: E402
+from physkin_training.rest_data import RestData  # noqa: E402
 from physkin_training.wearing import Wearing  # noqa: E402
 from training import physics_oracle as oracle  # noqa: E402
 
@@ -85,6 +86,54 @@ def test_gradient_matches_finite_differences(scene):
             moved = torch.tensor(x[sample] + sign * step * direction[sample])
             difference += sign * float(sum(oracle_terms(scene, moved, sample).values()))
         assert (gradient[sample] * direction[sample]).sum() == pytest.approx(difference / (2 * step), rel=2e-3)
+
+
+def rest_shapes(garment) -> list[Garment]:
+    """The garment itself, and two graded ones of other sizes and curvature."""
+    z = garment.vertices[:, 2:]
+    return [
+        garment,
+        garment.reshaped(garment.vertices * [1.15, 0.95, 1.1]),
+        garment.reshaped(garment.vertices * (1 + 2 * np.abs(z)) * [0.9, 0.9, 1.2]),
+    ]
+
+
+def test_each_sample_has_its_own_rest_shape(scene):
+    """Energies and gradient against the oracle with that rest shape alone, and the gradient against finite differences
+    of the kernels' own energies; rows may change from call to call."""
+    garment, _, x, offset, mesh, gravity = scene
+    shapes = rest_shapes(garment)
+    rest = RestData(garment, MATERIAL, torch.device("cpu"), shapes=np.stack([shape.vertices for shape in shapes]))
+    body = scene[1]
+    band = worn_on(garment, body, worn=True, band=[0, 5, 9])
+    losses = PhysicsLosses(garment, MATERIAL, SAMPLES, torch.device("cpu"), rest=rest, wearing=band)
+    tensors = [torch.as_tensor(a, dtype=torch.float32) for a in (x, gravity, offset)]
+    for rows in ([2, 1], [0, 2]):
+        losses.rest_row.copy_(torch.tensor(rows))
+        energies, gradient = losses.evaluate(tensors[0], tensors[1], mesh, tensors[2])
+        for sample, row in enumerate(rows):
+            leaf = torch.tensor(x[sample], requires_grad=True)
+            terms = oracle_terms((shapes[row], *scene[1:]), leaf, sample)
+            for name, value in terms.items():
+                assert energies[name][sample].item() == pytest.approx(value.item(), rel=3e-4), (name, row)
+            (expected,) = torch.autograd.grad(sum(terms.values()), leaf)
+            held = band_gradient(shapes[row], body, x[sample], band)
+            error = np.abs(gradient[sample].numpy() - expected.numpy() - held).max()
+            assert error < 1e-3 * np.abs(expected.numpy()).max()
+    alone = PhysicsLosses(shapes[2], MATERIAL, SAMPLES, torch.device("cpu"), wearing=band)
+    there = alone.evaluate(tensors[0], tensors[1], mesh, tensors[2])[0]
+    assert there["band"][1].item() == pytest.approx(energies["band"][1].item(), rel=1e-5) and there["band"][1] > 0
+
+
+def band_gradient(garment, body, x, wearing):
+    """dE/dx (n, 3) of the band by its formula."""
+    gradient = np.zeros_like(x)
+    for vertex, place, limit in zip(wearing.band, wearing.band_place, wearing.band_distance + BAND_SLACK):
+        away = x[vertex] - body.vertices[place]
+        distance = np.linalg.norm(away)
+        beyond = max(0.0, distance - limit)
+        gradient[vertex] += 2 * BAND_STIFFNESS * garment.vertex_areas[vertex] * beyond * away / distance
+    return gradient
 
 
 def test_backward_is_the_mean_energy_gradient(scene):
