@@ -96,7 +96,7 @@ class GarmentNodeConfig:
 
     count: int = 128
     initial_influences: int = 16
-    influences: int = 8
+    influences: int = 16
 
     def __post_init__(self) -> None:
         _check(self, "garment_nodes.", "count", "at least 1", lambda value: value >= 1)
