@@ -36,7 +36,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, required=True, help="folder for checkpoint, scalars and the model")
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--resume", type=Path, metavar="FOLDER", help="go on from this checkpoint")
-    start.add_argument("--start-from", type=Path, metavar="FOLDER", help="new run from this checkpoint's networks")
+    start.add_argument("--start-from", type=Path, metavar="PATH", help="new run from the networks of this checkpoint or model")
     parser.add_argument("--device", default=DEFAULT_DEVICE)
     parser.add_argument(
         "--stop-after", type=_minutes, default=math.inf, metavar="MINUTES", help="then write a checkpoint and stop"

@@ -18,6 +18,7 @@ import torch
 
 from physkin_core.body_model import load_body_model
 from physkin_core.garment import load_garment
+from physkin_core.model_file import load_garment_model
 from physkin_training.checkpoint import Progress, load_checkpoint, load_drape, save_checkpoint
 from physkin_training.config import TrainingConfig
 from physkin_training.draping import Drape, GarmentNodes
@@ -30,6 +31,7 @@ from physkin_training.recorded_step import RecordedStep
 from physkin_training.rest_data import RestData
 from physkin_training.schedule import EARLY_REACH, Schedule
 from physkin_training.validation import BestModel, Validation
+from physkin_training.warm_start import take_over_model
 from physkin_training.wearing import Wearing
 
 __all__ = ["Trainer", "TrainingDiverged"]
@@ -199,9 +201,15 @@ class Trainer:
         self.step = self._summed_from = progress.step
         self.best, self.started_from = progress.best, progress.started_from
 
-    def start_from(self, folder: Path) -> None:
-        """Begin a new run with the networks and skinning weights of another run's checkpoint."""
-        self.started_from = load_drape(folder, self.drape)
+    def start_from(self, path: Path) -> None:
+        """Begin a new run with the networks and skinning weights of another run's checkpoint, or of a model file.
+
+        Raises CheckpointError or ValueError when they do not fit this run.
+        """
+        if path.is_file():
+            self.started_from = take_over_model(load_garment_model(path), self.drape)
+        else:
+            self.started_from = load_drape(path, self.drape)
         self.averaged.load_state_dict(self.drape.state_dict())
 
     def _normalise_nodes(self) -> None:
