@@ -81,6 +81,7 @@ def _parser() -> argparse.ArgumentParser:
     drape.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
+    drape.add_argument("--fit", type=float, default=0.0, help="0: one size, 1: made to measure (default 0)")
     drape.add_argument("--backend", default="native", help="evaluator: native (default) or numpy")
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garment as .obj, or a .png picture")
     drape.set_defaults(run=_drape)
@@ -104,7 +105,7 @@ def _drape(options: argparse.Namespace) -> int:
         raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
     for warning in avatar.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    draper = Draper(model, avatar, backend=options.backend)
+    draper = Draper(model, avatar, fit=options.fit, backend=options.backend)
     positions = motion.positions_for(model.rig)[options.frame]
     cloth = draper.drape(positions, motion.gravity[options.frame])
     write(options.output, draper, avatar.posed_vertices(draper.bone_transforms(positions)), cloth)
@@ -144,6 +145,7 @@ def _info(options: argparse.Namespace) -> int:
         "name": model.name,
         "garment": f"{len(garment.vertices)} vertices, {len(garment.faces)} faces, {garment.face_areas.sum():.3f} m2",
         "garment nodes": f"{len(model.node_rest)}, {model.influence_nodes.shape[1]} influences a vertex",
+        "made to measure": "learnt: fit 0 to 1" if model.made_to_measure else "not learnt: fit 0 only",
         "rig": f"{rig.bone_count} bones, {len(rig.dofs)} joints",
         "joints": ", ".join(rig.joint_names),
         **sizes,

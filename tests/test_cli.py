@@ -17,6 +17,7 @@ def test_info(model_path, capsys):
     """Name, sizes, material and rig of a model, without ROS or torch."""
     assert cli.main(["info", str(model_path)]) == 0
     output = capsys.readouterr().out
+    assert "not learnt: fit 0 only" in output
     assert "vest" in output and "16, 4 influences a vertex" in output and "youngs_modulus" in output
 
 
@@ -47,6 +48,7 @@ def test_drape_draws(model_path, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
+        (["drape", "{model}", "{avatar}", "--fit", "1", "-o", "{tmp}/out.obj"], "has not learnt to be made to measure"),
         (["info", "nosuch"], "no garment model 'nosuch'"),
         (["info", "{tmp}/nosuch.safetensors"], "cannot read garment model"),
         (["drape", "{model}", "nosuch.glb", "-o", "out.obj"], "no such file"),
