@@ -46,10 +46,13 @@ def encode_body(model: GarmentModel, avatar: Avatar, *, backend: Literal["native
     return body_modulation(model.hyper_modulator, points, normals).astype(np.float32)
 
 
-def bind_garment(model: GarmentModel, avatar: Avatar, *, backend: Literal["native", "numpy"] = "numpy") -> BoundGarment:
+def bind_garment(
+    model: GarmentModel, avatar: Avatar, *, backend: Literal["native", "numpy"] = "numpy", fold: bool = True
+) -> BoundGarment:
     """Everything of (model, body) that does not change with the pose. Encodes the body; logs how long that took.
 
-    backend: what encodes the body, as in `encode_body`.
+    backend: what encodes the body, as in `encode_body`. fold: fold the body's modulation into the pose modulator, which
+    saves a little time a frame; without, bodies share its network weights (see `NativeEvaluatorBatch`).
     Raises ValueError when the avatar's bones are not those of the model's rig.
     """
     rig = model.rig
@@ -74,7 +77,7 @@ def bind_garment(model: GarmentModel, avatar: Avatar, *, backend: Literal["nativ
         dof_rest=_float(rig.rest),
         dof_lower=_float(rig.lower),
         dof_upper=_float(rig.upper),
-        pose_layers=_float_layers(fold_modulation(model.pose_modulator, modulation)),
+        pose_layers=_float_layers(fold_modulation(model.pose_modulator, modulation) if fold else model.pose_modulator),
         deformer_bones=deformer_bones,
         deformer_layers=_float_layers([(folded_weight, first_bias), *rest]),
         node_bone=np.ascontiguousarray(model.node_bone, dtype=np.int32),
@@ -85,6 +88,8 @@ def bind_garment(model: GarmentModel, avatar: Avatar, *, backend: Literal["nativ
         influence_nodes=np.ascontiguousarray(model.influence_nodes, dtype=np.int32),
         influence_weights=_float(model.influence_weights),
         activation=model.activation,
+        pose_modulation=np.empty(0, dtype=np.float32) if fold else _float(modulation),
+        faces=np.ascontiguousarray(garment.faces, dtype=np.int32),
     )
 
 
@@ -93,7 +98,7 @@ def bind_points(model: GarmentModel, points: np.ndarray, *, normals: np.ndarray 
 
     points: (n, 3) [m] in the model's canonical space. normals: (n, 3) of any length but zero, default those of the
     trained surface.
-    Returns the fields of `BoundGarment` to replace: vertices, normals, influence_nodes, influence_weights.
+    Returns the fields of `BoundGarment` to replace: vertices, normals, influence_nodes, influence_weights, faces (none).
     Raises ValueError when points or normals are not finite, normals are not one a point or have no length, or points
     lie farther than 5 cm from the trained garment.
     """
@@ -123,6 +128,7 @@ def bind_points(model: GarmentModel, points: np.ndarray, *, normals: np.ndarray 
         "normals": _float(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)),
         "influence_nodes": np.concatenate([nodes for nodes, _ in influences]),
         "influence_weights": np.concatenate([weights for _, weights in influences]),
+        "faces": np.empty((0, 3), dtype=np.int32),
     }
 
 
