@@ -290,7 +290,7 @@ def test_unknown_backend_is_refused():
 def test_points_replace_the_vertices(backend):
     rng, model, avatar = scene(12)
     points = model.garment.vertices[::3]
-    draper = Draper(model, avatar, backend=backend, points=points, normals=unit_rows(rng, len(points)))
+    draper = Draper(model, avatar, backend=backend, points=points, point_normals=unit_rows(rng, len(points)))
     assert draper.vertex_count == len(points) < len(model.garment.vertices)
     assert draper.faces.shape == (0, 3) and draper.faces.dtype == np.int32
     pose = random_pose(rng, model.rig)
