@@ -150,9 +150,7 @@ class Draper:
         return self.model.rig.bone_transforms(joint_positions, heads=self.avatar.bone_heads)
 
 
-def _evaluator(
-    backend: str, bound: BoundGarment, precision: str | None, push_out: BoundPushOut | None, normals: str
-):
+def _evaluator(backend: str, bound: BoundGarment, precision: str | None, push_out: BoundPushOut | None, normals: str):
     if backend == "native":
         from physkin_core.native_evaluator import NativeEvaluator
 

@@ -23,6 +23,14 @@ def build_program(library, source, compiler="c++", *flags):
     """Builds a C++ test program on a library built with the same compiler and flags; returns it."""
     program = library / Path(source).stem
     command = [compiler, "-std=c++17", "-O1", *flags, "-I", NATIVE / "src", "-I", NATIVE / "include", source]
-    command += ["-o", program, "-L", library, "-lphyskin_c", f"-Wl,-rpath,{library}", library / "libphyskin_evaluator.a"]
+    command += [
+        "-o",
+        program,
+        "-L",
+        library,
+        "-lphyskin_c",
+        f"-Wl,-rpath,{library}",
+        library / "libphyskin_evaluator.a",
+    ]
     subprocess.run(command, check=True)
     return program

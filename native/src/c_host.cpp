@@ -2,9 +2,9 @@
 #include <cstdio>
 #include <cstring>
 #include <fstream>
-#include <iterator>
 #include <memory>
 #include <new>
+#include <sstream>
 
 #include "bound_file.hpp"
 #include "dispatch.hpp"
@@ -107,8 +107,10 @@ physkin_status physkin_open(const char* path, const physkin_options* options, ph
   *garment = nullptr;
   return guarded([&] {
     std::ifstream stream(path, std::ios::binary);
-    const std::vector<char> data{std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>()};
-    if (!stream.is_open() || stream.bad()) return fail(PHYSKIN_BAD_FILE, "cannot read %s", path);
+    std::ostringstream content;
+    content << stream.rdbuf();
+    const std::string data = content.str();
+    if (!stream.is_open() || data.empty()) return fail(PHYSKIN_BAD_FILE, "cannot read %s, or it is empty", path);
     return open(reinterpret_cast<const unsigned char*>(data.data()), data.size(), options, garment);
   });
 }

@@ -11,7 +11,6 @@ from physkin_core.bound_garment import BoundGarment
 from physkin_core.push_out import BLOCK, PATCH, BoundPushOut
 
 
-
 def random_layers(rng, widths, output_scale):
     """He-initialised layers through `widths`; the last one scaled so that outputs have size `output_scale`."""
     layers = []
