@@ -98,7 +98,8 @@ def bind_points(model: GarmentModel, points: np.ndarray, *, normals: np.ndarray 
 
     points: (n, 3) [m] in the model's canonical space. normals: (n, 3) of any length but zero, default those of the
     trained surface.
-    Returns the fields of `BoundGarment` to replace: vertices, normals, influence_nodes, influence_weights, faces (none).
+    Returns the fields of `BoundGarment` to replace: vertices, normals, influence_nodes, influence_weights, and faces,
+    of which there are none.
     Raises ValueError when points or normals are not finite, normals are not one a point or have no length, or points
     lie farther than 5 cm from the trained garment.
     """

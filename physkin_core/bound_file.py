@@ -1,8 +1,8 @@
 """The bound garment file: one garment on one body for hosts without Python, read by native/include/physkin.h.
 
 A safetensors file of the arrays of `BoundGarment` (layers as `pose_layers.0.weight`, ...) and, prefixed `push_out.`, of
-`BoundPushOut`, in float32 and int32 as the evaluator takes them, so that a host computes the same bits. Fitting the rig,
-the canonical pose and the encoding of the body are done; nothing of the avatar but its proportions is left in it.
+`BoundPushOut`, in float32 and int32 as the evaluator takes them, so that a host computes the same bits. Fitting the
+rig, the canonical pose and the encoding of the body are done by then.
 """
 
 from __future__ import annotations

@@ -89,9 +89,7 @@ def _parser() -> argparse.ArgumentParser:
     bind.add_argument("--model", default="tshirt", help="garment model: a file or a shipped name (default %(default)s)")
     bind.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
     bind.add_argument("--push-out", action="store_true", help="with what keeps the garment out of this body")
-    bind.add_argument(
-        "-o", "--output", type=Path, required=True, help="file to write; native/include/physkin.h reads it"
-    )
+    bind.add_argument("-o", "--output", type=Path, required=True, help="file to write (docs/c-host.md)")
     bind.set_defaults(run=_bind)
     info = commands.add_parser("info", help="say what a garment model file holds")
     info.add_argument("model", help="garment model file, or the name of a shipped one")

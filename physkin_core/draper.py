@@ -34,7 +34,7 @@ class Draper:
 
     backend: "native" (C++, the one to use) or "numpy" (readable reference, slow); never switched silently.
     precision: of the native backend's network weights, "fp32", "bf16" or "int8" (see `NativeEvaluator`); None for its
-        default. The NumPy backend knows fp32 only.
+        default, bf16. The NumPy backend knows fp32 only.
     push_out: move vertices that end up inside the body out of it again, frame by frame. Takes seconds to set up for a
         body, then tens of microseconds a frame; see `residual` and `physkin_core.push_out`.
     normals: "skinned", rest normals carried along with their vertices, or "faces", recomputed from the draped mesh:

@@ -1,7 +1,7 @@
 """What network weights in less than fp32 cost in quality: shipped models on held-out bodies in the bundled motions.
 
-`python -m physkin_core.bench.precision_quality [MODEL ...]` prints a Markdown table, in minutes a model (exact distances
-to the body). Dimensions: `B` bodies, `P` poses, `n` garment vertices.
+`python -m physkin_core.bench.precision_quality [MODEL ...]` prints a Markdown table; exact distances to the body take
+minutes a model.
 """
 
 from __future__ import annotations

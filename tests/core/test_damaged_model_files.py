@@ -46,7 +46,9 @@ def damage_header(data, content: bytes) -> bytes:
     entry = header[data.draw(st.sampled_from(sorted(set(header) - {"__metadata__"})))]
     kind = data.draw(st.sampled_from(["dtype", "shape", "data_offsets"]))
     if kind == "dtype":
-        entry[kind] = data.draw(st.sampled_from(["F64", "F32", "F16", "BF16", "I64", "I32", "U8", "BOOL", "F4", ""]))
+        entry[kind] = data.draw(
+            st.sampled_from(["F64", "F32", "F16", "BF16", "F8_E4M3", "I64", "I32", "U8", "BOOL", "F4", ""])
+        )
     else:
         numbers = st.one_of(st.sampled_from(SIZES), st.integers(0, len(content)))
         entry[kind] = data.draw(st.lists(numbers, max_size=3))
@@ -110,6 +112,19 @@ def check_forged_arrays(data, tmp_path, small_path):
     if model is not None:
         assert all(np.isfinite(array).all() for array in model.arrays().values())
         assert model.influence_nodes.max() < len(model.node_rest) and model.node_bone.max() < model.rig.bone_count
+
+
+@pytest.mark.parametrize("dtype", ["BF16", "F8_E4M3", "F8_E5M2", "C64"])
+def test_types_that_numpy_lacks_are_refused(dtype, tmp_path, small_path):
+    content = small_path.read_bytes()
+    size = int.from_bytes(content[:8], "little")
+    header = json.loads(content[8 : 8 + size])
+    name = next(name for name, entry in header.items() if entry.get("dtype") == "F16" and entry["shape"][0] % 8 == 0)
+    width = {"BF16": 1, "C64": 4}.get(dtype)
+    header[name]["dtype"] = dtype
+    header[name]["shape"][0] = int(header[name]["shape"][0] // width if width else 2 * header[name]["shape"][0])
+    text = json.dumps(header).encode()
+    assert load(tmp_path, len(text).to_bytes(8, "little") + text + content[8 + size :]) is None
 
 
 CHECKS = [check_damaged_bytes, check_forged_arrays]

@@ -16,6 +16,8 @@ from physkin_core.node_deformer import node_corrections
 from physkin_core.pose_modulator import pose_modulation
 from physkin_core.skinning import skin
 
+pytestmark = pytest.mark.usefixtures("exact_network_weights")
+
 
 @pytest.fixture(autouse=True)
 def few_body_points(monkeypatch):

@@ -15,6 +15,12 @@
 
 static long allocations = 0;
 
+#if defined(__has_feature)
+#if __has_feature(address_sanitizer)
+#define __SANITIZE_ADDRESS__  // as GCC says it
+#endif
+#endif
+
 #if defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__)
 // Every way to the heap, operator new included, ends in one of these.
 extern "C" {
