@@ -67,6 +67,11 @@ PHYSKIN_API const char* physkin_joint_name(const physkin_garment* garment, int32
 PHYSKIN_API physkin_status physkin_joint_range(const physkin_garment* garment, int32_t joint, float* lower, float* rest,
                                                float* upper);
 
+/* Unit axis (3) that the joint turns its bone about, root frame, body in the canonical A-pose. Joints of one bone are
+ * applied in their order: a bone's rotation relative to its parent is the product of its joints' rotations, each about
+ * its axis by the joint position minus rest. */
+PHYSKIN_API physkin_status physkin_joint_axis(const physkin_garment* garment, int32_t joint, float* axis);
+
 /* One frame. Allocates nothing.
  * joint_positions: one a joint. gravity: unit direction in the root frame, (0, 0, -1) for an upright body.
  * out: a row a vertex, `stride` floats from row to row: x y z, and with columns = 6 also the unit normal. columns: 3 or

@@ -1,4 +1,5 @@
 // The plain C interface of include/physkin.h.
+#include <algorithm>
 #include <cstdio>
 #include <cstring>
 #include <fstream>
@@ -20,11 +21,12 @@ struct physkin_garment {
         lower(file.garment.dof_lower, file.garment.dof_lower + file.garment.dofs),
         rest(file.garment.dof_rest, file.garment.dof_rest + file.garment.dofs),
         upper(file.garment.dof_upper, file.garment.dof_upper + file.garment.dofs),
+        axes(file.garment.dof_axis, file.garment.dof_axis + 3 * std::size_t(file.garment.dofs)),
         faces(file.garment.faces, file.garment.faces + 3 * std::size_t(file.garment.face_count)) {}
 
   physkin::Evaluator evaluator;
   std::vector<std::string> joint_names;
-  std::vector<float> lower, rest, upper;
+  std::vector<float> lower, rest, upper, axes;
   std::vector<std::int32_t> faces;
 };
 
@@ -55,6 +57,10 @@ physkin_status guarded(Work work) noexcept {
   } catch (...) {
     return fail(PHYSKIN_FAILED, "%s", "unknown failure");
   }
+}
+
+physkin_status bad_joint(const physkin_garment* garment, int32_t joint) {
+  return fail(PHYSKIN_BAD_ARGUMENT, "joint is %d; must be from 0 to %d", int(joint), garment->evaluator.dofs() - 1);
 }
 
 struct Wanted {
@@ -134,14 +140,19 @@ const char* physkin_joint_name(const physkin_garment* garment, int32_t joint) {
   return inside ? garment->joint_names[std::size_t(joint)].c_str() : nullptr;
 }
 
+physkin_status physkin_joint_axis(const physkin_garment* garment, int32_t joint, float* axis) {
+  if (garment == nullptr || axis == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment or axis is null");
+  if (joint < 0 || joint >= physkin_joint_count(garment)) return bad_joint(garment, joint);
+  std::copy_n(garment->axes.begin() + 3 * std::ptrdiff_t(joint), 3, axis);
+  return PHYSKIN_OK;
+}
+
 physkin_status physkin_joint_range(const physkin_garment* garment, int32_t joint, float* lower, float* rest,
                                    float* upper) {
   if (garment == nullptr || lower == nullptr || rest == nullptr || upper == nullptr) {
     return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment, lower, rest or upper is null");
   }
-  if (joint < 0 || joint >= physkin_joint_count(garment)) {
-    return fail(PHYSKIN_BAD_ARGUMENT, "joint is %d; must be from 0 to %d", int(joint), physkin_joint_count(garment) - 1);
-  }
+  if (joint < 0 || joint >= physkin_joint_count(garment)) return bad_joint(garment, joint);
   *lower = garment->lower[std::size_t(joint)];
   *rest = garment->rest[std::size_t(joint)];
   *upper = garment->upper[std::size_t(joint)];

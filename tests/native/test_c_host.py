@@ -122,6 +122,10 @@ def test_what_a_file_says_of_itself(c, small_bound_file):
     limits = [ctypes.c_float() for _ in range(3)]
     assert c.physkin_joint_range(garment, 3, *map(ctypes.byref, limits)) == OK
     assert limits[0].value < limits[1].value < limits[2].value
+    axis = (ctypes.c_float * 3)()
+    assert c.physkin_joint_axis(garment, 3, axis) == OK
+    assert np.linalg.norm(axis) == pytest.approx(1, abs=1e-6)
+    assert c.physkin_joint_axis(garment, -1, axis) == BAD_ARGUMENT
     assert c.physkin_joint_range(garment, 7, *map(ctypes.byref, limits)) == BAD_ARGUMENT
     assert b"must be from 0 to 6" in c.physkin_last_error()
     faces = np.ctypeslib.as_array(c.physkin_faces(garment), shape=(90, 3))
