@@ -110,15 +110,11 @@ Rejection Evaluator::skin(const float* node_transforms, const VertexRows& rows) 
 
 void Evaluator::skin_checked(const float* node_transforms, const VertexRows& rows) noexcept {
   garment_nodes_.compute_skinning_matrices(node_transforms, skinning_matrices_);
-  kernels_.skin(blocks_, skinning_matrices_, without_later_normals(rows));
-}
-
-VertexRows Evaluator::without_later_normals(const VertexRows& rows) const noexcept {
-  return {rows.data, rows.stride, rows.with_normals && !face_normals_};
+  kernels_.skin(blocks_, skinning_matrices_, rows);  // with normals even if replaced: rows of six are written faster
 }
 
 void Evaluator::push_out(const VertexRows& rows) noexcept {
-  if (push_out_) residual_ = push_out_->apply(kernels_, bone_transforms_, without_later_normals(rows));
+  if (push_out_) residual_ = push_out_->apply(kernels_, bone_transforms_, rows);
 }
 
 void Evaluator::compute_normals(const VertexRows& rows) noexcept {

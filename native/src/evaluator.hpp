@@ -78,7 +78,6 @@ class Evaluator {
   Rejection check_corrections() const noexcept;
   Rejection check_nodes(const float* node_transforms) const noexcept;
   void skin_checked(const float* node_transforms, const VertexRows& rows) noexcept;
-  VertexRows without_later_normals(const VertexRows& rows) const noexcept;
 
   // Members are built in this order, so that a frame walks the arena from front to back.
   const Kernels& kernels_;
