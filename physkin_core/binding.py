@@ -14,13 +14,16 @@ from typing import Literal
 import numpy as np
 
 from physkin_core.avatar import Avatar
+from physkin_core.body_model import load_body_model
 from physkin_core.bound_garment import BoundGarment
-from physkin_core.garment import vertex_normals
+from physkin_core.garment import Garment, vertex_normals
+from physkin_core.garment_grading import GarmentGrading
 from physkin_core.garment_model import GarmentModel
 from physkin_core.garment_nodes import node_positions_on_body
-from physkin_core.hyper_modulator import POINT_COUNT, body_modulation
+from physkin_core.hyper_modulator import POINT_COUNT, at_fit, body_modulation
 from physkin_core.mlp import fold_modulation
 from physkin_core.node_deformer import fold_first_layer
+from physkin_core.shape_fitting import surface_on_avatar
 from physkin_core.surface_sampling import sample_surface
 
 __all__ = ["bind_garment", "bind_points", "encode_body"]
@@ -33,42 +36,56 @@ POINTS_AT_ONCE = 8192
 """Points whose skinning weights over all garment nodes `bind_points` holds at a time."""
 
 
-def encode_body(model: GarmentModel, avatar: Avatar, *, backend: Literal["native", "numpy"] = "numpy") -> np.ndarray:
+def encode_body(
+    model: GarmentModel, avatar: Avatar, *, fit: float = 0.0, backend: Literal["native", "numpy"] = "numpy"
+) -> np.ndarray:
     """Run the hyper modulator on a body: modulation (s,) float32 of the pose modulator.
 
-    backend: "native" (C++, an order of magnitude faster on one core) or "numpy" (readable reference).
+    fit: of the garment, 0 (the template) to 1 (made to measure). backend: "native" (C++, an order of magnitude faster
+    on one core) or "numpy" (readable reference).
     """
+    network = at_fit(model.hyper_modulator, fit)
     points, normals = sample_surface(avatar.vertices, avatar.faces, POINT_COUNT)
     if backend == "native":
         from physkin_core.native_body_encoder import native_body_modulation
 
-        return native_body_modulation(model.hyper_modulator, points, normals)
-    return body_modulation(model.hyper_modulator, points, normals).astype(np.float32)
+        return native_body_modulation(network, points, normals)
+    return body_modulation(network, points, normals).astype(np.float32)
 
 
 def bind_garment(
-    model: GarmentModel, avatar: Avatar, *, backend: Literal["native", "numpy"] = "numpy", fold: bool = True
+    model: GarmentModel,
+    avatar: Avatar,
+    *,
+    fit: float = 0.0,
+    backend: Literal["native", "numpy"] = "numpy",
+    fold: bool = True,
 ) -> BoundGarment:
     """Everything of (model, body) that does not change with the pose. Encodes the body; logs how long that took.
 
-    backend: what encodes the body, as in `encode_body`. fold: fold the body's modulation into the pose modulator, which
-    saves a little time a frame; without, bodies share its network weights (see `NativeEvaluatorBatch`).
-    Raises ValueError when the avatar's bones are not those of the model's rig.
+    fit: 0 for the template's rest shape, 1 for the one made to measure, between for one between. backend: what encodes
+    the body, as in `encode_body`. fold: fold the body's modulation into the pose modulator, which saves a little time a
+    frame; without, bodies share its network weights (see `NativeEvaluatorBatch`).
+    Raises ValueError when the avatar's bones are not those of the model's rig, for a fit that the model has not learnt,
+    or one above 0 with another rig than the body model's.
     """
+    fit = model.checked_fit(fit)
     rig = model.rig
     if avatar.bone_heads.shape != rig.heads.shape:
         raise ValueError(
             f"avatar {avatar.source} has {len(avatar.bone_heads)} bones, the rig of {model.name!r} has {rig.bone_count}"
         )
     started = perf_counter()
-    modulation = encode_body(model, avatar, backend=backend)
+    modulation = encode_body(model, avatar, fit=fit, backend=backend)
     log.info("encoded body %s for %s in %.0f ms", avatar.source, model.name, 1e3 * (perf_counter() - started))
     node_positions = node_positions_on_body(
         model.node_rest, model.node_bone, (rig.heads, rig.tails), (avatar.bone_heads, avatar.bone_tails)
     )
+    garment, node_rest = model.garment, model.node_rest
+    if fit:
+        garment, node_rest, node_positions = _made_to_measure(model, avatar, fit, node_positions)
     (first_weight, first_bias), *rest = model.node_deformer
     deformer_bones, folded_weight = fold_first_layer(first_weight, model.node_bone, node_positions)
-    garment = model.garment
     return BoundGarment(
         bone_parents=rig.parents,
         bone_heads=_float(avatar.bone_heads),
@@ -82,7 +99,7 @@ def bind_garment(
         deformer_layers=_float_layers([(folded_weight, first_bias), *rest]),
         node_bone=np.ascontiguousarray(model.node_bone, dtype=np.int32),
         node_positions=_float(node_positions),
-        node_rest=_float(model.node_rest),
+        node_rest=_float(node_rest),
         vertices=_float(garment.vertices),
         normals=_float(vertex_normals(garment.vertices, garment.faces)),
         influence_nodes=np.ascontiguousarray(model.influence_nodes, dtype=np.int32),
@@ -93,11 +110,38 @@ def bind_garment(
     )
 
 
-def bind_points(model: GarmentModel, points: np.ndarray, *, normals: np.ndarray | None = None) -> dict[str, np.ndarray]:
+def _made_to_measure(
+    model: GarmentModel, avatar: Avatar, fit: float, carried: np.ndarray
+) -> tuple[Garment, np.ndarray, np.ndarray]:
+    """The garment in its rest shape for a body, garment nodes at rest (m, 3) and on the body (m, 3).
+
+    carried: (m, 3) [m] where bones carry the garment nodes of the template. Made to measure they rest where they are on
+    the body, so that the garment at the canonical pose is its rest shape.
+    """
+    body = load_body_model()
+    if model.rig.to_json() != body.rig.to_json():
+        raise ValueError(f"fit {fit:g} needs the body model's rig; garment model {model.name!r} has another one")
+    started = perf_counter()
+    grading = GarmentGrading(model.garment, body)
+    displacement = fit * grading.carried(surface_on_avatar(avatar, body) - grading.template)
+    moved = displacement[grading.closest_vertices(model.node_rest)]
+    log.info("made %s to measure for %s in %.1f s", model.name, avatar.source, perf_counter() - started)
+    garment = model.garment.reshaped(model.garment.vertices + displacement)
+    return garment, model.node_rest + moved, (1 - fit) * carried + fit * model.node_rest + moved
+
+
+def bind_points(
+    model: GarmentModel,
+    points: np.ndarray,
+    *,
+    normals: np.ndarray | None = None,
+    rest: np.ndarray | None = None,
+) -> dict[str, np.ndarray]:
     """Skin other points of the same garment to the trained garment nodes.
 
     points: (n, 3) [m] in the model's canonical space. normals: (n, 3) of any length but zero, default those of the
-    trained surface.
+    trained surface. rest: rest shape of the model's mesh, its vertices [m], that points and normals are carried to;
+    default its own.
     Returns the fields of `BoundGarment` to replace: vertices, normals, influence_nodes, influence_weights, and faces,
     of which there are none.
     Raises ValueError when points or normals are not finite, normals are not one a point or have no length, or points
@@ -119,9 +163,16 @@ def bind_points(model: GarmentModel, points: np.ndarray, *, normals: np.ndarray 
     _reject_far_points(distance, "", model.name)
     corners = garment.faces[face]
     barycentric = trimesh.triangles.points_to_barycentric(garment.vertices[corners], closest)
+
+    def normals_of(shape: np.ndarray) -> np.ndarray:
+        there = np.einsum("nc,nci->ni", barycentric, vertex_normals(shape, garment.faces)[corners])
+        return there / np.maximum(np.linalg.norm(there, axis=1, keepdims=True), 1e-12)
+
+    if rest is not None:
+        points = points + np.einsum("nc,nci->ni", barycentric, (rest - garment.vertices)[corners])
+        normals = normals if normals is None else _turned(normals, normals_of(garment.vertices), normals_of(rest))
     if normals is None:
-        at_vertices = vertex_normals(garment.vertices, garment.faces)[corners]
-        normals = np.einsum("nc,nci->ni", barycentric, at_vertices)
+        normals = normals_of(garment.vertices if rest is None else rest)
     chunks = [slice(start, start + POINTS_AT_ONCE) for start in range(0, len(points), POINTS_AT_ONCE)]
     influences = [_influences_in_faces(model, corners[chunk], barycentric[chunk]) for chunk in chunks]
     return {
@@ -131,6 +182,13 @@ def bind_points(model: GarmentModel, points: np.ndarray, *, normals: np.ndarray 
         "influence_weights": np.concatenate([weights for _, weights in influences]),
         "faces": np.empty((0, 3), dtype=np.int32),
     }
+
+
+def _turned(vectors: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Vectors (n, 3), each turned by the smallest rotation from a unit vector of `start` to that of `end` (n, 3)."""
+    axis, cosine = np.cross(start, end), (start * end).sum(axis=1, keepdims=True)
+    along = (axis * vectors).sum(axis=1, keepdims=True) / np.maximum(1 + cosine, 1e-6)
+    return cosine * vectors + np.cross(axis, vectors) + along * axis
 
 
 def _checked_normals(normals: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from time import perf_counter
 from typing import Literal
@@ -17,6 +18,7 @@ import numpy as np
 from physkin_core.avatar import Avatar
 from physkin_core.binding import bind_garment, bind_points
 from physkin_core.bound_garment import BoundGarment
+from physkin_core.garment import Garment
 from physkin_core.garment_model import GarmentModel
 from physkin_core.push_out import BoundPushOut, ContactResidual, bind_push_out
 
@@ -35,14 +37,16 @@ class Draper:
     backend: "native" (C++, the one to use) or "numpy" (readable reference, slow); never switched silently.
     precision: of the native backend's network weights, "fp32", "bf16" or "int8" (see `NativeEvaluator`); None for its
         default, bf16. The NumPy backend knows fp32 only.
+    fit: 0 for the garment's one size, 1 for a garment made to measure, or between; above 0 only for models that have
+        learnt it (`GarmentModel.made_to_measure`). Takes half a second when the body is bound, nothing a frame.
     push_out: move vertices that end up inside the body out of it again, frame by frame. Takes seconds to set up for a
         body, then tens of microseconds a frame; see `residual` and `physkin_core.push_out`.
     normals: "skinned", rest normals carried along with their vertices, or "faces", recomputed from the draped mesh:
         truer where the cloth ripples or slides, for some 5 ns a vertex.
     points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
         space; they have no faces.
-    Raises ValueError for an unknown backend, precision or kind of normals, a body of another rig, points that are not
-    this garment's, or normals of faces where there are points without any.
+    Raises ValueError for an unknown backend, precision or kind of normals, a body of another rig, a fit that the model
+    has not learnt, points that are not this garment's, or normals of faces where there are points without any.
     """
 
     def __init__(
@@ -52,6 +56,7 @@ class Draper:
         *,
         backend: Literal["native", "numpy"] = "native",
         precision: Literal["fp32", "bf16", "int8"] | None = None,
+        fit: float = 0.0,
         push_out: bool = False,
         normals: Literal["skinned", "faces"] = "skinned",
         points: np.ndarray | None = None,
@@ -61,9 +66,10 @@ class Draper:
             raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
         if backend == "numpy" and precision not in (None, "fp32"):
             raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
-        bound = bind_garment(model, avatar, backend=backend)
+        bound = bind_garment(model, avatar, fit=fit, backend=backend)
+        self._rest = rest = bound.vertices if fit else None
         if points is not None:
-            bound = replace(bound, **bind_points(model, points, normals=point_normals))
+            bound = replace(bound, **bind_points(model, points, normals=point_normals, rest=rest))
         self.model = model
         self.avatar = avatar
         self.backend = backend
@@ -91,6 +97,11 @@ class Draper:
     def vertex_count(self) -> int:
         """Number of points n that `drape` writes."""
         return len(self.bound.vertices)
+
+    @cached_property
+    def rest_garment(self) -> Garment:
+        """The model's mesh in the rest shape worn here, which depends on the fit: what strains are measured against."""
+        return self.model.garment if self._rest is None else self.model.garment.reshaped(self._rest)
 
     @property
     def faces(self) -> np.ndarray:

@@ -5,6 +5,7 @@ Dimensions: `n` vertices, `f` faces, `e` edges, `q` interior edges (hinges). Met
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -68,23 +69,40 @@ class Garment:
             bad = faces.min() if faces.min() < 0 else faces.max()
             raise GarmentError(f"garment face index {bad} outside 0..{len(vertices) - 1}")
         faces = np.array(faces, dtype=np.int32, order="C")
-        areas = face_areas(vertices, faces)
-        if areas.min() < 1e-12:
-            raise GarmentError(f"garment face {int(areas.argmin())} is degenerate: area {areas.min():.2e} m2")
+        areas = _checked_areas(vertices, faces)
         edges, hinges = _edges_and_hinges(faces)
-        vertex_areas = np.bincount(faces.reshape(-1), weights=np.repeat(areas / 3, 3), minlength=len(vertices))
-        derived = {
-            "vertices": vertices,
-            "faces": faces,
-            "edges": edges,
-            "edge_lengths": np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1),
-            "face_areas": areas,
-            "vertex_areas": vertex_areas,
-            "hinges": hinges,
-        }
-        for name, array in derived.items():
+        self._set(faces=faces, edges=edges, hinges=hinges, **_measured(vertices, faces, edges, areas))
+
+    def reshaped(self, vertices: np.ndarray) -> Garment:
+        """The same mesh with another rest shape. vertices: (n, 3) [m]. Raises GarmentError as the class does."""
+        vertices = np.array(vertices, dtype=np.float64, order="C")
+        if vertices.shape != self.vertices.shape or not np.isfinite(vertices).all():
+            raise GarmentError(f"a rest shape must be finite {self.vertices.shape}, got shape {vertices.shape}")
+        other = copy.copy(self)
+        other._set(**_measured(vertices, self.faces, self.edges, _checked_areas(vertices, self.faces)))
+        return other
+
+    def _set(self, **arrays: np.ndarray) -> None:
+        for name, array in arrays.items():
             array.flags.writeable = False
             object.__setattr__(self, name, array)
+
+
+def _checked_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    areas = face_areas(vertices, faces)
+    if areas.min() < 1e-12:
+        raise GarmentError(f"garment face {int(areas.argmin())} is degenerate: area {areas.min():.2e} m2")
+    return areas
+
+
+def _measured(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, areas: np.ndarray) -> dict[str, np.ndarray]:
+    """What of a garment depends on the rest shape."""
+    return {
+        "vertices": vertices,
+        "edge_lengths": np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1),
+        "face_areas": areas,
+        "vertex_areas": np.bincount(faces.reshape(-1), weights=np.repeat(areas / 3, 3), minlength=len(vertices)),
+    }
 
 
 def load_garment(path: str | Path) -> Garment:

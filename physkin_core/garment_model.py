@@ -60,7 +60,8 @@ class GarmentModel:
 
     garment: mesh the model was trained on. node_rest: (m, 3); node_bone: (m,) int32, index into `rig`.
     influence_nodes: (n, K) int32; influence_weights: (n, K) float32, rows sum to 1. Other integer types are converted.
-    hyper_modulator: arrays by name (see `physkin_core.hyper_modulator`). pose_modulator, node_deformer: layers.
+    hyper_modulator: arrays by name (see `physkin_core.hyper_modulator`), "fit" among them only where made to measure
+    was learnt. pose_modulator, node_deformer: layers.
     training, scores: plain data on how it was trained (seed, bodies, steps) and how it measured up.
     """
 
@@ -108,6 +109,22 @@ class GarmentModel:
                 raise GarmentModelError(f"{name} is of type {array.dtype}, expected floating point numbers")
             if not np.isfinite(array).all():
                 raise GarmentModelError(f"{name} holds a value that is not finite")
+
+    @property
+    def made_to_measure(self) -> bool:
+        """Whether the networks have learnt rest shapes graded to the body (`fit` above 0), too."""
+        return "fit" in self.hyper_modulator
+
+    def checked_fit(self, fit: float) -> float:
+        """The fit as a number. Raises ValueError when it is not 0 to 1, or above 0 and this model has not learnt it."""
+        if isinstance(fit, bool) or not isinstance(fit, Real) or not 0 <= fit <= 1:
+            raise ValueError(f"fit must be 0 (the template) to 1 (made to measure), got {fit!r}")
+        if fit > 0 and not self.made_to_measure:
+            raise ValueError(
+                f"garment model {self.name!r} has not learnt to be made to measure: fit is {fit:g}, allowed is 0; "
+                'train it with optimisation.fit = "both"'
+            )
+        return float(fit)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Every array by its name in the garment model file."""
@@ -183,6 +200,8 @@ def _expect_hyper_modulator(network: Mapping[str, np.ndarray], outputs: int) -> 
         raise GarmentModelError(f"hyper_modulator lacks {error}") from None
     if width % 4:
         raise GarmentModelError(f"hyper_modulator token width {width} is not a multiple of its 4 heads")
-    known = {f"{name}.{part}" for name in [*shapes, *norms] for part in ("weight", "bias")}
+    if "fit" in network:
+        _expect("hyper_modulator.fit", network["fit"], (width,))
+    known = {f"{name}.{part}" for name in [*shapes, *norms] for part in ("weight", "bias")} | {"fit"}
     if unknown := sorted(set(network) - known):
         raise GarmentModelError(f"hyper_modulator has unknown arrays: {', '.join(unknown)}")

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-__all__ = ["ENCODING_FREQUENCIES", "POINT_COUNT", "body_modulation", "encode_points", "token_features"]
+__all__ = ["ENCODING_FREQUENCIES", "POINT_COUNT", "at_fit", "body_modulation", "encode_points", "token_features"]
 
 POINT_COUNT = 4096
 ENCODING_FREQUENCIES = 6
@@ -35,6 +35,17 @@ def encode_points(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     angles = points[..., None] * (np.pi * 2.0 ** np.arange(ENCODING_FREQUENCIES))
     angles = angles.reshape(*points.shape[:-1], -1)
     return np.concatenate([points, np.sin(angles), np.cos(angles), normals], axis=-1)
+
+
+def at_fit(network: Mapping[str, np.ndarray], fit: float) -> dict[str, np.ndarray]:
+    """The hyper modulator of a garment worn at a fit, 0 (the template) to 1 (made to measure).
+
+    Every token is shifted by fit times the learnt vector "fit" (D,), which goes into a bias. At 0 any network will do.
+    """
+    folded = {name: array for name, array in network.items() if name != "fit"}
+    if fit:
+        folded["embed.bias"] = network["embed.bias"] + np.float32(fit) * network["fit"]
+    return folded
 
 
 def body_modulation(network: Mapping[str, np.ndarray], points: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -57,6 +57,11 @@ PARAMETERS = {
         "bf16",
         "of the network weights: fp32, bf16 or int8, each faster and coarser than the last; numpy knows fp32 only",
     ),
+    "fit": (
+        0.0,
+        "0: the garment's one size; 1: made to measure for this body; or between. Above 0 only for models that have "
+        "learnt it; the node takes half a second more to start",
+    ),
     "push_out": (
         False,
         "move vertices that end up inside the body out of it, in microseconds a frame; the node takes seconds more to "
@@ -112,6 +117,7 @@ class DrapeNode(Node):
             avatar,
             backend=self._text("backend"),
             precision=self._text("precision"),
+            fit=self.get_parameter("fit").value,
             push_out=self.get_parameter("push_out").value,
         )
         self._gravity = np.array(self.get_parameter("gravity").value, dtype=np.float64)

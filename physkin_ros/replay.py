@@ -149,7 +149,7 @@ class _Measurements:
 
     def add(self, positions: np.ndarray, gravity: np.ndarray, points: np.ndarray, *, contact: bool) -> None:
         draper, found = self._draper, self._found
-        garment, vertices = draper.model.garment, points[:, :3].astype(np.float64)
+        garment, vertices = draper.rest_garment, points[:, :3].astype(np.float64)
         found.positions.append(positions)
         found.gravity.append(gravity)
         found.edge_strain.append(float(edge_strain(garment, vertices)))
@@ -222,7 +222,8 @@ def _draper(options: argparse.Namespace) -> Draper:
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
     for warning in avatar.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    return Draper(model, avatar, backend=options.backend, precision=options.precision, push_out=options.push_out)
+    chosen = {"backend": options.backend, "precision": options.precision, "fit": options.fit}
+    return Draper(model, avatar, push_out=options.push_out, **chosen)
 
 
 def _most_frequent(reasons: Counter) -> str:
@@ -245,6 +246,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--precision", choices=PRECISIONS, help="of the native backend's network weights (default bf16)"
     )
+    parser.add_argument("--fit", type=float, default=0.0, help="0: one size, 1: made to measure (default 0)")
     parser.add_argument("--push-out", action="store_true", help="bring vertices out of the body, as the node can")
     parser.add_argument("-o", "--output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3")
     parser.add_argument("--storage", choices=STORAGES, help="of an output folder (default mcap)")

@@ -162,11 +162,12 @@ def random_model(
     activation: str = "silu",
     width: int = 8,
     correction: float = 0.1,
+    made_to_measure: bool = False,
 ) -> GarmentModel:
     """A garment model with random networks and smooth random skinning weights.
 
     rig, garment: default a random rig of `bones` and `dofs`, and a `tube` of `rings` by `segments`. correction: about
-    how large the node deformer's numbers are.
+    how large the node deformer's numbers are. made_to_measure: it has learnt a fit.
     """
     rig = random_rig(rng, bones=bones, dofs=dofs) if rig is None else rig
     garment = tube(rings=rings, segments=segments) if garment is None else garment
@@ -179,15 +180,19 @@ def random_model(
     )
     deformer = random_layers(rng, (12 * nodes, *deformer_widths, node_outputs * nodes), output_scale=correction)
     pose = random_layers(rng, (rig.pose_size, *pose_widths, 2 * sum(deformer_widths)), output_scale=0.3)
+    node_bone = rng.integers(0, rig.bone_count, size=nodes).astype(np.int32)
+    hyper = random_hyper_modulator(rng, 2 * sum(pose_widths), width=width)
+    if made_to_measure:
+        hyper["fit"] = rng.normal(size=width).astype(np.float32)
     return GarmentModel(
         name="random",
         rig=rig,
         garment=garment,
         node_rest=rest,
-        node_bone=rng.integers(0, rig.bone_count, size=nodes).astype(np.int32),
+        node_bone=node_bone,
         influence_nodes=influence_nodes.astype(np.int32),
         influence_weights=(weights / weights.sum(axis=1, keepdims=True)).astype(np.float32),
-        hyper_modulator=random_hyper_modulator(rng, 2 * sum(pose_widths), width=width),
+        hyper_modulator=hyper,
         pose_modulator=pose,
         node_deformer=deformer,
         activation=activation,

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from random_models import BACKENDS, SIZES, needs_native, random_avatar, random_model, random_pose, unit_rows
+from random_models import BACKENDS, SIZES, needs_native, random_avatar, random_model, random_pose, tube, unit_rows
 
-from physkin_core import UPRIGHT_GRAVITY, Draper, binding
+from physkin_core import UPRIGHT_GRAVITY, Draper, Garment, avatar_from_body, binding, load_body_model
 from physkin_core.binding import encode_body
 from physkin_core.garment import vertex_normals
+from physkin_core.garment_grading import GarmentGrading
 from physkin_core.garment_nodes import compose_nodes, delta_transforms, node_positions_on_body, pose_nodes
+from physkin_core.hyper_modulator import at_fit
 from physkin_core.node_deformer import node_corrections
 from physkin_core.pose_modulator import pose_modulation
 from physkin_core.skinning import skin
@@ -334,3 +336,77 @@ def test_numpy_backend_refuses_other_precisions():
     _, model, avatar = scene(42, **SIZES["tiny"])
     with pytest.raises(ValueError, match="numpy backend computes with the model's own network weights, not in 'bf16'"):
         Draper(model, avatar, backend="numpy", precision="bf16")
+
+
+# --- Made to measure ---
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """A model of a waistband that has learnt a fit, and a heavy body."""
+    body = load_body_model()
+    band = tube(rings=9, segments=20, radius=1.0, height=0.3)
+    garment = Garment(band.vertices * [0.16, 0.2, 1.0] + [0, 0, 0.12], band.faces)
+    model = random_model(np.random.default_rng(5), rig=body.rig, garment=garment, nodes=12, made_to_measure=True)
+    return model, avatar_from_body(body, body.held_out_bodies[3])
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_made_to_measure_without_correctives_rests_on_the_body(measured, backend):
+    """Plain skinning at the canonical pose is the graded garment, to the millimetres of finding the body's shape; a fit
+    between is between; 0 is as without."""
+    model, avatar = measured
+    weight, bias = model.node_deformer[-1]
+    plain = replace(model, node_deformer=(*model.node_deformer[:-1], (0 * weight, 0 * bias)))
+    drapes, rests = {}, {}
+    for fit in (0.0, 0.5, 1.0):
+        draper = Draper(plain, avatar, fit=fit, backend=backend)
+        drapes[fit], rests[fit] = draper.drape(model.rig.rest), draper.rest_garment.vertices
+    np.testing.assert_array_equal(drapes[0.0], Draper(plain, avatar, backend=backend).drape(model.rig.rest))
+    np.testing.assert_allclose(drapes[1.0][:, :3], rests[1.0], atol=1e-5)
+    np.testing.assert_allclose(drapes[0.5][:, :3], (drapes[0.0] + drapes[1.0])[:, :3] / 2, atol=1e-5)
+    assert rests[0.0] is model.garment.vertices
+    body = load_body_model()
+    exact = GarmentGrading(model.garment, body).graded(body.held_out_bodies[3:4])[0]
+    assert np.linalg.norm(rests[1.0] - exact, axis=1).max() < 5e-3
+    assert np.linalg.norm(exact - model.garment.vertices, axis=1).max() > 0.02
+
+
+def test_the_fit_reaches_the_networks(measured):
+    """Correctives differ between fits by more than rest shapes alone would make them."""
+    model, avatar = measured
+    corrected, folded = Draper(model, avatar, fit=1.0, backend="numpy"), at_fit(model.hyper_modulator, 1.0)
+    same = {**folded, "fit": 0 * model.hyper_modulator["fit"]}
+    as_told = Draper(replace(model, hyper_modulator=same), avatar, fit=1.0, backend="numpy")
+    deaf = {**model.hyper_modulator, "fit": 0 * model.hyper_modulator["fit"]}
+    untold = Draper(replace(model, hyper_modulator=deaf), avatar, fit=1.0, backend="numpy")
+    q = model.rig.rest
+    np.testing.assert_allclose(corrected.drape(q), as_told.drape(q), atol=1e-5)
+    assert np.abs(corrected.drape(q) - untold.drape(q))[:, :3].max() > 1e-4
+
+
+def test_points_are_made_to_measure_as_the_mesh_they_lie_on(measured):
+    """The mesh's own vertices given as points: the same drape; given normals turn with the cloth."""
+    model, avatar = measured
+    whole = Draper(model, avatar, fit=1.0, backend="numpy")
+    mesh = model.garment
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    q = model.rig.rest
+    for given in (None, normals):
+        points = Draper(model, avatar, fit=1.0, backend="numpy", points=mesh.vertices, point_normals=given)
+        np.testing.assert_allclose(points.drape(q)[:, :3], whole.drape(q)[:, :3], atol=1e-4)
+        np.testing.assert_allclose(points.bound.normals, whole.bound.normals, atol=1e-3)
+    assert np.abs(whole.bound.normals - normals).max() > 0.02
+
+
+def test_a_fit_that_cannot_be_is_refused(measured):
+    """Not learnt, out of range, or of another rig than the body model's."""
+    model, avatar = measured
+    with pytest.raises(ValueError, match="fit must be 0 .* to 1 .* got 1.5"):
+        Draper(model, avatar, fit=1.5, backend="numpy")
+    _, template_only, other = scene(0)
+    with pytest.raises(ValueError, match="has not learnt to be made to measure"):
+        Draper(template_only, other, fit=1.0, backend="numpy")
+    _, strange, other = scene(0, made_to_measure=True)
+    with pytest.raises(ValueError, match="needs the body model's rig"):
+        Draper(strange, other, fit=1.0, backend="numpy")

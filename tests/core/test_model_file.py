@@ -79,6 +79,25 @@ def test_round_trip(tmp_path, size, activation, node_outputs):
     assert not list(path.parent.glob("*.partial"))
 
 
+def test_the_file_says_whether_made_to_measure_was_learnt(tmp_path):
+    """Files from before have no fit, and keep loading; one above 0 is refused for them, as are numbers out of range."""
+    for learnt in (True, False):
+        model = tiny(made_to_measure=learnt)
+        save_garment_model(model, tmp_path / "model.safetensors")
+        loaded = load_garment_model(tmp_path / "model.safetensors")
+        assert loaded.made_to_measure == learnt and loaded.checked_fit(0) == 0.0
+        for bad in (-0.1, 1.1, np.nan, "1", True):
+            with pytest.raises(ValueError, match="fit must be 0 .* to 1"):
+                loaded.checked_fit(bad)
+        if learnt:
+            np.testing.assert_allclose(
+                loaded.hyper_modulator["fit"], model.hyper_modulator["fit"], rtol=1e-3, atol=1e-6
+            )
+            assert loaded.checked_fit(0.5) == 0.5
+    with pytest.raises(ValueError, match="'random' has not learnt to be made to measure: fit is 0.5, allowed is 0"):
+        loaded.checked_fit(0.5)
+
+
 def test_a_loaded_model_drapes_as_the_saved_one(tmp_path):
     """Half precision moves the garment by a fraction of a millimetre at most; a second round trip by nothing."""
     rng = np.random.default_rng(2)
@@ -406,6 +425,10 @@ def test_impossible_material_is_refused(field, value, message):
         (lambda m: dict(node_deformer=(*m.node_deformer[:-1], (np.zeros((9, 12)), np.zeros(9)))), "expected 54 or 72"),
         (lambda m: dict(node_deformer=m.node_deformer[::-1]), r"modulator gives 48 numbers, expected 132"),
         (lambda m: dict(hyper_modulator={**m.hyper_modulator, "extra.weight": np.zeros(1)}), "unknown.*extra.weight"),
+        (
+            lambda m: dict(hyper_modulator={**m.hyper_modulator, "fit": np.zeros(3)}),
+            r"fit has shape \(3,\)",
+        ),
         (
             lambda m: dict(rig=tiny(bones=4, dofs=6).rig),
             r"pose_modulator.0.weight has shape \(16, 8\), expected \(16, 9\)",

@@ -59,6 +59,7 @@ def test_sigterm_and_remapping(start, peer, model_path):
         ({"precision": "''"}, "parameter precision must not be empty"),
         ({"precision": "int8", "backend": "numpy"}, "the numpy backend"),
         ({"push_out": 1}, "expecting type 'BOOL'"),
+        ({"fit": 0.5}, "has not learnt to be made to measure"),
         ({"executor": "many"}, "parameter executor is 'many'; allowed: events, single"),
         ({"gravity": "[0.0, 0.0, .nan]"}, "three finite numbers"),
         ({"gravity": "[0, 0, 0]"}, "parameter gravity is [0, 0, 0]; it must be three finite numbers"),

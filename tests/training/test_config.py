@@ -132,6 +132,7 @@ def test_wrong_types(tmp_path, text, message):
         ("[poses]\nlargest_tilt_degrees = 181", "poses.largest_tilt_degrees must be 0 to 180, got 181.0"),
         ("[networks]\ntoken_width = 30", "token_width"),
         ("[networks]\npose_hidden = 0", "pose_hidden"),
+        ('[optimisation]\nfit = "tight"', "optimisation.fit must be one of template, both, got 'tight'"),
     ],
 )
 def test_impossible_values(tmp_path, text, message):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -76,6 +78,27 @@ def test_drapes_are_the_run_times_and_the_minimum_is_lower(model):
         strain = quality.edge_strain(model.garment, vertices).mean()
         assert figures[row]["edge_strain_percent"] == pytest.approx(strain, rel=1e-3) and figures[row]["pairs"] == 6
     assert list(drape_all(evaluation, poses, minimum=False).garments) == ["model"]
+
+
+def test_made_to_measure_is_drawn_with_its_own_strain(model):
+    """The run time's drape with that fit, within what finding the body's shape costs, against its own rest shape."""
+    hyper = {**model.hyper_modulator, "fit": np.zeros(8, dtype=np.float32)}
+    fitted = replace(model, hyper_modulator=hyper)
+    evaluation = Evaluation(fitted, torch.device("cpu"), bodies=[5, 2], poses=1, seed=0, fit=1.0)
+    poses, _ = chosen_poses(model.rig, count=1, seed=0)
+    drapes = drape_all(evaluation, poses, minimum=False)
+    q, gravity = poses.positions[0].numpy(), poses.gravity[0].numpy()
+    for pair, body in enumerate([5, 2]):
+        draper = Draper(fitted, avatar_from_body(BODY, BODY.held_out_bodies[body]), fit=1.0, backend="numpy")
+        apart = np.linalg.norm(drapes.garments["model"][pair] - draper.drape(q, gravity)[:, :3], axis=1)
+        assert apart.mean() < 3e-3
+        expected = quality.edge_strain(draper.rest_garment, draper.drape(q, gravity)[:, :3].astype(float))
+        assert drapes.strains["model"][pair] == pytest.approx(float(expected), rel=0.03)
+    assert drapes.figures["model"]["edge_strain_percent"] == pytest.approx(drapes.strains["model"].mean(), rel=1e-3)
+    template = quality.edge_strain(model.garment, drapes.garments["model"]).mean()
+    assert abs(template - drapes.strains["model"].mean()) > 1
+    with pytest.raises(ValueError, match="has not learnt to be made to measure"):
+        Evaluation(model, torch.device("cpu"), bodies=[5], poses=1, seed=0, fit=1.0)
 
 
 @pytest.mark.parametrize("gravity", [[0, 0, -1], [0, 0, 1], [1, 0, 0], [0.48, -0.6, 0.64]])

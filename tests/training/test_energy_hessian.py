@@ -13,6 +13,7 @@ from random_models import tube  # noqa: E402
 from physkin_core.garment_model import Material  # noqa: E402
 from physkin_training.energy_hessian import EnergyHessian  # noqa: E402
 from physkin_training.physics_losses import PhysicsLosses  # noqa: E402
+from physkin_training.rest_data import RestData  # noqa: E402
 
 CPU = torch.device("cpu")
 SAMPLES = 2
@@ -38,7 +39,9 @@ class Scene:
         self.body = wp.Mesh(floor, wp.array([0, 1, 2, 0, 2, 3], dtype=wp.int32, device="cpu"))
         self.offset = torch.zeros(SAMPLES, 3)
         self.down = torch.tensor([[0.0, 0, -1]] * SAMPLES)
-        self.losses = PhysicsLosses(self.garment, material, SAMPLES, CPU)
+        shapes = np.stack([self.garment.vertices, self.garment.vertices * [1.2, 0.9, 1.1]])
+        rest = RestData(self.garment, material, CPU, shapes=shapes)
+        self.losses = PhysicsLosses(self.garment, material, SAMPLES, CPU, rest=rest)
         self.hessian = EnergyHessian(self.garment, self.losses, SAMPLES, CPU)
 
     def gradient(self, x):
@@ -59,8 +62,10 @@ class Scene:
 
 @pytest.mark.parametrize("bending, youngs_modulus", [(1e-9, 60.0), (1e-3, 1e-3), (1e-3, 60.0)])
 @pytest.mark.parametrize("floor", [-9.0, -0.057])
-def test_exact_blocks_match_finite_differences_of_the_gradient(bending, youngs_modulus, floor):
+@pytest.mark.parametrize("rows", [(0, 0), (1, 0)])
+def test_exact_blocks_match_finite_differences_of_the_gradient(bending, youngs_modulus, floor, rows):
     scene = Scene(floor=floor, bending=bending, youngs_modulus=youngs_modulus)
+    scene.losses.rest_row.copy_(torch.tensor(rows))
     generator = torch.Generator().manual_seed(0)
     scene.gradient(scene.x)
     assert (scene.losses.element_energies["collision"].sum() > 0) == (floor > -1)

@@ -135,6 +135,37 @@ def test_the_same_seed_gives_the_same_scores(model):
     assert first["tilted"]["gravity_j"] != pytest.approx(first["model"]["gravity_j"], rel=1e-3)
 
 
+def test_a_model_made_to_measure_is_measured_both_ways(model):
+    """Rows of the template as those of the model without, and rows of their own, which the table shows."""
+    fitted = replace(model, hyper_modulator={**model.hyper_modulator, "fit": np.zeros(8, dtype=np.float32)})
+    scores = evaluate_model(fitted, CPU, bodies=2, poses=2, seed=3, minimum=0, steps=0, motions=[clip("walk", 4)])
+    plain = evaluate_model(model, CPU, bodies=2, poses=2, seed=3, minimum=0, steps=0)
+    assert scores["model"] == plain["model"] and "made_to_measure" not in plain
+    made = scores["made_to_measure"]
+    assert set(made) == {"model", "skinning", "tilted", "motion"}
+    assert made["model"]["edge_strain_percent"] != pytest.approx(scores["model"]["edge_strain_percent"], rel=1e-2)
+    own = Evaluation(fitted, CPU, bodies=2, poses=2, seed=3, fit=1.0).figures(upright=True, only=["model"])
+    assert own["model"] == made["model"]
+    lines = table(scores).splitlines()
+    for label in ("the model, made to measure", "plain skinning, motion, made to measure"):
+        assert sum(line.startswith(f"| {label} |") for line in lines) == 1
+
+
+def test_full_space_minima_are_of_each_bodys_own_rest_shape(model):
+    """Made to measure on two bodies at the canonical pose, cloth starting at rest: the solver converges for both."""
+    fitted = replace(model, hyper_modulator={**model.hyper_modulator, "fit": np.zeros(8, dtype=np.float32)})
+    evaluation = Evaluation(fitted, CPU, bodies=2, poses=1, seed=0, fit=1.0)
+    pairs = evaluation.uniform(upright=True)
+    rest = torch.as_tensor(model.rig.rest.astype(np.float32)).expand(2, -1)
+    (batch,) = evaluation.batches(replace(pairs, positions=rest))
+    assert evaluation.losses.rest_row.tolist() == [1, 2]
+    start = torch.stack([torch.tensor(evaluation.rest_garment(b).vertices) for b in (0, 1)]).float()
+    energies = evaluation.energy(start, batch)[1]
+    solution = evaluation.full_space_minimum(start, batch)
+    assert energies.stretch.max() < 1e-6, "each starts at its own rest shape"
+    assert solution.converged.all() and (solution.energy < energies.total).all(), solution
+
+
 def test_batches_hold_their_pairs_and_bodies_take_turns(model):
     evaluation = Evaluation(model, CPU, bodies=2, poses=3, seed=0, batch=4)
     pairs = evaluation.uniform(upright=True)

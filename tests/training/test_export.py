@@ -102,6 +102,26 @@ def test_agreement_of_small_and_random_models(trained, tmp_path):
     assert twins(load_garment_model(tmp_path / "random.safetensors")) < 1e-4
 
 
+def test_a_model_made_to_measure_agrees_both_ways(tmp_path):
+    """Its file read again, at the run time and in torch; a fit that only torch has learnt otherwise is seen."""
+    wp.config.quiet = True
+    trainer = Trainer(small_config(tmp_path, fit="both", full_encoding=1.0), torch.device("cpu"))
+    with torch.no_grad():
+        trainer.drape.networks.hyper_modulator.fit.normal_()
+        for network in (trainer.drape.networks.pose_modulator, trainer.drape.networks.node_deformer):
+            network.layers[-1].weight += 0.05 * torch.randn_like(network.layers[-1].weight)
+        trainer.drape.networks.hyper_modulator.output.weight += torch.randn(1)
+    model = exported(trainer, 6)
+    save_garment_model(model, tmp_path / "band.safetensors")
+    model = load_garment_model(tmp_path / "band.safetensors")
+    twin = drape_from_model(model)
+    assert model.made_to_measure and agreement(model, twin, poses=4).largest < 1e-4
+    with torch.no_grad():
+        twin.networks.hyper_modulator.fit += 1
+    assert agreement(model, twin, poses=1).largest < 1e-4, "one pose is at the template"
+    assert agreement(model, twin, poses=4).largest > 1e-4
+
+
 def test_agreement_sees_a_difference(trained):
     """One garment node's translation wrong by a centimetre in torch."""
     model = exported(trained, 3)

@@ -11,8 +11,10 @@ pytest.importorskip("warp", reason="needs the [training] extra")
 from random_models import tube  # noqa: E402
 
 from physkin_core import quality  # noqa: E402
+from physkin_core.garment_model import Material  # noqa: E402
 from physkin_training.figures import Figures  # noqa: E402
 from physkin_training.physics_losses import Energies  # noqa: E402
+from physkin_training.rest_data import RestData  # noqa: E402
 
 CPU = torch.device("cpu")
 GARMENT = tube()
@@ -59,6 +61,22 @@ def test_figures_are_those_of_quality(sizes):
         assert row[f"{name}_j"] == pytest.approx(column.mean().item()), name
     assert row["energy_j"] == pytest.approx(row["stretch_j"] + row["bend_j"] + row["collision_j"])
     assert row["pairs"] == 6 and "jitter_mm" not in row
+
+
+def test_strain_is_against_each_drapes_own_rest_shape():
+    """Two rest shapes, drapes in any order of them; without rows the first one."""
+    batch = vertices, *_ = drapes(4)
+    shapes = [GARMENT, GARMENT.reshaped(GARMENT.vertices * [1.1, 0.9, 1.2])]
+    rest = RestData(GARMENT, Material(), CPU, shapes=np.stack([shape.vertices for shape in shapes]))
+    figures, plain = Figures(GARMENT, CPU, rest=rest), Figures(GARMENT, CPU, rest=rest)
+    rows = [1, 0, 0, 1]
+    count_in(figures, batch, slice(None), rest_row=torch.tensor(rows, dtype=torch.int32))
+    count_in(plain, batch, slice(None))
+    for name, strain in (("edge", quality.edge_strain), ("area", quality.area_strain)):
+        expected = np.mean([strain(shapes[row], x.numpy()) for row, x in zip(rows, vertices, strict=True)])
+        assert figures.result()[f"{name}_strain_percent"] == pytest.approx(expected, rel=1e-4)
+        expected = strain(GARMENT, vertices.numpy()).mean()
+        assert plain.result()[f"{name}_strain_percent"] == pytest.approx(expected, rel=1e-4)
 
 
 def test_depth_percentile_is_over_each_drapes_deepest():

@@ -8,7 +8,7 @@ from random_models import random_hyper_modulator, random_model, unit_rows
 
 torch = pytest.importorskip("torch", reason="needs the [training] extra")
 
-from physkin_core.hyper_modulator import body_modulation  # noqa: E402
+from physkin_core.hyper_modulator import at_fit, body_modulation  # noqa: E402
 from physkin_core.mlp import modulation_size  # noqa: E402
 from physkin_core.node_deformer import node_corrections  # noqa: E402
 from physkin_core.pose_modulator import pose_modulation  # noqa: E402
@@ -65,6 +65,25 @@ def test_hyper_modulator_agrees(width, blocks, count):
         np.testing.assert_allclose(result[body], expected, atol=3e-5)
         np.testing.assert_allclose(double[body], expected, atol=3e-5)
     assert np.abs(result[0] - result[1]).max() > 1e-3
+
+
+def test_the_fit_shifts_tokens_as_at_the_run_time():
+    """Each body at its own fit, against the NumPy network with the fit folded in; without a fit as at fit 0."""
+    rng = np.random.default_rng(2)
+    arrays = random_hyper_modulator(rng, 20) | {"fit": rng.normal(size=8).astype(np.float32)}
+    config = NetworkConfig(token_width=8, feed_forward=16, residual_blocks=2)
+    twin = HyperModulator(config, 20, made_to_measure=True)
+    twin.load_state_dict({name: torch.as_tensor(array) for name, array in arrays.items()})
+    points = rng.uniform(-1, 1, size=(1, 60, 3)).astype(np.float32).repeat(3, axis=0)
+    normals = unit_rows(rng, 60).astype(np.float32)[None].repeat(3, axis=0)
+    pair, fits = (torch.as_tensor(points), torch.as_tensor(normals)), [0.0, 0.4, 1.0]
+    with torch.no_grad():
+        result, plain = twin(*pair, torch.tensor(fits)).numpy(), twin(*pair).numpy()
+    for body, fit in enumerate(fits):
+        expected = body_modulation(at_fit(arrays, fit), points[body], normals[body])
+        np.testing.assert_allclose(result[body], expected, atol=3e-5)
+    np.testing.assert_array_equal(plain[0], result[0])
+    assert np.abs(result[2] - result[0]).max() > 0.01
 
 
 def test_the_encoder_is_one_standard_transformer_layer():

@@ -11,7 +11,8 @@ trimesh = pytest.importorskip("trimesh")
 
 from physkin_core.garment import Garment  # noqa: E402
 from physkin_core.garment_model import Material  # noqa: E402
-from physkin_training.physics_losses import BAND_SLACK, BAND_STIFFNESS, PhysicsLosses  # noqa: E402
+from physkin_training.physics_losses import BAND_SLACK, BAND_STIFFNESS, LED_BACK_BEYOND, PhysicsLosses  # noqa: E402
+from physkin_training.rest_data import RestData  # noqa: E402
 from physkin_training.wearing import Wearing  # noqa: E402
 from training import physics_oracle as oracle  # noqa: E402
 
@@ -87,6 +88,54 @@ def test_gradient_matches_finite_differences(scene):
         assert (gradient[sample] * direction[sample]).sum() == pytest.approx(difference / (2 * step), rel=2e-3)
 
 
+def rest_shapes(garment) -> list[Garment]:
+    """The garment itself, and two graded ones of other sizes and curvature."""
+    z = garment.vertices[:, 2:]
+    return [
+        garment,
+        garment.reshaped(garment.vertices * [1.15, 0.95, 1.1]),
+        garment.reshaped(garment.vertices * (1 + 2 * np.abs(z)) * [0.9, 0.9, 1.2]),
+    ]
+
+
+def test_each_sample_has_its_own_rest_shape(scene):
+    """Energies and gradient against the oracle with that rest shape alone, and the gradient against finite differences
+    of the kernels' own energies; rows may change from call to call."""
+    garment, _, x, offset, mesh, gravity = scene
+    shapes = rest_shapes(garment)
+    rest = RestData(garment, MATERIAL, torch.device("cpu"), shapes=np.stack([shape.vertices for shape in shapes]))
+    body = scene[1]
+    band = worn_on(garment, body, worn=True, band=[0, 5, 9])
+    losses = PhysicsLosses(garment, MATERIAL, SAMPLES, torch.device("cpu"), rest=rest, wearing=band)
+    tensors = [torch.as_tensor(a, dtype=torch.float32) for a in (x, gravity, offset)]
+    for rows in ([2, 1], [0, 2]):
+        losses.rest_row.copy_(torch.tensor(rows))
+        energies, gradient = losses.evaluate(tensors[0], tensors[1], mesh, tensors[2])
+        for sample, row in enumerate(rows):
+            leaf = torch.tensor(x[sample], requires_grad=True)
+            terms = oracle_terms((shapes[row], *scene[1:]), leaf, sample)
+            for name, value in terms.items():
+                assert energies[name][sample].item() == pytest.approx(value.item(), rel=3e-4), (name, row)
+            (expected,) = torch.autograd.grad(sum(terms.values()), leaf)
+            held = band_gradient(shapes[row], body, x[sample], band)
+            error = np.abs(gradient[sample].numpy() - expected.numpy() - held).max()
+            assert error < 1e-3 * np.abs(expected.numpy()).max()
+    alone = PhysicsLosses(shapes[2], MATERIAL, SAMPLES, torch.device("cpu"), wearing=band)
+    there = alone.evaluate(tensors[0], tensors[1], mesh, tensors[2])[0]
+    assert there["band"][1].item() == pytest.approx(energies["band"][1].item(), rel=1e-5) and there["band"][1] > 0
+
+
+def band_gradient(garment, body, x, wearing):
+    """dE/dx (n, 3) of the band by its formula."""
+    gradient = np.zeros_like(x)
+    for vertex, place, limit in zip(wearing.band, wearing.band_place, wearing.band_distance + BAND_SLACK):
+        away = x[vertex] - body.vertices[place]
+        distance = np.linalg.norm(away)
+        beyond = max(0.0, distance - limit)
+        gradient[vertex] += 2 * BAND_STIFFNESS * garment.vertex_areas[vertex] * beyond * away / distance
+    return gradient
+
+
 def test_backward_is_the_mean_energy_gradient(scene):
     garment, _, x, offset, mesh, gravity = scene
     losses = PhysicsLosses(garment, MATERIAL, SAMPLES, torch.device("cpu"))
@@ -124,10 +173,16 @@ def worn_on(garment, body, *, worn: bool, band=(), distance=0.0) -> Wearing:
         faces=np.asarray(body.faces, dtype=np.int32),
         face_bone=np.zeros(len(body.faces), dtype=np.int32),
         worn=np.full((len(garment.vertices), 1), worn),
+        own_face=closest_face(garment, body),
         band=band,
         band_place=np.arange(len(band), dtype=np.int32),
         band_distance=np.full(len(band), distance, dtype=np.float32),
     )
+
+
+def closest_face(garment, body) -> np.ndarray:
+    centres = np.asarray(body.triangles_center)
+    return np.linalg.norm(centres[None] - garment.vertices[:, None], axis=2).argmin(axis=1).astype(np.int32)
 
 
 def run(scene, x, **options):
@@ -156,6 +211,40 @@ def test_deep_contact_counts_only_with_parts_a_vertex_is_worn_on(scene):
             assert strange.max() < 0.01 * mine.min()
         else:
             np.testing.assert_array_equal(strange, mine)
+
+
+def test_lost_vertices_are_led_back_to_where_they_are_worn(scene):
+    """Cloth that came through the limb: energy and gradient of the plane of each vertex' own face, by the formula."""
+    garment, body, _, offset, _, _ = scene
+    own = closest_face(garment, body)
+    normal, centre = np.asarray(body.face_normals)[own], np.asarray(body.triangles_center)[own]
+    through = garment.vertices * np.array([-0.7, 0.7, 1.0])
+    posed = np.repeat(through[None], SAMPLES, axis=0)
+    wearing = worn_on(garment, body, worn=True)
+    lost, without = run(scene, posed, wearing=wearing)
+    energies, gradient = run(scene, posed, wearing=wearing, leads_back=True)
+    assert lost.collision.max() == 0
+    behind = np.maximum(MATERIAL.contact_offset - ((through - centre) * normal).sum(axis=1), 0)
+    assert behind.max() > 0.1
+    bounded = np.minimum(behind, LED_BACK_BEYOND)
+    stiffness = MATERIAL.contact_stiffness * garment.vertex_areas
+    for sample in range(SAMPLES):
+        expected = (stiffness * bounded * (2 * behind - bounded)).sum()
+        assert energies.collision[sample].item() == pytest.approx(expected, rel=1e-4)
+        pushed = (gradient - without)[sample] * SAMPLES
+        expected = normal * (-2 * stiffness * bounded)[:, None]
+        np.testing.assert_allclose(pushed, expected, atol=1e-3 * np.abs(expected).max())
+
+
+def test_cloth_where_it_belongs_is_not_led(scene):
+    """Run through by another limb, and outside its own: the same with and without."""
+    garment, body, *_ = scene
+    for scale, worn in ((1.08, True), (0.95, True), (1.3, False)):
+        posed = np.repeat((garment.vertices * np.array([scale, scale, 1.0]))[None], SAMPLES, axis=0)
+        wearing = worn_on(garment, body, worn=worn)
+        (plain, force), (led, led_force) = (run(scene, posed, wearing=wearing, leads_back=b) for b in (False, True))
+        np.testing.assert_array_equal(plain.collision, led.collision)
+        np.testing.assert_allclose(force, led_force, atol=1e-6)
 
 
 def test_the_band_holds_beyond_its_slack(scene):

@@ -63,6 +63,9 @@ def test_parts_a_shirt_is_worn_on():
     belly = np.linalg.norm(garment.vertices - [0.15, 0.0, 0.15], axis=1).argmin()
     assert worn.worn[sleeve, BONES.index("upperarm02.L")] and not worn.worn[sleeve, BONES.index("spine03")]
     assert worn.worn[belly, BONES.index("spine04")] and not worn.worn[belly, BONES.index("upperarm02.L")]
+    side = np.linalg.norm(garment.vertices - [0.05, 0.15, 0.27], axis=1).argmin()
+    arm = [worn.worn[side, BONES.index(part)] for part in ("upperarm01.L", "upperarm02.L")]
+    assert worn.worn[side, BONES.index("spine02")] and not any(arm), garment.vertices[side]
     for part in ("wrist.L", "wrist.R", "foot.L", "lowerleg02.R"):
         assert not worn.worn[:, BONES.index(part)].any(), part
 
@@ -74,6 +77,9 @@ def test_worn_faces_are_those_near_the_garment():
     assert 0 < len(left.faces) < len(worn.faces) == len(BODY.faces)
     assert set(left.face_bone) == set(np.flatnonzero(worn.worn.any(axis=0)))
     np.testing.assert_array_equal(left.worn, worn.worn)
+    own = SURFACE[left.faces[left.own_face]].mean(axis=1)
+    nearest = np.linalg.norm(SURFACE[left.faces].mean(axis=1)[None] - garment.vertices[::40, None], axis=2).min(axis=1)
+    np.testing.assert_allclose(np.linalg.norm(own - garment.vertices, axis=1)[::40], nearest, atol=1e-6)
     outside = worn.faces[~np.isin(worn.face_bone, left.face_bone)]
     whole = SURFACE[outside[::50]].mean(axis=1)
     distance = np.linalg.norm(whole[:, None] - garment.vertices[None], axis=2).min(axis=1)

@@ -16,6 +16,9 @@ from physkin_training.networks import NetworkConfig
 __all__ = ["ConfigError", "TrainingConfig", "load_config"]
 
 
+FITS = ("template", "both")
+
+
 class ConfigError(ValueError):
     """A training configuration cannot be used."""
 
@@ -38,7 +41,8 @@ class OptimisationConfig:
     `full_encoding` on, bodies are encoded from all 4096 points, before from `encoder_points` of them.
     `contact_linear_beyond` [m], `heavy_energy` [J]: see `PhysicsLosses`. `average`: decay a step of the moving average
     of networks and skinning weights that is exported, 0 for none. `validate_every`: steps from one measurement of the
-    average to the next, once range and influences are final; the best one is exported.
+    average to the next, once range and influences are final; the best one is exported. `fit`: "template", one rest
+    shape for all bodies; "both": every second body of a step wears the garment made to measure.
     """
 
     steps: int = 100000
@@ -60,6 +64,7 @@ class OptimisationConfig:
     heavy_energy: float = 0.1
     average: float = 0.999
     validate_every: int = 500
+    fit: str = "template"
 
     def __post_init__(self) -> None:
         def check(keys: str, allowed: str, holds: Callable) -> None:
@@ -77,6 +82,12 @@ class OptimisationConfig:
         check("prune_at", f"at least optimisation.prune_from {self.prune_from}", lambda value: value >= self.prune_from)
         multiple = f"a multiple of optimisation.bodies {self.bodies}"
         check("samples", multiple, lambda value: value % self.bodies == 0)
+        check("fit", "one of " + ", ".join(FITS), lambda value: value in FITS)
+
+    @property
+    def made_to_measure(self) -> bool:
+        """Whether rest shapes graded to the body are trained on, too."""
+        return self.fit == "both"
 
 
 @dataclass(frozen=True)
@@ -85,7 +96,7 @@ class GarmentNodeConfig:
 
     count: int = 128
     initial_influences: int = 16
-    influences: int = 8
+    influences: int = 16
 
     def __post_init__(self) -> None:
         _check(self, "garment_nodes.", "count", "at least 1", lambda value: value >= 1)

@@ -27,7 +27,6 @@ from physkin_core.rig import Rig
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.evaluate import Evaluation
 from physkin_training.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
-from physkin_training.figures import Figures
 
 __all__ = ["Drapes", "chosen_bodies", "chosen_poses", "drape_all", "draw"]
 
@@ -47,10 +46,11 @@ PRINTED = {
 
 @dataclass(frozen=True)
 class Drapes:
-    """Garment vertices (P, n, 3) [m] by row, `model` and perhaps `minimum`, and the bodies under them (P, V, 3) [m], in
-    the root frame; `figures` over all pairs by row."""
+    """Garment vertices (P, n, 3) [m] and edge strains (P,) [%] by row, `model` and perhaps `minimum`, and the bodies
+    under them (P, V, 3) [m], in the root frame; `figures` over all pairs by row."""
 
     garments: dict[str, np.ndarray]
+    strains: dict[str, np.ndarray]
     bodies: np.ndarray
     figures: dict[str, dict[str, float]]
 
@@ -90,21 +90,28 @@ def drape_all(evaluation: Evaluation, poses: Pairs, *, minimum: bool) -> Drapes:
     pairs = poses[torch.arange(len(poses)).repeat_interleave(count)]
     pairs = replace(pairs, body=torch.arange(count).repeat(len(poses)))
     rows = ["model", "minimum"] if minimum else ["model"]
-    figures = {row: Figures(evaluation.model.garment, evaluation.device) for row in rows}
+    figures = {row: evaluation.new_figures() for row in rows}
     garments: dict[str, list] = {row: [] for row in rows}
+    strains: dict[str, list] = {row: [] for row in rows}
     bodies = []
     for batch in evaluation.batches(pairs):
         points = wp.to_torch(evaluation.posed_bodies.mesh.points).view(evaluation.batch, -1, 3)
         bodies.append((points - evaluation.posed_bodies.offset[:, None])[: batch.count].cpu().numpy())
         with torch.no_grad():
-            drapes = {"model": evaluation.drape(batch.modulation, batch.positions, batch.gravity, batch.posed_nodes)}
+            inputs = (batch.modulation, batch.positions, batch.gravity, batch.posed_nodes, batch.rest)
+            drapes = {"model": evaluation.drape(*inputs)}
         if minimum:
             drapes["minimum"] = evaluation.full_space_minimum(drapes["model"], batch).vertices
         for row, vertices in drapes.items():
             evaluation.count_in(figures[row], vertices, batch)
             garments[row].append(vertices[: batch.count].cpu().numpy())
+            strains[row] += [
+                float(edge_strain(evaluation.rest_garment(body), x))
+                for body, x in zip(batch.body.tolist(), garments[row][-1])
+            ]
     return Drapes(
         {row: np.concatenate(parts) for row, parts in garments.items()},
+        {row: np.array(values) for row, values in strains.items()},
         np.concatenate(bodies),
         {row: counted.result() for row, counted in figures.items()},
     )
@@ -118,7 +125,6 @@ def draw(
     gravity: (P, 3) in the root frame. captions: (P,). width: of one picture [pixels].
     """
     faces, colours = load_body_model().faces, {"model": CLOTH_COLOUR, "minimum": MINIMUM_COLOUR}
-    strains = {row: edge_strain(model.garment, vertices) for row, vertices in drapes.garments.items()}
     pictures, texts = [], []
     for pair, caption in enumerate(captions):
         turn = _to_world(gravity[pair]).T
@@ -133,7 +139,7 @@ def draw(
                 samples=LIGHT_PATHS,
             )
             pictures.append(picture)
-            texts.append(f"{caption if row == 'model' else row} {strains[row][pair]:.1f} %")
+            texts.append(f"{caption if row == 'model' else row} {drapes.strains[row][pair]:.1f} %")
     return contact_sheet(pictures, columns=columns * len(drapes.garments), captions=texts, gap=4)
 
 
@@ -154,6 +160,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="PNG")
     parser.add_argument("--poses", type=int, default=12, help="poses on each of the three bodies (default 12)")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--fit", type=float, default=0.0, help="0: one size, 1: made to measure (default 0)")
     parser.add_argument("--minimum", action="store_true", help="beside the full-space minimum (minutes on a CPU)")
     parser.add_argument("--width", type=int, default=170, help="of one picture, in pixels (default 170)")
     parser.add_argument("--device", default=DEFAULT_DEVICE)
@@ -167,9 +174,8 @@ def main(argv: list[str] | None = None) -> int:
             raise ValueError(f"--width must be at least 1, got {arguments.width}")
         model = load_garment_model(arguments.model)
         bodies = chosen_bodies(load_body_model())
-        evaluation = Evaluation(
-            model, resolve_device(arguments.device), bodies=list(bodies.values()), poses=arguments.poses, seed=0
-        )
+        device, held_out = resolve_device(arguments.device), list(bodies.values())
+        evaluation = Evaluation(model, device, bodies=held_out, poses=arguments.poses, seed=0, fit=arguments.fit)
         poses, names = chosen_poses(model.rig, count=arguments.poses, seed=arguments.seed)
         drapes = drape_all(evaluation, poses, minimum=arguments.minimum)
         captions = [f"{name}, {body}" for name in names for body in bodies]

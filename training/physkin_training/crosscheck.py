@@ -30,8 +30,8 @@ from physkin_core.garment import Garment, load_garment
 from physkin_core.garment_model import Material
 from physkin_core.motion import load_motion
 from physkin_core.quality import area_strain, edge_strain
-from physkin_training.physics_losses import GRAVITY, hinge_rest
 from physkin_training.plain_model import plain_model
+from physkin_training.rest_data import GRAVITY, hinge_rest
 from physkin_training.simulate import DrapeSimulation, Poses
 
 __all__ = ["NewtonDrape", "newton_drape", "surface_distance"]

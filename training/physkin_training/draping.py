@@ -17,7 +17,7 @@ from physkin_core.rig import Rig
 from physkin_training.networks import NetworkConfig, Networks
 from physkin_training.posed_bodies import BodySet
 
-__all__ = ["Drape", "GarmentNodes", "compose_nodes", "delta_transforms"]
+__all__ = ["Drape", "GarmentNodes", "RestShape", "compose_nodes", "delta_transforms"]
 
 
 @dataclass(frozen=True)
@@ -41,15 +41,34 @@ class GarmentNodes:
         return cls(rest, closest_bones(rest, rig.heads, rig.tails), nodes, weights)
 
 
+@dataclass(frozen=True)
+class RestShape:
+    """Rest shapes of samples: vertices (B, n, 3) and garment nodes (B, m, 3) [m], canonical pose."""
+
+    vertices: torch.Tensor
+    nodes: torch.Tensor
+
+
 class Drape(nn.Module):
     """Pose, body modulation and bone transforms to deformed vertices; skinning weights are a softmax of logits.
 
     Skinning is one dense product: a vertex's basis is w_vi (x_v - chi-bar_i, 1) over all garment nodes.
+    made_to_measure: the networks learn rest shapes graded to the body, too.
     """
 
-    def __init__(self, garment: Garment, nodes: GarmentNodes, rig: Rig, config: NetworkConfig) -> None:
+    def __init__(
+        self,
+        garment: Garment,
+        nodes: GarmentNodes,
+        rig: Rig,
+        config: NetworkConfig,
+        *,
+        made_to_measure: bool = False,
+    ) -> None:
         super().__init__()
-        self.networks = Networks(config, pose_size=rig.pose_size, node_count=len(nodes.rest))
+        self.networks = Networks(
+            config, pose_size=rig.pose_size, node_count=len(nodes.rest), made_to_measure=made_to_measure
+        )
         self.skinning_logits = nn.Parameter(_tensor(np.log(np.maximum(nodes.influence_weights, 1e-12))))
         self.register_buffer("influence_nodes", _tensor(nodes.influence_nodes, torch.int64))
         self.register_buffer("influence_bias", torch.zeros_like(self.skinning_logits))
@@ -97,16 +116,25 @@ class Drape(nn.Module):
         joint_positions: torch.Tensor,
         gravity: torch.Tensor,
         posed_nodes: torch.Tensor,
+        rest: RestShape | None = None,
     ) -> torch.Tensor:
-        """Deformed vertices (B, n, 3) [m]. body_modulation: (B, s), otherwise as above."""
+        """Deformed vertices (B, n, 3) [m]. body_modulation: (B, s), otherwise as above and below."""
         raw = self.networks(body_modulation, self.pose_vector(joint_positions, gravity), posed_nodes)
-        return self.skin(compose_nodes(posed_nodes, delta_transforms(raw)))
+        return self.skin(compose_nodes(posed_nodes, delta_transforms(raw)), rest)
 
-    def skin(self, nodes: torch.Tensor) -> torch.Tensor:
-        """Linear blend skinning of the garment to garment node transforms (B, m, 3, 4). Returns (B, n, 3)."""
+    def skin(self, nodes: torch.Tensor, rest: RestShape | None = None) -> torch.Tensor:
+        """Linear blend skinning of the garment to garment node transforms (B, m, 3, 4). Returns (B, n, 3).
+
+        rest: the samples' rest shapes, default the template for all.
+        """
         n, m = len(self.vertices), len(self.node_rest)
         dense = torch.zeros(n, m, device=nodes.device, dtype=nodes.dtype)
         dense = dense.scatter_add(1, self.influence_nodes, self.skinning_weights.to(nodes.dtype))
+        if rest is not None:
+            shift = nodes[..., 3:] - nodes[..., :3] @ rest.nodes[..., None]
+            handles = torch.cat([nodes[..., :3], shift], dim=-1).permute(1, 0, 2, 3).reshape(m, -1)
+            blended = (dense @ handles).view(n, -1, 3, 4).transpose(0, 1)
+            return ((blended[..., :3] * rest.vertices[:, :, None]).sum(dim=-1) + blended[..., 3]).contiguous()
         offset = self.vertices[:, None] - self.node_rest
         basis = torch.cat([dense[..., None] * offset, dense[..., None]], dim=-1).view(n, 4 * m)
         handles = nodes.permute(1, 3, 0, 2).reshape(4 * m, -1)

@@ -14,7 +14,7 @@ import torch
 import warp as wp
 
 from physkin_core.garment import Garment
-from physkin_training.physics_losses import PhysicsLosses, face_rest_inverse, hinge_rest
+from physkin_training.physics_losses import PhysicsLosses
 
 __all__ = ["EnergyHessian"]
 
@@ -50,8 +50,9 @@ def stretch_hessian_kernel(
     x: wp.array2d(dtype=wp.vec3),
     faces: wp.array2d(dtype=wp.int32),
     slots: wp.array2d(dtype=wp.int32),
-    rest_inverse: wp.array(dtype=wp.mat22),
-    rest_area: wp.array(dtype=wp.float32),
+    rest_row: wp.array(dtype=wp.int32),
+    rest_inverse: wp.array2d(dtype=wp.mat22),
+    rest_area: wp.array2d(dtype=wp.float32),
     mu: wp.float32,
     lam: wp.float32,
     blocks: wp.array2d(dtype=wp.mat33),
@@ -65,8 +66,8 @@ def stretch_hessian_kernel(
     x0 = x[s, faces[t, 0]]
     d1 = x[s, faces[t, 1]] - x0
     d2 = x[s, faces[t, 2]] - x0
-    inverse = rest_inverse[t]
-    area = rest_area[t]
+    inverse = rest_inverse[rest_row[s], t]
+    area = rest_area[rest_row[s], t]
     f1 = d1 * inverse[0, 0] + d2 * inverse[1, 0]
     f2 = d1 * inverse[0, 1] + d2 * inverse[1, 1]
     e11 = 0.5 * (wp.dot(f1, f1) - 1.0)
@@ -121,8 +122,9 @@ def bend_hessian_kernel(
     x: wp.array2d(dtype=wp.vec3),
     hinges: wp.array2d(dtype=wp.int32),
     slots: wp.array2d(dtype=wp.int32),
-    rest_angle: wp.array(dtype=wp.float32),
-    stiffness: wp.array(dtype=wp.float32),
+    rest_row: wp.array(dtype=wp.int32),
+    rest_angle: wp.array2d(dtype=wp.float32),
+    stiffness: wp.array2d(dtype=wp.float32),
     blocks: wp.array2d(dtype=wp.mat33),
 ):
     """2 k (grad theta grad theta^T), which is positive, and for exact blocks 2 k (theta - rest) hess theta."""
@@ -142,7 +144,7 @@ def bend_hessian_kernel(
     g3 = nb * (-length / nb2)
     g1 = (na * (wp.dot(a, e) / na2) + nb * (wp.dot(b, e) / nb2)) / length
     g0 = -g1 - g2 - g3
-    k = 2.0 * stiffness[t]
+    k = 2.0 * stiffness[rest_row[s], t]
     for row in range(4):
         gr = g0
         if row == 1:
@@ -156,7 +158,7 @@ def bend_hessian_kernel(
         wp.atomic_add(blocks, s, slots[t, 4 * row + 2], k * wp.outer(gr, g2))
         wp.atomic_add(blocks, s, slots[t, 4 * row + 3], k * wp.outer(gr, g3))
     if exact[s]:
-        angle = wp.atan2(wp.dot(wp.cross(na, nb), e) / length, wp.dot(na, nb)) - rest_angle[t]
+        angle = wp.atan2(wp.dot(wp.cross(na, nb), e) / length, wp.dot(na, nb)) - rest_angle[rest_row[s], t]
         angle = angle - 2.0 * wp.pi * wp.round(angle / (2.0 * wp.pi))
         k = k * angle
         identity = wp.identity(n=3, dtype=wp.float32)
@@ -196,7 +198,8 @@ def contact_hessian_kernel(
     body: wp.uint64,
     body_offset: wp.array(dtype=wp.vec3),
     energy: wp.array2d(dtype=wp.float32),
-    vertex_area: wp.array(dtype=wp.float32),
+    rest_row: wp.array(dtype=wp.int32),
+    vertex_area: wp.array2d(dtype=wp.float32),
     stiffness: wp.array(dtype=wp.float32),
     reach: wp.float32,
     diagonal: wp.array(dtype=wp.int32),
@@ -218,7 +221,7 @@ def contact_hessian_kernel(
         outward = wp.mesh_eval_face_normal(body, hit.face)
         if gap > 1.0e-6:
             outward = away / gap
-        k = 2.0 * stiffness[0] * vertex_area[v]
+        k = 2.0 * stiffness[0] * vertex_area[rest_row[s], v]
         gradient[s, v] = -wp.sqrt(2.0 * k * energy[s, v]) * outward
         blocks[s, diagonal[v]] = blocks[s, diagonal[v]] + k * wp.outer(outward, outward)
 
@@ -280,7 +283,6 @@ class EnergyHessian:
         young, poisson = losses.material.youngs_modulus, losses.material.poisson_ratio
         self._mu = young / (2 * (1 + poisson))
         self._lam = young * poisson / (1 - poisson**2)
-        rest_angle, edge_factor = hinge_rest(garment)
         pattern, slots = _pattern([garment.faces, garment.hinges, np.arange(n)[:, None]], n)
 
         def array(values: np.ndarray, dtype) -> wp.array:
@@ -292,10 +294,6 @@ class EnergyHessian:
         self._face_slots, self._hinge_slots = array(slots[0], wp.int32), array(slots[1], wp.int32)
         self._diagonal = array(slots[2][:, 0], wp.int32)
         self._faces, self._hinges = array(garment.faces, wp.int32), array(garment.hinges, wp.int32)
-        self._rest_inverse = array(face_rest_inverse(garment), wp.mat22)
-        self._rest_area = array(garment.face_areas, wp.float32)
-        self._rest_angle = array(rest_angle, wp.float32)
-        self._bend_stiffness = array(losses.material.bending * edge_factor, wp.float32)
         self._vertex_area = array(garment.vertex_areas, wp.float32)
         self._blocks = torch.zeros(samples, len(pattern), 3, 3, device=device)
         self._inverse = torch.zeros(samples, n, 3, 3, device=device)
@@ -311,11 +309,13 @@ class EnergyHessian:
         self._blocks[self.active] = 0.0
         points, blocks = wp.from_torch(x.contiguous(), dtype=wp.vec3), self._matrices(self._blocks)
         active, exact = wp.from_torch(self.active), wp.from_torch(exact)
+        rest, row = self.losses.rest, wp.from_torch(self.losses.rest_row)
         wp.launch(
             stretch_hessian_kernel,
             dim=(samples, self._faces.shape[0]),
             inputs=[
-                *(active, exact, points, self._faces, self._face_slots, self._rest_inverse, self._rest_area),
+                *(active, exact, points, self._faces, self._face_slots, row),
+                *(wp.from_torch(rest.rest_inverse, dtype=wp.mat22), wp.from_torch(rest.face_area)),
                 *(self._mu, self._lam),
             ],
             outputs=[blocks],
@@ -324,7 +324,10 @@ class EnergyHessian:
         wp.launch(
             bend_hessian_kernel,
             dim=(samples, self._hinges.shape[0]),
-            inputs=[active, exact, points, self._hinges, self._hinge_slots, self._rest_angle, self._bend_stiffness],
+            inputs=[
+                *(active, exact, points, self._hinges, self._hinge_slots, row),
+                *(wp.from_torch(rest.hinge_angle), wp.from_torch(rest.bend_stiffness)),
+            ],
             outputs=[blocks],
             device=self.device,
         )
@@ -333,7 +336,7 @@ class EnergyHessian:
             dim=(samples, n),
             inputs=[
                 *(active, points, body.id, wp.from_torch(body_offset, dtype=wp.vec3)),
-                *(wp.from_torch(self.losses.element_energies["collision"]), self._vertex_area),
+                *(wp.from_torch(self.losses.element_energies["collision"]), row, wp.from_torch(rest.vertex_area)),
                 *(wp.from_torch(self.losses.contact_stiffness), self.losses.reach, self._diagonal),
             ],
             outputs=[wp.from_torch(self.contact_gradient, dtype=wp.vec3), blocks],

@@ -20,20 +20,23 @@ import numpy as np
 import torch
 
 from physkin_core.body_model import load_body_model
+from physkin_core.garment import Garment
 from physkin_core.garment_model import GarmentModel
 from physkin_core.model_file import load_garment_model, save_garment_model
 from physkin_core.motion import Motion, bundled_motions, load_motion
 from physkin_core.rig import Rig
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
-from physkin_training.draping import Drape, compose_nodes, delta_transforms
+from physkin_training.draping import Drape, RestShape, compose_nodes, delta_transforms
 from physkin_training.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 from physkin_training.export import drape_from_model, encode_bodies
 from physkin_training.figures import Figures
 from physkin_training.full_space_solver import FullSpaceSolver, Solution
 from physkin_training.inside_by_vertex import inside_by_vertex
+from physkin_training.made_to_measure import MadeToMeasure
 from physkin_training.minimum import subspace_minimum
-from physkin_training.physics_losses import GRAVITY, Energies, PhysicsLosses
+from physkin_training.physics_losses import Energies, PhysicsLosses
 from physkin_training.posed_bodies import BodySet, PosedBodies
+from physkin_training.rest_data import GRAVITY, RestData
 from physkin_training.score_table import table
 from physkin_training.wearing import Wearing
 
@@ -57,13 +60,15 @@ class Batch:
     positions: torch.Tensor
     gravity: torch.Tensor
     body: torch.Tensor
+    rest: RestShape | None = None
 
 
 class Evaluation:
     """Held-out bodies and seeded poses for one garment model on one device.
 
-    bodies: how many, the first of the held-out ones; or the indices of which ones. Raises ValueError when the model is
-    for another rig than the body model's, or there are not so many bodies.
+    bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, 0 (template) to
+    1 (made to measure); strains are against the rest shape at that fit. Raises ValueError when the model is for another
+    rig than the body model's or has not learnt the fit, or there are not so many bodies.
     """
 
     def __init__(
@@ -75,7 +80,9 @@ class Evaluation:
         poses: int,
         seed: int,
         batch: int = 64,
+        fit: float = 0.0,
     ) -> None:
+        fit = model.checked_fit(fit)
         body_model = load_body_model()
         held_out = body_model.held_out_bodies
         if isinstance(bodies, int):
@@ -93,8 +100,15 @@ class Evaluation:
         self.batch = min(batch, len(bodies) * poses)
         self.posed_bodies = PosedBodies(body_model, self.bodies, self.batch)
         wearing = Wearing.of(model.garment, body_model)
-        self.losses = PhysicsLosses(model.garment, model.material, self.batch, device, wearing=wearing, reach=REACH)
-        self.modulations = encode_bodies(self.drape, self.bodies.vertices.cpu().numpy(), body_model.faces)
+        self._fits: MadeToMeasure | None = None
+        if fit:
+            self._fits = MadeToMeasure(model.garment, self.drape, self.bodies, body_model, fit=fit)
+        shapes = self._fits.shapes if self._fits else None
+        self.rest = RestData(model.garment, model.material, device, shapes=shapes)
+        self.losses = PhysicsLosses(
+            model.garment, model.material, self.batch, device, wearing=wearing, reach=REACH, rest=self.rest
+        )
+        self.modulations = encode_bodies(self.drape, self.bodies.vertices.cpu().numpy(), body_model.faces, fit=fit)
         self.node_positions = self.drape.node_positions(self.bodies)
 
     def uniform(self, *, upright: bool) -> Pairs:
@@ -108,8 +122,22 @@ class Evaluation:
             pick = torch.arange(start, start + self.batch) % len(pairs)
             q, g, b = (a[pick].to(self.device) for a in (pairs.positions, pairs.gravity, pairs.body))
             bones = self.posed_bodies.pose(q, b)
-            posed_nodes = self.drape.posed_nodes(bones, self.node_positions[b])
-            yield Batch(min(self.batch, len(pairs) - start), posed_nodes, self.modulations[b], q, g, b)
+            positions, rest = self.node_positions[b], None
+            if self._fits is not None:
+                worn = self._fits.worn(b, torch.ones_like(b, dtype=torch.bool))
+                positions, rest = worn.node_positions, worn.rest
+                self.losses.rest_row.copy_(worn.rows)
+            posed_nodes = self.drape.posed_nodes(bones, positions)
+            yield Batch(min(self.batch, len(pairs) - start), posed_nodes, self.modulations[b], q, g, b, rest)
+
+    def rest_garment(self, body: int) -> Garment:
+        """The garment in the rest shape that body `body` of this evaluation wears."""
+        garment = self.model.garment
+        return garment.reshaped(self._fits.shapes[1 + body]) if self._fits else garment
+
+    def new_figures(self) -> Figures:
+        """Figures that count nothing yet, with strains against this evaluation's rest shapes."""
+        return Figures(self.model.garment, self.device, rest=self.rest)
 
     def energy(self, vertices: torch.Tensor, batch: Batch) -> tuple[torch.Tensor, Energies]:
         """Mean energy and energies of drapes (B, n, 3) against the bodies of the batch posed last."""
@@ -120,7 +148,8 @@ class Evaluation:
         with torch.no_grad():
             energies = self.energy(vertices, batch)[1]
             inside = inside_by_vertex(vertices, self.posed_bodies, reach=REACH)
-        figures.add(vertices, energies, inside, takes=batch.body if motion else None, count=batch.count)
+        takes = batch.body if motion else None
+        figures.add(vertices, energies, inside, rest_row=self.losses.rest_row, takes=takes, count=batch.count)
 
     def figures(
         self, *, upright: bool, only: Collection[str] = ("model", "skinning", "fewer_influences")
@@ -145,7 +174,7 @@ class Evaluation:
                 raise ValueError(f"motion {motion.name!r} is too short: jitter needs 3 frames at {MOTION_RATE:g} Hz")
             if not np.ptp(motion.positions, axis=0).any():
                 raise ValueError(f"motion {motion.name!r} stands still: jitter is measured against plain skinning's")
-        total = {name: Figures(self.model.garment, self.device) for name in ("model", "skinning")}
+        total = {name: self.new_figures() for name in ("model", "skinning")}
         results: dict = {"clips": {}}
         for name, motion in clips.items():
             rows = self._rows(motion_pairs(motion, self.model.rig, bodies=len(self.bodies)), total, motion=True)
@@ -165,13 +194,13 @@ class Evaluation:
         fewer.prune_influences(FEWER_INFLUENCES)
         drapes = {"model": self.drape, "skinning": self.drape, "fewer_influences": fewer}
         drapes = {name: drape for name, drape in drapes.items() if name in only}
-        rows = {name: Figures(self.model.garment, self.device) for name in drapes}
+        rows = {name: self.new_figures() for name in drapes}
         with torch.no_grad():
             for batch in self.batches(pairs):
                 raw = self._raw(batch)
                 for name, drape in drapes.items():
                     delta = delta_transforms(torch.zeros_like(raw) if name == "skinning" else raw)
-                    vertices = drape.skin(compose_nodes(batch.posed_nodes, delta))
+                    vertices = drape.skin(compose_nodes(batch.posed_nodes, delta), batch.rest)
                     self.count_in(rows[name], vertices, batch, motion=motion)
         return rows
 
@@ -181,7 +210,7 @@ class Evaluation:
         The full-space minimum starts from the lower of the other two. Minima also hold the mean `gradient_norm` at the
         end, the full-space one the `converged_percent` of its samples (see `Solution`).
         """
-        rows = {name: Figures(self.model.garment, self.device) for name in ("model", "subspace_minimum", "minimum")}
+        rows = {name: self.new_figures() for name in ("model", "subspace_minimum", "minimum")}
         converged: list[bool] = []
         norms: dict[str, list[float]] = {"subspace_minimum": [], "minimum": []}
         for batch in self.batches(self.uniform(upright=True).spread(count)):
@@ -191,8 +220,8 @@ class Evaluation:
 
             with torch.no_grad():
                 raw = self._raw(batch)
-                own = self.drape.skin(compose_nodes(batch.posed_nodes, delta_transforms(raw)))
-            subspace = subspace_minimum(objective, self.drape, batch.posed_nodes, raw, steps=steps)
+                own = self.drape.skin(compose_nodes(batch.posed_nodes, delta_transforms(raw)), batch.rest)
+            subspace = subspace_minimum(objective, self.drape, batch.posed_nodes, raw, rest=batch.rest, steps=steps)
             with torch.no_grad():
                 better = self.energy(subspace.vertices, batch)[1].total < self.energy(own, batch)[1].total
             start = torch.where(better[:, None, None], subspace.vertices, own)
@@ -259,6 +288,13 @@ def evaluate_model(
     scores["counts"] = {"bodies": bodies, "poses": poses, "seed": seed, "pairs": scores["model"]["pairs"]}
     scores["counts"]["influences"] = influences
     scores["material"] = asdict(model.material)
+    if model.made_to_measure:
+        fitted = Evaluation(model, device, bodies=bodies, poses=poses, seed=seed, batch=batch, fit=1.0)
+        made: dict = fitted.figures(upright=True, only=["model", "skinning"])
+        made["tilted"] = fitted.figures(upright=False, only=["model"])["model"]
+        if motions:
+            made["motion"] = fitted.motion(motions)
+        scores["made_to_measure"] = made
     scores["weight_n"] = float(model.garment.vertex_areas.sum() * model.material.density * GRAVITY)
     if motions:
         scores["motion"] = evaluation.motion(motions)

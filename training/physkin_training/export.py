@@ -20,7 +20,7 @@ from physkin_core.hyper_modulator import POINT_COUNT
 from physkin_core.mlp import Layer
 from physkin_core.rig import Rig
 from physkin_core.surface_sampling import sample_surface
-from physkin_training.draping import Drape, GarmentNodes
+from physkin_training.draping import Drape, GarmentNodes, RestShape
 from physkin_training.networks import ModulatedMLP, NetworkConfig
 from physkin_training.posed_bodies import BodySet
 
@@ -67,7 +67,8 @@ def model_from_drape(
 def drape_from_model(model: GarmentModel) -> Drape:
     """The torch drape of a garment model (for evaluation, or to train on)."""
     nodes = GarmentNodes(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
-    drape = Drape(model.garment, nodes, model.rig, network_config(model))
+    config, both = network_config(model), model.made_to_measure
+    drape = Drape(model.garment, nodes, model.rig, config, made_to_measure=both)
     state = {f"hyper_modulator.{key}": array for key, array in model.hyper_modulator.items()}
     for network in ("pose_modulator", "node_deformer"):
         for index, (weight, bias) in enumerate(getattr(model, network)):
@@ -94,15 +95,17 @@ def network_config(model: GarmentModel) -> NetworkConfig:
     )
 
 
-def encode_bodies(drape: Drape, vertices: np.ndarray, faces: np.ndarray) -> torch.Tensor:
-    """Body modulations (S, s) of bodies (S, V, 3), from the same surface points as the run time takes."""
+def encode_bodies(drape: Drape, vertices: np.ndarray, faces: np.ndarray, *, fit: float = 0.0) -> torch.Tensor:
+    """Body modulations (S, s) of bodies (S, V, 3), from the same surface points as the run time takes. fit: of the
+    garment, above 0 only for a drape that has learnt it."""
     device = drape.node_rest.device
+    fits = torch.full((1,), fit, device=device) if fit else None
     modulations = []
     with torch.no_grad():
         for body in vertices:
             points, normals = sample_surface(body, faces, POINT_COUNT)
             pair = [torch.as_tensor(a, dtype=torch.float32, device=device)[None] for a in (points, normals)]
-            modulations.append(drape.networks.hyper_modulator(*pair))
+            modulations.append(drape.networks.hyper_modulator(*pair, fits))
     return torch.cat(modulations)
 
 
@@ -115,27 +118,40 @@ class Agreement:
 
 
 def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8, seed: int = 0) -> Agreement:
-    """How far the run time's NumPy drape of `model` is from the torch `drape`, on random poses of a held-out body.
+    """How far the run time's NumPy drape of `model` is from the torch `drape`, on random poses of a held-out body; of a
+    model that can be made to measure, half of them so, both with the rest shape that the run time finds.
 
     With the trained drape this is what pruning and half precision cost; with `drape_from_model(model)` it tells whether
     run time and torch compute the same.
     """
     body_model = load_body_model()
     avatar = avatar_from_body(body_model, body_model.held_out_bodies[0])
-    draper = Draper(model, avatar, backend="numpy")
     rig, device = model.rig, drape.node_rest.device
     generator = np.random.default_rng(seed)
     distances = []
+    fits = (0.0, 1.0) if model.made_to_measure else (0.0,)
+    drapers = [Draper(model, avatar, fit=fit, backend="numpy") for fit in fits]
+
+    def tensor(array: np.ndarray) -> torch.Tensor:
+        return torch.as_tensor(array, dtype=torch.float32, device=device)[None]
+
     with torch.no_grad():
-        modulation = encode_bodies(drape, avatar.vertices[None], avatar.faces)
-        node_positions = drape.node_positions(BodySet(body_model, body_model.held_out_bodies[:1], device))
-        for _ in range(poses):
+        modulations = [encode_bodies(drape, avatar.vertices[None], avatar.faces, fit=fit) for fit in fits]
+        carried = drape.node_positions(BodySet(body_model, body_model.held_out_bodies[:1], device))
+        for pose in range(poses):
+            index = pose % len(fits)
+            draper, modulation = drapers[index], modulations[index]
+            node_positions, rest = carried, None
+            if index:
+                bound = draper.bound
+                node_positions = tensor(bound.node_positions)
+                rest = RestShape(tensor(bound.vertices), tensor(bound.node_rest))
             positions = generator.uniform(rig.lower, rig.upper).astype(np.float32)
             gravity = generator.normal(size=3)
             gravity = (gravity / np.linalg.norm(gravity)).astype(np.float32)
             arrays = (draper.bone_transforms(positions), positions, gravity)
-            bones, q, g = (torch.as_tensor(a, dtype=torch.float32, device=device)[None] for a in arrays)
-            there = drape(modulation, q, g, drape.posed_nodes(bones, node_positions))[0].cpu().numpy()
+            bones, q, g = (tensor(array) for array in arrays)
+            there = drape(modulation, q, g, drape.posed_nodes(bones, node_positions), rest)[0].cpu().numpy()
             distances.append(np.linalg.norm(draper.drape(positions, gravity)[:, :3] - there, axis=1))
     return Agreement(float(np.max(distances)), float(np.mean(distances)))
 

@@ -10,21 +10,23 @@ import torch
 from physkin_core.garment import Garment
 from physkin_core.quality import CLOSE
 from physkin_training.physics_losses import Energies
+from physkin_training.rest_data import RestData
 
 __all__ = ["Figures"]
 
 
 class Figures:
-    """Accumulates the quality figures over batches."""
+    """Accumulates the quality figures over batches. rest: strains are against these rest shapes, default the garment's
+    own."""
 
-    def __init__(self, garment: Garment, device: torch.device) -> None:
+    def __init__(self, garment: Garment, device: torch.device, *, rest: RestData | None = None) -> None:
         def tensor(array, dtype: torch.dtype) -> torch.Tensor:
             return torch.as_tensor(array.copy(), dtype=dtype, device=device)
 
         self.edges = tensor(garment.edges, torch.int64)
-        self.edge_lengths = tensor(garment.edge_lengths, torch.float32)
+        self.edge_lengths = tensor(garment.edge_lengths, torch.float32)[None] if rest is None else rest.edge_length
         self.faces = tensor(garment.faces, torch.int64)
-        self.face_areas = tensor(garment.face_areas, torch.float32)
+        self.face_areas = tensor(garment.face_areas, torch.float32)[None] if rest is None else rest.face_area
         self.sums: dict[str, float] = {}
         self.samples = 0
         self.depths: list[torch.Tensor] = []
@@ -38,14 +40,16 @@ class Figures:
         energies: Energies,
         inside_by_vertex: torch.Tensor,
         *,
+        rest_row: torch.Tensor | None = None,
         takes: torch.Tensor | None = None,
         count: int | None = None,
     ) -> None:
         """Count in the first `count` (default all) of a batch of drapes (B, n, 3) [m].
 
-        inside_by_vertex: (B, n) bool, see the function of that name. takes: (B,) int64, for drapes that are frames of
-        motion, the take that each is of: a take's frames come together and in order, over as many batches as need be,
-        and jitter is that of `physkin_core.quality.jitter` over each take by itself.
+        inside_by_vertex: (B, n) bool, see the function of that name. rest_row: (B,) integers, which rest shape each
+        has, default the first. takes: (B,) int64, for drapes that are frames of motion, the take that each is of: a
+        take's frames come together and in order, over as many batches as need be, and jitter is that of
+        `physkin_core.quality.jitter` over each take by itself.
         """
         vertices = vertices[:count]
         ends = vertices[:, self.edges]
@@ -54,9 +58,11 @@ class Figures:
         cross = torch.linalg.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
         area = torch.linalg.norm(cross, dim=-1) / 2
         distance = energies.signed_distance[:count]
+        row = torch.zeros(len(vertices), dtype=torch.int64) if rest_row is None else rest_row[:count]
+        lengths, areas = self.edge_lengths[row], self.face_areas[row]
         per_sample = {
-            "edge_strain_percent": 100 * ((length - self.edge_lengths).abs() / self.edge_lengths).mean(dim=1),
-            "area_strain_percent": 100 * ((area - self.face_areas).abs() / self.face_areas).mean(dim=1),
+            "edge_strain_percent": 100 * ((length - lengths).abs() / lengths).mean(dim=1),
+            "area_strain_percent": 100 * ((area - areas).abs() / areas).mean(dim=1),
             "inside_percent": 100 * (distance < 0).float().mean(dim=1),
             "inside_worn_percent": 100 * ((distance < 0) & energies.at_worn_part[:count]).float().mean(dim=1),
             "inside_by_vertex_percent": 100 * inside_by_vertex[:count].float().mean(dim=1),

@@ -18,7 +18,8 @@ import warp as wp
 
 from physkin_core.garment import Garment
 from physkin_training.energy_hessian import EnergyHessian
-from physkin_training.physics_losses import GRAVITY, PhysicsLosses
+from physkin_training.physics_losses import PhysicsLosses
+from physkin_training.rest_data import GRAVITY
 from physkin_training.vertex_secants import Trial, VertexSecants
 
 __all__ = ["FullSpaceSolver", "Progress", "Solution"]

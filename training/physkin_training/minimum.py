@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import torch
 
-from physkin_training.draping import Drape, compose_nodes, delta_transforms
+from physkin_training.draping import Drape, RestShape, compose_nodes, delta_transforms
 
 __all__ = ["Minimum", "subspace_minimum"]
 
@@ -31,14 +31,22 @@ class Minimum:
 
 
 def subspace_minimum(
-    energy: Energy, drape: Drape, posed_nodes: torch.Tensor, raw: torch.Tensor, *, steps: int, rate: float = 5e-3
+    energy: Energy,
+    drape: Drape,
+    posed_nodes: torch.Tensor,
+    raw: torch.Tensor,
+    *,
+    steps: int,
+    rate: float = 5e-3,
+    rest: RestShape | None = None,
 ) -> Minimum:
-    """Minimise over the garment nodes' numbers `raw` (B, m, 9 or 12), skinning weights fixed. rate: first Adam step."""
+    """Minimise over the garment nodes' numbers `raw` (B, m, 9 or 12), skinning weights fixed. rate: first Adam step.
+    rest: of the samples, default the template."""
     free = raw.detach().clone().requires_grad_(True)
     optimiser = torch.optim.Adam([free], lr=rate)
 
     def shape() -> torch.Tensor:
-        return drape.skin(compose_nodes(posed_nodes, delta_transforms(free)))
+        return drape.skin(compose_nodes(posed_nodes, delta_transforms(free)), rest)
 
     def compute_gradient() -> None:
         (free.grad,) = torch.autograd.grad(energy(shape()) * len(free), free)

@@ -81,9 +81,9 @@ class ModulatedMLP(nn.Module):
 
 
 class HyperModulator(nn.Module):
-    """Body points to modulation of the pose modulator."""
+    """Body points to modulation of the pose modulator. made_to_measure: it also learns what the fit changes."""
 
-    def __init__(self, config: NetworkConfig, outputs: int) -> None:
+    def __init__(self, config: NetworkConfig, outputs: int, *, made_to_measure: bool = False) -> None:
         super().__init__()
         width = config.token_width
         self.embed = nn.Linear(token_features(), width)
@@ -102,11 +102,16 @@ class HyperModulator(nn.Module):
         self.output = nn.Linear(width, outputs)
         nn.init.normal_(self.output.weight, std=1e-2)
         nn.init.zeros_(self.output.bias)
+        if made_to_measure:
+            self.fit = nn.Parameter(torch.zeros(width))
 
-    def forward(self, points: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
-        """points, normals: (S, N, 3), canonical pose [m]. Returns (S, outputs)."""
+    def forward(self, points: torch.Tensor, normals: torch.Tensor, fit: torch.Tensor | None = None) -> torch.Tensor:
+        """points, normals: (S, N, 3), canonical pose [m]. fit: (S,), 0 (the template) to 1 (made to measure), default
+        0. Returns (S, outputs)."""
         bodies, count, _ = points.shape
         tokens = self.embed(encode_points(points, normals))
+        if fit is not None:
+            tokens = tokens + fit[:, None, None] * self.fit
         projected = self.attention["input"](tokens).view(bodies, count, 3, HEADS, -1)
         query, key, value = projected.permute(2, 0, 3, 1, 4)
         if tokens.is_cuda:  # the fused attention kernel takes half-width numbers
@@ -128,10 +133,12 @@ class Networks(nn.Module):
     """The three networks chained: (body points, pose vector, posed garment nodes) -> raw delta-chi.
 
     The node deformer sees node transforms shifted and scaled to about unit variance (`normalise_nodes`); the model file
-    holds its first layer with both folded in.
+    holds its first layer with both folded in. made_to_measure: see `HyperModulator`.
     """
 
-    def __init__(self, config: NetworkConfig, *, pose_size: int, node_count: int) -> None:
+    def __init__(
+        self, config: NetworkConfig, *, pose_size: int, node_count: int, made_to_measure: bool = False
+    ) -> None:
         super().__init__()
         self.node_deformer = ModulatedMLP(
             12 * node_count,
@@ -144,7 +151,8 @@ class Networks(nn.Module):
             pose_size, config.pose_hidden, config.pose_layers, self.node_deformer.modulation_size, config.activation
         )
         nn.init.normal_(self.pose_modulator.layers[-1].weight, std=1e-2)
-        self.hyper_modulator = HyperModulator(config, self.pose_modulator.modulation_size)
+        outputs = self.pose_modulator.modulation_size
+        self.hyper_modulator = HyperModulator(config, outputs, made_to_measure=made_to_measure)
         self.register_buffer("node_mean", torch.zeros(12 * node_count))
         self.register_buffer("node_scale", torch.ones(12 * node_count))
 

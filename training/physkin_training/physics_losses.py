@@ -20,6 +20,7 @@ import warp as wp
 
 from physkin_core.garment import Garment
 from physkin_core.garment_model import Material
+from physkin_training.rest_data import RestData
 from physkin_training.wearing import Wearing
 
 __all__ = ["TERMS", "Energies", "PhysicsLosses"]
@@ -27,26 +28,27 @@ __all__ = ["TERMS", "Energies", "PhysicsLosses"]
 TERMS = ("stretch", "bend", "collision", "gravity", "band")
 """The energies, in the order of `Energies`."""
 
-GRAVITY = 9.81
-"""Gravitational acceleration [m/s2]."""
-
 DEEP = 0.01
 """Beyond this depth [m] below the contact offset a hit counts only if the vertex is worn on that part of the body, and
 body and cloth face the same way: else it is another limb, or the wrong side of this one."""
 
-BAND_STIFFNESS = 2.0e4
+LED_BACK_BEYOND = 0.001
+"""Depth [m] behind its own place on the body up to which the force grows that leads a lost vertex back."""
+
+BAND_STIFFNESS = 1.0e5
 """What holds a garment up [J/m4]: energy = stiffness * vertex area * (distance beyond the slack)^2."""
 
-BAND_SLACK = 0.02
+BAND_SLACK = 0.015
 """How far [m] a vertex of the band may move from its place on the body before it is held."""
 
 
 @wp.kernel
 def stretch_kernel(
     x: wp.array2d(dtype=wp.vec3),
+    rest_row: wp.array(dtype=wp.int32),
     faces: wp.array2d(dtype=wp.int32),
-    rest_inverse: wp.array(dtype=wp.mat22),
-    rest_area: wp.array(dtype=wp.float32),
+    rest_inverse: wp.array2d(dtype=wp.mat22),
+    rest_area: wp.array2d(dtype=wp.float32),
     mu: wp.float32,
     lam: wp.float32,
     energy: wp.array2d(dtype=wp.float32),
@@ -59,19 +61,20 @@ def stretch_kernel(
     x0 = x[s, a]
     d1 = x[s, b] - x0
     d2 = x[s, c] - x0
-    inverse = rest_inverse[t]
+    inverse = rest_inverse[rest_row[s], t]
+    area = rest_area[rest_row[s], t]
     f1 = d1 * inverse[0, 0] + d2 * inverse[1, 0]
     f2 = d1 * inverse[0, 1] + d2 * inverse[1, 1]
     e11 = 0.5 * (wp.dot(f1, f1) - 1.0)
     e22 = 0.5 * (wp.dot(f2, f2) - 1.0)
     e12 = 0.5 * wp.dot(f1, f2)
     trace = e11 + e22
-    energy[s, t] = rest_area[t] * (mu * (e11 * e11 + e22 * e22 + 2.0 * e12 * e12) + 0.5 * lam * trace * trace)
+    energy[s, t] = area * (mu * (e11 * e11 + e22 * e22 + 2.0 * e12 * e12) + 0.5 * lam * trace * trace)
     s11 = 2.0 * mu * e11 + lam * trace
     s22 = 2.0 * mu * e22 + lam * trace
     s12 = 2.0 * mu * e12
-    p1 = (f1 * s11 + f2 * s12) * rest_area[t]
-    p2 = (f1 * s12 + f2 * s22) * rest_area[t]
+    p1 = (f1 * s11 + f2 * s12) * area
+    p2 = (f1 * s12 + f2 * s22) * area
     g1 = p1 * inverse[0, 0] + p2 * inverse[0, 1]
     g2 = p1 * inverse[1, 0] + p2 * inverse[1, 1]
     wp.atomic_add(gradient, s, b, g1)
@@ -86,9 +89,10 @@ def stretch_kernel(
 @wp.kernel
 def bend_kernel(
     x: wp.array2d(dtype=wp.vec3),
+    rest_row: wp.array(dtype=wp.int32),
     hinges: wp.array2d(dtype=wp.int32),
-    rest_angle: wp.array(dtype=wp.float32),
-    stiffness: wp.array(dtype=wp.float32),
+    rest_angle: wp.array2d(dtype=wp.float32),
+    stiffness: wp.array2d(dtype=wp.float32),
     energy: wp.array2d(dtype=wp.float32),
     gradient: wp.array2d(dtype=wp.vec3),
 ):
@@ -102,10 +106,11 @@ def bend_kernel(
     nb = wp.cross(x3 - x0, edge)
     na2 = wp.max(wp.dot(na, na), 1.0e-16)
     nb2 = wp.max(wp.dot(nb, nb), 1.0e-16)
-    angle = wp.atan2(wp.dot(wp.cross(na, nb), edge) / length, wp.dot(na, nb)) - rest_angle[t]
+    angle = wp.atan2(wp.dot(wp.cross(na, nb), edge) / length, wp.dot(na, nb)) - rest_angle[rest_row[s], t]
     angle = angle - 2.0 * wp.pi * wp.round(angle / (2.0 * wp.pi))
-    energy[s, t] = stiffness[t] * angle * angle
-    slope = 2.0 * stiffness[t] * angle
+    k = stiffness[rest_row[s], t]
+    energy[s, t] = k * angle * angle
+    slope = 2.0 * k * angle
     ga = na * (slope / na2)
     gb = nb * (slope / nb2)
     wp.atomic_add(gradient, s, i2, ga * -length)
@@ -119,20 +124,25 @@ def collision_kernel(
     x: wp.array2d(dtype=wp.vec3),
     body: wp.uint64,
     body_offset: wp.array(dtype=wp.vec3),
-    vertex_area: wp.array(dtype=wp.float32),
+    rest_row: wp.array(dtype=wp.int32),
+    vertex_area: wp.array2d(dtype=wp.float32),
     stiffness: wp.array(dtype=wp.float32),
     contact_offset: wp.float32,
     linear_beyond: wp.float32,
     reach: wp.float32,
     face_bone: wp.array(dtype=wp.int32),
     worn: wp.array2d(dtype=wp.bool),
+    own_face: wp.array(dtype=wp.int32),
     normals: wp.array2d(dtype=wp.vec3),
     energy: wp.array2d(dtype=wp.float32),
     gradient: wp.array2d(dtype=wp.vec3),
     signed_distance: wp.array2d(dtype=wp.float32),
     at_worn_part: wp.array2d(dtype=wp.bool),
 ):
-    """Squared depth below the contact offset, to the exact closest point of the posed body; linear when deeper."""
+    """Squared depth below the contact offset, to the exact closest point of the posed body; linear when deeper.
+
+    own_face: face of the body that each vertex lies on, which leads back a vertex lost inside the body; or empty.
+    """
     s, v = wp.tid()
     point = x[s, v] + body_offset[s]
     hit = wp.mesh_query_point_sign_normal(body, point, reach)
@@ -153,10 +163,20 @@ def collision_kernel(
             if depth < DEEP or (mine and wp.dot(outward, normals[s, v]) >= 0.0):
                 if gap > 1.0e-6:
                     outward = away * (hit.sign / gap)
-                k = stiffness[0] * vertex_area[v]
+                k = stiffness[0] * vertex_area[rest_row[s], v]
                 bounded = wp.min(depth, linear_beyond)
                 energy[s, v] = k * bounded * (2.0 * depth - bounded)
                 wp.atomic_add(gradient, s, v, outward * (-2.0 * k * bounded))
+            elif own_face.shape[0] > 0:
+                face = s * face_bone.shape[0] + own_face[v]
+                outward = wp.mesh_eval_face_normal(body, face)
+                centre = wp.mesh_eval_position(body, face, 1.0 / 3.0, 1.0 / 3.0)
+                behind = contact_offset - wp.dot(point - centre, outward)
+                if behind > 0.0:
+                    k = stiffness[0] * vertex_area[rest_row[s], v]
+                    bounded = wp.min(behind, LED_BACK_BEYOND)
+                    energy[s, v] = k * bounded * (2.0 * behind - bounded)
+                    wp.atomic_add(gradient, s, v, outward * (-2.0 * k * bounded))
 
 
 @wp.kernel
@@ -168,7 +188,8 @@ def band_kernel(
     band: wp.array(dtype=wp.int32),
     place: wp.array(dtype=wp.int32),
     limit: wp.array(dtype=wp.float32),
-    vertex_area: wp.array(dtype=wp.float32),
+    rest_row: wp.array(dtype=wp.int32),
+    vertex_area: wp.array2d(dtype=wp.float32),
     energy: wp.array2d(dtype=wp.float32),
     gradient: wp.array2d(dtype=wp.vec3),
 ):
@@ -180,7 +201,7 @@ def band_kernel(
     beyond = distance - limit[k]
     energy[s, k] = 0.0
     if beyond > 0.0:
-        stiffness = BAND_STIFFNESS * vertex_area[v]
+        stiffness = BAND_STIFFNESS * vertex_area[rest_row[s], v]
         energy[s, k] = stiffness * beyond * beyond
         wp.atomic_add(gradient, s, v, away * (2.0 * stiffness * beyond / distance))
 
@@ -189,14 +210,16 @@ def band_kernel(
 def gravity_kernel(
     x: wp.array2d(dtype=wp.vec3),
     direction: wp.array(dtype=wp.vec3),
-    weight: wp.array(dtype=wp.float32),
+    rest_row: wp.array(dtype=wp.int32),
+    weight: wp.array2d(dtype=wp.float32),
     energy: wp.array2d(dtype=wp.float32),
     gradient: wp.array2d(dtype=wp.vec3),
 ):
     """Potential energy, height measured against the gravity direction from the root."""
     s, v = wp.tid()
-    energy[s, v] = -weight[v] * wp.dot(x[s, v], direction[s])
-    wp.atomic_add(gradient, s, v, direction[s] * -weight[v])
+    pull = weight[rest_row[s], v]
+    energy[s, v] = -pull * wp.dot(x[s, v], direction[s])
+    wp.atomic_add(gradient, s, v, direction[s] * -pull)
 
 
 @dataclass(frozen=True)
@@ -223,9 +246,13 @@ class PhysicsLosses:
 
     contact_stiffness is a tensor (1,) [J/m4] that a schedule may change between steps. reach: farthest distance [m] at
     which the body is looked for, read at every call. wearing: what of the body counts as contact, and the band; without
-    it all of the body counts and nothing holds the garment up. For training only: contact force grows no more from a
-    depth of `linear_beyond` [m], and a sample's gradient is weighted by 1 / sqrt(1 + E / heavy_energy) of its energy
-    E [J] without gravity, so that the few heaviest poses do not outweigh all others. By default neither acts.
+    it all of the body counts and nothing holds the garment up. For training only, and by default none of them acts:
+    contact force grows no more from a depth of `linear_beyond` [m]; with `leads_back`, a vertex deep in the body whose
+    hit does not count, as it is in another limb or on the wrong side, is pushed before the plane of the body face it is
+    worn on; a sample's gradient is weighted by 1 / sqrt(1 + E / heavy_energy) of its energy E [J] without gravity, so
+    that the few heaviest poses do not outweigh all others.
+    rest: the garment's rest shapes, default its own alone; `rest_row` (B,) int32 says which of them each sample has,
+    the first one until it is changed in place.
     """
 
     def __init__(
@@ -238,7 +265,9 @@ class PhysicsLosses:
         wearing: Wearing | None = None,
         reach: float = 0.1,
         linear_beyond: float = math.inf,
+        leads_back: bool = False,
         heavy_energy: float = math.inf,
+        rest: RestData | None = None,
     ) -> None:
         self.material = material
         self.reach = reach
@@ -252,13 +281,8 @@ class PhysicsLosses:
         n, f, q = len(garment.vertices), len(garment.faces), len(garment.hinges)
         self._faces = self._array(garment.faces, wp.int32)
         self._hinges = self._array(garment.hinges, wp.int32)
-        self._rest_inverse = self._array(face_rest_inverse(garment), wp.mat22)
-        self._rest_area = self._array(garment.face_areas, wp.float32)
-        rest_angle, edge_factor = hinge_rest(garment)
-        self._rest_angle = self._array(rest_angle, wp.float32)
-        self._bend_stiffness = self._array(material.bending * edge_factor, wp.float32)
-        self._vertex_area = self._array(garment.vertex_areas, wp.float32)
-        self._weight = self._array(garment.vertex_areas * material.density * GRAVITY, wp.float32)
+        self.rest = rest or RestData(garment, material, device)
+        self.rest_row = torch.zeros(samples, dtype=torch.int32, device=device)
 
         def buffer(count: int) -> torch.Tensor:
             return torch.zeros(samples, count, device=device)
@@ -272,7 +296,9 @@ class PhysicsLosses:
         }
         face_bone = np.zeros(1) if wearing is None else wearing.face_bone
         worn = np.ones((n, 1), dtype=bool) if wearing is None else wearing.worn
+        own_face = wearing.own_face if leads_back and wearing is not None else np.zeros(0)
         self._face_bone = self._array(face_bone, wp.int32)
+        self._own_face = self._array(own_face, wp.int32)
         self._worn = wp.array(worn, dtype=wp.bool, device=self.device)
         self._band: list[wp.array] = []
         if wearing is not None:
@@ -306,18 +332,24 @@ class PhysicsLosses:
         gradient = torch.zeros_like(x)
         self._normals.zero_()
         points, forces = _vec3(x), _vec3(gradient)
+        rest, row = self.rest, wp.from_torch(self.rest_row)
+        rest_inverse = wp.from_torch(rest.rest_inverse, dtype=wp.mat22)
+        vertex_area = wp.from_torch(rest.vertex_area)
         element = {name: wp.from_torch(tensor) for name, tensor in self._element.items()}
         wp.launch(
             stretch_kernel,
             dim=(samples, self._faces.shape[0]),
-            inputs=[points, self._faces, self._rest_inverse, self._rest_area, self._mu, self._lam],
+            inputs=[points, row, self._faces, rest_inverse, wp.from_torch(rest.face_area), self._mu, self._lam],
             outputs=[element["stretch"], forces, _vec3(self._normals)],
             device=self.device,
         )
         wp.launch(
             bend_kernel,
             dim=(samples, self._hinges.shape[0]),
-            inputs=[points, self._hinges, self._rest_angle, self._bend_stiffness],
+            inputs=[
+                *(points, row, self._hinges),
+                *(wp.from_torch(rest.hinge_angle), wp.from_torch(rest.bend_stiffness)),
+            ],
             outputs=[element["bend"], forces],
             device=self.device,
         )
@@ -328,13 +360,15 @@ class PhysicsLosses:
                 points,
                 body.id,
                 wp.from_torch(body_offset, dtype=wp.vec3),
-                self._vertex_area,
+                row,
+                vertex_area,
                 wp.from_torch(self.contact_stiffness),
                 self.material.contact_offset,
                 self.linear_beyond,
                 self.reach,
                 self._face_bone,
                 self._worn,
+                self._own_face,
                 _vec3(self._normals),
             ],
             outputs=[
@@ -348,7 +382,10 @@ class PhysicsLosses:
         wp.launch(
             gravity_kernel,
             dim=(samples, n),
-            inputs=[points, wp.from_torch(gravity.contiguous(), dtype=wp.vec3), self._weight],
+            inputs=[
+                *(points, wp.from_torch(gravity.contiguous(), dtype=wp.vec3), row),
+                wp.from_torch(rest.weight),
+            ],
             outputs=[element["gravity"], forces],
             device=self.device,
         )
@@ -362,7 +399,8 @@ class PhysicsLosses:
                     wp.from_torch(body_offset, dtype=wp.vec3),
                     len(body.points) // samples,
                     *self._band,
-                    self._vertex_area,
+                    row,
+                    vertex_area,
                 ],
                 outputs=[element["band"], forces],
                 device=self.device,
@@ -395,28 +433,6 @@ class _PhysicsEnergy(torch.autograd.Function):
     def backward(ctx, upstream, *_):
         (gradient,) = ctx.saved_tensors
         return gradient * (upstream / len(gradient)), None, None, None, None
-
-
-def face_rest_inverse(garment: Garment) -> np.ndarray:
-    """Inverse of the rest edge matrix of every face in its own plane, (f, 2, 2) [1/m]."""
-    corners = garment.vertices[garment.faces]
-    d1, d2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    length = np.linalg.norm(d1, axis=1)
-    along = (d1 * d2).sum(axis=1) / length
-    across = 2 * garment.face_areas / length
-    zero = np.zeros_like(length)
-    return np.linalg.inv(np.stack([np.stack([length, along], axis=1), np.stack([zero, across], axis=1)], axis=1))
-
-
-def hinge_rest(garment: Garment) -> tuple[np.ndarray, np.ndarray]:
-    """Rest dihedral angle (q,) [rad] and 3 |e|^2 / (A_a + A_b) (q,) of every hinge."""
-    x0, x1, x2, x3 = (garment.vertices[garment.hinges[:, k]] for k in range(4))
-    edge = x1 - x0
-    length = np.linalg.norm(edge, axis=1)
-    na, nb = np.cross(edge, x2 - x0), np.cross(x3 - x0, edge)
-    angle = np.arctan2((np.cross(na, nb) * edge).sum(axis=1) / length, (na * nb).sum(axis=1))
-    areas = (np.linalg.norm(na, axis=1) + np.linalg.norm(nb, axis=1)) / 2
-    return angle, 3 * length**2 / areas
 
 
 def _vec3(tensor: torch.Tensor) -> wp.array:

@@ -80,13 +80,15 @@ def pose_body_kernel(
 class BodySet:
     """Bodies of the compact body model on one device: surfaces, bones and surface points for the hyper modulator.
 
-    coefficients: (S, c) shape coefficients. `vertices` (S, V, 3), `heads`, `tails` (S, b, 3) [m], canonical pose.
+    coefficients: (S, c) shape coefficients, NumPy. `vertices` (S, V, 3), `heads`, `tails` (S, b, 3) [m], canonical
+    pose.
     """
 
     def __init__(self, model: BodyModel, coefficients: np.ndarray, device: torch.device) -> None:
         def tensor(array: np.ndarray) -> torch.Tensor:
             return torch.as_tensor(np.ascontiguousarray(array), device=device, dtype=torch.float32)
 
+        self.coefficients = coefficients
         shape = tensor(coefficients)
         self.vertices = tensor(model.mean_vertices) + torch.einsum(
             "sc,cvi->svi", shape, tensor(model.vertex_components)

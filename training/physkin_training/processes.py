@@ -56,7 +56,9 @@ class Processes:
     def broadcast(self, tensors: Sequence[torch.Tensor]) -> None:
         """Replace each tensor by that of the first process."""
         for tensor in tensors if self.count > 1 else ():
-            dist.broadcast(tensor, src=0)
+            whole = tensor.contiguous()  # NCCL takes no other
+            dist.broadcast(whole, src=0)
+            tensor.copy_(whole)
 
     def gather(self, tensor: torch.Tensor) -> torch.Tensor:
         """All processes' tensors of equal shape, (count, ...)."""

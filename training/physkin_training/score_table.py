@@ -43,10 +43,10 @@ def table(scores: Mapping) -> str:
     """
     rows = {label.format(**scores["counts"]): scores[row] for row, label in ROWS.items() if row in scores}
     motion = scores.get("motion")
-    if motion:
-        rows["plain skinning, motion"] = motion["skinning"]
-        for clip, scored in {"motion": motion, **motion["clips"]}.items():
-            rows[f"the model, {clip}"] = scored["model"] | {"jitter_ratio": scored["jitter_ratio"]}
+    rows |= _motion_rows(motion)
+    made = scores.get("made_to_measure", {})
+    made_rows = {label: made[row] for row, label in ROWS.items() if row in made} | _motion_rows(made.get("motion"))
+    rows |= {f"{label}, made to measure": figures for label, figures in made_rows.items()}
     lines = ["| | " + " | ".join(COLUMNS.values()) + " |", "|---|" + "---|" * len(COLUMNS)]
     for label, figures in rows.items():
         cells = [f"{figures[column]:.3f}" if column in figures else "" for column in COLUMNS]
@@ -67,3 +67,12 @@ def table(scores: Mapping) -> str:
             "body, and its other figures then mean nothing. Look at it.",
         ]
     return "\n".join(lines)
+
+
+def _motion_rows(motion: Mapping | None) -> dict[str, dict]:
+    if not motion:
+        return {}
+    rows = {"plain skinning, motion": motion["skinning"]}
+    for clip, scored in {"motion": motion, **motion["clips"]}.items():
+        rows[f"the model, {clip}"] = scored["model"] | {"jitter_ratio": scored["jitter_ratio"]}
+    return rows

@@ -21,11 +21,13 @@ from physkin_core.garment import load_garment
 from physkin_training.checkpoint import Progress, load_checkpoint, load_drape, save_checkpoint
 from physkin_training.config import TrainingConfig
 from physkin_training.draping import Drape, GarmentNodes
+from physkin_training.made_to_measure import MadeToMeasure
 from physkin_training.physics_losses import TERMS, PhysicsLosses
 from physkin_training.pose_sampling import PoseSampler
 from physkin_training.posed_bodies import BodySet, PosedBodies
 from physkin_training.processes import Processes
 from physkin_training.recorded_step import RecordedStep
+from physkin_training.rest_data import RestData
 from physkin_training.schedule import EARLY_REACH, Schedule
 from physkin_training.validation import BestModel, Validation
 from physkin_training.wearing import Wearing
@@ -65,6 +67,8 @@ class Trainer:
                 f"optimisation.bodies must be a multiple of the {count} processes, got {optimisation.bodies}"
             )
         self._samples, self._bodies = optimisation.samples // count, optimisation.bodies // count
+        if optimisation.made_to_measure and self._bodies < 2:
+            raise ValueError('optimisation.fit = "both" needs at least 2 bodies a step for each process')
         body_model = load_body_model()
         if config.train_bodies > len(body_model.train_bodies):
             raise ValueError(f"train_bodies must be 1 to {len(body_model.train_bodies)}, got {config.train_bodies}")
@@ -74,9 +78,13 @@ class Trainer:
             self.garment, self.rig, config.garment_nodes.count, config.garment_nodes.initial_influences
         )
         self.nodes = nodes
-        self.drape = Drape(self.garment, nodes, self.rig, config.networks).to(device)
+        both = optimisation.made_to_measure
+        self.drape = Drape(self.garment, nodes, self.rig, config.networks, made_to_measure=both).to(device)
         self.bodies = BodySet(body_model, body_model.train_bodies[: config.train_bodies], device)
         self.node_positions = self.drape.node_positions(self.bodies)
+        self.fits = MadeToMeasure(self.garment, self.drape, self.bodies, body_model) if both else None
+        self._made = torch.arange(self._bodies, device=device) % 2 == 1
+        rest = RestData(self.garment, config.material, device, shapes=self.fits.shapes if self.fits else None)
         self.sampler = PoseSampler.configured(config.poses, self.rig, device)
         wearing = Wearing.of(self.garment, body_model).worn_faces()
         self.posed_bodies = PosedBodies(body_model, self.bodies, self._samples, faces=wearing.faces)
@@ -91,9 +99,13 @@ class Trainer:
             wearing=wearing,
             reach=EARLY_REACH,
             linear_beyond=optimisation.contact_linear_beyond,
+            leads_back=True,
             heavy_energy=optimisation.heavy_energy,
+            rest=rest,
         )
-        self._validation = Validation(config, body_model, self.garment, self.bodies, wearing, self.processes)
+        self._validation = Validation(
+            config, body_model, self.garment, self.bodies, wearing, self.processes, fits=self.fits, rest=rest
+        )
         self.range = torch.zeros((), device=device)
         self._average_decay = torch.zeros((), device=device)
         self._energy_sum = torch.zeros(len(TERMS), device=device)
@@ -121,6 +133,11 @@ class Trainer:
             self.step += 1
             self._validate()
             yield self.step
+
+    @property
+    def validation_energy_made_to_measure(self) -> float | None:
+        """The part of the last `validation_energy` [J] of rest shapes made to measure; None where there are none."""
+        return self._validation.made_to_measure
 
     def best_drape(self) -> Drape:
         """The averaged drape to export and evaluate: of the best step, or the latest where none was measured."""
@@ -194,7 +211,11 @@ class Trainer:
             positions, _ = self.sampler.sample(self._samples, 1.0)
             body = torch.randint(len(self.bodies), (self._samples,), device=self.device)
             bones = self.posed_bodies.pose(positions, body)
-            posed.append(self.drape.posed_nodes(bones, self.node_positions[body]))
+            node_positions = self.node_positions[body]
+            if self.fits is not None:
+                every_second = torch.arange(self._samples, device=self.device) % 2 == 1
+                node_positions = self.fits.worn(body, every_second).node_positions
+            posed.append(self.drape.posed_nodes(bones, node_positions))
         self.drape.networks.normalise_nodes(torch.cat(posed))
 
     def _make_optimiser(self) -> torch.optim.Adam:
@@ -248,9 +269,15 @@ class Trainer:
             chosen, positions, gravity, *surface = self._draw()
             body_index = chosen.repeat_interleave(per_body)
             bone_transforms = self.posed_bodies.pose(positions, body_index)
-            posed_nodes = self.drape.posed_nodes(bone_transforms, self.node_positions[body_index])
-        modulation = self.drape.networks.hyper_modulator(*surface)
-        vertices = self.drape(modulation.repeat_interleave(per_body, dim=0), positions, gravity, posed_nodes)
+            if self.fits is None:
+                node_positions, fit, rest = self.node_positions[body_index], None, None
+            else:
+                worn = self.fits.worn(body_index, self._made.repeat_interleave(per_body))
+                node_positions, fit, rest = worn.node_positions, self._made.float(), worn.rest
+                self.losses.rest_row.copy_(worn.rows)
+            posed_nodes = self.drape.posed_nodes(bone_transforms, node_positions)
+        modulation = self.drape.networks.hyper_modulator(*surface, fit)
+        vertices = self.drape(modulation.repeat_interleave(per_body, dim=0), positions, gravity, posed_nodes, rest)
         loss, energies = self.losses(vertices, gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()

@@ -19,10 +19,12 @@ from physkin_core.hyper_modulator import POINT_COUNT
 from physkin_core.surface_sampling import sample_surface
 from physkin_training.config import TrainingConfig
 from physkin_training.draping import Drape
+from physkin_training.made_to_measure import MadeToMeasure
 from physkin_training.physics_losses import PhysicsLosses
 from physkin_training.pose_sampling import PoseSampler
 from physkin_training.posed_bodies import BodySet, PosedBodies
 from physkin_training.processes import Processes
+from physkin_training.rest_data import RestData
 from physkin_training.wearing import Wearing
 
 __all__ = ["BestModel", "Validation"]
@@ -51,6 +53,8 @@ class Validation:
 
     All buffers are its own and it draws nothing from torch's random streams, so that neither a recorded step nor the
     samples to come notice it. Of several processes each measures its share of the same set.
+    fits, rest: rest shapes of the set, where training has them made to measure, too; then the set is measured both
+    ways. `made_to_measure`: the last mean energy [J] of these, None where there are none.
     """
 
     def __init__(
@@ -61,10 +65,14 @@ class Validation:
         bodies: BodySet,
         wearing: Wearing,
         processes: Processes,
+        *,
+        fits: MadeToMeasure | None = None,
+        rest: RestData | None = None,
     ) -> None:
         device = bodies.vertices.device
         optimisation = config.optimisation
-        self._processes = processes
+        self._processes, self._fits = processes, fits
+        self.made_to_measure: float | None = None
         generator = torch.Generator().manual_seed(config.seed)
         chosen = torch.randint(len(bodies), (BATCHES, optimisation.bodies), generator=generator)
         sampler = PoseSampler.configured(config.poses, body_model.rig, torch.device("cpu"))
@@ -86,24 +94,38 @@ class Validation:
             device,
             wearing=wearing,
             linear_beyond=optimisation.contact_linear_beyond,
+            leads_back=True,
+            rest=rest,
         )
 
     @torch.no_grad()
     def energy(self, drape: Drape, node_positions: torch.Tensor) -> float:
         """Mean energy [J], all terms, at the material's full contact stiffness; contact grows linearly where it does in
-        training. node_positions: of all bodies of the set (see `Drape.node_positions`). Waits for the device."""
-        total = torch.zeros(1, device=node_positions.device)
+        training. Where rest shapes are made to measure, too, the mean of both ways. node_positions: of all bodies of
+        the set at the template (see `Drape.node_positions`). Waits for the device."""
+        ways = [False] if self._fits is None else [False, True]
+        totals = torch.zeros(len(ways), device=node_positions.device)
         for batch, chosen in enumerate(self._chosen):
             positions, gravity = self._positions[batch], self._gravity[batch]
             body_index = chosen.repeat_interleave(self._per_body)
             bones = self._posed_bodies.pose(positions, body_index)
-            posed_nodes = drape.posed_nodes(bones, node_positions[body_index])
-            modulation = drape.networks.hyper_modulator(self._points[batch], self._normals[batch])
-            vertices = drape(modulation.repeat_interleave(self._per_body, dim=0), positions, gravity, posed_nodes)
-            mean, _ = self._losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
-            total += mean / BATCHES
-        self._processes.average([total])
-        return total.item()
+            for way, made in enumerate(ways):
+                placed, fit, rest = node_positions[body_index], None, None
+                if made:
+                    worn = self._fits.worn(body_index, torch.ones_like(body_index, dtype=torch.bool))
+                    placed, fit, rest = worn.node_positions, torch.ones(len(chosen), device=placed.device), worn.rest
+                    self._losses.rest_row.copy_(worn.rows)
+                else:
+                    self._losses.rest_row.zero_()
+                modulation = drape.networks.hyper_modulator(self._points[batch], self._normals[batch], fit)
+                modulation = modulation.repeat_interleave(self._per_body, dim=0)
+                vertices = drape(modulation, positions, gravity, drape.posed_nodes(bones, placed), rest)
+                mean, _ = self._losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
+                totals[way] += mean / BATCHES
+        self._processes.average([totals])
+        energies = totals.tolist()
+        self.made_to_measure = energies[1] if len(ways) > 1 else None
+        return sum(energies) / len(energies)
 
     def _surfaces(self, bodies: BodySet) -> tuple[torch.Tensor, torch.Tensor]:
         """Points and normals (k, S, N, 3) of the chosen bodies, the ones that the run time takes."""

@@ -19,7 +19,10 @@ from physkin_core.garment import Garment
 __all__ = ["Wearing"]
 
 WORN_WITHIN = 0.15
-"""A vertex is worn on the body parts that come this close [m] at the canonical pose."""
+"""A vertex is worn on body parts that come this close [m] at the canonical pose."""
+WORN_BESIDE = 0.02
+"""It is worn on the closest part, on those at most this much [m] farther away, and on the parts joined to these: cloth
+slides along a limb, but the side of a shirt is not worn on the arm that hangs beside it."""
 BAND_WIDTH = 0.03
 """Vertices this close [m] to the uppermost opening make up the band."""
 
@@ -29,13 +32,15 @@ class Wearing:
     """A garment on the garment maker's body.
 
     faces: (f, 3) int32, faces of the body that cloth may be in contact with; face_bone: (f,) int32, the bone that moves
-    each most. worn: (n, b) bool, the vertex lies on that bone's part. band: (k,) int32 vertices of the neckband or
+    each most. worn: (n, b) bool, the vertex lies on that bone's part. own_face: (n,) int32, of the `faces` of
+    worn parts the one whose centre is closest. band: (k,) int32 vertices of the neckband or
     waistband; band_place: (k,) int32 the body vertex closest to each, band_distance: (k,) float32 [m] away.
     """
 
     faces: np.ndarray
     face_bone: np.ndarray
     worn: np.ndarray
+    own_face: np.ndarray
     band: np.ndarray
     band_place: np.ndarray
     band_distance: np.ndarray
@@ -48,11 +53,12 @@ class Wearing:
         vertex_bone = body_model.influence_bones[np.arange(len(body)), body_model.influence_weights.argmax(axis=1)]
         corner_bones = vertex_bone[faces]
         face_bone = np.where(corner_bones[:, 1] == corner_bones[:, 2], corner_bones[:, 1], corner_bones[:, 0])
-        worn = np.zeros((len(garment.vertices), body_model.rig.bone_count), dtype=bool)
+        distance = np.full((len(garment.vertices), body_model.rig.bone_count), np.inf)
         for bone in np.unique(vertex_bone):
-            distance, _ = cKDTree(body[vertex_bone == bone]).query(garment.vertices, distance_upper_bound=WORN_WITHIN)
-            worn[:, bone] = np.isfinite(distance)
-
+            distance[:, bone], _ = cKDTree(body[vertex_bone == bone]).query(garment.vertices)
+        beside = distance <= distance.min(axis=1, keepdims=True) + WORN_BESIDE
+        worn = (beside | _joined(beside, body_model.rig.parents)) & (distance <= WORN_WITHIN)
+        near = np.flatnonzero(worn.any(axis=0)[face_bone])
         opening = garment.vertices[_uppermost_opening(garment)]
         distance, _ = cKDTree(opening).query(garment.vertices, distance_upper_bound=BAND_WIDTH)
         band = np.flatnonzero(np.isfinite(distance))
@@ -61,6 +67,7 @@ class Wearing:
             faces=faces,
             face_bone=face_bone.astype(np.int32),
             worn=worn,
+            own_face=near[cKDTree(body[faces[near]].mean(axis=1)).query(garment.vertices)[1]].astype(np.int32),
             band=band.astype(np.int32),
             band_place=place.astype(np.int32),
             band_distance=gap.astype(np.float32),
@@ -69,7 +76,23 @@ class Wearing:
     def worn_faces(self) -> Wearing:
         """Contact only with faces of parts on which some vertex of the garment lies."""
         keep = self.worn.any(axis=0)[self.face_bone]
-        return replace(self, faces=self.faces[keep], face_bone=self.face_bone[keep])
+        kept = np.cumsum(keep) - 1
+        return replace(
+            self,
+            faces=self.faces[keep],
+            face_bone=self.face_bone[keep],
+            own_face=kept[self.own_face].astype(np.int32),
+        )
+
+
+def _joined(parts: np.ndarray, parents: np.ndarray) -> np.ndarray:
+    """(n, b) bool: parents and children of the parts (n, b)."""
+    child = np.flatnonzero(parents >= 0)
+    joined = np.zeros_like(parts)
+    joined[:, child] |= parts[:, parents[child]]
+    for bone in child:
+        joined[:, parents[bone]] |= parts[:, bone]
+    return joined
 
 
 def _uppermost_opening(garment: Garment) -> np.ndarray:
