@@ -54,12 +54,18 @@ def encode_body(
 
 
 def bind_garment(
-    model: GarmentModel, avatar: Avatar, *, fit: float = 0.0, backend: Literal["native", "numpy"] = "numpy"
+    model: GarmentModel,
+    avatar: Avatar,
+    *,
+    fit: float = 0.0,
+    backend: Literal["native", "numpy"] = "numpy",
+    fold: bool = True,
 ) -> BoundGarment:
     """Everything of (model, body) that does not change with the pose. Encodes the body; logs how long that took.
 
     fit: 0 for the template's rest shape, 1 for the one made to measure, between for one between. backend: what encodes
-    the body, as in `encode_body`.
+    the body, as in `encode_body`. fold: fold the body's modulation into the pose modulator, which saves a little time a
+    frame; without, bodies share its network weights (see `NativeEvaluatorBatch`).
     Raises ValueError when the avatar's bones are not those of the model's rig, for a fit that the model has not learnt,
     or one above 0 with another rig than the body model's.
     """
@@ -88,7 +94,7 @@ def bind_garment(
         dof_rest=_float(rig.rest),
         dof_lower=_float(rig.lower),
         dof_upper=_float(rig.upper),
-        pose_layers=_float_layers(fold_modulation(model.pose_modulator, modulation)),
+        pose_layers=_float_layers(fold_modulation(model.pose_modulator, modulation) if fold else model.pose_modulator),
         deformer_bones=deformer_bones,
         deformer_layers=_float_layers([(folded_weight, first_bias), *rest]),
         node_bone=np.ascontiguousarray(model.node_bone, dtype=np.int32),
@@ -99,6 +105,8 @@ def bind_garment(
         influence_nodes=np.ascontiguousarray(model.influence_nodes, dtype=np.int32),
         influence_weights=_float(model.influence_weights),
         activation=model.activation,
+        pose_modulation=np.empty(0, dtype=np.float32) if fold else _float(modulation),
+        faces=np.ascontiguousarray(garment.faces, dtype=np.int32),
     )
 
 
@@ -134,7 +142,8 @@ def bind_points(
     points: (n, 3) [m] in the model's canonical space. normals: (n, 3) of any length but zero, default those of the
     trained surface. rest: rest shape of the model's mesh, its vertices [m], that points and normals are carried to;
     default its own.
-    Returns the fields of `BoundGarment` to replace: vertices, normals, influence_nodes, influence_weights.
+    Returns the fields of `BoundGarment` to replace: vertices, normals, influence_nodes, influence_weights, and faces,
+    of which there are none.
     Raises ValueError when points or normals are not finite, normals are not one a point or have no length, or points
     lie farther than 5 cm from the trained garment.
     """
@@ -171,6 +180,7 @@ def bind_points(
         "normals": _float(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)),
         "influence_nodes": np.concatenate([nodes for nodes, _ in influences]),
         "influence_weights": np.concatenate([weights for _, weights in influences]),
+        "faces": np.empty((0, 3), dtype=np.int32),
     }
 
 

@@ -7,7 +7,7 @@ C-contiguous; lengths in metres, angles in radians, root frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -35,6 +35,9 @@ class BoundGarment:
     vertices: (n, 3) rest garment; normals: (n, 3) unit vertex normals at rest.
     influence_nodes: (n, K) int32; influence_weights: (n, K), rows sum to 1.
     activation: "silu" or "relu".
+    pose_modulation: (s,) the body's modulation of the pose modulator, [scale_0, shift_0, scale_1, ...] over its hidden
+        layers, where it is not folded into pose_layers; else empty. Bodies of one garment model then share pose_layers.
+    faces: (f, 3) int32 triangles of the vertices; empty for a point set.
     """
 
     bone_parents: np.ndarray
@@ -55,3 +58,5 @@ class BoundGarment:
     influence_nodes: np.ndarray
     influence_weights: np.ndarray
     activation: str = "silu"
+    pose_modulation: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+    faces: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.int32))

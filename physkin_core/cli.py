@@ -85,6 +85,14 @@ def _parser() -> argparse.ArgumentParser:
     drape.add_argument("--backend", default="native", help="evaluator: native (default) or numpy")
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garment as .obj, or a .png picture")
     drape.set_defaults(run=_drape)
+    bind = commands.add_parser("bind", help="write a garment on one avatar for hosts without Python (Unity, C, C++)")
+    bind.add_argument("avatar", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
+    bind.add_argument("--model", default="tshirt", help="garment model: a file or a shipped name (default %(default)s)")
+    bind.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    bind.add_argument("--fit", type=float, default=0.0, help="0: one size, 1: made to measure (default 0)")
+    bind.add_argument("--push-out", action="store_true", help="with what keeps the garment out of this body")
+    bind.add_argument("-o", "--output", type=Path, required=True, help="file to write (docs/c-host.md)")
+    bind.set_defaults(run=_bind)
     info = commands.add_parser("info", help="say what a garment model file holds")
     info.add_argument("model", help="garment model file, or the name of a shipped one")
     info.set_defaults(run=_info)
@@ -110,6 +118,18 @@ def _drape(options: argparse.Namespace) -> int:
     cloth = draper.drape(positions, motion.gravity[options.frame])
     write(options.output, draper, avatar.posed_vertices(draper.bone_transforms(positions)), cloth)
     print(f"wrote {options.output}")
+    return 0
+
+
+def _bind(options: argparse.Namespace) -> int:
+    from physkin_core import Draper, load_avatar, load_garment_model
+
+    model = load_garment_model(options.model)
+    avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
+    for warning in avatar.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    Draper(model, avatar, fit=options.fit, push_out=options.push_out).save_bound(options.output)
+    print(f"wrote {options.output}: {options.output.stat().st_size / 1e6:.1f} MB")
     return 0
 
 

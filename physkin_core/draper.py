@@ -9,6 +9,7 @@ import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from time import perf_counter
 from typing import Literal
 
@@ -35,14 +36,17 @@ class Draper:
 
     backend: "native" (C++, the one to use) or "numpy" (readable reference, slow); never switched silently.
     precision: of the native backend's network weights, "fp32", "bf16" or "int8" (see `NativeEvaluator`); None for its
-        default. The NumPy backend knows fp32 only.
+        default, bf16. The NumPy backend knows fp32 only.
     fit: 0 for the garment's one size, 1 for a garment made to measure, or between; above 0 only for models that have
         learnt it (`GarmentModel.made_to_measure`). Takes half a second when the body is bound, nothing a frame.
     push_out: move vertices that end up inside the body out of it again, frame by frame. Takes seconds to set up for a
         body, then tens of microseconds a frame; see `residual` and `physkin_core.push_out`.
-    points, normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical space.
-    Raises ValueError for an unknown backend or precision, a body of another rig, a fit that the model has not learnt,
-    or points that are not this garment's.
+    normals: "skinned", rest normals carried along with their vertices, or "faces", recomputed from the draped mesh:
+        truer where the cloth ripples or slides, for some 5 ns a vertex.
+    points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
+        space; they have no faces.
+    Raises ValueError for an unknown backend, precision or kind of normals, a body of another rig, a fit that the model
+    has not learnt, points that are not this garment's, or normals of faces where there are points without any.
     """
 
     def __init__(
@@ -54,8 +58,9 @@ class Draper:
         precision: Literal["fp32", "bf16", "int8"] | None = None,
         fit: float = 0.0,
         push_out: bool = False,
+        normals: Literal["skinned", "faces"] = "skinned",
         points: np.ndarray | None = None,
-        normals: np.ndarray | None = None,
+        point_normals: np.ndarray | None = None,
     ) -> None:
         if backend not in BACKENDS:
             raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
@@ -64,18 +69,17 @@ class Draper:
         bound = bind_garment(model, avatar, fit=fit, backend=backend)
         self._rest = rest = bound.vertices if fit else None
         if points is not None:
-            bound = replace(bound, **bind_points(model, points, normals=normals, rest=rest))
+            bound = replace(bound, **bind_points(model, points, normals=point_normals, rest=rest))
         self.model = model
         self.avatar = avatar
         self.backend = backend
         self.bound: BoundGarment = bound
-        self._faces = model.garment.faces if points is None else np.empty((0, 3), dtype=np.int32)
-        self._evaluator = _evaluator(backend, bound, precision, None)
-        self._pushes_out = push_out
+        self._evaluator = _evaluator(backend, bound, precision, None, normals)
+        self._bound_push_out: BoundPushOut | None = None
         if push_out:
             started = perf_counter()
-            bound_push_out = bind_push_out(self.drape, model.rig, avatar)
-            self._evaluator = _evaluator(backend, bound, precision, bound_push_out)
+            self._bound_push_out = bind_push_out(self.drape, model.rig, avatar)
+            self._evaluator = _evaluator(backend, bound, precision, self._bound_push_out, normals)
             log.info("bound the push-out of %s in %.1f s", model.name, perf_counter() - started)
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
 
@@ -102,7 +106,7 @@ class Draper:
     @property
     def faces(self) -> np.ndarray:
         """(f, 3) int32 triangles between the points that `drape` writes; (0, 3) when `points` were given."""
-        return self._faces
+        return self.bound.faces
 
     def drape(
         self,
@@ -138,7 +142,15 @@ class Draper:
     @property
     def residual(self) -> ContactResidual | None:
         """What the push-out knows to be left inside in the last `drape` (see there); None without push-out."""
-        return self._evaluator.residual if self._pushes_out else None
+        return self._evaluator.residual if self._bound_push_out is not None else None
+
+    def save_bound(self, path: str | Path) -> None:
+        """Write what is bound here, push-out included, for hosts without Python: see native/include/physkin.h."""
+        from physkin_core.bound_file import save_bound_garment
+
+        save_bound_garment(
+            self.bound, path, name=self.model.name, joint_names=self.joint_names, push_out=self._bound_push_out
+        )
 
     def node_transforms(self) -> np.ndarray:
         """Garment node transforms chi (m, 3, 4) of the last `drape`, canonical garment node frame to root frame."""
@@ -149,11 +161,11 @@ class Draper:
         return self.model.rig.bone_transforms(joint_positions, heads=self.avatar.bone_heads)
 
 
-def _evaluator(backend: str, bound: BoundGarment, precision: str | None, push_out: BoundPushOut | None):
+def _evaluator(backend: str, bound: BoundGarment, precision: str | None, push_out: BoundPushOut | None, normals: str):
     if backend == "native":
         from physkin_core.native_evaluator import NativeEvaluator
 
-        return NativeEvaluator(bound, precision=precision, push_out=push_out)
+        return NativeEvaluator(bound, precision=precision, push_out=push_out, normals=normals)
     from physkin_core.reference_evaluator import ReferenceEvaluator
 
-    return ReferenceEvaluator(bound, push_out=push_out)
+    return ReferenceEvaluator(bound, push_out=push_out, normals=normals)

@@ -47,7 +47,7 @@ def load_garment_model(path: str | Path) -> GarmentModel:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
-    except (OSError, SafetensorError) as error:
+    except (OSError, SafetensorError, TypeError, AttributeError) as error:  # the last two: a type that NumPy lacks
         raise ModelFileError(f"cannot read garment model {path}: {error}") from error
     _check_header(path, metadata, tensors)
     arrays = {

@@ -5,6 +5,7 @@ Dimensions as in `bound_garment`: `d` degrees of freedom, `m` garment nodes, `n`
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -21,7 +22,7 @@ except ImportError as error:
         "folder, install with `pip install -e .`, or start Python in another folder to use the installed package."
     ) from error
 
-__all__ = ["PRECISIONS", "NativeEvaluator", "Precision", "supported_instruction_sets"]
+__all__ = ["PRECISIONS", "NativeEvaluator", "NativeEvaluatorBatch", "Precision", "supported_instruction_sets"]
 
 Precision = Literal["fp32", "bf16", "int8"]
 PRECISIONS: tuple[Precision, ...] = ("fp32", "bf16", "int8")
@@ -41,16 +42,18 @@ class NativeEvaluator:
         decides, and without it the widest supported set.
     precision: of the network weights, one of `PRECISIONS`: "fp32"; "bf16", widened in registers; "int8", with
         activations rounded to 16 bits. By default the environment variable PHYSKIN_NATIVE_PRECISION decides, and
-        without it "fp32".
+        without it "bf16", which no quality figure tells from "fp32" (docs/benchmark.md).
     push_out: what keeps the garment out of this body, from `bind_push_out`; default nothing does.
+    normals: "skinned", rest normals carried along, or "faces", those of the posed mesh's faces around each vertex,
+        weighted by area: slower, and right where the cloth ripples.
 
     With ReLU networks, the network weights of activations that are zero can be skipped, which changes no bit of a
     frame. Whether that pays is measured here, in milliseconds; the environment variable PHYSKIN_NATIVE_ZEROS ("skip" or
     "read") decides without measuring.
 
     Raises ValueError if an array of `bound` or `push_out` has another dtype, shape or layout than its class states, an
-    index is out of range, a value is not finite, the instruction set is unknown or not supported by this CPU, or the
-    precision is unknown.
+    index is out of range, a value is not finite, the instruction set is unknown or not supported by this CPU, the
+    precision or `normals` are unknown, or normals are those of faces and the garment has none.
     """
 
     def __init__(
@@ -60,8 +63,9 @@ class NativeEvaluator:
         instruction_set: str | None = None,
         precision: Precision | None = None,
         push_out: BoundPushOut | None = None,
+        normals: Literal["skinned", "faces"] = "skinned",
     ) -> None:
-        self._evaluator = _native.Evaluator(bound, instruction_set, precision, push_out)
+        self._evaluator = _native.Evaluator(bound, instruction_set, precision, push_out, normals)
 
     @property
     def instruction_set(self) -> str:
@@ -110,8 +114,8 @@ class NativeEvaluator:
 
         joint_positions: (d,) [rad] and gravity: (3,), C-contiguous float32, to be changed in place between frames.
         out: as in `evaluate`. Returns an object whose method `step()`, of no arguments, converts and allocates nothing;
-        it keeps the arrays and this evaluator alive. Its methods `pose`, `run_networks`, `compose_nodes`, `skin` and
-        `push_out` repeat single stages of the last frame, for timing.
+        it keeps the arrays and this evaluator alive. Its methods `pose`, `run_networks`, `compose_nodes`, `skin`,
+        `push_out` and `compute_normals` repeat single stages of the last frame, for timing.
 
         Raises TypeError or ValueError as `evaluate` does; `step()` raises ValueError if an input or the networks'
         output is not finite (`out` is then unchanged).
@@ -141,6 +145,69 @@ class NativeEvaluator:
     def corrections(self) -> np.ndarray:
         """What the node deformer gave last, (m, 9) or (m, 12) float32; zeros before the first frame."""
         return self._evaluator.corrections.copy()
+
+
+class NativeEvaluatorBatch:
+    """One garment on several bodies, their frames computed together. Not for use by two threads at once.
+
+    Network weights are kept once, and read from memory once for up to four bodies. Every body's frame is, bit for bit,
+    that of a `NativeEvaluator` of its bound garment.
+
+    bounds: `B` of them, from `bind_garment(..., fold=False)` of one garment model. push_outs: one a body, or none.
+    instruction_set, precision, normals: as in `NativeEvaluator`.
+    Raises ValueError as `NativeEvaluator` does, and where the bound garments do not share their networks.
+    """
+
+    def __init__(
+        self,
+        bounds: Sequence[BoundGarment],
+        *,
+        instruction_set: str | None = None,
+        precision: Precision | None = None,
+        push_outs: Sequence[BoundPushOut] = (),
+        normals: Literal["skinned", "faces"] = "skinned",
+    ) -> None:
+        self._batch = _native.Batch(list(bounds), instruction_set, precision, list(push_outs), normals)
+
+    @property
+    def instruction_set(self) -> str:
+        """Name of the instruction set in use."""
+        return self._batch.instruction_set
+
+    @property
+    def precision(self) -> str:
+        """Precision of the network weights."""
+        return self._batch.precision
+
+    @property
+    def residuals(self) -> list[ContactResidual]:
+        """Contact that the push-out left in the last frame, by body; zeros without push-out."""
+        return [ContactResidual(*residual) for residual in self._batch.residuals]
+
+    def bind(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> None:
+        """Sets the arrays that `step` reads and writes where they lie, until others are bound; they are kept alive.
+
+        joint_positions: (B, d) [rad] and gravity: (B, 3) unit, root frame, C-contiguous float32.
+        out: (B, n, 6) or (B, n, 3) writable float32; rows contiguous, any distance apart, as in `NativeEvaluator`.
+        Raises TypeError for another dtype or a read-only `out`, ValueError for a wrong shape or overlapping rows.
+        """
+        try:
+            self._batch.bind(joint_positions, gravity, out)
+        except TypeError:
+            raise TypeError(_explain(joint_positions=joint_positions, gravity=gravity, out=out)) from None
+
+    def step(self) -> None:
+        """Computes a frame of every body. Converts and allocates nothing.
+
+        Raises ValueError, naming the body and the value, if an input or what the networks make of it is not finite, or
+        no arrays are bound; nothing is written then.
+        """
+        self._batch.step()
+
+    def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> None:
+        """`bind`, then `step`."""
+        self.bind(joint_positions, gravity, out)
+        self.step()
 
 
 def _explain(**arrays: object) -> str:

@@ -5,9 +5,12 @@ Dimensions: `d` degrees of freedom, `b` bones, `m` garment nodes, `n` garment ve
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
 from physkin_core.bound_garment import BoundGarment
+from physkin_core.garment import vertex_normals
 from physkin_core.garment_nodes import compose_nodes, delta_transforms, pose_nodes
 from physkin_core.node_deformer import node_corrections
 from physkin_core.pose_modulator import pose_modulation
@@ -19,11 +22,25 @@ __all__ = ["ReferenceEvaluator"]
 
 
 class ReferenceEvaluator:
-    """Evaluates a bound garment one pose at a time."""
+    """Evaluates a bound garment one pose at a time.
+
+    push_out, normals: as in `NativeEvaluator`. Raises ValueError for unknown normals, or those of faces without faces.
+    """
 
     instruction_set = "numpy"
 
-    def __init__(self, bound: BoundGarment, *, push_out: BoundPushOut | None = None) -> None:
+    def __init__(
+        self,
+        bound: BoundGarment,
+        *,
+        push_out: BoundPushOut | None = None,
+        normals: Literal["skinned", "faces"] = "skinned",
+    ) -> None:
+        if normals not in ("skinned", "faces"):
+            raise ValueError(f"normals {normals!r} are unknown; they may be skinned or faces")
+        if normals == "faces" and len(bound.faces) == 0:
+            raise ValueError("normals of faces need a garment with faces; this one has none")
+        self._normals_of_faces = normals == "faces"
         self._bound = bound
         self._push_out = push_out
         self._residual = ContactResidual(0.0, 0)
@@ -45,7 +62,9 @@ class ReferenceEvaluator:
         heads = bound.bone_heads.astype(np.float64)
         bones = forward_kinematics(bound.bone_parents, heads, bound.dof_bone, bound.dof_axis, q - bound.dof_rest)
         pose = pose_vector(q, bound.dof_lower.astype(np.float64), bound.dof_upper.astype(np.float64), gravity)
-        modulation = pose_modulation(bound.pose_layers, pose, None, bound.activation)
+        modulation = pose_modulation(
+            bound.pose_layers, pose, bound.pose_modulation if len(bound.pose_modulation) else None, bound.activation
+        )
         raw = node_corrections(bound.deformer_layers, bones[bound.deformer_bones], modulation, bound.activation)
         posed = pose_nodes(bones, bound.node_bone, bound.node_positions)
         self._nodes = compose_nodes(posed, delta_transforms(raw, len(bound.node_bone)))
@@ -54,6 +73,8 @@ class ReferenceEvaluator:
         )
         if self._push_out is not None:
             self._residual = push_out(self._push_out, bones, positions, normals)
+        if self._normals_of_faces and out.shape[1] == 6:
+            normals = vertex_normals(positions, bound.faces)
         out[:, :3] = positions
         if out.shape[1] == 6:
             out[:, 3:] = normals

@@ -54,7 +54,7 @@ PARAMETERS = {
     "frame_id": ("base_link", "TF frame the clouds are given in: the body's root, X forward, Y left, Z up"),
     "backend": ("native", "evaluator: native (C++) or numpy (readable reference, slow)"),
     "precision": (
-        "fp32",
+        "bf16",
         "of the network weights: fp32, bf16 or int8, each faster and coarser than the last; numpy knows fp32 only",
     ),
     "fit": (

@@ -244,7 +244,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--gravity", type=float, nargs=3, default=UPRIGHT_GRAVITY.tolist(), metavar=("X", "Y", "Z"))
     parser.add_argument("--backend", choices=BACKENDS, default="native")
     parser.add_argument(
-        "--precision", choices=PRECISIONS, help="of the native backend's network weights (default fp32)"
+        "--precision", choices=PRECISIONS, help="of the native backend's network weights (default bf16)"
     )
     parser.add_argument("--fit", type=float, default=0.0, help="0: one size, 1: made to measure (default 0)")
     parser.add_argument("--push-out", action="store_true", help="bring vertices out of the body, as the node can")

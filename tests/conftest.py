@@ -16,6 +16,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the backgrou
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.fixture
+def exact_network_weights(monkeypatch):
+    """Where a test does not choose, the native evaluator computes with network weights in fp32, as the reference."""
+    monkeypatch.setenv("PHYSKIN_NATIVE_PRECISION", "fp32")
+
+
 @pytest.fixture(scope="session")
 def model_path(tmp_path_factory):
     """A garment model file."""

@@ -13,6 +13,7 @@
 #include "body_encoder.hpp"
 #include "dispatch.hpp"
 #include "evaluator.hpp"
+#include "evaluator_batch.hpp"
 #include "machine_floors.hpp"
 
 namespace nb = nanobind;
@@ -89,6 +90,8 @@ BoundGarment bound_garment(nb::handle source) {
   g.dof_lower = field<float>(source, "dof_lower", {d});
   g.dof_upper = field<float>(source, "dof_upper", {d});
   g.pose_layers = layers(source, "pose_layers");
+  g.modulation_size = length(source, "pose_modulation");
+  g.pose_modulation = field<float>(source, "pose_modulation", {g.modulation_size});
   g.deformer_bones = field<std::int32_t>(source, "deformer_bones", {u});
   g.deformer_layers = layers(source, "deformer_layers");
   g.node_bone = field<std::int32_t>(source, "node_bone", {m});
@@ -100,6 +103,8 @@ BoundGarment bound_garment(nb::handle source) {
   g.influence_nodes = view<std::int32_t>(source.attr("influence_nodes"), "influence_nodes", shape);
   g.influences = shape[1];
   g.influence_weights = field<float>(source, "influence_weights", shape);
+  g.face_count = length(source, "faces");
+  g.faces = field<std::int32_t>(source, "faces", {g.face_count, 3});
 
   const std::string activation = nb::cast<std::string>(source.attr("activation"));
   if (activation != "silu" && activation != "relu") {
@@ -228,10 +233,10 @@ void raise_if(const Rejection& rejection) {
 class BoundEvaluator {
  public:
   BoundEvaluator(nb::handle garment, const std::optional<std::string>& instruction_set,
-                 const std::optional<std::string>& precision, nb::handle push_out)
+                 const std::optional<std::string>& precision, nb::handle push_out, const std::string& normals)
       : evaluator_(bound_garment(garment), select_kernels(instruction_set.value_or("")),
-                   select_precision(precision.value_or("")),
-                   push_out.is_none() ? nullptr : &static_cast<const BoundPushOut&>(bound_push_out(push_out))),
+                   {select_precision(precision.value_or("")), select_normals(normals),
+                    push_out.is_none() ? nullptr : &static_cast<const BoundPushOut&>(bound_push_out(push_out))}),
         joint_positions_(evaluator_.dofs()) {}
 
   void evaluate(const AnyArray& joint_positions, const AnyArray& gravity, const OutputArray& out) {
@@ -281,6 +286,7 @@ class BoundStep {
   void compose_nodes() { evaluator_.compose_nodes(evaluator_.corrections()); }
   void skin() { raise_if(evaluator_.skin(evaluator_.node_transforms(), rows_)); }
   void push_out() { evaluator_.push_out(rows_); }
+  void compute_normals() { evaluator_.compute_normals(rows_); }
 
  private:
   static void check_length(const InputArray& array, const char* name, int count) {
@@ -296,6 +302,83 @@ class BoundStep {
   VertexRows rows_;
 };
 
+// Frames of several bodies with arrays that were checked once; keeps the arrays alive.
+class BoundBatch {
+ public:
+  using InputArray = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+  using OutputArrays = nb::ndarray<float, nb::ndim<3>, nb::device::cpu>;
+
+  BoundBatch(const nb::list& garments, const std::optional<std::string>& instruction_set,
+             const std::optional<std::string>& precision, const nb::list& push_outs, const std::string& normals)
+      : batch_(bound_garments(garments), select_kernels(instruction_set.value_or("")),
+               {select_precision(precision.value_or("")), select_normals(normals)}, pointers(bound_push_outs(push_outs))),
+        rows_(std::size_t(batch_.count())) {}
+
+  void bind(InputArray joint_positions, InputArray gravity, OutputArrays out) {
+    check_shape(joint_positions, "joint_positions", batch_[0].dofs());
+    check_shape(gravity, "gravity", 3);
+    if (out.shape(0) != std::size_t(batch_.count())) {
+      throw nb::value_error(("out has " + std::to_string(out.shape(0)) + " bodies; expected " +
+                             std::to_string(batch_.count())).c_str());
+    }
+    std::vector<VertexRows> rows;
+    for (std::size_t k = 0; k < out.shape(0); ++k) {
+      const std::size_t shape[2] = {out.shape(1), out.shape(2)};
+      const std::int64_t strides[2] = {out.stride(1), out.stride(2)};
+      rows.push_back(vertex_rows(OutputArray(out.data() + std::int64_t(k) * out.stride(0), 2, shape, {}, strides),
+                                 batch_[0].vertex_count()));
+    }
+    const std::int64_t body = std::abs(out.stride(0));
+    const std::int64_t row = std::abs(out.stride(1)), columns = std::int64_t(out.shape(2));
+    // Bodies one after the other, or rows of the bodies in turns.
+    const bool apart = body >= row * (std::int64_t(out.shape(1)) - 1) + columns;
+    const bool in_turns = body >= columns && row >= body * (batch_.count() - 1) + columns;
+    if (batch_.count() > 1 && !apart && !in_turns) {
+      throw nb::value_error(("bodies of out overlap: they are " + std::to_string(out.stride(0)) + " floats apart").c_str());
+    }
+    rows_ = rows;
+    joint_positions_ = std::move(joint_positions);
+    gravity_ = std::move(gravity);
+    out_ = std::move(out);
+  }
+
+  void step() {
+    if (!out_.is_valid()) throw nb::value_error("the batch has no arrays yet: bind them first");
+    if (const Rejection bad = batch_.step(joint_positions_.data(), gravity_.data(), rows_.data())) {
+      throw nb::value_error(("body " + std::to_string(batch_.rejected()) + ": " + bad.message()).c_str());
+    }
+  }
+
+  const EvaluatorBatch& batch() const { return batch_; }
+
+ private:
+  static std::vector<BoundGarment> bound_garments(const nb::list& sources) {
+    std::vector<BoundGarment> garments;
+    for (nb::handle source : sources) garments.push_back(bound_garment(source));
+    return garments;
+  }
+  static std::vector<BoundPushOut> bound_push_outs(const nb::list& sources) {
+    std::vector<BoundPushOut> push_outs;
+    for (nb::handle source : sources) push_outs.push_back(bound_push_out(source));
+    return push_outs;
+  }
+  static std::vector<const BoundPushOut*> pointers(const std::vector<BoundPushOut>& push_outs) {
+    std::vector<const BoundPushOut*> pointers;
+    for (const BoundPushOut& push_out : push_outs) pointers.push_back(&push_out);
+    return pointers;
+  }
+  void check_shape(const InputArray& array, const char* name, int width) const {
+    if (array.shape(0) != std::size_t(batch_.count()) || array.shape(1) != std::size_t(width)) {
+      throw nb::value_error((std::string(name) + " must have shape " + shape_text({batch_.count(), width})).c_str());
+    }
+  }
+
+  EvaluatorBatch batch_;
+  std::vector<VertexRows> rows_;
+  InputArray joint_positions_, gravity_;
+  OutputArrays out_;
+};
+
 nb::ndarray<nb::numpy, const float, nb::shape<-1, -1>> corrections(const BoundEvaluator& self) {
   const Evaluator& evaluator = self.evaluator();
   return {evaluator.corrections(), {std::size_t(evaluator.nodes()), std::size_t(evaluator.correction_size())},
@@ -306,12 +389,15 @@ nb::ndarray<nb::numpy, const float, nb::shape<-1, -1>> corrections(const BoundEv
 }  // namespace physkin
 
 NB_MODULE(_native, module) {
+  using physkin::BoundBatch;
   using physkin::BoundEvaluator;
   using physkin::BoundStep;
   using physkin::MachineProbe;
   nb::class_<BoundEvaluator>(module, "Evaluator")
-      .def(nb::init<nb::handle, const std::optional<std::string>&, const std::optional<std::string>&, nb::handle>(),
-           "garment"_a, "instruction_set"_a = nb::none(), "precision"_a = nb::none(), "push_out"_a = nb::none())
+      .def(nb::init<nb::handle, const std::optional<std::string>&, const std::optional<std::string>&, nb::handle,
+                    const std::string&>(),
+           "garment"_a, "instruction_set"_a = nb::none(), "precision"_a = nb::none(), "push_out"_a = nb::none(),
+           "normals"_a = "skinned")
       .def("evaluate", &BoundEvaluator::evaluate, "joint_positions"_a.noconvert(), "gravity"_a.noconvert(),
            "out"_a.noconvert())
       .def("skin", &BoundEvaluator::skin, "node_transforms"_a.noconvert(), "out"_a.noconvert())
@@ -343,7 +429,26 @@ NB_MODULE(_native, module) {
       .def("run_networks", &BoundStep::run_networks)
       .def("compose_nodes", &BoundStep::compose_nodes)
       .def("skin", &BoundStep::skin)
-      .def("push_out", &BoundStep::push_out);
+      .def("push_out", &BoundStep::push_out)
+      .def("compute_normals", &BoundStep::compute_normals);
+  nb::class_<BoundBatch>(module, "Batch")
+      .def(nb::init<const nb::list&, const std::optional<std::string>&, const std::optional<std::string>&,
+                    const nb::list&, const std::string&>(),
+           "garments"_a, "instruction_set"_a = nb::none(), "precision"_a = nb::none(), "push_outs"_a = nb::list(),
+           "normals"_a = "skinned")
+      .def("bind", &BoundBatch::bind, "joint_positions"_a.noconvert(), "gravity"_a.noconvert(), "out"_a.noconvert())
+      .def("step", &BoundBatch::step, "Computes a frame of every body from what the bound input arrays hold now.")
+      .def_prop_ro("residuals",
+                   [](const BoundBatch& self) {
+                     nb::list residuals;
+                     for (int k = 0; k < self.batch().count(); ++k) {
+                       const physkin::ContactResidual& residual = self.batch()[k].residual();
+                       residuals.append(nb::make_tuple(residual.deepest, residual.left_inside));
+                     }
+                     return residuals;
+                   })
+      .def_prop_ro("instruction_set", [](const BoundBatch& self) { return self.batch()[0].instruction_set(); })
+      .def_prop_ro("precision", [](const BoundBatch& self) { return precision_name(self.batch()[0].precision()); });
   module.def("encode_body", &physkin::encode, "network"_a, "points"_a, "normals"_a, "out"_a.noconvert(),
              "instruction_set"_a = nb::none());
   module.def("supported_instruction_sets", physkin::supported_instruction_sets);

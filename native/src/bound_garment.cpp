@@ -46,6 +46,12 @@ void check_layers(const char* name, const std::vector<DenseWeights>& layers, int
   }
 }
 
+int hidden_activations(const std::vector<DenseWeights>& layers) {
+  int hidden = 0;
+  for (std::size_t k = 0; k + 1 < layers.size(); ++k) hidden += layers[k].outputs;
+  return hidden;
+}
+
 }  // namespace
 
 void validate(const BoundGarment& g) {
@@ -62,6 +68,7 @@ void validate(const BoundGarment& g) {
   check_index("deformer_bones", g.deformer_bones, g.deformer_bone_count, g.bones);
   check_index("node_bone", g.node_bone, g.nodes, g.bones);
   check_index("influence_nodes", g.influence_nodes, std::size_t(g.vertex_count) * g.influences, g.nodes);
+  check_index("faces", g.faces, 3 * std::size_t(g.face_count), g.vertex_count);
 
   check_finite("bone_heads", g.bone_heads, 3 * std::size_t(g.bones));
   check_finite("dof_axis", g.dof_axis, 3 * std::size_t(g.dofs));
@@ -81,9 +88,13 @@ void validate(const BoundGarment& g) {
   }
 
   check_layers("pose_layers", g.pose_layers, g.dofs + 3);
+  check_finite("pose_modulation", g.pose_modulation, g.modulation_size);
+  if (g.modulation_size != 0 && g.modulation_size != 2 * hidden_activations(g.pose_layers)) {
+    fail("pose_modulation has " + std::to_string(g.modulation_size) + " values; expected none, or a scale and a shift " +
+         "for " + std::to_string(hidden_activations(g.pose_layers)) + " hidden activations of the pose modulator");
+  }
   check_layers("deformer_layers", g.deformer_layers, 12 * g.deformer_bone_count);
-  int hidden = 0;
-  for (std::size_t k = 0; k + 1 < g.deformer_layers.size(); ++k) hidden += g.deformer_layers[k].outputs;
+  const int hidden = hidden_activations(g.deformer_layers);
   if (g.pose_layers.back().outputs != 2 * hidden) {
     fail("pose_layers give " + std::to_string(g.pose_layers.back().outputs) +
          " values; expected a scale and a shift for " + std::to_string(hidden) +

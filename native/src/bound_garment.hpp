@@ -16,7 +16,8 @@ struct DenseWeights {
 
 // Views of the caller's arrays, read during construction only. Metres, radians, root frame.
 struct BoundGarment {
-  int bones = 0, dofs = 0, nodes = 0, vertex_count = 0, influences = 0, deformer_bone_count = 0;
+  int bones = 0, dofs = 0, nodes = 0, vertex_count = 0, influences = 0, deformer_bone_count = 0, face_count = 0;
+  int modulation_size = 0;
 
   const std::int32_t* bone_parents = nullptr;  // (bones,) parent before child, -1 for the root
   const float* bone_heads = nullptr;           // (bones, 3) joint centres at the canonical pose
@@ -29,6 +30,7 @@ struct BoundGarment {
 
   Activation activation = Activation::silu;
   std::vector<DenseWeights> pose_layers;
+  const float* pose_modulation = nullptr;  // (modulation_size,) of every hidden activation, or none: it is folded in
   const std::int32_t* deformer_bones = nullptr;  // (deformer_bone_count,)
   std::vector<DenseWeights> deformer_layers;
 
@@ -40,6 +42,7 @@ struct BoundGarment {
   const float* normals = nullptr;                 // (vertex_count, 3) unit
   const std::int32_t* influence_nodes = nullptr;  // (vertex_count, influences)
   const float* influence_weights = nullptr;       // (vertex_count, influences)
+  const std::int32_t* faces = nullptr;            // (face_count, 3), none for a point set
 };
 
 // Throws std::invalid_argument where the evaluator would read out of bounds or divide by zero, or a value is not

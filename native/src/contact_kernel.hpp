@@ -14,6 +14,12 @@ typedef float LooseFloat __attribute__((may_alias, aligned(1)));
 typedef float Eight __attribute__((vector_size(32), may_alias));
 typedef float Sixteen __attribute__((vector_size(64), may_alias));
 
+// Vectors 2 * kPair and 2 * kPair + 1.
+template <int kPair>
+inline Eight join_pair(const Four* v) {
+  return (Eight)__builtin_shufflevector(v[2 * kPair], v[2 * kPair + 1], 0, 1, 2, 3, 4, 5, 6, 7);
+}
+
 // kCount vectors of four, one after the other.
 template <int kCount>
 inline auto join(const Four* v) {
@@ -21,10 +27,10 @@ inline auto join(const Four* v) {
   if constexpr (kCount == 1) {
     return v[0];
   } else if constexpr (kCount == 2) {
-    return (Eight)__builtin_shufflevector(v[0], v[1], 0, 1, 2, 3, 4, 5, 6, 7);
+    return join_pair<kCount - 2>(v);
   } else {
-    const Eight low = join<2>(v), high = join<2>(v + 2);
-    return (Sixteen)__builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    return (Sixteen)__builtin_shufflevector(join_pair<kCount - 4>(v), join_pair<kCount - 3>(v), 0, 1, 2, 3, 4, 5, 6, 7,
+                                            8, 9, 10, 11, 12, 13, 14, 15);
   }
 }
 

@@ -34,12 +34,12 @@ struct Fp32Rows {
   void prepare(const PackedLayer&, const float* layer_input, const DenseScratch&) { input = layer_input; }
   bool is_zero(int row) const { return input[row] == 0.0f; }
 
-  template <int kCount>
-  void add(const unsigned char* weights, int row, Sum* sum) const {
-    const float x = input[row];
-    const float* w = reinterpret_cast<const float*>(weights);
-    for (int v = 0; v < kCount; ++v) sum[v] += load(w + v * kLanes) * x;
-  }
+  typedef Floats Weights;
+  static constexpr int kSumsALoad = 1;
+  static Weights decode(const unsigned char* weights) { return load(reinterpret_cast<const float*>(weights)); }
+  float factor(int row) const { return input[row]; }
+  // sum and, where a load holds network weights of two sums, the one `other` further.
+  static void multiply_add(Weights weights, float x, Sum* sum, int) { *sum += weights * x; }
 
   Floats value(Sum sum, const PackedLayer& layer, int at) const { return sum + load(layer.bias + at); }
 };
@@ -47,14 +47,12 @@ struct Fp32Rows {
 struct Bf16Rows : Fp32Rows {
   static constexpr int bytes(int outputs) { return 2 * outputs; }
 
-  template <int kCount>
-  void add(const unsigned char* weights, int row, Sum* sum) const {
-    const float x = input[row];
-    for (int v = 0; v < kCount / 2; ++v) {
-      const Ints words = load_ints(weights + 4 * v * kLanes);
-      sum[v] += (Floats)(words << 16) * x;
-      sum[kCount / 2 + v] += (Floats)words * x;
-    }
+  typedef Ints Weights;
+  static constexpr int kSumsALoad = 2;
+  static Weights decode(const unsigned char* weights) { return load_ints(weights); }
+  static void multiply_add(Weights words, float x, Sum* sum, int other) {
+    sum[0] += (Floats)(words << 16) * x;
+    sum[other] += (Floats)words * x;
   }
 };
 
@@ -104,11 +102,11 @@ struct Int8Rows {
   }
   bool is_zero(int row) const { return pair(row) == 0; }
 
-  template <int kCount>
-  void add(const unsigned char* weights, int row, Sum* sum) const {
-    const Ints both = Ints{} + pair(row);
-    for (int v = 0; v < kCount; ++v) sum[v] = add_pair_products(sum[v], weights + 2 * v * kLanes, both);
-  }
+  typedef WidePairs Weights;
+  static constexpr int kSumsALoad = 1;
+  static Weights decode(const unsigned char* weights) { return widen_pairs(weights); }
+  Ints factor(int row) const { return Ints{} + pair(row); }
+  static void multiply_add(Weights weights, Ints both, Sum* sum, int) { *sum = add_pair_products(*sum, weights, both); }
 
   Floats value(Sum sum, const PackedLayer& layer, int at) const {
     return __builtin_convertvector(sum, Floats) * (load(layer.output_scale + at) * unit) + load(layer.bias + at);
@@ -131,6 +129,17 @@ inline void prefetch(const unsigned char* row, std::ptrdiff_t bytes) {
   for (std::ptrdiff_t at = 0; at < bytes; at += 64) __builtin_prefetch(row + at);
 }
 
+// kLanes outputs from their sum.
+template <class Rows>
+inline void finish(const PackedLayer& layer, const Rows& rows, typename Rows::Sum sum, int at, Modulation modulation,
+                   Activation activation, float* output) {
+  Floats value = rows.value(sum, layer, at);
+  if (modulation.scale != nullptr) {
+    value = value * (1.0f + load_unaligned(modulation.scale + at)) + load_unaligned(modulation.shift + at);
+  }
+  store(output + at, activate(value, activation));
+}
+
 // kCount * kLanes outputs from `at` on. `listed`: the rows to read, if not all.
 template <class Rows, bool kListed, int kCount>
 inline void dense_panel(const PackedLayer& layer, const Rows& rows, const unsigned char* weights,
@@ -142,15 +151,13 @@ inline void dense_panel(const PackedLayer& layer, const Rows& rows, const unsign
     const int row = kListed ? listed[k] : k;
     if (!kListed) prefetch(weights + row * kRow + kBytesAhead, kRow);
     if (kListed && k + kListedRowsAhead < row_count) prefetch(weights + listed[k + kListedRowsAhead] * kRow, kRow);
-    rows.template add<kCount>(weights + row * kRow, row, sum);
-  }
-  for (int v = 0; v < kCount; ++v, at += kLanes) {
-    Floats value = rows.value(sum[v], layer, at);
-    if (modulation.scale != nullptr) {
-      value = value * (1.0f + load_unaligned(modulation.scale + at)) + load_unaligned(modulation.shift + at);
+    const auto x = rows.factor(row);
+    for (int v = 0; v < kCount / Rows::kSumsALoad; ++v) {
+      const auto w = Rows::decode(weights + row * kRow + v * Rows::bytes(Rows::kSumsALoad * kLanes));
+      Rows::multiply_add(w, x, sum + v, kCount / 2);
     }
-    store(output + at, activate(value, activation));
   }
+  for (int v = 0; v < kCount; ++v, at += kLanes) finish(layer, rows, sum[v], at, modulation, activation, output);
 }
 
 // The last panel of a layer may be narrower by whole groups.

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cfloat>
 #include <cmath>
+#include <stdexcept>
 #include <vector>
 
 #include "skinning_blocks.hpp"
@@ -14,6 +15,12 @@ namespace {
 // Metres; far beyond any garment, and small enough that nothing computed from it overflows.
 constexpr float kLargest = 1e6f;
 
+const float* copy_modulation(const BoundGarment& g, Arena& arena) {
+  float* modulation = arena.take<float>(std::size_t(g.modulation_size) + kGroup);
+  std::copy_n(g.pose_modulation, g.modulation_size, modulation);
+  return modulation;
+}
+
 const BoundGarment& validated(const BoundGarment& garment) {
   validate(garment);
   return garment;
@@ -21,36 +28,56 @@ const BoundGarment& validated(const BoundGarment& garment) {
 
 }  // namespace
 
-Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, Precision precision, const BoundPushOut* push_out)
+Normals select_normals(const std::string& name) {
+  if (name == "skinned") return Normals::skinned;
+  if (name == "faces") return Normals::faces;
+  throw std::invalid_argument("normals '" + name + "' are unknown; they may be skinned or faces");
+}
+
+Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, const EvaluatorOptions& options,
+                     const Evaluator* shared)
     : kernels_(kernels),
-      precision_(precision),
+      precision_(options.precision),
       rig_(validated(g), arena_),
-      pose_modulator_(g.pose_layers, g.activation, precision, kernels, arena_),
-      node_deformer_(g.deformer_layers, g.activation, precision, kernels, arena_),
+      pose_modulator_(g.pose_layers, g.activation, precision_, kernels, arena_,
+                      shared == nullptr ? nullptr : &shared->pose_modulator_),
+      node_deformer_(g.deformer_layers, g.activation, precision_, kernels, arena_,
+                     shared == nullptr ? nullptr : &shared->node_deformer_, 1),
       garment_nodes_(g, arena_),
       blocks_(pack_skinning_blocks(g, arena_)),
       deformer_bone_count_(g.deformer_bone_count),
       deformer_bones_(arena_.copy(g.deformer_bones, g.deformer_bone_count)),
+      pose_modulation_(g.modulation_size == 0 ? nullptr : copy_modulation(g, arena_)),
       pose_(arena_.take<float>(g.dofs + 3)),
       bone_transforms_(arena_.take<float>(12 * g.bones)),
       deformer_input_(arena_.take<float>(12 * g.deformer_bone_count)),
       node_transforms_(arena_.take<float>(12 * g.nodes)),
       skinning_matrices_(arena_.take<float>(12 * g.nodes)),
       corrections_(arena_.take<float>(g.deformer_layers.back().outputs)) {
-  if (push_out != nullptr) push_out_.emplace(*push_out, g.bones, g.vertex_count, arena_);
+  if (options.push_out != nullptr) push_out_.emplace(*options.push_out, g.bones, g.vertex_count, arena_);
+  if (options.normals == Normals::faces) face_normals_.emplace(g, arena_);
   choose_zero_skipping(g);
 }
 
-Rejection Evaluator::step(const float* joint_positions, const float* gravity, const VertexRows& rows) noexcept {
+Rejection Evaluator::check_inputs(const float* joint_positions, const float* gravity) const noexcept {
   if (const auto bad = reject_beyond("joint_positions", joint_positions, rig_.dofs(), FLT_MAX)) return bad;
-  if (const auto bad = reject_beyond("gravity", gravity, 3, FLT_MAX)) return bad;
+  return reject_beyond("gravity", gravity, 3, FLT_MAX);
+}
+
+Rejection Evaluator::check_corrections() const noexcept {
+  return reject_beyond("node deformer output", corrections_, node_deformer_.outputs(), kLargest);
+}
+
+Rejection Evaluator::step(const float* joint_positions, const float* gravity, const VertexRows& rows) noexcept {
+  if (const auto bad = check_inputs(joint_positions, gravity)) return bad;
   pose(joint_positions, gravity);
-  const float* corrections = run_networks();
-  const std::size_t count = node_deformer_.outputs();
-  if (const auto bad = reject_beyond("node deformer output", corrections, count, kLargest)) return bad;
-  compose_nodes(corrections);
-  if (const auto bad = skin(node_transforms_, rows)) return bad;
+  run_networks();
+  if (const auto bad = check_corrections()) return bad;
+  compose_nodes(corrections_);
+  if (const auto bad = check_nodes(node_transforms_)) return bad;
+  skin_checked(node_transforms_, rows);
   push_out(rows);
+  compute_normals(rows);
   return {};
 }
 
@@ -63,23 +90,35 @@ void Evaluator::pose(const float* joint_positions, const float* gravity) noexcep
 }
 
 const float* Evaluator::run_networks() noexcept {
-  return corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, nullptr));
+  return corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, pose_modulation_));
 }
 
 void Evaluator::compose_nodes(const float* corrections) noexcept {
   garment_nodes_.compose(bone_transforms_, corrections, node_transforms_);
 }
 
+Rejection Evaluator::check_nodes(const float* node_transforms) const noexcept {
+  return reject_beyond("node_transforms", node_transforms, 12 * std::size_t(nodes()), kLargest);
+}
+
 Rejection Evaluator::skin(const float* node_transforms, const VertexRows& rows) noexcept {
-  const std::size_t count = 12 * std::size_t(nodes());
-  if (const auto bad = reject_beyond("node_transforms", node_transforms, count, kLargest)) return bad;
-  garment_nodes_.compute_skinning_matrices(node_transforms, skinning_matrices_);
-  kernels_.skin(blocks_, skinning_matrices_, rows);
+  if (const auto bad = check_nodes(node_transforms)) return bad;
+  skin_checked(node_transforms, rows);
+  compute_normals(rows);
   return {};
+}
+
+void Evaluator::skin_checked(const float* node_transforms, const VertexRows& rows) noexcept {
+  garment_nodes_.compute_skinning_matrices(node_transforms, skinning_matrices_);
+  kernels_.skin(blocks_, skinning_matrices_, rows);  // with normals even if replaced: rows of six are written faster
 }
 
 void Evaluator::push_out(const VertexRows& rows) noexcept {
   if (push_out_) residual_ = push_out_->apply(kernels_, bone_transforms_, rows);
+}
+
+void Evaluator::compute_normals(const VertexRows& rows) noexcept {
+  if (face_normals_ && rows.with_normals) face_normals_->apply(rows);
 }
 
 void Evaluator::choose_zero_skipping(const BoundGarment& g) {
@@ -102,7 +141,7 @@ void Evaluator::choose_zero_skipping(const BoundGarment& g) {
         joint_positions[d] = g.dof_lower[d] + share * (g.dof_upper[d] - g.dof_lower[d]);
       }
       pose(joint_positions.data(), kGravity);
-      deformer.timed_run(deformer_input_, modulator.timed_run(pose_, nullptr));
+      deformer.timed_run(deformer_input_, modulator.timed_run(pose_, pose_modulation_));
     }
     modulator.end_round();
     deformer.end_round();

@@ -2,9 +2,11 @@
 #pragma once
 
 #include <optional>
+#include <string>
 
 #include "arena.hpp"
 #include "bound_garment.hpp"
+#include "face_normals.hpp"
 #include "garment_nodes.hpp"
 #include "kernels.hpp"
 #include "mlp.hpp"
@@ -14,11 +16,24 @@
 
 namespace physkin {
 
+// Where normals come from: rest normals carried by skinning, or the faces of the posed mesh.
+enum class Normals { skinned, faces };
+
+// "skinned" or "faces"; throws std::invalid_argument for another name.
+Normals select_normals(const std::string& name);
+
+struct EvaluatorOptions {
+  Precision precision = Precision::fp32;
+  Normals normals = Normals::skinned;
+  const BoundPushOut* push_out = nullptr;  // what keeps the garment out of the body, if anything
+};
+
 class Evaluator {
  public:
-  // Validates and copies the garment, and with it what keeps it out of the body; throws std::invalid_argument.
-  Evaluator(const BoundGarment& garment, const Kernels& kernels, Precision precision = Precision::fp32,
-            const BoundPushOut* push_out = nullptr);
+  // Validates and copies the garment; throws std::invalid_argument. `shared`: of a body with the same garment model,
+  // its modulation not folded in either, whose network weights are used; it must live longer.
+  Evaluator(const BoundGarment& garment, const Kernels& kernels, const EvaluatorOptions& options = {},
+            const Evaluator* shared = nullptr);
   Evaluator(const Evaluator&) = delete;  // its members point into its own arena
   Evaluator& operator=(const Evaluator&) = delete;
 
@@ -33,7 +48,8 @@ class Evaluator {
   void pose(const float* joint_positions, const float* gravity) noexcept;
   const float* run_networks() noexcept;  // corrections (nodes, 9 or 12)
   void compose_nodes(const float* corrections) noexcept;
-  void push_out(const VertexRows& rows) noexcept;  // after skin; does nothing if there is none
+  void push_out(const VertexRows& rows) noexcept;         // after skinning; does nothing if there is none
+  void compute_normals(const VertexRows& rows) noexcept;  // from faces; does nothing if they are skinned
 
   // (nodes, 3, 4) of the last frame, root frame, metres.
   const float* node_transforms() const { return node_transforms_; }
@@ -55,7 +71,13 @@ class Evaluator {
   bool node_deformer_skips_zeros() const { return node_deformer_.skips_zeros(); }
 
  private:
+  friend class EvaluatorBatch;
+
   void choose_zero_skipping(const BoundGarment& garment);
+  Rejection check_inputs(const float* joint_positions, const float* gravity) const noexcept;
+  Rejection check_corrections() const noexcept;
+  Rejection check_nodes(const float* node_transforms) const noexcept;
+  void skin_checked(const float* node_transforms, const VertexRows& rows) noexcept;
 
   // Members are built in this order, so that a frame walks the arena from front to back.
   const Kernels& kernels_;
@@ -68,6 +90,7 @@ class Evaluator {
   SkinningBlocks blocks_;
   int deformer_bone_count_;
   const std::int32_t* deformer_bones_;
+  const float* pose_modulation_;  // null where it is folded into the pose modulator
   float* pose_;
   float* bone_transforms_;
   float* deformer_input_;
@@ -75,6 +98,7 @@ class Evaluator {
   float* skinning_matrices_;
   const float* corrections_;
   std::optional<PushOut> push_out_;
+  std::optional<FaceNormals> face_normals_;
   ContactResidual residual_;
 };
 

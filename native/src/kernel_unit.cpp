@@ -1,5 +1,6 @@
 // Compiled once per instruction set, with PHYSKIN_ISA set to its name and the flags that CMakeLists.txt gives it.
 #include "contact_kernel.hpp"
+#include "dense_batch_kernel.hpp"
 #include "dense_kernel.hpp"
 #include "floor_kernel.hpp"
 #include "skinning_kernel.hpp"
@@ -16,6 +17,7 @@ const Kernels kernels{
     kPanel,
     {dense<Fp32Rows, false>, dense<Bf16Rows, false>, dense<Int8Rows, false>},
     {dense<Fp32Rows, true>, dense<Bf16Rows, true>, dense<Int8Rows, true>},
+    {dense_batch<Fp32Rows>, dense_batch<Bf16Rows>, dense_batch<Int8Rows>},
     skin,
     multiply_add,
     read_memory,

@@ -93,12 +93,29 @@ struct DenseScratch {
 using DenseKernel = void (*)(const PackedLayer& layer, const float* input, const float* scale, const float* shift,
                              Activation activation, const DenseScratch& scratch, float* output);
 
+// The arguments of a dense kernel that differ between the bodies of a batch.
+struct DenseCall {
+  const float* input = nullptr;
+  const float* scale = nullptr;
+  const float* shift = nullptr;
+  DenseScratch scratch;
+  float* output = nullptr;
+};
+
+// Bodies for which network weights are read once: as many as the registers hold sums for.
+constexpr int kBatch = 4;
+
+// The dense kernel for `count` bodies, from 1 to kBatch; bit for bit what it computes one by one.
+using DenseBatchKernel = void (*)(const PackedLayer& layer, Activation activation, const DenseCall* calls, int count);
+
 struct Kernels {
   const char* instruction_set;
   int panel;  // outputs of a layer computed at once
 
   DenseKernel dense[kPrecisionCount];           // by Precision
   DenseKernel dense_skipping[kPrecisionCount];  // the same, bit for bit, reading no network weights of zero inputs
+
+  DenseBatchKernel dense_batch[kPrecisionCount];
 
   // x' = sum_k w_k M_k x, normal' = normalised sum_k w_k A_k normal, with M = [A | c] in matrices (nodes, 12).
   void (*skin)(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows);

@@ -19,7 +19,7 @@ const char* precision_name(Precision precision) { return kNames[int(precision)];
 
 Precision select_precision(const std::string& name) {
   const std::string wanted = name.empty() ? environment("PHYSKIN_NATIVE_PRECISION") : name;
-  if (wanted.empty()) return Precision::fp32;
+  if (wanted.empty()) return Precision::bf16;
   for (int k = 0; k < kPrecisionCount; ++k) {
     if (wanted == kNames[k]) return Precision(k);
   }

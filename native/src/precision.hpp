@@ -12,7 +12,7 @@ constexpr int kPrecisionCount = 3;
 
 const char* precision_name(Precision precision);
 
-// The named precision; an empty name means the environment variable PHYSKIN_NATIVE_PRECISION, and without that fp32.
+// The named precision; an empty name means the environment variable PHYSKIN_NATIVE_PRECISION, and without that bf16.
 // Throws std::invalid_argument for an unknown name.
 Precision select_precision(const std::string& name = "");
 

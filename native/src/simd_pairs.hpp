@@ -16,22 +16,41 @@ inline Ints wrapping_sum(Ints a, Ints b) {
   return (Ints)((Words)a + (Words)b);
 }
 
-// sum[k] + weights[2 k] * (low half of pair[k]) + weights[2 k + 1] * (high half of pair[k]), as 32-bit integers.
-inline Ints add_pair_products(Ints sum, const unsigned char* weights, Ints pair) {
+// 2 * kLanes network weights as the products below take them.
 #if defined(__AVX512BW__)
-  const __m512i wide = _mm512_cvtepi8_epi16(*reinterpret_cast<const __m256i*>(weights));
-  return wrapping_sum(sum, (Ints)_mm512_madd_epi16(wide, (__m512i)pair));
+typedef __m512i WidePairs;
+inline WidePairs widen_pairs(const unsigned char* weights) {
+  return _mm512_cvtepi8_epi16(*reinterpret_cast<const __m256i*>(weights));
+}
 #elif defined(__AVX2__)
-  const __m256i wide = _mm256_cvtepi8_epi16(*reinterpret_cast<const __m128i*>(weights));
-  return wrapping_sum(sum, (Ints)_mm256_madd_epi16(wide, (__m256i)pair));
+typedef __m256i WidePairs;
+inline WidePairs widen_pairs(const unsigned char* weights) {
+  return _mm256_cvtepi8_epi16(*reinterpret_cast<const __m128i*>(weights));
+}
 #elif defined(__SSE2__)
+typedef __m128i WidePairs;
+inline WidePairs widen_pairs(const unsigned char* weights) {
   const __m128i bytes = _mm_loadl_epi64(reinterpret_cast<const __m128i*>(weights));
-  const __m128i wide = _mm_srai_epi16(_mm_unpacklo_epi8(bytes, bytes), 8);
-  return wrapping_sum(sum, (Ints)_mm_madd_epi16(wide, (__m128i)pair));
+  return _mm_srai_epi16(_mm_unpacklo_epi8(bytes, bytes), 8);
+}
 #else
+typedef Ints WidePairs;
+inline WidePairs widen_pairs(const unsigned char* weights) {
   typedef std::int16_t Shorts __attribute__((vector_size(2 * kLanes), may_alias));
-  const Ints both = __builtin_convertvector(*reinterpret_cast<const Shorts*>(weights), Ints);
-  const Ints low = ((both << 24) >> 24) * ((pair << 16) >> 16), high = (both >> 8) * (pair >> 16);
+  return __builtin_convertvector(*reinterpret_cast<const Shorts*>(weights), Ints);
+}
+#endif
+
+// sum[k] + weights[2 k] * (low half of pair[k]) + weights[2 k + 1] * (high half of pair[k]), as 32-bit integers.
+inline Ints add_pair_products(Ints sum, WidePairs weights, Ints pair) {
+#if defined(__AVX512BW__)
+  return wrapping_sum(sum, (Ints)_mm512_madd_epi16(weights, (__m512i)pair));
+#elif defined(__AVX2__)
+  return wrapping_sum(sum, (Ints)_mm256_madd_epi16(weights, (__m256i)pair));
+#elif defined(__SSE2__)
+  return wrapping_sum(sum, (Ints)_mm_madd_epi16(weights, (__m128i)pair));
+#else
+  const Ints low = ((weights << 24) >> 24) * ((pair << 16) >> 16), high = (weights >> 8) * (pair >> 16);
   return wrapping_sum(sum, wrapping_sum(low, high));
 #endif
 }

@@ -5,13 +5,14 @@ Dimensions: `d` degrees of freedom, `m` garment nodes, `n` vertices.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from physkin_core.avatar import BUNDLED_AVATAR, load_avatar
+from physkin_core.avatar import BUNDLED_AVATAR, avatar_from_body, load_avatar
 from physkin_core.binding import bind_garment
+from physkin_core.body_model import load_body_model
 from physkin_core.bound_garment import BoundGarment
 from physkin_core.garment import Garment
 from physkin_core.mlp import Layer
@@ -23,6 +24,8 @@ __all__ = ["BenchmarkCase", "model_case", "paper_case"]
 SEED = 2603
 MOTIONS = ("walk", "dance", "crawl")
 POSES_A_MOTION = 20
+BATCH = 8
+"""Bodies that wear the garment at once."""
 PAPER_BONES, PAPER_DOFS, PAPER_NODES, PAPER_INFLUENCES = 128, 117, 128, 4
 PAPER_USED_BONES = 20  # that garment nodes follow, as those of a garment on the trunk and arms
 PAPER_RINGS = PAPER_SEGMENTS = 100
@@ -33,13 +36,15 @@ POSE_WIDTHS, DEFORMER_WIDTHS = (512,) * 4, (128,) * 4
 class BenchmarkCase:
     """A bound garment and poses for it.
 
-    joint_positions: (P, d) float32 [rad]; gravity: (P, 3) float32. garment: for edge strain; None for a random model.
+    joint_positions: (P, d) float32 [rad]; gravity: (P, 3) float32. bodies: the garment on others, for a batch.
+    garment: for edge strain; None for a random model.
     """
 
     name: str
     bound: BoundGarment
     joint_positions: np.ndarray
     gravity: np.ndarray
+    bodies: tuple[BoundGarment, ...]
     garment: Garment | None = None
 
 
@@ -50,6 +55,10 @@ def model_case(model: str | Path) -> BenchmarkCase:
     """
     loaded = load_garment_model(model)
     bound = bind_garment(loaded, load_avatar(BUNDLED_AVATAR, loaded.rig))
+    body = load_body_model()
+    held_out = [avatar_from_body(body, coefficients) for coefficients in body.held_out_bodies[:BATCH]]
+    if loaded.rig.bone_names != body.rig.bone_names:
+        held_out = [load_avatar(BUNDLED_AVATAR, loaded.rig)] * BATCH
     positions, gravity = [], []
     for name in MOTIONS:
         motion = load_motion(name)
@@ -61,6 +70,7 @@ def model_case(model: str | Path) -> BenchmarkCase:
         bound=bound,
         joint_positions=np.concatenate(positions).astype(np.float32),
         gravity=np.concatenate(gravity).astype(np.float32),
+        bodies=tuple(bind_garment(loaded, avatar, backend="native", fold=False) for avatar in held_out),
         garment=loaded.garment,
     )
 
@@ -100,7 +110,9 @@ def paper_case(activation: str) -> BenchmarkCase:
     )
     poses = rng.uniform(-0.5, 0.5, size=(POSES_A_MOTION, PAPER_DOFS)).astype(np.float32)
     gravity = np.tile(np.array([0, 0, -1], dtype=np.float32), (POSES_A_MOTION, 1))
-    return BenchmarkCase(f"paper_{activation}", bound, poses, gravity)
+    modulations = 0.1 * rng.standard_normal((BATCH, 2 * sum(POSE_WIDTHS)), dtype=np.float32)
+    bodies = tuple(replace(bound, pose_modulation=modulation) for modulation in modulations)
+    return BenchmarkCase(f"paper_{activation}", bound, poses, gravity, bodies)
 
 
 def _layers(rng: np.random.Generator, widths: tuple[int, ...], output_scale: float) -> tuple[Layer, ...]:

@@ -14,7 +14,12 @@ from physkin_core.bench.network_peers import NETWORK_PEERS
 from physkin_core.bench.peers import Peer, prepare_peers
 from physkin_core.bench.skinning_peers import SKINNING_PEERS, skinning_case
 from physkin_core.bench.timing import Timing, time_in_turns
-from physkin_core.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
+from physkin_core.native_evaluator import (
+    PRECISIONS,
+    NativeEvaluator,
+    NativeEvaluatorBatch,
+    supported_instruction_sets,
+)
 from physkin_core.quality import edge_strain
 from physkin_core.reference_evaluator import ReferenceEvaluator
 
@@ -32,6 +37,7 @@ STAGES = {
 BYTES_A_WEIGHT = {"fp32": 4, "bf16": 2, "int8": 1}
 MULTIPLY_ADD_ROUNDS = 5000
 L2_BYTES, L3_BYTES, MEMORY_BYTES = 512 << 10, 4 << 20, 256 << 20
+BATCH_SIZES = (1, 2, 4, 8)
 COLD_PEERS = ("litert_fp32", "litert_int8")
 
 
@@ -39,7 +45,9 @@ COLD_PEERS = ("litert_fp32", "litert_int8")
 class CaseResult:
     """Figures of one case.
 
-    native: timings by (precision, instruction set, stage). cold: by name, caches emptied before every call.
+    native: timings by (precision, instruction set, stage). batches: a body's, by (precision, bodies at once). singles:
+    a body's, by precision, where as many bodies as the largest batch have an evaluator each. face_normals: those of
+    faces, by instruction set; none without faces. cold: by name, caches emptied before every call.
     network_peers, skinning_peers: timings by name. missing: why a peer was left out.
     probes: "fma", "l2", "l3", "memory" and reading as many bytes as each precision's network weights. amounts: what a
     probe does a call (multiply-adds or bytes). errors: by precision and figure. weight_count, skinning_terms: the sizes
@@ -51,6 +59,9 @@ class CaseResult:
     skinning_terms: int
     skips_zeros: dict[str, tuple[bool, bool]]
     native: dict[tuple[str, str, str], Timing] = field(default_factory=dict)
+    batches: dict[tuple[str, int], Timing] = field(default_factory=dict)
+    singles: dict[str, Timing] = field(default_factory=dict)
+    face_normals: dict[str, Timing] = field(default_factory=dict)
     network_peers: dict[str, Timing] = field(default_factory=dict)
     skinning_peers: dict[str, Timing] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
@@ -100,6 +111,14 @@ def measure_case(
         for (precision, level), step in steps.items()
         for stage, method in STAGES.items()
     }
+    calls |= _body_calls(case, middle)
+    if len(bound.faces):
+        for level in supported_instruction_sets():
+            evaluator = NativeEvaluator(bound, instruction_set=level, normals="faces")
+            outputs.append(np.empty((len(bound.vertices), 6), dtype=np.float32))
+            step = evaluator.bind_step(pose, gravity, outputs[-1])
+            step.step()
+            calls["normals", level] = step.compute_normals
     calls |= {("networks", name): call for name, call in network_calls.items()}
     calls |= {("skinning", name): call for name, call in skinning_calls.items()}
     calls |= {("probe", name): call for name, call in probes.items()}
@@ -107,6 +126,12 @@ def measure_case(
         match key:
             case "native", *names:
                 result.native[tuple(names)] = timing
+            case "batch", precision, count:
+                result.batches[precision, count] = timing.shared_by(count)
+            case "singles", precision:
+                result.singles[precision] = timing.shared_by(len(case.bodies))
+            case "normals", level:
+                result.face_normals[level] = timing
             case "networks", name:
                 result.network_peers[name] = timing
             case "skinning", name:
@@ -121,6 +146,26 @@ def measure_case(
     for precision in PRECISIONS:
         result.errors[precision] = _errors(case, evaluators[precision, widest])
     return result
+
+
+def _body_calls(case: BenchmarkCase, first: int) -> dict[tuple, Callable[[], object]]:
+    """Frames of several bodies, in a batch and with an evaluator each, from pose `first` on."""
+    poses = (first + np.arange(len(case.bodies))) % len(case.joint_positions)
+    positions, gravity = case.joint_positions[poses], case.gravity[poses]
+    calls: dict[tuple, Callable[[], object]] = {}
+    for precision in PRECISIONS:
+        for count in BATCH_SIZES:
+            batch = NativeEvaluatorBatch(case.bodies[:count], precision=precision)
+            out = np.empty((count, len(case.bound.vertices), 6), dtype=np.float32)
+            batch.bind(positions[:count].copy(), gravity[:count].copy(), out)
+            calls["batch", precision, count] = batch.step
+        steps = []
+        for k, bound in enumerate(case.bodies):
+            out = np.empty((len(bound.vertices), 6), dtype=np.float32)
+            evaluator = NativeEvaluator(bound, precision=precision)
+            steps.append(evaluator.bind_step(positions[k].copy(), gravity[k].copy(), out).step)
+        calls["singles", precision] = lambda steps=steps: [step() for step in steps]
+    return calls
 
 
 def _probes(result: CaseResult, level: str) -> dict[str, Callable[[], object]]:

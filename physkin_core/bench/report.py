@@ -46,6 +46,12 @@ def case_keys(result: CaseResult) -> dict[str, object]:
         keys |= _timing_keys(f"{precision}.{level}.{stage}", timing)
         if (precision, level) == ("fp32", widest):
             keys |= _timing_keys(stage, timing)
+    for (precision, count), timing in result.batches.items():
+        keys |= _timing_keys(f"batch.{precision}.{count}", timing)
+    for precision, timing in result.singles.items():
+        keys |= _timing_keys(f"singles.{precision}", timing)
+    for level, timing in result.face_normals.items():
+        keys |= _timing_keys(f"{level}.face_normals", timing)
     for kind, timings in (("networks", result.network_peers), ("skinning", result.skinning_peers)):
         for name, timing in timings.items():
             keys |= _timing_keys(f"peers.{kind}.{name}", timing)
@@ -114,6 +120,15 @@ def case_tables(result: CaseResult, keys: Mapping[str, object]) -> str:
         for level in reversed(supported_instruction_sets()):
             rows.append([precision, level, *(_spread(result.native[precision, level, stage]) for stage in STAGES)])
     lines += _table(["us: p50 (min, p99)", "instructions", *STAGES], rows)
+    sizes = sorted({count for _, count in result.batches})
+    rows = [
+        [name, *(_spread(result.batches[name, count]) for count in sizes), _spread(result.singles[name])]
+        for name in PRECISIONS
+    ]
+    lines += _table(["us a body, frames together", *map(str, sizes), f"{max(sizes)} one by one"], rows)
+    if result.face_normals:
+        rows = [[name, _spread(timing)] for name, timing in result.face_normals.items()]
+        lines += _table(["normals from faces", "us"], rows)
     timings = {f"native {name}": result.native[name, widest, "networks"] for name in PRECISIONS} | result.network_peers
     lines += _table(["networks, same graph", "us"], [[name, _spread(timings[name])] for name in _by_median(timings)])
     timings = {"native": result.native["fp32", widest, "skinning"]} | result.skinning_peers

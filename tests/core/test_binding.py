@@ -15,6 +15,8 @@ from physkin_core.binding import bind_garment, bind_points, encode_body
 from physkin_core.garment import vertex_normals
 from physkin_core.garment_nodes import closest_bones
 
+pytestmark = pytest.mark.usefixtures("exact_network_weights")
+
 BODY = load_body_model()
 RIG = BODY.rig
 

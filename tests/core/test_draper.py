@@ -18,6 +18,8 @@ from physkin_core.node_deformer import node_corrections
 from physkin_core.pose_modulator import pose_modulation
 from physkin_core.skinning import skin
 
+pytestmark = pytest.mark.usefixtures("exact_network_weights")
+
 
 @pytest.fixture(autouse=True)
 def few_body_points(monkeypatch):
@@ -292,7 +294,7 @@ def test_unknown_backend_is_refused():
 def test_points_replace_the_vertices(backend):
     rng, model, avatar = scene(12)
     points = model.garment.vertices[::3]
-    draper = Draper(model, avatar, backend=backend, points=points, normals=unit_rows(rng, len(points)))
+    draper = Draper(model, avatar, backend=backend, points=points, point_normals=unit_rows(rng, len(points)))
     assert draper.vertex_count == len(points) < len(model.garment.vertices)
     assert draper.faces.shape == (0, 3) and draper.faces.dtype == np.int32
     pose = random_pose(rng, model.rig)
@@ -391,7 +393,7 @@ def test_points_are_made_to_measure_as_the_mesh_they_lie_on(measured):
     normals = vertex_normals(mesh.vertices, mesh.faces)
     q = model.rig.rest
     for given in (None, normals):
-        points = Draper(model, avatar, fit=1.0, backend="numpy", points=mesh.vertices, normals=given)
+        points = Draper(model, avatar, fit=1.0, backend="numpy", points=mesh.vertices, point_normals=given)
         np.testing.assert_allclose(points.drape(q)[:, :3], whole.drape(q)[:, :3], atol=1e-4)
         np.testing.assert_allclose(points.bound.normals, whole.bound.normals, atol=1e-3)
     assert np.abs(whole.bound.normals - normals).max() > 0.02

@@ -22,6 +22,8 @@ from physkin_core import (
 )
 from physkin_core.model_file import MODELS_PATH, SCHEMA_VERSION
 
+pytestmark = pytest.mark.usefixtures("exact_network_weights")
+
 
 def tiny(**changes):
     return random_model(np.random.default_rng(3), **{**SIZES["tiny"], "rings": 4, "segments": 6, **changes})

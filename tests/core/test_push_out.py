@@ -9,6 +9,8 @@ from physkin_core import push_out as module
 from physkin_core.push_out import bind_push_out, displacement, patch_distance, push_out
 from physkin_core.quality import signed_distance
 
+pytestmark = pytest.mark.usefixtures("exact_network_weights")
+
 BODY = load_body_model()
 
 

@@ -1,16 +1,25 @@
-// The evaluator as a C++ library, without Python: counts what a frame allocates, on garments of odd sizes.
+// The evaluator as a C++ library, without Python: counts what a frame allocates, on garments of odd sizes, alone and in
+// a batch, which must give the same bits.
 //
 // Prints "<instruction set> <precision> <allocations>" for each garment. All buffers have their exact size,
 // so that a build with the address sanitizer finds a kernel that reads or writes beyond them.
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
 #include <random>
 #include <vector>
 
 #include "dispatch.hpp"
 #include "evaluator.hpp"
+#include "evaluator_batch.hpp"
 
 static long allocations = 0;
+
+#if defined(__has_feature)
+#if __has_feature(address_sanitizer)
+#define __SANITIZE_ADDRESS__  // as GCC says it
+#endif
+#endif
 
 #if defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__)
 // Every way to the heap, operator new included, ends in one of these.
@@ -56,6 +65,43 @@ struct Layers {
     }
   }
 };
+
+// A frame of more bodies than are computed at once; returns how often it reached the heap.
+long run_batch(physkin::BoundGarment g, const physkin::Kernels& kernels, physkin::EvaluatorOptions options) {
+  constexpr int kBodies = physkin::kBatch + 2;
+  const int dofs = g.dofs, vertices = g.vertex_count;
+  int hidden = 0;
+  for (std::size_t k = 0; k + 1 < g.pose_layers.size(); ++k) hidden += g.pose_layers[k].outputs;
+  std::vector<std::vector<float>> modulations, first_layers;
+  std::vector<physkin::BoundGarment> bodies;
+  for (int body = 0; body < kBodies; ++body) {
+    modulations.push_back(uniform(2 * std::size_t(hidden), -0.5f, 0.5f));
+    first_layers.push_back(uniform(std::size_t(g.deformer_layers[0].outputs) * g.deformer_layers[0].inputs, -0.1f, 0.1f));
+    g.pose_modulation = modulations.back().data();
+    g.modulation_size = 2 * hidden;
+    g.deformer_layers[0].matrix = first_layers.back().data();
+    bodies.push_back(g);
+  }
+  physkin::EvaluatorBatch batch(bodies, kernels, options,
+                                std::vector<const physkin::BoundPushOut*>(kBodies, options.push_out));
+  const auto q = uniform(std::size_t(kBodies) * dofs, -1, 1), gravity = uniform(3 * kBodies, -1, 1);
+  std::vector<std::vector<float>> out(kBodies, std::vector<float>(6 * std::size_t(vertices)));
+  std::vector<physkin::VertexRows> rows;
+  for (auto& values : out) rows.push_back({reinterpret_cast<unsigned char*>(values.data()), 6, true});
+  const long before = allocations;
+  if (batch.step(q.data(), gravity.data(), rows.data())) std::abort();
+  const long count = allocations - before;
+  for (int body = 0; body < kBodies; ++body) {
+    std::vector<float> alone(6 * std::size_t(vertices));
+    physkin::Evaluator evaluator(bodies[body], kernels, options);
+    const physkin::VertexRows to{reinterpret_cast<unsigned char*>(alone.data()), 6, true};
+    if (evaluator.step(q.data() + body * dofs, gravity.data() + 3 * body, to)) std::abort();
+#if !defined(__SANITIZE_ADDRESS__)  // whose checks stand between products and sums that are fused elsewhere
+    if (std::memcmp(alone.data(), out[body].data(), alone.size() * sizeof(float)) != 0) std::abort();
+#endif
+  }
+  return count;
+}
 
 // Frames of one garment; returns how often they reached the heap.
 long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin::Activation activation, int bones,
@@ -124,7 +170,13 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
   out_of_body.candidate_start = start.data();
   out_of_body.candidates = listed.data();
 
-  physkin::Evaluator evaluator(g, kernels, precision, &out_of_body);
+  const auto faces = indices(6 * std::size_t(vertices), vertices);
+  g.faces = faces.data();
+  g.face_count = 2 * vertices;
+  physkin::EvaluatorOptions options{precision, physkin::Normals::skinned, &out_of_body};
+  if (vertices % 2 == 0) options.normals = physkin::Normals::faces;
+
+  physkin::Evaluator evaluator(g, kernels, options);
   std::vector<float> out(6 * std::size_t(vertices));
   const auto q = uniform(dofs, -1, 1), gravity = uniform(3, -1, 1);
   const physkin::VertexRows full{reinterpret_cast<unsigned char*>(out.data()), 6, true};
@@ -134,7 +186,8 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
     if (evaluator.step(q.data(), gravity.data(), full)) std::abort();
     if (evaluator.step(q.data(), gravity.data(), positions_only)) std::abort();
   }
-  return allocations - before;
+  const long alone = allocations - before;
+  return alone + run_batch(g, kernels, options);
 }
 
 }  // namespace

@@ -10,6 +10,8 @@ from physkin_core.hyper_modulator import body_modulation
 native_body_encoder = pytest.importorskip("physkin_core.native_body_encoder")
 from physkin_core.native_evaluator import supported_instruction_sets  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("exact_network_weights")
+
 encode = native_body_encoder.native_body_modulation
 SETS = supported_instruction_sets()
 CASES = [  # points, token width, feed-forward width, residual blocks, outputs

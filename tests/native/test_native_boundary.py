@@ -260,7 +260,7 @@ def test_malformed_garment_raises_value_error(change, message, make_garment):
 
 PRINT_LEVEL = """
 import sys, numpy as np
-sys.path.insert(0, sys.argv[1])
+sys.path[:0] = sys.argv[1:]
 from conftest import random_bound_garment
 from physkin_core.native_evaluator import NativeEvaluator
 print(NativeEvaluator(random_bound_garment(np.random.default_rng(0))).instruction_set)
@@ -272,7 +272,8 @@ def run_with_level(level, folder):
     environment = {k: v for k, v in os.environ.items() if k != "PHYSKIN_NATIVE_ISA"}
     if level is not None:
         environment["PHYSKIN_NATIVE_ISA"] = level
-    command = [sys.executable, "-c", PRINT_LEVEL, os.path.dirname(__file__)]
+    here = os.path.dirname(__file__)
+    command = [sys.executable, "-c", PRINT_LEVEL, here, os.path.dirname(here)]
     return subprocess.run(command, env=environment, capture_output=True, text=True, cwd=folder)
 
 

@@ -1,37 +1,28 @@
 """The evaluator as a C++ library: builds without Python, allocates nothing per frame, stays in bounds."""
 
 import os
+import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+from native_library import NATIVE, SANITIZERS, build_library, build_program
 
-NATIVE = Path(__file__).parents[2] / "native"
-FRAME_TEST = Path(__file__).with_name("frame_test.cpp")
-
-
-def build(folder, compiler="c++", *flags):
-    """Builds the library without its binding and the test program on it; returns the program."""
-    configure = ["cmake", "-S", NATIVE, "-B", folder, "-DPHYSKIN_PYTHON_MODULE=OFF", f"-DCMAKE_CXX_COMPILER={compiler}"]
-    subprocess.run([*configure, f"-DCMAKE_CXX_FLAGS={' '.join(flags)}"], check=True, stdout=subprocess.DEVNULL)
-    subprocess.run(["cmake", "--build", folder, "--parallel", "2"], check=True, stdout=subprocess.DEVNULL)
-    program = folder / "frame_test"
-    command = [compiler, "-std=c++17", "-O1", *flags, "-I", NATIVE / "src", FRAME_TEST, "-o", program]
-    subprocess.run([*command, folder / "libphyskin_evaluator.a"], check=True)
-    return program
+HERE = Path(__file__).parent
+AARCH64 = ("-DCMAKE_SYSTEM_NAME=Linux", "-DCMAKE_SYSTEM_PROCESSOR=aarch64")
 
 
-@pytest.fixture(scope="module")
-def library(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("native")
-    build(folder)
-    return folder
+def run(program, *arguments, launcher=()):
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PHYSKIN_", "ASAN_", "UBSAN_"))}
+    result = subprocess.run([*launcher, program, *arguments], capture_output=True, text=True, env=environment)
+    assert "ERROR" not in result.stderr and "runtime error" not in result.stderr, result.stderr
+    return result
 
 
 def test_a_frame_allocates_nothing(library):
-    """On every instruction set of this CPU, in every precision, for garments of odd sizes."""
-    result = subprocess.run([library / "frame_test"], capture_output=True, text=True)
+    """On every instruction set of this CPU, in every precision, for garments of odd sizes, alone and in a batch."""
+    result = run(build_program(library, HERE / "frame_test.cpp"))
     if result.returncode == 1:
         pytest.skip("counting allocations needs glibc")
     assert result.returncode == 0, result.stderr
@@ -62,12 +53,46 @@ def test_sources_keep_their_promises():
     assert (NATIVE / "COLCON_IGNORE").exists()
 
 
+def test_frames_stay_in_bounds(sanitized_library):
+    """Address and undefined-behaviour sanitizers over every instruction set and odd sizes."""
+    assert run(build_program(sanitized_library, HERE / "frame_test.cpp", "c++", *SANITIZERS)).stdout
+
+
+def test_damaged_files_stay_in_bounds(sanitized_library, small_bound_file):
+    """Bound garment files with numbers, names and offsets changed are refused, or their frames are computed."""
+    program = build_program(sanitized_library, HERE / "bound_file_fuzz.cpp", "c++", *SANITIZERS)
+    result = run(program, small_bound_file, "1000")
+    assert result.returncode == 0, result.stderr
+    loaded, refused = (int(count) for count in re.findall(r"\d+", result.stdout))
+    assert loaded > 50 and refused > 300  # both ways were gone
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", ["g++", "clang++"])
-def test_frames_stay_in_bounds(compiler, tmp_path):
-    """Address and undefined-behaviour sanitizers over every instruction set and odd sizes."""
+def test_other_compilers_and_many_damaged_files(compiler, small_bound_file, tmp_path):
+    """Without a warning; then the two tests above, longer."""
     if shutil.which(compiler) is None:
         pytest.skip(f"{compiler} is not installed")
-    program = build(tmp_path, compiler, "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
-    result = subprocess.run([program], capture_output=True, text=True, env={**os.environ, "ASAN_OPTIONS": ""})
-    assert "ERROR" not in result.stderr and "runtime error" not in result.stderr, result.stderr
+    build_library(tmp_path / "optimised", compiler)
+    frames = run(build_program(tmp_path / "optimised", HERE / "frame_test.cpp", compiler))
+    assert {line.split()[2] for line in frames.stdout.splitlines()} == {"0"}
+    library = build_library(tmp_path / "sanitized", compiler, *SANITIZERS)
+    assert run(build_program(library, HERE / "frame_test.cpp", compiler, *SANITIZERS)).stdout
+    program = build_program(library, HERE / "bound_file_fuzz.cpp", compiler, *SANITIZERS)
+    assert run(program, small_bound_file, "30000").returncode == 0
+
+
+@pytest.mark.slow
+def test_aarch64_under_qemu(small_bound_file, tmp_path):
+    """The frame test and damaged files on another architecture: its own width, its own arithmetic of int8."""
+    compiler, qemu = "aarch64-linux-gnu-g++", shutil.which("qemu-aarch64-static") or shutil.which("qemu-aarch64")
+    if shutil.which(compiler) is None or qemu is None:
+        pytest.skip("needs g++-aarch64-linux-gnu and qemu-user")
+    library = build_library(tmp_path, compiler, options=AARCH64)
+    launcher = (qemu, "-L", "/usr/aarch64-linux-gnu")
+    frames = run(build_program(library, HERE / "frame_test.cpp", compiler), launcher=launcher)
+    assert frames.returncode == 0, frames.stderr
+    assert {line.split()[0] for line in frames.stdout.splitlines()} == {"baseline"}
+    assert {line.split()[2] for line in frames.stdout.splitlines()} == {"0"}
+    program = build_program(library, HERE / "bound_file_fuzz.cpp", compiler)
+    assert run(program, small_bound_file, "3000", launcher=launcher).returncode == 0

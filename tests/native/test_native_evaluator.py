@@ -8,6 +8,8 @@ import pytest
 from physkin_core.native_evaluator import NativeEvaluator, supported_instruction_sets
 from physkin_core.reference_evaluator import ReferenceEvaluator
 
+pytestmark = pytest.mark.usefixtures("exact_network_weights")
+
 LEVELS = supported_instruction_sets()
 
 SHAPES = {

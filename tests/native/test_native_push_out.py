@@ -9,6 +9,8 @@ from physkin_core.push_out import BLOCK, PATCH, BoundPushOut
 from physkin_core.reference_evaluator import ReferenceEvaluator
 from physkin_core.rig import forward_kinematics
 
+pytestmark = pytest.mark.usefixtures("exact_network_weights")
+
 native_evaluator = pytest.importorskip("physkin_core.native_evaluator")
 NativeEvaluator = native_evaluator.NativeEvaluator
 SETS = native_evaluator.supported_instruction_sets()

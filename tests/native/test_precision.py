@@ -138,9 +138,9 @@ def test_nan_alone_is_not_swallowed(zeros, activation, precision, level, make_ga
 def test_environment_sets_the_default_precision(make_garment, monkeypatch):
     garment = make_garment(np.random.default_rng(25))
     monkeypatch.delenv("PHYSKIN_NATIVE_PRECISION", raising=False)
-    assert NativeEvaluator(garment).precision == "fp32"
-    monkeypatch.setenv("PHYSKIN_NATIVE_PRECISION", "bf16")
     assert NativeEvaluator(garment).precision == "bf16"
+    monkeypatch.setenv("PHYSKIN_NATIVE_PRECISION", "fp32")
+    assert NativeEvaluator(garment).precision == "fp32"
     assert NativeEvaluator(garment, precision="int8").precision == "int8"
     monkeypatch.setenv("PHYSKIN_NATIVE_PRECISION", "fp8")
     with pytest.raises(ValueError, match=r"'fp8' \(from PHYSKIN_NATIVE_PRECISION\) is unknown"):

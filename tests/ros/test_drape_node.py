@@ -86,7 +86,7 @@ def test_diagnostics(peer, drape_node, draper):
     assert (report["model"], report["backend"]) == ("vest", "native")
     assert report["instruction set"] in ("baseline", "v3", "v4")
     assert float(report["last stamp age [s]"]) > 0
-    assert report["precision"] == "fp32" and "vertices left inside" not in report
+    assert report["precision"] == "bf16" and "vertices left inside" not in report
 
 
 def test_gravity_can_change_while_running(peer, drape_node, draper):
@@ -139,7 +139,7 @@ def test_ros4hri_joint_states(peer, model_path, draper):
 def test_precision_and_push_out(peer, model_path, draper, monkeypatch):
     """Clouds are the core's with both, unlike those without; the diagnostics tell what is left inside."""
     monkeypatch.setattr(push_out, "BIND_POSES", 8)
-    options = {"precision": "bf16", "push_out": True}
+    options = {"precision": "fp32", "push_out": True}
     expected = Draper(draper.model, draper.avatar, **options)
     rig = draper.model.rig
     state = np.random.default_rng(3).uniform(rig.lower, rig.upper).astype(np.float32)
@@ -150,7 +150,7 @@ def test_precision_and_push_out(peer, model_path, draper, monkeypatch):
         assert (cloud != pushed).any() and np.abs(cloud - pushed).mean() < 1e-3
         assert (np.abs(cloud - draper.drape(state))[:, :3].max(axis=1) > 1e-3).any()
         peer.spin_until(lambda: _latest(peer, "clouds published") == "1", "diagnostics")
-        assert _latest(peer, "precision") == "bf16"
+        assert _latest(peer, "precision") == "fp32"
         assert _latest(peer, "vertices left inside") == str(expected.residual.left_inside)
         assert _latest(peer, "deepest left inside [mm]") == f"{1e3 * expected.residual.deepest:.2f}"
         for name, value in {"precision": "int8", "push_out": False}.items():

@@ -48,6 +48,14 @@ def test_times_are_told_for_every_stage_precision_and_instruction_set(figures):
     assert all(figures[f"cold.frame.{p}.us.p50"] > 0 and figures[f"cold.networks.{p}.us.p50"] > 0 for p in PRECISIONS)
 
 
+def test_times_of_several_bodies_are_a_body_s(figures):
+    """Together, in any number, and one by one; normals from faces where there are faces."""
+    for precision in PRECISIONS:
+        assert all(figures[f"batch.{precision}.{count}.us.min"] > 0 for count in (1, 2, 4, 8))
+        assert figures[f"singles.{precision}.us.min"] > figures[f"batch.{precision}.8.us.min"] / 3
+    assert all(figures[f"{level}.face_normals.us.min"] > 0 for level in supported_instruction_sets())
+
+
 def test_limits_and_errors_are_told(figures):
     assert all(figures[f"floor.{name}"] > 0 for name in ("fma.gmacs", "l2.gbs", "l3.gbs", "memory.gbs"))
     assert all(0 < figures[f"floor.{name}.share"] < 10 for name in ("networks", "networks_bf16", "skinning"))
@@ -113,7 +121,7 @@ def test_network_peer_computes_the_same(name, activation):
     case = paper_case(activation)
     pose = case.joint_positions[0], case.gravity[0]
     networks = network_case(case.bound, *pose)
-    evaluator = NativeEvaluator(case.bound)
+    evaluator = NativeEvaluator(case.bound, precision="fp32")
     evaluator.evaluate(*pose, np.empty((len(case.bound.vertices), 3), dtype=np.float32))
     np.testing.assert_allclose(evaluator.corrections().reshape(1, -1), networks.expected, atol=1e-5)
     calls, missing = prepare_peers([peer for peer in NETWORK_PEERS if peer.name == name], networks, networks.expected)
@@ -125,7 +133,7 @@ def test_network_peer_computes_the_same(name, activation):
 @pytest.mark.parametrize("name", [peer.name for peer in SKINNING_PEERS])
 def test_skinning_peer_computes_the_same(name):
     case = paper_case("silu")
-    evaluator = NativeEvaluator(case.bound)
+    evaluator = NativeEvaluator(case.bound, precision="fp32")
     out = np.empty((len(case.bound.vertices), 6), dtype=np.float32)
     evaluator.evaluate(case.joint_positions[0], case.gravity[0], out)
     skinning = skinning_case(case.bound, evaluator.node_transforms())

@@ -1,0 +1,94 @@
+/* PhySkin for hosts other than Python: joint positions in, garment vertices and normals out. Plain C99.
+ *
+ * A host loads a bound garment, a file that holds one garment on one body, written once by
+ *     physkin bind AVATAR --model MODEL -o NAME.bound.safetensors
+ * and then calls physkin_step every frame. docs/c-host.md shows how, and how to convert to Unity's axes.
+ *
+ * Metres, radians; root frame of the body: right-handed, X forward, Y left, Z up.
+ * Functions that can fail return a status and leave the reason in physkin_last_error. No exception leaves this library.
+ * Different garments may be used by different threads at once; one garment by one thread at a time. */
+#ifndef PHYSKIN_H
+#define PHYSKIN_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#if defined(_WIN32)
+#define PHYSKIN_API
+#else
+#define PHYSKIN_API __attribute__((visibility("default")))
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Raised when a host built against an older header would break. */
+#define PHYSKIN_ABI_VERSION 1
+
+/* Of the loaded library; compare with PHYSKIN_ABI_VERSION before anything else. */
+PHYSKIN_API int32_t physkin_abi_version(void);
+
+typedef enum physkin_status {
+  PHYSKIN_OK = 0,
+  PHYSKIN_BAD_ARGUMENT = 1, /* null pointer, unknown option, buffer layout */
+  PHYSKIN_BAD_FILE = 2,     /* cannot be read, damaged, or another version */
+  PHYSKIN_BAD_POSE = 3,     /* a value, or what the networks make of it, is not finite; out is unchanged */
+  PHYSKIN_OUT_OF_MEMORY = 4,
+  PHYSKIN_FAILED = 5 /* anything else */
+} physkin_status;
+
+/* What failed last in this thread: the bad value, and what was allowed. Never null; valid until the next failure. */
+PHYSKIN_API const char* physkin_last_error(void);
+
+typedef struct physkin_garment physkin_garment;
+
+/* A null pointer in place of options, or of a string in them, means the default. */
+typedef struct physkin_options {
+  uint32_t size;               /* sizeof(physkin_options): later versions may add members */
+  int32_t normals_from_faces;  /* 0: rest normals carried along; 1: of the posed mesh, slower and truer */
+  const char* precision;       /* of network weights: "fp32", "bf16" (default), "int8" */
+  const char* instruction_set; /* "baseline", "v3", "v4"; default the widest that this processor has */
+} physkin_options;
+
+/* Loads a bound garment from a file (UTF-8 path) or from memory, which may be freed afterwards. */
+PHYSKIN_API physkin_status physkin_open(const char* path, const physkin_options* options, physkin_garment** garment);
+PHYSKIN_API physkin_status physkin_open_memory(const void* data, size_t size, const physkin_options* options,
+                                               physkin_garment** garment);
+PHYSKIN_API void physkin_close(physkin_garment* garment); /* null is allowed */
+
+PHYSKIN_API int32_t physkin_vertex_count(const physkin_garment* garment);
+PHYSKIN_API int32_t physkin_joint_count(const physkin_garment* garment);
+PHYSKIN_API int32_t physkin_face_count(const physkin_garment* garment);
+PHYSKIN_API const int32_t* physkin_faces(const physkin_garment* garment); /* (faces, 3), counter-clockwise outside */
+
+/* Name of a joint (a scalar degree of freedom), null for an index out of range. */
+PHYSKIN_API const char* physkin_joint_name(const physkin_garment* garment, int32_t joint);
+PHYSKIN_API physkin_status physkin_joint_range(const physkin_garment* garment, int32_t joint, float* lower, float* rest,
+                                               float* upper);
+
+/* Unit axis (3) that the joint turns its bone about, root frame, body in the canonical A-pose. Joints of one bone are
+ * applied in their order: a bone's rotation relative to its parent is the product of its joints' rotations, each about
+ * its axis by the joint position minus rest. */
+PHYSKIN_API physkin_status physkin_joint_axis(const physkin_garment* garment, int32_t joint, float* axis);
+
+/* One frame. Allocates nothing.
+ * joint_positions: one a joint. gravity: unit direction in the root frame, (0, 0, -1) for an upright body.
+ * out: a row a vertex, `stride` floats from row to row: x y z, and with columns = 6 also the unit normal. columns: 3 or
+ * 6; stride: columns or more. Buffers need no alignment beyond a float's. */
+PHYSKIN_API physkin_status physkin_step(physkin_garment* garment, const float* joint_positions, const float* gravity,
+                                        float* out, int32_t columns, ptrdiff_t stride);
+
+/* What the push-out, if the file has one, left inside the body in the last frame: depth in metres of the deepest
+ * vertex, and how many are deeper than 0.5 mm. Zeros without push-out. */
+PHYSKIN_API physkin_status physkin_residual(const physkin_garment* garment, float* deepest, int32_t* left_inside);
+
+/* What computes: names as in physkin_options. */
+PHYSKIN_API const char* physkin_precision(const physkin_garment* garment);
+PHYSKIN_API const char* physkin_instruction_set(const physkin_garment* garment);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

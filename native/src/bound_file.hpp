@@ -1,0 +1,28 @@
+// The bound garment file: a garment model bound to one body, with what keeps it out of that body if it was asked for.
+// Written by physkin_core/bound_file.py.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "arena.hpp"
+#include "bound_garment.hpp"
+#include "push_out.hpp"
+
+namespace physkin {
+
+// Its arrays live in its arena.
+struct BoundFile {
+  // Throws FileError where the data are no such file; what the arrays hold is for the evaluator to check.
+  BoundFile(const unsigned char* data, std::size_t size);
+  BoundFile(const BoundFile&) = delete;
+  BoundFile& operator=(const BoundFile&) = delete;
+
+  Arena arena;
+  BoundGarment garment;
+  std::optional<BoundPushOut> push_out;
+  std::vector<std::string> joint_names;  // (dofs,)
+};
+
+}  // namespace physkin

@@ -1,0 +1,193 @@
+// The plain C interface of include/physkin.h.
+#include <algorithm>
+#include <cstdio>
+#include <cstring>
+#include <fstream>
+#include <memory>
+#include <new>
+#include <sstream>
+
+#include "bound_file.hpp"
+#include "dispatch.hpp"
+#include "evaluator.hpp"
+#include "physkin.h"
+#include "tensor_file.hpp"
+
+struct physkin_garment {
+  physkin_garment(const physkin::BoundFile& file, const physkin::Kernels& kernels,
+                  const physkin::EvaluatorOptions& options)
+      : evaluator(file.garment, kernels, options),
+        joint_names(file.joint_names),
+        lower(file.garment.dof_lower, file.garment.dof_lower + file.garment.dofs),
+        rest(file.garment.dof_rest, file.garment.dof_rest + file.garment.dofs),
+        upper(file.garment.dof_upper, file.garment.dof_upper + file.garment.dofs),
+        axes(file.garment.dof_axis, file.garment.dof_axis + 3 * std::size_t(file.garment.dofs)),
+        faces(file.garment.faces, file.garment.faces + 3 * std::size_t(file.garment.face_count)) {}
+
+  physkin::Evaluator evaluator;
+  std::vector<std::string> joint_names;
+  std::vector<float> lower, rest, upper, axes;
+  std::vector<std::int32_t> faces;
+};
+
+namespace {
+
+// Of fixed size: telling what is wrong allocates nothing either.
+thread_local char last_error[512] = "";
+
+template <class... Values>
+physkin_status fail(physkin_status status, const char* format, Values... values) {
+  std::snprintf(last_error, sizeof last_error, format, values...);
+  return status;
+}
+
+// Any exception of `work` as a status.
+template <class Work>
+physkin_status guarded(Work work) noexcept {
+  try {
+    return work();
+  } catch (const physkin::FileError& error) {
+    return fail(PHYSKIN_BAD_FILE, "%s", error.what());
+  } catch (const std::invalid_argument& error) {
+    return fail(PHYSKIN_BAD_ARGUMENT, "%s", error.what());
+  } catch (const std::bad_alloc&) {
+    return fail(PHYSKIN_OUT_OF_MEMORY, "%s", "out of memory");
+  } catch (const std::exception& error) {
+    return fail(PHYSKIN_FAILED, "%s", error.what());
+  } catch (...) {
+    return fail(PHYSKIN_FAILED, "%s", "unknown failure");
+  }
+}
+
+physkin_status bad_joint(const physkin_garment* garment, int32_t joint) {
+  return fail(PHYSKIN_BAD_ARGUMENT, "joint is %d; must be from 0 to %d", int(joint), garment->evaluator.dofs() - 1);
+}
+
+struct Wanted {
+  const physkin::Kernels* kernels;
+  physkin::EvaluatorOptions options;
+};
+
+Wanted wanted(const physkin_options* given) {
+  physkin_options options{};
+  if (given != nullptr) {
+    if (given->size < sizeof options) {
+      throw std::invalid_argument("options.size is " + std::to_string(given->size) + "; set it to sizeof(physkin_options)");
+    }
+    options = *given;
+  }
+  if (options.normals_from_faces != 0 && options.normals_from_faces != 1) {
+    throw std::invalid_argument("options.normals_from_faces is " + std::to_string(options.normals_from_faces) +
+                                "; must be 0 or 1");
+  }
+  Wanted result;
+  result.kernels = &physkin::select_kernels(options.instruction_set == nullptr ? "" : options.instruction_set);
+  result.options.precision = physkin::select_precision(options.precision == nullptr ? "" : options.precision);
+  result.options.normals = options.normals_from_faces != 0 ? physkin::Normals::faces : physkin::Normals::skinned;
+  return result;
+}
+
+physkin_status open(const unsigned char* data, std::size_t size, const physkin_options* given,
+                    physkin_garment** garment) {
+  Wanted how = wanted(given);
+  const physkin::BoundFile file(data, size);
+  how.options.push_out = file.push_out ? &*file.push_out : nullptr;
+  try {
+    *garment = std::make_unique<physkin_garment>(file, *how.kernels, how.options).release();
+  } catch (const std::invalid_argument& error) {
+    throw physkin::FileError(error.what());
+  }
+  return PHYSKIN_OK;
+}
+
+}  // namespace
+
+extern "C" {
+
+int32_t physkin_abi_version(void) { return PHYSKIN_ABI_VERSION; }
+
+const char* physkin_last_error(void) { return last_error; }
+
+physkin_status physkin_open(const char* path, const physkin_options* options, physkin_garment** garment) {
+  if (path == nullptr || garment == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "path or garment is null");
+  *garment = nullptr;
+  return guarded([&] {
+    std::ifstream stream(path, std::ios::binary);
+    std::ostringstream content;
+    content << stream.rdbuf();
+    const std::string data = content.str();
+    if (!stream.is_open() || data.empty()) return fail(PHYSKIN_BAD_FILE, "cannot read %s, or it is empty", path);
+    return open(reinterpret_cast<const unsigned char*>(data.data()), data.size(), options, garment);
+  });
+}
+
+physkin_status physkin_open_memory(const void* data, size_t size, const physkin_options* options,
+                                   physkin_garment** garment) {
+  if (data == nullptr || garment == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "data or garment is null");
+  *garment = nullptr;
+  return guarded([&] { return open(static_cast<const unsigned char*>(data), size, options, garment); });
+}
+
+void physkin_close(physkin_garment* garment) { delete garment; }
+
+int32_t physkin_vertex_count(const physkin_garment* garment) { return garment->evaluator.vertex_count(); }
+int32_t physkin_joint_count(const physkin_garment* garment) { return garment->evaluator.dofs(); }
+int32_t physkin_face_count(const physkin_garment* garment) { return int32_t(garment->faces.size() / 3); }
+const int32_t* physkin_faces(const physkin_garment* garment) { return garment->faces.data(); }
+
+const char* physkin_joint_name(const physkin_garment* garment, int32_t joint) {
+  const bool inside = joint >= 0 && joint < physkin_joint_count(garment);
+  return inside ? garment->joint_names[std::size_t(joint)].c_str() : nullptr;
+}
+
+physkin_status physkin_joint_axis(const physkin_garment* garment, int32_t joint, float* axis) {
+  if (garment == nullptr || axis == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment or axis is null");
+  if (joint < 0 || joint >= physkin_joint_count(garment)) return bad_joint(garment, joint);
+  std::copy_n(garment->axes.begin() + 3 * std::ptrdiff_t(joint), 3, axis);
+  return PHYSKIN_OK;
+}
+
+physkin_status physkin_joint_range(const physkin_garment* garment, int32_t joint, float* lower, float* rest,
+                                   float* upper) {
+  if (garment == nullptr || lower == nullptr || rest == nullptr || upper == nullptr) {
+    return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment, lower, rest or upper is null");
+  }
+  if (joint < 0 || joint >= physkin_joint_count(garment)) return bad_joint(garment, joint);
+  *lower = garment->lower[std::size_t(joint)];
+  *rest = garment->rest[std::size_t(joint)];
+  *upper = garment->upper[std::size_t(joint)];
+  return PHYSKIN_OK;
+}
+
+physkin_status physkin_step(physkin_garment* garment, const float* joint_positions, const float* gravity, float* out,
+                            int32_t columns, ptrdiff_t stride) {
+  if (garment == nullptr || joint_positions == nullptr || gravity == nullptr || out == nullptr) {
+    return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment, joint_positions, gravity or out is null");
+  }
+  if (columns != 3 && columns != 6) return fail(PHYSKIN_BAD_ARGUMENT, "columns is %d; must be 3 or 6", int(columns));
+  if (stride < columns) {
+    return fail(PHYSKIN_BAD_ARGUMENT, "stride is %ld floats; must be %d or more", long(stride), int(columns));
+  }
+  const physkin::VertexRows rows{reinterpret_cast<unsigned char*>(out), stride, columns == 6};
+  if (const physkin::Rejection bad = garment->evaluator.step(joint_positions, gravity, rows)) {
+    return fail(PHYSKIN_BAD_POSE, "%s[%zu] is %g; every value must be finite and within +-%g", bad.name, bad.index,
+                double(bad.value), double(bad.limit));
+  }
+  return PHYSKIN_OK;
+}
+
+physkin_status physkin_residual(const physkin_garment* garment, float* deepest, int32_t* left_inside) {
+  if (garment == nullptr || deepest == nullptr || left_inside == nullptr) {
+    return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment, deepest or left_inside is null");
+  }
+  *deepest = garment->evaluator.residual().deepest;
+  *left_inside = garment->evaluator.residual().left_inside;
+  return PHYSKIN_OK;
+}
+
+const char* physkin_precision(const physkin_garment* garment) {
+  return physkin::precision_name(garment->evaluator.precision());
+}
+const char* physkin_instruction_set(const physkin_garment* garment) { return garment->evaluator.instruction_set(); }
+
+}  // extern "C"

@@ -1,0 +1,92 @@
+"""Steps of any size, layout and content: computed, refused or carried through, never out of bounds, never swallowed.
+
+What lies around an output is filled with a mark, so that a kernel that writes beyond its rows is seen; reads beyond
+are seen by the sanitized builds of test_native_build.py.
+"""
+
+import os
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from physkin_core.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
+from physkin_core.reference_evaluator import ReferenceEvaluator
+
+LEVELS = supported_instruction_sets()
+ANY_FLOAT = st.floats(width=32, allow_nan=True, allow_infinity=True)
+EXAMPLES = 40
+COMMON = dict(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True)
+
+sizes = st.fixed_dictionaries(
+    dict(
+        bones=st.integers(1, 9),
+        dofs=st.integers(0, 11),
+        nodes=st.integers(1, 40),
+        vertices=st.integers(1, 70),
+        influences=st.integers(1, 9),
+        pose_widths=st.lists(st.integers(1, 70), max_size=3).map(tuple),
+        deformer_widths=st.lists(st.integers(1, 70), min_size=1, max_size=3).map(tuple),
+        correction_size=st.sampled_from([9, 12]),
+        activation=st.sampled_from(["silu", "relu"]),
+    )
+)
+
+
+def check_any_step(data, level, make_garment, make_pose):
+    """One drawn garment, precision, layout and pose."""
+    shape = data.draw(sizes)
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    precision = data.draw(st.sampled_from(PRECISIONS))
+    garment = make_garment(rng, **shape)
+    evaluator = NativeEvaluator(garment, instruction_set=level, precision=precision)
+    pose, gravity = make_pose(rng, garment)
+    inputs = np.concatenate([pose, gravity])
+    for index, value in data.draw(st.dictionaries(st.integers(0, len(inputs) - 1), ANY_FLOAT, max_size=2)).items():
+        inputs[index] = value
+    pose, gravity = inputs[: len(pose)], inputs[len(pose) :]
+
+    n, columns = shape["vertices"], data.draw(st.sampled_from([3, 6]))
+    stride, offset = data.draw(st.integers(columns, 20)), data.draw(st.integers(0, 67))
+    message = bytearray(b"\xa5" * (offset + 4 * stride * n + 64))
+    rows = np.frombuffer(message, dtype=np.float32, count=stride * n, offset=offset).reshape(n, stride)
+    out = rows[:: data.draw(st.sampled_from([1, -1])), :columns]
+    try:
+        evaluator.evaluate(pose, gravity, out)
+    except ValueError as error:
+        assert "finite" in str(error)
+        # Refused only for a reason: an input that is not finite, or so large that what comes of it is not.
+        assert not np.isfinite(inputs).all() or np.abs(inputs).max() > 1e3, error
+        assert set(message) == {0xA5}
+        return
+    assert np.isfinite(inputs).all() and np.isfinite(out).all()
+    around = np.frombuffer(message, dtype=np.uint8).copy()
+    inside = np.zeros(len(around), dtype=bool)
+    inside[offset : offset + 4 * stride * n].reshape(n, 4 * stride)[:, : 4 * columns] = True
+    assert (around[~inside] == 0xA5).all()
+    if precision == "fp32" and np.abs(inputs).max() < 10:
+        expected = np.empty_like(out)
+        ReferenceEvaluator(garment).evaluate(pose, gravity, expected)
+        assert np.abs(out[:, :3] - expected[:, :3]).max() <= 1e-4 * max(1, np.abs(expected[:, :3]).max())
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_any_step(level, make_garment, make_pose):
+    @settings(max_examples=EXAMPLES, **COMMON)
+    @given(st.data())
+    def any_step(data):
+        check_any_step(data, level, make_garment, make_pose)
+
+    any_step()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("level", LEVELS)
+def test_any_step_for_long(level, make_garment, make_pose):
+    @settings(max_examples=int(os.environ.get("PHYSKIN_FUZZ_EXAMPLES", 3000)), **COMMON)
+    @given(st.data())
+    def any_step(data):
+        check_any_step(data, level, make_garment, make_pose)
+
+    any_step()

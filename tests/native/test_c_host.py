@@ -1,0 +1,247 @@
+"""The plain C interface: a C program on it gives the Python evaluator's bits; what it refuses, and how."""
+
+import ctypes
+import json
+import re
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from native_library import NATIVE
+
+from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
+from physkin_core.bound_file import save_bound_garment
+from physkin_core.cli import main
+from physkin_core.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
+
+OK, BAD_ARGUMENT, BAD_FILE, BAD_POSE = range(4)
+C_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+
+
+class Options(ctypes.Structure):
+    _fields_ = [
+        ("size", ctypes.c_uint32),
+        ("normals_from_faces", ctypes.c_int32),
+        ("precision", ctypes.c_char_p),
+        ("instruction_set", ctypes.c_char_p),
+    ]
+
+
+def options(normals_from_faces=0, precision=None, instruction_set=None):
+    return Options(ctypes.sizeof(Options), normals_from_faces, precision, instruction_set)
+
+
+@pytest.fixture(scope="module")
+def c(library):
+    """The C library."""
+    loaded = ctypes.CDLL(str(library / "libphyskin_c.so"))
+    for name in ("physkin_last_error", "physkin_joint_name", "physkin_precision", "physkin_instruction_set"):
+        getattr(loaded, name).restype = ctypes.c_char_p
+    loaded.physkin_faces.restype = ctypes.POINTER(ctypes.c_int32)
+    loaded.physkin_faces.argtypes = loaded.physkin_close.argtypes = [ctypes.c_void_p]
+    for name in ("vertex_count", "joint_count", "face_count", "precision", "instruction_set"):
+        getattr(loaded, f"physkin_{name}").argtypes = [ctypes.c_void_p]
+    loaded.physkin_joint_name.argtypes = [ctypes.c_void_p, ctypes.c_int32]
+    loaded.physkin_step.argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int32, ctypes.c_ssize_t]
+    loaded.physkin_open_memory.argtypes = [ctypes.c_char_p, ctypes.c_size_t, ctypes.c_void_p, ctypes.c_void_p]
+    return loaded
+
+
+def load(c, data, how=None):
+    """Status and garment."""
+    garment = ctypes.c_void_p()
+    pointer = None if how is None else ctypes.byref(how)
+    return c.physkin_open_memory(data, len(data), pointer, ctypes.byref(garment)), garment
+
+
+def step(c, garment, pose, gravity, out, columns=6, stride=6):
+    return c.physkin_step(garment, pose.ctypes.data, gravity.ctypes.data, out.ctypes.data, columns, stride)
+
+
+def compiled(library, source, folder):
+    program = folder / "program"
+    link = ["-L", library, "-lphyskin_c", f"-Wl,-rpath,{library}"]
+    subprocess.run(["cc", *C_FLAGS, "-I", NATIVE / "include", source, "-o", program, *link], check=True)
+    return program
+
+
+def test_the_example_gives_the_python_evaluators_bits(library, tmp_path):
+    """`physkin bind` a shipped garment to the bundled avatar, drape it in C."""
+    bound = tmp_path / "tshirt.bound.safetensors"
+    assert main(["bind", str(BUNDLED_AVATAR), "--model", "tshirt", "-o", str(bound)]) == 0
+    program = compiled(library, NATIVE / "examples" / "drape.c", tmp_path)
+    pose = {"lowerarm01.L_z": "-1.0", "upperarm01.R_x": "0.4"}
+    command = [program, bound, *(word for joint in pose.items() for word in joint)]
+    lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
+
+    model = load_garment_model("tshirt")
+    draper = Draper(model, load_avatar(BUNDLED_AVATAR, model.rig))
+    expected = draper.drape({joint: float(value) for joint, value in pose.items()})
+    for kind, columns in (("v", expected[:, :3]), ("vn", expected[:, 3:])):
+        rows = [line.split()[1:] for line in lines if line.split()[0] == kind]
+        assert np.array_equal(np.array(rows, dtype=np.float32), columns)
+    faces = [line.split()[1:] for line in lines if line.startswith("f ")]
+    assert np.array_equal(np.array(faces, dtype=int) - 1, draper.faces)
+    broken = subprocess.run([program, program], capture_output=True, text=True)
+    assert broken.returncode == 1 and "no safetensors file" in broken.stderr
+
+
+@pytest.mark.parametrize("level", supported_instruction_sets())
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("normals", ["skinned", "faces"])
+def test_every_option_gives_the_same_bits(normals, precision, level, c, make_garment, make_pose, tmp_path):
+    """From memory at an odd address, into rows at an odd distance."""
+    rng = np.random.default_rng(50)
+    garment = replace(make_garment(rng), faces=rng.integers(0, 50, size=(90, 3)).astype(np.int32))
+    save_bound_garment(garment, tmp_path / "g", name="g", joint_names=[f"joint {k}" for k in range(7)])
+    pose, gravity = make_pose(rng, garment)
+    expected = np.empty((50, 6), dtype=np.float32)
+    NativeEvaluator(garment, precision=precision, instruction_set=level, normals=normals).evaluate(
+        pose, gravity, expected
+    )
+    how = options(int(normals == "faces"), precision.encode(), level.encode())
+    status, loaded = load(c, (tmp_path / "g").read_bytes(), how)
+    assert status == OK, c.physkin_last_error()
+    out = np.full((50, 9), 7, dtype=np.float32)
+    assert step(c, loaded, pose, gravity, out, 6, 9) == OK
+    assert np.array_equal(out[:, :6], expected) and (out[:, 6:] == 7).all()
+    assert step(c, loaded, pose, gravity, out[:, 6:], 3, 9) == OK
+    assert np.array_equal(out[:, 6:], expected[:, :3])
+    assert (c.physkin_precision(loaded), c.physkin_instruction_set(loaded)) == (precision.encode(), level.encode())
+    c.physkin_close(loaded)
+
+
+def test_what_a_file_says_of_itself(c, small_bound_file):
+    """Counts, names, ranges and faces; an index out of range has no name."""
+    status, garment = load(c, small_bound_file.read_bytes())
+    assert status == OK, c.physkin_last_error()
+    counts = [getattr(c, f"physkin_{name}_count")(garment) for name in ("vertex", "joint", "face")]
+    assert counts == [50, 7, 90]
+    assert [c.physkin_joint_name(garment, k) for k in (0, 6, 7, -1)] == [b"joint 0", b"joint 6", None, None]
+    limits = [ctypes.c_float() for _ in range(3)]
+    assert c.physkin_joint_range(garment, 3, *map(ctypes.byref, limits)) == OK
+    assert limits[0].value < limits[1].value < limits[2].value
+    axis = (ctypes.c_float * 3)()
+    assert c.physkin_joint_axis(garment, 3, axis) == OK
+    assert np.linalg.norm(axis) == pytest.approx(1, abs=1e-6)
+    assert c.physkin_joint_axis(garment, -1, axis) == BAD_ARGUMENT
+    assert c.physkin_joint_range(garment, 7, *map(ctypes.byref, limits)) == BAD_ARGUMENT
+    assert b"must be from 0 to 6" in c.physkin_last_error()
+    faces = np.ctypeslib.as_array(c.physkin_faces(garment), shape=(90, 3))
+    assert faces.min() >= 0 and faces.max() < 50
+    c.physkin_close(garment)
+    c.physkin_close(None)
+
+
+def test_a_step_allocates_nothing(library, small_bound_file, tmp_path):
+    """Neither when it succeeds nor when it is refused."""
+    program = compiled(library, NATIVE.parent / "tests" / "native" / "c_host_test.c", tmp_path)
+    assert subprocess.run([program, small_bound_file], check=True, capture_output=True, text=True).stdout == "0\n"
+
+
+def test_bad_steps_write_nothing_and_say_why(c, small_bound_file):
+    _, garment = load(c, small_bound_file.read_bytes())
+    pose, gravity = np.zeros(7, np.float32), np.array([0, 0, -1], np.float32)
+    out = np.full((50, 6), 7, dtype=np.float32)
+    assert c.physkin_step(garment, None, gravity.ctypes.data, out.ctypes.data, 6, 6) == BAD_ARGUMENT
+    for columns, stride, message in ((4, 6, b"columns is 4"), (6, 5, b"stride is 5"), (3, -3, b"stride is -3")):
+        assert step(c, garment, pose, gravity, out, columns, stride) == BAD_ARGUMENT
+        assert message in c.physkin_last_error()
+    pose[2] = np.inf
+    assert step(c, garment, pose, gravity, out) == BAD_POSE
+    assert c.physkin_last_error().startswith(b"joint_positions[2] is inf")
+    assert (out == 7).all()
+    c.physkin_close(garment)
+
+
+@pytest.mark.parametrize(
+    "how, message",
+    [
+        (options(precision=b"fp8"), b"'fp8' is unknown"),
+        (options(instruction_set=b"avx"), b"'avx' is unknown"),
+        (options(normals_from_faces=2), b"must be 0 or 1"),
+        (Options(4), b"options.size is 4"),
+    ],
+)
+def test_bad_options_are_refused(how, message, c, small_bound_file):
+    status, garment = load(c, small_bound_file.read_bytes(), how)
+    assert (status, garment.value) == (BAD_ARGUMENT, None)
+    assert message in c.physkin_last_error()
+
+
+def edited(data, change):
+    """The file with its header, as plain data, changed."""
+    size = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + size])
+    change(header)
+    text = json.dumps(header).encode()
+    return len(text).to_bytes(8, "little") + text + data[8 + size :]
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (lambda h: h["__metadata__"].update(format="physkin-garment"), "expected physkin-bound-garment"),
+        (lambda h: h["__metadata__"].update(schema_version="2"), "schema version '2'"),
+        (lambda h: h["__metadata__"].update(activation="tanh"), "must be silu or relu"),
+        (lambda h: h["__metadata__"].update(joint_names="[]"), "names 0 joints; expected 7"),
+        (lambda h: h["__metadata__"].update(joint_names="{"), "malformed"),
+        (lambda h: h["__metadata__"].pop("format"), "no metadata format"),
+        (lambda h: h.pop("vertices"), "lacks vertices"),
+        (lambda h: h.update(more=h["vertices"]), "not known: more"),
+        (lambda h: h["vertices"].update(dtype="F16"), "vertices is of type F16"),
+        (lambda h: h["vertices"].update(shape=[150]), "vertices is of type F32 and shape .150."),
+        (lambda h: h["vertices"].update(shape=[51, 3]), "vertices has 600 bytes; expected 612"),
+        (lambda h: h["vertices"].update(shape=[2**63, 3]), "vertices is of type"),
+        (lambda h: h["vertices"].update(data_offsets=[0, 2**40]), "vertices lies outside"),
+        (lambda h: h["vertices"].update(data_offsets=[600, 0]), "vertices lies outside"),
+        (lambda h: h["normals"].update(shape=[49, 3]), "normals is of type"),
+        (lambda h: h["pose_layers.1.bias"].update(shape=[3]), "pose_layers.1.bias"),
+        (lambda h: h["pose_layers.0.weight"].update(shape=[10, 16]), "pose_layers"),
+        (lambda h: h["node_bone"].update(data_offsets=h["influence_nodes"]["data_offsets"]), "node_bone has"),
+        (lambda h: h["faces"].update(data_offsets=[0, 1080]), "faces"),
+        (lambda h: h["push_out.candidates"].update(dtype="U32"), "push_out.candidates"),
+    ],
+)
+def test_other_files_are_refused(change, message, c, small_bound_file):
+    """By what their header says; nothing of such a file is used."""
+    data = small_bound_file.read_bytes()
+    status, garment = load(c, edited(data, change))
+    assert (status, garment.value) == (BAD_FILE, None)
+    assert re.search(message, c.physkin_last_error().decode()), c.physkin_last_error()
+    status, garment = load(c, edited(data, lambda header: None))
+    assert status == OK  # the change it was
+    c.physkin_close(garment)
+
+
+def test_files_that_cannot_be_read(c, tmp_path):
+    garment = ctypes.c_void_p()
+    for path in (tmp_path / "none", tmp_path):
+        assert c.physkin_open(str(path).encode(), None, ctypes.byref(garment)) == BAD_FILE
+        assert garment.value is None
+    assert c.physkin_open(None, None, ctypes.byref(garment)) == BAD_ARGUMENT
+    for data in (b"", b"1234567", b"\xff" * 8, b"\2\0\0\0\0\0\0\0{}", b"\1\0\0\0\0\0\0\0{"):
+        assert load(c, data)[0] == BAD_FILE
+
+
+def test_joint_names_may_hold_any_text(c, make_garment, tmp_path):
+    """Quotes, controls, and letters of every length in UTF-8."""
+    names = ["a", 'quote " and \\', "line\nend", "ä", "肩", "🦴", "\x7f"]
+    save_bound_garment(make_garment(np.random.default_rng(51)), tmp_path / "g", name="g", joint_names=names)
+    status, garment = load(c, (tmp_path / "g").read_bytes())
+    assert status == OK, c.physkin_last_error()
+    assert [c.physkin_joint_name(garment, k).decode() for k in range(7)] == names
+    c.physkin_close(garment)
+
+
+def test_install_puts_header_and_library_where_hosts_look(library, tmp_path):
+    subprocess.run(["cmake", "--install", library, "--prefix", tmp_path], check=True, stdout=subprocess.DEVNULL)
+    assert (tmp_path / "include" / "physkin.h").is_file()
+    assert list(tmp_path.glob("lib*/**/libphyskin_c.so.1"))
+
+
+def test_one_name_a_joint(make_garment, tmp_path):
+    with pytest.raises(ValueError, match="1 joint names for 7 degrees of freedom"):
+        save_bound_garment(make_garment(np.random.default_rng(52)), tmp_path / "g", name="g", joint_names=["a"])
+    assert not any(tmp_path.iterdir())
