@@ -68,7 +68,7 @@ def test_name_and_garment_are_needed(tmp_path, text, message):
     "text, message",
     [
         ("colour = 3", "unknown key 'colour'; allowed: name, garment, seed"),
-        ("[optimisation]\nstep = 3", "optimisation: unknown key 'step'; allowed: steps, samples"),
+        ("[optimisation]\nstep = 3", "optimisation: unknown key 'step'; allowed: steps, minutes, samples"),
         ("[networks]\nwidth = 3", "networks: unknown key 'width'"),
         ("[material]\nyoung = 3", "material: unknown key 'young'"),
         ("[cloth]\nx = 1", "unknown key 'cloth'"),

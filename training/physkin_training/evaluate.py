@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from physkin_core.body_model import load_body_model
+from physkin_core.body_model import BodyModel, load_body_model
 from physkin_core.garment_model import GarmentModel
 from physkin_core.model_file import load_garment_model, save_garment_model
 from physkin_core.motion import Motion, bundled_motions, load_motion
@@ -62,7 +62,8 @@ class Batch:
 class Evaluation:
     """Held-out bodies and seeded poses for one garment model on one device.
 
-    bodies: how many, the first of the held-out ones; or the indices of which ones. Raises ValueError when the model is
+    bodies: how many, the first of the held-out ones; or the indices of which ones. body_model: whose, default the
+    adults that are shipped. Raises ValueError when the model is
     for another rig than the body model's, or there are not so many bodies.
     """
 
@@ -75,8 +76,9 @@ class Evaluation:
         poses: int,
         seed: int,
         batch: int = 64,
+        body_model: BodyModel | None = None,
     ) -> None:
-        body_model = load_body_model()
+        body_model = body_model or load_body_model()
         held_out = body_model.held_out_bodies
         if isinstance(bodies, int):
             if not 1 <= bodies <= len(held_out):

@@ -89,9 +89,10 @@ class Validation:
         )
 
     @torch.no_grad()
-    def energy(self, drape: Drape, node_positions: torch.Tensor) -> float:
-        """Mean energy [J], all terms, at the material's full contact stiffness; contact grows linearly where it does in
-        training. node_positions: of all bodies of the set (see `Drape.node_positions`). Waits for the device."""
+    def energy(self, drape: Drape, node_positions: torch.Tensor, *, with_gravity: bool = True) -> float:
+        """Mean energy [J], all terms, or all but gravity, at the material's full contact stiffness; contact grows
+        linearly where it does in training. node_positions: of all bodies of the set (see `Drape.node_positions`). Waits
+        for the device."""
         total = torch.zeros(1, device=node_positions.device)
         for batch, chosen in enumerate(self._chosen):
             positions, gravity = self._positions[batch], self._gravity[batch]
@@ -100,8 +101,8 @@ class Validation:
             posed_nodes = drape.posed_nodes(bones, node_positions[body_index])
             modulation = drape.networks.hyper_modulator(self._points[batch], self._normals[batch])
             vertices = drape(modulation.repeat_interleave(self._per_body, dim=0), positions, gravity, posed_nodes)
-            mean, _ = self._losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
-            total += mean / BATCHES
+            mean, energies = self._losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
+            total += (mean if with_gravity else mean - energies.gravity.mean()) / BATCHES
         self._processes.average([total])
         return total.item()
 
