@@ -256,7 +256,9 @@ def _fantastical_sheet(models: Mapping[str, GarmentModel]) -> np.ndarray:
     body_model = fantastical_body_model()
     rig = next(iter(models.values())).rig
     rest = Pairs(
-        torch.as_tensor(rig.rest, dtype=torch.float32)[None], torch.tensor([[0.0, 0.0, -1.0]]), torch.zeros(1).long()
+        torch.as_tensor(rig.rest.copy(), dtype=torch.float32)[None],
+        torch.tensor([[0.0, 0.0, -1.0]]),
+        torch.zeros(1).long(),
     )
     walk = motion_pairs(load_motion("walk"), rig, bodies=1)
     walk = walk[torch.tensor([len(walk) // 3])]

@@ -151,7 +151,7 @@ def run_row(name: str, base: TrainingConfig, folder: Path, device: torch.device,
     Raises ValueError for impossible configurations, TrainingDiverged when training does.
     """
     row, own = ROWS[name], folder / name
-    config = replace(row.change(base), name=name)
+    config = replace(row.change(ROWS[BASE].change(base)), name=name)
     own.mkdir(parents=True, exist_ok=True)
     trainer = Trainer(config, device)
     result: dict = {"row": name, "label": row.label, "budget_minutes": options.minutes, "device": _name_of(device)}

@@ -41,6 +41,7 @@ LATE = 0.7
 MEASURING = 8.0
 """Time [s] over which the rate of steps is measured; at most a thirtieth of the run's."""
 WARM_UP_STEPS, STEPS_A_LOOK = 60, 20
+FEWEST_STEPS = 10
 PARTS = 1000
 """Steps of the run in which rates are measured."""
 USED = 0.97
@@ -137,7 +138,7 @@ class Trainer:
         """Set the run's steps so that it takes `seconds` from now on, measuring included. Returns the rate [steps/s].
 
         Steps at the settings of late training, and of its end, are done and timed, and then undone. Raises ValueError
-        when the run has begun.
+        when the run has begun, or the time is too short for any.
         """
         if self.step:
             raise ValueError(f"the number of steps is chosen before the first one, not after {self.step}")
@@ -146,7 +147,11 @@ class Trainer:
         left = torch.tensor([rate, seconds - (time.perf_counter() - began)])
         self.processes.average([left])
         rate, left = left.tolist()
-        steps = max(1, int(rate * left * USED))
+        steps = int(rate * left * USED)
+        if steps < FEWEST_STEPS:
+            raise ValueError(
+                f"{seconds / 60:g} minutes are too short for a run of {FEWEST_STEPS} steps at {rate:.1f} a second"
+            )
         self.config = replace(self.config, optimisation=replace(self.config.optimisation, steps=steps))
         return rate
 
