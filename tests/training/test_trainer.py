@@ -363,7 +363,7 @@ def state_of(trainer):
 
 def test_choosing_the_steps_leaves_the_run_as_it_was(tmp_path):
     """Steps at the late settings prune, draw and move moments; a run after them is bit for bit the one without."""
-    config = small_config(tmp_path)
+    config = small_config(tmp_path, full_encoding=1.0, validate_every=6)
     plain = Trainer(config, CPU)
     for _ in plain.run(12):
         pass
