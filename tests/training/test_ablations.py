@@ -16,7 +16,7 @@ pytest.importorskip("potpourri3d", reason="needs the [training] extra")
 from training.small_runs import small_config  # noqa: E402
 
 from physkin_core import load_body_model, load_garment_model  # noqa: E402
-from physkin_training import ablation_report, ablations  # noqa: E402
+from physkin_training import ablation_report, ablations, supervised  # noqa: E402
 from physkin_training.ablation_report import write_report  # noqa: E402
 from physkin_training.ablation_rows import (  # noqa: E402
     BASE,
@@ -31,6 +31,7 @@ from physkin_training.ablations import main, run_rows  # noqa: E402
 from physkin_training.config import TrainingConfig  # noqa: E402
 from physkin_training.networks import NetworkConfig  # noqa: E402
 from physkin_training.trainer import Trainer  # noqa: E402
+from physkin_training.validation import Validation  # noqa: E402
 
 CPU = torch.device("cpu")
 OPTIONS = RowOptions(minutes=0.08, bodies=1, poses=2, drapes=2, drape_batch=2)
@@ -50,6 +51,8 @@ def finished(tmp_path_factory):
     config = small_config(folder, full_encoding=1.0, validate_every=100000)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Trainer, "choose_steps", choose_steps)
+        patch.setattr(supervised, "STAGES", 1)
+        patch.setattr(Validation, "energy", lambda *_, **__: 3.0)  # seconds a time on a CPU
         for name in ("nodes32-fixed", "supervised"):
             run_row(name, config, folder, CPU, OPTIONS)
     return folder
