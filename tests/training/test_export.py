@@ -209,3 +209,49 @@ def test_the_untrained_model_is_plain_skinning(trained, tmp_path):
     np.testing.assert_array_equal(draper.drape(q[0], -gravity[0]), first)
     bones = draper.bone_transforms(q[0])[model.node_bone]
     np.testing.assert_allclose(draper.node_transforms()[..., :3], bones[..., :3], atol=1e-6)
+
+
+def test_concatenated_codes_are_modulation_of_the_first_layer(tmp_path):
+    """The model file has no other form than modulation; filled up with zeros it holds concatenation exactly."""
+    config = small_config(tmp_path)
+    trainer = Trainer(
+        replace(config, networks=replace(config.networks, conditioning="concatenation")), torch.device("cpu")
+    )
+    networks = trainer.drape.networks
+    assert networks.pose_modulator.layers[-1].out_features == config.networks.deformer_hidden
+    assert networks.hyper_modulator.output.out_features == config.networks.pose_hidden
+    with torch.no_grad():
+        networks.node_deformer.layers[-1].weight += 0.05 * torch.randn_like(networks.node_deformer.layers[-1].weight)
+    model = exported(trainer, influences=6)
+    difference = agreement(model, trainer.drape)
+    assert difference.largest < 1e-4
+    before = agreement(model, drape_from_model(model)).largest
+    assert before < 1e-4
+    with torch.no_grad():  # the body's code matters
+        networks.hyper_modulator.output.weight += 1.0
+    assert agreement(model, trainer.drape).largest > 1e-3
+
+
+def test_concatenation_is_a_plain_network_of_the_joined_input():
+    """Pose modulator: a multilayer perceptron over (pose vector, body code) with one weight matrix over both."""
+    from physkin_training.networks import NetworkConfig, Networks
+
+    torch.manual_seed(3)
+    config = NetworkConfig(
+        pose_hidden=8, pose_layers=2, deformer_hidden=6, deformer_layers=2, token_width=4, conditioning="concatenation"
+    )
+    networks = Networks(config, pose_size=5, node_count=3)
+    code, pose, nodes = torch.randn(2, 4), torch.randn(2, 5), torch.randn(2, 3, 3, 4)
+    output = networks.hyper_modulator.output
+
+    def layers(network, x, of_code, code):
+        first, *hidden, last = network.layers
+        joined = torch.cat([first.weight, of_code.weight], dim=1)
+        x = torch.nn.functional.silu(torch.cat([x, code], dim=1) @ joined.T + first.bias + of_code.bias)
+        for layer in hidden:
+            x = torch.nn.functional.silu(layer(x))
+        return x, last
+
+    features, to_deformer = layers(networks.pose_modulator, pose, output, code)
+    hidden, last = layers(networks.node_deformer, nodes.flatten(1), to_deformer, features)
+    torch.testing.assert_close(networks(output(code), pose, nodes), last(hidden).unflatten(1, (3, 12)))

@@ -355,3 +355,58 @@ def test_errors_of_the_command_are_one_line(config_file, tmp_path, capsys, spoil
     error = capsys.readouterr().err
     assert error.startswith("error: ") and message in error and "Traceback" not in error
     assert not out.exists()
+
+
+def state_of(trainer):
+    return {name: tensor.clone() for name, tensor in trainer.drape.state_dict().items()}
+
+
+def test_choosing_the_steps_leaves_the_run_as_it_was(tmp_path):
+    """Steps at the late settings prune, draw and move moments; a run after them is bit for bit the one without."""
+    config = small_config(tmp_path, full_encoding=1.0, validate_every=6)
+    plain = Trainer(config, CPU)
+    for _ in plain.run(12):
+        pass
+    trainer = Trainer(replace(config, optimisation=replace(config.optimisation, minutes=1.0)), CPU)
+    rate = trainer.choose_steps(3.0)
+    chosen = trainer.config.optimisation.steps
+    assert 0.5 * rate * 3.0 < chosen <= rate * 3.0
+    trainer.config = replace(trainer.config, optimisation=replace(trainer.config.optimisation, steps=12))
+    for _ in trainer.run(12):
+        pass
+    for (name, expected), tensor in zip(state_of(plain).items(), state_of(trainer).values(), strict=True):
+        assert torch.equal(tensor, expected), name
+    assert trainer.best.energy == plain.best.energy
+    with pytest.raises(ValueError, match="before the first one, not after 12"):
+        trainer.choose_steps(3.0)
+    with pytest.raises(ValueError, match="too short for a run of 10 steps"):
+        Trainer(config, CPU).choose_steps(0.01)
+
+
+def test_a_resumed_run_keeps_the_steps_that_were_chosen(tmp_path, capsys):
+    """The rate is not measured again: another one would be another schedule."""
+    config = small_config(tmp_path, full_encoding=1.0, validate_every=100000)
+    text = "\n".join(line for line in as_toml(config).splitlines() if not line.startswith("steps"))
+    (tmp_path / "run.toml").write_text(text)
+    command = ["--config", str(tmp_path / "run.toml"), "--device", "cpu", "--minutes", "0.1", "--log-every", "1"]
+    assert main([*command, "--output", str(tmp_path / "first"), "--stop-after", "0.0001"]) == 0
+    state = json.loads((tmp_path / "first" / "checkpoint" / "state.json").read_text())
+    chosen = state["config"]["optimisation"]["steps"]
+    assert state["step"] < chosen != 100000
+    resumed = tmp_path / "first" / "checkpoint"
+    assert main([*command, "--output", str(tmp_path / "second"), "--resume", str(resumed)]) == 0
+    rows = [json.loads(line) for line in (tmp_path / "second" / "losses.jsonl").read_text().splitlines()]
+    assert rows[-1]["step"] == chosen
+    wrong = ["--config", str(tmp_path / "run.toml"), "--device", "cpu", "--output", str(tmp_path / "third")]
+    assert main([*wrong, "--resume", str(resumed)]) == 2
+    assert "minutes = 0.1" in capsys.readouterr().err
+
+
+def test_skinning_weights_may_stay_as_they_start(tmp_path):
+    """A skinning rate of 0; influences are pruned all the same."""
+    trainer = Trainer(small_config(tmp_path, skinning_rate=0.0), CPU)
+    before = trainer.drape.skinning_logits.clone()
+    for _ in trainer.run(6):
+        pass
+    assert torch.equal(trainer.drape.skinning_logits, before)
+    assert ((trainer.drape.skinning_weights > 0).sum(dim=1) == 3).all()

@@ -21,7 +21,7 @@ from physkin_training.draping import Drape
 from physkin_training.processes import Processes
 from physkin_training.validation import BestModel
 
-__all__ = ["CheckpointError", "Progress", "load_checkpoint", "load_drape", "save_checkpoint"]
+__all__ = ["CheckpointError", "Progress", "load_checkpoint", "load_drape", "save_checkpoint", "saved_steps"]
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
 TENSOR_FILES = ("drape", "average", "best", *MOMENTS, "random")
@@ -154,6 +154,14 @@ def load_drape(folder: Path, drape: Drape) -> dict:
     drape.load_state_dict(tensors | learnt)
     run = state["config"] | {"step": state["best"]["step"] if state["best"] else state["step"]}
     return run | ({"started_from": state["started_from"]} if state.get("started_from") else {})
+
+
+def saved_steps(folder: Path) -> int:
+    """How many steps the run of a checkpoint takes in all. Raises CheckpointError when the file cannot be read."""
+    steps = (_read_state(folder)["config"].get("optimisation") or {}).get("steps")
+    if type(steps) is not int or steps < 1:
+        raise CheckpointError(f"cannot read checkpoint {folder}: its configuration has {steps!r} optimisation.steps")
+    return steps
 
 
 def _sibling(folder: Path, suffix: str) -> Path:

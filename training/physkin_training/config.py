@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import get_type_hints
 
 from physkin_core.garment_model import Material
+from physkin_training.fantastical_bodies import BODY_DISTRIBUTIONS
 from physkin_training.networks import NetworkConfig
 
 __all__ = ["ConfigError", "TrainingConfig", "load_config"]
@@ -34,18 +35,20 @@ def _check(config, table: str, keys: str, allowed: str, holds: Callable) -> None
 class OptimisationConfig:
     """Steps and schedules.
 
-    samples: poses a step, spread evenly over `bodies`. Learning rates decay along a cosine to `final_rate` of the start
-    after a linear warm-up over `warm_up` of the run. Pose range and contact stiffness (from `initial_contact` of the
-    material's) grow until `growth` of the run; then contact is looked for `late_reach` [m] away, before 0.1 m. From
-    `prune_from` to `prune_at` of the run, influences a vertex fall one by one to `garment_nodes.influences`; from
-    `full_encoding` on, bodies are encoded from all 4096 points, before from `encoder_points` of them.
-    `contact_linear_beyond` [m], `heavy_energy` [J]: see `PhysicsLosses`. `average`: decay a step of the moving average
-    of networks and skinning weights that is exported, 0 for none. `validate_every`: steps from one measurement of the
-    average to the next, once range and influences are final; the best one is exported. `fit`: "template", one rest
-    shape for all bodies; "both": every second body of a step wears the garment made to measure.
+    minutes: if above 0, `steps` is chosen so that the run takes that long (see `Trainer.choose_steps`). samples: poses
+    a step, spread evenly over `bodies`. Learning rates decay along a cosine to `final_rate` of the start after a linear
+    warm-up over `warm_up` of the run; `skinning_rate` 0 leaves skinning weights as they start. Pose range and contact
+    stiffness (from `initial_contact` of the material's) grow until `growth` of the run; then contact is looked for
+    `late_reach` [m] away, before 0.1 m. From `prune_from` to `prune_at` of the run, influences a vertex fall one by one
+    to `garment_nodes.influences`; from `full_encoding` on, bodies are encoded from all 4096 points, before from
+    `encoder_points` of them. `contact_linear_beyond` [m], `heavy_energy` [J]: see `PhysicsLosses`. `average`: decay a
+    step of the moving average of networks and skinning weights that is exported, 0 for none. `validate_every`: steps
+    from one measurement of the average to the next, once range and influences are final; the best one is exported.
+    `fit`: "template", one rest shape for all bodies; "both": every second body of a step wears it made to measure.
     """
 
     steps: int = 100000
+    minutes: float = 0.0
     samples: int = 96
     bodies: int = 12
     learning_rate: float = 5e-4
@@ -71,7 +74,8 @@ class OptimisationConfig:
             _check(self, "optimisation.", keys, allowed, holds)
 
         check("steps samples bodies encoder_points validate_every", "at least 1", lambda value: value >= 1)
-        check("learning_rate skinning_rate", "finite and above 0", lambda value: 0 < value < math.inf)
+        check("learning_rate", "finite and above 0", lambda value: 0 < value < math.inf)
+        check("minutes skinning_rate", "finite and at least 0", lambda value: 0 <= value < math.inf)
         check("gradient_clip contact_linear_beyond heavy_energy late_reach", "above 0", lambda value: value > 0)
         check(
             "final_rate warm_up growth initial_contact prune_from prune_at full_encoding",
@@ -120,12 +124,14 @@ class PoseConfig:
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """All of one training run. name: of the model file. garment: mesh path relative to the configuration file."""
+    """All of one training run. name: of the model file. garment: mesh path relative to the configuration file.
+    body_distribution: whom it is trained on, "adults" or "fantastical" (see `physkin_training.fantastical_bodies`)."""
 
     name: str
     garment: Path
     seed: int = 0
     train_bodies: int = 512
+    body_distribution: str = "adults"
     optimisation: OptimisationConfig = field(default_factory=OptimisationConfig)
     garment_nodes: GarmentNodeConfig = field(default_factory=GarmentNodeConfig)
     poses: PoseConfig = field(default_factory=PoseConfig)
@@ -136,6 +142,8 @@ class TrainingConfig:
         _check(self, "", "name", "a plain file name", lambda value: re.fullmatch(r"\w[\w. -]*", value))
         _check(self, "", "seed", "0 to 2^63 - 1", lambda value: 0 <= value < 2**63)
         _check(self, "", "train_bodies", "at least 1", lambda value: value >= 1)
+        known = ", ".join(BODY_DISTRIBUTIONS)
+        _check(self, "", "body_distribution", f"one of {known}", lambda value: value in BODY_DISTRIBUTIONS)
 
     def as_plain_data(self) -> dict:
         """Tables, strings and numbers, for checkpoints and the model file; of the garment's path only the file name."""
@@ -149,6 +157,9 @@ def load_config(path: str | Path) -> TrainingConfig:
         data = tomllib.loads(path.read_text())
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"cannot read configuration {path}: {error}") from error
+    optimisation = data.get("optimisation")
+    if isinstance(optimisation, dict) and "steps" in optimisation and optimisation.get("minutes"):
+        raise ConfigError(f"{path}: optimisation has both steps and minutes; give one of them")
     config = build(TrainingConfig, data, where=str(path))
     return replace(config, garment=(path.parent / config.garment).resolve())
 

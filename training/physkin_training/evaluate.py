@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from physkin_core.body_model import load_body_model
+from physkin_core.body_model import BodyModel, load_body_model
 from physkin_core.garment import Garment
 from physkin_core.garment_model import GarmentModel
 from physkin_core.model_file import load_garment_model, save_garment_model
@@ -67,8 +67,9 @@ class Evaluation:
     """Held-out bodies and seeded poses for one garment model on one device.
 
     bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, 0 (template) to
-    1 (made to measure); strains are against the rest shape at that fit. Raises ValueError when the model is for another
-    rig than the body model's or has not learnt the fit, or there are not so many bodies.
+    1 (made to measure); strains are against the rest shape at that fit. body_model: whose bodies, default the adults
+    that are shipped. Raises ValueError when the model is for another rig than the body model's or has not learnt the
+    fit, or there are not so many bodies.
     """
 
     def __init__(
@@ -81,9 +82,10 @@ class Evaluation:
         seed: int,
         batch: int = 64,
         fit: float = 0.0,
+        body_model: BodyModel | None = None,
     ) -> None:
         fit = model.checked_fit(fit)
-        body_model = load_body_model()
+        body_model = body_model or load_body_model()
         held_out = body_model.held_out_bodies
         if isinstance(bodies, int):
             if not 1 <= bodies <= len(held_out):

@@ -47,6 +47,12 @@ def model_from_drape(
         for key, array in networks.items()
         if key.startswith("hyper_modulator.")
     }
+    pose_modulator = _layers(drape.networks.pose_modulator)
+    if drape.networks.conditioning == "concatenation":
+        last = _as_modulation(pose_modulator[-1], drape.networks.node_deformer)
+        pose_modulator = (*pose_modulator[:-1], last)
+        body = (hyper["output.weight"], hyper["output.bias"])
+        hyper["output.weight"], hyper["output.bias"] = _as_modulation(body, drape.networks.pose_modulator)
     return GarmentModel(
         name=name,
         rig=rig,
@@ -56,7 +62,7 @@ def model_from_drape(
         influence_nodes=np.take_along_axis(drape.influence_nodes.cpu().numpy(), order, axis=1).astype(np.int32),
         influence_weights=kept / kept.sum(axis=1, keepdims=True),
         hyper_modulator=hyper,
-        pose_modulator=_layers(drape.networks.pose_modulator),
+        pose_modulator=pose_modulator,
         node_deformer=(_numpy(*drape.networks.folded_first_layer()), *_layers(drape.networks.node_deformer)[1:]),
         activation=drape.networks.pose_modulator.activation,
         material=material,
@@ -158,6 +164,13 @@ def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8, seed: int = 
 
 def _layers(network: ModulatedMLP) -> tuple:
     return tuple(_numpy(layer.weight, layer.bias) for layer in network.layers)
+
+
+def _as_modulation(layer: Layer, network: ModulatedMLP) -> Layer:
+    """A layer that gives the first shift of `network`, filled up with zeros to give all of its modulation."""
+    place, (weight, bias) = network.first_shift, layer
+    fill = (place.start, network.modulation_size - place.stop)
+    return np.pad(weight, (fill, (0, 0))), np.pad(bias, fill)
 
 
 def _numpy(weight: torch.Tensor, bias: torch.Tensor) -> Layer:

@@ -17,6 +17,7 @@ from physkin_core.hyper_modulator import ENCODING_FREQUENCIES, HEADS, token_feat
 __all__ = ["HyperModulator", "ModulatedMLP", "NetworkConfig", "Networks"]
 
 ACTIVATIONS = {"silu": functional.silu, "relu": functional.relu}
+CONDITIONINGS = ("modulation", "concatenation")
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,8 @@ class NetworkConfig:
 
     As many network weights a frame as the paper's (a pose modulator of 4 layers of 512, a node deformer of 4 of 128),
     spent where they do more: a node deformer twice as wide, whose last layer spans twice as many drapes.
+    conditioning: "modulation" as in the paper, scale and shift for every hidden activation; or, to compare with,
+    "concatenation" of the body's code to the pose vector and of the pose's code to the node deformer's input.
     """
 
     pose_hidden: int = 384
@@ -33,6 +36,7 @@ class NetworkConfig:
     deformer_layers: int = 4
     node_outputs: int = 12
     activation: str = "silu"
+    conditioning: str = "modulation"
     token_width: int = 128
     feed_forward: int = 256
     residual_blocks: int = 2
@@ -47,6 +51,8 @@ class NetworkConfig:
             raise ValueError(f"networks.token_width must be a multiple of {HEADS}, got {self.token_width}")
         if self.activation not in ACTIVATIONS:
             raise ValueError(f"activation {self.activation!r} is not one of {', '.join(ACTIVATIONS)}")
+        if self.conditioning not in CONDITIONINGS:
+            raise ValueError(f"conditioning {self.conditioning!r} is not one of {', '.join(CONDITIONINGS)}")
         if self.node_outputs not in (9, 12):
             raise ValueError(
                 f"node_outputs must be 9 (6-D rotation, translation) or 12 (affine), got {self.node_outputs}"
@@ -68,6 +74,12 @@ class ModulatedMLP(nn.Module):
     def modulation_size(self) -> int:
         """Numbers of modulation this network takes."""
         return 2 * sum(layer.out_features for layer in self.layers[:-1])
+
+    @property
+    def first_shift(self) -> slice:
+        """Where in the modulation the first hidden layer's shift lies."""
+        hidden = self.layers[0].out_features
+        return slice(hidden, 2 * hidden)
 
     def forward(self, x: torch.Tensor, modulation: torch.Tensor) -> torch.Tensor:
         """x: (B, in). modulation: (B, modulation_size). Returns (B, out)."""
@@ -133,7 +145,10 @@ class Networks(nn.Module):
     """The three networks chained: (body points, pose vector, posed garment nodes) -> raw delta-chi.
 
     The node deformer sees node transforms shifted and scaled to about unit variance (`normalise_nodes`); the model file
-    holds its first layer with both folded in. made_to_measure: see `HyperModulator`.
+    holds its first layer with both folded in. made_to_measure: see `HyperModulator`. A code concatenated to a network's
+    input adds its product with the first layer's network weights for it: to modulation that is a shift of the first
+    layer, and nothing for all others. So a network's last layer gives that product at once, and the model file holds it
+    filled up with zeros.
     """
 
     def __init__(
@@ -147,12 +162,22 @@ class Networks(nn.Module):
             config.node_outputs * node_count,
             config.activation,
         )
+        self.conditioning = config.conditioning
+        concatenated = config.conditioning == "concatenation"
         self.pose_modulator = ModulatedMLP(
-            pose_size, config.pose_hidden, config.pose_layers, self.node_deformer.modulation_size, config.activation
+            pose_size,
+            config.pose_hidden,
+            config.pose_layers,
+            config.deformer_hidden if concatenated else self.node_deformer.modulation_size,
+            config.activation,
         )
-        nn.init.normal_(self.pose_modulator.layers[-1].weight, std=1e-2)
-        outputs = self.pose_modulator.modulation_size
+        outputs = config.pose_hidden if concatenated else self.pose_modulator.modulation_size
         self.hyper_modulator = HyperModulator(config, outputs, made_to_measure=made_to_measure)
+        if concatenated:  # they are part of a first layer, and start as one
+            self.pose_modulator.layers[-1].reset_parameters()
+            self.hyper_modulator.output.reset_parameters()
+        else:
+            nn.init.normal_(self.pose_modulator.layers[-1].weight, std=1e-2)
         self.register_buffer("node_mean", torch.zeros(12 * node_count))
         self.register_buffer("node_scale", torch.ones(12 * node_count))
 
@@ -174,9 +199,17 @@ class Networks(nn.Module):
         self, body_modulation: torch.Tensor, pose_vector: torch.Tensor, posed_nodes: torch.Tensor
     ) -> torch.Tensor:
         """body_modulation: (B, s). pose_vector: (B, p). posed_nodes: (B, m, 3, 4). Returns (B, m, 9 or 12)."""
-        modulation = self.pose_modulator(pose_vector, body_modulation)
+        modulation = self.pose_modulator(pose_vector, self._filled_up(self.pose_modulator, body_modulation))
+        modulation = self._filled_up(self.node_deformer, modulation)
         inputs = (posed_nodes.flatten(1) - self.node_mean) * self.node_scale
         return self.node_deformer(inputs, modulation).unflatten(1, (posed_nodes.shape[1], -1))
+
+    def _filled_up(self, network: ModulatedMLP, modulation: torch.Tensor) -> torch.Tensor:
+        """Modulation of all hidden layers from that of the first shift, where conditioning gives no more."""
+        if self.conditioning == "modulation":
+            return modulation
+        place = network.first_shift
+        return functional.pad(modulation, (place.start, network.modulation_size - place.stop))
 
 
 def encode_points(points: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:

@@ -8,10 +8,11 @@ import math
 import signal
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from physkin_core.model_file import load_garment_model, save_garment_model
-from physkin_training.checkpoint import CheckpointError
+from physkin_training.checkpoint import CheckpointError, saved_steps
 from physkin_training.config import ConfigError, load_config
 from physkin_training.devices import DEFAULT_DEVICE
 from physkin_training.export import Agreement, agreement, drape_from_model, model_from_drape
@@ -36,8 +37,15 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, required=True, help="folder for checkpoint, scalars and the model")
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--resume", type=Path, metavar="FOLDER", help="go on from this checkpoint")
-    start.add_argument("--start-from", type=Path, metavar="PATH", help="new run from the networks of this checkpoint or model")
+    start.add_argument(
+        "--start-from", type=Path, metavar="PATH", help="new run from the networks of this checkpoint or model"
+    )
     parser.add_argument("--device", default=DEFAULT_DEVICE)
+    parser.add_argument(
+        "--minutes",
+        type=_minutes,
+        help="choose the number of steps so that the run takes so long on this machine (to resume, give it again)",
+    )
     parser.add_argument(
         "--stop-after", type=_minutes, default=math.inf, metavar="MINUTES", help="then write a checkpoint and stop"
     )
@@ -50,11 +58,20 @@ def main(argv: list[str] | None = None) -> int:
         config = load_config(arguments.config)
         processes, device = join(arguments.device)
         logging.basicConfig(level=logging.INFO if processes.writes else logging.WARNING, format="%(message)s")
+        if arguments.minutes:
+            config = replace(config, optimisation=replace(config.optimisation, minutes=arguments.minutes))
+        minutes = config.optimisation.minutes
+        if minutes and arguments.resume:
+            config = replace(config, optimisation=replace(config.optimisation, steps=saved_steps(arguments.resume)))
         trainer = Trainer(config, device, processes=processes)
         if arguments.resume:
             trainer.resume(arguments.resume)
         elif arguments.start_from:
             trainer.start_from(arguments.start_from)
+        if minutes and not arguments.resume:
+            rate = trainer.choose_steps(60 * minutes)
+            steps = trainer.config.optimisation.steps
+            log.info("%.1f steps a second: %d steps in %g minutes", rate, steps, minutes)
     except (ConfigError, CheckpointError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -11,17 +11,19 @@ from __future__ import annotations
 
 import copy
 import math
+import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 
-from physkin_core.body_model import load_body_model
 from physkin_core.garment import load_garment
 from physkin_core.model_file import load_garment_model
 from physkin_training.checkpoint import Progress, load_checkpoint, load_drape, save_checkpoint
 from physkin_training.config import TrainingConfig
 from physkin_training.draping import Drape, GarmentNodes
+from physkin_training.fantastical_bodies import BODY_DISTRIBUTIONS
 from physkin_training.made_to_measure import MadeToMeasure
 from physkin_training.physics_losses import TERMS, PhysicsLosses
 from physkin_training.pose_sampling import PoseSampler
@@ -38,6 +40,16 @@ __all__ = ["Trainer", "TrainingDiverged"]
 
 NORMALISING_POSES = 2048
 """Poses from which the node deformer's inputs are scaled."""
+LATE = 0.7
+"""Share of a run at which steps are as long as in most of it: full range, influences pruned."""
+MEASURING = 8.0
+"""Time [s] over which the rate of steps is measured; at most a thirtieth of the run's."""
+WARM_UP_STEPS, STEPS_A_LOOK = 60, 20
+FEWEST_STEPS = 10
+PARTS = 1000
+"""Steps of the run in which rates are measured."""
+USED = 0.97
+"""Share of the time that steps fill; the rest is for measuring the average, and for rates that were too high."""
 
 
 class TrainingDiverged(RuntimeError):
@@ -71,7 +83,7 @@ class Trainer:
         self._samples, self._bodies = optimisation.samples // count, optimisation.bodies // count
         if optimisation.made_to_measure and self._bodies < 2:
             raise ValueError('optimisation.fit = "both" needs at least 2 bodies a step for each process')
-        body_model = load_body_model()
+        body_model = BODY_DISTRIBUTIONS[config.body_distribution]()
         if config.train_bodies > len(body_model.train_bodies):
             raise ValueError(f"train_bodies must be 1 to {len(body_model.train_bodies)}, got {config.train_bodies}")
         self.rig = body_model.rig
@@ -141,6 +153,27 @@ class Trainer:
         """The part of the last `validation_energy` [J] of rest shapes made to measure; None where there are none."""
         return self._validation.made_to_measure
 
+    def choose_steps(self, seconds: float) -> float:
+        """Set the run's steps so that it takes `seconds` from now on, measuring included. Returns the rate [steps/s].
+
+        Steps at the settings of late training, and of its end, are done and timed, and then undone. Raises ValueError
+        when the run has begun, or the time is too short for any.
+        """
+        if self.step:
+            raise ValueError(f"the number of steps is chosen before the first one, not after {self.step}")
+        began = time.perf_counter()
+        rate = self._mean_rate(min(MEASURING, seconds / 30))
+        left = torch.tensor([rate, seconds - (time.perf_counter() - began)])
+        self.processes.average([left])
+        rate, left = left.tolist()
+        steps = int(rate * left * USED)
+        if steps < FEWEST_STEPS:
+            raise ValueError(
+                f"{seconds / 60:g} minutes are too short for a run of {FEWEST_STEPS} steps at {rate:.1f} a second"
+            )
+        self.config = replace(self.config, optimisation=replace(self.config.optimisation, steps=steps))
+        return rate
+
     def best_drape(self) -> Drape:
         """The averaged drape to export and evaluate: of the best step, or the latest where none was measured."""
         if self.best is None:
@@ -168,6 +201,66 @@ class Trainer:
         """Median of stretch and contact energy [J] over the last step's samples: the few worst poses, which decide the
         mean, do not move it. Waits for the device."""
         return self.processes.gather(self._stretch_and_collision).median().item()
+
+    def average_energy(self) -> float:
+        """Mean energy [J] of the averaged drape, gravity left out, on the validation's bodies and poses. Waits for the
+        device.
+
+        Raises TrainingDiverged when it is not finite.
+        """
+        with self._recorded.beside():
+            energy = self._validation.energy(self.averaged, self.node_positions, with_gravity=False)
+        if not math.isfinite(energy):
+            raise TrainingDiverged(f"the averaged drape's energy is {energy} at step {self.step}")
+        return energy
+
+    def _mean_rate(self, seconds: float) -> float:
+        """Steps a second over the run, from those late in it, timed over `seconds`, and those with all body points,
+        timed over a quarter of that. Leaves everything as it was."""
+        config, drapes = self.config, {id(drape): drape for drape in (self.drape, self.averaged)}.values()
+        states = [{name: tensor.clone() for name, tensor in drape.state_dict().items()} for drape in drapes]
+        on_gpu = self.device.type == "cuda"
+        random = torch.get_rng_state(), torch.cuda.get_rng_state(self.device) if on_gpu else None
+        before = self._influences, self._encoder_points, self.losses.reach
+        self.config = replace(config, optimisation=replace(config.optimisation, steps=PARTS))
+        end = min(config.optimisation.full_encoding, 1 - 1 / PARTS)
+        late = self._steady_rate(LATE, seconds)
+        last = self._steady_rate(end, seconds / 4)
+        mean = 1 / (end / late + (1 - end) / last)
+        self._recorded.forget()
+        self.config, self.step = config, 0
+        self._influences, self._encoder_points, self.losses.reach = before
+        for drape, state in zip(drapes, states):
+            drape.load_state_dict(state)
+        self.optimiser.zero_grad(set_to_none=True)
+        self.optimiser.state.clear()
+        for tensor in (self._energy_sum, self._stretch_and_collision, self.gradient_norm):
+            tensor.zero_()
+        torch.set_rng_state(random[0])
+        if on_gpu:
+            torch.cuda.set_rng_state(random[1], self.device)
+        return mean
+
+    def _steady_rate(self, progress: float, seconds: float) -> float:
+        """Steps a second at `progress` (0 to 1) of the run, over `seconds` after a warm-up. Nothing is learnt."""
+        self.step = math.ceil(progress * PARTS)
+        self._set_schedules()
+        for group in self.optimiser.param_groups:
+            group["lr"].zero_()
+
+        def rate(most: float) -> float:
+            began, done, late = time.perf_counter(), 0, False
+            while not late and done < most:
+                for _ in range(STEPS_A_LOOK if self.device.type == "cuda" else 1):
+                    self._recorded()
+                    done += 1
+                if self.device.type == "cuda":
+                    torch.cuda.synchronize(self.device)
+                (late,) = self.processes.any(time.perf_counter() - began > seconds)
+            return done / (time.perf_counter() - began)
+
+        rate(WARM_UP_STEPS)
+        return rate(math.inf)
 
     def _finite_sums(self) -> list[float]:
         """Mean over the processes of the summed energies [J]. Raises TrainingDiverged when energies since the last
@@ -286,7 +379,7 @@ class Trainer:
             posed_nodes = self.drape.posed_nodes(bone_transforms, node_positions)
         modulation = self.drape.networks.hyper_modulator(*surface, fit)
         vertices = self.drape(modulation.repeat_interleave(per_body, dim=0), positions, gravity, posed_nodes, rest)
-        loss, energies = self.losses(vertices, gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
+        loss = self._loss(vertices, gravity)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         self.processes.average([parameter.grad for parameter in self.drape.parameters()])
@@ -294,8 +387,13 @@ class Trainer:
         self.optimiser.step()
         self._update_average()
         self.gradient_norm.copy_(norm)
+
+    def _loss(self, vertices: torch.Tensor, gravity: torch.Tensor) -> torch.Tensor:
+        """What a step descends, from drapes (B, n, 3): the mean energy [J], which is also summed up for reports."""
+        loss, energies = self.losses(vertices, gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
         self._energy_sum += torch.stack([getattr(energies, term).mean() for term in TERMS])
         self._stretch_and_collision.copy_(energies.stretch + energies.collision)
+        return loss
 
     @torch.no_grad()
     def _update_average(self) -> None:

@@ -99,10 +99,10 @@ class Validation:
         )
 
     @torch.no_grad()
-    def energy(self, drape: Drape, node_positions: torch.Tensor) -> float:
-        """Mean energy [J], all terms, at the material's full contact stiffness; contact grows linearly where it does in
-        training. Where rest shapes are made to measure, too, the mean of both ways. node_positions: of all bodies of
-        the set at the template (see `Drape.node_positions`). Waits for the device."""
+    def energy(self, drape: Drape, node_positions: torch.Tensor, *, with_gravity: bool = True) -> float:
+        """Mean energy [J], all terms, or all but gravity, at the material's full contact stiffness; contact grows
+        linearly where it does in training. Where rest shapes are made to measure, too, the mean of both ways.
+        node_positions: of all bodies of the set at the template (see `Drape.node_positions`). Waits for the device."""
         ways = [False] if self._fits is None else [False, True]
         totals = torch.zeros(len(ways), device=node_positions.device)
         for batch, chosen in enumerate(self._chosen):
@@ -120,12 +120,12 @@ class Validation:
                 modulation = drape.networks.hyper_modulator(self._points[batch], self._normals[batch], fit)
                 modulation = modulation.repeat_interleave(self._per_body, dim=0)
                 vertices = drape(modulation, positions, gravity, drape.posed_nodes(bones, placed), rest)
-                mean, _ = self._losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
-                totals[way] += mean / BATCHES
+                mean, energies = self._losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
+                totals[way] += (mean if with_gravity else mean - energies.gravity.mean()) / BATCHES
         self._processes.average([totals])
-        energies = totals.tolist()
-        self.made_to_measure = energies[1] if len(ways) > 1 else None
-        return sum(energies) / len(energies)
+        means = totals.tolist()
+        self.made_to_measure = means[1] if len(ways) > 1 else None
+        return sum(means) / len(means)
 
     def _surfaces(self, bodies: BodySet) -> tuple[torch.Tensor, torch.Tensor]:
         """Points and normals (k, S, N, 3) of the chosen bodies, the ones that the run time takes."""

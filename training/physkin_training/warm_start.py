@@ -17,6 +17,9 @@ __all__ = ["take_over_model"]
 
 NEW_INFLUENCE = 1e-3
 """Skinning weight that an influence the model does not have begins with."""
+OWN_BUFFERS = ("node_mean", "node_scale")
+"""How a run shifts and scales its inputs; the model's are folded into its first layer."""
+FIRST_LAYER = "node_deformer.layers.0"
 SAME = 1e-4
 """Rest positions [m] that differ by less are the same: the file holds half precision."""
 
@@ -31,10 +34,8 @@ def take_over_model(model: GarmentModel, drape: Drape) -> dict:
         own, other = getattr(drape, name).cpu(), getattr(learnt, name)
         if own.shape != other.shape or not torch.allclose(own, other, rtol=0, atol=SAME):
             raise ValueError(f"cannot start from model {model.name!r}: its {name.replace('_', ' ')} differ")
-    state = {name: tensor for name, tensor in learnt.networks.state_dict().items() if not name.startswith("node_")}
-    layers = {name: tensor for name, tensor in learnt.networks.state_dict().items() if "layers." in name}
-    state |= _unfolded(drape, layers["node_deformer.layers.0.weight"], layers["node_deformer.layers.0.bias"])
-    state |= {name: tensor for name, tensor in layers.items() if not name.startswith("node_deformer.layers.0.")}
+    state = {name: tensor for name, tensor in learnt.networks.state_dict().items() if name not in OWN_BUFFERS}
+    state |= _unfolded(drape, state[f"{FIRST_LAYER}.weight"], state[f"{FIRST_LAYER}.bias"])
     own = drape.networks.state_dict()
     for name, tensor in state.items():
         if name not in own or own[name].shape != tensor.shape:
@@ -52,7 +53,7 @@ def _unfolded(drape: Drape, weight: torch.Tensor, bias: torch.Tensor) -> dict[st
     """The node deformer's first layer over inputs shifted and scaled as the drape's are (`normalise_nodes`)."""
     mean, scale = drape.networks.node_mean.cpu(), drape.networks.node_scale.cpu()
     scaled = torch.where(scale > 0, weight / scale.clamp_min(1e-12), 0.0)
-    return {"node_deformer.layers.0.weight": scaled, "node_deformer.layers.0.bias": bias + weight @ mean}
+    return {f"{FIRST_LAYER}.weight": scaled, f"{FIRST_LAYER}.bias": bias + weight @ mean}
 
 
 def _logits(model: GarmentModel, influence_nodes: np.ndarray) -> np.ndarray:
