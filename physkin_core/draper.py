@@ -6,8 +6,8 @@ Dimensions: `d` scalar degrees of freedom, `n` garment vertices, `m` garment nod
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Literal
 
@@ -19,13 +19,21 @@ from physkin_core.bound_garment import BoundGarment
 from physkin_core.garment_model import GarmentModel
 from physkin_core.push_out import BoundPushOut, ContactResidual, bind_push_out
 
-__all__ = ["BACKENDS", "UPRIGHT_GRAVITY", "Draper"]
+__all__ = ["BACKENDS", "UPRIGHT_GRAVITY", "Binding", "Draper"]
 
 log = logging.getLogger(__name__)
 
 BACKENDS = ("native", "numpy")
 UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
 """Gravity direction in the root frame of an upright body."""
+
+
+@dataclass(frozen=True)
+class Binding:
+    """A garment model bound to a body: what a draper works out once and another of the same two can take over."""
+
+    garment: BoundGarment
+    push_out: BoundPushOut | None
 
 
 class Draper:
@@ -37,6 +45,7 @@ class Draper:
     push_out: move vertices that end up inside the body out of it again, frame by frame. Takes seconds to set up for a
         body, then tens of microseconds a frame; see `residual` and `physkin_core.push_out`.
     points, normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical space.
+    binding: of another draper of the same model and avatar, which saves encoding the body again.
     Raises ValueError for an unknown backend or precision, a body of another rig, or points that are not this garment's.
     """
 
@@ -50,12 +59,13 @@ class Draper:
         push_out: bool = False,
         points: np.ndarray | None = None,
         normals: np.ndarray | None = None,
+        binding: Binding | None = None,
     ) -> None:
         if backend not in BACKENDS:
             raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
         if backend == "numpy" and precision not in (None, "fp32"):
             raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
-        bound = bind_garment(model, avatar, backend=backend)
+        bound = bind_garment(model, avatar, backend=backend) if binding is None else binding.garment
         if points is not None:
             bound = replace(bound, **bind_points(model, points, normals=normals))
         self.model = model
@@ -64,12 +74,15 @@ class Draper:
         self.bound: BoundGarment = bound
         self._faces = model.garment.faces if points is None else np.empty((0, 3), dtype=np.int32)
         self._evaluator = _evaluator(backend, bound, precision, None)
-        self._pushes_out = push_out
+        self._push_out: BoundPushOut | None = None
         if push_out:
-            started = perf_counter()
-            bound_push_out = bind_push_out(self.drape, model.rig, avatar)
-            self._evaluator = _evaluator(backend, bound, precision, bound_push_out)
-            log.info("bound the push-out of %s in %.1f s", model.name, perf_counter() - started)
+            if binding is None or binding.push_out is None:
+                started = perf_counter()
+                self._push_out = bind_push_out(self.drape, model.rig, avatar)
+                log.info("bound the push-out of %s in %.1f s", model.name, perf_counter() - started)
+            else:
+                self._push_out = binding.push_out
+            self._evaluator = _evaluator(backend, bound, precision, self._push_out)
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
 
     @property
@@ -123,10 +136,30 @@ class Draper:
         self._evaluator.evaluate(positions, (down / length).astype(np.float32), out)
         return out
 
+    def bind_step(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> Callable[[], None]:
+        """A frame bound to its arrays: `step()` drapes what they hold now into `out`, with nothing to convert or check.
+
+        joint_positions: (d,) [rad] and gravity: (3,) unit direction, C-contiguous float32, to be changed in place.
+        out: as for `drape`. Raises TypeError or ValueError for other arrays; `step()` raises ValueError when a value or
+        what the networks make of it is not finite (`out` is then unchanged).
+        """
+        if self.backend == "native":
+            return self._evaluator.bind_step(joint_positions, gravity, out).step
+
+        def step() -> None:
+            self.drape(joint_positions, gravity, out=out)
+
+        return step
+
+    @property
+    def binding(self) -> Binding:
+        """What another draper of the same model and avatar can be made from without encoding the body again."""
+        return Binding(self.bound, self._push_out)
+
     @property
     def residual(self) -> ContactResidual | None:
         """What the push-out knows to be left inside in the last `drape` (see there); None without push-out."""
-        return self._evaluator.residual if self._pushes_out else None
+        return None if self._push_out is None else self._evaluator.residual
 
     def node_transforms(self) -> np.ndarray:
         """Garment node transforms chi (m, 3, 4) of the last `drape`, canonical garment node frame to root frame."""

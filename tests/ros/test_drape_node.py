@@ -14,7 +14,8 @@ pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 from rclpy.parameter import Parameter  # noqa: E402
 
 from physkin_ros.drape_node import DrapeNode  # noqa: E402
-from physkin_ros.ros4hri import Ros4hriReader  # noqa: E402
+from physkin_ros.joint_states import JointStateReader  # noqa: E402
+from physkin_ros.ros4hri import Ros4hriNaming  # noqa: E402
 
 
 @pytest.fixture
@@ -130,9 +131,8 @@ def test_ros4hri_joint_states(peer, model_path, draper):
     """With joint_map ros4hri, bodies of REP-155 are understood, id and all."""
     with running_node(peer, {"model": str(model_path), "joint_map": "ros4hri"}):
         names, angles = ["l_p_shoulder_67dd1", "l_elbow_67dd1", "waist_67dd1"], [1.0, 0.5, 0.3]
-        joints, positions = Ros4hriReader(draper.model.rig).translate(names, angles)
-        state = draper.model.rig.rest.astype(np.float32)
-        state[[draper.joint_names.index(joint) for joint in joints]] = positions
+        rig = draper.model.rig
+        state = JointStateReader(rig.joint_names, rig.rest, naming=Ros4hriNaming(rig)).read(names, angles)
         np.testing.assert_allclose(peer.cloud(names, angles, (1, 0)), draper.drape(state), atol=1e-6)
 
 
