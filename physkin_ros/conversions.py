@@ -11,23 +11,28 @@ from array import array
 import numpy as np
 
 from physkin_core import Draper
+from physkin_ros.serialised import SerialisedMessage
 
 __all__ = [
     "CLOUD_FIELDS",
     "GarmentCloud",
-    "garment_description",
+    "NodesMessage",
+    "TriangleMarker",
+    "garment_mesh",
     "gravity_direction",
     "read_cloud",
 ]
 
 CLOUD_FIELDS = ("x", "y", "z", "normal_x", "normal_y", "normal_z")
 FLOAT32 = 7  # sensor_msgs/PointField.FLOAT32
+MARKER = 1.2345678e-30  # fills a payload until its place among the bytes is known
+CLOTH_COLOUR = (0.36, 0.50, 0.70)
 
 
 class GarmentCloud:
     """One `sensor_msgs/PointCloud2`, filled in place and published again and again.
 
-    message: the message; set its stamp. points: (n, 6) float32 view of its data, x, y, z [m] and unit normal.
+    points: (n, 6) float32 view of its data, x, y, z [m] and unit normal.
     """
 
     def __init__(self, point_count: int, frame_id: str) -> None:
@@ -35,18 +40,57 @@ class GarmentCloud:
 
         step = 4 * len(CLOUD_FIELDS)
         fields = [PointField(name=name, offset=4 * i, datatype=FLOAT32, count=1) for i, name in enumerate(CLOUD_FIELDS)]
-        self.message = PointCloud2(
+        marker = np.full((point_count, len(CLOUD_FIELDS)), MARKER, dtype=np.float32)
+        message = PointCloud2(
             height=1,
             width=point_count,
             fields=fields,
             is_bigendian=sys.byteorder == "big",
             point_step=step,
             row_step=step * point_count,
-            data=array("B", bytes(step * point_count)),
-            is_dense=True,
+            data=array("B", marker.tobytes()),
+            is_dense=True,  # a frame that is not finite is never published
         )
-        self.message.header.frame_id = frame_id
-        self.points = np.frombuffer(self.message.data, dtype=np.float32).reshape(point_count, len(CLOUD_FIELDS))
+        message.header.frame_id = frame_id
+        self._serialised = SerialisedMessage(message, marker)
+        self.points = self._serialised.payload
+        self.stamped = self._serialised.stamped
+
+
+class NodesMessage:
+    """One `physkin_msgs/GarmentNodes`, filled in place. transforms: (m, 3, 4) float32 view of its data."""
+
+    def __init__(self, node_count: int, frame_id: str, revision: int) -> None:
+        from physkin_msgs.msg import GarmentNodes
+
+        marker = np.full((node_count, 3, 4), MARKER, dtype=np.float32)
+        message = GarmentNodes(revision=revision, transforms=array("f", marker.tobytes()))
+        message.header.frame_id = frame_id
+        self._serialised = SerialisedMessage(message, marker)
+        self.transforms = self._serialised.payload
+        self.stamped = self._serialised.stamped
+
+
+class TriangleMarker:
+    """One `visualization_msgs/Marker` TRIANGLE_LIST of the garment's faces (f, 3), filled in place."""
+
+    def __init__(self, faces: np.ndarray, frame_id: str, name: str) -> None:
+        from geometry_msgs.msg import Point
+        from visualization_msgs.msg import Marker
+
+        marker = np.full((faces.size, 3), MARKER, dtype=np.float64)
+        corner = Point(x=MARKER, y=MARKER, z=MARKER)
+        message = Marker(ns=name, type=Marker.TRIANGLE_LIST, action=Marker.ADD, points=[corner] * faces.size)
+        message.header.frame_id = frame_id
+        message.pose.orientation.w = message.scale.x = message.scale.y = message.scale.z = message.color.a = 1.0
+        message.color.r, message.color.g, message.color.b = CLOTH_COLOUR
+        self._corners = faces.ravel()
+        self._serialised = SerialisedMessage(message, marker)
+
+    def stamped(self, points: np.ndarray, sec: int, nanosec: int) -> bytes:
+        """The marker of a cloud (n, 6), to be published."""
+        self._serialised.payload[:] = points[self._corners, :3]
+        return self._serialised.stamped(sec, nanosec)
 
 
 def read_cloud(message) -> np.ndarray:
@@ -64,17 +108,24 @@ def read_cloud(message) -> np.ndarray:
     return np.ndarray(shape, dtype=np.float32, buffer=message.data, strides=strides)
 
 
-def garment_description(draper: Draper, frame_id: str):
-    """The `physkin_msgs/GarmentDescription` of what a draper publishes; the stamp is left to the caller."""
-    from physkin_msgs.msg import GarmentDescription
+def garment_mesh(draper: Draper, frame_id: str, *, revision: int = 1, avatar: str = ""):
+    """The `physkin_msgs/GarmentMesh` of what a draper publishes; the stamp is left to the caller."""
+    from physkin_msgs.msg import GarmentMesh
 
-    model = draper.model
-    message = GarmentDescription(
+    model, bound = draper.model, draper.bound
+    message = GarmentMesh(
+        revision=revision,
         model_name=model.name,
+        avatar=avatar,
         vertex_count=draper.vertex_count,
         faces=array("I", draper.faces.astype(np.uint32).tobytes()),
-        rest_vertices=array("f", draper.bound.vertices.astype(np.float32).tobytes()),
-        node_count=len(model.node_rest),
+        rest_vertices=array("f", bound.vertices.tobytes()),
+        rest_normals=array("f", bound.normals.tobytes()),
+        node_count=len(bound.node_rest),
+        node_rest=array("f", bound.node_rest.tobytes()),
+        influences=bound.influence_nodes.shape[1],
+        influence_nodes=array("I", bound.influence_nodes.astype(np.uint32).tobytes()),
+        influence_weights=array("f", bound.influence_weights.tobytes()),
         joint_names=list(draper.joint_names),
         joint_rest=array("f", model.rig.rest.astype(np.float32).tobytes()),
     )

@@ -51,7 +51,7 @@ class JointStateWire:
     def read(self, data: bytes, out: np.ndarray) -> None:
         """Write the joint positions (d,) float32 [rad] after this message into `out`.
 
-        Raises JointStateError, as the reader does and for bytes that are not a joint state; `out` may have changed then.
+        Raises JointStateError as the reader does, and for bytes that are no joint state; `out` may have changed.
         """
         for layout in self._recent:
             if data.startswith(layout.middle, 12) and data.startswith(layout.start):

@@ -56,7 +56,7 @@ def test_sigterm_and_remapping(start, peer, model_path):
         ({"joint_map": "{tmp}/map.json"}, "unknown key 'gain'"),
         ({"backend": "gpu"}, "parameter backend is 'gpu'; allowed: native, numpy"),
         ({"precision": "fp16"}, "'fp16'"),
-        ({"precision": "''"}, "parameter precision must not be empty"),
+        ({"precision": "''"}, "parameter precision is ''; allowed: fp32, bf16, int8"),
         ({"precision": "int8", "backend": "numpy"}, "the numpy backend"),
         ({"push_out": 1}, "expecting type 'BOOL'"),
         ({"executor": "many"}, "parameter executor is 'many'; allowed: events, single"),

@@ -41,6 +41,13 @@ def direction(rig, positions, start: str, end: str) -> np.ndarray:
     return way / np.linalg.norm(way)
 
 
+def at_rest(bone: str) -> np.ndarray:
+    """Where a VRM bone points in the T-pose, in VRM's axes."""
+    if "Leg" in bone:
+        return np.array([0, -1.0, 0])
+    return np.array([1.0 if bone.startswith("left") else -1.0, 0, 0])
+
+
 def test_zero_is_the_t_pose(rig, reader):
     """Arms to the sides, legs straight down."""
     names = [
