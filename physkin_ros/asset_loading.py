@@ -7,6 +7,7 @@ of the files they came from, so that a body that comes back is worn at once.
 from __future__ import annotations
 
 import hashlib
+import json
 from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -87,7 +88,7 @@ class DraperLoader:
     def __init__(self, backend: str) -> None:
         self._backend = backend
         self._lock = Lock()  # one load at a time: a second core is for draping
-        self._models: OrderedDict[str, GarmentModel] = OrderedDict()
+        self._models: OrderedDict[str, tuple[GarmentModel, str]] = OrderedDict()
         self._avatars: OrderedDict[tuple[str, ...], Avatar] = OrderedDict()
         self._bindings: OrderedDict[tuple[object, ...], Binding] = OrderedDict()
 
@@ -96,12 +97,14 @@ class DraperLoader:
         with self._lock:
             started = perf_counter()
             model_key = _digest(wanted.model) if Path(wanted.model).is_file() else wanted.model
-            model = self._models.get(model_key) or load_garment_model(wanted.model)
-            _keep(self._models, model_key, model)
+            if model_key not in self._models:
+                model = load_garment_model(wanted.model)
+                _keep(self._models, model_key, (model, json.dumps(model.rig.to_json())))
+            model, rig = self._models[model_key]
             body = Path(wanted.body_mesh or BUNDLED_AVATAR)
             rig_file = wanted.body_rig or None
             sources = [str(body), *_digests(body, wanted.body_rig)]
-            avatar_key = (*sources, model_key)  # in the canonical pose of the model's rig
+            avatar_key = (*sources, rig)  # in the canonical pose of that rig
             avatar = self._avatars.get(avatar_key) or load_avatar(body, model.rig, rig_file=rig_file)
             _keep(self._avatars, avatar_key, avatar)
             key = (*sources[1:], model_key, wanted.push_out)

@@ -113,7 +113,9 @@ class DrapeNode(LifecycleNode):
             descriptor.additional_constraints = f"one of: {', '.join(choice or 'empty' for choice in setting.choices)}"
         if isinstance(setting.default, float):
             descriptor.dynamic_typing = True  # 60 on a command line is an integer
-            descriptor.floating_point_range = [FloatingPointRange(from_value=setting.low, to_value=setting.high)]
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=float(setting.low), to_value=float(setting.high))
+            ]
         elif isinstance(setting.default, int) and not isinstance(setting.default, bool):
             descriptor.integer_range = [IntegerRange(from_value=int(setting.low), to_value=int(setting.high), step=1)]
         elif isinstance(setting.default, list) and isinstance(setting.default[0], float):
@@ -266,7 +268,7 @@ class DrapeNode(LifecycleNode):
                 self._open(avatar).dress()
         diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._publishers_of_reports = [diagnostics]
-        if DrapeStatistics is not None:
+        if SwapServices is not None:
             self._publishers_of_reports.append(self.create_publisher(DrapeStatistics, "~/statistics", 10))
             self._services_of_swaps = SwapServices(self, self._set_body, self._set_garment)
         self._timers_of_reports = [self.create_timer(1.0, self._report)]
