@@ -49,8 +49,8 @@ class BallJoints:
         self.sources = np.unique(named[named >= 0])
         self._named = named.T[:, :, None, None].clip(min=0)  # (3, L, 1, 1)
         self._given = (named.T >= 0)[:, :, None, None].astype(np.float64)
-        cross = np.array([[_cross(axis) for axis in ball.axes] for ball, _ in balls]).transpose(1, 0, 2, 3)
-        self._cross, self._cross_twice = cross, cross @ cross  # (3, L, 3, 3)
+        self._all_given = bool(self._given.all())
+        self._axes = _Axes(np.array([[_cross(axis) for axis in ball.axes] for ball, _ in balls]).transpose(1, 0, 2, 3))
         self._before = np.array([ball.frame.T @ ball.before for ball, _ in balls])
         self._after = np.array([ball.after @ ball.frame for ball, _ in balls])
         signs = np.array([np.sign(np.linalg.det(ball.frame)) for ball, _ in balls])
@@ -59,8 +59,7 @@ class BallJoints:
             if ball.twist is not None:
                 twist[row, ball.twist] = 0.5
         self._twist = twist if twist.any() else None
-        self._twist_axis = np.array([_cross(2 * row) for row in twist])
-        self._twist_axis_twice = self._twist_axis @ self._twist_axis
+        self._twist_axis = _Axes(np.array([_cross(2 * row) for row in twist]))
         slots = [(row, slot, joint) for row, (ball, _) in enumerate(balls) for slot, joint in enumerate(ball.joints)]
         slots = [(4 * row + slot, index[joint], signs[row]) for row, slot, joint in slots if joint]
         self._slot = np.array([slot for slot, _, _ in slots])
@@ -69,37 +68,51 @@ class BallJoints:
 
     def gather(self, values: np.ndarray) -> np.ndarray:
         """The incoming angles (3, L, 1, 1)."""
-        return np.where(self._given, values[self._named], 0.0)
+        angles = values[self._named]
+        return angles if self._all_given else np.where(self._given, angles, 0.0)
 
     def solve(self, angles: np.ndarray, positions: np.ndarray) -> None:
         """Write the rig's joints into `positions` (d,)."""
-        first, second, third = _turn(self._cross, self._cross_twice, angles)
+        first, second, third = self._axes.turn(angles)
         turn = self._before @ first @ second @ third @ self._after
         found = np.zeros((len(turn), 4))
-        found[:, :3] = _three_angles(turn)
+        _three_angles(turn, found)
         if self._twist is not None:
             half = (found[:, :3] * self._twist).sum(axis=1)
-            turn = turn @ _turn(self._twist_axis, self._twist_axis_twice, -half[:, None, None])
-            found[:, :3] = _three_angles(turn)
+            _three_angles(turn @ self._twist_axis.turn(-half[:, None, None]), found)
             found[:, 3] = half
         positions[self._target] = self._sign * found.ravel()[self._slot]
 
 
-def _turn(cross: np.ndarray, cross_twice: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Rodrigues' formula: rotations (..., 3, 3) by angles (..., 1, 1) about axes given by their cross matrices."""
-    return np.eye(3) + np.sin(angles) * cross + (1 - np.cos(angles)) * cross_twice
+class _Axes:
+    """Rotations about fixed axes, by Rodrigues' formula. cross: (..., 3, 3) the axes' cross matrices."""
+
+    def __init__(self, cross: np.ndarray) -> None:
+        self._cross, self._twice = cross, cross @ cross
+        self._constant = np.eye(3) + self._twice
+
+    def turn(self, angles: np.ndarray) -> np.ndarray:
+        """Rotations (..., 3, 3) by angles (..., 1, 1)."""
+        return self._constant + np.sin(angles) * self._cross - np.cos(angles) * self._twice
 
 
-def _three_angles(turn: np.ndarray) -> np.ndarray:
-    """Angles (L, 3) about X, Y and Z, composed in that order, of rotations (L, 3, 3).
+OUTER_OVER, OUTER_UNDER = np.array([5, 1]), np.array([8, 0])  # elements of a rotation, row by row
+
+
+def _three_angles(turn: np.ndarray, out: np.ndarray) -> None:
+    """Write angles about X, Y and Z, composed in that order, of rotations (L, 3, 3) into out[:, :3].
 
     Where the middle angle is a right angle, the outer two turn about one axis: the first takes it all.
     """
-    middle = np.arcsin(np.clip(turn[:, 0, 2], -1, 1))
-    apart = np.hypot(turn[:, 0, 0], turn[:, 0, 1]) > UPRIGHT
-    first = np.where(apart, np.arctan2(-turn[:, 1, 2], turn[:, 2, 2]), np.arctan2(turn[:, 2, 1], turn[:, 1, 1]))
-    third = np.where(apart, np.arctan2(-turn[:, 0, 1], turn[:, 0, 0]), 0.0)
-    return np.stack([first, middle, third], axis=1)
+    flat = turn.reshape(-1, 9)
+    out[:, 0:3:2] = np.arctan2(-flat[:, OUTER_OVER], flat[:, OUTER_UNDER])
+    middle = flat[:, 2]
+    out[:, 1] = np.arcsin(np.minimum(np.maximum(middle, -1.0), 1.0))
+    apart = np.hypot(flat[:, 0], flat[:, 1]) > UPRIGHT
+    if not apart.all():
+        one = ~apart
+        out[one, 0] = np.arctan2(flat[one, 7], flat[one, 4])
+        out[one, 2] = 0.0
 
 
 def _cross(axis: np.ndarray) -> np.ndarray:

@@ -223,7 +223,8 @@ class DrapeNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         except Exception as error:  # rclpy would swallow it
             self._failure = error
-            self.get_logger().error(f"cannot configure: {traceback.format_exc()}")
+            if self.context.ok():  # else a signal came meanwhile
+                self.get_logger().error(f"cannot configure: {traceback.format_exc()}")
             self._take_down()
             return TransitionCallbackReturn.ERROR
         return super().on_configure(state)

@@ -77,6 +77,10 @@ def main(argv: list[str] | None = None) -> int:
     except (ValueError, OSError, ImportError, ParameterException, NameValidationException) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except Exception:
+        if rclpy.ok() or node is not None:
+            raise
+        return 0  # a signal came while the node was being made
     finally:
         if node is not None:
             node.destroy_node()

@@ -20,7 +20,7 @@ SEGMENT = re.compile(r"fastrtps_\w+")
 def shared_memory_of(pid: int | str) -> set[str]:
     """Names of the Fast DDS segments and ports that a process has open; none if it may not be looked into."""
     try:
-        maps = Path(f"/proc/{pid}/maps").read_text()
+        maps = Path(f"/proc/{pid}/maps").read_text(errors="replace")
     except OSError:
         return set()
     return set(re.findall(rf"{SHARED_MEMORY}/(fastrtps_\w+)", maps))
