@@ -40,7 +40,7 @@ try:  # clouds never depend on our own interfaces
     from physkin_msgs.msg import DrapeStatistics, GarmentStatistics
 
     from physkin_ros.swap_services import SwapServices
-except ModuleNotFoundError:
+except ImportError:  # not installed, or of an earlier version
     DrapeStatistics = GarmentStatistics = SwapServices = None
 
 __all__ = ["DrapeNode"]

@@ -15,7 +15,7 @@ from physkin_ros.settings import AvatarSettings, GarmentSettings
 
 try:  # clouds never depend on our own interfaces
     from physkin_msgs.msg import GarmentMesh, GarmentNodes
-except ModuleNotFoundError:
+except ImportError:  # not installed, or of an earlier version
     GarmentMesh = GarmentNodes = None
 
 __all__ = ["GarmentStream", "WornGarment", "stream_quality"]

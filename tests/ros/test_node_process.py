@@ -84,3 +84,20 @@ def test_unknown_arguments(start):
     output = node.stdout.read()
     assert "error: unknown arguments: --model tshirt" in output and "body_mesh" in output
     assert "geometry_msgs/Vector3Stamped" in output
+
+
+def test_wrong_config_is_one_line(start, tmp_path):
+    """File, key and what is allowed, before anything is loaded."""
+    path = tmp_path / "avatars.yaml"
+    path.write_text("drape_node: {ros__parameters: {avatars: {ann: {garments: {top: {modl: tshirt}}}}}}")
+    for arguments, reason in (
+        (
+            ["--config", str(path)],
+            f"config {path}: parameter avatars.ann.garments.top.modl: unknown key 'modl'; allowed",
+        ),
+        (["--config"], "--config needs a file"),
+    ):
+        node = start("physkin_ros", *arguments)
+        assert node.wait(30) == 2
+        lines = node.stdout.read().splitlines()
+        assert len(lines) == 1 and lines[0].startswith("error: ") and reason in lines[0]
