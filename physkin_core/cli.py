@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 FORWARDED = {
-    "node": ("physkin_ros.drape_node", "run the ROS 2 node: joint states in, garment point clouds out"),
+    "node": ("physkin_ros.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
     "demo": ("physkin_ros.demo", "run the node between a motion player and a listener; print figures, draw a picture"),
     "fit-garment": ("physkin_training.fit_garment", "check, train and report on a garment mesh of one's own"),
     "train": ("physkin_training.train", "train a garment from its mesh and physics"),

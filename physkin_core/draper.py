@@ -6,8 +6,8 @@ Dimensions: `d` scalar degrees of freedom, `n` garment vertices, `m` garment nod
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from time import perf_counter
@@ -22,13 +22,21 @@ from physkin_core.garment import Garment
 from physkin_core.garment_model import GarmentModel
 from physkin_core.push_out import BoundPushOut, ContactResidual, bind_push_out
 
-__all__ = ["BACKENDS", "UPRIGHT_GRAVITY", "Draper"]
+__all__ = ["BACKENDS", "UPRIGHT_GRAVITY", "Binding", "Draper"]
 
 log = logging.getLogger(__name__)
 
 BACKENDS = ("native", "numpy")
 UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
 """Gravity direction in the root frame of an upright body."""
+
+
+@dataclass(frozen=True)
+class Binding:
+    """A garment model bound to a body: what a draper works out once and another of the same two can take over."""
+
+    garment: BoundGarment
+    push_out: BoundPushOut | None
 
 
 class Draper:
@@ -45,6 +53,7 @@ class Draper:
         truer where the cloth ripples or slides, for some 5 ns a vertex.
     points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
         space; they have no faces.
+    binding: of another draper of the same model, avatar and fit, which saves encoding the body again.
     Raises ValueError for an unknown backend, precision or kind of normals, a body of another rig, a fit that the model
     has not learnt, points that are not this garment's, or normals of faces where there are points without any.
     """
@@ -61,12 +70,13 @@ class Draper:
         normals: Literal["skinned", "faces"] = "skinned",
         points: np.ndarray | None = None,
         point_normals: np.ndarray | None = None,
+        binding: Binding | None = None,
     ) -> None:
         if backend not in BACKENDS:
             raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
         if backend == "numpy" and precision not in (None, "fp32"):
             raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
-        bound = bind_garment(model, avatar, fit=fit, backend=backend)
+        bound = bind_garment(model, avatar, fit=fit, backend=backend) if binding is None else binding.garment
         self._rest = rest = bound.vertices if fit else None
         if points is not None:
             bound = replace(bound, **bind_points(model, points, normals=point_normals, rest=rest))
@@ -75,12 +85,15 @@ class Draper:
         self.backend = backend
         self.bound: BoundGarment = bound
         self._evaluator = _evaluator(backend, bound, precision, None, normals)
-        self._bound_push_out: BoundPushOut | None = None
+        self._push_out: BoundPushOut | None = None
         if push_out:
-            started = perf_counter()
-            self._bound_push_out = bind_push_out(self.drape, model.rig, avatar)
-            self._evaluator = _evaluator(backend, bound, precision, self._bound_push_out, normals)
-            log.info("bound the push-out of %s in %.1f s", model.name, perf_counter() - started)
+            if binding is None or binding.push_out is None:
+                started = perf_counter()
+                self._push_out = bind_push_out(self.drape, model.rig, avatar)
+                log.info("bound the push-out of %s in %.1f s", model.name, perf_counter() - started)
+            else:
+                self._push_out = binding.push_out
+            self._evaluator = _evaluator(backend, bound, precision, self._push_out, normals)
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
 
     @property
@@ -139,17 +152,37 @@ class Draper:
         self._evaluator.evaluate(positions, (down / length).astype(np.float32), out)
         return out
 
+    def bind_step(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> Callable[[], None]:
+        """A frame bound to its arrays: `step()` drapes what they hold now into `out`, with nothing to convert or check.
+
+        joint_positions: (d,) [rad] and gravity: (3,) unit direction, C-contiguous float32, to be changed in place.
+        out: as for `drape`. Raises TypeError or ValueError for other arrays; `step()` raises ValueError when a value or
+        what the networks make of it is not finite (`out` is then unchanged).
+        """
+        if self.backend == "native":
+            return self._evaluator.bind_step(joint_positions, gravity, out).step
+
+        def step() -> None:
+            self.drape(joint_positions, gravity, out=out)
+
+        return step
+
+    @property
+    def binding(self) -> Binding:
+        """What another draper of the same model and avatar can be made from without encoding the body again."""
+        return Binding(self.bound, self._push_out)
+
     @property
     def residual(self) -> ContactResidual | None:
         """What the push-out knows to be left inside in the last `drape` (see there); None without push-out."""
-        return self._evaluator.residual if self._bound_push_out is not None else None
+        return None if self._push_out is None else self._evaluator.residual
 
     def save_bound(self, path: str | Path) -> None:
         """Write what is bound here, push-out included, for hosts without Python: see native/include/physkin.h."""
         from physkin_core.bound_file import save_bound_garment
 
         save_bound_garment(
-            self.bound, path, name=self.model.name, joint_names=self.joint_names, push_out=self._bound_push_out
+            self.bound, path, name=self.model.name, joint_names=self.joint_names, push_out=self._push_out
         )
 
     def node_transforms(self) -> np.ndarray:

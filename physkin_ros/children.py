@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -12,9 +11,10 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from physkin_ros.shared_memory import remove_shared_memory, shared_memory_of
+
 __all__ = ["ChildFailedError", "Children"]
 
-SHARED_MEMORY = Path("/dev/shm")
 STOP_SECONDS = 5.0
 LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
 PR_SET_PDEATHSIG = 1
@@ -81,7 +81,7 @@ class Children:
         opened: set[str] = set()
         running = [process for process in self._processes.values() if process.poll() is None]
         for process in running:
-            opened |= _shared_memory_of(process.pid)
+            opened |= shared_memory_of(process.pid)
             process.send_signal(signal.SIGINT)
         deadline = time.monotonic() + STOP_SECONDS
         for process in running:
@@ -91,7 +91,7 @@ class Children:
                 process.kill()
                 process.wait()
         if any(process.returncode < 0 for process in self._processes.values()):
-            _remove_shared_memory(opened)
+            remove_shared_memory(opened)
 
     def _check(self) -> None:
         for name, process in self._processes.items():
@@ -103,20 +103,3 @@ def _end_with_parent() -> None:
     """In the child: have the kernel end it should the parent be killed before it can do so."""
     if LIBC is not None:
         LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-
-
-def _shared_memory_of(pid: int | str) -> set[str]:
-    """Names of the Fast DDS segments and ports that a process has open; none if it may not be looked into."""
-    try:
-        maps = Path(f"/proc/{pid}/maps").read_text()
-    except OSError:
-        return set()
-    return set(re.findall(rf"{SHARED_MEMORY}/(fastrtps_\w+)", maps))
-
-
-def _remove_shared_memory(names: set[str]) -> None:
-    """Delete what killed processes had open and no living one has."""
-    living = [path.name for path in Path("/proc").glob("[0-9]*")]
-    for name in names.difference(*map(_shared_memory_of, living)):
-        for file in (name, f"{name}_el", f"sem.{name}_mutex"):
-            (SHARED_MEMORY / file).unlink(missing_ok=True)

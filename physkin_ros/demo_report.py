@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core import Avatar, Draper, GarmentModel, Motion
 from physkin_core.picture import CLOTH_COLOUR, Mesh, contact_sheet, render, save_png
-from physkin_ros.conversions import JointStateReader
+from physkin_ros.joint_states import JointStateReader
 
 __all__ = ["DemoReport", "draw"]
 

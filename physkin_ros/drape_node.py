@@ -1,313 +1,451 @@
-"""The drape node: joint states in, garment point clouds out.
+"""The drape node: joint states in, garment point clouds out, for one or many garments on one or many avatars.
 
-Subscribes to `joint_states` and `gravity`; publishes `~/garment`, `/diagnostics` at 1 Hz and, where `physkin_msgs` is
-installed, `~/description` (once, transient local) and `~/nodes`. Topics are renamed by remapping, qualities of service
-by `qos_overrides` parameters.
+A lifecycle node: configuring loads the files and opens the topics, activating answers joint states. With `autostart`,
+the default, both happen at once. The work is done by `AvatarStream`s; here are parameters, transitions and reports.
 """
 
 from __future__ import annotations
 
-import logging
 import sys
-from time import perf_counter_ns
+import traceback
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from time import monotonic_ns
 
-import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Vector3Stamped
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
-from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.experimental import EventsExecutor
-from rclpy.logging import get_logger
-from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.utilities import remove_ros_args
-from sensor_msgs.msg import JointState, PointCloud2
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 
-import physkin_core
-from physkin_core import BUNDLED_AVATAR, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
-from physkin_ros.conversions import GarmentCloud, JointStateReader, garment_description, gravity_direction
-from physkin_ros.diagnostics import DrapeStatistics, contact_values, diagnostic_status
-from physkin_ros.joint_map import load_joint_map
-from physkin_ros.ros4hri import ROS4HRI, Ros4hriReader
-from physkin_ros.transport import use_shipped_profile
+from physkin_ros.asset_loading import AssetRoots, DraperLoader, Outfitting
+from physkin_ros.avatar_stream import AvatarStream
+from physkin_ros.body_discovery import BodyDiscovery, body_publishers
+from physkin_ros.diagnostics import diagnostic_status
+from physkin_ros.ros4hri import ROS4HRI
+from physkin_ros.settings import (
+    AVATAR_SETTINGS,
+    GARMENT_SETTINGS,
+    NODE_SETTINGS,
+    AvatarSettings,
+    Setting,
+    SettingsError,
+    avatar_prefixes,
+    check_setting,
+    read_settings,
+)
+from physkin_ros.shared_memory import leftovers, remove_shared_memory
 
-try:  # clouds never depend on our own messages
-    from physkin_msgs.msg import GarmentDescription, GarmentNodes
-except ModuleNotFoundError:
-    GarmentDescription = GarmentNodes = None
+try:  # clouds never depend on our own interfaces
+    from physkin_msgs.msg import DrapeStatistics, GarmentStatistics
 
-__all__ = ["PARAMETERS", "DrapeNode", "main", "spin"]
+    from physkin_ros.swap_services import SwapServices
+except ImportError:  # not installed, or of an earlier version
+    DrapeStatistics = GarmentStatistics = SwapServices = None
 
-EXECUTORS = {"events": EventsExecutor, "single": SingleThreadedExecutor}
-PARAMETERS = {
-    "model": ("tshirt", "garment model: a .safetensors file, or the name of a shipped one"),
-    "body_mesh": ("", "avatar to dress: a GLB, glTF, VRM, OBJ, PLY or STL file; empty: the bundled avatar"),
-    "body_rig": ("", "rig file of a body_mesh that has no skin of its own; empty: NAME.rig.json beside it, if there"),
-    "joint_map": (
-        "",
-        "JSON file from incoming joint names to those of the rig, or ros4hri for bodies of REP-155 (default rig only); "
-        "empty: the names are the rig's",
-    ),
-    "frame_id": ("base_link", "TF frame the clouds are given in: the body's root, X forward, Y left, Z up"),
-    "backend": ("native", "evaluator: native (C++) or numpy (readable reference, slow)"),
-    "precision": (
-        "bf16",
-        "of the network weights: fp32, bf16 or int8, each faster and coarser than the last; numpy knows fp32 only",
-    ),
-    "fit": (
-        0.0,
-        "0: the garment's one size; 1: made to measure for this body; or between. Above 0 only for models that have "
-        "learnt it; the node takes half a second more to start",
-    ),
-    "push_out": (
-        False,
-        "move vertices that end up inside the body out of it, in microseconds a frame; the node takes seconds more to "
-        "start, and its diagnostics tell what is left inside",
-    ),
-    "executor": ("events", "rclpy executor: events (least overhead) or single"),
-    "gravity": (
-        UPRIGHT_GRAVITY.tolist(),
-        "direction of gravity in the body's root frame until the topic gravity gives one; may be set while running",
-    ),
-}
-"""Name -> default and description. Only `gravity` can change while the node runs."""
-TOPICS = {
-    "joint_states": "in, sensor_msgs/JointState: pose of the body",
-    "gravity": "in, geometry_msgs/Vector3Stamped: direction of gravity in the body's root frame, any length but zero; "
-    "joint states are draped with the latest, so send it before them",
-    "~/garment": "out, sensor_msgs/PointCloud2: points [m] and normals, body's root frame, stamp of the joint state",
-    "/diagnostics": "out, diagnostic_msgs/DiagnosticArray at 1 Hz",
-    "~/description": "out, physkin_msgs/GarmentDescription: faces and names, latched; with physkin_msgs installed",
-    "~/nodes": "out, physkin_msgs/GarmentNodes: garment node transforms; with physkin_msgs installed",
-}
-"""Name -> direction, type and meaning, for the usage text."""
-WARNING_PERIOD = 1.0  # [s] rejected messages are warned about at most this often
+__all__ = ["DrapeNode"]
+
+WARNING_PERIOD = 5.0  # [s]
+SWITCH_INTERVAL = 0.0005  # [s] a load in the background holds the callback up no longer; Python's own is ten times that
 
 
-class DrapeNode(Node):
-    """Drapes one garment on one body, a joint state at a time.
+class DrapeNode(LifecycleNode):
+    """Serves the avatars of its parameters.
 
-    Raises ValueError (model, avatar, rig, joint map, parameter values) or ParameterException (parameter types).
+    Raises ValueError (models, avatars, rigs, joint maps, parameter values), OSError or ParameterException (parameter
+    types); without `autostart`, those of the files only fail the transition `configure`.
     """
 
     def __init__(self, **arguments) -> None:
         """arguments: as `rclpy.node.Node` takes them, such as `context` and `parameter_overrides`."""
         super().__init__("drape_node", **arguments)
+        self._streams: dict[str, AvatarStream] = {}
+        self._templates: list[tuple[AvatarSettings, BodyDiscovery]] = []
+        self._publishers_of_reports: list = []
+        self._timers_of_reports: list = []
+        self._services_of_swaps = None
+        self._failure: Exception | None = None
+        self._starting = False
+        self._active = False
+        self._changeable: dict[str, Setting] = {}
         self._declare_parameters()
-        model = load_garment_model(self._text("model"))
-        rig_file = self._text("body_rig") or None
-        avatar = load_avatar(self._text("body_mesh") or BUNDLED_AVATAR, model.rig, rig_file=rig_file)
-        for warning in avatar.warnings:
-            self.get_logger().warning(warning)
-        map_file = self._text("joint_map")
-        self._translate = None
-        if map_file == ROS4HRI:
-            self._translate, map_file = Ros4hriReader(model.rig).translate, ""
-        self._reader = JointStateReader(
-            model.rig.joint_names,
-            model.rig.rest,
-            joint_map=load_joint_map(map_file, model.rig.joint_names) if map_file else None,
-            on_unknown=self._warn_unknown,
+        self._settings = self._read_settings()
+        self._roots = AssetRoots(
+            self._settings.asset_roots,
+            (
+                file
+                for avatar in self._settings.avatars
+                for file in (
+                    avatar.body_mesh,
+                    avatar.body_rig,
+                    *(garment.model for garment in avatar.garments if "/" in garment.model),
+                )
+            ),
         )
-        self._draper = Draper(
-            model,
-            avatar,
-            backend=self._text("backend"),
-            precision=self._text("precision"),
-            fit=self.get_parameter("fit").value,
-            push_out=self.get_parameter("push_out").value,
-        )
-        self._gravity = np.array(self.get_parameter("gravity").value, dtype=np.float64)
-        self.add_on_set_parameters_callback(self._on_parameters)
-        self._statistics = DrapeStatistics()
-        self._cloud = GarmentCloud(self._draper.vertex_count, self._text("frame_id"))
-        self._open_topics()
+        self._loader = DraperLoader(self._settings.backend)
+        self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="physkin-loader")
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._follow_parameters)
+        sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_INTERVAL))
+        self._tell_leftovers()
+        if self._settings.autostart:
+            self._start()
+
+    # Parameters.
 
     def _declare_parameters(self) -> None:
-        for name, (default, description) in PARAMETERS.items():
-            descriptor = ParameterDescriptor(description=description, read_only=name != "gravity")
-            descriptor.dynamic_typing = name == "gravity"  # [0, 0, -1] on a command line are integers
-            self.declare_parameter(name, default, descriptor)
-        choices = {"executor": EXECUTORS, "backend": physkin_core.BACKENDS}
-        for name, allowed in choices.items():
-            if self._text(name) not in allowed:
-                raise ValueError(f"parameter {name} is {self._text(name)!r}; allowed: {', '.join(allowed)}")
-        for name in ("model", "frame_id", "precision"):
-            if not self._text(name):
-                raise ValueError(f"parameter {name} must not be empty")
-        try:
-            gravity_direction(self.get_parameter("gravity").value)
-        except ValueError as error:
-            raise ValueError(f"parameter {error}") from None
-        unknown = [name for name in self._parameter_overrides if not self.has_parameter(name)]
-        if unknown := sorted(name for name in unknown if not name.startswith("qos_overrides.")):
-            self.get_logger().warning(f"no such parameter: {', '.join(unknown)}; there are {', '.join(PARAMETERS)}")
+        given = {name: parameter.value for name, parameter in self._parameter_overrides.items()}
+        avatars = avatar_prefixes(given)
+        levels = [("", NODE_SETTINGS)]
+        for avatar, garments in avatars.items():
+            levels += [(avatar, AVATAR_SETTINGS), *((garment, GARMENT_SETTINGS) for garment in garments)]
+        for prefix, settings in levels:
+            for key, setting in settings.items():
+                self._declare(prefix + key, setting)
+        strange = [name for name in given if not self.has_parameter(name) and not name.startswith("qos_overrides.")]
+        if strange:
+            known = [*NODE_SETTINGS, *("avatars" if "" not in avatars else [*AVATAR_SETTINGS, *GARMENT_SETTINGS])]
+            self.get_logger().warning(f"no such parameter: {', '.join(sorted(strange))}; there are {', '.join(known)}")
 
-    def _open_topics(self) -> None:
-        quality = {
-            "qos_profile": QoSProfile(depth=5),
-            "qos_overriding_options": QoSOverridingOptions.with_default_policies(),
-        }
-        self._publisher = self.create_publisher(PointCloud2, "~/garment", **quality)
-        self._nodes_publisher = None
-        if GarmentDescription is not None:
-            latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-            self._description_publisher = self.create_publisher(GarmentDescription, "~/description", latched)
-            description = garment_description(self._draper, self._text("frame_id"))
-            description.header.stamp = self.get_clock().now().to_msg()
-            self._description_publisher.publish(description)
-            self._nodes_publisher = self.create_publisher(GarmentNodes, "~/nodes", **quality)
-            self._nodes = GarmentNodes()
-            self._nodes.header.frame_id = self._text("frame_id")
-        self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(1.0, self._publish_diagnostics)
-        # first: when both have messages waiting, executors serve the older subscription before the younger
-        self.create_subscription(Vector3Stamped, "gravity", self._on_gravity, **quality)
-        subscription = self.create_subscription(JointState, "joint_states", self._on_joint_state, **quality)
-        self.get_logger().info(
-            f"{self._draper.model.name} with {self._draper.vertex_count} vertices: "
-            f"{subscription.topic_name} -> {self._publisher.topic_name}"
-        )
+    def _declare(self, name: str, setting: Setting) -> None:
+        descriptor = ParameterDescriptor(description=setting.description, read_only=not setting.changes)
+        if setting.choices:
+            descriptor.additional_constraints = f"one of: {', '.join(choice or 'empty' for choice in setting.choices)}"
+        if isinstance(setting.default, float):
+            descriptor.dynamic_typing = True  # 60 on a command line is an integer
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=float(setting.low), to_value=float(setting.high))
+            ]
+        elif isinstance(setting.default, int) and not isinstance(setting.default, bool):
+            descriptor.integer_range = [IntegerRange(from_value=int(setting.low), to_value=int(setting.high), step=1)]
+        elif isinstance(setting.default, list) and isinstance(setting.default[0], float):
+            descriptor.dynamic_typing = True  # so is [0, 0, -1]
+        self.declare_parameter(name, setting.default, descriptor)
+        if setting.changes:
+            self._changeable[name] = setting
 
-    def _on_joint_state(self, message: JointState) -> None:
-        self._statistics.received += 1
-        try:
-            names, values = message.name, message.position
-            if self._translate is not None:
-                names, values = self._translate(names, values)
-            positions = self._reader.read(names, values)
-            started = perf_counter_ns()
-            self._draper.drape(positions, self._gravity, out=self._cloud.points)
-            evaluation_ns = perf_counter_ns() - started
-        except ValueError as error:
-            self._statistics.reject(str(error))
-            self.get_logger().warning(f"joint state ignored: {error}", throttle_duration_sec=WARNING_PERIOD)
-            return
-        self._reader.positions = positions
-        stamp = message.header.stamp
-        self._cloud.message.header.stamp = stamp
-        self._publisher.publish(self._cloud.message)
-        self._statistics.draped(stamp.sec * 1_000_000_000 + stamp.nanosec, evaluation_ns)
-        if self._nodes_publisher is not None and self._nodes_publisher.get_subscription_count():
-            self._nodes.header.stamp = stamp
-            self._nodes.transforms = self._draper.node_transforms().ravel()
-            self._nodes_publisher.publish(self._nodes)
+    def _read_settings(self):
+        return read_settings({name: parameter.value for name, parameter in self._parameters.items()})
 
-    def _on_gravity(self, message: Vector3Stamped) -> None:
-        try:
-            self._gravity = gravity_direction([message.vector.x, message.vector.y, message.vector.z])
-        except ValueError as error:
-            self._statistics.reject_gravity(str(error))
-            self.get_logger().warning(f"gravity message ignored: {error}", throttle_duration_sec=WARNING_PERIOD)
-
-    def _publish_diagnostics(self) -> None:
-        now = self.get_clock().now()
-        well, summary, values = self._statistics.report(now.nanoseconds)
-        model = self._draper.model.name
-        values |= {"model": model, "backend": self._draper.backend, "instruction set": self._draper.instruction_set}
-        values["precision"] = self._text("precision")
-        if (residual := self._draper.residual) is not None:
-            values |= contact_values(residual)
-        values["gravity"] = " ".join(f"{value:.3f}" for value in self._gravity)
-        status = diagnostic_status(f"{self.get_name()}: {model}", self._draper.avatar.source, well, summary, values)
-        report = DiagnosticArray(status=[status])
-        report.header.stamp = now.to_msg()
-        self._diagnostics_publisher.publish(report)
-
-    def _on_parameters(self, parameters) -> SetParametersResult:
+    def _check_parameters(self, parameters: Iterable[Parameter]) -> SetParametersResult:
         for parameter in parameters:
-            if parameter.name == "gravity":
-                try:
-                    self._gravity = gravity_direction(parameter.value)
-                except ValueError as error:
-                    return SetParametersResult(successful=False, reason=f"parameter {error}")
+            setting = self._changeable.get(parameter.name)
+            if setting is None:
+                continue
+            key = parameter.name.rsplit(".", 1)[-1]
+            try:
+                value = check_setting(parameter.name, setting, parameter.value)
+                if key in ("body_mesh", "body_rig"):
+                    Outfitting(body_mesh=value).check(self._roots)
+                elif key == "model":
+                    Outfitting(model=value).check(self._roots)
+            except ValueError as error:
+                return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _warn_unknown(self, names: list[str]) -> None:
-        self.get_logger().warning(f"joints without a counterpart in the rig are ignored: {', '.join(names)}")
+    def _follow_parameters(self, parameters: Iterable[Parameter]) -> None:
+        names = {parameter.name for parameter in parameters}
+        if not names & self._changeable.keys():
+            return
+        self._settings = settings = self._read_settings()
+        for stream in self._streams.values():
+            stream.deadline_ns = round(1e9 * settings.deadline)
+        for avatar in settings.avatars:
+            stream = self._streams.get(avatar.id)
+            if avatar.discover or stream is None:
+                continue
+            if avatar.prefix + "gravity" in names:
+                stream.set_gravity(avatar.gravity)
+            worn = stream.settings
+            body = (avatar.body_mesh, avatar.body_rig)
+            models = {
+                index: garment.model
+                for index, (garment, before) in enumerate(zip(avatar.garments, worn.garments))
+                if garment.model != before.model
+            }
+            if body != (worn.body_mesh, worn.body_rig) or models:
+                self._worker.submit(self._swap_for_parameters, stream, body, models)
+        self._templates = [
+            (next(avatar for avatar in settings.avatars if avatar.prefix == template.prefix), discovery)
+            for template, discovery in self._templates
+        ]
 
-    def _text(self, parameter: str) -> str:
-        return self.get_parameter(parameter).value
+    def _swap_for_parameters(self, stream: AvatarStream, body: tuple[str, str], models: dict[int, str]) -> None:
+        try:
+            stream.dress(body=body, models=models)
+        except Exception as error:
+            self._report_swap(stream, error)
+            self._show_settings(stream)
 
+    def _show_settings(self, stream: AvatarStream) -> None:
+        """Let the parameters say what is worn."""
+        worn = stream.settings
+        values = {worn.prefix + "body_mesh": worn.body_mesh, worn.prefix + "body_rig": worn.body_rig}
+        values |= {garment.prefix + "model": garment.model for garment in worn.garments}
+        changed = [
+            Parameter(name, value=value)
+            for name, value in values.items()
+            if name in self._changeable and self.get_parameter(name).value != value
+        ]
+        if changed and self._streams.get(worn.id) is stream and not self._is_template(worn.prefix):
+            # not through the callbacks: they would start the swap again, or refuse what the node was started with
+            for parameter in changed:
+                self._parameters[parameter.name] = parameter
+            self._settings = self._read_settings()
 
-def spin(node: DrapeNode) -> None:
-    """Serve the node until its context is shut down."""
-    executor = EXECUTORS[node.get_parameter("executor").value]()
-    executor.add_node(node)
-    try:
-        while rclpy.ok():  # EventsExecutor delivers nothing in spin(), nor in spin_once() without a timeout
-            executor.spin_once(timeout_sec=1.0)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except RuntimeError:  # rclpy's, when a signal ends the context between ok() and the wait
-        if rclpy.ok():
+    def _is_template(self, prefix: str) -> bool:
+        return any(template.prefix == prefix for template, _ in self._templates)
+
+    # Lifecycle.
+
+    def _start(self) -> None:
+        self._starting = True
+        try:
+            for trigger in (self.trigger_configure, self.trigger_activate):
+                if trigger() != TransitionCallbackReturn.SUCCESS:
+                    raise self._failure or RuntimeError("the drape node could not be started")
+        except BaseException:
+            self.destroy_node()
             raise
-    finally:
-        executor.remove_node(node)
-        executor.shutdown()
+        finally:
+            self._starting = False
 
+    def on_configure(self, state) -> TransitionCallbackReturn:
+        """Load models and bodies, and open the topics."""
+        self._failure = None
+        try:
+            self._configure()
+        except (ValueError, OSError, ImportError) as error:
+            self._failure = error
+            if not self._starting:
+                self.get_logger().error(f"cannot configure: {error}")
+            self._take_down()
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # rclpy would swallow it
+            self._failure = error
+            if self.context.ok():  # else a signal came meanwhile
+                self.get_logger().error(f"cannot configure: {traceback.format_exc()}")
+            self._take_down()
+            return TransitionCallbackReturn.ERROR
+        return super().on_configure(state)
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM. argv: without the program's name. Returns the exit status."""
-    arguments = ["drape_node", *(sys.argv[1:] if argv is None else argv)]
-    use_shipped_profile()
-    node = None
-    try:
-        _initialise(arguments)
-        if unknown := remove_ros_args(arguments)[1:]:
-            return _explain_usage(unknown)
-        _forward_log()
-        node = DrapeNode()
-        spin(node)
-        return 0
-    except KeyboardInterrupt:
-        return 0
-    except (ValueError, OSError, ImportError, ParameterException, NameValidationException) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
+    def on_activate(self, state) -> TransitionCallbackReturn:
+        """Answer joint states from now on."""
+        self._set_active(True)
+        return super().on_activate(state)
 
+    def on_deactivate(self, state) -> TransitionCallbackReturn:
+        """Answer no more; what is loaded stays."""
+        self._set_active(False)
+        return super().on_deactivate(state)
 
-def _initialise(arguments: list[str]) -> None:
-    """`rclpy.init`; raises ValueError on malformed ROS arguments."""
-    try:
-        rclpy.init(args=arguments)
-    except RuntimeError as error:
-        raise ValueError(str(error)) from error
+    def on_cleanup(self, state) -> TransitionCallbackReturn:
+        """Take the topics down and forget the bodies."""
+        self._take_down()
+        return super().on_cleanup(state)
 
+    def on_shutdown(self, state) -> TransitionCallbackReturn:
+        """As cleaning up, for good."""
+        self._take_down()
+        return super().on_shutdown(state)
 
-def _explain_usage(arguments: list[str]) -> int:
-    """Text of --help; the same after arguments that mean nothing."""
-    lines = ["usage: physkin node [--ros-args -p PARAMETER:=VALUE ... -r TOPIC:=TOPIC ...]", "", "parameters:"]
-    lines += [f"  {name:<10} {text} (default {default!r})" for name, (default, text) in PARAMETERS.items()]
-    lines += ["", "topics:", *(f"  {name:<13} {text}" for name, text in TOPICS.items())]
-    lines += ["", "Ended by SIGKILL the node leaves shared memory (/dev/shm/fastrtps_*) behind: fastdds shm clean."]
-    wanted = bool({"-h", "--help"} & set(arguments))
-    print("\n".join(lines), file=sys.stdout if wanted else sys.stderr)
-    if not wanted:
-        print(f"error: unknown arguments: {' '.join(arguments)}", file=sys.stderr)
-    return 0 if wanted else 2
+    def on_error(self, state) -> TransitionCallbackReturn:
+        """Back to unconfigured."""
+        self._take_down()
+        return TransitionCallbackReturn.SUCCESS
 
+    def destroy_node(self) -> None:
+        """Take everything down, background work included."""
+        self._worker.shutdown(wait=False, cancel_futures=True)
+        self._take_down()
+        super().destroy_node()
 
-def _forward_log() -> None:
-    """Send what the core logs, such as the time a body's encoding took, to the ROS log."""
-    logger = logging.getLogger("physkin_core")
-    logger.setLevel(logging.INFO)
-    logger.addHandler(_RosLogHandler())
+    def _configure(self) -> None:
+        self._settings = self._read_settings()
+        for avatar in self._settings.avatars:
+            if avatar.discover:
+                self._templates.append((avatar, BodyDiscovery(self._settings.most_bodies)))
+            else:
+                self._open(avatar).dress()
+        diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._publishers_of_reports = [diagnostics]
+        if SwapServices is not None:
+            self._publishers_of_reports.append(self.create_publisher(DrapeStatistics, "~/statistics", 10))
+            self._services_of_swaps = SwapServices(self, self._set_body, self._set_garment)
+        self._timers_of_reports = [self.create_timer(1.0, self._report)]
+        if self._templates:
+            self._timers_of_reports.append(self.create_timer(0.5, self._look_for_bodies))
 
+    def _open(self, avatar: AvatarSettings) -> AvatarStream:
+        stream = AvatarStream(self, avatar, self._loader, deadline_ns=round(1e9 * self._settings.deadline))
+        self._streams[avatar.id] = stream
+        stream.active = self._active
+        return stream
 
-class _RosLogHandler(logging.Handler):
-    def emit(self, record: logging.LogRecord) -> None:
-        # one line a level: rclpy ties each call site to the level of its first message
-        if record.levelno >= logging.ERROR:
-            get_logger(record.name).error(record.getMessage())
-        elif record.levelno >= logging.WARNING:
-            get_logger(record.name).warning(record.getMessage())
+    def _set_active(self, active: bool) -> None:
+        self._active = active
+        for stream in self._streams.values():
+            stream.active = active
+
+    def _take_down(self) -> None:
+        self._active = False
+        if self._services_of_swaps is not None:
+            self._services_of_swaps.close()
+            self._services_of_swaps = None
+        for timer in self._timers_of_reports:
+            self.destroy_timer(timer)
+        for publisher in self._publishers_of_reports:
+            self.destroy_publisher(publisher)
+        for stream in self._streams.values():
+            stream.close()
+        self._timers_of_reports, self._publishers_of_reports = [], []
+        self._streams, self._templates = {}, []
+
+    # Bodies that come and go.
+
+    def _look_for_bodies(self) -> None:
+        publishers = body_publishers(self)
+        for template, discovery in self._templates:
+            waiting = discovery.waiting
+            came, went = discovery.look(publishers)
+            for body in went:
+                if stream := self._streams.pop(body, None):
+                    stream.close()
+                    self.get_logger().info(f"{body}: the body is gone")
+            for body in came:
+                if body in self._streams:
+                    self.get_logger().warning(f"{body}: a body of this id is dressed already; it is passed over")
+                    continue
+                stream = self._open(_settings_for(template, body))
+                self.get_logger().info(f"{body}: a body has come")
+                self._worker.submit(self._dress_body, stream)
+            if discovery.waiting - waiting:
+                self.get_logger().warning(
+                    f"{len(discovery.waiting)} bodies wait: parameter most_bodies is {self._settings.most_bodies}",
+                    throttle_duration_sec=WARNING_PERIOD,
+                )
+
+    def _dress_body(self, stream: AvatarStream) -> None:
+        try:
+            stream.dress()
+        except Exception as error:
+            self._report_swap(stream, error)
+
+    # Swaps.
+
+    def _set_body(self, request, response):
+        def swap(stream: AvatarStream):
+            Outfitting(body_mesh=request.body_mesh, body_rig=request.body_rig).check(self._roots)
+            return stream.dress(body=(request.body_mesh, request.body_rig))
+
+        return self._answer(request, response, swap)
+
+    def _set_garment(self, request, response):
+        def swap(stream: AvatarStream):
+            names = [garment.settings.name for garment in stream.garments]
+            index = _one_of("garment", request.garment, names)
+            if not request.model:
+                raise SettingsError("model must not be empty")
+            Outfitting(model=request.model).check(self._roots)
+            return [stream.dress(models={index: request.model})[index]]
+
+        return self._answer(request, response, swap)
+
+    def _answer(self, request, response, swap):
+        """Run a swap on the worker and tell how it went. Runs on the services' own thread."""
+        stream = None
+        try:
+            streams = list(self._streams.values())
+            stream = streams[_one_of("avatar", request.avatar, [stream.settings.id for stream in streams])]
+            loaded = self._worker.submit(swap, stream).result()
+        except Exception as error:
+            response.success, response.message = False, self._report_swap(stream, error)
+            return response
+        self._show_settings(stream)
+        response.success = True
+        response.message = ", ".join(f"{each.draper.model.name} on {each.draper.avatar.source}" for each in loaded)
+        response.seconds = sum(each.seconds for each in loaded)
+        response.cached = all(each.cached for each in loaded)
+        return response
+
+    def _report_swap(self, stream: AvatarStream | None, error: Exception) -> str:
+        """Log and count a swap that failed; returns why."""
+        known = isinstance(error, (ValueError, OSError))
+        reason = str(error) if known else f"{type(error).__name__}: {error}"
+        if stream is not None:
+            stream.statistics.last_error = reason
+        self.get_logger().error(f"swap failed, the old one goes on: {reason}")
+        return reason
+
+    # Reports.
+
+    def _report(self) -> None:
+        now = self.get_clock().now()
+        monotonic = monotonic_ns()
+        report = DiagnosticArray()
+        report.header.stamp = now.to_msg()
+        numbers = DrapeStatistics(header=report.header) if DrapeStatistics is not None else None
+        for stream in list(self._streams.values()):
+            for worn, garment, health in stream.health(monotonic):
+                values = health.values(now.nanoseconds)
+                well, summary = health.summary()
+                name = model = garment.settings.model
+                source = ""
+                if worn is not None:
+                    draper = worn.draper
+                    name = model = draper.model.name
+                    source = draper.avatar.source
+                    values |= {"backend": draper.backend, "instruction set": draper.instruction_set}
+                values |= {"model": model, "precision": garment.settings.precision}
+                values["gravity"] = " ".join(f"{value:.3f}" for value in stream.gravity)
+                if not stream.active:
+                    summary = "inactive"
+                elif worn is None:
+                    well, summary = False, "the garment is being loaded"
+                title = f"{self.get_name()}: {garment.name or name}"
+                report.status.append(diagnostic_status(title, source, well, summary, values))
+                if numbers is not None:
+                    entry = GarmentStatistics(avatar=garment.avatar_id, garment=garment.settings.name, model_name=model)
+                    health.fill(entry)
+                    numbers.period = health.period
+                    numbers.garments.append(entry)
+        messages = [report] if numbers is None else [report, numbers]
+        for publisher, message in zip(self._publishers_of_reports, messages):
+            publisher.publish(message)
+
+    def _tell_leftovers(self) -> None:
+        names = leftovers()
+        if not names:
+            return
+        if self._settings.clear_shared_memory:
+            freed = remove_shared_memory(names)
+            self.get_logger().info(f"deleted {freed / 1e6:.1f} MB that killed processes had left in /dev/shm")
         else:
-            get_logger(record.name).info(record.getMessage())
+            self.get_logger().info(
+                f"killed processes left {len(names)} Fast DDS segments in /dev/shm, harmless but for the memory; to "
+                "delete them: fastdds shm clean, or start with -p clear_shared_memory:=true"
+            )
+
+
+def _settings_for(template: AvatarSettings, body: str) -> AvatarSettings:
+    """The settings of one discovered body."""
+    return replace(
+        template,
+        id=body,
+        joint_states=f"/humans/bodies/{body}/joint_states",
+        joint_map=template.joint_map or ROS4HRI,
+        frame_id=f"body_{body}",
+        garments=tuple(
+            replace(garment, namespace=f"{garment.namespace}/{body}" if garment.namespace else "")
+            for garment in template.garments
+        ),
+    )
+
+
+def _one_of(kind: str, name: str, names: list[str]) -> int:
+    """Index of `name` among `names`; an empty one will do where there is one only. Raises SettingsError."""
+    if name in names:
+        return names.index(name)
+    if not name and len(names) == 1:
+        return 0
+    raise SettingsError(f"no {kind} {name!r}; allowed: {', '.join(map(repr, names)) or 'none, there is none yet'}")

@@ -25,11 +25,11 @@ from physkin_core.native_evaluator import PRECISIONS
 from physkin_core.quality import CLOSE, area_strain, edge_strain, signed_distance
 from physkin_core.skinning import plain_skinning
 from physkin_ros.bags import STORAGES, BagError, BagReader, BagWriter, decode
-from physkin_ros.conversions import JointStateReader, gravity_direction
-from physkin_ros.joint_map import load_joint_map
+from physkin_ros.conversions import gravity_direction
+from physkin_ros.joint_naming import PRESETS, load_naming
+from physkin_ros.joint_states import JointStateReader
 from physkin_ros.replay_figures import describe, load_baseline, regressions, summary
 from physkin_ros.replay_report import thumbnails, write_report
-from physkin_ros.ros4hri import ROS4HRI, Ros4hriReader
 
 __all__ = ["Replay", "main", "replay"]
 
@@ -89,15 +89,13 @@ def replay(
 ) -> Replay:
     """Drape every joint state of `bag`.
 
-    writer: where the clouds go. joint_map: a file, or "ros4hri". gravity: (3,) direction in the root frame until the
+    writer: where the clouds go. joint_map: a file, or a preset. gravity: (3,) direction in the root frame until the
     bag gives one. contact_every: every how many joint states a cloud is measured against the body, 0 for never.
     Raises JointMapError, and BagError when the bag cannot be read on.
     """
     rig, found = draper.model.rig, Replay()
-    translate = Ros4hriReader(rig).translate if joint_map == ROS4HRI else None
-    mapped = load_joint_map(joint_map, rig.joint_names) if joint_map and translate is None else None
     unknown: list[list[str]] = []
-    reader = JointStateReader(rig.joint_names, rig.rest, joint_map=mapped, on_unknown=unknown.append)
+    reader = JointStateReader(rig.joint_names, rig.rest, naming=load_naming(joint_map, rig), on_unknown=unknown.append)
     measure = _Measurements(draper, found)
     points = np.zeros((draper.vertex_count, 6), dtype=np.float32)
     for _ in range(WARM_UP):  # the first evaluations pay for cold caches, which is not what a latency means here
@@ -116,10 +114,7 @@ def replay(
         found.counts["joint_states"] += 1
         try:
             state = decode(message)
-            names, values = state.name, state.position
-            if translate is not None:
-                names, values = translate(names, values)
-            positions = reader.read(names, values)
+            positions = reader.read(state.name, state.position)
             started = perf_counter_ns()
             draper.drape(positions, gravity, out=points)
             found.latency_ns.append(perf_counter_ns() - started)
@@ -238,7 +233,9 @@ def _parser() -> argparse.ArgumentParser:
         "--avatar", default=BUNDLED_AVATAR, help="body: GLB, glTF, VRM, OBJ, PLY, STL (default: bundled)"
     )
     parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
-    parser.add_argument("--joint-map", metavar="FILE", help=f"from incoming joint names to the rig's; or {ROS4HRI}")
+    parser.add_argument(
+        "--joint-map", metavar="FILE", help=f"from incoming joint names to the rig's; or {' or '.join(PRESETS)}"
+    )
     parser.add_argument("--topic", help="joint states (default /joint_states, or the only one)")
     parser.add_argument("--gravity-topic", help="gravity's direction (default /gravity, if the bag has it)")
     parser.add_argument("--gravity", type=float, nargs=3, default=UPRIGHT_GRAVITY.tolist(), metavar=("X", "Y", "Z"))

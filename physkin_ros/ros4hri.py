@@ -1,23 +1,22 @@
 """Joint states of ROS4HRI bodies (REP-155, the URDF of `human_description`) as joint positions of the default rig.
 
 A joint map does not do here: from a limb that hangs down, a ROS4HRI shoulder turns about Z, X and Z (a hip: Z, X, Y);
-from the A-pose, the rig's turns about X, Y and Z (a hip: Y, X, Z). So a limb's three angles are composed to a rotation,
-which is then taken apart anew.
+from the A-pose, the rig's turns about X, Y and Z (a hip: Y, X, Z). So arms and legs are ball joints (`ball_joints`).
 Radians, root frame (X forward, Y left, Z up).
 """
 
 from __future__ import annotations
 
-import warnings
+import re
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from physkin_core import Rig
-from physkin_ros.conversions import JointStateError
+from physkin_ros.ball_joints import BallJoint
+from physkin_ros.joint_states import JointStateError, NamedJoints
 
-__all__ = ["ROS4HRI", "Ros4hriReader"]
+__all__ = ["ROS4HRI", "Ros4hriNaming"]
 
 ROS4HRI = "ros4hri"
 """What the parameter `joint_map` calls this translation."""
@@ -28,109 +27,81 @@ NECK = ("neck01", "neck03", "head")
 TRUNK = {"waist": (SPINE, "y", 1), "r_head": (NECK, "x", 1), "y_head": (NECK, "z", 1), "p_head": (NECK, "y", -1)}
 
 
-class _Limb:
-    """An arm or leg: three ROS4HRI angles to four of the rig, the ball joint's and the second half of the twist."""
+class Ros4hriNaming:
+    """The joint names of ROS4HRI bodies, with or without `_` and the body's id; the rig's own names mean themselves.
 
-    def __init__(self, rig: Rig, names: Sequence[str], axes: np.ndarray, joints: Sequence[str], aligned: np.ndarray):
-        """names, axes (3, 3): ROS4HRI joints, outermost first. joints: the rig's; the last one is the second half.
-
-        aligned: rotation of the limb from the canonical pose to where ROS4HRI has its zero.
-        """
-        self.names, self.joints, self._axes, self._aligned = tuple(names), tuple(joints), axes, aligned
-        self._order = "".join(name[-1] for name in joints[:3]).upper()
-        by_letter = {name[-1]: rig.dof_axes[rig.joint_names.index(name)] for name in joints[:3]}
-        self._frame = np.stack([by_letter[letter] for letter in "xyz"], axis=1)
-        self._twist = joints[3][-1].upper()
-
-    def translate(self, angles: np.ndarray) -> np.ndarray:
-        """Rig positions (4,) [rad] for ROS4HRI angles (3,) [rad]."""
-        hanging = Rotation.from_rotvec(self._axes[0] * angles[0])
-        for axis, angle in zip(self._axes[1:], angles[1:]):
-            hanging = hanging * Rotation.from_rotvec(axis * angle)
-        turn = Rotation.from_matrix(self._frame.T @ hanging.as_matrix() @ self._aligned @ self._frame)
-        with warnings.catch_warnings():  # where two axes coincide, any split between them is right
-            warnings.simplefilter("ignore", UserWarning)
-            half = turn.as_euler(self._order)[self._order.index(self._twist)] / 2
-            first = (turn * Rotation.from_euler(self._twist, -half)).as_euler(self._order)
-        return np.append(first, half)
-
-
-class Ros4hriReader:
-    """Gives the joints of one ROS4HRI body the names and positions of the default rig.
-
+    Of a shoulder or hip, angles that are not named count as zero.
     Raises ValueError for a rig that lacks one of the default rig's joints.
     """
 
     def __init__(self, rig: Rig) -> None:
+        self._own = frozenset(rig.joint_names)
+        self._balls: dict[str, tuple[BallJoint, int]] = {}
+        self._hinges: dict[str, list[tuple[str, float, float]]] = {}
         try:
-            self._limbs = [limb for side in ("L", "R") for limb in (_arm(rig, side), _leg(rig, side))]
-            self._hinges = {name: entry for side in ("L", "R") for name, entry in _hinges(rig, side).items()}
-            for bones, axis, _ in TRUNK.values():
-                _indices(rig, [f"{bone}_{axis}" for bone in bones])
+            for side in ("L", "R"):
+                for names, ball in (_arm(rig, side), _leg(rig, side)):
+                    self._balls |= {name: (ball, slot) for slot, name in enumerate(names)}
+                self._hinges |= {name: [entry] for name, entry in _hinges(rig, side).items()}
+            for name, (bones, axis, sign) in TRUNK.items():
+                joints = [f"{bone}_{axis}" for bone in bones]
+                _indices(rig, joints)
+                self._hinges[name] = [(joint, sign / len(bones), 0.0) for joint in joints]
         except ValueError as error:
             raise ValueError(f"joint_map {ROS4HRI} is for the default rig: {error}") from error
-        self._known = {name for limb in self._limbs for name in limb.names} | set(self._hinges) | set(TRUNK)
+        known = sorted([*self._balls, *self._hinges], key=len, reverse=True)
+        self._pattern = re.compile(rf"({'|'.join(known)})(?:_.*)?", re.DOTALL)
 
-    def translate(self, names: Sequence[str], values: Sequence[float]) -> tuple[list[str], list[float]]:
-        """Rig joints and their positions [rad] for name and position of a joint state; other joints stay as they are.
-
-        Names may end in `_` and the body's id. Of a shoulder or hip, angles that are not named count as zero.
-        Raises JointStateError for a ROS4HRI joint named twice (two bodies, say) or with a value that is not finite.
-        """
-        if len(names) != len(values):
-            return list(names), list(values)  # the reader of joint states says what is wrong
-        given: dict[str, float] = {}
-        other = []
-        for name, value in zip(names, values):
-            known = self._without_id(name)
-            if known is None:
-                other.append((name, value))
-            elif known in given:
+    def look_up(self, names: Sequence[str]) -> NamedJoints:
+        """See `JointNaming`. Raises JointStateError for a ROS4HRI joint named twice (two bodies, say)."""
+        found = NamedJoints()
+        seen: set[str] = set()
+        angles: dict[int, tuple[BallJoint, list[int]]] = {}
+        for index, name in enumerate(names):
+            match = self._pattern.fullmatch(name)
+            if match is None:
+                if name in self._own:
+                    found.scaled.append((index, name, 1.0, 0.0))
+                else:
+                    found.unknown.append(index)
+                continue
+            known = match[1]
+            if known in seen:
                 raise JointStateError(f"joint {name!r} is the second {known!r}; a joint state holds one body")
-            elif not np.isfinite(value):
-                raise JointStateError(f"the position of joint {name!r} is {value}; it must be finite [rad]")
+            seen.add(known)
+            if known in self._hinges:
+                found.scaled += [(index, joint, scale, offset) for joint, scale, offset in self._hinges[known]]
             else:
-                given[known] = value
-        positions = dict(other)
-        for limb in self._limbs:
-            if not given.keys().isdisjoint(limb.names):
-                angles = np.array([given.get(name, 0.0) for name in limb.names])
-                positions |= dict(zip(limb.joints, limb.translate(angles).tolist()))
-        for name, (joint, scale, offset) in self._hinges.items():
-            if name in given:
-                positions[joint] = scale * given[name] + offset
-        for name, (bones, axis, sign) in TRUNK.items():
-            if name in given:
-                positions |= {f"{bone}_{axis}": sign * given[name] / len(bones) for bone in bones}
-        return list(positions), list(positions.values())
-
-    def _without_id(self, name: str) -> str | None:
-        """The ROS4HRI joint, or None."""
-        return next((known for known in self._known if name == known or name.startswith(f"{known}_")), None)
+                ball, slot = self._balls[known]
+                angles.setdefault(id(ball), (ball, [-1, -1, -1]))[1][slot] = index
+        found.balls = [(ball, tuple(sources)) for ball, sources in angles.values()]
+        return found
 
 
-def _arm(rig: Rig, side: str) -> _Limb:
+def _arm(rig: Rig, side: str) -> tuple[list[str], BallJoint]:
     prefix, sign = side.lower(), (1.0 if side == "L" else -1.0)
     upper = _direction(rig, f"upperarm01.{side}", f"lowerarm01.{side}")
     (elbow,) = _indices(rig, [f"lowerarm01.{side}_z"])
-    return _Limb(
-        rig,
-        [f"{prefix}_y_shoulder", f"{prefix}_p_shoulder", f"{prefix}_r_shoulder"],
-        np.array([[0, 0, -sign], [sign, 0, 0], [0, 0, sign]]),
-        [f"upperarm01.{side}_x", f"upperarm01.{side}_y", f"upperarm01.{side}_z", f"upperarm02.{side}_y"],
-        _alignment(upper, rig.dof_axes[elbow], np.array([0, sign, 0])),  # the rig's T-pose elbow axis is Z
+    return [f"{prefix}_y_shoulder", f"{prefix}_p_shoulder", f"{prefix}_r_shoulder"], BallJoint(
+        axes=np.array([[0, 0, -sign], [sign, 0, 0], [0, 0, sign]]),
+        before=np.eye(3),
+        after=_alignment(upper, rig.dof_axes[elbow], np.array([0, sign, 0])),  # the rig's T-pose elbow axis is Z
+        frame=rig.dof_axes[_indices(rig, [f"upperarm01.{side}_{axis}" for axis in "xyz"])].T,
+        joints=(*(f"upperarm01.{side}_{axis}" for axis in "xyz"), f"upperarm02.{side}_y"),
+        twist=1,
     )
 
 
-def _leg(rig: Rig, side: str) -> _Limb:
+def _leg(rig: Rig, side: str) -> tuple[list[str], BallJoint]:
     prefix, sign = side.lower(), (1.0 if side == "L" else -1.0)
     thigh = _direction(rig, f"upperleg01.{side}", f"lowerleg01.{side}")
-    return _Limb(
-        rig,
-        [f"{prefix}_y_hip", f"{prefix}_p_hip", f"{prefix}_r_hip"],
-        np.array([[0, 0, -1], [sign, 0, 0], [0, -1, 0]]),
-        [f"upperleg01.{side}_y", f"upperleg01.{side}_x", f"upperleg01.{side}_z", f"upperleg02.{side}_z"],
-        _alignment(thigh, np.array([0.0, 1.0, 0.0]), np.array([0, 1, 0])),
+    return [f"{prefix}_y_hip", f"{prefix}_p_hip", f"{prefix}_r_hip"], BallJoint(
+        axes=np.array([[0, 0, -1], [sign, 0, 0], [0, -1, 0]]),
+        before=np.eye(3),
+        after=_alignment(thigh, np.array([0.0, 1.0, 0.0]), np.array([0, 1, 0])),
+        frame=rig.dof_axes[_indices(rig, [f"upperleg01.{side}_{axis}" for axis in "yxz"])].T,
+        joints=(*(f"upperleg01.{side}_{axis}" for axis in "yxz"), f"upperleg02.{side}_z"),
+        twist=2,
     )
 
 

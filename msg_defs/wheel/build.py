@@ -133,7 +133,9 @@ def _wheel_name() -> str:
 def _fingerprint() -> str:
     """Changes with every source of the wheel."""
     digest = hashlib.sha256()
-    for path in sorted([*PACKAGE.glob("*.*"), *PACKAGE.glob("msg/*"), *WHEEL_FILES.glob("*.*")]):
+    for path in sorted(
+        [*PACKAGE.glob("*.*"), *PACKAGE.glob("msg/*"), *PACKAGE.glob("srv/*"), *WHEEL_FILES.glob("*.*")]
+    ):
         digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()[:12]
 

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from random_models import BACKENDS, SIZES, needs_native, random_avatar, random_model, random_pose, tube, unit_rows
 
-from physkin_core import UPRIGHT_GRAVITY, Draper, Garment, avatar_from_body, binding, load_body_model
+from physkin_core import (
+    BUNDLED_AVATAR,
+    UPRIGHT_GRAVITY,
+    Draper,
+    Garment,
+    avatar_from_body,
+    binding,
+    load_avatar,
+    load_body_model,
+)
 from physkin_core.binding import encode_body
 from physkin_core.garment import vertex_normals
 from physkin_core.garment_grading import GarmentGrading
@@ -336,6 +345,25 @@ def test_numpy_backend_refuses_other_precisions():
     _, model, avatar = scene(42, **SIZES["tiny"])
     with pytest.raises(ValueError, match="numpy backend computes with the model's own network weights, not in 'bf16'"):
         Draper(model, avatar, backend="numpy", precision="bf16")
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_bound_step_and_binding(backend, garment_model):
+    """A step reads its arrays as they are now; a draper made from another's binding gives the same."""
+    avatar = load_avatar(BUNDLED_AVATAR, garment_model.rig)
+    draper = Draper(garment_model, avatar, backend=backend)
+    positions, gravity = garment_model.rig.rest.astype(np.float32), np.float32([0, 0, -1])
+    out = np.zeros((draper.vertex_count, 6), dtype=np.float32)
+    step = draper.bind_step(positions, gravity, out)
+    again = Draper(garment_model, avatar, backend=backend, binding=draper.binding)
+    for bend in (0.0, 0.3):
+        positions[2] = bend
+        gravity[:] = 0, np.sin(bend), -np.cos(bend)
+        step()
+        np.testing.assert_allclose(out, again.drape(positions, gravity), atol=1e-6)
+    positions[0] = np.nan
+    with pytest.raises(ValueError):
+        step()
 
 
 # --- Made to measure ---

@@ -115,9 +115,9 @@ class Peer:
         self.spin_until(lambda: stamp in self.clouds, f"cloud of {stamp}")
         return self.clouds[stamp]
 
-    def connect(self) -> None:
-        """Wait for the drape node."""
-        publishers = (self._publisher, self._gravity_publisher)
+    def connect(self, *, gravity: bool = True) -> None:
+        """Wait for the drape node. gravity: and for its subscription to that topic."""
+        publishers = (self._publisher, self._gravity_publisher) if gravity else (self._publisher,)
         ready = (*(each.get_subscription_count for each in publishers), self._subscription.get_publisher_count)
         self.spin_until(lambda: all(count() for count in ready), "drape node")
         self.spin(0.5)

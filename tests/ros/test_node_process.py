@@ -56,7 +56,7 @@ def test_sigterm_and_remapping(start, peer, model_path):
         ({"joint_map": "{tmp}/map.json"}, "unknown key 'gain'"),
         ({"backend": "gpu"}, "parameter backend is 'gpu'; allowed: native, numpy"),
         ({"precision": "fp16"}, "'fp16'"),
-        ({"precision": "''"}, "parameter precision must not be empty"),
+        ({"precision": "fp64"}, "parameter precision is 'fp64'; allowed: '', fp32, bf16, int8"),
         ({"precision": "int8", "backend": "numpy"}, "the numpy backend"),
         ({"push_out": 1}, "expecting type 'BOOL'"),
         ({"fit": 0.5}, "has not learnt to be made to measure"),
@@ -85,3 +85,20 @@ def test_unknown_arguments(start):
     output = node.stdout.read()
     assert "error: unknown arguments: --model tshirt" in output and "body_mesh" in output
     assert "geometry_msgs/Vector3Stamped" in output
+
+
+def test_wrong_config_is_one_line(start, tmp_path):
+    """File, key and what is allowed, before anything is loaded."""
+    path = tmp_path / "avatars.yaml"
+    path.write_text("drape_node: {ros__parameters: {avatars: {ann: {garments: {top: {modl: tshirt}}}}}}")
+    for arguments, reason in (
+        (
+            ["--config", str(path)],
+            f"config {path}: parameter avatars.ann.garments.top.modl: unknown key 'modl'; allowed",
+        ),
+        (["--config"], "--config needs a file"),
+    ):
+        node = start("physkin_ros", *arguments)
+        assert node.wait(30) == 2
+        lines = node.stdout.read().splitlines()
+        assert len(lines) == 1 and lines[0].startswith("error: ") and reason in lines[0]

@@ -1,0 +1,57 @@
+"""Poses between joint states, for clouds at a rate of their own.
+
+Clouds lag by the time between the last two joint states, so that there is always one on either side: nothing is ever
+extrapolated. When joint states stop, so do the clouds, at the last of them. Dimensions: `d` degrees of freedom.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["PoseInterpolator"]
+
+LONGEST_GAP = 500_000_000  # [ns] joint states farther apart are not joined: the next one starts anew
+
+
+class PoseInterpolator:
+    """Straight lines between the last two poses; gravity is turned along."""
+
+    def __init__(self, joint_count: int) -> None:
+        self._pose = np.zeros((2, joint_count), dtype=np.float32)
+        self._gravity = np.zeros((2, 3), dtype=np.float32)
+        self._arrived = [0, 0]
+        self._stamp = [0, 0]
+        self._count = 0
+        self._shown = True
+
+    def push(self, pose: np.ndarray, gravity: np.ndarray, stamp_ns: int, now_ns: int) -> None:
+        """A joint state's pose (d,) [rad] and gravity (3,) with its stamp, and when it came [ns]."""
+        for kept, new in ((self._pose, pose), (self._gravity, gravity)):
+            kept[0] = kept[1]
+            kept[1] = new
+        self._arrived = [self._arrived[1], now_ns]
+        self._stamp = [self._stamp[1], stamp_ns]
+        self._count += 1
+        if self._count == 1 or not 0 < self._arrived[1] - self._arrived[0] < LONGEST_GAP:
+            self._count = 1
+        self._shown = False
+
+    def sample(self, now_ns: int, pose: np.ndarray, gravity: np.ndarray) -> int | None:
+        """Write the pose (d,) and unit gravity (3,) to show now; returns its stamp [ns], None when nothing is new."""
+        if self._shown:
+            return None
+        share = 1.0
+        if self._count > 1:
+            share = (now_ns - self._arrived[1]) / (self._arrived[1] - self._arrived[0])
+        if share >= 1.0:
+            share, self._shown = 1.0, True
+        share = max(share, 0.0)
+        for kept, out in ((self._pose, pose), (self._gravity, gravity)):
+            np.subtract(kept[1], kept[0], out=out)
+            out *= share - 1.0
+            out += kept[1]
+        length = float(np.linalg.norm(gravity))
+        if length < 1e-6:  # opposite directions, half way
+            gravity[:], length = self._gravity[1], 1.0
+        gravity /= length
+        return self._stamp[1] - round((1.0 - share) * (self._stamp[1] - self._stamp[0]))
