@@ -46,7 +46,7 @@ def take_over_model(model: GarmentModel, drape: Drape) -> dict:
     drape.networks.load_state_dict(own | state)
     with torch.no_grad():
         drape.skinning_logits.copy_(torch.as_tensor(_logits(model, drape.influence_nodes.cpu().numpy())))
-    return dict(model.training)
+    return {"model": model.name} | dict(model.training)
 
 
 def _unfolded(drape: Drape, weight: torch.Tensor, bias: torch.Tensor) -> dict[str, torch.Tensor]:
