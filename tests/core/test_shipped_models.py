@@ -30,12 +30,15 @@ def test_shipped_models_load_by_name(path):
 
 @pytest.mark.parametrize("name", GARMENTS)
 def test_scores_are_in_the_file(name):
-    """Of 16 bodies and 256 poses with plain skinning beside them, and of motion; the model is the better one."""
+    """Of 16 bodies and 128 poses with plain skinning beside them, and of motion, one size and made to measure; the model
+    is the better one."""
     model = load_garment_model(name)
     assert model.training["name"] == name
     scores = model.scores
-    assert scores["counts"]["bodies"] == 16 and scores["counts"]["poses"] == 256
-    for rows in (scores, scores["motion"]):
+    assert scores["counts"]["bodies"] == 16 and scores["counts"]["poses"] == 128
+    made = scores["made_to_measure"]
+    assert model.made_to_measure
+    for rows in (scores, scores["motion"], made, made["motion"]):
         for figure in ("edge_strain_percent", "area_strain_percent", "inside_percent"):
             assert 0 < rows["model"][figure] < 0.6 * rows["skinning"][figure], figure
 

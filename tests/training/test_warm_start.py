@@ -43,7 +43,7 @@ def more_influences(folder, **optimisation):
 
 
 def test_the_run_drapes_as_the_model_but_for_its_new_influences(trained):
-    """Inputs shifted and scaled otherwise, five influences in place of three: with the new ones at nothing, the same."""
+    """Inputs shifted and scaled otherwise, five influences, not three: with the new ones at nothing, the same."""
     folder, model = trained
     trainer = Trainer(more_influences(folder), CPU)
     trainer.start_from(folder / "band.safetensors")
