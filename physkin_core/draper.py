@@ -107,6 +107,11 @@ class Draper:
         return self._evaluator.instruction_set
 
     @property
+    def precision(self) -> str:
+        """Of the network weights it computes with: "fp32", "bf16" or "int8"."""
+        return self._evaluator.precision
+
+    @property
     def vertex_count(self) -> int:
         """Number of points n that `drape` writes."""
         return len(self.bound.vertices)

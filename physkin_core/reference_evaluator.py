@@ -28,6 +28,7 @@ class ReferenceEvaluator:
     """
 
     instruction_set = "numpy"
+    precision = "fp32"
 
     def __init__(
         self,

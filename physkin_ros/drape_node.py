@@ -396,7 +396,8 @@ class DrapeNode(LifecycleNode):
                     name = model = draper.model.name
                     source = draper.avatar.source
                     values |= {"backend": draper.backend, "instruction set": draper.instruction_set}
-                values |= {"model": model, "precision": garment.settings.precision}
+                    values["precision"] = draper.precision
+                values["model"] = model
                 values["gravity"] = " ".join(f"{value:.3f}" for value in stream.gravity)
                 if not stream.active:
                     summary = "inactive"

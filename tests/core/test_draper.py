@@ -336,7 +336,9 @@ def test_precision_reaches_the_native_evaluator(precision):
     rng, model, avatar = scene(41, **SIZES["tiny"])
     q, gravity = random_pose(rng, model.rig)
     exact = Draper(model, avatar, precision="fp32").drape(q, gravity)
-    rounded = Draper(model, avatar, precision=precision).drape(q, gravity)
+    draper = Draper(model, avatar, precision=precision)
+    rounded = draper.drape(q, gravity)
+    assert draper.precision == precision
     assert np.abs(rounded - exact).max() < 0.1
     assert np.array_equal(rounded, exact) == (precision == "fp32")
 
