@@ -30,8 +30,7 @@ def test_shipped_models_load_by_name(path):
 
 @pytest.mark.parametrize("name", GARMENTS)
 def test_scores_are_in_the_file(name):
-    """Of 16 bodies and 128 poses with plain skinning beside them, and of motion, one size and made to measure; the model
-    is the better one."""
+    """Of 16 bodies and 128 poses with plain skinning beside them, and of motion, at both fits; the model is better."""
     model = load_garment_model(name)
     assert model.training["name"] == name
     scores = model.scores

@@ -31,6 +31,7 @@ from physkin_training.full_space_solver import FullSpaceSolver, Progress, Soluti
 from physkin_training.physics_losses import PhysicsLosses
 from physkin_training.plain_model import plain_model
 from physkin_training.posed_avatar import PosedAvatar
+from physkin_training.wearing import Wearing
 
 __all__ = ["DrapeSimulation", "Poses", "load_pose", "main"]
 
@@ -75,7 +76,8 @@ class DrapeSimulation:
     """One garment on one avatar, minimised at `samples` poses at once.
 
     start_model: the model whose drapes are started from; the garment may be another mesh of the same garment.
-    Raises ValueError when it is for another rig than the avatar.
+    wearing: what of the body counts as contact, and the band, as in training; None: all of the body, and no band.
+    Raises ValueError when the model is for another rig than the avatar.
     """
 
     def __init__(
@@ -86,13 +88,15 @@ class DrapeSimulation:
         material: Material,
         samples: int,
         device: torch.device,
+        *,
+        wearing: Wearing | None = None,
     ) -> None:
         same = np.array_equal(garment.faces, start_model.garment.faces)
         self.garment, self.avatar, self.device = garment, avatar, device
         self._draper = Draper(start_model, avatar, backend="numpy", points=None if same else garment.vertices)
         self.rig = start_model.rig
         self.body = PosedAvatar(avatar, self.rig, samples, device)
-        self.losses = PhysicsLosses(garment, material, samples, device, reach=REACH)
+        self.losses = PhysicsLosses(garment, material, samples, device, wearing=wearing, reach=REACH)
         self.solver = FullSpaceSolver(garment, self.losses, samples, device)
 
     def run(
@@ -217,7 +221,8 @@ def _simulate(options: argparse.Namespace) -> int:
     if device.type == "cpu":
         torch.set_num_threads(1)  # vectors are short: more threads would only wait for each other
     began = time.perf_counter()
-    simulation = DrapeSimulation(garment, avatar, model, material, len(poses.positions), device)
+    wearing = Wearing.on(garment, avatar, model.rig)
+    simulation = DrapeSimulation(garment, avatar, model, material, len(poses.positions), device, wearing=wearing)
     result = simulation.run(poses, stages=stages, tolerance=options.tolerance, iterations=options.iterations)
     seconds = time.perf_counter() - began
     vertices = result.vertices.double().cpu().numpy()

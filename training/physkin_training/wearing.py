@@ -1,6 +1,6 @@
 """How a garment is worn: which body parts each vertex lies on, and the band of its uppermost opening that holds it up.
 
-Both are read off the garment maker's body at the canonical pose and carried to every other body, which shares its mesh.
+Both are read off a body at the canonical pose, the garment maker's as a rule; other bodies share its mesh.
 Dimensions: `n` garment vertices, `b` bones, `f` contact faces, `k` band vertices. Metres.
 """
 
@@ -13,8 +13,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from physkin_core.avatar import Avatar, avatar_from_body
 from physkin_core.body_model import BodyModel
 from physkin_core.garment import Garment
+from physkin_core.rig import Rig
 
 __all__ = ["Wearing"]
 
@@ -29,7 +31,7 @@ BAND_WIDTH = 0.03
 
 @dataclass(frozen=True)
 class Wearing:
-    """A garment on the garment maker's body.
+    """A garment on a body.
 
     faces: (f, 3) int32, faces of the body that cloth may be in contact with; face_bone: (f,) int32, the bone that moves
     each most. worn: (n, b) bool, the vertex lies on that bone's part. own_face: (n,) int32, of the `faces` of
@@ -48,16 +50,20 @@ class Wearing:
     @classmethod
     def of(cls, garment: Garment, body_model: BodyModel) -> Wearing:
         """Read off the garment maker's body. Raises ValueError for a garment without an opening."""
-        body = body_model.vertices(body_model.garment_body)
-        faces = body_model.faces
-        vertex_bone = body_model.influence_bones[np.arange(len(body)), body_model.influence_weights.argmax(axis=1)]
+        return cls.on(garment, avatar_from_body(body_model, body_model.garment_body), body_model.rig)
+
+    @classmethod
+    def on(cls, garment: Garment, avatar: Avatar, rig: Rig) -> Wearing:
+        """Read off a body in the canonical pose of `rig`. Raises ValueError for a garment without an opening."""
+        body, faces = avatar.vertices, avatar.faces
+        vertex_bone = avatar.influence_bones[np.arange(len(body)), avatar.influence_weights.argmax(axis=1)]
         corner_bones = vertex_bone[faces]
         face_bone = np.where(corner_bones[:, 1] == corner_bones[:, 2], corner_bones[:, 1], corner_bones[:, 0])
-        distance = np.full((len(garment.vertices), body_model.rig.bone_count), np.inf)
+        distance = np.full((len(garment.vertices), rig.bone_count), np.inf)
         for bone in np.unique(vertex_bone):
             distance[:, bone], _ = cKDTree(body[vertex_bone == bone]).query(garment.vertices)
         beside = distance <= distance.min(axis=1, keepdims=True) + WORN_BESIDE
-        worn = (beside | _joined(beside, body_model.rig.parents)) & (distance <= WORN_WITHIN)
+        worn = (beside | _joined(beside, rig.parents)) & (distance <= WORN_WITHIN)
         near = np.flatnonzero(worn.any(axis=0)[face_bone])
         opening = garment.vertices[_uppermost_opening(garment)]
         distance, _ = cKDTree(opening).query(garment.vertices, distance_upper_bound=BAND_WIDTH)
