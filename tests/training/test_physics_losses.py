@@ -11,7 +11,8 @@ trimesh = pytest.importorskip("trimesh")
 
 from physkin_core.garment import Garment  # noqa: E402
 from physkin_core.garment_model import Material  # noqa: E402
-from physkin_training.physics_losses import BAND_SLACK, BAND_STIFFNESS, LED_BACK_BEYOND, PhysicsLosses  # noqa: E402
+from physkin_training.energy_kernels import BAND_SLACK, BAND_STIFFNESS, LED_BACK_BEYOND  # noqa: E402
+from physkin_training.physics_losses import PhysicsLosses  # noqa: E402
 from physkin_training.rest_data import RestData  # noqa: E402
 from physkin_training.wearing import Wearing  # noqa: E402
 from training import physics_oracle as oracle  # noqa: E402
