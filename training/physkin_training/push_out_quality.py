@@ -276,7 +276,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         share = 100 / q.before.vertices
         print(
             f"| {Path(path).stem} | {share * q.before.deep:.5f} | {share * q.after.deep:.5f} "
-            f"| {q.before.frames_with_deep} to {q.after.frames_with_deep} | {q.before.deepest:.1f} | {q.after.deepest:.1f} "
+            f"| {q.before.frames_with_deep} to {q.after.frames_with_deep} "
+            f"| {q.before.deepest:.1f} | {q.after.deepest:.1f} "
             f"| {share * q.before.deep_at_meeting:.4f} | {share * q.after.deep_at_meeting:.4f} "
             f"| {q.after.deepest_at_meeting:.1f} | {share * q.residual:.4f} | {q.added_strain:+.4f} "
             f"| {q.jitter_ratio:.3f} | {q.step_p9999:.2f} | {q.largest_step:.1f} "
