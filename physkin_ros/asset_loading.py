@@ -133,11 +133,12 @@ def _keep(kept: OrderedDict, key: object, value: object) -> None:
 
 
 def _digests(body: Path, rig_file: str) -> tuple[str, ...]:
-    """Of everything that a body is read from: the mesh, its rig file, and the buffers beside a .gltf."""
+    """Of everything that a body is read from: the mesh, its rig file, and the buffers beside a .gltf; what is too large
+    to be read from there is left out."""
     files = [body, Path(rig_file) if rig_file else body.with_suffix(".rig.json")]
     if body.suffix.lower() == ".gltf":
         files += sorted(body.parent.glob("*.bin"))
-    return tuple(_digest(file) for file in files if file.is_file())
+    return tuple(_digest(file) for file in files if file.is_file() and file.stat().st_size <= LARGEST_ASSET)
 
 
 def _digest(path: str | Path) -> str:

@@ -241,7 +241,7 @@ def _parser() -> argparse.ArgumentParser:
         "--transport", nargs="+", choices=("shipped", "default"), default=["shipped"], help="Fast DDS profile"
     )
     parser.add_argument(
-        "--queue", type=int, default=0, metavar="N", help="joint states the node may queue (default: the node's, 5)"
+        "--queue", type=int, default=0, metavar="N", help="joint states the node may queue (default: the node's, 50)"
     )
     return parser
 
