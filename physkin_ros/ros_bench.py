@@ -82,8 +82,8 @@ class Row:
     """What was measured of a case; figures that there were none for are NaN.
 
     sent: joint states, and so clouds expected. delivered_percent: clouds that came once, of those. p50_ms, p99_ms: end
-    to end. callback_us, process_us: processor time of the node's executor thread, and of all its threads, a joint
-    state. evaluator_p50_us, evaluator_p99_us: medians over seconds and garments of what the node reports.
+    to end. callback_us, process_us: processor time of the node's executor thread, and of all its threads, a cloud
+    that came. evaluator_p50_us, evaluator_p99_us: medians over seconds and garments of what the node reports.
     overhead_us: callback_us beyond evaluator_p50_us. load: the machine's load average of a minute, when the case ended.
     """
 
@@ -186,7 +186,7 @@ def _row(case: Case, player, listener) -> Row:
     p50, p99 = np.percentile(delays, (50, 99)) if len(delays) else (math.nan, math.nan)
     evaluations = listener["evaluations"]
     evaluator = np.median(evaluations, axis=0) if len(evaluations) else (math.nan, math.nan)
-    callback, process = 1e6 * player["cpu"] / count
+    callback, process = 1e6 * player["cpu"] / max(1, delivered)
     return Row(
         case=case.name,
         **asdict(case),

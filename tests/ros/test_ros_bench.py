@@ -28,12 +28,12 @@ def records(delays_ms, repeated=()):
     came += [came[k] for k in repeated] + [(0, -7, 0)]  # and one of the warm-up
     avatars, kept, received = map(np.array, zip(*came))
     evaluations = np.array([[50.0, 70.0], [54.0, 90.0], [52.0, 80.0]])
-    player = {"stamps": stamps, "cpu": np.array([0.004, 0.006]), "load": np.array([1.0, 2.0])}
+    player = {"stamps": stamps, "cpu": np.array([0.0036, 0.0054]), "load": np.array([1.0, 2.0])}
     return player, {"avatars": avatars, "stamps": kept, "received": received, "evaluations": evaluations}
 
 
 def test_figures_of_a_case():
-    """Share of clouds that came once, percentiles of those that came, processor time a joint state."""
+    """Share of clouds that came once, percentiles of those that came, processor time for each of them."""
     row = ros_bench._row(Case(2, 100.0, "events", "serialised", "shipped"), *records([1] * 18 + [3, 0], repeated=[0]))
     assert (row.case, row.sent, row.delivered_percent) == ("2x100", 20, 90.0)  # one lost, one twice
     assert row.p50_ms == 1.0 and row.p99_ms == pytest.approx(np.percentile([1] * 18 + [3], 99))
