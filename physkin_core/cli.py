@@ -22,6 +22,10 @@ __all__ = ["main"]
 FORWARDED = {
     "node": ("physkin_ros.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
     "demo": ("physkin_ros.demo", "run the node between a motion player and a listener; print figures, draw a picture"),
+    "ros-bench": (
+        "physkin_ros.ros_bench",
+        "measure the node between real processes: delivery, latency, CPU time",
+    ),
     "fit-garment": ("physkin_training.fit_garment", "check, train and report on a garment mesh of one's own"),
     "train": ("physkin_training.train", "train a garment from its mesh and physics"),
     "bench": ("physkin_core.bench", "time a frame, its stages and other engines on this machine"),

@@ -22,6 +22,8 @@ COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
 LARGEST_ACCESSOR = 10_000_000
 """Elements an accessor without data of its own may claim; others are bounded by the file's length."""
+LARGEST_BUFFER = 1 << 29
+"""[bytes] Of a file beside a .gltf."""
 COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 
 
@@ -47,7 +49,7 @@ class GltfFile:
 
     def accessor(self, index: int) -> np.ndarray:
         """(N, components) array of an accessor: integers as stored, floats and normalised integers as float64."""
-        accessor = self.document.accessors[index]
+        accessor = self._item("accessor", self.document.accessors, index)
         width, dtype = COMPONENTS[accessor.type], np.dtype(COMPONENT_TYPES[accessor.componentType])
         if accessor.bufferView is None:
             if not 0 < accessor.count <= LARGEST_ACCESSOR:
@@ -98,9 +100,15 @@ class GltfFile:
                 inside.add(node)
         return [node for node in self.node_order if node in inside]
 
+    def _item(self, kind: str, items: list, index: int):
+        """Of a list in the document; negative indices, which Python would count from the end, are refused."""
+        if not 0 <= index < len(items):
+            raise AvatarError(f"avatar {self.path} is malformed: {kind} {index}, allowed 0 to {len(items) - 1}")
+        return items[index]
+
     def _view(self, index: int, offset: int, count: int, width: int, dtype: np.dtype) -> np.ndarray:
-        view = self.document.bufferViews[index]
-        data = self.buffers[view.buffer]
+        view = self._item("buffer view", self.document.bufferViews, index)
+        data = self._item("buffer", self.buffers, view.buffer)
         start, item = (view.byteOffset or 0) + offset, width * dtype.itemsize
         stride = view.byteStride or item
         end = start + stride * (count - 1) + item
@@ -122,20 +130,35 @@ class GltfFile:
         elif "://" in uri:
             raise AvatarError(f"avatar {self.path}: buffer {index} is at {uri}; only files beside the avatar are read")
         else:
-            beside = self.path.parent / unquote(uri)
-            if not beside.is_file():
-                raise AvatarError(f"avatar {self.path}: its buffer file {beside} does not exist")
-            data = beside.read_bytes()
+            data = self._read_beside(index, unquote(uri), buffer.byteLength)
         if len(data) < buffer.byteLength:
             raise AvatarError(
                 f"avatar {self.path} is truncated: buffer {index} has {len(data)} of {buffer.byteLength} bytes"
             )
         return data
 
+    def _read_beside(self, index: int, name: str, length: int) -> bytes:
+        """The first `length` bytes of a buffer's file, which must lie in the avatar's folder, links followed."""
+        folder = self.path.parent.resolve()
+        beside = (folder / name).resolve()
+        if not beside.is_relative_to(folder):
+            raise AvatarError(
+                f"avatar {self.path}: buffer {index} is {name!r}, outside the avatar's folder; it must be in it"
+            )
+        if not beside.is_file():
+            raise AvatarError(f"avatar {self.path}: its buffer file {beside} does not exist")
+        if not 0 <= length <= LARGEST_BUFFER:
+            raise AvatarError(
+                f"avatar {self.path}: buffer {index} has {length} bytes, allowed are 0 to {LARGEST_BUFFER}"
+            )
+        with open(beside, "rb") as file:
+            return file.read(length)
+
     def _hierarchy(self) -> tuple[np.ndarray, list[int]]:
         parents = np.full(len(self.document.nodes), -1)
         for index, node in enumerate(self.document.nodes):
             for child in node.children or []:
+                self._item("node", self.document.nodes, child)
                 if parents[child] >= 0 or child == index:
                     raise AvatarError(f"avatar {self.path}: node {child} has two parents, allowed is one")
                 parents[child] = index

@@ -6,8 +6,10 @@ of the files they came from, so that a body that comes back is worn at once.
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import json
+import sys
 from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -22,6 +24,7 @@ __all__ = ["LARGEST_ASSET", "AssetError", "AssetRoots", "DraperLoader", "LoadedD
 
 LARGEST_ASSET = 1 << 29
 """[bytes] A larger file is not opened while the node runs."""
+LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
 KEPT = 16
 """Encodings, avatars and garment models that are kept of each."""
 
@@ -121,7 +124,15 @@ class DraperLoader:
                 binding=known,
             )
             _keep(self._bindings, key, draper.binding)
+            _return_memory()
             return LoadedDraper(draper, known is not None, perf_counter() - started)
+
+
+def _return_memory() -> None:
+    """Give back to the system what loading has left free: where bodies are swapped for days, glibc keeps half as much
+    again in pieces."""
+    if trim := getattr(LIBC, "malloc_trim", None):
+        trim(0)
 
 
 def _keep(kept: OrderedDict, key: object, value: object) -> None:
@@ -133,11 +144,12 @@ def _keep(kept: OrderedDict, key: object, value: object) -> None:
 
 
 def _digests(body: Path, rig_file: str) -> tuple[str, ...]:
-    """Of everything that a body is read from: the mesh, its rig file, and the buffers beside a .gltf."""
+    """Of everything that a body is read from: the mesh, its rig file, and the buffers beside a .gltf; what is too large
+    to be read from there is left out."""
     files = [body, Path(rig_file) if rig_file else body.with_suffix(".rig.json")]
     if body.suffix.lower() == ".gltf":
         files += sorted(body.parent.glob("*.bin"))
-    return tuple(_digest(file) for file in files if file.is_file())
+    return tuple(_digest(file) for file in files if file.is_file() and file.stat().st_size <= LARGEST_ASSET)
 
 
 def _digest(path: str | Path) -> str:

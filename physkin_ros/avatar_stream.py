@@ -29,7 +29,9 @@ from physkin_ros.settings import AvatarSettings
 __all__ = ["AvatarStream", "Outfit"]
 
 WARNING_PERIOD = 1.0  # [s] rejected messages are warned about at most this often
+QUEUE = 50  # joint states that may wait while the machine is busy: worked off in milliseconds, none lost
 NANOSECONDS = 1_000_000_000
+JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
 
 
 class Outfit:
@@ -72,7 +74,7 @@ class AvatarStream:
         self._orientation = OrientationSource(node, settings, self.set_gravity, self._on_bad_orientation)
         topic = settings.joint_states or (f"{settings.id}/joint_states" if settings.id else "joint_states")
         self._subscription = node.create_subscription(
-            JointState, topic, self._on_joint_state, raw=True, **stream_quality()
+            JointState, topic, self._on_joint_state, raw=True, **stream_quality(QUEUE)
         )
         self._timer = None
         if settings.cloud_rate:
@@ -263,10 +265,18 @@ class AvatarStream:
     def health(self, now_ns: int) -> list[tuple[WornGarment | None, GarmentStream, Health]]:
         """What each garment's stream wears and how it fares since the last call. now_ns: monotonic."""
         outfit = self._outfit
+        self.statistics.strangers = self._strangers()
         beyond = outfit.range.beyond() if outfit is not None else []
         found = self._reporter.report(self.statistics, [each.statistics for each in self.garments], beyond, now_ns)
         worn = outfit.garments if outfit is not None else (None,) * len(self.garments)
         return list(zip(worn, self.garments, found))
+
+    def _strangers(self) -> str:
+        publishers = self._node.get_publishers_info_by_topic(self._subscription.topic_name)
+        others = sorted(
+            f"{each.topic_type} of {each.node_name}" for each in publishers if each.topic_type != JOINT_STATE_TYPE
+        )
+        return ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
 
     def close(self) -> None:
         """Take all topics down."""

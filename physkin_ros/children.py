@@ -57,6 +57,10 @@ class Children:
                 preexec_fn=_end_with_parent,
             )
 
+    def pid(self, name: str) -> int:
+        """Process id of a child."""
+        return self._processes[name].pid
+
     def log(self, name: str) -> str:
         """What a child has written so far."""
         return (self._logs / name).read_text(errors="replace")

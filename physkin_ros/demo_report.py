@@ -6,10 +6,7 @@ Dimensions: `T` joint states sent, `R` clouds received, `k` kept clouds, `n` gar
 from __future__ import annotations
 
 import json
-import os
-import platform
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from physkin_core import Avatar, Draper, GarmentModel, Motion
 from physkin_core.picture import CLOTH_COLOUR, Mesh, contact_sheet, render, save_png
 from physkin_ros.joint_states import JointStateReader
+from physkin_ros.machine import machine_line, versions_line
 
 __all__ = ["DemoReport", "draw"]
 
-PACKAGES = ("physkin", "ros-jazzy-rclpy", "numpy")
 COLUMNS = 4
 PICTURE_SIZE = (420, 440)
 
@@ -106,8 +103,8 @@ class DemoReport:
             "evaluator [us]": _by_second(medians, tails),
             "end to end [ms]": _spread(*np.percentile(latencies, (50, 99)), 2) if len(latencies) else "none received",
             "backend": f"{latest.get('backend', '?')}, instruction set {latest.get('instruction set', '?')}",
-            "machine": f"{_processor()}, {os.cpu_count()} cores, {platform.system()} {platform.release()}",
-            "versions": ", ".join([f"Python {platform.python_version()}", *map(_version, PACKAGES)]),
+            "machine": machine_line(),
+            "versions": versions_line(),
         }
         width = max(map(len, rows))
         return "\n".join(["", *(f"  {name:<{width}}  {value}" for name, value in rows.items()), ""])
@@ -144,21 +141,3 @@ def _by_second(medians: list[float], tails: list[float]) -> str:
 
 def _spread(median: float, tail: float, decimals: int) -> str:
     return f"p50 {median:.{decimals}f}, p99 {tail:.{decimals}f}"
-
-
-def _processor() -> str:
-    """Name of the processor, as far as the system tells."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
-
-
-def _version(package: str) -> str:
-    """Name and version of an installed package."""
-    try:
-        return f"{package} {version(package)}"
-    except PackageNotFoundError:
-        return f"{package} (version unknown)"

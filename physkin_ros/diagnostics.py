@@ -59,7 +59,8 @@ class AvatarStatistics:
 
     gravity_rejected: messages of a direction that is none; they count as rejections to warn about, but not as joint
     states. not_ready: joint states before there was anything to drape. last_stamp_ns: of the last joint state that was
-    draped, None before the first. last_error: of a swap.
+    draped, None before the first. last_error: of a swap. strangers: who publishes something else than joint states on
+    their topic, which DDS does not deliver.
     """
 
     received: int = 0
@@ -69,6 +70,7 @@ class AvatarStatistics:
     deadline_missed: int = 0
     last_rejection: str = ""
     last_error: str = ""
+    strangers: str = ""
     last_stamp_ns: int | None = None
 
     def reject(self, reason: str) -> None:
@@ -140,6 +142,8 @@ class Health:
             if self.beyond:
                 return False, f"draping, but the pose is outside the trained range: {self.beyond[0]}"
             return True, "draping"
+        if counts.strangers:
+            return False, f"no joint states, but other messages on their topic: {counts.strangers}"
         return True, "waiting for joint states" if not counts.received else "no joint states in the last second"
 
     def values(self, now_ns: int) -> dict[str, str]:
@@ -157,6 +161,7 @@ class Health:
             "gravity messages rejected": str(counts.gravity_rejected),
             "last rejection": counts.last_rejection or "none",
             "last error": counts.last_error or "none",
+            "publishers of another type": counts.strangers or "none",
             "deadline missed": str(counts.deadline_missed),
             "evaluation p50 [us]": _number(p50, 1),
             "evaluation p99 [us]": _number(p99, 1),

@@ -77,7 +77,7 @@ class WornGarment:
     ) -> None:
         self.stream, self.draper = stream, draper
         self.revision = revision
-        self._cloud = GarmentCloud(self.draper.vertex_count, stream.frame_id)
+        self._cloud = GarmentCloud(self.draper.vertex_count, stream.frame_id, serialised=stream.settings.serialised)
         self.step = self.draper.bind_step(pose, gravity, self._cloud.points)
         self._nodes = self._marker = None
         if stream.nodes_publisher is not None:

@@ -20,6 +20,7 @@ from physkin_ros.transport import use_shipped_profile
 __all__ = ["main", "spin"]
 
 EXECUTORS = {"events": EventsExecutor, "single": SingleThreadedExecutor}
+NO_PARTICIPANT = "error creating node"  # how rcl says that the middleware refused
 TOPICS = {
     "joint_states": "in, sensor_msgs/JointState: pose of the body",
     "gravity": "in, geometry_msgs/Vector3Stamped: direction of gravity in the body's root frame, any length but zero; "
@@ -77,7 +78,10 @@ def main(argv: list[str] | None = None) -> int:
     except (ValueError, OSError, ImportError, ParameterException, NameValidationException) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except Exception:
+    except Exception as error:
+        if node is None and str(error).startswith(NO_PARTICIPANT):  # such as DDS security that is not there
+            print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+            return 2
         if rclpy.ok() or node is not None:
             raise
         return 0  # a signal came while the node was being made

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import math
 import sys
 from collections import Counter
 from contextlib import nullcontext
@@ -172,7 +173,12 @@ class _Measurements:
 
 def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0, or 1 when something is worse than in the baseline, which is then told."""
-    options = _parser().parse_args(argv)
+    parser = _parser()
+    options = parser.parse_args(argv)
+    if options.live:
+        return _play_live(parser, options)
+    if options.rate is not None:
+        parser.error("--rate is for --live")
     direction = gravity_direction(options.gravity)
     baseline = load_baseline(options.baseline) if options.baseline else None
     output = BagWriter(options.output, storage=options.storage) if options.output else nullcontext()
@@ -210,6 +216,23 @@ def main(argv: list[str] | None = None) -> int:
     if baseline and not worse:
         print(f"not worse than {options.baseline}")
     return 1 if worse else 0
+
+
+def _play_live(parser: argparse.ArgumentParser, options: argparse.Namespace) -> int:
+    allowed = {"bag", "topic", "gravity_topic", "live", "rate"}
+    idle = [name for name, value in vars(options).items() if name not in allowed and value != parser.get_default(name)]
+    if idle:
+        named = ", ".join(f"--{name.replace('_', '-')}" for name in idle)
+        parser.error(f"--live only plays messages; {named} belongs to draping")
+    from physkin_ros.replay_live import play
+
+    with BagReader(options.bag, topic=options.topic, gravity_topic=options.gravity_topic) as bag:
+        late = play(bag, rate=1.0 if options.rate is None else options.rate)
+    if not len(late):
+        raise BagError(f"bag {bag.path} holds no message on {bag.topic}")
+    p50, p99 = np.percentile(late, (50, 99)) * 1e3
+    print(f"sent {len(late)} messages, late by p50 {p50:.3f} ms, p99 {p99:.3f} ms, at most {1e3 * late.max():.3f} ms")
+    return 0
 
 
 def _draper(options: argparse.Namespace) -> Draper:
@@ -269,7 +292,18 @@ def _parser() -> argparse.ArgumentParser:
         metavar="PERCENT",
         help="compare latencies with the baseline too (default: not, for they are the machine's)",
     )
+    parser.add_argument(
+        "--live", action="store_true", help="only play the joint states and gravity to their topics (needs ROS)"
+    )
+    parser.add_argument("--rate", type=_positive, metavar="R", help="with --live: times as fast (default 1)")
     return parser
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"must be positive and finite, got {text}")
+    return value
 
 
 def _not_negative(text: str) -> int:

@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 
-__all__ = ["SerialisedMessage"]
+__all__ = ["CheckedMessage", "SerialisedMessage"]
 
 STAMP_OFFSET = 4  # after the encapsulation, in any message that begins with a header
 
@@ -41,3 +41,17 @@ class SerialisedMessage:
         """The message as it is now, with this stamp; a copy, to be published."""
         self._stamp.pack_into(self._buffer, STAMP_OFFSET, sec, nanosec)
         return bytes(self._buffer)
+
+
+class CheckedMessage:
+    """The same, but kept as a message, which rclpy checks and serialises each time. Its payload is the field `data`."""
+
+    def __init__(self, message, marker: np.ndarray) -> None:
+        self._message = message
+        self.payload = np.frombuffer(message.data, dtype=marker.dtype).reshape(marker.shape)
+        self.payload.fill(0)
+
+    def stamped(self, sec: int, nanosec: int):
+        """The message itself with this stamp, to be published before it is filled again."""
+        self._message.header.stamp.sec, self._message.header.stamp.nanosec = sec, nanosec
+        return self._message

@@ -154,6 +154,10 @@ GARMENT_SETTINGS = {
         "start, and its diagnostics tell what is left inside",
     ),
     "namespace": Setting("", "what the garment's topics are below; default ~, with avatars ~/ID/NAME"),
+    "serialised": Setting(
+        True,
+        "fill clouds in place as the bytes they travel as; false: as messages, which rclpy checks and serialises",
+    ),
     "marker": Setting(False, "publish a visualization_msgs/Marker TRIANGLE_LIST too, for RViz"),
 }
 """Name -> setting. Those whose `changes` is false are fixed once the node is configured."""
@@ -175,6 +179,7 @@ class GarmentSettings:
     fit: float
     push_out: bool
     namespace: str
+    serialised: bool
     marker: bool
 
 

@@ -386,6 +386,22 @@ def _missing_buffer(builder):
     builder.document["buffers"][0]["uri"] = "gone.bin"
 
 
+def _strange_buffer(builder):
+    builder.document["buffers"][0]["uri"] = "../person.glb"
+
+
+def _absolute_buffer(builder):
+    builder.document["buffers"][0]["uri"] = "/etc/passwd"
+
+
+def _linked_buffer(builder):
+    builder.document["buffers"][0]["uri"] = "linked.bin"
+
+
+def _endless_buffer(builder):
+    builder.document["buffers"][0] = {"uri": "person.glb", "byteLength": 2**31}
+
+
 def _short_buffer(builder):
     builder.document["buffers"][0]["byteLength"] += 1000
 
@@ -403,6 +419,15 @@ def _long_accessor(builder):
 
 def _dangling_accessor(builder):
     builder.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = 77
+
+
+def _negative_view(builder):
+    accessor = builder.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+    builder.document["accessors"][accessor]["bufferView"] -= len(builder.document["bufferViews"])
+
+
+def _negative_child(builder):
+    builder.document["nodes"][5].setdefault("children", []).append(-1)
 
 
 def _lost_joint(builder):
@@ -431,10 +456,16 @@ def _flat_limb(builder):
         (_compressed, "KHR_draco_mesh_compression"),
         (_far_buffer, "only files beside the avatar are read"),
         (_missing_buffer, "gone.bin does not exist"),
+        (_strange_buffer, "buffer 0 is '../person.glb', outside the avatar's folder; it must be in it"),
+        (_absolute_buffer, "buffer 0 is '/etc/passwd', outside the avatar's folder"),
+        (_linked_buffer, "buffer 0 is 'linked.bin', outside the avatar's folder"),
+        (_endless_buffer, "buffer 0 has 2147483648 bytes, allowed are 0 to 536870912"),
         (_short_buffer, "is truncated: buffer 0 has"),
         (_huge_accessor, "1000000000000 elements without data, allowed 1 to"),
         (_long_accessor, "truncated or malformed"),
-        (_dangling_accessor, "is malformed: IndexError"),
+        (_dangling_accessor, "is malformed: accessor 77, allowed 0 to"),
+        (_negative_view, "is malformed: buffer view -.*, allowed 0 to"),
+        (_negative_child, "is malformed: node -1, allowed 0 to"),
         (_lost_joint, "vertices are not finite"),
         (_flat_limb, "has no length"),
     ],
@@ -443,6 +474,7 @@ def test_damaged_files_are_refused(tmp_path, damage, message):
     """Each damage is refused with an AvatarError that says what was found and what is allowed."""
     builder = _builder()
     damage(builder)
+    (tmp_path / "linked.bin").symlink_to("/etc/passwd")
     with pytest.raises(AvatarError, match=message):
         _load(tmp_path, builder)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import struct
@@ -19,118 +18,33 @@ from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 
 rclpy = pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from geometry_msgs.msg import PoseStamped, Vector3Stamped  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
-from sensor_msgs.msg import JointState, PointCloud2  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
-from physkin_ros.conversions import read_cloud  # noqa: E402
 from physkin_ros.transport import private_environment  # noqa: E402
 
 interfaces = pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
 
-from physkin_msgs.msg import DrapeStatistics, GarmentMesh  # noqa: E402
+from drape_site import Site, glb_joined, glb_parts  # noqa: E402
 from physkin_msgs.srv import SetBody, SetGarment  # noqa: E402
 
 TOP, LEGS, BOB = "alice/top", "alice/legs", "bob/top"
-
-
-class Site:
-    """The node's process and a ROS node to talk to it. clouds: (garment, stamp) -> points and frame."""
-
-    def __init__(self, domain: int, process: subprocess.Popen) -> None:
-        self.process = process
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context, args=[], domain_id=domain)
-        self.node = rclpy.create_node("site", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.clouds, self.statuses, self.statistics, self.meshes = {}, {}, [], {}
-        self._publishers, self._clients, self.stamp = {}, {}, 0
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self.node.create_subscription(DrapeStatistics, "/drape_node/statistics", self.statistics.append, 10)
-        for garment in (TOP, LEGS, BOB):
-            self.listen(garment)
-
-    def listen(self, garment: str) -> None:
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-
-        def on_cloud(message) -> None:
-            key = garment, (message.header.stamp.sec, message.header.stamp.nanosec)
-            self.clouds[key] = read_cloud(message).copy(), message.header.frame_id
-
-        self.node.create_subscription(PointCloud2, f"/drape_node/{garment}/garment", on_cloud, 1000)
-        self.node.create_subscription(
-            GarmentMesh, f"/drape_node/{garment}/mesh", lambda mesh: self.meshes.__setitem__(garment, mesh), latched
-        )
-
-    def _on_diagnostics(self, message) -> None:
-        for status in message.status:
-            values = {value.key: value.value for value in status.values}
-            self.statuses[status.name.removeprefix("drape_node: ")] = values | {"summary": status.message}
-
-    def publisher(self, topic: str, kind=JointState):
-        if topic not in self._publishers:
-            self._publishers[topic] = self.node.create_publisher(kind, topic, 10)
-            self.until(lambda: self._publishers[topic].get_subscription_count(), f"subscription to {topic}")
-            self.spin(0.2)
-        return self._publishers[topic]
-
-    def state(self, names, positions) -> JointState:
-        message = JointState(name=list(names), position=array("d", [float(value) for value in positions]))
-        self.stamp += 1
-        message.header.stamp.sec = self.stamp
-        return message
-
-    def cloud(self, garment: str, names, positions, topic: str | None = None) -> np.ndarray:
-        """What a joint state is answered with."""
-        message = self.state(names, positions)
-        self.publisher(topic or f"/{garment.split('/')[0]}/joint_states").publish(message)
-        key = garment, (self.stamp, 0)
-        self.until(lambda: key in self.clouds, f"cloud {key}")
-        return self.clouds[key][0]
-
-    def call(self, kind, name: str, **fields):
-        if name not in self._clients:
-            self._clients[name] = self.node.create_client(kind, f"/drape_node/{name}")
-            self.until(self._clients[name].service_is_ready, name)
-        future = self._clients[name].call_async(kind.Request(**fields))
-        self.until(future.done, f"answer of {name}")
-        return future.result()
-
-    def until(self, done, what: str, seconds: float = 20.0) -> None:
-        deadline = time.monotonic() + seconds
-        while not done():
-            assert self.process.poll() is None, f"the node ended while waiting for {what}"
-            assert time.monotonic() < deadline, f"no {what} within {seconds:.0f} s"
-            self.executor.spin_once(timeout_sec=0.02)
-
-    def spin(self, seconds: float) -> None:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.02)
-
-    def close(self) -> None:
-        self.executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
 
 
 @pytest.fixture(scope="module")
 def other_body(tmp_path_factory):
     """A body a tenth larger than the bundled one, in a folder of its own."""
     path = tmp_path_factory.mktemp("bodies") / "other.glb"
-    document, rest = _parts(BUNDLED_AVATAR.read_bytes())
+    document, rest = glb_parts(BUNDLED_AVATAR.read_bytes())
     roots = document["scenes"][document.get("scene", 0)]["nodes"]
     document["nodes"].append({"children": roots, "scale": [1.1, 1.1, 1.1]})
     document["scenes"][document.get("scene", 0)]["nodes"] = [len(document["nodes"]) - 1]
-    path.write_bytes(_joined(document, rest))
+    path.write_bytes(glb_joined(document, rest))
     return path
 
 
@@ -160,7 +74,7 @@ def site(tmp_path_factory, model_path, leaning_model_path, other_body):
         log = open(config.parent / "log", "w")
         command = [sys.executable, "-m", "physkin_core.cli", "node", "--config", str(config)]
         process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
-        site = Site(int(os.environ["ROS_DOMAIN_ID"]), process)
+        site = Site(int(os.environ["ROS_DOMAIN_ID"]), process, (TOP, LEGS, BOB))
         site.log = config.parent / "log"
         try:
             site.publisher("/alice/joint_states")
@@ -499,24 +413,7 @@ def text_parameter(name: str, value: str) -> Parameter:
 
 def _with_bad_accessor(glb: bytes) -> bytes:
     """The GLB, its faces pointing at vertices that do not exist."""
-    document, rest = _parts(glb)
+    document, rest = glb_parts(glb)
     primitive = document["meshes"][0]["primitives"][0]
     document["accessors"][primitive["attributes"]["POSITION"]]["count"] = 7
-    return _joined(document, rest)
-
-
-def _parts(glb: bytes) -> tuple[dict, bytes]:
-    """A GLB's JSON and what follows it."""
-    length = struct.unpack_from("<I", glb, 12)[0]
-    return json.loads(glb[20 : 20 + length]), glb[20 + length :]
-
-
-def _joined(document: dict, rest: bytes) -> bytes:
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    return (
-        struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
-        + struct.pack("<I4s", len(text), b"JSON")
-        + text
-        + rest
-    )
+    return glb_joined(document, rest)

@@ -1,0 +1,58 @@
+"""`physkin replay --live`: the joint states and gravity of a bag, played to their topics as they were recorded."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import Vector3Stamped
+from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+
+from physkin_ros.bags import BagReader
+from physkin_ros.transport import use_shipped_profile
+
+__all__ = ["play"]
+
+DISCOVERY_SECONDS = 20.0
+SETTLING_SECONDS = 0.5  # the reader may know of the writer a moment after the writer knows of the reader
+
+
+def play(bag: BagReader, *, rate: float = 1.0) -> np.ndarray:
+    """Publish the bag's messages, bytes and stamps unchanged, `rate` times as fast as they were recorded.
+
+    Returns how late each was sent [s], (messages,). Waits for somebody who listens to the joint states, and at the end
+    until everything has arrived. Raises TimeoutError when nobody listens, and BagError when the bag cannot be read on.
+    """
+    use_shipped_profile()
+    rclpy.init(args=[])
+    node = rclpy.create_node("physkin_replay")
+    try:
+        publishers = {"joint_state": node.create_publisher(JointState, bag.topic, QoSProfile(depth=100))}
+        if bag.gravity_topic is not None:
+            publishers["gravity"] = node.create_publisher(Vector3Stamped, bag.gravity_topic, QoSProfile(depth=100))
+        _wait_for_subscriber(publishers["joint_state"], bag.topic)
+        late, begin, first = [], time.monotonic(), None
+        for message in bag:
+            first = message.time_ns if first is None else first
+            due = begin + (message.time_ns - first) / 1e9 / rate
+            time.sleep(max(0.0, due - time.monotonic()))
+            late.append(time.monotonic() - due)
+            publishers[message.kind].publish(message.data)
+        for publisher in publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=5))
+        return np.array(late)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _wait_for_subscriber(publisher, topic: str) -> None:
+    deadline = time.monotonic() + DISCOVERY_SECONDS
+    while not publisher.get_subscription_count():
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"nobody has subscribed to {topic} for {DISCOVERY_SECONDS:.0f} s; start the node first")
+        time.sleep(0.02)
+    time.sleep(SETTLING_SECONDS)
