@@ -65,6 +65,7 @@ std::vector<Block> choose_blocks(const std::vector<NodeSet>& sets, int node_coun
       }
     }
     for (const std::int32_t node : block.nodes) in_block[node] = false;
+    if (block.nodes.empty()) block.nodes.push_back(0);  // vertices without any weight: the kernel reads one node
     std::sort(block.nodes.begin(), block.nodes.end());
     blocks.push_back(std::move(block));
   }
@@ -111,7 +112,8 @@ SkinningBlocks pack_skinning_blocks(const BoundGarment& g, Arena& arena) {
     }
   }
   blocks.influence_start = arena.copy(start.data(), start.size());
-  blocks.influence_node = arena.copy(nodes.data(), nodes.size());
+  for (std::int32_t& node : nodes) node *= 12;
+  blocks.influence_matrix = arena.copy(nodes.data(), nodes.size());
   blocks.influence_weight = weights;
   blocks.rest = rest;
   blocks.vertex = vertex;
