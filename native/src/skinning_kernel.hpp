@@ -30,7 +30,7 @@ inline SkinnedLanes skin_lanes(const SkinningBlocks& blocks, const float* matric
   SkinnedLanes skinned;
   for (int r = 0; r < 3; ++r) {
     const Floats* row = blend + 4 * r;
-    skinned.column[r] = row[0] * x + (row[1] * y + (row[2] * z + row[3]));
+    skinned.column[r] = row[0] * x + row[1] * y + row[2] * z + row[3];
   }
   if (!kNormals) return skinned;
   const Floats nx = load(rest + 3 * kBlock), ny = load(rest + 4 * kBlock), nz = load(rest + 5 * kBlock);
