@@ -110,7 +110,7 @@ Rejection Evaluator::skin(const float* node_transforms, const VertexRows& rows) 
 
 void Evaluator::skin_checked(const float* node_transforms, const VertexRows& rows) noexcept {
   garment_nodes_.compute_skinning_matrices(node_transforms, skinning_matrices_);
-  kernels_.skin(blocks_, skinning_matrices_, rows);  // with normals even if replaced: rows of six are written faster
+  kernels_.skin(blocks_, skinning_matrices_, rows);  // with normals even if faces replace them: push-out turns them
 }
 
 void Evaluator::push_out(const VertexRows& rows) noexcept {

@@ -11,8 +11,9 @@ namespace physkin::PHYSKIN_ISA {
 // Independent chains in registers; returns the multiply-adds done (of single floats).
 inline std::int64_t multiply_add(int rounds, float* result) {
   constexpr int kChains = 12;
-  Floats sum[kChains] = {};
+  Floats sum[kChains];
   const Floats factor = load(result), term = factor * 0.5f;
+  for (int k = 0; k < kChains; ++k) sum[k] = factor * float(k);  // equal chains would be computed once
   for (int round = 0; round < rounds; ++round) {
     for (int k = 0; k < kChains; ++k) sum[k] = sum[k] * factor + term;
   }

@@ -16,11 +16,11 @@ constexpr int kBlock = 16;
 
 struct SkinningBlocks {
   int vertex_count = 0, block_count = 0;
-  const std::int32_t* influence_start = nullptr;  // (block_count + 1,) into the next two
-  const std::int32_t* influence_node = nullptr;   // (influences,)
-  const float* influence_weight = nullptr;        // (influences, kBlock), zeros beyond vertex_count
-  const float* rest = nullptr;                    // (block_count, 6, kBlock): x, y, z, normal x, y, z
-  const std::int32_t* vertex = nullptr;           // (block_count, kBlock) index in the caller's order
+  const std::int32_t* influence_start = nullptr;   // (block_count + 1,) into the next two, at least one a block
+  const std::int32_t* influence_matrix = nullptr;  // (influences,) where a garment node's matrix starts
+  const float* influence_weight = nullptr;         // (influences, kBlock), zeros beyond vertex_count
+  const float* rest = nullptr;                     // (block_count, 6, kBlock): x, y, z, normal x, y, z
+  const std::int32_t* vertex = nullptr;            // (block_count, kBlock) index in the caller's order
 };
 
 // Where vertices go: a row of floats each, x y z or x y z nx ny nz, `stride` floats from row to row. Rows need no

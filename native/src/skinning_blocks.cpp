@@ -28,46 +28,99 @@ struct Block {
   NodeSet nodes;  // union of the vertices' sets
 };
 
+// Positions along a curve that keeps neighbours together (Morton): the bits of the three coordinates in turn.
+std::vector<std::uint32_t> curve_positions(const float* points, int count) {
+  constexpr int kBits = 10;
+  constexpr float kCells = 1 << kBits;
+  float low[3], extent = 0.0f;
+  for (int c = 0; c < 3; ++c) {
+    float high = low[c] = points[c];
+    for (int i = 1; i < count; ++i) {
+      low[c] = std::min(low[c], points[3 * i + c]);
+      high = std::max(high, points[3 * i + c]);
+    }
+    extent = std::max(extent, high - low[c]);
+  }
+  std::vector<std::uint32_t> positions(count);
+  for (std::size_t i = 0; i < 3 * std::size_t(count); ++i) {
+    const float cell = (points[i] - low[i % 3]) / extent * kCells;
+    const std::uint32_t bits = cell > 0.0f ? std::uint32_t(std::min(cell, kCells - 1.0f)) : 0;  // 0 / 0 is none
+    for (int bit = 0; bit < kBits; ++bit) positions[i / 3] |= (bits >> bit & 1u) << (3 * bit + int(i % 3));
+  }
+  return positions;
+}
+
 // Vertices that a block is chosen from: the work of packing grows with it, the unions hardly shrink beyond.
-constexpr std::size_t kWindow = 256;
+constexpr std::size_t kWindow = 1024;
 
-// Blocks with small unions: vertices sorted by their sets, a block taking from the first of those left whichever adds
-// the fewest garment nodes. A fifth smaller unions than blocks of neighbours in sorted order.
-std::vector<Block> choose_blocks(const std::vector<NodeSet>& sets, int node_count) {
-  std::vector<std::int32_t> order(sets.size());
-  std::iota(order.begin(), order.end(), 0);
-  std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return sets[a] < sets[b]; });
+// Vertices in order of `curve`, a block taking from the first of those left whichever adds the fewest garment nodes.
+class BlockChooser {
+ public:
+  BlockChooser(const std::vector<NodeSet>& sets, const std::vector<std::uint32_t>& curve, int node_count)
+      : sets_(sets), order_(sets.size()), words_((std::size_t(node_count) + 63) / 64), in_block_(node_count) {
+    std::iota(order_.begin(), order_.end(), 0);
+    std::stable_sort(order_.begin(), order_.end(), [&](int a, int b) { return curve[a] < curve[b]; });
+    masks_.resize(sets.size() * words_);
+    for (std::size_t v = 0; v < sets.size(); ++v) {
+      for (const std::int32_t node : sets[v]) masks_[v * words_ + node / 64] |= std::uint64_t{1} << node % 64;
+    }
+  }
 
-  std::vector<Block> blocks;
-  std::vector<std::int32_t> window;
-  std::vector<bool> in_block(node_count);
-  auto next = order.begin();
-  while (next != order.end() || !window.empty()) {
-    const auto count = std::min(kWindow - window.size(), std::size_t(order.end() - next));
-    window.insert(window.end(), next, next + std::ptrdiff_t(count));
-    next += std::ptrdiff_t(count);
+  bool done() const { return next_ == order_.size() && window_.empty(); }
+
+  Block choose() {
+    for (; window_.size() < kWindow && next_ < order_.size(); ++next_) window_.push_back(order_[next_]);
+    added_.clear();
+    for (const std::int32_t v : window_) added_.push_back(int(sets_[v].size()));
     Block block;
-    while (block.vertices.size() < std::size_t(kBlock) && !window.empty()) {
-      const auto added = [&](int v) {
-        return std::count_if(sets[v].begin(), sets[v].end(), [&](int node) { return !in_block[node]; });
-      };
-      std::size_t best = 0;
-      auto fewest = added(window[0]);
-      for (std::size_t k = 1; k < window.size() && fewest > 0 && !block.vertices.empty(); ++k) {
-        if (const auto more = added(window[k]); more < fewest) fewest = more, best = k;
-      }
-      const std::int32_t vertex = window[best];
-      window.erase(window.begin() + std::ptrdiff_t(best));
-      block.vertices.push_back(vertex);
-      for (const std::int32_t node : sets[vertex]) {
-        if (!in_block[node]) block.nodes.push_back(node);
-        in_block[node] = true;
+    take(block, 0);
+    while (block.vertices.size() < std::size_t(kBlock) && !window_.empty()) {
+      take(block, fewest_added());
+    }
+    for (const std::int32_t node : block.nodes) in_block_[node] = false;
+    if (block.nodes.empty()) block.nodes.push_back(0);  // vertices without any weight: the kernel reads one node
+    std::sort(block.nodes.begin(), block.nodes.end());
+    return block;
+  }
+
+ private:
+  std::ptrdiff_t fewest_added() const {
+    std::size_t best = 0;
+    for (std::size_t k = 1; k < added_.size() && added_[best] > 0; ++k) {
+      if (added_[k] < added_[best]) best = k;
+    }
+    return std::ptrdiff_t(best);
+  }
+
+  void take(Block& block, std::ptrdiff_t at) {
+    const std::int32_t vertex = window_[at];
+    window_.erase(window_.begin() + at);
+    added_.erase(added_.begin() + at);
+    block.vertices.push_back(vertex);
+    for (const std::int32_t node : sets_[vertex]) {
+      if (in_block_[node]) continue;
+      in_block_[node] = true;
+      block.nodes.push_back(node);
+      for (std::size_t k = 0; k < window_.size(); ++k) {
+        added_[k] -= int(masks_[window_[k] * words_ + node / 64] >> node % 64 & 1);
       }
     }
-    for (const std::int32_t node : block.nodes) in_block[node] = false;
-    std::sort(block.nodes.begin(), block.nodes.end());
-    blocks.push_back(std::move(block));
   }
+
+  const std::vector<NodeSet>& sets_;
+  std::vector<std::int32_t> order_;
+  std::size_t next_ = 0, words_;
+  std::vector<std::uint64_t> masks_;  // (vertices, words_) a bit for each garment node
+  std::vector<std::int32_t> window_;  // vertices to choose from
+  std::vector<int> added_;            // garment nodes that each of them would add to the block
+  std::vector<bool> in_block_;
+};
+
+std::vector<Block> choose_blocks(const BoundGarment& g) {
+  const std::vector<NodeSet> sets = influence_sets(g);
+  BlockChooser chooser(sets, curve_positions(g.vertices, g.vertex_count), g.nodes);
+  std::vector<Block> blocks;
+  while (!chooser.done()) blocks.push_back(chooser.choose());
   if (blocks.empty()) return blocks;
   // Blocks of equal size follow each other, so that the processor foresees where the loop over garment nodes ends. The
   // last one, which may be short of vertices, stays last.
@@ -79,7 +132,7 @@ std::vector<Block> choose_blocks(const std::vector<NodeSet>& sets, int node_coun
 }  // namespace
 
 SkinningBlocks pack_skinning_blocks(const BoundGarment& g, Arena& arena) {
-  const std::vector<Block> chosen = choose_blocks(influence_sets(g), g.nodes);
+  const std::vector<Block> chosen = choose_blocks(g);
   SkinningBlocks blocks;
   blocks.vertex_count = g.vertex_count;
   blocks.block_count = int(chosen.size());
@@ -111,7 +164,8 @@ SkinningBlocks pack_skinning_blocks(const BoundGarment& g, Arena& arena) {
     }
   }
   blocks.influence_start = arena.copy(start.data(), start.size());
-  blocks.influence_node = arena.copy(nodes.data(), nodes.size());
+  for (std::int32_t& node : nodes) node *= 12;
+  blocks.influence_matrix = arena.copy(nodes.data(), nodes.size());
   blocks.influence_weight = weights;
   blocks.rest = rest;
   blocks.vertex = vertex;

@@ -6,93 +6,156 @@
 
 namespace physkin::PHYSKIN_ISA {
 
-// kLanes vertices of a block: sums the matrices of the block's garment nodes, then applies the sum once.
-inline void skin_lanes(const float* matrices, const std::int32_t* nodes, int node_count, const float* weights,
-                       const float* rest, bool with_normals, float* skinned) {
-  Floats blend[12] = {};
-  for (int k = 0; k < node_count; ++k) {
-    const float* matrix = matrices + 12 * nodes[k];
+// kLanes skinned vertices, a coordinate each: x y z and, if asked for, nx ny nz.
+struct SkinnedLanes {
+  Floats column[6];
+};
+
+// Sums the matrices of a block's garment nodes, then applies the sum once.
+template <bool kNormals>
+inline SkinnedLanes skin_lanes(const SkinningBlocks& blocks, const float* matrices, int block, int lane) {
+  const std::int32_t start = blocks.influence_start[block];
+  const std::int32_t* at = blocks.influence_matrix + start;
+  const int node_count = blocks.influence_start[block + 1] - start;
+  const float* weights = blocks.influence_weight + std::ptrdiff_t(start) * kBlock + lane;
+  Floats blend[12];
+  for (int e = 0; e < 12; ++e) blend[e] = load(weights) * matrices[at[0] + e];
+  for (int k = 1; k < node_count; ++k) {
+    const float* matrix = matrices + at[k];
     const Floats weight = load(weights + k * kBlock);
     for (int e = 0; e < 12; ++e) blend[e] += weight * matrix[e];
   }
+  const float* rest = blocks.rest + std::ptrdiff_t(block) * 6 * kBlock + lane;
   const Floats x = load(rest), y = load(rest + kBlock), z = load(rest + 2 * kBlock);
+  SkinnedLanes skinned;
   for (int r = 0; r < 3; ++r) {
     const Floats* row = blend + 4 * r;
-    store(skinned + r * kBlock, row[0] * x + row[1] * y + row[2] * z + row[3]);
+    skinned.column[r] = row[0] * x + row[1] * y + row[2] * z + row[3];
   }
-  if (!with_normals) return;
+  if (!kNormals) return skinned;
   const Floats nx = load(rest + 3 * kBlock), ny = load(rest + 4 * kBlock), nz = load(rest + 5 * kBlock);
   Floats normal[3];
   for (int r = 0; r < 3; ++r) normal[r] = blend[4 * r] * nx + blend[4 * r + 1] * ny + blend[4 * r + 2] * nz;
   const Floats square = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2];
   const Floats inverse = reciprocal_sqrt(at_least(square, 1e-30f));  // a vanished normal stays zero
-  for (int r = 0; r < 3; ++r) store(skinned + (3 + r) * kBlock, normal[r] * inverse);
+  for (int r = 0; r < 3; ++r) skinned.column[3 + r] = normal[r] * inverse;
+  return skinned;
 }
 
-// Four floats, whatever the width of the registers: rows are put together four vertices at a time.
+// In every four lanes the same choice of four from a, counted from 0, and b, counted from kLanes.
+template <int k0, int k1, int k2, int k3>
+inline Floats shuffle_fours(Floats a, Floats b) {
+#if defined(__AVX512F__)
+  return __builtin_shufflevector(a, b, k0, k1, k2, k3, k0 + 4, k1 + 4, k2 + 4, k3 + 4, k0 + 8, k1 + 8, k2 + 8, k3 + 8,
+                                 k0 + 12, k1 + 12, k2 + 12, k3 + 12);
+#elif defined(__AVX2__)
+  return __builtin_shufflevector(a, b, k0, k1, k2, k3, k0 + 4, k1 + 4, k2 + 4, k3 + 4);
+#else
+  return __builtin_shufflevector(a, b, k0, k1, k2, k3);
+#endif
+}
+
+inline Floats zip_low(Floats a, Floats b) { return shuffle_fours<0, kLanes, 1, kLanes + 1>(a, b); }
+inline Floats zip_high(Floats a, Floats b) { return shuffle_fours<2, kLanes + 2, 3, kLanes + 3>(a, b); }
+inline Floats halves_low(Floats a, Floats b) { return shuffle_fours<0, 1, kLanes, kLanes + 1>(a, b); }
+inline Floats halves_high(Floats a, Floats b) { return shuffle_fours<2, 3, kLanes + 2, kLanes + 3>(a, b); }
+
 typedef float Quad __attribute__((vector_size(16), may_alias));
 
-inline void store_floats(unsigned char* target, Quad v, int count) {
-  __builtin_memcpy(target, &v, std::size_t(count) * sizeof(float));
+template <int kFour>
+inline Quad four_lanes(Floats v) {
+#if defined(__AVX2__)
+  return __builtin_shufflevector(v, v, 4 * kFour, 4 * kFour + 1, 4 * kFour + 2, 4 * kFour + 3);
+#else
+  static_assert(kFour == 0, "the register has four lanes");
+  return v;
+#endif
 }
 
-// Writes vertices `lane` to lane + 3 of a block: the transpose of their columns, in registers.
-template <bool kNormals>
-inline void write_quad(const float* skinned, const std::int32_t* vertex, int lane, const VertexRows& rows) {
-  const auto column = [&](int c) { return *reinterpret_cast<const Quad*>(skinned + c * kBlock + lane); };
-  const Quad x = column(0), y = column(1), z = column(2), nx = kNormals ? column(3) : z;
-  const Quad xy_low = __builtin_shufflevector(x, y, 0, 4, 1, 5), xy_high = __builtin_shufflevector(x, y, 2, 6, 3, 7);
-  const Quad zn_low = __builtin_shufflevector(z, nx, 0, 4, 1, 5), zn_high = __builtin_shufflevector(z, nx, 2, 6, 3, 7);
-  const Quad first[4] = {
-      __builtin_shufflevector(xy_low, zn_low, 0, 1, 4, 5), __builtin_shufflevector(xy_low, zn_low, 2, 3, 6, 7),
-      __builtin_shufflevector(xy_high, zn_high, 0, 1, 4, 5), __builtin_shufflevector(xy_high, zn_high, 2, 3, 6, 7)};
+// Not one copy of 12 bytes: that goes through memory, and waits for it.
+inline void store_three(unsigned char* target, Quad v) {
+  const float z = v[2];
+  __builtin_memcpy(target, &v, 8);
+  __builtin_memcpy(target + 8, &z, 4);
+}
+
+// Vertices 4 kFour to 4 kFour + 3 of the lanes. first[k]: x y z nx of every fourth from k on. second: ny nz, of the
+// even and the odd pair of every four.
+template <bool kNormals, int kFour>
+inline void write_four(const Floats* first, const Floats* second, const std::int32_t* vertex, const VertexRows& rows,
+                       std::ptrdiff_t row_bytes) {
   unsigned char* row[4];
-  for (int k = 0; k < 4; ++k) row[k] = rows.data + vertex[lane + k] * rows.stride * std::ptrdiff_t(sizeof(float));
-  for (int k = 0; k < 4; ++k) store_floats(row[k], first[k], kNormals ? 4 : 3);
-  if (!kNormals) return;
-  const Quad ny = column(4), nz = column(5);
-  const Quad low = __builtin_shufflevector(ny, nz, 0, 4, 1, 5), high = __builtin_shufflevector(ny, nz, 2, 6, 3, 7);
-  constexpr std::ptrdiff_t kRest = 4 * sizeof(float);
-  store_floats(row[0] + kRest, low, 2);
-  store_floats(row[1] + kRest, __builtin_shufflevector(low, low, 2, 3, 2, 3), 2);
-  store_floats(row[2] + kRest, high, 2);
-  store_floats(row[3] + kRest, __builtin_shufflevector(high, high, 2, 3, 2, 3), 2);
-}
-
-// The garment's last block may be short.
-template <int kColumns>
-inline void write_some(const float* skinned, const std::int32_t* vertex, int count, const VertexRows& rows) {
-  for (int lane = 0; lane < count; ++lane) {
-    float row[kColumns];
-    for (int c = 0; c < kColumns; ++c) row[c] = skinned[c * kBlock + lane];
-    __builtin_memcpy(rows.data + vertex[lane] * rows.stride * std::ptrdiff_t(sizeof(float)), row, sizeof row);
+  for (int k = 0; k < 4; ++k) row[k] = rows.data + vertex[4 * kFour + k] * row_bytes;
+  if (!kNormals) {
+    for (int k = 0; k < 4; ++k) store_three(row[k], four_lanes<kFour>(first[k]));
+    return;
+  }
+  for (int k = 0; k < 4; ++k) {
+    const Quad v = four_lanes<kFour>(first[k]);
+    __builtin_memcpy(row[k], &v, sizeof v);
+  }
+  for (int k = 0; k < 2; ++k) {
+    const Quad v = four_lanes<kFour>(second[k]), odd = __builtin_shufflevector(v, v, 2, 3, 2, 3);
+    __builtin_memcpy(row[2 * k] + sizeof v, &v, 8);
+    __builtin_memcpy(row[2 * k + 1] + sizeof v, &odd, 8);
   }
 }
 
+// Writes kLanes vertices: the transpose of their columns, in registers.
 template <bool kNormals>
-inline void write_rows(const float* skinned, const std::int32_t* vertex, int count, const VertexRows& rows) {
-  if (count < kBlock) return write_some<kNormals ? 6 : 3>(skinned, vertex, count, rows);
-  for (int lane = 0; lane < kBlock; lane += 4) write_quad<kNormals>(skinned, vertex, lane, rows);
+inline void write_rows(const SkinnedLanes& skinned, const std::int32_t* vertex, const VertexRows& rows,
+                       std::ptrdiff_t row_bytes) {
+  const Floats* c = skinned.column;
+  const Floats& fourth = kNormals ? c[3] : c[2];
+  const Floats xy_low = zip_low(c[0], c[1]), xy_high = zip_high(c[0], c[1]);
+  const Floats zn_low = zip_low(c[2], fourth), zn_high = zip_high(c[2], fourth);
+  const Floats first[4] = {halves_low(xy_low, zn_low), halves_high(xy_low, zn_low), halves_low(xy_high, zn_high),
+                           halves_high(xy_high, zn_high)};
+  Floats second[2] = {};
+  if (kNormals) second[0] = zip_low(c[4], c[5]), second[1] = zip_high(c[4], c[5]);
+  write_four<kNormals, 0>(first, second, vertex, rows, row_bytes);
+#if defined(__AVX2__)
+  write_four<kNormals, 1>(first, second, vertex, rows, row_bytes);
+#endif
+#if defined(__AVX512F__)
+  write_four<kNormals, 2>(first, second, vertex, rows, row_bytes);
+  write_four<kNormals, 3>(first, second, vertex, rows, row_bytes);
+#endif
+}
+
+// Up to kLanes vertices, of the garment's last block.
+template <bool kNormals>
+inline void write_some(const SkinnedLanes& skinned, const std::int32_t* vertex, int count, const VertexRows& rows,
+                       std::ptrdiff_t row_bytes) {
+  for (int lane = 0; lane < count && lane < kLanes; ++lane) {
+    float row[kNormals ? 6 : 3];
+    for (int c = 0; c < (kNormals ? 6 : 3); ++c) row[c] = skinned.column[c][lane];
+    __builtin_memcpy(rows.data + vertex[lane] * row_bytes, row, sizeof row);
+  }
+}
+
+// The block that may be short comes after the loop: within, choosing between two ways to write would put the columns
+// into memory for the one that is not taken.
+template <bool kNormals>
+inline void skin_blocks(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows) {
+  const std::ptrdiff_t row_bytes = rows.stride * std::ptrdiff_t(sizeof(float));
+  const int full = blocks.vertex_count / kBlock, left = blocks.vertex_count % kBlock;
+  const std::int32_t* vertex = blocks.vertex;
+  for (int block = 0; block < full; ++block) {
+    for (int lane = 0; lane < kBlock; lane += kLanes, vertex += kLanes) {
+      write_rows<kNormals>(skin_lanes<kNormals>(blocks, matrices, block, lane), vertex, rows, row_bytes);
+    }
+  }
+  for (int lane = 0; lane < left; lane += kLanes, vertex += kLanes) {
+    write_some<kNormals>(skin_lanes<kNormals>(blocks, matrices, full, lane), vertex, left - lane, rows, row_bytes);
+  }
 }
 
 inline void skin(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows) {
-  for (int block = 0; block < blocks.block_count; ++block) {
-    const std::int32_t start = blocks.influence_start[block];
-    const std::int32_t* nodes = blocks.influence_node + start;
-    const int node_count = blocks.influence_start[block + 1] - start;
-    alignas(64) float skinned[6 * kBlock];
-    for (int lane = 0; lane < kBlock; lane += kLanes) {
-      skin_lanes(matrices, nodes, node_count, blocks.influence_weight + std::ptrdiff_t(start) * kBlock + lane,
-                 blocks.rest + std::ptrdiff_t(block) * 6 * kBlock + lane, rows.with_normals, skinned + lane);
-    }
-    const std::int32_t* vertex = blocks.vertex + block * kBlock;
-    const int left = blocks.vertex_count - block * kBlock;
-    const int count = left < kBlock ? left : kBlock;
-    if (rows.with_normals) {
-      write_rows<true>(skinned, vertex, count, rows);
-    } else {
-      write_rows<false>(skinned, vertex, count, rows);
-    }
+  if (rows.with_normals) {
+    skin_blocks<true>(blocks, matrices, rows);
+  } else {
+    skin_blocks<false>(blocks, matrices, rows);
   }
 }
 

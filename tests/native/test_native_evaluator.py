@@ -191,6 +191,35 @@ def test_skinning_alone_agrees_with_oracle(level, make_garment):
 
 
 @pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("vertices", [*range(1, 18), 32, 47])
+def test_last_block_of_any_length(vertices, level, make_garment):
+    """Positions alone are those written with normals, bit for bit, and nothing is written beyond a row."""
+    rng = np.random.default_rng(vertices)
+    g = make_garment(rng, nodes=9, vertices=vertices)
+    transforms = rng.normal(size=(9, 3, 4)).astype(np.float32)
+    evaluator = NativeEvaluator(g, instruction_set=level)
+    guarded = np.full((vertices + 2, 6), 7.0, dtype=np.float32)
+    guarded_positions = np.full((vertices + 2, 3), 7.0, dtype=np.float32)
+    evaluator.skin(transforms, guarded[1:-1])
+    evaluator.skin(transforms, guarded_positions[1:-1])
+    assert_agrees(guarded[1:-1], *oracle_skin(g, transforms))
+    np.testing.assert_array_equal(guarded_positions[1:-1], guarded[1:-1, :3])
+    for untouched in (guarded, guarded_positions):
+        assert (untouched[[0, -1]] == 7.0).all()
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_vertices_without_skinning_weights(level, make_garment):
+    """A block none of whose vertices follows a garment node comes to lie at the origin, without normals."""
+    rng = np.random.default_rng(5)
+    g = make_garment(rng, nodes=9, vertices=40)
+    g = replace(g, influence_weights=np.zeros_like(g.influence_weights))
+    out = np.full((40, 6), np.nan, dtype=np.float32)
+    NativeEvaluator(g, instruction_set=level).skin(rng.normal(size=(9, 3, 4)).astype(np.float32), out)
+    np.testing.assert_array_equal(out, 0)
+
+
+@pytest.mark.parametrize("level", LEVELS)
 def test_silu_over_its_whole_range(level, make_garment):
     """Relative error below 1e-6, also where the exponential under- or overflows.
 
