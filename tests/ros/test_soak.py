@@ -64,7 +64,7 @@ class Usage:
 def test_soak(domain, tmp_path, seconds):
     """At most one cloud in a thousand is lost; memory and files do not grow; nothing is logged that should not be.
 
-    Where others keep all cores busy, up to one in twenty: sixteen garments at 60 Hz and the swaps take most of one core.
+    Where others keep all cores busy, up to one in twenty: all this takes most of a core by itself.
     """
     others = os.getloadavg()[0]
     bodies, config, log = tmp_path / "bodies", tmp_path / "avatars.yaml", tmp_path / "log"
