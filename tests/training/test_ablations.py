@@ -174,3 +174,10 @@ def test_rows_need_neither_plots_nor_ray_queries():
     blocked = ("rich", "tensorboard", "gpytoolbox", "rtree", "mitsuba", "PIL", "rclpy")
     code = f"import sys\nfor name in {blocked!r}: sys.modules[name] = None\nimport physkin_training.ablations"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_rows_wear_the_template_whatever_the_configuration(tmp_path):
+    """Shipped garments are trained on both fits; supervision and the paper's figures know the template alone."""
+    base = small_config(tmp_path, fit="both")
+    for row in ROWS.values():
+        assert row.change(ROWS[BASE].change(base)).optimisation.fit == "template", row.label

@@ -78,7 +78,9 @@ class RowOptions:
 
 def _nodes(count: int, *, optimised: bool) -> Callable[[TrainingConfig], TrainingConfig]:
     def change(config: TrainingConfig) -> TrainingConfig:
-        optimisation = config.optimisation if optimised else replace(config.optimisation, skinning_rate=0.0)
+        optimisation = replace(config.optimisation, fit="template")  # the paper's, and what drapes are simulated for
+        if not optimised:
+            optimisation = replace(optimisation, skinning_rate=0.0)
         return replace(config, garment_nodes=replace(config.garment_nodes, count=count), optimisation=optimisation)
 
     return change
