@@ -21,7 +21,7 @@ from physkin_core.garment_model import GarmentModel, GarmentModelError, Material
 from physkin_core.mlp import Layer
 from physkin_core.rig import Rig, RigError
 
-__all__ = ["SCHEMA_VERSION", "ModelFileError", "load_garment_model", "save_garment_model"]
+__all__ = ["SCHEMA_VERSION", "ModelFileError", "load_garment_model", "save_garment_model", "shipped_models"]
 
 FORMAT = "physkin-garment"
 SCHEMA_VERSION = 1
@@ -106,10 +106,15 @@ def save_garment_model(model: GarmentModel, path: str | Path) -> None:
     partial.replace(path)
 
 
+def shipped_models() -> list[str]:
+    """Names of the garment models that come with the package, as `load_garment_model` takes them."""
+    return sorted(file.stem for file in MODELS_PATH.glob("*.safetensors"))
+
+
 def _resolve(path: str | Path) -> Path:
     candidate = Path(path)
     if candidate.suffix == "" and not candidate.is_file():
-        shipped = sorted(file.stem for file in MODELS_PATH.glob("*.safetensors"))
+        shipped = shipped_models()
         if str(path) in shipped:
             return MODELS_PATH / f"{path}.safetensors"
         raise ModelFileError(f"no garment model {str(path)!r}: give a file, or one of {', '.join(shipped) or 'none'}")

@@ -20,6 +20,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from physkin_ros.conversions import read_cloud
+from physkin_ros.spinning import spin_until
 
 __all__ = ["KEPT_CLOUDS", "READY", "Listener", "main"]
 
@@ -94,16 +95,16 @@ def main() -> int:
     listener = Listener(arguments.keep_every)
     executor.add_node(listener)
     try:
-        if not _spin_until(executor, DISCOVERY_SECONDS, lambda: listener.subscription.get_publisher_count() > 0):
+        if not spin_until(executor, DISCOVERY_SECONDS, lambda: listener.subscription.get_publisher_count() > 0):
             print("error: the garment's publisher did not appear", file=sys.stderr)
             return 2
         print(READY, flush=True)
-        _spin_until(executor, FIRST_CLOUD_SECONDS, lambda: listener.stamps)
+        spin_until(executor, FIRST_CLOUD_SECONDS, lambda: listener.stamps)
         count = -1
         while count < len(listener.stamps) < arguments.expected:  # until all are here, or none comes any more
             count = len(listener.stamps)
-            _spin_until(executor, SILENCE_SECONDS, lambda: len(listener.stamps) >= arguments.expected)
-        _spin_until(executor, LAST_REPORT_SECONDS, lambda: listener.reported(len(listener.stamps)))
+            spin_until(executor, SILENCE_SECONDS, lambda: len(listener.stamps) >= arguments.expected)
+        spin_until(executor, LAST_REPORT_SECONDS, lambda: listener.reported(len(listener.stamps)))
         listener.save(arguments.output)
         return 0
     except KeyboardInterrupt:
@@ -112,14 +113,6 @@ def main() -> int:
         executor.remove_node(listener)
         listener.destroy_node()
         rclpy.try_shutdown()
-
-
-def _spin_until(executor, seconds: float, done) -> bool:
-    """Serve callbacks until `done()` or for `seconds`; whether it is done."""
-    deadline = time.monotonic() + seconds
-    while rclpy.ok() and not done() and time.monotonic() < deadline:
-        executor.spin_once(timeout_sec=0.1)
-    return bool(done())
 
 
 if __name__ == "__main__":

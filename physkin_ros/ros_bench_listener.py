@@ -19,6 +19,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
+from physkin_ros.spinning import spin_until
+
 __all__ = ["READY", "BenchListener", "main"]
 
 READY = "ready"
@@ -90,15 +92,15 @@ def main() -> int:
     listener = BenchListener(arguments.avatars)
     executor.add_node(listener)
     try:
-        if not _spin_until(executor, DISCOVERY_SECONDS, lambda: listener.ready):
+        if not spin_until(executor, DISCOVERY_SECONDS, lambda: listener.ready):
             print("error: the node did not report its garments", file=sys.stderr)
             return 2
         print(READY, flush=True)
-        _spin_until(executor, FIRST_CLOUD_SECONDS, lambda: listener.stamps)
+        spin_until(executor, FIRST_CLOUD_SECONDS, lambda: listener.stamps)
         count = -1
         while count < len(listener.stamps):
             count = len(listener.stamps)
-            _spin_until(executor, SILENCE_SECONDS, lambda: False)
+            spin_until(executor, SILENCE_SECONDS, lambda: False)
         listener.save(arguments.output)
         return 0
     except KeyboardInterrupt:
@@ -107,14 +109,6 @@ def main() -> int:
         executor.remove_node(listener)
         listener.destroy_node()
         rclpy.try_shutdown()
-
-
-def _spin_until(executor, seconds: float, done) -> bool:
-    """Serve callbacks until `done()` or for `seconds`; whether it is done."""
-    deadline = time.monotonic() + seconds
-    while rclpy.ok() and not done() and time.monotonic() < deadline:
-        executor.spin_once(timeout_sec=0.1)
-    return bool(done())
 
 
 if __name__ == "__main__":

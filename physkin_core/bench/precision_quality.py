@@ -17,17 +17,15 @@ from physkin_core.avatar import Avatar, avatar_from_body
 from physkin_core.binding import bind_garment
 from physkin_core.body_model import load_body_model
 from physkin_core.garment_model import GarmentModel
-from physkin_core.model_file import load_garment_model
+from physkin_core.model_file import load_garment_model, shipped_models
 from physkin_core.motion import bundled_motions, load_motion
 from physkin_core.native_evaluator import PRECISIONS, NativeEvaluator
+from physkin_core.push_out import TOLERATED_DEPTH
 from physkin_core.quality import edge_strain, signed_distance
 
 __all__ = ["PrecisionQuality", "main", "measure_precision_quality"]
 
-SHIPPED = ("tshirt", "longsleeve", "dress", "trousers", "skirt")
 BODIES, FRAMES_A_MOTION = 6, 6
-TOLERATED_DEPTH = 0.0005
-"""Depth [m] beyond which a vertex counts as visibly inside (see `physkin_core.push_out`)."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,7 @@ def _poses(model: GarmentModel, frames: int) -> Iterator[tuple[np.ndarray, np.nd
 def main(argv: Sequence[str] | None = None) -> int:
     """Prints one table over the models. argv: default the command line's."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("models", nargs="*", default=SHIPPED, help="garment model files or shipped names")
+    parser.add_argument("models", nargs="*", default=shipped_models(), help="garment model files or shipped names")
     parser.add_argument("--bodies", type=int, default=BODIES, help="held-out adults (default %(default)s)")
     parser.add_argument("--frames", type=int, default=FRAMES_A_MOTION, help="of each motion (default %(default)s)")
     options = parser.parse_args(argv)

@@ -24,7 +24,7 @@ from physkin_core.avatar import avatar_from_body
 from physkin_core.body_model import load_body_model
 from physkin_core.draper import Draper
 from physkin_core.garment_model import GarmentModel
-from physkin_core.model_file import load_garment_model
+from physkin_core.model_file import load_garment_model, shipped_models
 from physkin_core.motion import bundled_motions, load_motion
 from physkin_core.native_evaluator import NativeEvaluator
 from physkin_core.push_out import TOLERATED_DEPTH, bind_push_out
@@ -34,7 +34,6 @@ from physkin_training.posed_bodies import BodySet, PosedBodies
 
 __all__ = ["PushOutQuality", "main", "measure_push_out"]
 
-SHIPPED = ("tshirt", "longsleeve", "dress", "trousers", "skirt")
 BODIES, POSES, BATCH = 4, 64, 16
 REACH = 0.2
 """Vertices farther [m] than this from any skin count as outside."""
@@ -262,7 +261,7 @@ def _timed(evaluator: NativeEvaluator, positions: np.ndarray, gravity: np.ndarra
 def main(argv: Sequence[str] | None = None) -> int:
     """Prints one table over the models. argv: default the command line's."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("models", nargs="*", default=SHIPPED, help="garment model files or shipped names")
+    parser.add_argument("models", nargs="*", default=shipped_models(), help="garment model files or shipped names")
     parser.add_argument("--bodies", type=int, default=BODIES, help="held-out adults (default %(default)s)")
     parser.add_argument("--poses", type=int, default=POSES, help="uniform poses a body (default %(default)s)")
     options = parser.parse_args(argv)
