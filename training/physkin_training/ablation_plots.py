@@ -9,7 +9,9 @@ import numpy as np
 
 __all__ = ["bars", "curves"]
 
-COLOURS = ("#1f6fa8", "#c2571a", "#2d7a46", "#8a3fa0", "#b3261e", "#7a5c2e", "#5a5f66", "#c99a00", "#2aa198", "#d45d9a")
+COLOURS = tuple(
+    "#1f6fa8 #c2571a #2d7a46 #8a3fa0 #b3261e #7a5c2e #5a5f66 #c99a00 #2aa198 #d45d9a #8fb8d6 #b7c9a8".split()
+)
 INK, GRID = "#444a52", "#dde0e4"
 LEFT, TOP, BOTTOM, LEGEND = 62, 34, 46, 170
 

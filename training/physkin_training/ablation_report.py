@@ -39,7 +39,7 @@ PAPER = {
     "nodes128": "3.074 / 3.193 / 0.119",
     "nodes256": "3.068 / 3.188 / 0.117",
 }
-NODE_ROWS = tuple(PAPER)
+NODE_ROWS = (*PAPER, "seed1", "seed2")
 NETWORK_ROWS = (BASE, "concatenation", "relu", "supervised")
 FIGURES = {
     "edge %": ("edge_strain_percent", "{:.2f}"),
@@ -72,7 +72,8 @@ def write_report(folder: Path, *, bodies: int, poses: int) -> Path:
         "skinning times with the native evaluator on one core of the machine that wrote this (median, fp32).",
         "## Garment nodes and skinning weights",
         _node_table(rows, times),
-        "The paper's figures are of its own bodies, motion and material; see [training](training.md).",
+        "The paper's figures are of its own bodies, motion and material; see [training](training.md). Rows with another "
+        "seed are the base again: differences within theirs mean nothing.",
         "## Conditioning, activation, supervision",
         _network_table(rows, times),
         _network_notes(rows),
@@ -153,9 +154,11 @@ def _node_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
         if name in rows:
             config = rows[name]["config"]
             trained = "trained" if config["optimisation"]["skinning_rate"] > 0 else "fixed"
+            if name not in PAPER:
+                trained += f", seed {config['seed']}"
             lines.append(
                 [config["garment_nodes"]["count"], trained, *_cells(rows[name]["figures"]["model"])]
-                + [f"{times[name]['skinning']:.1f}", f"{times[name]['frame']:.1f}", rows[name]["steps"], PAPER[name]]
+                + [f"{times[name]['skinning']:.1f}", f"{times[name]['frame']:.1f}", rows[name]["steps"], PAPER.get(name, "-")]
             )
     return _table(header, lines) if lines else ""
 

@@ -108,6 +108,10 @@ def _fantastical(config: TrainingConfig) -> TrainingConfig:
     return replace(config, body_distribution="fantastical", train_bodies=min(config.train_bodies, most))
 
 
+def _seed(seed: int) -> Callable[[TrainingConfig], TrainingConfig]:
+    return lambda config: replace(config, seed=seed)
+
+
 def _as_it_is(config: TrainingConfig) -> TrainingConfig:
     return config
 
@@ -123,6 +127,8 @@ ROWS = {
     "relu": Row("ReLU", _relu),
     "supervised": Row("supervised", _as_it_is, supervised=True),
     "fantastical": Row("fantastical", _fantastical, on_fantastical=True),
+    "seed1": Row("128 nodes, seed 1", _seed(1)),
+    "seed2": Row("128 nodes, seed 2", _seed(2)),
 }
 
 
