@@ -31,6 +31,19 @@ def test_bars_are_as_high_as_their_values():
     )
 
 
+@pytest.mark.parametrize(
+    ("highest", "ticks"),
+    [
+        (2.67, ["0", "0.5", "1", "1.5", "2", "2.5"]),
+        (15.2, ["0", "5", "10", "15"]),
+        (0.8, ["0", "0.2", "0.4", "0.6", "0.8"]),
+    ],
+)
+def test_ticks_are_round_numbers(highest, ticks):
+    picture = curves({"a": [(0, 1.0), (highest, 10.0)]}, title="t", x="x", y="y")
+    assert re.findall(r'text-anchor="middle"[^>]*>([0-9.]+)<', picture) == ticks
+
+
 def test_nothing_to_plot_is_an_error():
     with pytest.raises(ValueError, match="no point"):
         curves({"a": [(0, -1.0)]}, title="t", x="x", y="y")

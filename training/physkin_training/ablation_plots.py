@@ -47,8 +47,8 @@ def curves(
     marks = []
     for tick in _log_ticks(low, high):
         marks.append(_line(LEFT, up(tick), right, up(tick)) + _text(LEFT - 6, up(tick) + 4, f"{tick:g}", "end"))
-    for tick in np.linspace(0, longest, 5):
-        marks.append(_text(across(tick), floor + 16, f"{tick:.3g}", "middle"))
+    for tick in _round_ticks(longest):
+        marks.append(_text(across(tick), floor + 16, f"{tick:g}", "middle"))
     for index, (name, line) in enumerate(series.items()):
         colour = COLOURS[index % len(COLOURS)]
         path = " ".join(f"{across(a):.1f},{up(b):.1f}" for a, b in line)
@@ -68,9 +68,9 @@ def bars(groups: Mapping[str, Mapping[str, float]], *, title: str, width: int = 
     right, floor = width - LEGEND, height - BOTTOM - 40
     highest = max(max(group.values(), default=0.0) for group in groups.values()) or 1.0
     marks = []
-    for tick in np.linspace(0, highest, 5):
+    for tick in _round_ticks(highest):
         at = floor - (floor - TOP) * tick / highest
-        marks.append(_line(LEFT, at, right, at) + _text(LEFT - 6, at + 4, f"{tick:.3g}", "end"))
+        marks.append(_line(LEFT, at, right, at) + _text(LEFT - 6, at + 4, f"{tick:g}", "end"))
     room = (right - LEFT) / len(groups)
     wide = 0.8 * room / len(names)
     for place, (label, group) in enumerate(groups.items()):
@@ -96,6 +96,13 @@ def _log_ticks(low: float, high: float) -> list[float]:
     ticks = [step * 10.0**decade for decade in decades for step in (1, 2, 5)]
     inside = [tick for tick in ticks if low <= np.log10(tick) <= high]
     return inside or [float(f"{10**low:.3g}"), float(f"{10**high:.3g}")]
+
+
+def _round_ticks(highest: float) -> list[float]:
+    """Three to seven multiples of 1, 2 or 5 times a power of ten, from 0 to at most `highest` (above 0)."""
+    decade = 10.0 ** np.floor(np.log10(highest))
+    step = next(step for step in (0.2 * decade, 0.5 * decade, decade, 2 * decade) if highest / step < 7)
+    return [float(f"{index * step:.6g}") for index in range(int(highest / step + 1e-9) + 1)]
 
 
 def _svg(marks: list[str], width: int, height: int) -> str:
