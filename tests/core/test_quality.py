@@ -8,7 +8,15 @@ import trimesh
 from random_models import random_rotation, tube
 
 from physkin_core import Garment
-from physkin_core.quality import area_strain, contact_figures, edge_strain, inside_by_vertex, jitter, signed_distance
+from physkin_core.quality import (
+    area_strain,
+    contact_figures,
+    edge_strain,
+    inside_by_vertex,
+    jitter,
+    signed_distance,
+    snaps,
+)
 
 
 @pytest.mark.parametrize("factor, edge, area", [(1.0, 0, 0), (1.1, 10, 21), (0.9, 10, 19), (2.0, 100, 300)])
@@ -144,7 +152,21 @@ def test_jitter_is_the_second_difference():
     assert jitter(still + shaking) == pytest.approx(2)
 
 
-def test_jitter_needs_three_frames():
+def test_a_snap_is_of_few_vertices_not_of_the_body():
+    """All that moves at once, however suddenly, is motion; one vertex in fifty that jumps is a snap, in both frames
+    whose second difference holds the jump."""
+    frames = np.zeros((10, 50, 3))
+    frames[5:] += 0.3
+    assert snaps(frames) == 0
+    frames[5:, 7] += 0.03
+    assert snaps(frames) == pytest.approx(2 / 8)
+    frames[5:, 7] -= 0.01
+    assert snaps(frames) == 0
+
+
+def test_jitter_and_snaps_need_three_frames():
+    with pytest.raises(ValueError, match="snaps need at least 3 frames, got 2"):
+        snaps(np.zeros((2, 5, 3)))
     with pytest.raises(ValueError, match="at least 3 frames, got 2"):
         jitter(np.zeros((2, 5, 3)))
     assert jitter(np.zeros((3, 5, 3))) == 0

@@ -229,7 +229,7 @@ def test_motion_is_measured_on_the_run_times_own_frames(model):
     expected = (4 * per_clip["cartwheel"] + 3 * per_clip["walk"]) / 7
     assert rows["model"]["jitter_mm"] == pytest.approx(expected, rel=1e-3)
     assert rows["jitter_ratio"] == pytest.approx(rows["model"]["jitter_mm"] / rows["skinning"]["jitter_mm"])
-    assert set(rows["model"]) == set(rows["skinning"]) == FIGURES | {"jitter_mm"}
+    assert set(rows["model"]) == set(rows["skinning"]) == FIGURES | {"jitter_mm", "snaps_percent"}
     assert rows["jitter_ratio"] != pytest.approx(1, abs=0.01)
 
 
@@ -331,7 +331,8 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
     assert f"model / full-space minimum: {scores['energy_ratio']:.2f} (2 pairs)" in table(scores)
     assert f"{scores['tilted']['edge_strain_percent']:.3f}" in table(scores)
     jump = scores["motion"]["clips"]["jump"]
-    assert lines[-1].endswith(f"| {jump['model']['jitter_mm']:.3f} | {jump['jitter_ratio']:.3f} |")
+    ends = [jump["model"]["jitter_mm"], jump["jitter_ratio"], jump["model"]["snaps_percent"]]
+    assert lines[-1].endswith("".join(f"| {value:.3f} " for value in ends) + "|")
     jitter = f"{scores['motion']['jitter_ratio']:.2f} (2 clips, 7 frames at 60 Hz, 1 bodies)"
     assert f"Jitter, model / plain skinning: {jitter}" in table(scores)
     stored = load_garment_model(tmp_path / "scored.safetensors")

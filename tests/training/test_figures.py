@@ -111,6 +111,22 @@ def test_jitter_is_that_of_quality_within_takes(sizes):
     assert figures.result()["jitter_mm"] == pytest.approx(1000 * expected, rel=1e-4)
 
 
+def test_snaps_are_those_of_quality_within_takes():
+    """A vertex that jumps for good in one frame of each take; a jump from one take to the next is none."""
+    batch = drapes(12)
+    batch[0][:] = batch[0][:1].clone()
+    batch[0][3:5, 7] += 0.08
+    batch[0][5:] += 1.0
+    batch[0][9:, 7] += 0.01
+    takes = torch.tensor([0] * 5 + [1] * 2 + [2] * 5)
+    figures, frames = Figures(GARMENT, CPU), batch[0].numpy()
+    for pick in torch.arange(12).split(5):
+        count_in(figures, batch, pick, takes=takes[pick])
+    expected = [quality.snaps(frames[part]) for part in (slice(0, 5), slice(7, 12))]
+    assert expected == [pytest.approx(2 / 3), 0]
+    assert figures.result()["snaps_percent"] == pytest.approx(100 * 2 / 6)
+
+
 def test_figures_include_others():
     batch = drapes(9)
     takes = torch.zeros(9, dtype=torch.int64)

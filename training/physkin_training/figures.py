@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 
 from physkin_core.garment import Garment
-from physkin_core.quality import CLOSE
+from physkin_core.quality import CLOSE, SNAP
 from physkin_training.physics_losses import Energies
 from physkin_training.rest_data import RestData
 
@@ -32,6 +32,7 @@ class Figures:
         self.depths: list[torch.Tensor] = []
         self.jitter = 0.0
         self.jitter_frames = 0
+        self.snaps = 0
         self._last: tuple[torch.Tensor, torch.Tensor] | None = None
 
     def add(
@@ -48,8 +49,8 @@ class Figures:
 
         inside_by_vertex: (B, n) bool, see the function of that name. rest_row: (B,) integers, which rest shape each
         has, default the first. takes: (B,) int64, for drapes that are frames of motion, the take that each is of: a
-        take's frames come together and in order, over as many batches as need be, and jitter is that of
-        `physkin_core.quality.jitter` over each take by itself.
+        take's frames come together and in order, over as many batches as need be, and jitter and snaps are those of
+        `physkin_core.quality` over each take by itself.
         """
         vertices = vertices[:count]
         ends = vertices[:, self.edges]
@@ -82,10 +83,12 @@ class Figures:
     def _add_frames(self, vertices: torch.Tensor, takes: torch.Tensor) -> None:
         if self._last is not None:
             vertices, takes = torch.cat([self._last[0], vertices]), torch.cat([self._last[1], takes])
-        second = torch.linalg.norm(vertices.diff(n=2, dim=0), dim=-1).mean(dim=1)
+        second = torch.linalg.norm(vertices.diff(n=2, dim=0), dim=-1)
         second = second[takes[2:] == takes[:-2]]
-        self.jitter += float(second.double().sum())
+        self.jitter += float(second.mean(dim=1).double().sum())
         self.jitter_frames += len(second)
+        if len(second):
+            self.snaps += int((second.amax(dim=1) - torch.quantile(second, 0.9, dim=1) > SNAP).sum())
         self._last = vertices[-2:], takes[-2:]
 
     def include(self, other: Figures) -> None:
@@ -96,12 +99,13 @@ class Figures:
         self.samples += other.samples
         self.jitter += other.jitter
         self.jitter_frames += other.jitter_frames
+        self.snaps += other.snaps
 
     def result(self) -> dict[str, float]:
         """Means over `pairs` samples.
 
         Depths in mm: the deepest of all, and the 99.9th percentile of each sample's deepest. With takes also
-        `jitter_mm`, the mean second difference of vertex positions from frame to frame.
+        `jitter_mm`, the mean second difference of vertex positions from frame to frame, and `snaps_percent` of frames.
         """
         depths = 1000 * torch.cat(self.depths)
         figures = {name: value / self.samples for name, value in self.sums.items()}
@@ -110,4 +114,5 @@ class Figures:
         figures["energy_j"] = figures["stretch_j"] + figures["bend_j"] + figures["collision_j"]
         if self.jitter_frames:
             figures["jitter_mm"] = 1000 * self.jitter / self.jitter_frames
+            figures["snaps_percent"] = 100 * self.snaps / self.jitter_frames
         return figures | {"pairs": self.samples}

@@ -23,6 +23,7 @@ COLUMNS = {
     "gravity_j": "gravity J",
     "jitter_mm": "jitter mm",
     "jitter_ratio": "/ skinning's",
+    "snaps_percent": "snaps %",
 }
 ROWS = {
     "skinning": "plain skinning",
