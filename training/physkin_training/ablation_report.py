@@ -72,8 +72,8 @@ def write_report(folder: Path, *, bodies: int, poses: int) -> Path:
         "skinning times with the native evaluator on one core of the machine that wrote this (median, fp32).",
         "## Garment nodes and skinning weights",
         _node_table(rows, times),
-        "The paper's figures are of its own bodies, motion and material; see [training](training.md). Rows with "
-        "another seed are the base again: differences within theirs mean nothing.",
+        "The paper's figures are of its own bodies, motion and material; see [training](training.md). Rows with another "
+        "seed are the base again: differences within theirs mean nothing.",
         "## Conditioning, activation, supervision",
         _network_table(rows, times),
         _network_notes(rows),
@@ -158,12 +158,7 @@ def _node_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
                 trained += f", seed {config['seed']}"
             lines.append(
                 [config["garment_nodes"]["count"], trained, *_cells(rows[name]["figures"]["model"])]
-                + [
-                    f"{times[name]['skinning']:.1f}",
-                    f"{times[name]['frame']:.1f}",
-                    rows[name]["steps"],
-                    PAPER.get(name, "-"),
-                ]
+                + [f"{times[name]['skinning']:.1f}", f"{times[name]['frame']:.1f}", rows[name]["steps"], PAPER.get(name, "-")]
             )
     return _table(header, lines) if lines else ""
 
