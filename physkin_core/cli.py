@@ -42,11 +42,11 @@ FORWARDED = {
 
 EXTRAS = {
     "ros": ("rclpy", "sensor_msgs", "diagnostic_msgs", "rcl_interfaces"),
-    "replay": ("rosbags",),
-    "training": ("torch", "warp", "potpourri3d", "rich", "tensorboard"),
+    "replay": ("rosbags", "apsw"),
+    "training": ("torch", "warp", "potpourri3d", "rich", "tensorboard", "physkin_training"),
     "view": ("mitsuba", "PIL"),
 }
-"""Extra of the pip package -> import packages it brings."""
+"""Extra of the pip package -> import packages it brings; colcon leaves `physkin_training` out."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import signal
 import sys
 import traceback
 
@@ -64,6 +65,13 @@ def main(argv: list[str] | None = None) -> int:
     arguments = ["drape_node", *(sys.argv[1:] if argv is None else argv)]
     use_shipped_profile()
     node = None
+
+    def interrupt(signal_number: int, frame: object) -> None:
+        """After rclpy's own handler, which ends the context. Raised in a callback it would be logged as a fault."""
+        if node is None:
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, interrupt)
     try:
         arguments = _with_config(arguments)
         _initialise(arguments)

@@ -69,7 +69,13 @@ def test_errors_are_one_line(arguments, reason, model_path, tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("command", "package", "extra"),
-    [("node", "rclpy", "ros"), ("replay", "rosbags", "replay"), ("train", "torch", "training")],
+    [
+        ("node", "rclpy", "ros"),
+        ("replay", "rosbags", "replay"),
+        ("replay", "apsw", "replay"),
+        ("train", "torch", "training"),
+        ("train", "physkin_training", "training"),
+    ],
 )
 def test_missing_extra_is_named(command, package, extra, monkeypatch, capsys):
     """One line says what to install."""

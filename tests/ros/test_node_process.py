@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import time
 
 import numpy as np
 import pytest
@@ -31,6 +32,18 @@ def test_clouds_equal_the_core(start, peer, garment_model, model_path, executor)
     status, output = node.wait(10), node.stdout.read()
     assert status == 0, output
     assert "Traceback" not in output and "encoded body" in output and " ms" in output
+
+
+def test_interrupted_in_a_callback(start, model_path):
+    """SIGINT ends the node without a word though a timer of a kilohertz keeps it in callbacks."""
+    for _ in range(3):
+        node = start("physkin_ros", "--ros-args", "-p", f"model:={model_path}", "-p", "cloud_rate:=1000.0")
+        lines = iter(node.stdout.readline, "")
+        assert any("->" in line for line in lines), "the node did not start"
+        time.sleep(0.3)
+        node.send_signal(signal.SIGINT)
+        assert node.wait(10) == 0
+        assert list(lines) == []
 
 
 def test_sigterm_and_remapping(start, peer, model_path):

@@ -197,7 +197,7 @@ def resume(straight, path, **changes):
 @pytest.mark.parametrize(
     "changes, message",
     [
-        (dict(seed=6), "seed = 5, the configuration says 6"),
+        (dict(seed=6), "seed = 5, the configuration says 6; a new run from its networks is --start-from"),
         (dict(train_bodies=2), "train_bodies = 3, the configuration says 2"),
         (dict(name="shirt"), "name = 'band', the configuration says 'shirt'"),
     ],

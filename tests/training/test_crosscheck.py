@@ -7,7 +7,6 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs the [training] extra")
 wp = pytest.importorskip("warp", reason="needs the [training] extra")
-pytest.importorskip("newton", reason="compares with newton: pip install newton")
 trimesh = pytest.importorskip("trimesh")
 
 from random_models import tube  # noqa: E402
@@ -15,15 +14,31 @@ from random_models import tube  # noqa: E402
 from physkin_core import Garment  # noqa: E402
 from physkin_core.garment_model import Material  # noqa: E402
 from physkin_core.quality import edge_strain  # noqa: E402
-from physkin_training.crosscheck import newton_drape, surface_distance  # noqa: E402
+from physkin_training.crosscheck import Drape, newton_drape, surface_distance, table  # noqa: E402
 from physkin_training.full_space_solver import FullSpaceSolver  # noqa: E402
 from physkin_training.physics_losses import PhysicsLosses  # noqa: E402
 
 CPU = torch.device("cpu")
 
 
+def test_table_has_a_column_for_every_term():
+    """Terms that the losses gain, such as the band's, must not shift the total under another heading."""
+    band = tube(rings=2, segments=8, radius=0.1, height=0.02)
+    garment = Garment(band.vertices, band.faces)
+    energies = {name: torch.tensor([value]) for name, value in (("stretch", 0.5), ("bend", 0.25), ("band", 1.0))}
+    drape = Drape(1.01 * band.vertices, energies, (2.0, 1.0))
+    lines = table(garment, {"a": drape, "b": drape}).split("\n")
+    head, rule, *rows = ([cell.strip() for cell in line.split("|")[1:-1]] for line in lines)
+    assert {len(row) for row in (head, rule, *rows)} == {len(head)}
+    assert [row[0] for row in rows] == ["a", "b"]
+    values = dict(zip(head, rows[0]))
+    assert values["edge %"] == "1.000" and values["CPU seconds"] == "1.0"
+    assert values["band J"] == "1.0000" and values["total J"] == "1.7500"
+
+
 @pytest.mark.slow
 def test_a_band_on_a_ball():
+    pytest.importorskip("newton", reason="compares with newton: pip install newton")
     band = tube(rings=5, segments=24, radius=0.1, height=0.06)
     garment = Garment(band.vertices + [0, 0, 0.1], band.faces)
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.12)

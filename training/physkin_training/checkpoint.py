@@ -258,4 +258,7 @@ def _check_same_config(saved: dict, current: dict) -> None:
         if isinstance(before, dict) and isinstance(now, dict):
             _check_same_config(before, now)
         elif before != now:
-            raise CheckpointError(f"checkpoint was made with {key} = {before!r}, the configuration says {now!r}")
+            raise CheckpointError(
+                f"checkpoint was made with {key} = {before!r}, the configuration says {now!r}; "
+                "a new run from its networks is --start-from"
+            )

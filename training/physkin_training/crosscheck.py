@@ -9,16 +9,22 @@ same stiffness at small strain:
 - contact: a spring a vertex, at the mean vertex's stiffness 2 k A, within a particle radius that is our contact offset;
   no friction, no self-contact.
 
+Newton's cloth has no band and touches all of the body, so ours is compared with neither band nor worn parts. What these
+make of it, which training and `physkin simulate` have, is a drape by itself.
+
 Dimensions: `n` garment vertices, `V` body vertices. Metres.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -30,11 +36,13 @@ from physkin_core.garment import Garment, load_garment
 from physkin_core.garment_model import Material
 from physkin_core.motion import load_motion
 from physkin_core.quality import area_strain, edge_strain
+from physkin_training.full_space_solver import Solution
 from physkin_training.plain_model import plain_model
 from physkin_training.rest_data import GRAVITY, hinge_rest
 from physkin_training.simulate import DrapeSimulation, Poses
+from physkin_training.wearing import Wearing
 
-__all__ = ["NewtonDrape", "newton_drape", "surface_distance"]
+__all__ = ["Drape", "NewtonDrape", "newton_drape", "surface_distance", "table"]
 
 STEP_S = 1 / 600
 SWEEPS = 10
@@ -55,6 +63,15 @@ class NewtonDrape:
     speed: float
 
 
+@dataclass(frozen=True)
+class Drape:
+    """Vertices (n, 3) [m], energies (1,) [J] by term, and seconds of the clock and of the processor."""
+
+    vertices: np.ndarray
+    energies: dict[str, torch.Tensor]
+    seconds: tuple[float, float]
+
+
 def newton_drape(
     garment: Garment,
     material: Material,
@@ -66,10 +83,7 @@ def newton_drape(
     steps: int = 2000,
     device: str = "cpu",
 ) -> NewtonDrape:
-    """Let the garment settle from start (n, 3) on the body (V, 3) under the direction `gravity` (3,).
-
-    Raises ModuleNotFoundError when newton is not installed.
-    """
+    """Let the garment settle from start (n, 3) on the body (V, 3) under the direction `gravity` (3,)."""
     import newton
     import warp as wp
 
@@ -146,6 +160,19 @@ def surface_distance(garment: Garment, first: np.ndarray, second: np.ndarray) ->
     return max(float(d.mean()) for d in distances) / 1000, max(float(d.max()) for d in distances) / 1000
 
 
+def table(garment: Garment, drapes: dict[str, Drape]) -> str:
+    """Markdown table of drapes by name, one row each; all have the same terms of energy."""
+    terms = next(iter(drapes.values())).energies
+    head = ["", "seconds", "CPU seconds", "edge %", "area %", *(f"{name} J" for name in terms), "total J"]
+    rows = [head, ["---"] * len(head)]
+    for name, drape in drapes.items():
+        strain = [function(garment, drape.vertices) for function in (edge_strain, area_strain)]
+        energies = [float(values[0]) for values in drape.energies.values()]
+        numbers = [*(f"{value:.1f}" for value in drape.seconds), *(f"{float(value):.3f}" for value in strain)]
+        rows.append([name, *numbers, *(f"{value:.4f}" for value in [*energies, sum(energies)])])
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Command line entry."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -153,7 +180,11 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--motion", help="bundled motion or a motion file (default: the canonical pose)")
     parser.add_argument("--frame", type=int, default=0)
     parser.add_argument("--steps", type=int, default=2000, help="time steps of newton at most (default %(default)s)")
+    parser.add_argument("-o", "--output", type=Path, metavar="NPZ", help="write the drapes and the body")
     options = parser.parse_args(argv)
+    if importlib.util.find_spec("newton") is None:
+        print("error: compares with newton, which is not installed: pip install newton", file=sys.stderr)
+        return 2
     torch.set_num_threads(1)  # as many as the kernels of either solver use on a CPU
     body_model, material = load_body_model(), Material()
     garment, model = load_garment(options.garment), plain_model(options.garment)
@@ -162,52 +193,61 @@ def main(argv: list[str] | None = None) -> int:
         motion = load_motion(options.motion)
         positions = motion.positions_for(model.rig)[[options.frame]].astype(np.float64)
         poses = Poses(positions, motion.gravity[[options.frame]])
-    avatar = avatar_from_body(body_model, body_model.garment_body)
-    simulation = DrapeSimulation(garment, avatar, model, material, 1, torch.device("cpu"))
+    avatar, cpu = avatar_from_body(body_model, body_model.garment_body), torch.device("cpu")
+    simulation = DrapeSimulation(garment, avatar, model, material, 1, cpu)
+    wearing = Wearing.on(garment, avatar, model.rig)
+    worn_simulation = DrapeSimulation(garment, avatar, model, material, 1, cpu, wearing=wearing)
     rough = simulation.run(poses, stages=8 if options.motion else 0, tolerance=0.1, iterations=15)
-    start = rough.vertices[0].double().numpy()
-    began = time.perf_counter(), time.process_time()
-    ours = simulation.run_from(start[None], poses)
-    seconds = {"ours": (time.perf_counter() - began[0], time.process_time() - began[1])}
-    began = time.perf_counter(), time.process_time()
-    try:
-        theirs = newton_drape(
+    start = rough.vertices.double().numpy()
+
+    def minimised(by: DrapeSimulation, start: np.ndarray) -> tuple[Drape, Solution]:
+        result, seconds = _timed(lambda: by.run_from(start, poses))
+        return Drape(result.vertices[0].double().numpy(), result.energies, seconds), result
+
+    ours, solution = minimised(simulation, start)
+    settled, seconds = _timed(
+        lambda: newton_drape(
             garment,
             material,
-            start,
+            start[0],
             simulation.body.vertices[0],
             avatar.faces,
             poses.gravity[0],
             steps=options.steps,
         )
-    except ModuleNotFoundError as error:
-        print(f"error: {error}; pip install newton", file=sys.stderr)
-        return 2
-    seconds["newton"] = time.perf_counter() - began[0], time.process_time() - began[1]
-    after = simulation.run_from(theirs.vertices[None], poses)
-    print("| | seconds | CPU seconds | edge % | area % | stretch J | bend J | collision J | gravity J | total J |")
-    print("|---" * 10 + "|")
-    at_rest = simulation.energies(theirs.vertices[None], poses)
-    drapes = {
-        "ours": (ours.vertices[0].double().numpy(), ours.energies, "ours"),
-        "newton": (theirs.vertices, at_rest, "newton"),
-        "ours, from newton's": (after.vertices[0].double().numpy(), after.energies, None),
-    }
-    for name, (vertices, energies, timed) in drapes.items():
-        times = [f"{value:.1f}" for value in seconds[timed]] if timed else ["", ""]
-        strain = [f"{function(garment, vertices):.3f}" for function in (edge_strain, area_strain)]
-        terms = [float(values[0]) for values in energies.values()]
-        print("| " + " | ".join([name, *times, *strain, *(f"{value:.4f}" for value in [*terms, sum(terms)])]) + " |")
-    mean, largest = surface_distance(garment, drapes["ours"][0], theirs.vertices)
-    print(f"\nsurfaces apart: mean {1000 * mean:.2f} mm, largest (Hausdorff) {1000 * largest:.2f} mm")
-    mean, largest = surface_distance(garment, drapes["ours, from newton's"][0], theirs.vertices)
-    print(f"newton's and ours from newton's: mean {1000 * mean:.2f} mm, largest {1000 * largest:.2f} mm")
-    residual = float(ours.gradient_norm) / ours.force_scale
-    print(
-        f"ours: {int(ours.iterations)} iterations, residual / weight {residual:.4f}; "
-        f"newton: {theirs.steps} steps of {1000 * STEP_S:.1f} ms, fastest vertex {1000 * theirs.speed:.1f} mm/s"
     )
+    drapes = {
+        "ours": ours,
+        "newton": Drape(settled.vertices, simulation.energies(settled.vertices[None], poses), seconds),
+        "ours, from newton's": minimised(simulation, settled.vertices[None])[0],
+        "ours, band and worn parts": minimised(worn_simulation, start)[0],
+    }
+    print(table(garment, drapes) + "\n")
+    for first, second in (
+        ("ours", "newton"),
+        ("ours, from newton's", "newton"),
+        ("ours, band and worn parts", "ours"),
+        ("ours, band and worn parts", "newton"),
+    ):
+        mean, largest = surface_distance(garment, drapes[first].vertices, drapes[second].vertices)
+        print(f"surfaces of {first} | {second}: mean {1000 * mean:.2f} mm, Hausdorff {1000 * largest:.2f} mm apart")
+    residual = float(solution.gradient_norm) / solution.force_scale
+    print(
+        f"ours: {int(solution.iterations)} iterations, residual / weight {residual:.4f}; "
+        f"newton: {settled.steps} steps of {1000 * STEP_S:.1f} ms, fastest vertex {1000 * settled.speed:.1f} mm/s"
+    )
+    if options.output:
+        vertices = {name: drape.vertices for name, drape in drapes.items()}
+        body = simulation.body.vertices[0]
+        np.savez_compressed(options.output, faces=garment.faces, body=body, body_faces=avatar.faces, **vertices)
     return 0
+
+
+def _timed(work: Callable[[], Any]) -> tuple[Any, tuple[float, float]]:
+    """What the work returns, and its seconds of the clock and of the processor."""
+    clock, processor = time.perf_counter(), time.process_time()
+    result = work()
+    return result, (time.perf_counter() - clock, time.process_time() - processor)
 
 
 if __name__ == "__main__":
