@@ -30,7 +30,10 @@ PRECISIONS: tuple[Precision, ...] = ("fp32", "bf16", "int8")
 
 
 def supported_instruction_sets() -> list[str]:
-    """Instruction sets this CPU can run, narrowest first: "baseline", "v3" (AVX2 and FMA), "v4" (AVX-512)."""
+    """Instruction sets this CPU can run, narrowest first.
+
+    "baseline", "v3" (AVX2 and FMA), "v4" (AVX-512), "v4_vnni" (AVX-512 and its VNNI).
+    """
     return _native.supported_instruction_sets()
 
 
@@ -47,9 +50,9 @@ class NativeEvaluator:
     normals: "skinned", rest normals carried along, or "faces", those of the posed mesh's faces around each vertex,
         weighted by area: slower, and right where the cloth ripples.
 
-    With ReLU networks, the network weights of activations that are zero can be skipped, which changes no bit of a
-    frame. Whether that pays is measured here, in milliseconds; the environment variable PHYSKIN_NATIVE_ZEROS ("skip" or
-    "read") decides without measuring.
+    Network weights can be fetched ahead of time, and with ReLU networks those of activations that are zero can be
+    skipped, which changes no bit of a frame. Whether that pays is measured here, in tens of milliseconds; the
+    environment variable PHYSKIN_NATIVE_ZEROS ("skip" or "read") decides on skipping without measuring.
 
     Raises ValueError if an array of `bound` or `push_out` has another dtype, shape or layout than its class states, an
     index is out of range, a value is not finite, the instruction set is unknown or not supported by this CPU, the
@@ -86,6 +89,11 @@ class NativeEvaluator:
     def skips_zeros(self) -> tuple[bool, bool]:
         """Whether pose modulator and node deformer skip network weights of activations that are zero."""
         return self._evaluator.skips_zeros
+
+    @property
+    def fetches_ahead(self) -> tuple[bool, bool]:
+        """Whether pose modulator and node deformer fetch network weights ahead of time, where all are read."""
+        return self._evaluator.fetches_ahead
 
     @property
     def skinning_terms(self) -> int:

@@ -48,7 +48,7 @@ typedef struct physkin_options {
   uint32_t size;               /* sizeof(physkin_options): later versions may add members */
   int32_t normals_from_faces;  /* 0: rest normals carried along; 1: of the posed mesh, slower and truer */
   const char* precision;       /* of network weights: "fp32", "bf16" (default), "int8" */
-  const char* instruction_set; /* "baseline", "v3", "v4"; default the widest that this processor has */
+  const char* instruction_set; /* "baseline", "v3", "v4", "v4_vnni"; default the widest that this processor has */
 } physkin_options;
 
 /* Loads a bound garment from a file (UTF-8 path) or from memory, which may be freed afterwards. */

@@ -417,8 +417,13 @@ NB_MODULE(_native, module) {
       .def_prop_ro("precision", [](const BoundEvaluator& self) { return precision_name(self.evaluator().precision()); })
       .def_prop_ro("skips_zeros",
                    [](const BoundEvaluator& self) {
-                     return nb::make_tuple(self.evaluator().pose_modulator_skips_zeros(),
-                                           self.evaluator().node_deformer_skips_zeros());
+                     return nb::make_tuple(self.evaluator().pose_modulator_reading().skip_zeros,
+                                           self.evaluator().node_deformer_reading().skip_zeros);
+                   })
+      .def_prop_ro("fetches_ahead",
+                   [](const BoundEvaluator& self) {
+                     return nb::make_tuple(self.evaluator().pose_modulator_reading().fetch_ahead,
+                                           self.evaluator().node_deformer_reading().fetch_ahead);
                    })
       .def_prop_ro("skinning_terms", [](const BoundEvaluator& self) { return self.evaluator().skinning_terms(); });
   nb::class_<BoundStep>(module, "Step")
@@ -458,6 +463,6 @@ NB_MODULE(_native, module) {
              new (self) MachineProbe(physkin::select_kernels(instruction_set.value_or("")), bytes);
            },
            "bytes"_a, "instruction_set"_a = nb::none())
-      .def("read", &MachineProbe::read)
+      .def("read", &MachineProbe::read, "fetch_ahead"_a)
       .def("multiply_add", &MachineProbe::multiply_add, "rounds"_a);
 }

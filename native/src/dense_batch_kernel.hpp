@@ -16,14 +16,14 @@ constexpr int kBatchSums = 8;
 template <class Rows>
 constexpr int loads_a_pass(int bodies, int count) {
   const int all = count / Rows::kSumsALoad;
-  const int fit = kBatchSums / (bodies * Rows::kSumsALoad);
+  const int fit = kBatchSums / (bodies * Rows::kSumsALoad * Rows::kRegistersASum);
   for (int loads = fit < all ? fit : all; loads > 1; --loads) {
     if (all % loads == 0) return loads;
   }
   return 1;
 }
 
-template <class Rows, int kBodies, int kCount>
+template <class Rows, bool kAhead, int kBodies, int kCount>
 inline void dense_batch_panel(const PackedLayer& layer, const Rows* rows, const unsigned char* weights, int row_count,
                               int at, const DenseCall* calls, Activation activation) {
   constexpr int kPer = Rows::kSumsALoad, kLoads = loads_a_pass<Rows>(kBodies, kCount), kAll = kCount / kPer;
@@ -32,7 +32,7 @@ inline void dense_batch_panel(const PackedLayer& layer, const Rows* rows, const 
     typename Rows::Sum sum[kBodies][kLoads * kPer] = {};
     const unsigned char* part = weights + first * kLoad;
     for (int row = 0; row < row_count; ++row, part += kRow) {
-      prefetch(part + kBytesAhead, kLoads * kLoad);
+      if (kAhead) prefetch(part + kBytesAhead, kLoads * kLoad);
       typename Rows::Weights w[kLoads];
 #pragma GCC unroll 8
       for (int v = 0; v < kLoads; ++v) w[v] = Rows::decode(part + v * kLoad);
@@ -43,30 +43,33 @@ inline void dense_batch_panel(const PackedLayer& layer, const Rows* rows, const 
         for (int v = 0; v < kLoads; ++v) Rows::multiply_add(w[v], x, sum[body] + v, kLoads);
       }
     }
+#pragma GCC unroll 4
     for (int body = 0; body < kBodies; ++body) {
       const Modulation modulation{calls[body].scale, calls[body].shift};
+#pragma GCC unroll 8
       for (int k = 0; k < kLoads * kPer; ++k) {
         // A load's second sum belongs to the panel's second half.
         const int v = k < kLoads ? first + k : kCount / 2 + first + k - kLoads;
-        finish(layer, rows[body], sum[body][k], at + v * kLanes, modulation, activation, calls[body].output);
+        finish(layer, rows[body], sum[body][k], at + v * kLanes, modulation, calls[body].output);
       }
     }
   }
+  for (int body = 0; body < kBodies; ++body) activate(calls[body].output + at, kCount * kLanes, activation);
 }
 
-template <class Rows, int kBodies, int kCount = kSums>
+template <class Rows, bool kAhead, int kBodies, int kCount = kSums>
 inline void dense_batch_panel_of(int count, const PackedLayer& layer, const Rows* rows, const unsigned char* weights,
                                  int row_count, int at, const DenseCall* calls, Activation activation) {
   if (count == kCount) {
-    return dense_batch_panel<Rows, kBodies, kCount>(layer, rows, weights, row_count, at, calls, activation);
+    return dense_batch_panel<Rows, kAhead, kBodies, kCount>(layer, rows, weights, row_count, at, calls, activation);
   }
   if constexpr (kCount * kLanes > kGroup) {
-    dense_batch_panel_of<Rows, kBodies, kCount - kGroup / kLanes>(count, layer, rows, weights, row_count, at, calls,
-                                                                  activation);
+    dense_batch_panel_of<Rows, kAhead, kBodies, kCount - kGroup / kLanes>(count, layer, rows, weights, row_count, at,
+                                                                          calls, activation);
   }
 }
 
-template <class Rows, int kBodies>
+template <class Rows, bool kAhead, int kBodies>
 inline void dense_for(const PackedLayer& layer, Activation activation, const DenseCall* calls) {
   Rows rows[kBodies];
   for (int body = 0; body < kBodies; ++body) rows[body].prepare(layer, calls[body].input, calls[body].scratch);
@@ -75,19 +78,19 @@ inline void dense_for(const PackedLayer& layer, Activation activation, const Den
   const int padded = padded_to_group(layer.outputs);
   for (int at = 0; at < padded; at += kPanel) {
     const int width = padded - at < kPanel ? padded - at : kPanel;
-    dense_batch_panel_of<Rows, kBodies>(width / kLanes, layer, rows, weights, row_count, at, calls, activation);
+    dense_batch_panel_of<Rows, kAhead, kBodies>(width / kLanes, layer, rows, weights, row_count, at, calls, activation);
     weights += std::ptrdiff_t(row_count) * Rows::bytes(width);
   }
 }
 
-template <class Rows>
+template <class Rows, bool kAhead>
 void dense_batch(const PackedLayer& layer, Activation activation, const DenseCall* calls, int count) {
   static_assert(kBatch == 4);
   switch (count) {
-    case 1: return dense_for<Rows, 1>(layer, activation, calls);
-    case 2: return dense_for<Rows, 2>(layer, activation, calls);
-    case 3: return dense_for<Rows, 3>(layer, activation, calls);
-    case 4: return dense_for<Rows, 4>(layer, activation, calls);
+    case 1: return dense_for<Rows, kAhead, 1>(layer, activation, calls);
+    case 2: return dense_for<Rows, kAhead, 2>(layer, activation, calls);
+    case 3: return dense_for<Rows, kAhead, 3>(layer, activation, calls);
+    case 4: return dense_for<Rows, kAhead, 4>(layer, activation, calls);
   }
 }
 

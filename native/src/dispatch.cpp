@@ -15,6 +15,9 @@ extern const Kernels kernels;
 namespace v4 {
 extern const Kernels kernels;
 }
+namespace v4_vnni {
+extern const Kernels kernels;
+}
 #endif
 
 namespace {
@@ -33,6 +36,7 @@ std::vector<Level> levels() {
                   __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw");
   all.push_back({&v3::kernels, v3});
   all.push_back({&v4::kernels, v4});
+  all.push_back({&v4_vnni::kernels, v4 && __builtin_cpu_supports("avx512vnni")});
 #endif
   return all;
 }

@@ -6,8 +6,8 @@
 #include <stdexcept>
 #include <vector>
 
+#include "row_reading.hpp"
 #include "skinning_blocks.hpp"
-#include "zero_skipping.hpp"
 
 namespace physkin {
 namespace {
@@ -56,7 +56,7 @@ Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, const Evalua
       corrections_(arena_.take<float>(g.deformer_layers.back().outputs)) {
   if (options.push_out != nullptr) push_out_.emplace(*options.push_out, g.bones, g.vertex_count, arena_);
   if (options.normals == Normals::faces) face_normals_.emplace(g, arena_);
-  choose_zero_skipping(g);
+  choose_reading(g);
 }
 
 Rejection Evaluator::check_inputs(const float* joint_positions, const float* gravity) const noexcept {
@@ -121,19 +121,22 @@ void Evaluator::compute_normals(const VertexRows& rows) noexcept {
   if (face_normals_ && rows.with_normals) face_normals_->apply(rows);
 }
 
-void Evaluator::choose_zero_skipping(const BoundGarment& g) {
-  const ZeroSkipping wanted = select_zero_skipping();
-  pose_modulator_.set_zero_skipping(wanted == ZeroSkipping::always);
-  node_deformer_.set_zero_skipping(wanted == ZeroSkipping::always);
-  if (wanted != ZeroSkipping::measured || g.activation != Activation::relu) return;
+void Evaluator::choose_reading(const BoundGarment& g) {
+  const ZeroSkipping skipping = select_zero_skipping();
+  const bool may_skip = skipping == ZeroSkipping::measured && g.activation == Activation::relu;
+  std::vector<RowReading> candidates;
+  for (const bool fetch_ahead : {false, true}) {
+    candidates.push_back({skipping == ZeroSkipping::always, fetch_ahead});
+    if (may_skip) candidates.push_back({true, fetch_ahead});
+  }
 
   constexpr int kPoses = 16, kRounds = 5;
   constexpr float kGravity[3] = {0.0f, 0.0f, -1.0f};
   std::vector<float> joint_positions(g.dofs);
-  ZeroSkippingTrial modulator(pose_modulator_), deformer(node_deformer_);
-  for (int round = 0; round < 2 * kRounds; ++round) {
-    modulator.begin_round(round % 2 != 0);
-    deformer.begin_round(round % 2 != 0);
+  RowReadingTrial modulator(pose_modulator_, candidates), deformer(node_deformer_, candidates);
+  for (std::size_t round = 0; round < kRounds * candidates.size(); ++round) {
+    modulator.begin_round(round % candidates.size());
+    deformer.begin_round(round % candidates.size());
     for (int k = 0; k < kPoses; ++k) {
       // Poses spread over the joint limits, the same at every start.
       for (int d = 0; d < g.dofs; ++d) {

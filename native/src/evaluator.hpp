@@ -67,13 +67,13 @@ class Evaluator {
   int skinning_terms() const { return blocks_.influence_start[blocks_.block_count]; }
   const char* instruction_set() const { return kernels_.instruction_set; }
   Precision precision() const { return precision_; }
-  bool pose_modulator_skips_zeros() const { return pose_modulator_.skips_zeros(); }
-  bool node_deformer_skips_zeros() const { return node_deformer_.skips_zeros(); }
+  RowReading pose_modulator_reading() const { return pose_modulator_.reading(); }
+  RowReading node_deformer_reading() const { return node_deformer_.reading(); }
 
  private:
   friend class EvaluatorBatch;
 
-  void choose_zero_skipping(const BoundGarment& garment);
+  void choose_reading(const BoundGarment& garment);
   Rejection check_inputs(const float* joint_positions, const float* gravity) const noexcept;
   Rejection check_corrections() const noexcept;
   Rejection check_nodes(const float* node_transforms) const noexcept;

@@ -24,17 +24,22 @@ inline std::int64_t multiply_add(int rounds, float* result) {
 }
 
 // Reads `bytes`, a multiple of 1024, from front to back. `result` (16) depends on every byte.
-inline void read_memory(const unsigned char* data, std::int64_t bytes, float* result) {
+template <bool kAhead>
+inline void read_memory_by(const unsigned char* data, std::int64_t bytes, float* result) {
   constexpr int kChains = 8;
   Ints sum[kChains] = {};
   constexpr int kStep = kChains * kLanes * 4;
   for (const unsigned char* end = data + bytes; data < end; data += kStep) {
-    for (int at = 0; at < kStep; at += 64) __builtin_prefetch(data + kBytesAhead + at);  // as the networks do
+    if (kAhead) prefetch(data + kBytesAhead, kStep);  // as the networks may do
     for (int k = 0; k < kChains; ++k) sum[k] ^= load_ints(data + k * kLanes * 4);
   }
   Ints total = {};
   for (int k = 0; k < kChains; ++k) total ^= sum[k];
   store(result, (Floats)total);
+}
+
+inline void read_memory(const unsigned char* data, std::int64_t bytes, bool fetch_ahead, float* result) {
+  return (fetch_ahead ? read_memory_by<true> : read_memory_by<false>)(data, bytes, result);
 }
 
 }  // namespace physkin::PHYSKIN_ISA

@@ -11,13 +11,18 @@
 
 namespace physkin::PHYSKIN_ISA {
 
+template <class Rows>
+constexpr DenseKernels dense_kernels{
+    {dense<Rows, Reading::all>, dense<Rows, Reading::all_ahead>},
+    dense<Rows, Reading::listed>,
+    {dense_batch<Rows, false>, dense_batch<Rows, true>},
+};
+
 extern const Kernels kernels;
 const Kernels kernels{
     PHYSKIN_TEXT(PHYSKIN_ISA),
-    kPanel,
-    {dense<Fp32Rows, false>, dense<Bf16Rows, false>, dense<Int8Rows, false>},
-    {dense<Fp32Rows, true>, dense<Bf16Rows, true>, dense<Int8Rows, true>},
-    {dense_batch<Fp32Rows>, dense_batch<Bf16Rows>, dense_batch<Int8Rows>},
+    {kPanel, Int8Rows::kLayout},
+    {dense_kernels<Fp32Rows>, dense_kernels<Bf16Rows>, dense_kernels<Int8Rows>},
     skin,
     multiply_add,
     read_memory,

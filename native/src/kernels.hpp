@@ -84,7 +84,7 @@ struct PatchPoint {
 // kGroup more, and are 64-byte aligned.
 struct DenseScratch {
   std::int32_t* rows = nullptr;       // rows of network weights to read, when zeros are skipped
-  std::int16_t* quantised = nullptr;  // int8: the inputs as 16-bit integers
+  std::int16_t* quantised = nullptr;  // int8: the inputs as 16-bit integers, or their high bytes and then the low ones
 };
 
 // output = activation((1 + scale) * (W input + bias) + shift). scale and shift may both be null (no modulation).
@@ -108,21 +108,31 @@ constexpr int kBatch = 4;
 // The dense kernel for `count` bodies, from 1 to kBatch; bit for bit what it computes one by one.
 using DenseBatchKernel = void (*)(const PackedLayer& layer, Activation activation, const DenseCall* calls, int count);
 
+// How a dense kernel reads network weights. Changes the time it takes, no bit of its result.
+struct RowReading {
+  bool skip_zeros = false;   // none of inputs that are zero, where there may be such
+  bool fetch_ahead = false;  // where all are read, by instructions; without, that is left to the processor
+};
+
+// The dense kernels of one precision.
+struct DenseKernels {
+  DenseKernel all[2];  // by fetch_ahead
+  DenseKernel nonzero;
+  DenseBatchKernel batch[2];  // by fetch_ahead
+};
+
 struct Kernels {
   const char* instruction_set;
-  int panel;  // outputs of a layer computed at once
+  PackedLayout layout;
 
-  DenseKernel dense[kPrecisionCount];           // by Precision
-  DenseKernel dense_skipping[kPrecisionCount];  // the same, bit for bit, reading no network weights of zero inputs
-
-  DenseBatchKernel dense_batch[kPrecisionCount];
+  DenseKernels dense[kPrecisionCount];  // by Precision
 
   // x' = sum_k w_k M_k x, normal' = normalised sum_k w_k A_k normal, with M = [A | c] in matrices (nodes, 12).
   void (*skin)(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows);
 
   // What bounds the others from below (floor_kernel.hpp).
   std::int64_t (*multiply_add)(int rounds, float* result);
-  void (*read_memory)(const unsigned char* data, std::int64_t bytes, float* result);
+  void (*read_memory)(const unsigned char* data, std::int64_t bytes, bool fetch_ahead, float* result);
 
   // output tile = activation(W tile + bias), for none and relu.
   void (*token_linear)(const DenseWeights& layer, const float* tile, Activation activation, float* output);

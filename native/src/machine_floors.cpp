@@ -21,8 +21,8 @@ MachineProbe::MachineProbe(const Kernels& kernels, std::int64_t bytes)
       memory_(arena_.take<unsigned char>(std::size_t(bytes_))),
       result_(arena_.take<float>(kAlignment / sizeof(float))) {}
 
-std::int64_t MachineProbe::read() noexcept {
-  kernels_.read_memory(memory_, bytes_, result_);
+std::int64_t MachineProbe::read(bool fetch_ahead) noexcept {
+  kernels_.read_memory(memory_, bytes_, fetch_ahead, result_);
   return bytes_;
 }
 

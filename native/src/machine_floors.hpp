@@ -13,8 +13,8 @@ class MachineProbe {
   MachineProbe(const MachineProbe&) = delete;  // its members point into its own arena
   MachineProbe& operator=(const MachineProbe&) = delete;
 
-  // Reads the memory once, from front to back. Returns the bytes read.
-  std::int64_t read() noexcept;
+  // Reads the memory once, from front to back, as a network may (RowReading). Returns the bytes read.
+  std::int64_t read(bool fetch_ahead) noexcept;
 
   // Multiplies and adds 32-bit floats in registers. Returns how many times.
   std::int64_t multiply_add(int rounds) noexcept;

@@ -11,7 +11,7 @@ Mlp::Mlp(const std::vector<DenseWeights>& layers, Activation activation, Precisi
   for (const DenseWeights& layer : layers) {
     const std::size_t k = layers_.size();
     const bool packed = shared != nullptr && k >= first_shared;
-    layers_.push_back(packed ? shared->layers_[k] : pack_layer(layer, precision, kernels.panel, arena));
+    layers_.push_back(packed ? shared->layers_[k] : pack_layer(layer, precision, kernels.layout, arena));
     widest = std::max({widest, layer.inputs, layer.outputs});
   }
   for (float*& buffer : buffers_) buffer = arena.take<float>(padded_to_group(widest) + kGroup);
@@ -30,8 +30,9 @@ const float* Mlp::run(const float* input, const float* modulation) {
     const Activation activation = k + 1 < layers_.size() ? activation_ : Activation::none;
     const DenseCall now = call(k, input, modulation);
     // The network's own input has no zeros worth looking for.
-    const bool skip = skips_zeros_ && k > 0;
-    const DenseKernel dense = (skip ? kernels_.dense_skipping : kernels_.dense)[int(precision_)];
+    const bool skip = reading_.skip_zeros && k > 0;
+    const DenseKernels& kernels = kernels_.dense[int(precision_)];
+    const DenseKernel dense = skip ? kernels.nonzero : kernels.all[reading_.fetch_ahead];
     dense(layer, now.input, now.scale, now.shift, activation, now.scratch, now.output);
     if (modulation != nullptr) modulation += 2 * layer.outputs;
     input = now.output;
@@ -42,7 +43,7 @@ const float* Mlp::run(const float* input, const float* modulation) {
 void Mlp::run_batch(Mlp* const* networks, int count, const float* const* inputs, const float* const* modulations,
                     const float** outputs) {
   const Mlp& first = *networks[0];
-  const DenseBatchKernel dense = first.kernels_.dense_batch[int(first.precision_)];
+  const DenseBatchKernel dense = first.kernels_.dense[int(first.precision_)].batch[first.reading_.fetch_ahead];
   std::size_t modulated = 0;
   for (std::size_t k = 0; k < first.layers_.size(); ++k) {
     const Activation activation = k + 1 < first.layers_.size() ? first.activation_ : Activation::none;

@@ -25,9 +25,9 @@ class Mlp {
   static void run_batch(Mlp* const* networks, int count, const float* const* inputs, const float* const* modulations,
                         const float** outputs);
 
-  // Whether network weights of zero activations are skipped. Changes the time a run takes, no bit of its result.
-  void set_zero_skipping(bool skip) { skips_zeros_ = skip; }
-  bool skips_zeros() const { return skips_zeros_; }
+  // Changes the time a run takes, no bit of its result.
+  void set_reading(RowReading reading) { reading_ = reading; }
+  RowReading reading() const { return reading_; }
 
   int outputs() const { return layers_.back().outputs; }
 
@@ -38,7 +38,7 @@ class Mlp {
   Precision precision_;
   std::vector<PackedLayer> layers_;
   Activation activation_;
-  bool skips_zeros_ = false;
+  RowReading reading_;
   DenseScratch scratch_;
   float* buffers_[2];  // a layer reads one and writes the other
 };

@@ -80,10 +80,11 @@ void pack_bf16(const DenseWeights& layer, int panel, Arena& arena, PackedLayer& 
   packed.weights = as_bytes(words);
 }
 
-void pack_int8(const DenseWeights& layer, int panel, Arena& arena, PackedLayer& packed) {
-  const int pairs = (layer.inputs + 1) / 2;
+void pack_int8(const DenseWeights& layer, PackedLayout layout, Arena& arena, PackedLayer& packed) {
+  const bool quads = layout.int8 == Int8Layout::quads;
+  const int together = quads ? 4 : 2, rows = (layer.inputs + together - 1) / together;
   const std::size_t padded = padded_to_group(layer.outputs);
-  auto* weights = arena.take<std::int8_t>(padded * pairs * 2);
+  auto* weights = arena.take<std::uint8_t>(padded * rows * together);
   auto* scale = arena.take<float>(padded);
   std::vector<std::int64_t> row_sum(padded + 1);
   for (int output = 0; output < layer.outputs; ++output) {
@@ -91,32 +92,32 @@ void pack_int8(const DenseWeights& layer, int panel, Arena& arena, PackedLayer& 
     for (int i = 0; i < layer.inputs; ++i) largest = std::max(largest, std::fabs(weight_at(layer, output, i)));
     scale[output] = std::max(largest / 127.0f, 1e-30f);
   }
-  for_each_row(layer, pairs, panel, [&](std::size_t at, int pair, int first, int width) {
-    for (int k = 0; k < 2 * width; ++k) {
-      const int output = first + k / 2;
+  for_each_row(layer, rows, layout.panel, [&](std::size_t at, int row, int first, int width) {
+    for (int k = 0; k < together * width; ++k) {
+      const int output = first + k / together;
       if (output >= layer.outputs) continue;
-      const long rounded = std::lround(weight_at(layer, output, 2 * pair + k % 2) / scale[output]);
+      const long rounded = std::lround(weight_at(layer, output, together * row + k % together) / scale[output]);
       const long value = std::clamp(rounded, -127L, 127L);
-      weights[2 * at + k] = std::int8_t(value);
+      weights[together * at + k] = std::uint8_t(quads ? value + 128 : value);
       row_sum[output] += std::labs(value);
     }
   });
   const std::int64_t largest_sum = std::max<std::int64_t>(1, *std::max_element(row_sum.begin(), row_sum.end()));
   packed.weights = as_bytes(weights);
   packed.output_scale = scale;
-  packed.input_limit = float(std::min<std::int64_t>(32767, 0x7fffffff / largest_sum));
+  packed.input_limit = float(std::min<std::int64_t>(kInt8InputLimit, 0x7fffffff / largest_sum));
 }
 
 }  // namespace
 
-PackedLayer pack_layer(const DenseWeights& layer, Precision precision, int panel, Arena& arena) {
+PackedLayer pack_layer(const DenseWeights& layer, Precision precision, PackedLayout layout, Arena& arena) {
   PackedLayer packed;
   packed.inputs = layer.inputs;
   packed.outputs = layer.outputs;
   switch (precision) {
-    case Precision::fp32: pack_fp32(layer, panel, arena, packed); break;
-    case Precision::bf16: pack_bf16(layer, panel, arena, packed); break;
-    case Precision::int8: pack_int8(layer, panel, arena, packed); break;
+    case Precision::fp32: pack_fp32(layer, layout.panel, arena, packed); break;
+    case Precision::bf16: pack_bf16(layer, layout.panel, arena, packed); break;
+    case Precision::int8: pack_int8(layer, layout, arena, packed); break;
   }
   auto* bias = arena.take<float>(padded_to_group(layer.outputs));
   std::copy_n(layer.bias, layer.outputs, bias);

@@ -1,5 +1,5 @@
-// Products of pairs of 8-bit network weights and 16-bit inputs: the one operation that vector extensions have no word
-// for. Included by kernel_unit.cpp only (see simd.hpp).
+// Products of 8-bit network weights and the integers inputs are rounded to: the one operation that vector extensions
+// have no word for. Included by kernel_unit.cpp only (see simd.hpp).
 #pragma once
 
 #include "simd.hpp"
@@ -54,5 +54,12 @@ inline Ints add_pair_products(Ints sum, WidePairs weights, Ints pair) {
   return wrapping_sum(sum, wrapping_sum(low, high));
 #endif
 }
+
+#if defined(__AVX512VNNI__)
+// sum[k] + the products of four network weights, unsigned bytes, and the four signed bytes of quad[k]; modulo 2^32.
+inline Ints add_quad_products(Ints sum, Ints weights, Ints quad) {
+  return (Ints)_mm512_dpbusd_epi32((__m512i)sum, (__m512i)weights, (__m512i)quad);
+}
+#endif
 
 }  // namespace physkin::PHYSKIN_ISA

@@ -277,7 +277,7 @@ def run_with_level(level, folder):
     return subprocess.run(command, env=environment, capture_output=True, text=True, cwd=folder)
 
 
-@pytest.mark.parametrize("level", ["baseline", "v3", "v4"])
+@pytest.mark.parametrize("level", ["baseline", "v3", "v4", "v4_vnni"])
 def test_environment_forces_the_instruction_set(level, tmp_path):
     result = run_with_level(level, tmp_path)
     if level in supported_instruction_sets():

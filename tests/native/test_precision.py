@@ -84,6 +84,21 @@ def test_int8_of_whole_numbers_is_exact(level, make_garment):
     np.testing.assert_allclose(evaluator.corrections().ravel(), weight.astype(float) @ bones, atol=1e-3)
 
 
+@pytest.mark.skipif("v4_vnni" not in LEVELS, reason="this CPU has no AVX-512 VNNI")
+@pytest.mark.parametrize("activation", ["silu", "relu"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_int8_sums_are_the_same_from_bytes_as_from_16_bit_integers(shape, activation, make_garment, make_pose):
+    """Both are exact, and nothing else differs between the two AVX-512 levels."""
+    rng = np.random.default_rng(list(f"bytes {shape}{activation}".encode()))
+    garment = make_garment(rng, activation=activation, **SHAPES[shape])
+    pose = make_pose(rng, garment)
+    frames = [
+        frame(NativeEvaluator(garment, instruction_set=level, precision="int8"), garment, pose)
+        for level in ("v4", "v4_vnni")
+    ]
+    assert np.array_equal(*frames)
+
+
 @pytest.mark.parametrize("level", LEVELS)
 def test_int8_sums_do_not_overflow(level, make_garment):
     """Where every product of a long row is as large as can be, inputs are rounded more coarsely."""

@@ -90,7 +90,7 @@ def test_diagnostics(peer, drape_node, draper):
     report = next(report for report in peer.reports if report["evaluation p50 [us]"] != "none")
     assert 0 < float(report["evaluation p50 [us]"]) <= float(report["evaluation p99 [us]"])
     assert (report["model"], report["backend"]) == ("vest", "native")
-    assert report["instruction set"] in ("baseline", "v3", "v4")
+    assert report["instruction set"] in ("baseline", "v3", "v4", "v4_vnni")
     assert float(report["last stamp age [s]"]) > 0
     assert report["precision"] == "bf16" and "vertices left inside" not in report
 
