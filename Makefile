@@ -14,8 +14,10 @@ MESSAGES := $(shell find msg_defs -type f -not -path '*/__pycache__/*')
 demo: $(VENV)/installed-demo
 	$(VENV)/bin/physkin demo --seconds $(DEMO_SECONDS) --output demo.png
 
+# What starts ROS nodes and measures times has the machine to itself; one thread each for the others.
 test: $(VENV)/installed-test
-	$(VENV)/bin/pytest -m "not slow"
+	OMP_NUM_THREADS=1 $(VENV)/bin/pytest -m "not slow" --numprocesses 2 --dist loadfile --ignore tests/ros
+	$(VENV)/bin/pytest -m "not slow" tests/ros
 
 test-slow: $(VENV)/installed-test
 	$(VENV)/bin/pytest -m slow
