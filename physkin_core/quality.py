@@ -102,9 +102,7 @@ def contact_figures(distances: np.ndarray) -> dict[str, float]:
 
 def jitter(frames: np.ndarray) -> float:
     """Mean second difference of vertex positions over frames (T, n, 3) [m per frame squared]."""
-    if len(frames) < 3:
-        raise ValueError(f"jitter needs at least 3 frames, got {len(frames)}")
-    return float(np.linalg.norm(np.diff(frames, n=2, axis=0), axis=-1).mean())
+    return float(_second_differences(frames, "jitter needs").mean())
 
 
 def snaps(frames: np.ndarray) -> float:
@@ -114,7 +112,12 @@ def snaps(frames: np.ndarray) -> float:
     What `jitter` does not show: its mean hardly moves when a sleeve jumps across an arm. Meant for 60 frames a second.
     Raises ValueError for less than 3 frames.
     """
-    if len(frames) < 3:
-        raise ValueError(f"snaps need at least 3 frames, got {len(frames)}")
-    second = np.linalg.norm(np.diff(frames, n=2, axis=0), axis=-1)
+    second = _second_differences(frames, "snaps need")
     return float((second.max(axis=1) - np.quantile(second, 0.9, axis=1) > SNAP).mean())
+
+
+def _second_differences(frames: np.ndarray, what_needs: str) -> np.ndarray:
+    """Lengths (T - 2, n) of the vertices' second differences. Raises ValueError for less than 3 frames."""
+    if len(frames) < 3:
+        raise ValueError(f"{what_needs} at least 3 frames, got {len(frames)}")
+    return np.linalg.norm(np.diff(frames, n=2, axis=0), axis=-1)

@@ -56,7 +56,7 @@ Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, const Evalua
       corrections_(arena_.take<float>(g.deformer_layers.back().outputs)) {
   if (options.push_out != nullptr) push_out_.emplace(*options.push_out, g.bones, g.vertex_count, arena_);
   if (options.normals == Normals::faces) face_normals_.emplace(g, arena_);
-  choose_reading(g);
+  if (shared == nullptr) choose_reading(g);
 }
 
 Rejection Evaluator::check_inputs(const float* joint_positions, const float* gravity) const noexcept {

@@ -14,6 +14,7 @@ Mlp::Mlp(const std::vector<DenseWeights>& layers, Activation activation, Precisi
     layers_.push_back(packed ? shared->layers_[k] : pack_layer(layer, precision, kernels.layout, arena));
     widest = std::max({widest, layer.inputs, layer.outputs});
   }
+  if (shared != nullptr) reading_ = shared->reading_;
   for (float*& buffer : buffers_) buffer = arena.take<float>(padded_to_group(widest) + kGroup);
   scratch_ = {arena.take<std::int32_t>(widest + kGroup), arena.take<std::int16_t>(widest + kGroup)};
 }

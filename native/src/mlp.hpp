@@ -11,7 +11,8 @@ namespace physkin {
 class Mlp {
  public:
   // Packs the network weights; the last layer is linear, the others are followed by the activation.
-  // `shared`: a network that has the same layers from `first_shared` on, and lives longer; they are not packed again.
+  // `shared`: a network that has the same layers from `first_shared` on, and lives longer; they are not packed again,
+  // and read as it reads them.
   Mlp(const std::vector<DenseWeights>& layers, Activation activation, Precision precision, const Kernels& kernels,
       Arena& arena, const Mlp* shared = nullptr, std::size_t first_shared = 0);
 
