@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -167,13 +169,14 @@ def test_wrong_side_hits_are_ignored(scene):
     assert energies["collision"].max() == 0
 
 
-def worn_on(garment, body, *, worn: bool, band=(), distance=0.0) -> Wearing:
+def worn_on(garment, body, *, worn: bool, other_limb: bool = False, band=(), distance=0.0) -> Wearing:
     """All faces of the body belong to one part, on which the whole garment lies or does not."""
     band = np.array(band, dtype=np.int32)
     return Wearing(
         faces=np.asarray(body.faces, dtype=np.int32),
         face_bone=np.zeros(len(body.faces), dtype=np.int32),
         worn=np.full((len(garment.vertices), 1), worn),
+        other_limb=np.full((len(garment.vertices), 1), other_limb),
         own_face=closest_face(garment, body),
         band=band,
         band_place=np.arange(len(band), dtype=np.int32),
@@ -212,6 +215,32 @@ def test_deep_contact_counts_only_with_parts_a_vertex_is_worn_on(scene):
             assert strange.max() < 0.01 * mine.min()
         else:
             np.testing.assert_array_equal(strange, mine)
+
+
+def test_another_limb_presses_only_towards_where_the_cloth_is_worn(scene):
+    """A limb beside the body, cloth around it that is worn on the body: the half between the two feels the limb as it
+    would otherwise, the half beyond the limb nothing."""
+    garment, trunk, *_, gravity = scene
+    limb = trunk.copy()
+    limb.apply_translation([0.3, 0.0, 0.0])
+    body = trimesh.util.concatenate([trunk, limb])
+    mesh = wp.Mesh(wp.array(body.vertices, dtype=wp.vec3), wp.array(body.faces.reshape(-1), dtype=wp.int32))
+    x = 0.1 * garment.vertices / np.linalg.norm(garment.vertices, axis=1, keepdims=True) + [0.3, 0.0, 0.0]
+    nearest = np.asarray(trunk.triangles_center)[:, 0].argmax()
+
+    def pressed(*, other_limb: bool) -> np.ndarray:
+        wearing = worn_on(garment, body, worn=False, other_limb=other_limb)
+        wearing = replace(wearing, own_face=np.full(len(x), nearest, dtype=np.int32))
+        losses = PhysicsLosses(garment, MATERIAL, 1, torch.device("cpu"), wearing=wearing)
+        posed = torch.as_tensor(x[None], dtype=torch.float32)
+        losses.evaluate(posed, torch.as_tensor(gravity[:1], dtype=torch.float32), mesh, torch.zeros(1, 3))
+        return losses.element_energies["collision"][0].numpy()
+
+    without, found = pressed(other_limb=False), pressed(other_limb=True)
+    towards, beyond = x[:, 0] < 0.23, x[:, 0] > 0.3
+    assert without[towards].min() > 0 and without[beyond].min() > 0, "the whole ring must touch the limb"
+    np.testing.assert_array_equal(found[towards], without[towards])
+    assert found[beyond].max() == 0
 
 
 def test_lost_vertices_are_led_back_to_where_they_are_worn(scene):

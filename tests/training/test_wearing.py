@@ -70,6 +70,23 @@ def test_parts_a_shirt_is_worn_on():
         assert not worn.worn[:, BONES.index(part)].any(), part
 
 
+def test_limbs_that_pass_by_the_cloth():
+    """The arm beside the trunk of a dress, but not to its sleeve; both legs are behind a skirt's side, and pass it nowhere."""
+    garment, worn = wearing("dress")
+    side = np.linalg.norm(garment.vertices - [0.05, 0.17, 0.27], axis=1).argmin()
+    arm = [BONES.index(part) for part in ("clavicle.L", "upperarm01.L", "upperarm02.L", "lowerarm01.L")]
+    assert worn.other_limb[side, arm].all() and not worn.other_limb[side, BONES.index("spine04")]
+    sleeve = np.linalg.norm(garment.vertices - [0.0, 0.26, 0.45], axis=1).argmin()
+    assert worn.worn[sleeve, arm].any() and not worn.other_limb[sleeve, arm].any()
+    assert not (worn.worn & worn.other_limb).any()
+    garment, worn = wearing("skirt")
+    side = np.linalg.norm(garment.vertices - [0.0, 0.25, -0.15], axis=1).argmin()
+    legs = [BONES.index(part) for part in ("upperleg01.L", "upperleg02.L", "upperleg01.R", "upperleg02.R")]
+    assert not worn.worn[side, legs[2:]].any() and not worn.other_limb[side, legs].any()
+    hem = ~worn.worn.any(axis=1)
+    assert hem.any() and not worn.other_limb[hem].any()
+
+
 def test_worn_faces_are_those_near_the_garment():
     """All faces of a part or none; what is left out is farther from the cloth than the limit."""
     garment, worn = wearing("skirt")

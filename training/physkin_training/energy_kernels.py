@@ -123,7 +123,9 @@ def collision_kernel(
     reach: wp.float32,
     face_bone: wp.array(dtype=wp.int32),
     worn: wp.array2d(dtype=wp.bool),
+    other_limb: wp.array2d(dtype=wp.bool),
     own_face: wp.array(dtype=wp.int32),
+    leads_back: wp.bool,
     normals: wp.array2d(dtype=wp.vec3),
     energy: wp.array2d(dtype=wp.float32),
     gradient: wp.array2d(dtype=wp.vec3),
@@ -132,7 +134,8 @@ def collision_kernel(
 ):
     """Squared depth below the contact offset, to the exact closest point of the posed body; linear when deeper.
 
-    own_face: face of the body that each vertex lies on, which leads back a vertex lost inside the body; or empty.
+    own_face: face of the body that each vertex lies on. Another limb presses cloth only towards it, so that cloth which
+    came out on the limb's far side is not held there; leads_back: a vertex lost inside the body is pushed before it.
     """
     s, v = wp.tid()
     point = x[s, v] + body_offset[s]
@@ -146,28 +149,31 @@ def collision_kernel(
         gap = wp.length(away)
         distance = hit.sign * gap
         signed_distance[s, v] = distance
-        mine = worn[v, face_bone[hit.face % face_bone.shape[0]]]
+        part = face_bone[hit.face % face_bone.shape[0]]
+        mine = worn[v, part]
         at_worn_part[s, v] = mine
         depth = contact_offset - distance
         if depth > 0.0:
             outward = wp.mesh_eval_face_normal(body, hit.face)
+            own = s * face_bone.shape[0] + own_face[v]
+            own_centre = wp.mesh_eval_position(body, own, 1.0 / 3.0, 1.0 / 3.0)
             if depth < DEEP or (mine and wp.dot(outward, normals[s, v]) >= 0.0):
+                if other_limb[v, part] and wp.dot(outward, own_centre - closest) <= 0.0:
+                    return
                 if gap > 1.0e-6:
                     outward = away * (hit.sign / gap)
                 k = stiffness[0] * vertex_area[rest_row[s], v]
                 bounded = wp.min(depth, linear_beyond)
                 energy[s, v] = k * bounded * (2.0 * depth - bounded)
                 wp.atomic_add(gradient, s, v, outward * (-2.0 * k * bounded))
-            elif own_face.shape[0] > 0:
-                face = s * face_bone.shape[0] + own_face[v]
-                outward = wp.mesh_eval_face_normal(body, face)
-                centre = wp.mesh_eval_position(body, face, 1.0 / 3.0, 1.0 / 3.0)
-                behind = contact_offset - wp.dot(point - centre, outward)
+            elif leads_back:
+                own_outward = wp.mesh_eval_face_normal(body, own)
+                behind = contact_offset - wp.dot(point - own_centre, own_outward)
                 if behind > 0.0:
                     k = stiffness[0] * vertex_area[rest_row[s], v]
                     bounded = wp.min(behind, LED_BACK_BEYOND)
                     energy[s, v] = k * bounded * (2.0 * behind - bounded)
-                    wp.atomic_add(gradient, s, v, outward * (-2.0 * k * bounded))
+                    wp.atomic_add(gradient, s, v, own_outward * (-2.0 * k * bounded))
 
 
 @wp.kernel

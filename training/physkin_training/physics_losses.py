@@ -109,10 +109,13 @@ class PhysicsLosses:
         }
         face_bone = np.zeros(1) if wearing is None else wearing.face_bone
         worn = np.ones((n, 1), dtype=bool) if wearing is None else wearing.worn
-        own_face = wearing.own_face if leads_back and wearing is not None else np.zeros(0)
+        other_limb = np.zeros_like(worn) if wearing is None else wearing.other_limb
+        own_face = np.zeros(n) if wearing is None else wearing.own_face
+        self._leads_back = leads_back and wearing is not None
         self._face_bone = self._array(face_bone, wp.int32)
         self._own_face = self._array(own_face, wp.int32)
         self._worn = wp.array(worn, dtype=wp.bool, device=self.device)
+        self._other_limb = wp.array(other_limb, dtype=wp.bool, device=self.device)
         self._band: list[wp.array] = []
         if wearing is not None:
             limit = wearing.band_distance + BAND_SLACK
@@ -181,7 +184,9 @@ class PhysicsLosses:
                 self.reach,
                 self._face_bone,
                 self._worn,
+                self._other_limb,
                 self._own_face,
+                self._leads_back,
                 _vec3(self._normals),
             ],
             outputs=[

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from physkin_core.avatar import Avatar, avatar_from_body
 from physkin_core.body_model import BodyModel
-from physkin_core.garment import Garment
+from physkin_core.garment import Garment, vertex_normals
 from physkin_core.rig import Rig
 
 __all__ = ["Wearing"]
@@ -25,6 +25,9 @@ WORN_WITHIN = 0.15
 WORN_BESIDE = 0.02
 """It is worn on the closest part, on those at most this much [m] farther away, and on the parts joined to these: cloth
 slides along a limb, but the side of a shirt is not worn on the arm that hangs beside it."""
+BEHIND = -0.35
+"""Cosine between the way to a part and the cloth's normal below which the part is behind the cloth, as all are that a
+skirt hangs around; others are beside it or in front of it."""
 BAND_WIDTH = 0.03
 """Vertices this close [m] to the uppermost opening make up the band."""
 
@@ -34,14 +37,16 @@ class Wearing:
     """A garment on a body.
 
     faces: (f, 3) int32, faces of the body that cloth may be in contact with; face_bone: (f,) int32, the bone that moves
-    each most. worn: (n, b) bool, the vertex lies on that bone's part. own_face: (n,) int32, of the `faces` of
-    worn parts the one whose centre is closest. band: (k,) int32 vertices of the neckband or
+    each most. worn: (n, b) bool, the vertex lies on that bone's part. other_limb: (n, b) bool, it lies on no part of
+    that bone's limb, which is beside the cloth or in front of it, as an arm is to the side of a shirt. own_face: (n,)
+    int32, of the `faces` of worn parts the one whose centre is closest. band: (k,) int32 vertices of the neckband or
     waistband; band_place: (k,) int32 the body vertex closest to each, band_distance: (k,) float32 [m] away.
     """
 
     faces: np.ndarray
     face_bone: np.ndarray
     worn: np.ndarray
+    other_limb: np.ndarray
     own_face: np.ndarray
     band: np.ndarray
     band_place: np.ndarray
@@ -60,10 +65,17 @@ class Wearing:
         corner_bones = vertex_bone[faces]
         face_bone = np.where(corner_bones[:, 1] == corner_bones[:, 2], corner_bones[:, 1], corner_bones[:, 0])
         distance = np.full((len(garment.vertices), rig.bone_count), np.inf)
+        outwards = np.full(distance.shape, -np.inf)
+        normals = vertex_normals(garment.vertices, garment.faces)
         for bone in np.unique(vertex_bone):
-            distance[:, bone], _ = cKDTree(body[vertex_bone == bone]).query(garment.vertices)
+            part = body[vertex_bone == bone]
+            distance[:, bone], closest = cKDTree(part).query(garment.vertices)
+            outwards[:, bone] = np.einsum("vi,vi->v", part[closest] - garment.vertices, normals)
         beside = distance <= distance.min(axis=1, keepdims=True) + WORN_BESIDE
         worn = (beside | _joined(beside, rig.parents)) & (distance <= WORN_WITHIN)
+        limb = np.eye(rig.bone_count, dtype=int)[_limbs(rig.parents)]
+        on_limb = (worn @ limb) @ limb.T > 0
+        other_limb = ~on_limb & worn.any(axis=1, keepdims=True) & (outwards > BEHIND * distance)
         near = np.flatnonzero(worn.any(axis=0)[face_bone])
         opening = garment.vertices[_uppermost_opening(garment)]
         distance, _ = cKDTree(opening).query(garment.vertices, distance_upper_bound=BAND_WIDTH)
@@ -73,6 +85,7 @@ class Wearing:
             faces=faces,
             face_bone=face_bone.astype(np.int32),
             worn=worn,
+            other_limb=other_limb,
             own_face=near[cKDTree(body[faces[near]].mean(axis=1)).query(garment.vertices)[1]].astype(np.int32),
             band=band.astype(np.int32),
             band_place=place.astype(np.int32),
@@ -99,6 +112,16 @@ def _joined(parts: np.ndarray, parents: np.ndarray) -> np.ndarray:
     for bone in child:
         joined[:, parents[bone]] |= parts[:, bone]
     return joined
+
+
+def _limbs(parents: np.ndarray) -> np.ndarray:
+    """(b,) the first bone of each bone's limb, or of trunk or neck: they begin where bones fork."""
+    children = np.bincount(parents[parents >= 0], minlength=len(parents))
+    first = np.arange(len(parents))
+    for bone, parent in enumerate(parents):
+        if parent >= 0 and children[parent] == 1:
+            first[bone] = first[parent]
+    return first
 
 
 def _uppermost_opening(garment: Garment) -> np.ndarray:
