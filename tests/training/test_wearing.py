@@ -71,7 +71,7 @@ def test_parts_a_shirt_is_worn_on():
 
 
 def test_limbs_that_pass_by_the_cloth():
-    """The arm beside the trunk of a dress, but not to its sleeve; both legs are behind a skirt's side, and pass it nowhere."""
+    """The arm beside the trunk of a dress, but not to its sleeve; neither leg to the side of a skirt."""
     garment, worn = wearing("dress")
     side = np.linalg.norm(garment.vertices - [0.05, 0.17, 0.27], axis=1).argmin()
     arm = [BONES.index(part) for part in ("clavicle.L", "upperarm01.L", "upperarm02.L", "lowerarm01.L")]
