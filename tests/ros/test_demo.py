@@ -42,8 +42,12 @@ def test_interrupted_demo_leaves_nothing_running(start, model_path, tmp_path):
     for line in demo.stdout:
         if "playing" in line:
             break
-    assert len(_processes_naming(str(model_path))) == 2  # the demo and its node
     time.sleep(1)
+    # The demo and its node; and for a moment the player, which until it has begun goes by its parent's command line.
+    deadline = time.monotonic() + 10
+    while len(running := _processes_naming(str(model_path))) != 2:
+        assert time.monotonic() < deadline, running
+        time.sleep(0.05)
     demo.send_signal(signal.SIGINT)
     assert demo.wait(20) == 130
     assert not _processes_naming(str(model_path))
