@@ -101,7 +101,7 @@ def bind_garment(
         node_positions=_float(node_positions),
         node_rest=_float(node_rest),
         vertices=_float(garment.vertices),
-        normals=_float(vertex_normals(garment.vertices, garment.faces)),
+        normals=_float(_rest_normals(model, garment.vertices)),
         influence_nodes=np.ascontiguousarray(model.influence_nodes, dtype=np.int32),
         influence_weights=_float(model.influence_weights),
         activation=model.activation,
@@ -139,8 +139,8 @@ def bind_points(
 ) -> dict[str, np.ndarray]:
     """Skin other points of the same garment to the trained garment nodes.
 
-    points: (n, 3) [m] in the model's canonical space. normals: (n, 3) of any length but zero, default those of the
-    trained surface. rest: rest shape of the model's mesh, its vertices [m], that points and normals are carried to;
+    points: (n, 3) [m] in the model's canonical space. normals: (n, 3) of any length but zero, turned as those of the
+    trained surface are by being fitted to drapes; default these. rest: rest shape of the model's mesh, its vertices [m], that points and normals are carried to;
     default its own.
     Returns the fields of `BoundGarment` to replace: vertices, normals, influence_nodes, influence_weights, and faces,
     of which there are none.
@@ -164,24 +164,36 @@ def bind_points(
     corners = garment.faces[face]
     barycentric = trimesh.triangles.points_to_barycentric(garment.vertices[corners], closest)
 
-    def normals_of(shape: np.ndarray) -> np.ndarray:
-        there = np.einsum("nc,nci->ni", barycentric, vertex_normals(shape, garment.faces)[corners])
-        return there / np.maximum(np.linalg.norm(there, axis=1, keepdims=True), 1e-12)
+    def there(of_vertices: np.ndarray) -> np.ndarray:
+        return np.einsum("nc,nci->ni", barycentric, of_vertices[corners])
 
-    if rest is not None:
-        points = points + np.einsum("nc,nci->ni", barycentric, (rest - garment.vertices)[corners])
-        normals = normals if normals is None else _turned(normals, normals_of(garment.vertices), normals_of(rest))
+    fitted = _unit(there(_rest_normals(model, garment.vertices if rest is None else rest)))
     if normals is None:
-        normals = normals_of(garment.vertices if rest is None else rest)
+        normals = fitted
+    else:
+        normals = _turned(normals, _unit(there(vertex_normals(garment.vertices, garment.faces))), fitted)
+    if rest is not None:
+        points = points + there(rest - garment.vertices)
     chunks = [slice(start, start + POINTS_AT_ONCE) for start in range(0, len(points), POINTS_AT_ONCE)]
     influences = [_influences_in_faces(model, corners[chunk], barycentric[chunk]) for chunk in chunks]
     return {
         "vertices": _float(points),
-        "normals": _float(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)),
+        "normals": _float(_unit(normals)),
         "influence_nodes": np.concatenate([nodes for nodes, _ in influences]),
         "influence_weights": np.concatenate([weights for _, weights in influences]),
         "faces": np.empty((0, 3), dtype=np.int32),
     }
+
+
+def _rest_normals(model: GarmentModel, vertices: np.ndarray) -> np.ndarray:
+    """Unit rest normals (n, 3) of the model's garment reshaped to vertices (n, 3): its own, turned as the mesh's are."""
+    faces = model.garment.faces
+    start, end = vertex_normals(model.garment.vertices, faces), vertex_normals(vertices, faces)
+    return _unit(_turned(model.rest_normals.astype(np.float64), start, end))
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
 
 
 def _turned(vectors: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ class BoundGarment:
     node_bone: (m,) int32, the bone each garment node follows.
     node_positions: (m, 3) garment nodes at the canonical pose of this body.
     node_rest: (m, 3) garment nodes at rest on the garment (translation of chi-bar).
-    vertices: (n, 3) rest garment; normals: (n, 3) unit vertex normals at rest.
+    vertices: (n, 3) rest garment; normals: (n, 3) unit, what skinning carries to the draped garment's.
     influence_nodes: (n, K) int32; influence_weights: (n, K), rows sum to 1.
     activation: "silu" or "relu".
     pose_modulation: (s,) the body's modulation of the pose modulator, [scale_0, shift_0, scale_1, ...] over its hidden

@@ -12,12 +12,14 @@ from numbers import Real
 
 import numpy as np
 
-from physkin_core.garment import Garment
+from physkin_core.garment import Garment, vertex_normals
 from physkin_core.hyper_modulator import token_features
 from physkin_core.mlp import ACTIVATIONS, Layer, modulation_size
 from physkin_core.rig import Rig
 
 __all__ = ["GarmentModel", "GarmentModelError", "Material"]
+
+SHORTEST_NORMAL = 1e-3
 
 
 class GarmentModelError(ValueError):
@@ -60,6 +62,8 @@ class GarmentModel:
 
     garment: mesh the model was trained on. node_rest: (m, 3); node_bone: (m,) int32, index into `rig`.
     influence_nodes: (n, K) int32; influence_weights: (n, K) float32, rows sum to 1. Other integer types are converted.
+    rest_normals: (n, 3), of any length but zero, what skinning carries to the draped garment's normals. Default those of
+    the mesh; fitted to drapes they come out truer, for skinning does not deform cloth as its linear part says.
     hyper_modulator: arrays by name (see `physkin_core.hyper_modulator`), "fit" among them only where made to measure
     was learnt. pose_modulator, node_deformer: layers.
     training, scores: plain data on how it was trained (seed, bodies, steps) and how it measured up.
@@ -76,6 +80,7 @@ class GarmentModel:
     pose_modulator: tuple[Layer, ...]
     node_deformer: tuple[Layer, ...]
     activation: str = "silu"
+    rest_normals: np.ndarray | None = None
     material: Material = field(default_factory=Material)
     training: Mapping = field(default_factory=dict)
     scores: Mapping = field(default_factory=dict)
@@ -94,6 +99,10 @@ class GarmentModel:
         influences = self.influence_nodes.shape[1] if self.influence_nodes.ndim == 2 else 0
         _expect("skinning.nodes", self.influence_nodes, (n, influences))
         _expect("skinning.weights", self.influence_weights, (n, influences))
+        if self.rest_normals is None:
+            normals = vertex_normals(self.garment.vertices, self.garment.faces)
+            object.__setattr__(self, "rest_normals", normals.astype(np.float32))
+        _expect("garment.normals", self.rest_normals, (n, 3))
         object.__setattr__(self, "node_bone", _indices("garment_nodes.bone", self.node_bone, self.rig.bone_count))
         object.__setattr__(self, "influence_nodes", _indices("skinning.nodes", self.influence_nodes, m))
         sums = self.influence_weights.sum(axis=1)
@@ -109,6 +118,9 @@ class GarmentModel:
                 raise GarmentModelError(f"{name} is of type {array.dtype}, expected floating point numbers")
             if not np.isfinite(array).all():
                 raise GarmentModelError(f"{name} holds a value that is not finite")
+        shortest = np.linalg.norm(self.rest_normals, axis=1).min()
+        if shortest < SHORTEST_NORMAL:
+            raise GarmentModelError(f"garment.normals holds one of length {shortest:.1e}, they must have a length")
 
     @property
     def made_to_measure(self) -> bool:
@@ -131,6 +143,7 @@ class GarmentModel:
         named = {
             "garment.vertices": self.garment.vertices,
             "garment.faces": self.garment.faces,
+            "garment.normals": self.rest_normals,
             "garment_nodes.rest": self.node_rest,
             "garment_nodes.bone": self.node_bone,
             "skinning.nodes": self.influence_nodes,

@@ -24,10 +24,11 @@ from physkin_core.rig import Rig, RigError
 __all__ = ["SCHEMA_VERSION", "ModelFileError", "load_garment_model", "save_garment_model", "shipped_models"]
 
 FORMAT = "physkin-garment"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+"""Files of version 1 lack "garment.normals"; they get those of the mesh."""
 MODELS_PATH = Path(__file__).parent / "assets" / "models"
 INDEX_ARRAYS = ("garment.faces", "garment_nodes.bone", "skinning.nodes")
-GEOMETRY_ARRAYS = ("garment.vertices", "garment_nodes.rest")
+GEOMETRY_ARRAYS = ("garment.vertices", "garment.normals", "garment_nodes.rest")
 
 
 class ModelFileError(ValueError):
@@ -67,6 +68,7 @@ def load_garment_model(path: str | Path) -> GarmentModel:
             pose_modulator=_layers(arrays, "pose_modulator."),
             node_deformer=_layers(arrays, "node_deformer."),
             activation=metadata["activation"],
+            rest_normals=arrays["garment.normals"] if int(metadata["schema_version"]) > 1 else None,
             material=Material(**json.loads(metadata["material"])),
             training=json.loads(metadata["training"]),
             scores=json.loads(metadata["scores"]),

@@ -10,7 +10,13 @@ import numpy as np
 from physkin_core.bound_garment import BoundGarment
 from physkin_core.garment_nodes import pose_nodes
 
-__all__ = ["plain_skinning", "skin", "skinning_matrices"]
+__all__ = ["cofactors", "plain_skinning", "skin", "skinning_matrices"]
+
+
+def cofactors(linear: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) what normals transform by where tangents transform by `linear` (..., 3, 3): det(A) A^-T."""
+    x, y, z = np.moveaxis(linear, -1, 0)
+    return np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-1)
 
 
 def skinning_matrices(nodes: np.ndarray, node_rest: np.ndarray) -> np.ndarray:
@@ -28,7 +34,8 @@ def skin(
     influence_nodes: np.ndarray,
     influence_weights: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Deform the garment: x' = sum_i w_i chi_i chi-bar_i^-1 x, normals by the blended linear part, then to unit length.
+    """Deform the garment: x' = sum_i w_i chi_i chi-bar_i^-1 x, normals by the cofactors of the blended linear part, then
+    to unit length.
 
     nodes: (m, 3, 4). node_rest: (m, 3). vertices, normals: (n, 3). influence_nodes, influence_weights: (n, K).
     Returns positions (n, 3) and normals (n, 3).
@@ -36,7 +43,7 @@ def skin(
     matrices = skinning_matrices(nodes, node_rest)
     blended = np.einsum("nk,nkij->nij", influence_weights, matrices[influence_nodes])
     positions = np.einsum("nij,nj->ni", blended[..., :3], vertices) + blended[..., 3]
-    turned = np.einsum("nij,nj->ni", blended[..., :3], normals)
+    turned = np.einsum("nij,nj->ni", cofactors(blended[..., :3]), normals)
     return positions, turned / np.maximum(np.linalg.norm(turned, axis=-1, keepdims=True), 1e-12)
 
 

@@ -34,8 +34,12 @@ inline SkinnedLanes skin_lanes(const SkinningBlocks& blocks, const float* matric
   }
   if (!kNormals) return skinned;
   const Floats nx = load(rest + 3 * kBlock), ny = load(rest + 4 * kBlock), nz = load(rest + 5 * kBlock);
-  Floats normal[3];
-  for (int r = 0; r < 3; ++r) normal[r] = blend[4 * r] * nx + blend[4 * r + 1] * ny + blend[4 * r + 2] * nz;
+  Floats normal[3];  // by the cofactors of the linear part, as surfaces turn when they are sheared or stretched
+  for (int r = 0; r < 3; ++r) {
+    const Floats* p = blend + 4 * ((r + 1) % 3);
+    const Floats* q = blend + 4 * ((r + 2) % 3);
+    normal[r] = (p[1] * q[2] - p[2] * q[1]) * nx + (p[2] * q[0] - p[0] * q[2]) * ny + (p[0] * q[1] - p[1] * q[0]) * nz;
+  }
   const Floats square = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2];
   const Floats inverse = reciprocal_sqrt(at_least(square, 1e-30f));  // a vanished normal stays zero
   for (int r = 0; r < 3; ++r) skinned.column[3 + r] = normal[r] * inverse;

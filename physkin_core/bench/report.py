@@ -18,8 +18,8 @@ __all__ = ["case_keys", "case_tables", "machine_keys"]
 
 BLOCK = 16
 """Vertices that share one union of garment nodes."""
-MULTIPLY_ADDS_A_VERTEX = 18
-"""That apply a blended matrix to a position and a normal; blending costs 12 a garment node."""
+MULTIPLY_ADDS_A_VERTEX = 36
+"""That apply a blended matrix to a position and its cofactors to a normal; blending costs 12 a garment node."""
 
 
 def machine_keys() -> dict[str, object]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from physkin_core.bench.peers import Peer, Runner, hold_blas_to_one_thread
 from physkin_core.bound_garment import BoundGarment
-from physkin_core.skinning import skin, skinning_matrices
+from physkin_core.skinning import cofactors, skin, skinning_matrices
 
 __all__ = ["SKINNING_PEERS", "SkinningCase", "skinning_case"]
 
@@ -57,7 +57,7 @@ def _homogeneous(case: SkinningCase) -> np.ndarray:
 
 def _numpy_apply(blended: np.ndarray, points: np.ndarray, normals: np.ndarray, out: np.ndarray) -> None:
     np.einsum("nij,nj->ni", blended, points, out=out[:, :3])
-    turned = np.einsum("nij,nj->ni", blended[:, :, :3], normals)
+    turned = np.einsum("nij,nj->ni", cofactors(blended[:, :, :3]), normals)
     np.divide(turned, np.sqrt(np.einsum("ni,ni->n", turned, turned))[:, None], out=out[:, 3:])
 
 
@@ -103,7 +103,9 @@ def _torch(case: SkinningCase) -> Runner:
             gathered = matrices.index_select(0, nodes.view(-1)).view(*nodes.shape, 12)
             blended = torch.bmm(weights[:, None], gathered).view(-1, 3, 4)
             out[:, :3] = torch.bmm(blended, points[..., None])[..., 0]
-            turned = torch.bmm(blended[..., :3], normals[..., None])[..., 0]
+            x, y, z = blended[..., 0], blended[..., 1], blended[..., 2]
+            sides = torch.linalg.cross(y, z), torch.linalg.cross(z, x), torch.linalg.cross(x, y)
+            turned = torch.bmm(torch.stack(sides, dim=-1), normals[..., None])[..., 0]
             out[:, 3:] = torch.nn.functional.normalize(turned, dim=1)
 
     return Runner(run, lambda: out.numpy())
@@ -130,7 +132,9 @@ def _numba_kernel():
             out[v, 1] = b0 * x + b1 * y + b2 * z + b3
             out[v, 2] = c0 * x + c1 * y + c2 * z + c3
             x, y, z = normals[v, 0], normals[v, 1], normals[v, 2]
-            p, q, r = a0 * x + a1 * y + a2 * z, b0 * x + b1 * y + b2 * z, c0 * x + c1 * y + c2 * z
+            p = (b1 * c2 - b2 * c1) * x + (b2 * c0 - b0 * c2) * y + (b0 * c1 - b1 * c0) * z
+            q = (c1 * a2 - c2 * a1) * x + (c2 * a0 - c0 * a2) * y + (c0 * a1 - c1 * a0) * z
+            r = (a1 * b2 - a2 * b1) * x + (a2 * b0 - a0 * b2) * y + (a0 * b1 - a1 * b0) * z
             inverse = one / np.sqrt(p * p + q * q + r * r)
             out[v, 3], out[v, 4], out[v, 5] = p * inverse, q * inverse, r * inverse
 
@@ -164,9 +168,13 @@ def _warp_kernel():
             b += weight * matrices[node, 1]
             c += weight * matrices[node, 2]
         x, n = vertices[v], normals[v]
-        point, direction = wp.vec4(x[0], x[1], x[2], 1.0), wp.vec4(n[0], n[1], n[2], 0.0)
+        point = wp.vec4(x[0], x[1], x[2], 1.0)
+        first, second, third = wp.vec3(a[0], a[1], a[2]), wp.vec3(b[0], b[1], b[2]), wp.vec3(c[0], c[1], c[2])
         out[v, 0] = wp.vec3(wp.dot(a, point), wp.dot(b, point), wp.dot(c, point))
-        out[v, 1] = wp.normalize(wp.vec3(wp.dot(a, direction), wp.dot(b, direction), wp.dot(c, direction)))
+        turned = wp.vec3(
+            wp.dot(wp.cross(second, third), n), wp.dot(wp.cross(third, first), n), wp.dot(wp.cross(first, second), n)
+        )
+        out[v, 1] = wp.normalize(turned)
 
     # Annotations are strings in this file, and Warp reads types.
     kinds = (wp.array2d(dtype=wp.vec4), wp.array2d(dtype=wp.int32), wp.array2d(dtype=wp.float32))

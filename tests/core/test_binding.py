@@ -153,6 +153,19 @@ def test_bound_arrays_and_normals(model):
     np.testing.assert_allclose(given, np.tile([0, 0.6, 0.8], (len(points), 1)), atol=1e-6)
 
 
+def test_given_normals_turn_as_the_model_s_are_fitted(model):
+    """By one rotation for all here: those of the surface, left out or given, and others."""
+    garment, own = model.garment, vertex_normals(model.garment.vertices, model.garment.faces)
+    turned = own @ np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])  # of a tube around the z axis
+    fitted = replace(model, rest_normals=turned.astype(np.float32))
+    for given in (None, own):
+        bound = bind_points(fitted, garment.vertices, normals=given)
+        np.testing.assert_allclose(bound["normals"], turned, atol=1e-5)
+    across = np.cross(own, turned)  # the axis of each turn, which it leaves alone
+    bound = bind_points(fitted, garment.vertices, normals=across)
+    np.testing.assert_allclose(bound["normals"], across / np.linalg.norm(across, axis=1, keepdims=True), atol=1e-4)
+
+
 @pytest.mark.parametrize(
     "points", [np.zeros((0, 3)), np.zeros(3), np.zeros((5, 2)), [[0.16, 0, np.nan]], [[np.inf, 0, 0]]]
 )

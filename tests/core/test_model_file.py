@@ -20,6 +20,7 @@ from physkin_core import (
     model_file,
     save_garment_model,
 )
+from physkin_core.garment import vertex_normals
 from physkin_core.model_file import MODELS_PATH, SCHEMA_VERSION
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
@@ -258,6 +259,14 @@ def test_schema_version_must_be_a_number_from_one(tmp_path, saved, version):
         load_garment_model(write(tmp_path / "model.safetensors", metadata, tensors))
 
 
+def test_files_of_version_one_have_the_mesh_s_normals(tmp_path, saved):
+    metadata, tensors = contents(saved)
+    metadata["schema_version"] = "1"
+    del tensors["garment.normals"]
+    old = load_garment_model(write(tmp_path / "old.safetensors", metadata, tensors))
+    np.testing.assert_allclose(old.rest_normals, vertex_normals(old.garment.vertices, old.garment.faces), atol=1e-6)
+
+
 # --- Inconsistent, though undamaged ---
 
 
@@ -302,6 +311,13 @@ def test_metadata_that_make_no_sense_are_refused(tmp_path, saved, key, value):
     metadata, tensors = contents(saved)
     metadata[key] = value
     with pytest.raises(ModelFileError, match="is not valid"):
+        load_garment_model(write(tmp_path / "model.safetensors", metadata, tensors))
+
+
+def test_normals_without_a_length_are_refused(tmp_path, saved):
+    metadata, tensors = contents(saved)
+    tensors["garment.normals"][3] = 0
+    with pytest.raises(ModelFileError, match=r"garment.normals holds one of length 0"):
         load_garment_model(write(tmp_path / "model.safetensors", metadata, tensors))
 
 

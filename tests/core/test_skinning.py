@@ -39,7 +39,7 @@ def test_positions_and_normals_vertex_by_vertex():
             chi = at(nodes[node][:, :3], nodes[node][:, 3])
             total += weight * chi @ np.linalg.inv(at(np.eye(3), s["node_rest"][node]))
         np.testing.assert_allclose(positions[v], (total @ [*s["vertices"][v], 1])[:3], atol=1e-12)
-        turned = total[:3, :3] @ s["normals"][v]
+        turned = np.linalg.det(total) * np.linalg.inv(total[:3, :3]).T @ s["normals"][v]
         np.testing.assert_allclose(normals[v], turned / np.linalg.norm(turned), atol=1e-12)
 
 
@@ -59,6 +59,25 @@ def test_one_rigid_motion_of_all_nodes_moves_the_garment_rigidly():
     positions, normals = skin(nodes, **s)
     np.testing.assert_allclose(positions, s["vertices"] @ rotation.T + shift, atol=1e-12)
     np.testing.assert_allclose(normals, s["normals"] @ rotation.T, atol=1e-12)
+
+
+def test_normals_stay_upright_on_sheared_cloth():
+    """One affine transform of all garment nodes: perpendicular to what it makes of the surface, mirrored or not."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        s, linear = scene(rng), rng.normal(size=(3, 3))
+        nodes = np.array([np.c_[linear, linear @ rest] for rest in s["node_rest"]])
+        for u, v, normal, turned in zip(*tangents(s["normals"]), s["normals"], skin(nodes, **s)[1]):
+            np.testing.assert_allclose(np.cross(u, v), normal, atol=1e-12)
+            upright = np.cross(linear @ u, linear @ v)
+            np.testing.assert_allclose(turned, upright / np.linalg.norm(upright), atol=1e-9)
+
+
+def tangents(normals):
+    """Unit u, v with u x v = normal."""
+    u = np.cross(normals, np.roll(normals, 1, axis=1))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    return u, np.cross(normals, u)
 
 
 def test_rest_nodes_give_the_rest_garment():

@@ -96,16 +96,16 @@ def oracle_node_transforms(g, q, gravity):
 
 
 def oracle_skin(g, transforms):
-    """Positions (n, 3) and blended normals (n, 3) before they are normalised."""
+    """Positions (n, 3) and normals (n, 3) before they are normalised, by the inverse transpose of the blend."""
     positions, normals = [], []
     for x, normal, nodes, weights in zip(g.vertices, g.normals, g.influence_nodes, g.influence_weights):
-        position, blended = np.zeros(3), np.zeros(3)
+        position, blended = np.zeros(3), np.zeros((3, 3))
         for i, w in zip(nodes, weights.astype(float)):
             linear, translation = transforms[i][:, :3], transforms[i][:, 3]
             position += w * (linear @ (x.astype(float) - g.node_rest[i]) + translation)
-            blended += w * (linear @ normal.astype(float))
+            blended += w * linear
         positions.append(position)
-        normals.append(blended)
+        normals.append(np.linalg.det(blended) * np.linalg.solve(blended.T, normal.astype(float)))
     return np.array(positions), np.array(normals)
 
 

@@ -119,8 +119,18 @@ class Drape(nn.Module):
         rest: RestShape | None = None,
     ) -> torch.Tensor:
         """Deformed vertices (B, n, 3) [m]. body_modulation: (B, s), otherwise as above and below."""
+        return self.skin(self.draped_nodes(body_modulation, joint_positions, gravity, posed_nodes), rest)
+
+    def draped_nodes(
+        self,
+        body_modulation: torch.Tensor,
+        joint_positions: torch.Tensor,
+        gravity: torch.Tensor,
+        posed_nodes: torch.Tensor,
+    ) -> torch.Tensor:
+        """chi (B, m, 3, 4): the posed garment nodes as the networks correct them."""
         raw = self.networks(body_modulation, self.pose_vector(joint_positions, gravity), posed_nodes)
-        return self.skin(compose_nodes(posed_nodes, delta_transforms(raw)), rest)
+        return compose_nodes(posed_nodes, delta_transforms(raw))
 
     def skin(self, nodes: torch.Tensor, rest: RestShape | None = None) -> torch.Tensor:
         """Linear blend skinning of the garment to garment node transforms (B, m, 3, 4). Returns (B, n, 3).

@@ -17,6 +17,7 @@ from physkin_training.config import ConfigError, load_config
 from physkin_training.devices import DEFAULT_DEVICE
 from physkin_training.export import Agreement, agreement, drape_from_model, model_from_drape
 from physkin_training.processes import join, leave
+from physkin_training.rest_normals import fitted_rest_normals
 from physkin_training.run_reports import RunReports
 from physkin_training.trainer import Trainer, TrainingDiverged
 
@@ -169,6 +170,7 @@ def _export(trainer: Trainer, path: Path) -> int:
         material=config.material,
         training=training,
     )
+    model = replace(model, rest_normals=fitted_rest_normals(drape, trainer.garment, trainer.rig))
     unchecked = path.with_suffix(".unchecked")
     save_garment_model(model, unchecked)
     stored = load_garment_model(unchecked)

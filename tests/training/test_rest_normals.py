@@ -1,0 +1,76 @@
+"""Rest normals fitted to drapes: closer to the cloth, and exactly right where skinning is linear."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the [training] extra")
+pytest.importorskip("warp", reason="needs the [training] extra")
+
+from physkin_core import load_garment_model, save_garment_model  # noqa: E402
+from physkin_core.garment import Garment, vertex_normals  # noqa: E402
+from physkin_training.draping import Drape, GarmentNodes  # noqa: E402
+from physkin_training.export import drape_from_model  # noqa: E402
+from physkin_training.networks import NetworkConfig  # noqa: E402
+from physkin_training.rest_normals import fitted_rest_normals, main, normal_errors  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def tshirt():
+    return load_garment_model("tshirt")
+
+
+@pytest.mark.parametrize("name", ["tshirt", "dress"])
+def test_shipped_models_carry_fitted_normals(name):
+    """Nearer to the draped mesh's than its own normals carried, in the middle and at the worst."""
+    model = load_garment_model(name)
+    fitted, own = (normal_errors(each, bodies=3, frames=3) for each in (model, replace(model, rest_normals=None)))
+    for take in ("dance", "run", "uniform"):
+        assert fitted[take].median < 0.9 * own[take].median
+        assert fitted[take].p99 < 0.9 * own[take].p99
+
+
+def test_where_one_node_carries_everything_the_normals_are_the_mesh_s_own(tshirt):
+    """A rigid garment needs no correction, whatever the poses."""
+    garment = Garment(tshirt.garment.vertices, tshirt.garment.faces)
+    ones = np.ones((len(garment.vertices), 1), dtype=np.float32)
+    nodes = GarmentNodes(tshirt.node_rest[:1], tshirt.node_bone[:1], 0 * ones.astype(np.int32), ones)
+    config = NetworkConfig(pose_hidden=8, pose_layers=1, deformer_hidden=8, deformer_layers=1, token_width=8)
+    drape = Drape(garment, nodes, tshirt.rig, config)
+    torch.nn.init.zeros_(drape.networks.node_deformer.layers[-1].weight)
+    fitted = fitted_rest_normals(drape, garment, tshirt.rig, bodies=1, poses=2)
+    np.testing.assert_allclose(fitted, vertex_normals(garment.vertices, garment.faces), atol=1e-4)
+
+
+@pytest.mark.parametrize("wrong", [{"bodies": 0}, {"bodies": 10**6}, {"poses": 0}])
+def test_impossible_numbers_are_refused(tshirt, wrong):
+    with pytest.raises(ValueError, match="allowed: 1 to [0-9]+ bodies and 1 pose or more"):
+        fitted_rest_normals(drape_from_model(tshirt), tshirt.garment, tshirt.rig, **wrong)
+
+
+def test_store_writes_what_it_fitted(tshirt, tmp_path, monkeypatch, capsys):
+    """And nothing else changes; the table has a row before and one after."""
+    path = tmp_path / "mine.safetensors"
+    save_garment_model(replace(tshirt, rest_normals=None), path)
+    monkeypatch.setattr("physkin_training.rest_normals.MEASURED_BODIES", 1)
+    monkeypatch.setattr("physkin_training.rest_normals.MEASURED_FRAMES", 1)
+    assert main([str(path), "--store"]) == 0
+    stored = load_garment_model(path)
+    expected = fitted_rest_normals(drape_from_model(tshirt), tshirt.garment, tshirt.rig)
+    np.testing.assert_allclose(stored.rest_normals, expected, atol=1e-5)
+    arrays = tshirt.arrays()
+    for name, array in stored.arrays().items():
+        if name != "garment.normals":
+            np.testing.assert_allclose(array, arrays[name], rtol=1e-3, atol=1e-6)  # half precision, once more
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| tshirt")]
+    assert len(rows) == 2 and all(re.search(r"\| [0-9.]+, [0-9]+ \|", row) for row in rows)
+
+
+@pytest.mark.parametrize("arguments", [["tshirt", "--store"], ["nosuch.safetensors"]])
+def test_models_that_cannot_be_written_or_read_are_named(arguments, capsys):
+    assert main(arguments) == 2
+    assert arguments[0] in capsys.readouterr().err
