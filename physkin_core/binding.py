@@ -140,8 +140,8 @@ def bind_points(
     """Skin other points of the same garment to the trained garment nodes.
 
     points: (n, 3) [m] in the model's canonical space. normals: (n, 3) of any length but zero, turned as those of the
-    trained surface are by being fitted to drapes; default these. rest: rest shape of the model's mesh, its vertices [m], that points and normals are carried to;
-    default its own.
+    trained surface are by being fitted to drapes; default these. rest: rest shape of the model's mesh, its vertices
+    [m], that points and normals are carried to; default its own.
     Returns the fields of `BoundGarment` to replace: vertices, normals, influence_nodes, influence_weights, and faces,
     of which there are none.
     Raises ValueError when points or normals are not finite, normals are not one a point or have no length, or points
@@ -186,7 +186,7 @@ def bind_points(
 
 
 def _rest_normals(model: GarmentModel, vertices: np.ndarray) -> np.ndarray:
-    """Unit rest normals (n, 3) of the model's garment reshaped to vertices (n, 3): its own, turned as the mesh's are."""
+    """Unit rest normals (n, 3) of the garment reshaped to vertices (n, 3): the model's, turned as the mesh's are."""
     faces = model.garment.faces
     start, end = vertex_normals(model.garment.vertices, faces), vertex_normals(vertices, faces)
     return _unit(_turned(model.rest_normals.astype(np.float64), start, end))

@@ -62,8 +62,8 @@ class GarmentModel:
 
     garment: mesh the model was trained on. node_rest: (m, 3); node_bone: (m,) int32, index into `rig`.
     influence_nodes: (n, K) int32; influence_weights: (n, K) float32, rows sum to 1. Other integer types are converted.
-    rest_normals: (n, 3), of any length but zero, what skinning carries to the draped garment's normals. Default those of
-    the mesh; fitted to drapes they come out truer, for skinning does not deform cloth as its linear part says.
+    rest_normals: (n, 3), of any length but zero, what skinning carries to the draped garment's normals. Default those
+    of the mesh; fitted to drapes they come out truer, for cloth does not deform as skinning's linear part says.
     hyper_modulator: arrays by name (see `physkin_core.hyper_modulator`), "fit" among them only where made to measure
     was learnt. pose_modulator, node_deformer: layers.
     training, scores: plain data on how it was trained (seed, bodies, steps) and how it measured up.

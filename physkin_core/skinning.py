@@ -34,8 +34,8 @@ def skin(
     influence_nodes: np.ndarray,
     influence_weights: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Deform the garment: x' = sum_i w_i chi_i chi-bar_i^-1 x, normals by the cofactors of the blended linear part, then
-    to unit length.
+    """Deform the garment: x' = sum_i w_i chi_i chi-bar_i^-1 x, normals by the cofactors of the blended linear part,
+    then to unit length.
 
     nodes: (m, 3, 4). node_rest: (m, 3). vertices, normals: (n, 3). influence_nodes, influence_weights: (n, K).
     Returns positions (n, 3) and normals (n, 3).
