@@ -19,12 +19,11 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from physkin_core import Motion, load_motion
+from physkin_ros.discovery import wait_for_subscribers
 
 __all__ = ["RATE_HZ", "main", "play"]
 
 RATE_HZ = 60.0
-DISCOVERY_SECONDS = 20.0
-SETTLING_SECONDS = 0.5  # the reader may know of the writer a moment after the writer knows of the reader
 
 
 def play(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
@@ -37,7 +36,7 @@ def play(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     try:
         publisher = node.create_publisher(JointState, "joint_states", QoSProfile(depth=100))
         gravity_publisher = node.create_publisher(Vector3Stamped, "gravity", QoSProfile(depth=100))
-        _wait_for_subscriber(publisher, gravity_publisher)
+        wait_for_subscribers(publisher, gravity_publisher)
         frames = [array("d", frame) for frame in motion.positions.astype(np.float64).tolist()]
         directions = motion.gravity.astype(np.float64).tolist()
         tilt = Vector3Stamped()
@@ -80,15 +79,6 @@ def main() -> int:
         rclpy.try_shutdown()
     np.savez(arguments.output, stamps=stamps, sent=sent)
     return 0
-
-
-def _wait_for_subscriber(*publishers) -> None:
-    deadline = time.monotonic() + DISCOVERY_SECONDS
-    while not all(publisher.get_subscription_count() for publisher in publishers):
-        if time.monotonic() > deadline:
-            raise TimeoutError(f"nobody has subscribed to joint_states and gravity for {DISCOVERY_SECONDS:.0f} s")
-        time.sleep(0.02)
-    time.sleep(SETTLING_SECONDS)
 
 
 if __name__ == "__main__":

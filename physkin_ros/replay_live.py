@@ -12,12 +12,10 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from physkin_ros.bags import BagReader
+from physkin_ros.discovery import wait_for_subscribers
 from physkin_ros.transport import use_shipped_profile
 
 __all__ = ["play"]
-
-DISCOVERY_SECONDS = 20.0
-SETTLING_SECONDS = 0.5  # the reader may know of the writer a moment after the writer knows of the reader
 
 
 def play(bag: BagReader, *, rate: float = 1.0) -> np.ndarray:
@@ -33,7 +31,7 @@ def play(bag: BagReader, *, rate: float = 1.0) -> np.ndarray:
         publishers = {"joint_state": node.create_publisher(JointState, bag.topic, QoSProfile(depth=100))}
         if bag.gravity_topic is not None:
             publishers["gravity"] = node.create_publisher(Vector3Stamped, bag.gravity_topic, QoSProfile(depth=100))
-        _wait_for_subscriber(publishers["joint_state"], bag.topic)
+        wait_for_subscribers(publishers["joint_state"])
         late, begin, first = [], time.monotonic(), None
         for message in bag:
             first = message.time_ns if first is None else first
@@ -47,12 +45,3 @@ def play(bag: BagReader, *, rate: float = 1.0) -> np.ndarray:
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-
-
-def _wait_for_subscriber(publisher, topic: str) -> None:
-    deadline = time.monotonic() + DISCOVERY_SECONDS
-    while not publisher.get_subscription_count():
-        if time.monotonic() > deadline:
-            raise TimeoutError(f"nobody has subscribed to {topic} for {DISCOVERY_SECONDS:.0f} s; start the node first")
-        time.sleep(0.02)
-    time.sleep(SETTLING_SECONDS)

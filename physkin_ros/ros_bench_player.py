@@ -18,6 +18,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from physkin_core import load_motion
+from physkin_ros.discovery import wait_for_subscribers
 from physkin_ros.machine import cpu_seconds
 from physkin_ros.serialised import SerialisedMessage
 
@@ -25,8 +26,6 @@ __all__ = ["MOTION", "main", "play"]
 
 MOTION = "dance"
 MARKER = 1.2345678e-300
-DISCOVERY_SECONDS = 30.0
-SETTLING_SECONDS = 0.5
 WARM_UP_SECONDS = 1.0
 DRAIN_SECONDS = 0.3  # for what is on its way when the last joint state is out
 
@@ -44,12 +43,7 @@ def play(node, rate: float, seconds: float, avatars: int, watched: int) -> dict[
     publishers = [
         node.create_publisher(JointState, f"a{index}/joint_states", QoSProfile(depth=100)) for index in range(avatars)
     ]
-    deadline = time.monotonic() + DISCOVERY_SECONDS
-    while not all(publisher.get_subscription_count() for publisher in publishers):
-        if time.monotonic() > deadline:
-            raise TimeoutError(f"nobody has subscribed to the joint states for {DISCOVERY_SECONDS:.0f} s")
-        time.sleep(0.02)
-    time.sleep(SETTLING_SECONDS)
+    wait_for_subscribers(*publishers)
     marker = np.full(len(motion.joint_names), MARKER)
     message = SerialisedMessage(JointState(name=list(motion.joint_names), position=array("d", marker.tolist())), marker)
     warm_up, count = round(WARM_UP_SECONDS * rate), round(seconds * rate)

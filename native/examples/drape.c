@@ -17,12 +17,13 @@ int main(int argc, char** argv) {
   float* pose = malloc((size_t)joints * sizeof *pose);
   float* rows = malloc((size_t)vertices * 6 * sizeof *rows);
   if (pose == NULL || rows == NULL) return 1;
-  for (int32_t j = 0; j < joints; ++j) {
-    float lower, upper;
-    physkin_joint_range(garment, j, &lower, &pose[j], &upper);
-    for (int k = 2; k + 1 < argc; k += 2) {
-      if (strcmp(argv[k], physkin_joint_name(garment, j)) == 0) pose[j] = strtof(argv[k + 1], NULL);
-    }
+  float lower, upper;
+  for (int32_t j = 0; j < joints; ++j) physkin_joint_range(garment, j, &lower, &pose[j], &upper);
+  for (int k = 2; k + 1 < argc; k += 2) {
+    int32_t j = 0;
+    while (j < joints && strcmp(argv[k], physkin_joint_name(garment, j)) != 0) ++j;
+    if (j == joints) return fprintf(stderr, "no joint %s\n", argv[k]), 2;
+    pose[j] = strtof(argv[k + 1], NULL);
   }
   const float gravity[3] = {0.0f, 0.0f, -1.0f}; /* of an upright body */
   if (physkin_step(garment, pose, gravity, rows, 6, 6) != PHYSKIN_OK) { /* once a frame */

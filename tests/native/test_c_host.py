@@ -85,6 +85,8 @@ def test_the_example_gives_the_python_evaluators_bits(library, tmp_path):
     assert np.array_equal(np.array(faces, dtype=int) - 1, draper.faces)
     broken = subprocess.run([program, program], capture_output=True, text=True)
     assert broken.returncode == 1 and "no safetensors file" in broken.stderr
+    misspelt = subprocess.run([program, bound, "elbow", "1"], capture_output=True, text=True)
+    assert misspelt.returncode == 2 and misspelt.stderr == "no joint elbow\n" and not misspelt.stdout
 
 
 @pytest.mark.parametrize("level", supported_instruction_sets())
