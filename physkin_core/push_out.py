@@ -23,6 +23,7 @@ import numpy as np
 from physkin_core.avatar import Avatar
 from physkin_core.garment import vertex_normals
 from physkin_core.rig import Rig
+from physkin_core.skinning import cofactors
 
 __all__ = ["BLOCK", "PATCH", "BoundPushOut", "ContactResidual", "bind_push_out", "push_out"]
 
@@ -106,7 +107,7 @@ def push_out(
     """
     matrices = _blend(bone_transforms, bound.body_bones, bound.body_weights)
     body = np.einsum("vij,vj->vi", matrices[..., :3], bound.body_vertices) + matrices[..., 3]
-    outward = _unit(np.einsum("vij,vj->vi", matrices[..., :3], bound.body_normals))
+    outward = _unit(np.einsum("vij,vj->vi", cofactors(matrices[..., :3]), bound.body_normals))
     deepest, left_inside = 0.0, 0
     for block, start, end in zip(
         bound.block_vertices, bound.candidate_start[:-1], bound.candidate_start[1:], strict=True

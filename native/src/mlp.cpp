@@ -4,13 +4,14 @@
 
 namespace physkin {
 
-Mlp::Mlp(const std::vector<DenseWeights>& layers, Activation activation, Precision precision, const Kernels& kernels,
-         Arena& arena, const Mlp* shared, std::size_t first_shared)
-    : kernels_(kernels), precision_(precision), activation_(activation) {
+Mlp::Mlp(const std::vector<DenseWeights>& layers, Activation activation, Precision first, Precision others,
+         const Kernels& kernels, Arena& arena, const Mlp* shared, std::size_t first_shared)
+    : kernels_(kernels), activation_(activation) {
   int widest = 0;
   for (const DenseWeights& layer : layers) {
     const std::size_t k = layers_.size();
     const bool packed = shared != nullptr && k >= first_shared;
+    const Precision precision = k == 0 ? first : others;
     layers_.push_back(packed ? shared->layers_[k] : pack_layer(layer, precision, kernels.layout, arena));
     widest = std::max({widest, layer.inputs, layer.outputs});
   }
@@ -32,8 +33,7 @@ const float* Mlp::run(const float* input, const float* modulation) {
     const DenseCall now = call(k, input, modulation);
     // The network's own input has no zeros worth looking for.
     const bool skip = reading_.skip_zeros && k > 0;
-    const DenseKernels& kernels = kernels_.dense[int(precision_)];
-    const DenseKernel dense = skip ? kernels.nonzero : kernels.all[reading_.fetch_ahead];
+    const DenseKernel dense = skip ? kernels(layer).nonzero : kernels(layer).all[reading_.fetch_ahead];
     dense(layer, now.input, now.scale, now.shift, activation, now.scratch, now.output);
     if (modulation != nullptr) modulation += 2 * layer.outputs;
     input = now.output;
@@ -44,7 +44,6 @@ const float* Mlp::run(const float* input, const float* modulation) {
 void Mlp::run_batch(Mlp* const* networks, int count, const float* const* inputs, const float* const* modulations,
                     const float** outputs) {
   const Mlp& first = *networks[0];
-  const DenseBatchKernel dense = first.kernels_.dense[int(first.precision_)].batch[first.reading_.fetch_ahead];
   std::size_t modulated = 0;
   for (std::size_t k = 0; k < first.layers_.size(); ++k) {
     const Activation activation = k + 1 < first.layers_.size() ? first.activation_ : Activation::none;
@@ -59,7 +58,7 @@ void Mlp::run_batch(Mlp* const* networks, int count, const float* const* inputs,
         calls[together] = networks[body]->call(k, input, modulation);
         outputs[body] = calls[together].output;
       }
-      dense(layer, activation, calls, together);
+      first.kernels(layer).batch[first.reading_.fetch_ahead](layer, activation, calls, together);
       begin += together;
     }
     modulated += 2 * std::size_t(first.layers_[k].outputs);

@@ -10,11 +10,12 @@ namespace physkin {
 
 class Mlp {
  public:
-  // Packs the network weights; the last layer is linear, the others are followed by the activation.
+  // Packs the network weights, those of the first layer in a precision of their own; the last layer is linear, the
+  // others are followed by the activation.
   // `shared`: a network that has the same layers from `first_shared` on, and lives longer; they are not packed again,
   // and read as it reads them.
-  Mlp(const std::vector<DenseWeights>& layers, Activation activation, Precision precision, const Kernels& kernels,
-      Arena& arena, const Mlp* shared = nullptr, std::size_t first_shared = 0);
+  Mlp(const std::vector<DenseWeights>& layers, Activation activation, Precision first, Precision others,
+      const Kernels& kernels, Arena& arena, const Mlp* shared = nullptr, std::size_t first_shared = 0);
 
   // input: 64-byte aligned, readable to a multiple of 64 bytes. modulation: [scale_0, shift_0, scale_1, shift_1, ...]
   // over the hidden activations, readable for kGroup floats beyond its end; null for none. Returns the outputs, valid
@@ -33,10 +34,10 @@ class Mlp {
   int outputs() const { return layers_.back().outputs; }
 
  private:
+  const DenseKernels& kernels(const PackedLayer& layer) const { return kernels_.dense[int(layer.precision)]; }
   DenseCall call(std::size_t layer, const float* input, const float* modulation);
 
   const Kernels& kernels_;
-  Precision precision_;
   std::vector<PackedLayer> layers_;
   Activation activation_;
   RowReading reading_;

@@ -112,6 +112,7 @@ void pack_int8(const DenseWeights& layer, PackedLayout layout, Arena& arena, Pac
 
 PackedLayer pack_layer(const DenseWeights& layer, Precision precision, PackedLayout layout, Arena& arena) {
   PackedLayer packed;
+  packed.precision = precision;
   packed.inputs = layer.inputs;
   packed.outputs = layer.outputs;
   switch (precision) {

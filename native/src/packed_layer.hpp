@@ -34,6 +34,7 @@ constexpr int kInt8InputLimit = 127 * 257;
 //   int8: weights[panel][pair of inputs][width][2] signed, or weights[panel][four inputs][width][4] unsigned, 128 more
 //         than the network weight; to be multiplied by output_scale.
 struct PackedLayer {
+  Precision precision = Precision::fp32;
   int inputs = 0, outputs = 0;
   const unsigned char* weights = nullptr;  // 64-byte aligned
   const float* bias = nullptr;             // (padded outputs)

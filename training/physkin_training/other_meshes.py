@@ -53,14 +53,15 @@ def other_meshes(garment: Garment) -> Iterator[tuple[str, Garment]]:
 
 
 def carried_to(model: GarmentModel, garment: Garment) -> GarmentModel:
-    """The model with another mesh of its garment: the same networks and garment nodes, skinning weights from the
-    closest points of the trained mesh. Raises ValueError as `bind_points` does."""
+    """The model with another mesh of its garment: the same networks and garment nodes, skinning weights and rest
+    normals from the closest points of the trained mesh. Raises ValueError as `bind_points` does."""
     if garment is model.garment:
         return model
     bound = bind_points(model, garment.vertices)
     return replace(
         model,
         garment=garment,
+        rest_normals=bound["normals"],
         influence_nodes=bound["influence_nodes"],
         influence_weights=bound["influence_weights"],
     )
