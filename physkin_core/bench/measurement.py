@@ -36,6 +36,7 @@ STAGES = {
 """Stage -> method of a bound step."""
 
 BYTES_A_WEIGHT = {"fp32": 4, "bf16": 2, "int8": 1}
+"""But int8 keeps the node deformer's first layer in bf16."""
 MULTIPLY_ADD_ROUNDS = 5000
 L2_BYTES, L3_BYTES, MEMORY_BYTES = 512 << 10, 4 << 20, 256 << 20
 BATCH_SIZES = (1, 2, 4, 8)
@@ -175,6 +176,7 @@ def _probes(result: CaseResult, level: str) -> dict[tuple[str, bool], Callable[[
     """By name and whether memory is fetched ahead of time: what counts is the faster way."""
     sizes = {"l2": L2_BYTES, "l3": L3_BYTES}
     sizes |= {f"read_{name}": bytes_each * result.weight_count for name, bytes_each in BYTES_A_WEIGHT.items()}
+    sizes["read_int8"] += result.case.bound.deformer_layers[0][0].size
     probes = {name: _native.MachineProbe(size, level) for name, size in sizes.items()}
     calls: dict[tuple[str, bool], Callable[[], object]] = {
         (name, fetch_ahead): partial(probe.read, fetch_ahead)

@@ -83,7 +83,8 @@ def test_agrees_with_the_reference(instruction_set, sizes, in_contact):
         reference.evaluate(pose, gravity, expected)
         ReferenceEvaluator(garment).evaluate(pose, gravity, before)
         moved += int((np.abs(expected - before)[:, :3].max(axis=1) > 1e-4).sum())
-        off = np.abs(out - expected).max(axis=1) > 2e-4
+        tolerance = [2e-4] * 3 + [1e-3] * 3  # of a normal where the blend is nearly flat
+        off = (np.abs(out - expected) > tolerance).any(axis=1)
         wrong += int(off.sum())
         if not off.any():
             assert native.residual.deepest == pytest.approx(reference.residual.deepest, abs=1e-4)
