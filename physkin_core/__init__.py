@@ -2,7 +2,7 @@
 
 from physkin_core.avatar import BUNDLED_AVATAR, Avatar, AvatarError, avatar_from_body, load_avatar
 from physkin_core.body_model import BodyModel, load_body_model
-from physkin_core.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
+from physkin_core.draper import BACKENDS, NORMALS, UPRIGHT_GRAVITY, Draper
 from physkin_core.garment import Garment, GarmentError, load_garment
 from physkin_core.garment_model import GarmentModel, GarmentModelError, Material
 from physkin_core.model_file import ModelFileError, load_garment_model, save_garment_model
@@ -12,6 +12,7 @@ from physkin_core.rig import DegreeOfFreedom, Rig, RigError
 __all__ = [
     "BACKENDS",
     "BUNDLED_AVATAR",
+    "NORMALS",
     "UPRIGHT_GRAVITY",
     "Avatar",
     "AvatarError",

@@ -22,11 +22,12 @@ from physkin_core.garment import Garment
 from physkin_core.garment_model import GarmentModel
 from physkin_core.push_out import BoundPushOut, ContactResidual, bind_push_out
 
-__all__ = ["BACKENDS", "UPRIGHT_GRAVITY", "Binding", "Draper"]
+__all__ = ["BACKENDS", "NORMALS", "UPRIGHT_GRAVITY", "Binding", "Draper"]
 
 log = logging.getLogger(__name__)
 
 BACKENDS = ("native", "numpy")
+NORMALS = ("skinned", "faces")
 UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
 """Gravity direction in the root frame of an upright body."""
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
+from typing import Literal
 
 from physkin_core import BUNDLED_AVATAR, Avatar, Draper, GarmentModel, load_avatar, load_garment_model
 from physkin_core.draper import Binding
@@ -68,6 +69,7 @@ class Outfitting:
     precision: str = ""
     fit: float = 0.0
     push_out: bool = False
+    normals: Literal["skinned", "faces"] = "skinned"
 
     def check(self, roots: AssetRoots) -> None:
         """Raises AssetError for a file that may not be used while the node runs."""
@@ -121,6 +123,7 @@ class DraperLoader:
                 precision=wanted.precision or None,
                 fit=wanted.fit,
                 push_out=wanted.push_out,
+                normals=wanted.normals,
                 binding=known,
             )
             _keep(self._bindings, key, draper.binding)

@@ -102,7 +102,15 @@ class AvatarStream:
             garments[index] = replace(garments[index], model=model)
         loaded = [
             self._loader.load(
-                Outfitting(garment.model, mesh, rig_file, garment.precision, garment.fit, garment.push_out)
+                Outfitting(
+                    model=garment.model,
+                    body_mesh=mesh,
+                    body_rig=rig_file,
+                    precision=garment.precision,
+                    fit=garment.fit,
+                    push_out=garment.push_out,
+                    normals=garment.normals,
+                )
             )
             for garment in garments
         ]

@@ -21,7 +21,7 @@ from time import perf_counter_ns
 
 import numpy as np
 
-from physkin_core import BACKENDS, BUNDLED_AVATAR, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
+from physkin_core import BACKENDS, BUNDLED_AVATAR, NORMALS, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
 from physkin_core.native_evaluator import PRECISIONS
 from physkin_core.quality import CLOSE, area_strain, edge_strain, signed_distance
 from physkin_core.skinning import plain_skinning
@@ -241,7 +241,7 @@ def _draper(options: argparse.Namespace) -> Draper:
     for warning in avatar.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     chosen = {"backend": options.backend, "precision": options.precision, "fit": options.fit}
-    return Draper(model, avatar, push_out=options.push_out, **chosen)
+    return Draper(model, avatar, push_out=options.push_out, normals=options.normals, **chosen)
 
 
 def _most_frequent(reasons: Counter) -> str:
@@ -268,6 +268,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--fit", type=float, default=0.0, help="0: one size, 1: made to measure (default 0)")
     parser.add_argument("--push-out", action="store_true", help="bring vertices out of the body, as the node can")
+    parser.add_argument("--normals", choices=NORMALS, default="skinned", help="carried along, or of the draped mesh")
     parser.add_argument("-o", "--output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3")
     parser.add_argument("--storage", choices=STORAGES, help="of an output folder (default mcap)")
     parser.add_argument("--garment-topic", default=GARMENT_TOPIC, help="of the clouds (default %(default)s)")

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from physkin_core import BACKENDS, UPRIGHT_GRAVITY
+from physkin_core import BACKENDS, NORMALS, UPRIGHT_GRAVITY
 from physkin_core.native_evaluator import PRECISIONS
 from physkin_ros.conversions import gravity_direction
 
@@ -153,6 +153,11 @@ GARMENT_SETTINGS = {
         "move vertices that end up inside the body out of it, in microseconds a frame; the node takes seconds more to "
         "start, and its diagnostics tell what is left inside",
     ),
+    "normals": Setting(
+        "skinned",
+        "skinned: carried along with the cloth; faces: of the draped mesh, truer, for some 5 ns a vertex",
+        choices=NORMALS,
+    ),
     "namespace": Setting("", "what the garment's topics are below; default ~, with avatars ~/ID/NAME"),
     "serialised": Setting(
         True,
@@ -178,6 +183,7 @@ class GarmentSettings:
     precision: str
     fit: float
     push_out: bool
+    normals: str
     namespace: str
     serialised: bool
     marker: bool

@@ -142,9 +142,10 @@ def test_ros4hri_joint_states(peer, model_path, draper):
 
 
 def test_precision_and_push_out(peer, model_path, draper, monkeypatch):
-    """Clouds are the core's with both, unlike those without; the diagnostics tell what is left inside."""
+    """Clouds are the core's with both, and with normals of faces, unlike those without; the diagnostics tell what is
+    left inside."""
     monkeypatch.setattr(push_out, "BIND_POSES", 8)
-    options = {"precision": "fp32", "push_out": True}
+    options = {"precision": "fp32", "push_out": True, "normals": "faces"}
     expected = Draper(draper.model, draper.avatar, **options)
     rig = draper.model.rig
     state = np.random.default_rng(3).uniform(rig.lower, rig.upper).astype(np.float32)
