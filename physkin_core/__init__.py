@@ -2,12 +2,13 @@
 
 from physkin_core.avatar import BUNDLED_AVATAR, Avatar, AvatarError, avatar_from_body, load_avatar
 from physkin_core.body_model import BodyModel, load_body_model
-from physkin_core.draper import BACKENDS, NORMALS, UPRIGHT_GRAVITY, Draper
+from physkin_core.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
 from physkin_core.garment import Garment, GarmentError, load_garment
 from physkin_core.garment_model import GarmentModel, GarmentModelError, Material
 from physkin_core.model_file import ModelFileError, load_garment_model, save_garment_model
 from physkin_core.motion import Motion, MotionError, bundled_motions, load_motion
 from physkin_core.rig import DegreeOfFreedom, Rig, RigError
+from physkin_core.skinning import NORMALS
 
 __all__ = [
     "BACKENDS",

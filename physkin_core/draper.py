@@ -22,12 +22,11 @@ from physkin_core.garment import Garment
 from physkin_core.garment_model import GarmentModel
 from physkin_core.push_out import BoundPushOut, ContactResidual, bind_push_out
 
-__all__ = ["BACKENDS", "NORMALS", "UPRIGHT_GRAVITY", "Binding", "Draper"]
+__all__ = ["BACKENDS", "UPRIGHT_GRAVITY", "Binding", "Draper"]
 
 log = logging.getLogger(__name__)
 
 BACKENDS = ("native", "numpy")
-NORMALS = ("skinned", "faces")
 UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
 """Gravity direction in the root frame of an upright body."""
 
@@ -85,16 +84,16 @@ class Draper:
         self.avatar = avatar
         self.backend = backend
         self.bound: BoundGarment = bound
-        self._evaluator = _evaluator(backend, bound, precision, None, normals)
         self._push_out: BoundPushOut | None = None
         if push_out:
             if binding is None or binding.push_out is None:
                 started = perf_counter()
+                self._evaluator = _evaluator(backend, bound, "fp32", None, "skinned")  # the same for every draper
                 self._push_out = bind_push_out(self.drape, model.rig, avatar)
                 log.info("bound the push-out of %s in %.1f s", model.name, perf_counter() - started)
             else:
                 self._push_out = binding.push_out
-            self._evaluator = _evaluator(backend, bound, precision, self._push_out, normals)
+        self._evaluator = _evaluator(backend, bound, precision, self._push_out, normals)
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
 
     @property

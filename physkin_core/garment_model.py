@@ -20,6 +20,7 @@ from physkin_core.rig import Rig
 __all__ = ["GarmentModel", "GarmentModelError", "Material"]
 
 SHORTEST_NORMAL = 1e-3
+"""Rest normals may have any length from here on."""
 
 
 class GarmentModelError(ValueError):
@@ -62,7 +63,7 @@ class GarmentModel:
 
     garment: mesh the model was trained on. node_rest: (m, 3); node_bone: (m,) int32, index into `rig`.
     influence_nodes: (n, K) int32; influence_weights: (n, K) float32, rows sum to 1. Other integer types are converted.
-    rest_normals: (n, 3), of any length but zero, what skinning carries to the draped garment's normals. Default those
+    rest_normals: (n, 3), 1e-3 long at least, what skinning carries to the draped garment's normals. Default those
     of the mesh; fitted to drapes they come out truer, for cloth does not deform as skinning's linear part says.
     hyper_modulator: arrays by name (see `physkin_core.hyper_modulator`), "fit" among them only where made to measure
     was learnt. pose_modulator, node_deformer: layers.
@@ -118,9 +119,12 @@ class GarmentModel:
                 raise GarmentModelError(f"{name} is of type {array.dtype}, expected floating point numbers")
             if not np.isfinite(array).all():
                 raise GarmentModelError(f"{name} holds a value that is not finite")
-        shortest = np.linalg.norm(self.rest_normals, axis=1).min()
-        if shortest < SHORTEST_NORMAL:
-            raise GarmentModelError(f"garment.normals holds one of length {shortest:.1e}, they must have a length")
+        length = np.linalg.norm(self.rest_normals, axis=1)
+        if length.min() < SHORTEST_NORMAL:
+            raise GarmentModelError(
+                f"garment.normals of vertex {int(length.argmin())} is {length.min():.1e} long, allowed: {SHORTEST_NORMAL:g} "
+                "or more"
+            )
 
     @property
     def made_to_measure(self) -> bool:

@@ -267,7 +267,7 @@ def bind_push_out(
 
 
 class _BodySkin:
-    """Linear blend skinning of a body as one matrix product, for many poses: bone transforms -> points, unit normals.
+    """Linear blend skinning of a body by matrix products, for many poses: bone transforms -> points, unit normals.
 
     Called with bone_transforms (b, 3, 4); returns two (V, 3) float32.
     """
@@ -278,11 +278,13 @@ class _BodySkin:
         place = np.concatenate([body, np.ones((len(body), 1))], axis=1).astype(np.float32)
         self._bone_count = dense.shape[1]
         self._place = (dense[:, :, None] * place[:, None]).reshape(len(body), 4 * self._bone_count)
-        self._normal = (dense[:, :, None] * _float(normals)[:, None]).reshape(len(body), 3 * self._bone_count)
+        self._weights, self._normals = dense, _float(normals)
 
     def __call__(self, bone_transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         columns = _float(bone_transforms[: self._bone_count].transpose(0, 2, 1))  # (bones, 4, 3)
-        turned = self._normal @ columns[:, :3].reshape(-1, 3)
+        linear = self._weights @ columns[:, :3].reshape(-1, 9)
+        carry = cofactors(linear.reshape(-1, 3, 3).transpose(0, 2, 1))
+        turned = np.einsum("vij,vj->vi", carry, self._normals)
         return self._place @ columns.reshape(-1, 3), _unit(turned)
 
 

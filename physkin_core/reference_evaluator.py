@@ -16,7 +16,7 @@ from physkin_core.node_deformer import node_corrections
 from physkin_core.pose_modulator import pose_modulation
 from physkin_core.push_out import BoundPushOut, ContactResidual, push_out
 from physkin_core.rig import forward_kinematics, pose_vector
-from physkin_core.skinning import skin
+from physkin_core.skinning import NORMALS, skin
 
 __all__ = ["ReferenceEvaluator"]
 
@@ -37,8 +37,8 @@ class ReferenceEvaluator:
         push_out: BoundPushOut | None = None,
         normals: Literal["skinned", "faces"] = "skinned",
     ) -> None:
-        if normals not in ("skinned", "faces"):
-            raise ValueError(f"normals {normals!r} are unknown; they may be skinned or faces")
+        if normals not in NORMALS:
+            raise ValueError(f"normals {normals!r} are unknown; they may be {' or '.join(NORMALS)}")
         if normals == "faces" and len(bound.faces) == 0:
             raise ValueError("normals of faces need a garment with faces; this one has none")
         self._normals_of_faces = normals == "faces"

@@ -10,7 +10,10 @@ import numpy as np
 from physkin_core.bound_garment import BoundGarment
 from physkin_core.garment_nodes import pose_nodes
 
-__all__ = ["cofactors", "plain_skinning", "skin", "skinning_matrices"]
+__all__ = ["NORMALS", "cofactors", "plain_skinning", "skin", "skinning_matrices"]
+
+NORMALS = ("skinned", "faces")
+"""Where normals come from: rest normals carried along, or the draped mesh's faces."""
 
 
 def cofactors(linear: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from physkin_core import Motion, load_motion
-from physkin_ros.discovery import wait_for_subscribers
+from physkin_ros.subscriber_discovery import wait_for_subscribers
 
 __all__ = ["RATE_HZ", "main", "play"]
 

@@ -12,7 +12,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from physkin_ros.bags import BagReader
-from physkin_ros.discovery import wait_for_subscribers
+from physkin_ros.subscriber_discovery import wait_for_subscribers
 from physkin_ros.transport import use_shipped_profile
 
 __all__ = ["play"]

@@ -8,7 +8,7 @@
 
 int main(int argc, char** argv) {
   physkin_garment* garment;
-  if (physkin_abi_version() != PHYSKIN_ABI_VERSION || argc < 2) return 2;
+  if (physkin_abi_version() != PHYSKIN_ABI_VERSION || argc < 2 || argc % 2 != 0) return 2;
   if (physkin_open(argv[1], NULL, &garment) != PHYSKIN_OK) {
     fprintf(stderr, "%s\n", physkin_last_error());
     return 1;
@@ -19,10 +19,13 @@ int main(int argc, char** argv) {
   if (pose == NULL || rows == NULL) return 1;
   float lower, upper;
   for (int32_t j = 0; j < joints; ++j) physkin_joint_range(garment, j, &lower, &pose[j], &upper);
-  for (int k = 2; k + 1 < argc; k += 2) {
+  for (int k = 2; k < argc; k += 2) {
     int32_t j = 0;
     while (j < joints && strcmp(argv[k], physkin_joint_name(garment, j)) != 0) ++j;
-    if (j == joints) return fprintf(stderr, "no joint %s\n", argv[k]), 2;
+    if (j == joints) {
+      fprintf(stderr, "no joint %s\n", argv[k]);
+      return 2;
+    }
     pose[j] = strtof(argv[k + 1], NULL);
   }
   const float gravity[3] = {0.0f, 0.0f, -1.0f}; /* of an upright body */

@@ -127,7 +127,8 @@ struct Kernels {
 
   DenseKernels dense[kPrecisionCount];  // by Precision
 
-  // x' = sum_k w_k M_k x, normal' = normalised sum_k w_k A_k normal, with M = [A | c] in matrices (nodes, 12).
+  // x' = M x and normal' = normalised cofactors(A) normal, with M = [A | c] = sum_k w_k M_k, M_k in matrices (nodes, 12).
+  // A normal becomes zero where A flattens the cloth to a line.
   void (*skin)(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows);
 
   // What bounds the others from below (floor_kernel.hpp).

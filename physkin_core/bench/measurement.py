@@ -36,7 +36,7 @@ STAGES = {
 """Stage -> method of a bound step."""
 
 BYTES_A_WEIGHT = {"fp32": 4, "bf16": 2, "int8": 1}
-"""But int8 keeps the node deformer's first layer in bf16."""
+"""Bytes of a network weight; in int8 the node deformer's first layer has as many as in bf16."""
 MULTIPLY_ADD_ROUNDS = 5000
 L2_BYTES, L3_BYTES, MEMORY_BYTES = 512 << 10, 4 << 20, 256 << 20
 BATCH_SIZES = (1, 2, 4, 8)

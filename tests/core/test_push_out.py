@@ -6,8 +6,10 @@ from random_models import BACKENDS, random_avatar, random_model, unit_rows
 
 from physkin_core import Draper, avatar_from_body, load_body_model, load_garment_model
 from physkin_core import push_out as module
+from physkin_core.garment import vertex_normals
 from physkin_core.push_out import bind_push_out, displacement, patch_distance, push_out
 from physkin_core.quality import signed_distance
+from physkin_core.skinning import skin
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 
@@ -126,6 +128,19 @@ def test_nothing_pops(worn):
     assert largest < 0.0005
 
 
+def test_a_body_is_skinned_as_garments_are():
+    """The set-up's matrix products give the points and normals of `skin`."""
+    avatar = avatar_from_body(BODY, BODY.held_out_bodies[3])
+    normals = vertex_normals(avatar.vertices, avatar.faces)
+    pose = np.random.default_rng(5).uniform(BODY.rig.lower, BODY.rig.upper)
+    bones = BODY.rig.bone_transforms(pose, heads=avatar.bone_heads)
+    skinned = module._BodySkin(avatar.vertices, normals, avatar.influence_bones, avatar.influence_weights)(bones)
+    at_origin = np.zeros((len(bones), 3))
+    expected = skin(bones, at_origin, avatar.vertices, normals, avatar.influence_bones, avatar.influence_weights)
+    for found, wanted in zip(skinned, expected):
+        np.testing.assert_allclose(found, wanted, atol=1e-4)
+
+
 def test_a_garment_that_hangs_clear_is_left_alone():
     """No body within reach: nothing to do, and both backends accept that."""
     random = np.random.default_rng(3)
@@ -145,8 +160,8 @@ def test_draper_pushes_out_when_asked(backend, monkeypatch):
     monkeypatch.setattr(module, "BIND_POSES", 6)
     model = load_garment_model("tshirt")
     avatar = avatar_from_body(BODY, BODY.held_out_bodies[1])
-    plain = Draper(model, avatar, backend=backend)
-    pushing = Draper(model, avatar, backend=backend, push_out=True)
+    plain = Draper(model, avatar, backend=backend, precision="fp32")
+    pushing = Draper(model, avatar, backend=backend, precision="fp32", push_out=True)
     pose = np.random.default_rng(1).uniform(model.rig.lower, model.rig.upper)
     cloth = plain.drape(pose)
     assert plain.residual is None

@@ -86,6 +86,19 @@ def test_int8_of_whole_numbers_is_exact(level, make_garment):
     np.testing.assert_allclose(evaluator.corrections().ravel(), weight.astype(float) @ inputs, atol=1e-3)
 
 
+@pytest.mark.parametrize("level", LEVELS)
+def test_int8_keeps_the_layer_that_reads_bone_transforms(level, make_garment, make_pose):
+    """It is in bf16, bit for bit, and the others are not."""
+    rng = np.random.default_rng(27)
+    for widths, same in (((), True), ((40,), False)):
+        garment = make_garment(rng, nodes=12, pose_widths=(), deformer_widths=widths)
+        pose = make_pose(rng, garment)
+        evaluators = [NativeEvaluator(garment, instruction_set=level, precision=name) for name in ("bf16", "int8")]
+        for evaluator in evaluators:
+            frame(evaluator, garment, pose)
+        assert np.array_equal(*(evaluator.corrections() for evaluator in evaluators)) == same
+
+
 @pytest.mark.skipif("v4_vnni" not in LEVELS, reason="this CPU has no AVX-512 VNNI")
 @pytest.mark.parametrize("activation", ["silu", "relu"])
 @pytest.mark.parametrize("shape", SHAPES)

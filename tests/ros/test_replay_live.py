@@ -66,8 +66,8 @@ def test_options_that_mean_nothing_are_refused(bag, arguments, reason, capsys):
 
 def test_nobody_listens(bag, domain, monkeypatch, capsys):
     """Told in one line."""
-    from physkin_ros import discovery
+    from physkin_ros import subscriber_discovery
 
-    monkeypatch.setattr(discovery, "DISCOVERY_SECONDS", 0.2)
+    monkeypatch.setattr(subscriber_discovery, "DISCOVERY_SECONDS", 0.2)
     assert cli.main(["replay", str(bag[0]), "--live"]) == 2
     assert "nobody has subscribed to /arm/joints" in capsys.readouterr().err

@@ -17,10 +17,12 @@ pytest.importorskip("potpourri3d", reason="needs the [training] extra")
 from training.small_runs import as_toml, small_config  # noqa: E402
 
 from physkin_core import load_garment, load_garment_model  # noqa: E402
+from physkin_core.garment import vertex_normals  # noqa: E402
 from physkin_core.hyper_modulator import POINT_COUNT  # noqa: E402
 from physkin_training import train  # noqa: E402
 from physkin_training.config import load_config  # noqa: E402
-from physkin_training.export import Agreement  # noqa: E402
+from physkin_training.export import Agreement, drape_from_model  # noqa: E402
+from physkin_training.rest_normals import fitted_rest_normals  # noqa: E402
 from physkin_training.train import main  # noqa: E402
 from physkin_training.trainer import TERMS, Trainer  # noqa: E402
 
@@ -239,6 +241,9 @@ def test_the_command_writes_model_checkpoint_and_scalars(config_file, tmp_path):
     assert "validation_energy" not in rows[0] and rows[1]["validation_energy"] == rows[1]["best_validation_energy"]
     garment = load_garment(tmp_path / "band.obj")
     np.testing.assert_allclose(model.garment.vertices, garment.vertices, atol=1e-6)
+    fitted = fitted_rest_normals(drape_from_model(model), model.garment, model.rig)
+    np.testing.assert_allclose(model.rest_normals, fitted, atol=0.01)
+    assert np.abs(fitted - vertex_normals(garment.vertices, garment.faces)).max() > 0.02
 
 
 @pytest.mark.parametrize(

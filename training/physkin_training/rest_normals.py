@@ -24,7 +24,7 @@ from physkin_core.body_model import load_body_model
 from physkin_core.draper import Draper
 from physkin_core.garment import Garment, vertex_normals
 from physkin_core.garment_model import GarmentModel
-from physkin_core.model_file import ModelFileError, load_garment_model, save_garment_model, shipped_models
+from physkin_core.model_file import load_garment_model, save_garment_model, shipped_models
 from physkin_core.motion import bundled_motions, load_motion
 from physkin_core.rig import Rig
 from physkin_training.draping import Drape
@@ -47,9 +47,12 @@ def fitted_rest_normals(
     """Unit rest normals (n, 3) float32 of the template, least squares over drapes on training bodies.
 
     Poses are uniform in the joint limits, shrunk around the canonical pose by 0 to 1, by little in few of them: motion
-    is seldom far out. Raises ValueError when bodies or poses are below 1 or there are not so many training bodies.
+    is seldom far out. Raises ValueError for another rig than the body model's, and when bodies or poses are below 1 or
+    there are not so many training bodies.
     """
     body_model = load_body_model()
+    if rig.to_json() != body_model.rig.to_json():
+        raise ValueError("normals are fitted on the body model's bodies; this garment has another rig")
     if not (1 <= bodies <= len(body_model.train_bodies) and poses >= 1):
         allowed = f"1 to {len(body_model.train_bodies)} bodies and 1 pose or more"
         raise ValueError(f"cannot fit normals to {bodies} bodies in {poses} poses, allowed: {allowed}")
@@ -145,14 +148,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     for path in options.models:
         try:
             model = load_garment_model(path)
-        except ModelFileError as error:
+            rows = {f"{model.name}, those of the mesh": replace(model, rest_normals=None)}
+            if options.store:
+                fitted = fitted_rest_normals(drape_from_model(model), model.garment, model.rig)
+                model = replace(model, rest_normals=fitted)
+                save_garment_model(model, path)
+        except ValueError as error:
             print(f"error: {error}", file=sys.stderr)
             return 2
-        rows = {f"{model.name}, those of the mesh": replace(model, rest_normals=None)}
-        if options.store:
-            fitted = fitted_rest_normals(drape_from_model(model), model.garment, model.rig)
-            model = replace(model, rest_normals=fitted)
-            save_garment_model(model, path)
         rows[f"{model.name}, as stored"] = model
         for label, measured in rows.items():
             errors = normal_errors(measured, bodies=MEASURED_BODIES, frames=MEASURED_FRAMES)

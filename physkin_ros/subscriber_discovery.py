@@ -16,7 +16,7 @@ def wait_for_subscribers(*publishers) -> None:
     while alone := [publisher.topic_name for publisher in publishers if not publisher.get_subscription_count()]:
         if time.monotonic() > deadline:
             raise TimeoutError(
-                f"nobody has subscribed to {alone[0]} for {DISCOVERY_SECONDS:.0f} s; start the node first"
+                f"nobody has subscribed to {alone[0]} for {DISCOVERY_SECONDS:.0f} s; is the node running?"
             )
         time.sleep(0.02)
     time.sleep(SETTLING_SECONDS)
