@@ -28,6 +28,7 @@ from physkin_core import (  # noqa: E402
     load_motion,
     save_garment_model,  # noqa: E402
 )
+from physkin_core.garment import vertex_normals  # noqa: E402
 from physkin_core.quality import area_strain, edge_strain, jitter, signed_distance  # noqa: E402
 from physkin_core.skinning import plain_skinning  # noqa: E402
 from physkin_ros.bags import GRAVITY, JOINT_STATE, TYPES, BagError, BagReader, BagWriter, write_motion  # noqa: E402
@@ -318,6 +319,16 @@ def test_baseline_of_the_same_run_passes(quick, leaning_model_path, bag, tmp_pat
     again = ["--baseline", str(old), "--report", str(page), "--pictures", "0", "--json", str(tmp_path / "new.json")]
     assert cli.main([*arguments, *again]) == 0
     assert "not worse than" in capsys.readouterr().out and "Not worse than the baseline" in page.read_text()
+
+
+def test_normals_of_faces_when_asked(leaning_model_path, bag, tmp_path):
+    arguments = ["replay", str(bag), "--model", str(leaning_model_path), "--contact-every", "0", "--normals", "faces"]
+    assert cli.main([*arguments, "-o", str(tmp_path / "out")]) == 0
+    model = load_garment_model(leaning_model_path)
+    faces = Draper(model, load_avatar(BUNDLED_AVATAR, model.rig), normals="faces").faces
+    for _, _, message in recorded(tmp_path / "out")[::20]:
+        cloud = read_cloud(message)
+        np.testing.assert_allclose(cloud[:, 3:], vertex_normals(cloud[:, :3], faces), atol=1e-3)
 
 
 def test_worse_garment_fails_against_the_baseline(quick, crumpled_path, leaning_model_path, bag, tmp_path, capsys):
