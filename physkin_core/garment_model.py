@@ -122,8 +122,8 @@ class GarmentModel:
         length = np.linalg.norm(self.rest_normals, axis=1)
         if length.min() < SHORTEST_NORMAL:
             raise GarmentModelError(
-                f"garment.normals of vertex {int(length.argmin())} is {length.min():.1e} long, allowed: {SHORTEST_NORMAL:g} "
-                "or more"
+                f"garment.normals of vertex {int(length.argmin())} is {length.min():.1e} long, "
+                f"allowed: {SHORTEST_NORMAL:g} or more"
             )
 
     @property

@@ -18,9 +18,9 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from physkin_core import load_motion
-from physkin_ros.subscriber_discovery import wait_for_subscribers
 from physkin_ros.machine import cpu_seconds
 from physkin_ros.serialised import SerialisedMessage
+from physkin_ros.subscriber_discovery import wait_for_subscribers
 
 __all__ = ["MOTION", "main", "play"]
 

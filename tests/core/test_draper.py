@@ -416,8 +416,8 @@ def test_the_fit_reaches_the_networks(measured):
 
 
 def test_points_are_made_to_measure_as_the_mesh_they_lie_on(measured):
-    """The mesh's own vertices given as points: the same drape; given normals turn with the cloth, and as the model's are
-    fitted."""
+    """The mesh's own vertices given as points: the same drape; given normals turn with the cloth, and as the model's
+    are fitted."""
     model, avatar = measured
     axis = np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]], dtype=np.float32)
     model = replace(model, rest_normals=model.rest_normals @ axis)
