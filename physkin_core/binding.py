@@ -24,6 +24,7 @@ from physkin_core.hyper_modulator import POINT_COUNT, at_fit, body_modulation
 from physkin_core.mlp import fold_modulation
 from physkin_core.node_deformer import fold_first_layer
 from physkin_core.shape_fitting import surface_on_avatar
+from physkin_core.skinning import unit
 from physkin_core.surface_sampling import sample_surface
 
 __all__ = ["bind_garment", "bind_points", "encode_body"]
@@ -167,18 +168,18 @@ def bind_points(
     def there(of_vertices: np.ndarray) -> np.ndarray:
         return np.einsum("nc,nci->ni", barycentric, of_vertices[corners])
 
-    fitted = _unit(there(_rest_normals(model, garment.vertices if rest is None else rest)))
+    fitted = unit(there(_rest_normals(model, garment.vertices if rest is None else rest)))
     if normals is None:
         normals = fitted
     else:
-        normals = _turned(normals, _unit(there(vertex_normals(garment.vertices, garment.faces))), fitted)
+        normals = _turned(normals, unit(there(vertex_normals(garment.vertices, garment.faces))), fitted)
     if rest is not None:
         points = points + there(rest - garment.vertices)
     chunks = [slice(start, start + POINTS_AT_ONCE) for start in range(0, len(points), POINTS_AT_ONCE)]
     influences = [_influences_in_faces(model, corners[chunk], barycentric[chunk]) for chunk in chunks]
     return {
         "vertices": _float(points),
-        "normals": _float(_unit(normals)),
+        "normals": _float(unit(normals)),
         "influence_nodes": np.concatenate([nodes for nodes, _ in influences]),
         "influence_weights": np.concatenate([weights for _, weights in influences]),
         "faces": np.empty((0, 3), dtype=np.int32),
@@ -189,11 +190,7 @@ def _rest_normals(model: GarmentModel, vertices: np.ndarray) -> np.ndarray:
     """Unit rest normals (n, 3) of the garment reshaped to vertices (n, 3): the model's, turned as the mesh's are."""
     faces = model.garment.faces
     start, end = vertex_normals(model.garment.vertices, faces), vertex_normals(vertices, faces)
-    return _unit(_turned(model.rest_normals.astype(np.float64), start, end))
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+    return unit(_turned(model.rest_normals.astype(np.float64), start, end))
 
 
 def _turned(vectors: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ import numpy as np
 from physkin_core.avatar import Avatar
 from physkin_core.garment import vertex_normals
 from physkin_core.rig import Rig
-from physkin_core.skinning import cofactors
+from physkin_core.skinning import cofactors, skin, unit
 
 __all__ = ["BLOCK", "PATCH", "BoundPushOut", "ContactResidual", "bind_push_out", "push_out"]
 
@@ -105,9 +105,10 @@ def push_out(
     bone_transforms: (b, 3, 4) of this body. positions: (n, 3) [m]; normals: (n, 3) unit, turned towards the body's
     where a vertex was moved far.
     """
-    matrices = _blend(bone_transforms, bound.body_bones, bound.body_weights)
-    body = np.einsum("vij,vj->vi", matrices[..., :3], bound.body_vertices) + matrices[..., 3]
-    outward = _unit(np.einsum("vij,vj->vi", cofactors(matrices[..., :3]), bound.body_normals))
+    origin = np.zeros((len(bone_transforms), 3))  # bone transforms apply to points as they are
+    body, outward = skin(
+        bone_transforms, origin, bound.body_vertices, bound.body_normals, bound.body_bones, bound.body_weights
+    )
     deepest, left_inside = 0.0, 0
     for block, start, end in zip(
         bound.block_vertices, bound.candidate_start[:-1], bound.candidate_start[1:], strict=True
@@ -130,7 +131,7 @@ def push_out(
         left_inside += int((trusted < -TOLERATED_DEPTH).sum())
         if normals is not None:
             far = np.linalg.norm(moved - positions[vertices], axis=1) / LOOK_CLOSER
-            normals[vertices] = _unit(normals[vertices] + far[:, None] * normal)
+            normals[vertices] = unit(normals[vertices] + far[:, None] * normal)
         positions[vertices] = moved
     return ContactResidual(float(deepest), left_inside)
 
@@ -160,7 +161,7 @@ def patch_distance(
     best = (offset**2).sum(axis=-1).argmin(axis=1)
     rows = np.arange(len(points))
     offset = offset[rows, best]
-    normal = _unit(np.einsum("nc,nci->ni", barycentric[rows, best], outward[patch[rows, best]]))
+    normal = unit(np.einsum("nc,nci->ni", barycentric[rows, best], outward[patch[rows, best]]))
     length, along = np.linalg.norm(offset, axis=1), (offset * normal).sum(axis=1)
     beside = np.linalg.norm(offset - along[:, None] * normal, axis=1) / np.maximum(length, NEAR_ENOUGH)
     trust = np.clip((BESIDE[1] - beside) / (BESIDE[1] - BESIDE[0]), 0, 1)
@@ -281,11 +282,11 @@ class _BodySkin:
         self._weights, self._normals = dense, _float(normals)
 
     def __call__(self, bone_transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        columns = _float(bone_transforms[: self._bone_count].transpose(0, 2, 1))  # (bones, 4, 3)
-        linear = self._weights @ columns[:, :3].reshape(-1, 9)
-        carry = cofactors(linear.reshape(-1, 3, 3).transpose(0, 2, 1))
-        turned = np.einsum("vij,vj->vi", carry, self._normals)
-        return self._place @ columns.reshape(-1, 3), _unit(turned)
+        transforms = _float(bone_transforms[: self._bone_count])
+        columns = transforms.transpose(0, 2, 1)  # (bones, 4, 3)
+        linear = (self._weights @ transforms[..., :3].reshape(-1, 9)).reshape(-1, 3, 3)
+        turned = np.einsum("vij,vj->vi", cofactors(linear), self._normals)
+        return self._place @ columns.reshape(-1, 3), unit(turned)
 
 
 def _worn_on(rest: np.ndarray, body: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -343,15 +344,6 @@ def _bend(body: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> np.ndarra
     fall = -(step * normals[edges[:, 0]]).sum(axis=1) / np.maximum((step * step).sum(axis=1), 1e-12)
     total = np.bincount(edges[:, 0], weights=fall, minlength=len(body))
     return total / np.maximum(np.bincount(edges[:, 0], minlength=len(body)), 1)
-
-
-def _blend(bone_transforms: np.ndarray, bones: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(V, 3, 4) linear blend skinning's matrix of each body vertex."""
-    return np.einsum("vk,vkij->vij", weights, np.asarray(bone_transforms)[bones])
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
 def _float(array: np.ndarray) -> np.ndarray:

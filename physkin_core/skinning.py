@@ -10,7 +10,7 @@ import numpy as np
 from physkin_core.bound_garment import BoundGarment
 from physkin_core.garment_nodes import pose_nodes
 
-__all__ = ["NORMALS", "cofactors", "plain_skinning", "skin", "skinning_matrices"]
+__all__ = ["NORMALS", "cofactors", "plain_skinning", "skin", "skinning_matrices", "unit"]
 
 NORMALS = ("skinned", "faces")
 """Where normals come from: rest normals carried along, or the draped mesh's faces."""
@@ -20,6 +20,11 @@ def cofactors(linear: np.ndarray) -> np.ndarray:
     """(..., 3, 3) what normals transform by where tangents transform by `linear` (..., 3, 3): det(A) A^-T."""
     x, y, z = np.moveaxis(linear, -1, 0)
     return np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-1)
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) at unit length; one without a length stays zero."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
 def skinning_matrices(nodes: np.ndarray, node_rest: np.ndarray) -> np.ndarray:
@@ -47,7 +52,7 @@ def skin(
     blended = np.einsum("nk,nkij->nij", influence_weights, matrices[influence_nodes])
     positions = np.einsum("nij,nj->ni", blended[..., :3], vertices) + blended[..., 3]
     turned = np.einsum("nij,nj->ni", cofactors(blended[..., :3]), normals)
-    return positions, turned / np.maximum(np.linalg.norm(turned, axis=-1, keepdims=True), 1e-12)
+    return positions, unit(turned)
 
 
 def plain_skinning(bound: BoundGarment, bone_transforms: np.ndarray) -> np.ndarray:

@@ -138,8 +138,7 @@ class Drape(nn.Module):
         rest: the samples' rest shapes, default the template for all.
         """
         n, m = len(self.vertices), len(self.node_rest)
-        dense = torch.zeros(n, m, device=nodes.device, dtype=nodes.dtype)
-        dense = dense.scatter_add(1, self.influence_nodes, self.skinning_weights.to(nodes.dtype))
+        dense = self._dense_skinning_weights(nodes)
         if rest is not None:
             shift = nodes[..., 3:] - nodes[..., :3] @ rest.nodes[..., None]
             handles = torch.cat([nodes[..., :3], shift], dim=-1).permute(1, 0, 2, 3).reshape(m, -1)
@@ -149,6 +148,15 @@ class Drape(nn.Module):
         basis = torch.cat([dense[..., None] * offset, dense[..., None]], dim=-1).view(n, 4 * m)
         handles = nodes.permute(1, 3, 0, 2).reshape(4 * m, -1)
         return (basis @ handles).view(n, -1, 3).transpose(0, 1).contiguous()
+
+    def linear_parts(self, nodes: torch.Tensor) -> torch.Tensor:
+        """The linear parts of garment node transforms (B, m, 3, 4), blended at each vertex: (B, n, 3, 3)."""
+        return torch.einsum("vm,bmij->bvij", self._dense_skinning_weights(nodes), nodes[..., :3])
+
+    def _dense_skinning_weights(self, nodes: torch.Tensor) -> torch.Tensor:
+        """Skinning weights over all garment nodes (n, m), in the type of `nodes`."""
+        dense = torch.zeros(len(self.vertices), len(self.node_rest), device=nodes.device, dtype=nodes.dtype)
+        return dense.scatter_add(1, self.influence_nodes, self.skinning_weights.to(nodes.dtype))
 
 
 def delta_transforms(raw: torch.Tensor) -> torch.Tensor:

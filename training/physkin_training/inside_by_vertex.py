@@ -9,6 +9,7 @@ from __future__ import annotations
 import torch
 import warp as wp
 
+from physkin_training.area_normals import area_normals
 from physkin_training.posed_bodies import PosedBodies
 
 __all__ = ["inside_by_vertex"]
@@ -54,12 +55,7 @@ def inside_by_vertex(vertices: torch.Tensor, posed: PosedBodies, *, reach: float
     """
     samples, n, _ = vertices.shape
     points = wp.to_torch(posed.mesh.points).view(samples, -1, 3)
-    faces = posed.bodies.faces
-    corners = points[:, faces]
-    cross = torch.linalg.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
-    normals = torch.zeros_like(points)
-    for corner in range(3):
-        normals.index_add_(1, faces[:, corner], cross)
+    normals = area_normals(points, posed.bodies.faces)
     inside = torch.zeros(samples, n, dtype=torch.bool, device=vertices.device)
     wp.launch(
         inside_by_vertex_kernel,

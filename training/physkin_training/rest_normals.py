@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
+from torch.nn.functional import normalize
 
 from physkin_core.avatar import avatar_from_body
 from physkin_core.body_model import load_body_model
@@ -27,7 +28,9 @@ from physkin_core.garment_model import GarmentModel
 from physkin_core.model_file import load_garment_model, save_garment_model, shipped_models
 from physkin_core.motion import bundled_motions, load_motion
 from physkin_core.rig import Rig
+from physkin_training.area_normals import area_normals
 from physkin_training.draping import Drape
+from physkin_training.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 from physkin_training.export import drape_from_model, encode_bodies
 from physkin_training.posed_bodies import BodySet
 
@@ -63,8 +66,6 @@ def fitted_rest_normals(
     heads = body_set.heads.cpu().numpy()
     faces = torch.as_tensor(np.array(garment.faces), dtype=torch.int64, device=device)
     own = torch.as_tensor(vertex_normals(garment.vertices, garment.faces), dtype=torch.float32, device=device)
-    weights = torch.zeros(len(own), len(drape.node_rest), device=device)
-    weights.scatter_add_(1, drape.influence_nodes, drape.skinning_weights)
     share = RIDGE * bodies * poses
     squares = share * torch.eye(3, device=device).repeat(len(own), 1, 1)
     products = share * own
@@ -77,29 +78,18 @@ def fitted_rest_normals(
         bones, positions = (torch.as_tensor(a, dtype=torch.float32, device=device) for a in (transforms, joints))
         posed = drape.posed_nodes(bones, node_positions[body].expand(poses, -1, -1))
         nodes = drape.draped_nodes(modulations[body].expand(poses, -1), positions, gravity, posed)
-        normals = _vertex_normals(drape.skin(nodes), faces)
-        linear = torch.einsum("vm,bmij->bvij", weights, nodes[..., :3])
-        carry = _cofactors(linear)
+        normals = normalize(area_normals(drape.skin(nodes), faces), dim=2)
+        carry = _cofactors(drape.linear_parts(nodes))
         squares += torch.einsum("bvji,bvjk->vik", carry, carry)
         products += torch.einsum("bvji,bvj->vi", carry, normals)
     fitted = torch.linalg.solve(squares, products)
-    return torch.nn.functional.normalize(fitted, dim=1).cpu().numpy()
+    return normalize(fitted, dim=1).cpu().numpy()
 
 
 def _cofactors(linear: torch.Tensor) -> torch.Tensor:
     """Twin of `physkin_core.skinning.cofactors`, (..., 3, 3)."""
     x, y, z = linear.unbind(dim=-1)
     return torch.stack([torch.linalg.cross(y, z), torch.linalg.cross(z, x), torch.linalg.cross(x, y)], dim=-1)
-
-
-def _vertex_normals(vertices: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
-    """Twin of `physkin_core.garment.vertex_normals` for frames (B, n, 3)."""
-    a, b, c = (vertices[:, faces[:, corner]] for corner in range(3))
-    cross = torch.linalg.cross(b - a, c - a)
-    sums = torch.zeros_like(vertices)
-    for corner in range(3):
-        sums.index_add_(1, faces[:, corner], cross)
-    return torch.nn.functional.normalize(sums, dim=2)
 
 
 @dataclass(frozen=True)
@@ -114,24 +104,21 @@ def normal_errors(model: GarmentModel, *, bodies: int, frames: int) -> dict[str,
     """Angles by bundled motion, and for uniform poses, on held-out adults at `frames` frames each."""
     body_model = load_body_model()
     angles: dict[str, list[np.ndarray]] = {}
+    takes = _takes(model.rig, frames)
     for coefficients in body_model.held_out_bodies[:bodies]:
         draper = Draper(model, avatar_from_body(body_model, coefficients), precision="fp32")
-        for name, positions, gravity in _takes(model.rig, frames):
-            for joints, down in zip(positions, gravity):
+        for name, pairs in takes.items():
+            for joints, down in zip(pairs.positions.numpy(), pairs.gravity.numpy()):
                 cloud = draper.drape(joints, down)
                 cosine = (cloud[:, 3:] * vertex_normals(cloud[:, :3], draper.faces)).sum(axis=1)
                 angles.setdefault(name, []).append(np.degrees(np.arccos(cosine.clip(-1, 1))))
     return {name: NormalErrors(*np.percentile(np.concatenate(each), (50, 99))) for name, each in angles.items()}
 
 
-def _takes(rig: Rig, frames: int) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Name, joint positions (frames, d) [rad] and gravity (frames, 3)."""
-    for name in bundled_motions():
-        motion = load_motion(name)
-        chosen = np.linspace(0, motion.frame_count - 1, frames).astype(int)
-        yield name, motion.positions_for(rig)[chosen], motion.gravity[chosen]
-    uniform = np.random.default_rng(1).uniform(rig.lower, rig.upper, (frames, len(rig.rest)))
-    yield "uniform", uniform, np.tile([0.0, 0.0, -1.0], (frames, 1))
+def _takes(rig: Rig, frames: int) -> dict[str, Pairs]:
+    """Poses by bundled motion, evenly spread, and "uniform"."""
+    motions = {name: motion_pairs(load_motion(name), rig, bodies=1).spread(frames) for name in bundled_motions()}
+    return motions | {"uniform": uniform_pairs(rig, bodies=1, poses=frames, seed=0, upright=True)}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -144,7 +131,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"error: --store needs model files, got {', '.join(map(str, options.models))}", file=sys.stderr)
         return 2
     takes = (*bundled_motions(), "uniform")
-    print("| degrees: median, p99 | " + " | ".join(takes) + " |\n" + "|---" * (len(takes) + 1) + "|")
+    print(f"| degrees: median, p99 | {' | '.join(takes)} |\n" + "|---" * (len(takes) + 1) + "|")
     for path in options.models:
         try:
             model = load_garment_model(path)

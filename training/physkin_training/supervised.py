@@ -133,10 +133,7 @@ class _StagedSimulation:
     def _skinned(self, positions: torch.Tensor, body: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Plain skinning (B, n, 3), and how it turns the cloth about each vertex (B, n, 3, 3)."""
         nodes = self._drape.posed_nodes(self._posed.pose(positions, body), self._node_positions[body])
-        weights, influences = self._drape.skinning_weights, self._drape.influence_nodes
-        dense = torch.zeros(len(weights), nodes.shape[1], device=nodes.device).scatter_add(1, influences, weights)
-        turned = torch.einsum("vm,smij->svij", dense, nodes[..., :3])
-        return self._drape.skin(nodes), turned
+        return self._drape.skin(nodes), self._drape.linear_parts(nodes)
 
 
 def _carried(offset: torch.Tensor, turned: torch.Tensor, now: torch.Tensor) -> torch.Tensor:
