@@ -83,7 +83,7 @@ def test_agrees_with_the_reference(instruction_set, sizes, in_contact):
         reference.evaluate(pose, gravity, expected)
         ReferenceEvaluator(garment).evaluate(pose, gravity, before)
         moved += int((np.abs(expected - before)[:, :3].max(axis=1) > 1e-4).sum())
-        tolerance = [2e-4] * 3 + [1e-3] * 3  # normals take over the body's, which are uncertain where its blend is nearly flat
+        tolerance = [2e-4] * 3 + [1e-3] * 3  # normals take on the body's, poor where its blend is flat
         off = (np.abs(out - expected) > tolerance).any(axis=1)
         wrong += int(off.sum())
         if not off.any():
