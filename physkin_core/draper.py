@@ -85,15 +85,15 @@ class Draper:
         self.backend = backend
         self.bound: BoundGarment = bound
         self._push_out: BoundPushOut | None = None
+        self._evaluator = _evaluator(backend, bound, precision, None, normals)  # refuses what is unknown at once
         if push_out:
-            if binding is None or binding.push_out is None:
+            self._push_out = binding.push_out if binding is not None else None
+            if self._push_out is None:
                 started = perf_counter()
                 self._evaluator = _evaluator(backend, bound, "fp32", None, "skinned")  # the same for every draper
                 self._push_out = bind_push_out(self.drape, model.rig, avatar)
                 log.info("bound the push-out of %s in %.1f s", model.name, perf_counter() - started)
-            else:
-                self._push_out = binding.push_out
-        self._evaluator = _evaluator(backend, bound, precision, self._push_out, normals)
+            self._evaluator = _evaluator(backend, bound, precision, self._push_out, normals)
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
 
     @property

@@ -114,7 +114,7 @@ def main(argv: list[str] | None = None) -> int:
         "machine": machine_line(),
         "versions": versions_line(),
         "garment": f"{model.name}, {len(model.garment.vertices)} vertices, {len(model.node_rest)} garment nodes",
-        "queue": options.queue,
+        "queue": options.queue or "the node's own",
         "seconds": options.seconds,
     }
     print("\n".join(f"{name}: {value}" for name, value in facts.items()), flush=True)

@@ -343,6 +343,16 @@ def test_precision_reaches_the_native_evaluator(precision):
     assert np.array_equal(rounded, exact) == (precision == "fp32")
 
 
+@needs_native
+@pytest.mark.parametrize("wrong", [{"precision": "fp8"}, {"normals": "smooth"}])
+def test_what_is_unknown_is_refused_before_the_push_out_is_bound(monkeypatch, wrong):
+    """Binding it takes seconds."""
+    _, model, avatar = scene(43, **SIZES["tiny"])
+    monkeypatch.setattr("physkin_core.draper.bind_push_out", lambda *_: pytest.fail("bound the push-out first"))
+    with pytest.raises(ValueError, match=next(iter(wrong.values()))):
+        Draper(model, avatar, push_out=True, **wrong)
+
+
 def test_numpy_backend_refuses_other_precisions():
     _, model, avatar = scene(42, **SIZES["tiny"])
     with pytest.raises(ValueError, match="numpy backend computes with the model's own network weights, not in 'bf16'"):
