@@ -56,6 +56,8 @@ def load_garment_model(path: str | Path) -> GarmentModel:
     }
     try:
         weights = arrays["skinning.weights"]
+        with np.errstate(invalid="ignore"):  # what is not finite is refused by name below
+            weights = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-6)
         model = GarmentModel(
             name=metadata["name"],
             rig=Rig.from_json(json.loads(metadata["rig"])),
@@ -63,7 +65,7 @@ def load_garment_model(path: str | Path) -> GarmentModel:
             node_rest=arrays["garment_nodes.rest"],
             node_bone=arrays["garment_nodes.bone"],
             influence_nodes=arrays["skinning.nodes"],
-            influence_weights=weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-6),
+            influence_weights=weights,
             hyper_modulator=_with_prefix(arrays, "hyper_modulator."),
             pose_modulator=_layers(arrays, "pose_modulator."),
             node_deformer=_layers(arrays, "node_deformer."),
