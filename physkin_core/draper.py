@@ -84,16 +84,14 @@ class Draper:
         self.avatar = avatar
         self.backend = backend
         self.bound: BoundGarment = bound
-        self._push_out: BoundPushOut | None = None
-        self._evaluator = _evaluator(backend, bound, precision, None, normals)  # refuses what is unknown at once
-        if push_out:
-            self._push_out = binding.push_out if binding is not None else None
-            if self._push_out is None:
-                started = perf_counter()
-                self._evaluator = _evaluator(backend, bound, "fp32", None, "skinned")  # the same for every draper
-                self._push_out = bind_push_out(self.drape, model.rig, avatar)
-                log.info("bound the push-out of %s in %.1f s", model.name, perf_counter() - started)
-            self._evaluator = _evaluator(backend, bound, precision, self._push_out, normals)
+        self._push_out = binding.push_out if push_out and binding is not None else None
+        if push_out and self._push_out is None:
+            _evaluator(backend, bound, precision, None, normals)  # refuses what is unknown before seconds of work
+            started = perf_counter()
+            self._evaluator = _evaluator(backend, bound, "fp32", None, "skinned")  # the same for every draper
+            self._push_out = bind_push_out(self.drape, model.rig, avatar)
+            log.info("bound the push-out of %s in %.1f s", model.name, perf_counter() - started)
+        self._evaluator = _evaluator(backend, bound, precision, self._push_out, normals)
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
 
     @property

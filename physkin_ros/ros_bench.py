@@ -114,10 +114,11 @@ def main(argv: list[str] | None = None) -> int:
         "machine": machine_line(),
         "versions": versions_line(),
         "garment": f"{model.name}, {len(model.garment.vertices)} vertices, {len(model.node_rest)} garment nodes",
-        "queue": options.queue or "the node's own",
+        "queue": options.queue,
         "seconds": options.seconds,
     }
-    print("\n".join(f"{name}: {value}" for name, value in facts.items()), flush=True)
+    shown = facts | ({"queue": "the node's own"} if options.queue is None else {})
+    print("\n".join(f"{name}: {value}" for name, value in shown.items()), flush=True)
     print(" | ".join(title for _, title, _ in COLUMNS), flush=True)
     rows = []
     combinations = itertools.product(options.executor, options.publish, options.transport, options.cases)
@@ -168,7 +169,7 @@ def _parameters(case: Case, options: argparse.Namespace) -> dict[str, object]:
         parameters[f"{avatar}.orientation"] = "fixed"
         parameters[f"{avatar}.garments.g.model"] = options.model
         parameters[f"{avatar}.garments.g.serialised"] = case.publish == "serialised"
-        if options.queue:
+        if options.queue is not None:
             parameters[f"qos_overrides./a{index}/joint_states.subscription.depth"] = options.queue
     return parameters
 
@@ -241,7 +242,7 @@ def _parser() -> argparse.ArgumentParser:
         "--transport", nargs="+", choices=("shipped", "default"), default=["shipped"], help="Fast DDS profile"
     )
     parser.add_argument(
-        "--queue", type=int, default=0, metavar="N", help="joint states the node may queue (default: the node's, 50)"
+        "--queue", type=_count, metavar="N", help="joint states the node may queue (default: the node's, 50)"
     )
     return parser
 
@@ -251,6 +252,12 @@ def _case(text: str) -> tuple[int, float]:
     if not match:
         raise argparse.ArgumentTypeError(f"{text!r} is no case; write garments and rate, such as 16x200")
     return int(match[1]), float(match[2])
+
+
+def _count(text: str) -> int:
+    if not re.fullmatch(r"[1-9]\d{0,5}", text):
+        raise argparse.ArgumentTypeError(f"must be a whole number from 1 to 999999, got {text}")
+    return int(text)
 
 
 def _positive(text: str) -> float:

@@ -353,9 +353,10 @@ def test_scalars_in_place_of_arrays_are_refused(tmp_path, saved, name):
         load_garment_model(write(tmp_path / "model.safetensors", metadata, tensors))
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_values_that_are_not_finite_are_refused(tmp_path, saved, bad):
-    """In every float tensor; the message names it."""
+    """In every float tensor; the message names it, and nothing else is said."""
     metadata, tensors = contents(saved)
     for name, tensor in tensors.items():
         if tensor.dtype.kind != "f":

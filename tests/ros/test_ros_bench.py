@@ -61,7 +61,7 @@ def test_processor_time_is_counted():
     assert first - before[0] > 0.04 and total >= first
 
 
-@pytest.mark.parametrize("arguments", [["--cases", "0x60"], ["--cases", "16"], ["--seconds", "nan"]])
+@pytest.mark.parametrize("arguments", [["--cases", "0x60"], ["--cases", "16"], ["--seconds", "nan"], ["--queue", "0"]])
 def test_wrong_arguments(arguments, capsys):
     """Argument errors name the value."""
     with pytest.raises(SystemExit):
