@@ -72,7 +72,7 @@ def write_report(folder: Path, *, bodies: int, poses: int) -> Path:
         "skinning times with the native evaluator on one core of the machine that wrote this (median, fp32).",
         "## Garment nodes and skinning weights",
         _node_table(rows, times),
-        "The paper's figures are of its own bodies, motion and material; see [training](training.md). Rows with "
+        "The paper's figures are of its own bodies, motion and material; see docs/training.md. Rows with "
         "another seed are the base again: differences within theirs mean nothing.",
         "## Conditioning, activation, supervision",
         _network_table(rows, times),
@@ -169,7 +169,7 @@ def _node_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
 
 
 def _network_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
-    header = ["", *FIGURES, "network weights a frame", "networks us", "frame us", "steps"]
+    header = ["", *FIGURES, "network weights a frame", "networks us", "frame us", "steps", "training s"]
     lines = []
     for name in NETWORK_ROWS:
         if name in rows:
@@ -178,11 +178,10 @@ def _network_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
             own = (
                 ["-", "-"] if name == "concatenation" else [f"{times[name][key]:.1f}" for key in ("networks", "frame")]
             )
-            lines.append(
-                [label, *_cells(rows[name]["figures"]["model"]), rows[name]["frame_weights"], *own, rows[name]["steps"]]
-            )
+            spent = [rows[name]["steps"], f"{rows[name]['seconds']:.0f}"]
+            lines.append([label, *_cells(rows[name]["figures"]["model"]), rows[name]["frame_weights"], *own, *spent])
     if BASE in rows:
-        dashes = ["-"] * 4
+        dashes = ["-"] * 5
         lines.append(["plain skinning, with the base's weights", *_cells(rows[BASE]["figures"]["skinning"]), *dashes])
     return _table(header, lines) if lines else ""
 
