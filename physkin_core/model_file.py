@@ -51,13 +51,13 @@ def load_garment_model(path: str | Path) -> GarmentModel:
     except (OSError, SafetensorError, TypeError, AttributeError) as error:  # the last two: a type that NumPy lacks
         raise ModelFileError(f"cannot read garment model {path}: {error}") from error
     _check_header(path, metadata, tensors)
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused by GarmentModel
-        arrays = {
-            name: tensor.astype(np.float32) if tensor.dtype.kind == "f" else tensor for name, tensor in tensors.items()
-        }
     try:
-        weights = arrays["skinning.weights"]
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused by GarmentModel
+            arrays = {
+                name: tensor.astype(np.float32) if tensor.dtype.kind == "f" else tensor
+                for name, tensor in tensors.items()
+            }
+            weights = arrays["skinning.weights"]
             weights = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-6)
         model = GarmentModel(
             name=metadata["name"],
