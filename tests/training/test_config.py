@@ -136,6 +136,10 @@ def test_wrong_types(tmp_path, text, message):
         ("[poses]\nlargest_tilt_degrees = 181", "poses.largest_tilt_degrees must be 0 to 180, got 181.0"),
         ("[networks]\ntoken_width = 30", "token_width"),
         ("[networks]\npose_hidden = 0", "pose_hidden"),
+        (
+            '[optimisation]\nother_limbs = "never"',
+            "optimisation.other_limbs must be one of one_way, both_ways, got 'never'",
+        ),
         ('[optimisation]\nfit = "tight"', "optimisation.fit must be one of template, both, got 'tight'"),
     ],
 )

@@ -18,6 +18,7 @@ __all__ = ["ConfigError", "TrainingConfig", "load_config"]
 
 
 FITS = ("template", "both")
+OTHER_LIMBS = ("one_way", "both_ways")
 
 
 class ConfigError(ValueError):
@@ -45,6 +46,7 @@ class OptimisationConfig:
     step of the moving average of networks and skinning weights that is exported, 0 for none. `validate_every`: steps
     from one measurement of the average to the next, once range and influences are final; the best one is exported.
     `fit`: "template", one rest shape for all bodies; "both": every second body of a step wears it made to measure.
+    `other_limbs`: those that pass beside the cloth press it "one_way", towards its own place on the body, or "both_ways".
     """
 
     steps: int = 100000
@@ -68,6 +70,7 @@ class OptimisationConfig:
     average: float = 0.999
     validate_every: int = 500
     fit: str = "template"
+    other_limbs: str = "one_way"
 
     def __post_init__(self) -> None:
         def check(keys: str, allowed: str, holds: Callable) -> None:
@@ -87,6 +90,7 @@ class OptimisationConfig:
         multiple = f"a multiple of optimisation.bodies {self.bodies}"
         check("samples", multiple, lambda value: value % self.bodies == 0)
         check("fit", "one of " + ", ".join(FITS), lambda value: value in FITS)
+        check("other_limbs", "one of " + ", ".join(OTHER_LIMBS), lambda value: value in OTHER_LIMBS)
 
     @property
     def made_to_measure(self) -> bool:

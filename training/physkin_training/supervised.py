@@ -106,7 +106,7 @@ class _StagedSimulation:
         self._node_positions = trainer.node_positions
         self._rest = torch.as_tensor(trainer.rig.rest.copy(), dtype=torch.float32, device=device)
         self._posed = PosedBodies(body_model, trainer.bodies, samples)
-        wearing = Wearing.of(garment, body_model)
+        wearing = Wearing.of(garment, body_model, other_limbs=trainer.config.optimisation.other_limbs)
         losses = PhysicsLosses(garment, trainer.config.material, samples, device, wearing=wearing, reach=REACH)
         self._solver = FullSpaceSolver(garment, losses, samples, device)
 

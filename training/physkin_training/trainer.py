@@ -100,7 +100,7 @@ class Trainer:
         self._made = torch.arange(self._bodies, device=device) % 2 == 1
         rest = RestData(self.garment, config.material, device, shapes=self.fits.shapes if self.fits else None)
         self.sampler = PoseSampler.configured(config.poses, self.rig, device)
-        wearing = Wearing.of(self.garment, body_model).worn_faces()
+        wearing = Wearing.of(self.garment, body_model, other_limbs=optimisation.other_limbs).worn_faces()
         self.posed_bodies = PosedBodies(body_model, self.bodies, self._samples, faces=wearing.faces)
         self._normalise_nodes()
         self.processes.broadcast(list(self.drape.state_dict().values()))

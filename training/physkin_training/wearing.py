@@ -53,9 +53,13 @@ class Wearing:
     band_distance: np.ndarray
 
     @classmethod
-    def of(cls, garment: Garment, body_model: BodyModel) -> Wearing:
-        """Read off the garment maker's body. Raises ValueError for a garment without an opening."""
-        return cls.on(garment, avatar_from_body(body_model, body_model.garment_body), body_model.rig)
+    def of(cls, garment: Garment, body_model: BodyModel, *, other_limbs: str = "one_way") -> Wearing:
+        """Read off the garment maker's body. other_limbs: "one_way", or "both_ways" for those that press cloth like any
+        other part. Raises ValueError for a garment without an opening."""
+        wearing = cls.on(garment, avatar_from_body(body_model, body_model.garment_body), body_model.rig)
+        if other_limbs == "both_ways":
+            return replace(wearing, other_limb=np.zeros_like(wearing.other_limb))
+        return wearing
 
     @classmethod
     def on(cls, garment: Garment, avatar: Avatar, rig: Rig) -> Wearing:
