@@ -13,12 +13,12 @@ from typing import get_type_hints
 from physkin_core.garment_model import Material
 from physkin_training.fantastical_bodies import BODY_DISTRIBUTIONS
 from physkin_training.networks import NetworkConfig
+from physkin_training.wearing import OTHER_LIMBS
 
 __all__ = ["ConfigError", "TrainingConfig", "load_config"]
 
 
 FITS = ("template", "both")
-OTHER_LIMBS = ("one_way", "both_ways")
 
 
 class ConfigError(ValueError):
@@ -46,7 +46,8 @@ class OptimisationConfig:
     step of the moving average of networks and skinning weights that is exported, 0 for none. `validate_every`: steps
     from one measurement of the average to the next, once range and influences are final; the best one is exported.
     `fit`: "template", one rest shape for all bodies; "both": every second body of a step wears it made to measure.
-    `other_limbs`: those that pass beside the cloth press it "one_way", towards its own place on the body, or "both_ways".
+    `other_limbs`: those that a vertex lies nowhere on press it "one_way", towards its own place on the body, or
+    "both_ways", as any part does (see `Wearing`).
     """
 
     steps: int = 100000

@@ -134,8 +134,9 @@ def collision_kernel(
 ):
     """Squared depth below the contact offset, to the exact closest point of the posed body; linear when deeper.
 
-    own_face: face of the body that each vertex lies on. Another limb presses cloth only towards it, so that cloth which
-    came out on the limb's far side is not held there; leads_back: a vertex lost inside the body is pushed before it.
+    own_face: face of the body that each vertex lies on. A bone of `other_limb` presses cloth only towards it, so that
+    cloth which came out on the limb's far side is not held there; leads_back: a vertex lost inside the body is pushed
+    before it.
     """
     s, v = wp.tid()
     point = x[s, v] + body_offset[s]

@@ -68,8 +68,9 @@ class Evaluation:
 
     bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, 0 (template) to
     1 (made to measure); strains are against the rest shape at that fit. body_model: whose bodies, default the adults
-    that are shipped. Raises ValueError when the model is for another rig than the body model's or has not learnt the
-    fit, or there are not so many bodies.
+    that are shipped. Other limbs press one way (see `Wearing`) whatever the model was trained with, so that energies of
+    all models are of one kind. Raises ValueError when the model is for another rig than the body model's or has not
+    learnt the fit, or there are not so many bodies.
     """
 
     def __init__(

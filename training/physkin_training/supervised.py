@@ -79,7 +79,7 @@ def simulate_drapes(
     parts = []
     folder.mkdir(parents=True, exist_ok=True)
     for start in range(0, len(every), batch):
-        path = folder / f"drapes_{start:06d}_of_{len(every)}_by_{batch}.safetensors"
+        path = folder / f"drapes_{start:06d}_of_{len(every)}_by_{batch}_{config.optimisation.other_limbs}.safetensors"
         if not path.exists():
             simulation = simulation or _StagedSimulation(trainer, BODY_DISTRIBUTIONS[config.body_distribution](), batch)
             pick = torch.arange(start, start + batch) % len(every)  # a last partial batch is filled up

@@ -18,7 +18,10 @@ from physkin_core.body_model import BodyModel
 from physkin_core.garment import Garment, vertex_normals
 from physkin_core.rig import Rig
 
-__all__ = ["Wearing"]
+__all__ = ["OTHER_LIMBS", "Wearing"]
+
+OTHER_LIMBS = ("one_way", "both_ways")
+"""How a limb that a vertex lies nowhere on presses it: towards its own place on the body alone, or as any part does."""
 
 WORN_WITHIN = 0.15
 """A vertex is worn on body parts that come this close [m] at the canonical pose."""
@@ -38,9 +41,10 @@ class Wearing:
 
     faces: (f, 3) int32, faces of the body that cloth may be in contact with; face_bone: (f,) int32, the bone that moves
     each most. worn: (n, b) bool, the vertex lies on that bone's part. other_limb: (n, b) bool, it lies on no part of
-    that bone's limb, which is beside the cloth or in front of it, as an arm is to the side of a shirt. own_face: (n,)
-    int32, of the `faces` of worn parts the one whose centre is closest. band: (k,) int32 vertices of the neckband or
-    waistband; band_place: (k,) int32 the body vertex closest to each, band_distance: (k,) float32 [m] away.
+    that bone's limb, which is beside the cloth or in front of it, as an arm is to the side of a shirt, and presses it
+    one way; none where limbs press both ways. own_face: (n,) int32, of the `faces` of worn parts the one whose centre
+    is closest. band: (k,) int32 vertices of the neckband or waistband; band_place: (k,) int32 the body vertex closest
+    to each, band_distance: (k,) float32 [m] away.
     """
 
     faces: np.ndarray
@@ -54,8 +58,12 @@ class Wearing:
 
     @classmethod
     def of(cls, garment: Garment, body_model: BodyModel, *, other_limbs: str = "one_way") -> Wearing:
-        """Read off the garment maker's body. other_limbs: "one_way", or "both_ways" for those that press cloth like any
-        other part. Raises ValueError for a garment without an opening."""
+        """Read off the garment maker's body. other_limbs: one of `OTHER_LIMBS`.
+
+        Raises ValueError for a garment without an opening, and for other limbs that are none of these.
+        """
+        if other_limbs not in OTHER_LIMBS:
+            raise ValueError(f"other_limbs must be one of {', '.join(OTHER_LIMBS)}, got {other_limbs!r}")
         wearing = cls.on(garment, avatar_from_body(body_model, body_model.garment_body), body_model.rig)
         if other_limbs == "both_ways":
             return replace(wearing, other_limb=np.zeros_like(wearing.other_limb))
