@@ -29,6 +29,7 @@ from physkin_core.motion import bundled_motions, load_motion
 from physkin_core.native_evaluator import NativeEvaluator
 from physkin_core.push_out import TOLERATED_DEPTH, bind_push_out
 from physkin_core.quality import edge_strain
+from physkin_training.body_overlap import OFF_SKIN, Seats, winding
 from physkin_training.evaluation_pairs import uniform_pairs
 from physkin_training.posed_bodies import BodySet, PosedBodies
 
@@ -37,11 +38,6 @@ __all__ = ["PushOutQuality", "main", "measure_push_out"]
 BODIES, POSES, BATCH = 4, 64, 16
 REACH = 0.2
 """Vertices farther [m] than this from any skin count as outside."""
-OFF_SKIN = 0.0002
-"""How far outside [m] a point of the skin is looked at to tell whether it is inside the body."""
-RAY = wp.constant(wp.vec3(0.9253, 0.3412, -0.1651))
-"""Any direction that no edge is likely to have."""
-MOST_CROSSINGS = wp.constant(64)
 TIMED_FRAMES, TIMED_CALLS = 24, 15
 
 
@@ -79,20 +75,6 @@ class PushOutQuality:
     bind_seconds: float
 
 
-@wp.func
-def winding(mesh: wp.uint64, point: wp.vec3):
-    """How many parts of the body a point is inside of: crossings outwards less crossings inwards along a ray."""
-    crossings = wp.int32(0)
-    start = point
-    for _ in range(MOST_CROSSINGS):
-        hit = wp.mesh_query_ray(mesh, start, RAY, 2.9)
-        if not hit.result:
-            break
-        crossings += wp.where(wp.dot(hit.normal, RAY) > 0.0, 1, -1)
-        start += (hit.t + 1.0e-6) * RAY
-    return crossings
-
-
 @wp.kernel
 def contact_kernel(
     x: wp.array2d(dtype=wp.vec3),
@@ -122,21 +104,6 @@ def contact_kernel(
             at_meeting[s, v] = winding(mesh, outside) > 0 or winding(mesh, seat) > 0
 
 
-@wp.kernel
-def seat_kernel(
-    x: wp.array(dtype=wp.vec3),
-    mesh: wp.uint64,
-    offset: wp.vec3,
-    face: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.vec2),
-):
-    """The closest point of the first body of the mesh, as face and barycentric coordinates."""
-    v = wp.tid()
-    hit = wp.mesh_query_point_no_sign(mesh, x[v] + offset, 1.0)
-    face[v] = hit.face
-    place[v] = wp.vec2(hit.u, hit.v)
-
-
 class ExactContact:
     """Exact contact of drapes (F, n, 3) with one held-out body in as many poses (F, d)."""
 
@@ -147,11 +114,7 @@ class ExactContact:
         self._faces = len(model.faces)
         self._rest_pose = torch.tensor(model.rig.rest, dtype=torch.float32)
         self._pose(self._rest_pose.expand(BATCH, -1))
-        self._seat_face = wp.zeros(len(rest), dtype=wp.int32, device="cpu")
-        self._seat_place = wp.zeros(len(rest), dtype=wp.vec2, device="cpu")
-        offset = wp.vec3(*self._posed.offset[0].tolist())
-        inputs = [wp.array(rest.astype(np.float32), dtype=wp.vec3, device="cpu"), self._posed.mesh.id, offset]
-        wp.launch(seat_kernel, len(rest), inputs, [self._seat_face, self._seat_place], device="cpu")
+        self._seats = Seats(self._posed, rest)
 
     def _pose(self, positions: torch.Tensor) -> None:
         self._posed.pose(positions.contiguous(), torch.zeros(BATCH, dtype=torch.int64))
@@ -171,7 +134,7 @@ class ExactContact:
                     np.ascontiguousarray(drape[start : start + count, :, :3]), dtype=wp.vec3, device="cpu"
                 )
                 offset = wp.from_torch(self._posed.offset, dtype=wp.vec3)
-                inputs = [points, self._posed.mesh.id, offset, self._seat_face, self._seat_place, self._faces]
+                inputs = [points, self._posed.mesh.id, offset, self._seats.face, self._seats.place, self._faces]
                 inputs.append(TOLERATED_DEPTH)
                 wp.launch(contact_kernel, distance.shape, inputs, [distance, meeting], device="cpu")
                 result.append((distance.numpy(), meeting.numpy()))
