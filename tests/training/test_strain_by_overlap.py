@@ -31,14 +31,14 @@ def test_a_forearm_through_the_belly_covers_it():
     trunk = surface[np.linalg.norm(surface - [0.12, 0.0, 0.15], axis=1) < 0.15]
     head = surface[surface[:, 2] > surface[:, 2].max() - 0.05]
     posed.pose(rest.expand(2, -1).contiguous(), both)
-    seats = Seats(posed, np.concatenate([trunk, head]))
-    assert seats.overlapped(posed).shape == (2, len(trunk) + len(head)) and not seats.overlapped(posed).any()
+    seats = Seats(surface, BODY.faces, np.concatenate([trunk, head]))
+    assert seats.covered(posed).shape == (2, len(trunk) + len(head)) and not seats.covered(posed).any()
     rng = np.random.default_rng(0)
     poses = torch.tensor(rng.uniform(BODY.rig.lower, BODY.rig.upper, size=(64, len(rest))), dtype=torch.float32)
     share = np.zeros(len(trunk) + len(head))
     for pose in poses:
         posed.pose(torch.stack([rest, pose]), both)
-        covered = seats.overlapped(posed)
+        covered = seats.covered(posed)
         assert not covered[0].any()
         share += covered[1] / len(poses)
     assert share[: len(trunk)].mean() > 0.01, "arms run through the belly in some poses"

@@ -1,6 +1,6 @@
-"""Where a posed body is inside itself: there cloth between the two parts has nowhere to go.
+"""Where a posed body is inside itself: there cloth between the two parts has nowhere to go. On the CPU.
 
-Dimensions: `B` posed bodies, `n` garment vertices. Metres, root frame.
+Dimensions: `V` body vertices, `f` body faces, `B` posed bodies, `n` garment vertices. Metres, root frame.
 """
 
 from __future__ import annotations
@@ -9,8 +9,9 @@ import numpy as np
 import warp as wp
 
 from physkin_training.posed_bodies import PosedBodies
+from physkin_training.surface_queries import BodySurface
 
-__all__ = ["OFF_SKIN", "Seats", "winding"]
+__all__ = ["OFF_SKIN", "Seats", "is_covered", "winding"]
 
 OFF_SKIN = 0.0002
 """How far outside [m] a point of the skin is looked at to tell whether it is inside the body."""
@@ -22,24 +23,21 @@ MOST_CROSSINGS = wp.constant(64)
 class Seats:
     """The skin that each vertex of a garment lies on at the canonical pose.
 
-    face: (n,) int32, place: (n,) barycentric wp.vec2, of bodies that share a mesh.
+    face: (n,) int32, place: (n,) barycentric wp.vec2; they hold on every body that shares the mesh.
     """
 
-    def __init__(self, posed: PosedBodies, rest: np.ndarray) -> None:
-        """posed: bodies of which the first stands in the canonical pose. rest: (n, 3) vertices on it."""
-        self._device = posed.device
-        self.face = wp.zeros(len(rest), dtype=wp.int32, device=self._device)
-        self.place = wp.zeros(len(rest), dtype=wp.vec2, device=self._device)
-        points = wp.array(np.ascontiguousarray(rest, dtype=np.float32), dtype=wp.vec3, device=self._device)
-        inputs = [points, posed.mesh.id, wp.vec3(*posed.offset[0].tolist())]
-        wp.launch(seat_kernel, len(rest), inputs, [self.face, self.place], device=self._device)
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, rest: np.ndarray) -> None:
+        """vertices (V, 3), faces (f, 3): a body in the canonical pose. rest: (n, 3) the garment on it."""
+        closest = BodySurface(vertices, faces).closest(rest)
+        self.face = wp.array(closest.face, dtype=wp.int32, device="cpu")
+        self.place = wp.array(np.ascontiguousarray(closest.barycentric[:, :2]), dtype=wp.vec2, device="cpu")
 
-    def overlapped(self, posed: PosedBodies) -> np.ndarray:
+    def covered(self, posed: PosedBodies) -> np.ndarray:
         """Whether another part of its body covers each seat of the bodies posed last. Returns (B, n) bool."""
         samples = len(posed.offset)
-        covered = wp.zeros((samples, len(self.face)), dtype=wp.bool, device=self._device)
+        covered = wp.zeros((samples, len(self.face)), dtype=wp.bool, device="cpu")
         inputs = [posed.mesh.id, self.face, self.place, len(posed.mesh.indices) // 3 // samples]
-        wp.launch(overlap_kernel, covered.shape, inputs, [covered], device=self._device)
+        wp.launch(covered_kernel, covered.shape, inputs, [covered], device="cpu")
         return covered.numpy()
 
 
@@ -57,23 +55,15 @@ def winding(mesh: wp.uint64, point: wp.vec3):
     return crossings
 
 
-@wp.kernel
-def seat_kernel(
-    x: wp.array(dtype=wp.vec3),
-    mesh: wp.uint64,
-    offset: wp.vec3,
-    face: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.vec2),
-):
-    """The closest point of the first body of the mesh, as face and barycentric coordinates."""
-    v = wp.tid()
-    hit = wp.mesh_query_point_no_sign(mesh, x[v] + offset, 1.0)
-    face[v] = hit.face
-    place[v] = wp.vec2(hit.u, hit.v)
+@wp.func
+def is_covered(mesh: wp.uint64, face: wp.int32, place: wp.vec2):
+    """Whether a place of the skin is inside the body."""
+    seat = wp.mesh_eval_position(mesh, face, place[0], place[1])
+    return winding(mesh, seat + OFF_SKIN * wp.mesh_eval_face_normal(mesh, face)) > 0
 
 
 @wp.kernel
-def overlap_kernel(
+def covered_kernel(
     mesh: wp.uint64,
     seat_face: wp.array(dtype=wp.int32),
     seat_place: wp.array(dtype=wp.vec2),
@@ -81,6 +71,4 @@ def overlap_kernel(
     covered: wp.array2d(dtype=wp.bool),
 ):
     s, v = wp.tid()
-    face = s * faces_a_body + seat_face[v]
-    seat = wp.mesh_eval_position(mesh, face, seat_place[v][0], seat_place[v][1])
-    covered[s, v] = winding(mesh, seat + OFF_SKIN * wp.mesh_eval_face_normal(mesh, face)) > 0
+    covered[s, v] = is_covered(mesh, s * faces_a_body + seat_face[v], seat_place[v])

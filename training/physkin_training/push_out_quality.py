@@ -29,7 +29,7 @@ from physkin_core.motion import bundled_motions, load_motion
 from physkin_core.native_evaluator import NativeEvaluator
 from physkin_core.push_out import TOLERATED_DEPTH, bind_push_out
 from physkin_core.quality import edge_strain
-from physkin_training.body_overlap import OFF_SKIN, Seats, winding
+from physkin_training.body_overlap import OFF_SKIN, Seats, is_covered, winding
 from physkin_training.evaluation_pairs import uniform_pairs
 from physkin_training.posed_bodies import BodySet, PosedBodies
 
@@ -98,10 +98,8 @@ def contact_kernel(
         distance[s, v] = hit.sign * wp.length(point - closest)
         if distance[s, v] < -tolerated:
             outside = closest + OFF_SKIN * wp.normalize(closest - point)
-            face = s * faces_a_body + seat_face[v]
-            seat = wp.mesh_eval_position(mesh, face, seat_place[v][0], seat_place[v][1])
-            seat += OFF_SKIN * wp.mesh_eval_face_normal(mesh, face)
-            at_meeting[s, v] = winding(mesh, outside) > 0 or winding(mesh, seat) > 0
+            covered = is_covered(mesh, s * faces_a_body + seat_face[v], seat_place[v])
+            at_meeting[s, v] = covered or winding(mesh, outside) > 0
 
 
 class ExactContact:
@@ -112,12 +110,7 @@ class ExactContact:
         model = load_body_model()
         self._posed = PosedBodies(model, BodySet(model, model.held_out_bodies[[body]], device), BATCH)
         self._faces = len(model.faces)
-        self._rest_pose = torch.tensor(model.rig.rest, dtype=torch.float32)
-        self._pose(self._rest_pose.expand(BATCH, -1))
-        self._seats = Seats(self._posed, rest)
-
-    def _pose(self, positions: torch.Tensor) -> None:
-        self._posed.pose(positions.contiguous(), torch.zeros(BATCH, dtype=torch.int64))
+        self._seats = Seats(model.vertices(model.held_out_bodies[body]), model.faces, rest)
 
     def __call__(self, positions: np.ndarray, *drapes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """For each of the drapes: signed distances (F, n) and whether the body meets itself there (F, n), looked at
@@ -126,7 +119,7 @@ class ExactContact:
         for start in range(0, len(positions), BATCH):
             rows = np.minimum(np.arange(start, start + BATCH), len(positions) - 1)
             count = min(BATCH, len(positions) - start)
-            self._pose(torch.tensor(positions[rows], dtype=torch.float32))
+            self._posed.pose(torch.tensor(positions[rows], dtype=torch.float32), torch.zeros(BATCH, dtype=torch.int64))
             for drape, result in zip(drapes, results, strict=True):
                 distance = wp.zeros((count, drape.shape[1]), dtype=wp.float32, device="cpu")
                 meeting = wp.zeros((count, drape.shape[1]), dtype=wp.bool, device="cpu")

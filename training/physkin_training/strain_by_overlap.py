@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from physkin_core.avatar import avatar_from_body
-from physkin_core.body_model import BodyModel, load_body_model
+from physkin_core.body_model import load_body_model
 from physkin_core.draper import Draper
 from physkin_core.garment_model import GarmentModel
 from physkin_core.model_file import load_garment_model, shipped_models
@@ -63,7 +63,7 @@ def measure_strain_by_overlap(
     body_model = load_body_model()
     if not 1 <= bodies <= len(body_model.held_out_bodies):
         raise ValueError(f"bodies must be 1 to {len(body_model.held_out_bodies)}, got {bodies}")
-    seats = _seats(body_model, model)
+    seats = Seats(body_model.vertices(body_model.garment_body), body_model.faces, model.garment.vertices)
     figures: dict[str, list[np.ndarray]] = {"uniform": [], "motion": []}
     for body, coefficients in enumerate(body_model.held_out_bodies[:bodies]):
         draper = Draper(model, avatar_from_body(body_model, coefficients), fit=fit)
@@ -84,13 +84,6 @@ def measure_strain_by_overlap(
     return rows
 
 
-def _seats(body_model: BodyModel, model: GarmentModel) -> Seats:
-    """The skin under the garment on the body of the garment's maker."""
-    maker = PosedBodies(body_model, BodySet(body_model, body_model.garment_body[None], torch.device("cpu")), 1)
-    maker.pose(torch.tensor(body_model.rig.rest[None], dtype=torch.float32), torch.zeros(1, dtype=torch.int64))
-    return Seats(maker, model.garment.vertices)
-
-
 def _takes(model: GarmentModel, body: int, *, bodies: int, poses: int) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """Kind, joint positions (P, d) and gravity (P, 3), float32, of one of the bodies."""
     pairs = uniform_pairs(model.rig, bodies=bodies, poses=poses, seed=0, upright=True)
@@ -109,7 +102,7 @@ def _overlap(seats: Seats, posed: PosedBodies, positions: np.ndarray) -> np.ndar
     for start in range(0, len(positions), BATCH):
         rows = np.minimum(np.arange(start, start + BATCH), len(positions) - 1)
         posed.pose(torch.tensor(positions[rows]), torch.zeros(BATCH, dtype=torch.int64))
-        shares.append(100 * seats.overlapped(posed)[: len(positions) - start].mean(axis=1))
+        shares.append(100 * seats.covered(posed)[: len(positions) - start].mean(axis=1))
     return np.concatenate(shares)
 
 
