@@ -10,6 +10,7 @@ pytest.importorskip("torch", reason="needs the [training] extra")
 
 from physkin_core import load_garment_model  # noqa: E402
 from physkin_core.garment_model import Material  # noqa: E402
+from physkin_core.model_file import shipped_models  # noqa: E402
 from physkin_training.config import ConfigError, TrainingConfig, load_config  # noqa: E402
 
 FOLDER = Path(__file__).parents[2] / "training" / "configs"
@@ -51,7 +52,7 @@ def test_shipped_configurations_load(path):
     assert path.stem.startswith(config.name) and config.garment.is_file()
 
 
-@pytest.mark.parametrize("name", ["dress", "longsleeve", "skirt", "trousers", "tshirt"])
+@pytest.mark.parametrize("name", shipped_models())
 def test_shipped_models_are_runs_of_their_configurations(name):
     """But for how the number of steps came about; a key that came later has the default, which was the only way."""
     told = load_garment_model(name).training

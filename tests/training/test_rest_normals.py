@@ -21,7 +21,13 @@ from physkin_training.area_normals import area_normals  # noqa: E402
 from physkin_training.draping import Drape, GarmentNodes  # noqa: E402
 from physkin_training.export import drape_from_model  # noqa: E402
 from physkin_training.networks import NetworkConfig  # noqa: E402
-from physkin_training.rest_normals import fitted_rest_normals, main, normal_errors  # noqa: E402
+from physkin_training.rest_normals import (  # noqa: E402
+    MEASURED_BODIES,
+    MEASURED_FRAMES,
+    fitted_rest_normals,
+    main,
+    normal_errors,
+)
 
 
 @pytest.fixture(scope="module")
@@ -33,15 +39,18 @@ def tshirt():
 def test_shipped_models_carry_fitted_normals(name):
     """Nearer to the draped mesh's than its own normals carried, in the middle and at the worst, and nowhere farther.
 
-    The worst of the skirt, 130 degrees and more, are folds that lie the other way round, which no rest normal follows:
-    there it is 5 % nearer on 48 poses, 4 % on these six, the other garments 12 to 28 %.
+    As measured for the documentation. The worst of the skirt, 130 degrees and more, are folds that lie the other way
+    round, which no rest normal follows.
     """
     model = load_garment_model(name)
-    fitted, own = (normal_errors(each, bodies=2, frames=3) for each in (model, replace(model, rest_normals=None)))
+    fitted, own = (
+        normal_errors(each, bodies=MEASURED_BODIES, frames=MEASURED_FRAMES)
+        for each in (model, replace(model, rest_normals=None))
+    )
     for take, errors in fitted.items():
         assert errors.median < 1.05 * own[take].median
         assert errors.p99 < 1.05 * own[take].p99
-    worst = 0.97 if name == "skirt" else 0.9
+    worst = 0.95 if name == "skirt" else 0.9
     assert fitted["uniform"].median < 0.9 * own["uniform"].median
     assert fitted["uniform"].p99 < worst * own["uniform"].p99
 

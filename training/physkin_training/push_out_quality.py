@@ -116,16 +116,11 @@ class ExactContact:
         """For each of the drapes: signed distances (F, n) and whether the body meets itself there (F, n), looked at
         where they are too deep."""
         results: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in drapes]
-        for start in range(0, len(positions), BATCH):
-            rows = np.minimum(np.arange(start, start + BATCH), len(positions) - 1)
-            count = min(BATCH, len(positions) - start)
-            self._posed.pose(torch.tensor(positions[rows], dtype=torch.float32), torch.zeros(BATCH, dtype=torch.int64))
+        for rows in self._posed.pose_in_turn(positions):
             for drape, result in zip(drapes, results, strict=True):
-                distance = wp.zeros((count, drape.shape[1]), dtype=wp.float32, device="cpu")
-                meeting = wp.zeros((count, drape.shape[1]), dtype=wp.bool, device="cpu")
-                points = wp.array(
-                    np.ascontiguousarray(drape[start : start + count, :, :3]), dtype=wp.vec3, device="cpu"
-                )
+                points = wp.array(np.ascontiguousarray(drape[rows, :, :3]), dtype=wp.vec3, device="cpu")
+                distance = wp.zeros(points.shape, dtype=wp.float32, device="cpu")
+                meeting = wp.zeros(points.shape, dtype=wp.bool, device="cpu")
                 offset = wp.from_torch(self._posed.offset, dtype=wp.vec3)
                 inputs = [points, self._posed.mesh.id, offset, self._seats.face, self._seats.place, self._faces]
                 inputs.append(TOLERATED_DEPTH)

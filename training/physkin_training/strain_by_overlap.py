@@ -10,7 +10,7 @@ Dimensions: `P` poses, `d` degrees of freedom, `n` garment vertices.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,15 +34,17 @@ LIMITS = (0.5, 2.0, 5.0)
 """Overlaps [%] at which poses are parted."""
 BODIES, POSES, BATCH = 16, 128, 16
 MOTION_RATE, MOTION_STRIDE = 60.0, 4
+KINDS = ("uniform", "motion")
 
 
 @dataclass(frozen=True)
 class OverlapRow:
-    """Poses of one kind, "uniform" or "motion", whose overlap is above `least` and at most `most` [%].
+    """Poses of one kind, "uniform" or "motion", whose overlap is above `least` and at most `most` [%], at one fit.
 
     count: how many of `of` poses. edge_strain, area_strain: mean [%], NaN where there are none.
     """
 
+    fit: float
     kind: str
     least: float
     most: float
@@ -53,57 +55,51 @@ class OverlapRow:
 
 
 def measure_strain_by_overlap(
-    model: GarmentModel, *, fit: float = 0.0, bodies: int = BODIES, poses: int = POSES
+    model: GarmentModel, *, fits: Sequence[float] = (0.0,), bodies: int = BODIES, poses: int = POSES
 ) -> list[OverlapRow]:
-    """Drape one model and part its poses by overlap: of each kind all poses first, then those between `LIMITS`.
+    """Drape one model and part its poses by overlap: of each fit and kind all poses first, then those between `LIMITS`.
 
-    bodies: the first of the held-out adults. poses: uniform ones a body, those of `physkin evaluate`. fit: 0 (template)
-    to 1 (made to measure). Raises ValueError when the model has not learnt the fit, or there are not so many bodies.
+    bodies: the first of the held-out adults. poses: uniform ones a body, those of `physkin evaluate`. fits: each 0
+    (template) to 1 (made to measure). Raises ValueError when the model has not learnt a fit, or there are not so many
+    bodies.
     """
     body_model = load_body_model()
     if not 1 <= bodies <= len(body_model.held_out_bodies):
         raise ValueError(f"bodies must be 1 to {len(body_model.held_out_bodies)}, got {bodies}")
     seats = Seats(body_model.vertices(body_model.garment_body), body_model.faces, model.garment.vertices)
-    figures: dict[str, list[np.ndarray]] = {"uniform": [], "motion": []}
+    uniform = uniform_pairs(model.rig, bodies=bodies, poses=poses, seed=0, upright=True)
+    clips = [load_motion(name).resampled(MOTION_RATE) for name in bundled_motions()]
+    every = slice(None, None, MOTION_STRIDE)
+    motion = [(clip.positions_for(model.rig)[every].astype(np.float32), clip.gravity[every]) for clip in clips]
+    figures: dict[tuple[float, str], list[np.ndarray]] = {(fit, kind): [] for fit in fits for kind in KINDS}
     for body, coefficients in enumerate(body_model.held_out_bodies[:bodies]):
-        draper = Draper(model, avatar_from_body(body_model, coefficients), fit=fit)
-        worn = model.garment.reshaped(draper.bound.vertices)
+        own = uniform.body == body
+        takes = {"uniform": [(uniform.positions[own].numpy(), uniform.gravity[own].numpy())], "motion": motion}
         posed = PosedBodies(body_model, BodySet(body_model, coefficients[None], torch.device("cpu")), BATCH)
-        for kind, positions, gravity in _takes(model, body, bodies=bodies, poses=poses):
-            drapes = np.stack([draper.drape(q, g)[:, :3] for q, g in zip(positions, gravity)]).astype(np.float64)
-            parts = _overlap(seats, posed, positions), edge_strain(worn, drapes), area_strain(worn, drapes)
-            figures[kind].append(np.stack(parts))
+        overlaps = {kind: [_overlap(seats, posed, positions) for positions, _ in take] for kind, take in takes.items()}
+        avatar = avatar_from_body(body_model, coefficients)
+        for fit in fits:
+            draper = Draper(model, avatar, fit=fit)
+            worn = model.garment.reshaped(draper.bound.vertices)
+            for kind, take in takes.items():
+                for part, overlap in zip(take, overlaps[kind], strict=True):
+                    drapes = np.stack([draper.drape(q, g)[:, :3] for q, g in zip(*part)]).astype(np.float64)
+                    figures[fit, kind].append(np.stack([overlap, edge_strain(worn, drapes), area_strain(worn, drapes)]))
     rows = []
-    for kind, parts in figures.items():
+    for (fit, kind), parts in figures.items():
         overlap, edge, area = np.concatenate(parts, axis=1)
         bounds = [(-np.inf, np.inf), *zip((-np.inf, *LIMITS), (*LIMITS, np.inf), strict=True)]
         for least, most in bounds:
             pick = (overlap > least) & (overlap <= most)
             means = (values[pick].mean() if pick.any() else np.nan for values in (edge, area))
-            rows.append(OverlapRow(kind, least, most, int(pick.sum()), len(overlap), *means))
+            rows.append(OverlapRow(fit, kind, least, most, int(pick.sum()), len(overlap), *means))
     return rows
-
-
-def _takes(model: GarmentModel, body: int, *, bodies: int, poses: int) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Kind, joint positions (P, d) and gravity (P, 3), float32, of one of the bodies."""
-    pairs = uniform_pairs(model.rig, bodies=bodies, poses=poses, seed=0, upright=True)
-    own = pairs.body == body
-    yield "uniform", pairs.positions[own].numpy(), pairs.gravity[own].numpy()
-    for name in bundled_motions():
-        motion = load_motion(name).resampled(MOTION_RATE)
-        every = slice(None, None, MOTION_STRIDE)
-        positions, gravity = motion.positions_for(model.rig)[every], motion.gravity[every]
-        yield "motion", positions.astype(np.float32), gravity.astype(np.float32)
 
 
 def _overlap(seats: Seats, posed: PosedBodies, positions: np.ndarray) -> np.ndarray:
     """Overlap [%] of one body in poses (P, d). Returns (P,)."""
-    shares = []
-    for start in range(0, len(positions), BATCH):
-        rows = np.minimum(np.arange(start, start + BATCH), len(positions) - 1)
-        posed.pose(torch.tensor(positions[rows]), torch.zeros(BATCH, dtype=torch.int64))
-        shares.append(100 * seats.covered(posed)[: len(positions) - start].mean(axis=1))
-    return np.concatenate(shares)
+    shares = [seats.covered(posed)[: rows.stop - rows.start].mean(axis=1) for rows in posed.pose_in_turn(positions)]
+    return 100 * np.concatenate(shares)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -113,16 +109,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--bodies", type=int, default=BODIES, help="held-out adults (default %(default)s)")
     parser.add_argument("--poses", type=int, default=POSES, help="uniform poses a body (default %(default)s)")
     options = parser.parse_args(argv)
-    tables: dict[str, list[str]] = {"uniform": [], "motion": []}
+    tables: dict[str, list[str]] = {kind: [] for kind in KINDS}
     for path in options.models:
         model = load_garment_model(path)
-        for fit in (0.0, 1.0) if model.made_to_measure else (0.0,):
-            rows = measure_strain_by_overlap(model, fit=fit, bodies=options.bodies, poses=options.poses)
+        fits = (0.0, 1.0) if model.made_to_measure else (0.0,)
+        rows = measure_strain_by_overlap(model, fits=fits, bodies=options.bodies, poses=options.poses)
+        for fit in fits:
             for kind, lines in tables.items():
                 cells = [
                     f"{row.edge_strain:.2f} / {row.area_strain:.2f} ({100 * row.count / row.of:.0f} %)"
                     for row in rows
-                    if row.kind == kind
+                    if (row.fit, row.kind) == (fit, kind)
                 ]
                 name = "made to measure" if fit else f"**{Path(path).stem}**"
                 lines.append("| " + " | ".join([name, *cells]) + " |")
