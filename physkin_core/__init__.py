@@ -1,14 +1,15 @@
 """PhySkin run time: drape a trained garment on any avatar, on one CPU core."""
 
-from physkin_core.avatar import BUNDLED_AVATAR, Avatar, AvatarError, avatar_from_body, load_avatar
-from physkin_core.body_model import BodyModel, load_body_model
-from physkin_core.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
-from physkin_core.garment import Garment, GarmentError, load_garment
-from physkin_core.garment_model import GarmentModel, GarmentModelError, Material
-from physkin_core.model_file import ModelFileError, load_garment_model, save_garment_model
-from physkin_core.motion import Motion, MotionError, bundled_motions, load_motion
-from physkin_core.rig import DegreeOfFreedom, Rig, RigError
-from physkin_core.skinning import NORMALS
+from physkin_core.avatar.avatar import Avatar, AvatarError, avatar_from_body
+from physkin_core.avatar.body_model import BodyModel, load_body_model
+from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
+from physkin_core.model.garment import Garment, GarmentError, load_garment
+from physkin_core.model.garment_model import GarmentModel, GarmentModelError, Material
+from physkin_core.model.model_file import ModelFileError, load_garment_model, save_garment_model
+from physkin_core.model.skinning import NORMALS
+from physkin_core.motion.motion import Motion, MotionError, bundled_motions, load_motion
+from physkin_core.rig.rig import DegreeOfFreedom, Rig, RigError
+from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
 
 __all__ = [
     "BACKENDS",

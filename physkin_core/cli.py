@@ -20,23 +20,32 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 FORWARDED = {
-    "node": ("physkin_ros.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
-    "demo": ("physkin_ros.demo", "run the node between a motion player and a listener; print figures, draw a picture"),
+    "node": ("physkin_ros.node.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
+    "demo": (
+        "physkin_ros.tools.demo",
+        "run the node between a motion player and a listener; draw a picture",
+    ),
     "ros-bench": (
-        "physkin_ros.ros_bench",
+        "physkin_ros.tools.ros_bench",
         "measure the node between real processes: delivery, latency, CPU time",
     ),
-    "fit-garment": ("physkin_training.fit_garment", "check, train and report on a garment mesh of one's own"),
-    "train": ("physkin_training.train", "train a garment from its mesh and physics"),
-    "bench": ("physkin_core.bench", "time a frame, its stages and other engines on this machine"),
-    "simulate": ("physkin_training.simulate", "drape a garment on an avatar by minimising its energy"),
-    "evaluate": ("physkin_training.evaluate", "measure a garment model on bodies it has not seen"),
-    "contact-sheet": ("physkin_training.contact_sheet", "draw a garment model on thin, average and heavy bodies"),
+    "fit-garment": (
+        "physkin_training.fit_garment.fit_garment",
+        "check, train and report on a garment of one's own",
+    ),
+    "train": ("physkin_training.train.train", "train a garment from its mesh and physics"),
+    "bench": ("physkin_bench", "time a frame, its stages and other engines on this machine"),
+    "simulate": ("physkin_training.evaluate.simulate", "drape a garment on an avatar by minimising its energy"),
+    "evaluate": ("physkin_training.evaluate.evaluate", "measure a garment model on bodies it has not seen"),
+    "contact-sheet": (
+        "physkin_training.evaluate.contact_sheet",
+        "draw a model on thin, average and heavy bodies",
+    ),
     "replay": (
-        "physkin_ros.replay",
+        "physkin_ros.replay.replay",
         "drape the joint states of a bag; write clouds, figures and a report. Needs no ROS",
     ),
-    "convert": ("physkin_ros.convert", "write a motion clip, BVH or AMC file as a bag of joint states"),
+    "convert": ("physkin_ros.replay.convert", "write a motion clip, BVH or AMC file as a bag of joint states"),
 }
 """Subcommand -> module whose `main(argv)` it calls, and what it does."""
 

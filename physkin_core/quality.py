@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from physkin_core.garment import Garment, face_areas
+from physkin_core.model.garment import Garment, face_areas
 
 __all__ = [
     *("CLOSE", "SNAP", "area_strain", "contact_figures", "edge_strain", "inside_by_vertex", "jitter"),

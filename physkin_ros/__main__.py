@@ -2,7 +2,7 @@
 
 import sys
 
-from physkin_ros.node_process import main
+from physkin_ros.node.node_process import main
 
 if __name__ == "__main__":
     sys.exit(main())

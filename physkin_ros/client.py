@@ -14,7 +14,7 @@ import numpy as np
 from physkin_msgs.msg import GarmentMesh, GarmentNodes
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from physkin_core.native_skinner import NativeSkinner
+from physkin_core.runtime.native_skinner import NativeSkinner
 
 __all__ = ["GarmentClient", "GarmentFrame", "GarmentSkin"]
 

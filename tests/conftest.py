@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from physkin_core import Garment, GarmentModel, load_body_model, load_garment_model, save_garment_model
-from physkin_core.garment import vertex_normals
-from physkin_core.hyper_modulator import token_features
-from physkin_core.mlp import modulation_size
+from physkin_core.model.garment import vertex_normals
+from physkin_core.model.hyper_modulator import token_features
+from physkin_core.model.mlp import modulation_size
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background: children would inherit the deafness
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -17,7 +17,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState, PointCloud2
 
-from physkin_ros.conversions import read_cloud
+from physkin_ros.messages.conversions import read_cloud
 
 
 class Site:

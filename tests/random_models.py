@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from physkin_core import Avatar, DegreeOfFreedom, Garment, GarmentModel, Rig
-from physkin_core.hyper_modulator import token_features
+from physkin_core.model.hyper_modulator import token_features
 
 TINY = dict(bones=4, dofs=5, nodes=6, influences=3)
 DEFAULT_RIG = dict(

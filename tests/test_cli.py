@@ -91,7 +91,7 @@ def test_arguments_reach_the_subcommand(monkeypatch):
     """They are handed on as they are, those of ROS too."""
     pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
     given = []
-    monkeypatch.setattr("physkin_ros.node_process.main", given.extend)
+    monkeypatch.setattr("physkin_ros.node.node_process.main", given.extend)
     assert cli.main(["node", "--ros-args", "-p", "model:=dress"]) == 0
     assert given == ["--ros-args", "-p", "model:=dress"]
 

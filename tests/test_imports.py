@@ -9,7 +9,7 @@ HEAVY = ("torch", "warp", "rclpy", "trimesh", "pygltflib")
 
 
 @pytest.mark.parametrize(
-    "module", ["physkin_core", "physkin_core.native_evaluator", "physkin_core.cli", "physkin_core.bench"]
+    "module", ["physkin_core", "physkin_core.runtime.native_evaluator", "physkin_core.cli", "physkin_bench"]
 )
 def test_import_loads_no_heavy_package(module, tmp_path):
     code = f"import sys, {module}; print(*sorted({{name.split('.')[0] for name in sys.modules}}))"

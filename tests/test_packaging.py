@@ -12,6 +12,7 @@ PACKAGES = {
     "physkin_core": "physkin_core",
     "physkin_ros": "physkin_ros",
     "physkin_training": "training/physkin_training",
+    "physkin_bench": "native/physkin_bench",
 }
 NOT_SHIPPED = ("__pycache__", "CMakeLists.txt", "package.xml", ".so")
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from native_library import SANITIZERS, build_library
 
-from physkin_core.bound_file import save_bound_garment
-from physkin_core.bound_garment import BoundGarment
-from physkin_core.push_out import BLOCK, PATCH, BoundPushOut
+from physkin_core.runtime.bound_file import save_bound_garment
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.push_out import BLOCK, PATCH, BoundPushOut
 
 
 def random_layers(rng, widths, output_scale):

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from physkin_core.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
-from physkin_core.reference_evaluator import ReferenceEvaluator
+from physkin_core.runtime.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
+from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
 
 LEVELS = supported_instruction_sets()
 ANY_FLOAT = st.floats(width=32, allow_nan=True, allow_infinity=True)

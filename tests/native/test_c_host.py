@@ -11,9 +11,9 @@ import pytest
 from native_library import NATIVE
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
-from physkin_core.bound_file import save_bound_garment
 from physkin_core.cli import main
-from physkin_core.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
+from physkin_core.runtime.bound_file import save_bound_garment
+from physkin_core.runtime.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
 
 OK, BAD_ARGUMENT, BAD_FILE, BAD_POSE = range(4)
 C_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")

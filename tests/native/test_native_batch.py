@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 from random_models import random_avatar, random_model, random_pose
 
-from physkin_core import binding
-from physkin_core.binding import bind_garment
-from physkin_core.native_evaluator import PRECISIONS, NativeEvaluator, NativeEvaluatorBatch, supported_instruction_sets
-from physkin_core.reference_evaluator import ReferenceEvaluator
+from physkin_core.runtime import binding
+from physkin_core.runtime.binding import bind_garment
+from physkin_core.runtime.native_evaluator import (
+    PRECISIONS,
+    NativeEvaluator,
+    NativeEvaluatorBatch,
+    supported_instruction_sets,
+)
+from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
 
 LEVELS = supported_instruction_sets()
 SHAPES = {

@@ -5,10 +5,10 @@ import pytest
 from random_models import random_avatar, random_hyper_modulator, random_model, unit_rows
 
 from physkin_core import Draper
-from physkin_core.hyper_modulator import body_modulation
+from physkin_core.model.hyper_modulator import body_modulation
 
-native_body_encoder = pytest.importorskip("physkin_core.native_body_encoder")
-from physkin_core.native_evaluator import supported_instruction_sets  # noqa: E402
+native_body_encoder = pytest.importorskip("physkin_core.runtime.native_body_encoder")
+from physkin_core.runtime.native_evaluator import supported_instruction_sets  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physkin_core.native_evaluator import NativeEvaluator, supported_instruction_sets
+from physkin_core.runtime.native_evaluator import NativeEvaluator, supported_instruction_sets
 
 
 @pytest.fixture
@@ -262,7 +262,7 @@ PRINT_LEVEL = """
 import sys, numpy as np
 sys.path[:0] = sys.argv[1:]
 from conftest import random_bound_garment
-from physkin_core.native_evaluator import NativeEvaluator
+from physkin_core.runtime.native_evaluator import NativeEvaluator
 print(NativeEvaluator(random_bound_garment(np.random.default_rng(0))).instruction_set)
 """
 

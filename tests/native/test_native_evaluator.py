@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physkin_core.native_evaluator import NativeEvaluator, supported_instruction_sets
-from physkin_core.reference_evaluator import ReferenceEvaluator
+from physkin_core.runtime.native_evaluator import NativeEvaluator, supported_instruction_sets
+from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 

@@ -5,13 +5,13 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from physkin_core.push_out import BLOCK, PATCH, BoundPushOut
-from physkin_core.reference_evaluator import ReferenceEvaluator
-from physkin_core.rig import forward_kinematics
+from physkin_core.rig.rig import forward_kinematics
+from physkin_core.runtime.push_out import BLOCK, PATCH, BoundPushOut
+from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 
-native_evaluator = pytest.importorskip("physkin_core.native_evaluator")
+native_evaluator = pytest.importorskip("physkin_core.runtime.native_evaluator")
 NativeEvaluator = native_evaluator.NativeEvaluator
 SETS = native_evaluator.supported_instruction_sets()
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from random_models import needs_native
 
-from physkin_core.skinning import skin
+from physkin_core.model.skinning import skin
 
 pytestmark = needs_native
 
@@ -12,7 +12,7 @@ pytestmark = needs_native
 @pytest.mark.parametrize("influences", [1, 4])
 def test_equals_the_reference(influences):
     """Random garment nodes and skinning weights."""
-    from physkin_core.native_skinner import NativeSkinner
+    from physkin_core.runtime.native_skinner import NativeSkinner
 
     random = np.random.default_rng(influences)
     n, m = 137, 11

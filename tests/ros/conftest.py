@@ -34,7 +34,7 @@ def leaning_model_path(leaning_model, tmp_path_factory):
 @pytest.fixture
 def domain(monkeypatch):
     """A ROS domain of its own for this process and its children, on this machine only."""
-    from physkin_ros.transport import private_environment
+    from physkin_ros.middleware.transport import private_environment
 
     for name, value in private_environment().items():
         if os.environ.get(name) != value:
@@ -144,7 +144,7 @@ class Peer:
         rclpy.shutdown(context=self.context)
 
     def _on_cloud(self, message) -> None:
-        from physkin_ros.conversions import read_cloud
+        from physkin_ros.messages.conversions import read_cloud
 
         self.clouds[message.header.stamp.sec, message.header.stamp.nanosec] = read_cloud(message).copy()
         self.frame_ids.add(message.header.frame_id)

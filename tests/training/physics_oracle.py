@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from physkin_core.garment import Garment
-from physkin_core.garment_model import Material
+from physkin_core.model.garment import Garment
+from physkin_core.model.garment_model import Material
 
 
 def stretch_energy(x: torch.Tensor, garment: Garment, material: Material) -> torch.Tensor:

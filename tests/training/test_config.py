@@ -9,8 +9,8 @@ import pytest
 pytest.importorskip("torch", reason="needs the [training] extra")
 
 from physkin_core import load_garment_model  # noqa: E402
-from physkin_core.garment_model import Material  # noqa: E402
-from physkin_core.model_file import shipped_models  # noqa: E402
+from physkin_core.model.garment_model import Material  # noqa: E402
+from physkin_core.model.model_file import shipped_models  # noqa: E402
 from physkin_training.config import ConfigError, TrainingConfig, load_config  # noqa: E402
 
 FOLDER = Path(__file__).parents[2] / "training" / "configs"

@@ -10,8 +10,8 @@ import warp as wp
 from safetensors.torch import save_file
 from training.small_runs import small_config
 
-from physkin_training.processes import join, leave
-from physkin_training.trainer import Trainer
+from physkin_training.train.processes import join, leave
+from physkin_training.train.trainer import Trainer
 
 
 def steps(trainer: Trainer, count: int) -> None:

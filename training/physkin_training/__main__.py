@@ -1,5 +1,5 @@
 """`python -m physkin_training`: the same as `physkin train`."""
 
-from physkin_training.train import main
+from physkin_training.train.train import main
 
 raise SystemExit(main())

@@ -10,10 +10,10 @@ from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import get_type_hints
 
-from physkin_core.garment_model import Material
-from physkin_training.fantastical_bodies import BODY_DISTRIBUTIONS
-from physkin_training.networks import NetworkConfig
-from physkin_training.wearing import OTHER_LIMBS
+from physkin_core.model.garment_model import Material
+from physkin_training.networks.networks import NetworkConfig
+from physkin_training.physics.wearing import OTHER_LIMBS
+from physkin_training.sampling.fantastical_bodies import BODY_DISTRIBUTIONS
 
 __all__ = ["ConfigError", "TrainingConfig", "load_config"]
 
@@ -130,7 +130,8 @@ class PoseConfig:
 @dataclass(frozen=True)
 class TrainingConfig:
     """All of one training run. name: of the model file. garment: mesh path relative to the configuration file.
-    body_distribution: whom it is trained on, "adults" or "fantastical" (see `physkin_training.fantastical_bodies`)."""
+    body_distribution: whom it is trained on, "adults" or "fantastical"
+    (see `physkin_training.sampling.fantastical_bodies`)."""
 
     name: str
     garment: Path

@@ -1,0 +1,68 @@
+"""Avatar: a body of any topology in the garment model's canonical pose, bound to the garment model's rig.
+
+Dimensions: `V` body vertices, `f` faces, `b` bones of the garment model's rig, `K` influences. Metres, root frame
+(REP-103: X forward, Y left, Z up), root at the origin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from physkin_core.avatar.body_model import BodyModel
+
+__all__ = ["Avatar", "AvatarError", "avatar_from_body"]
+
+
+class AvatarError(ValueError):
+    """An avatar file cannot be read, is malformed, or does not fit the garment model's rig."""
+
+
+@dataclass(frozen=True)
+class Avatar:
+    """One body at the canonical pose.
+
+    vertices: (V, 3) float32 [m]; faces: (f, 3) int32, counter-clockwise seen from outside.
+    bone_heads, bone_tails: (b, 3) float32 [m], the bones of the garment model's rig on this body.
+    influence_bones: (V, K) int32 into the rig's bones; influence_weights: (V, K) float32, rows sum to 1.
+    source: where it came from. warnings: what was assumed or repaired on the way, for the user to read.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    bone_heads: np.ndarray
+    bone_tails: np.ndarray
+    influence_bones: np.ndarray
+    influence_weights: np.ndarray
+    source: str
+    warnings: tuple[str, ...] = ()
+
+    def posed_vertices(self, bone_transforms: np.ndarray) -> np.ndarray:
+        """Body surface in a pose, by linear blend skinning.
+
+        bone_transforms: (b, 3, 4) from `Rig.bone_transforms(..., heads=self.bone_heads)`. Returns (V, 3) [m].
+        """
+        matrices = np.asarray(bone_transforms, dtype=np.float32)
+        if matrices.shape != (len(self.bone_heads), 3, 4):
+            raise ValueError(f"bone transforms have shape {matrices.shape}, expected ({len(self.bone_heads)}, 3, 4)")
+        blended = np.einsum("vk,vkij->vij", self.influence_weights, matrices[self.influence_bones])
+        return np.einsum("vij,vj->vi", blended[..., :3], self.vertices) + blended[..., 3]
+
+
+def avatar_from_body(body_model: BodyModel, coefficients: np.ndarray) -> Avatar:
+    """The body of the compact body model with shape coefficients (c,); its rig must be the garment model's."""
+    coefficients = np.asarray(coefficients, dtype=np.float32)
+    expected = (len(body_model.vertex_components),)
+    if coefficients.shape != expected or not np.isfinite(coefficients).all():
+        raise AvatarError(f"shape coefficients must be {expected[0]} finite numbers, got shape {coefficients.shape}")
+    heads, tails = body_model.bones(coefficients)
+    return Avatar(
+        vertices=body_model.vertices(coefficients).astype(np.float32),
+        faces=body_model.faces,
+        bone_heads=heads.astype(np.float32),
+        bone_tails=tails.astype(np.float32),
+        influence_bones=body_model.influence_bones,
+        influence_weights=body_model.influence_weights,
+        source="compact body model",
+    )

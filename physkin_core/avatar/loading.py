@@ -1,0 +1,42 @@
+"""Loading an avatar: from the file that a user names to a body in the garment model's canonical pose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from physkin_core.avatar.avatar import Avatar, AvatarError
+from physkin_core.avatar.gltf_avatar import load_gltf
+from physkin_core.avatar.mesh_avatar import load_mesh
+from physkin_core.rig.rig import Rig, RigError
+
+__all__ = ["BUNDLED_AVATAR", "load_avatar"]
+
+BUNDLED_AVATAR = Path(__file__).parents[1] / "assets" / "avatar.glb"
+"""A sampled adult as GLB, to try things on."""
+
+GLTF_SUFFIXES = (".glb", ".gltf", ".vrm")
+MESH_SUFFIXES = (".obj", ".ply", ".stl")
+
+
+def load_avatar(path: str | Path, rig: Rig, *, rig_file: str | Path | None = None) -> Avatar:
+    """Read an avatar and put it into the canonical pose of `rig`.
+
+    path: GLB, glTF or VRM with a skin, or an OBJ, PLY or STL mesh. rig: the garment model's.
+    rig_file: skeleton of a plain mesh (layout: `physkin_core.avatar.mesh_avatar`), default `NAME.rig.json` beside
+    `NAME.obj` if that exists. A mesh without any skeleton gets the rig fitted to it, and a warning that says so.
+    Raises AvatarError naming what is wrong with the file and what was allowed.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in GLTF_SUFFIXES + MESH_SUFFIXES:
+        raise AvatarError(
+            f"avatar {path} has the unknown extension {path.suffix!r}; "
+            f"allowed: {', '.join(GLTF_SUFFIXES + MESH_SUFFIXES)}"
+        )
+    if not path.is_file():
+        raise AvatarError(f"avatar {path}: no such file")
+    load = load_gltf if suffix in GLTF_SUFFIXES else load_mesh
+    try:
+        return load(path, rig, rig_file=rig_file)
+    except RigError as error:
+        raise AvatarError(str(error)) from error

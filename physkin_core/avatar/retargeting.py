@@ -1,0 +1,327 @@
+"""Put a skinned mesh into the canonical pose through its own skeleton and bind it to the garment model's rig.
+
+Loaders (`avatar_gltf`, `avatar_mesh`) fill a `SkinnedMesh`; `retarget` makes the `Avatar`.
+
+Dimensions: `V` vertices, `f` faces, `j` joints of the avatar's skeleton, `b` bones of the rig, `K` influences. Metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import permutations, product
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar, AvatarError
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.rig.bone_naming import OWN_NAMES, match_bones
+from physkin_core.rig.canonical_pose import blended, limb_rotations, smallest_rotation, turned_down_the_chain
+from physkin_core.rig.rig import Rig
+
+__all__ = ["SkinnedMesh", "check_size", "clean_surface", "place_bones", "retarget", "turn_upright"]
+
+HEIGHT_RANGE = (0.5, 3.0)
+MAX_INFLUENCES = 8
+JOINT_DEVIATIONS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
+"""[m] how far a joint may lie from where the compact body model has it on the same person."""
+LIKELY_COEFFICIENT = 3.0
+SIDES = ("L", "R")
+
+
+@dataclass(frozen=True)
+class SkinnedMesh:
+    """An avatar as its file has it: any pose, any origin; axes of the root frame (X forward, Y left, Z up), metres.
+
+    vertices: (V, 3). faces: (f, 3) integers. joint_names: (j,). joint_parents: (j,), -1 for none, a parent before its
+    children. joint_heads: (j, 3). joint_tails: (j, 3), NaN where the file does not say.
+    influence_joints: (V, K) integers; influence_weights: (V, K), rows sum to 1.
+    humanoid: joint by VRM humanoid bone, for files that state it. warnings: as in `Avatar`.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    joint_names: tuple[str, ...]
+    joint_parents: np.ndarray
+    joint_heads: np.ndarray
+    joint_tails: np.ndarray
+    influence_joints: np.ndarray
+    influence_weights: np.ndarray
+    source: str
+    humanoid: Mapping[str, int] | None = None
+    warnings: tuple[str, ...] = ()
+
+
+def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
+    """Canonical pose, root at the origin, bones and influences of `rig`.
+
+    Raises AvatarError when required joints are missing, a limb has no length or the height is implausible.
+    """
+    bone_joint, naming = match_bones(mesh.joint_names, rig, source=mesh.source, humanoid=mesh.humanoid)
+    astray = [mesh.joint_names[joint] for joint in np.flatnonzero(~np.isfinite(mesh.joint_heads).all(axis=1))]
+    if astray:
+        raise AvatarError(f"avatar {mesh.source}: joints {', '.join(astray)} are not at finite positions")
+    mesh = turn_upright(mesh, bone_joint)
+    mesh = _canonical(mesh, bone_joint, rig)
+    check_size(mesh.vertices, mesh.source)
+    root_joint = bone_joint.get(rig.bone_names[0]) if naming == OWN_NAMES else None
+    heads, tails, root = place_bones(mesh, bone_joint, rig, root_joint=root_joint)
+    bones, weights = _rig_influences(mesh, bone_joint, rig, heads, tails)
+    return Avatar(
+        vertices=(mesh.vertices - root).astype(np.float32),
+        faces=_outward(mesh.vertices, mesh.faces).astype(np.int32),
+        bone_heads=(heads - root).astype(np.float32),
+        bone_tails=(tails - root).astype(np.float32),
+        influence_bones=bones,
+        influence_weights=weights,
+        source=mesh.source,
+        warnings=mesh.warnings,
+    )
+
+
+def clean_surface(
+    vertices: np.ndarray, faces: np.ndarray, attributes: tuple[np.ndarray, ...], source: str
+) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]:
+    """Check a surface, weld equal vertices (texture seams, triangle soups) and drop unused vertices and empty faces.
+
+    vertices: (V, 3). faces: (f, 3). attributes: arrays (V, ...) that must be equal, too, for vertices to be welded.
+    The order of what remains is kept. Raises AvatarError on no faces, NaN or an index out of range.
+    """
+    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    if faces.size == 0 or len(vertices) == 0:
+        raise AvatarError(f"avatar {source} has {len(vertices)} vertices and no faces; a triangle mesh is needed")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise AvatarError(
+            f"avatar {source}: face indices span {faces.min()} to {faces.max()}, allowed 0 to {len(vertices) - 1}"
+        )
+    finite = np.isfinite(vertices).all(axis=1)
+    if not finite.all():
+        bad = int(np.flatnonzero(~finite)[0])
+        raise AvatarError(
+            f"avatar {source}: {int((~finite).sum())} vertices are not finite, the first is {bad}: "
+            f"{vertices[bad].tolist()}"
+        )
+    key = np.concatenate([array.reshape(len(vertices), -1).astype(np.float64) for array in (vertices, *attributes)], 1)
+    _, first, inverse = np.unique(key + 0.0, axis=0, return_index=True, return_inverse=True)
+    faces = first[inverse.reshape(-1)][faces]
+    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    used, faces = np.unique(faces[distinct], return_inverse=True)
+    if len(used) == 0:
+        raise AvatarError(f"avatar {source}: all faces are degenerate; a triangle mesh is needed")
+    return vertices[used], faces.reshape(-1, 3), tuple(array[used] for array in attributes)
+
+
+def check_size(vertices: np.ndarray, source: str) -> None:
+    """Raise AvatarError unless the height is that of a person in metres."""
+    height = float(np.ptp(vertices[:, 2]))
+    low, high = HEIGHT_RANGE
+    if low <= height <= high:
+        return
+    scale = next((factor for factor in (0.01, 0.1, 0.0254, 0.001) if 1.2 <= height * factor <= 2.4), None)
+    hint = f'probably "scale": {scale}' if scale else 'such as "scale": 0.01 for centimetres'
+    raise AvatarError(
+        f"avatar {source} is {height:.4g} m high, allowed {low} to {high} m. glTF is in metres by its standard; for a "
+        f'plain mesh say so in its rig file: {hint}, or "up": "Y", "forward": "Z" if Z is not up'
+    )
+
+
+def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int]) -> SkinnedMesh:
+    """Turn by quarters until the skeleton stands up and looks forward; a warning says when that was needed."""
+    ends = [f"{bone}.{side}" for bone in ("upperarm01", "upperleg01") for side in SIDES]
+    if any(name not in bone_joint for name in ends):
+        return mesh
+    left_arm, right_arm, left_leg, right_leg = (mesh.joint_heads[bone_joint[name]] for name in ends)
+    up = (left_arm + right_arm) - (left_leg + right_leg)
+    left = (left_arm - right_arm) + (left_leg - right_leg)
+    if min(np.linalg.norm(up), np.linalg.norm(left), np.linalg.norm(np.cross(left, up))) < 1e-6:
+        raise AvatarError(
+            f"avatar {mesh.source}: shoulders and hips fall together, the skeleton has no upright direction"
+        )
+    up, left = up / np.linalg.norm(up), left / np.linalg.norm(left)
+    axes = np.stack([np.cross(left, up), left, up], axis=1)
+    turn = max(_quarter_turns(), key=lambda candidate: np.trace(candidate @ axes))
+    if np.array_equal(turn, np.eye(3)):
+        return mesh
+    facing, rising = _axis_name(turn[0]), _axis_name(turn[2])
+    warning = f"the skeleton faces {facing} with {rising} up where X and Z were expected: turned"
+    return replace(
+        mesh,
+        vertices=mesh.vertices @ turn.T,
+        joint_heads=mesh.joint_heads @ turn.T,
+        joint_tails=mesh.joint_tails @ turn.T,
+        warnings=(*mesh.warnings, warning),
+    )
+
+
+def place_bones(
+    mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig, *, root_joint: int | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Heads and tails (b, 3) of all rig bones on the avatar as it is posed, and the root's place (3,).
+
+    Mapped bones take their joint. Others are placed between their nearest mapped neighbours as in the reference
+    skeleton, turned and scaled with the stretch between these. Without a `root_joint` the root is placed from the hips.
+    """
+    known = {bone: mesh.joint_heads[joint] for bone, joint in bone_joint.items()}
+    reference_heads, reference_tails = _reference_bones(rig, known)
+    scale = _leg_ratio(known, rig, reference_heads)
+    root = rig.bone_names[0]
+    if root_joint is None:
+        hips = [f"upperleg01.{side}" for side in SIDES]
+        offset = np.mean([reference_heads[rig.bone_index(name)] for name in hips], axis=0) - reference_heads[0]
+        known[root] = np.mean([known[name] for name in hips], axis=0) - scale * offset
+    heads = np.empty((rig.bone_count, 3))
+    for bone, name in enumerate(rig.bone_names):
+        heads[bone] = known[name] if name in known else _between(bone, rig, heads, known, reference_heads, scale)
+    tails = heads + scale * (reference_tails - reference_heads)
+    for bone, name in enumerate(rig.bone_names):
+        follower = _follower(rig, bone)
+        given = mesh.joint_tails[bone_joint[name]] if name in bone_joint else np.full(3, np.nan)
+        if follower is not None:
+            tails[bone] = heads[follower]
+        elif np.isfinite(given).all():
+            tails[bone] = given
+    return heads, tails, heads[0].copy()
+
+
+def _reference_bones(rig: Rig, known: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Heads and tails (b, 3) of a likely body with this skeleton; on a rig of its own kind, that rig's bones.
+
+    The compact body model's shape that explains the known joints (3,) best, place being free. Each joint is trusted to
+    the first of `JOINT_DEVIATIONS` that leaves a likely shape, so an unusual skeleton gets an average body.
+    """
+    body = load_body_model()
+    if rig.bone_names != body.rig.bone_names:
+        return rig.heads, rig.tails
+    known_bones = [rig.bone_index(name) for name in known]
+    mean, components = body.mean_bones[known_bones, 0], body.bone_components[:, known_bones, 0]
+    gap = np.stack([known[name] for name in known]) - mean
+    gap, components = gap - gap.mean(axis=0), components - components.mean(axis=1, keepdims=True)
+    design = components.reshape(len(components), -1).astype(np.float64)
+    for deviation in JOINT_DEVIATIONS:
+        system = design @ design.T + deviation**2 * np.eye(len(design))
+        coefficients = np.linalg.solve(system, design @ gap.reshape(-1))
+        if np.abs(coefficients).max() < LIKELY_COEFFICIENT:
+            break
+    heads, tails = body.bones(coefficients)
+    return heads.astype(np.float64), tails.astype(np.float64)
+
+
+def _leg_ratio(known: Mapping[str, np.ndarray], rig: Rig, reference: np.ndarray) -> float:
+    """Leg length of the avatar over that of the reference skeleton; of the whole skeleton on a rig without legs."""
+    legs = [
+        (f"{start}.{side}", f"{end}.{side}")
+        for side in SIDES
+        for start, end in (("upperleg01", "lowerleg01"), ("lowerleg01", "foot"))
+    ]
+    if any(name not in known for leg in legs for name in leg):
+        legs = [(rig.bone_names[0], name) for name in known]
+    model_heads = dict(zip(rig.bone_names, reference))
+    own, model = (sum(np.linalg.norm(at[end] - at[start]) for start, end in legs) for at in (known, model_heads))
+    return float(own / model) if own > 1e-9 and model > 1e-9 else 1.0
+
+
+def _between(bone: int, rig: Rig, heads: np.ndarray, known: Mapping, reference: np.ndarray, scale: float) -> np.ndarray:
+    above = int(rig.parents[bone])
+    while rig.bone_names[above] not in known:
+        above = int(rig.parents[above])
+    below = _nearest_known_below(bone, rig, known)
+    offset = reference[bone] - reference[above]
+    if below:
+        model = reference[below].mean(axis=0) - reference[above]
+        own = np.mean([known[rig.bone_names[index]] for index in below], axis=0) - heads[above]
+        lengths = np.linalg.norm(model), np.linalg.norm(own)
+        if min(lengths) > 1e-6:
+            return heads[above] + lengths[1] / lengths[0] * (smallest_rotation(model, own) @ offset)
+    return heads[above] + scale * offset
+
+
+def _nearest_known_below(bone: int, rig: Rig, known: Mapping) -> list[int]:
+    found = []
+    for child in np.flatnonzero(rig.parents == bone):
+        found += [int(child)] if rig.bone_names[child] in known else _nearest_known_below(int(child), rig, known)
+    return found
+
+
+def _follower(rig: Rig, bone: int) -> int | None:
+    """The bone whose head is this bone's tail, if there is one."""
+    at_tail = np.flatnonzero(np.linalg.norm(rig.heads - rig.tails[bone], axis=1) < 1e-4)
+    return int(at_tail[0]) if len(at_tail) else None
+
+
+def _canonical(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> SkinnedMesh:
+    """Turn the limbs into the rig's directions by linear blend skinning on the avatar's own joints."""
+    heads = {bone: mesh.joint_heads[joint] for bone, joint in bone_joint.items()}
+    try:
+        turns = limb_rotations(heads, dict(zip(rig.bone_names, rig.heads)))
+    except ValueError as error:
+        raise AvatarError(f"avatar {mesh.source}: {error}") from error
+    joint_turn = {joint: turns[bone] for bone, joint in bone_joint.items() if bone in turns}
+    transforms, posed = turned_down_the_chain(mesh.joint_heads, mesh.joint_parents, joint_turn)
+    return replace(
+        mesh,
+        vertices=blended(mesh.vertices, transforms, mesh.influence_joints, mesh.influence_weights),
+        joint_heads=posed,
+        joint_tails=np.einsum("jab,jb->ja", transforms[..., :3], mesh.joint_tails) + transforms[..., 3],
+    )
+
+
+def _rig_influences(
+    mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig, heads: np.ndarray, tails: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Influences over rig bones: each joint's go to its bone, or to its nearest mapped ancestor's."""
+    joint_bone = {joint: rig.bone_index(bone) for bone, joint in bone_joint.items()}
+    target = np.zeros(len(mesh.joint_names), dtype=np.int64)
+    for joint, parent in enumerate(mesh.joint_parents):
+        target[joint] = joint_bone.get(joint, target[parent] if parent >= 0 else 0)
+    dense = np.zeros((len(mesh.vertices), rig.bone_count))
+    np.add.at(dense, (np.arange(len(dense))[:, None], target[mesh.influence_joints]), mesh.influence_weights)
+    for bone in joint_bone.values():
+        _spread_along_chain(dense, bone, rig, bone_joint, mesh.vertices, heads, tails)
+    count = min(MAX_INFLUENCES, max(1, int((dense > 0).sum(axis=1).max())))
+    bones = np.argsort(-dense, axis=1, kind="stable")[:, :count]
+    weights = np.take_along_axis(dense, bones, axis=1)
+    weights /= weights.sum(axis=1, keepdims=True)
+    return bones.astype(np.int32), weights.astype(np.float32)
+
+
+def _spread_along_chain(dense, bone, rig, bone_joint, vertices, heads, tails) -> None:
+    """Share one joint's influence among the rig bones it covers (upperarm01, upperarm02), so that twist is spread.
+
+    A vertex's share goes over linearly from the middle of one bone to the middle of the next along the chain.
+    """
+    chain = [bone]
+    while len(children := np.flatnonzero(rig.parents == chain[-1])) == 1:
+        if rig.bone_names[children[0]] in bone_joint:
+            break
+        chain.append(int(children[0]))
+    direction = tails[chain[-1]] - heads[bone]
+    length = np.linalg.norm(direction)
+    if len(chain) == 1 or length < 1e-6:
+        return
+    rows = np.flatnonzero(dense[:, bone])
+    along = (vertices[rows] - heads[bone]) @ direction / length
+    middles = ((heads[chain] + tails[chain]) / 2 - heads[bone]) @ direction / length
+    shares = np.stack([np.interp(along, middles, unit) for unit in np.eye(len(chain))], axis=1)
+    dense[rows[:, None], chain] = dense[rows, bone, None] * shares
+
+
+def _outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Faces, all turned over when the enclosed volume is negative (mirrored transforms, inside-out meshes)."""
+    a, b, c = np.moveaxis(vertices[faces] - vertices.mean(axis=0), 1, 0)
+    return faces if np.einsum("fi,fi->", a, np.cross(b, c)) >= 0 else faces[:, ::-1]
+
+
+def _axis_name(direction: np.ndarray) -> str:
+    axis = int(np.argmax(np.abs(direction)))
+    return ("-" if direction[axis] < 0 else "") + "XYZ"[axis]
+
+
+def _quarter_turns() -> list[np.ndarray]:
+    """The 24 rotations that take axes to axes, the identity first."""
+    turns = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            matrix = np.eye(3)[list(order)] * np.array(signs)[:, None]
+            if np.linalg.det(matrix) > 0:
+                turns.append(matrix)
+    return turns

@@ -1,0 +1,112 @@
+"""The compact body model laid on an avatar in the canonical pose: which point of one is which point of the other.
+
+Shape coefficients come from the avatar's bones and, by closest points, from its surface; what the body model cannot
+take on is added as a smooth displacement. Any triangulation will do. `rig_fitting` does this for meshes in any pose and
+without a skeleton; here both are known, so the problem is nearly linear and takes tenths of a second.
+
+Dimensions: `V` vertices of the body model, `c` shape coefficients, `b` bones, `k` matched vertices. Metres.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar
+from physkin_core.avatar.body_model import BodyModel
+from physkin_core.model.garment import vertex_normals
+from physkin_core.model.surface_sampling import sample_surface
+
+__all__ = ["fit_shape", "surface_on_avatar"]
+
+POINTS = 16384
+"""Points sampled on the avatar."""
+MATCHED = 3000
+"""Vertices of the body model that are matched with them."""
+ITERATIONS = 10
+NORMAL_REACH = 0.05
+"""Length [m] that a unit difference between normals counts for, so that a thigh does not pair with the other one."""
+TANGENTIAL = 0.1
+"""Weight of the distance along the surface against the distance off it."""
+EXPECTED_RESIDUAL = 0.003
+"""[m] mean distance between surfaces that weighs as much as coefficients of one standard deviation."""
+BONE_DEVIATION = 0.01
+"""[m] by which joints may be elsewhere: other rigs place them otherwise."""
+SHAPE_WEIGHT = 0.02
+SMOOTHING = 0.025
+"""Length [m] over which the remaining displacement is averaged."""
+SMOOTHED_OVER = 24
+"""Matched vertices over which it is averaged."""
+OUTLIER = 0.03
+"""[m] distance between matches that count a quarter of those that touch."""
+
+
+def surface_on_avatar(avatar: Avatar, body: BodyModel) -> np.ndarray:
+    """The body model's vertices (V, 3) float64 [m] where they lie on the avatar; its rig must be the body model's."""
+    from scipy.spatial import cKDTree
+
+    matching = _Matching(avatar, body)
+    surface = body.vertices(matching.fitted()).astype(np.float64)
+    gap, trust = matching.gaps(surface)
+    distance, near = cKDTree(surface[matching.chosen]).query(surface, k=SMOOTHED_OVER)
+    share = trust[near] * np.exp(-((distance / SMOOTHING) ** 2)) + 1e-9
+    return surface + np.einsum("vk,vki->vi", share / share.sum(axis=1, keepdims=True), gap[near])
+
+
+def fit_shape(avatar: Avatar, body: BodyModel) -> np.ndarray:
+    """Shape coefficients (c,) of the body of the body model that is most like the avatar."""
+    return _Matching(avatar, body).fitted()
+
+
+class _Matching:
+    """Pairs vertices of the body model with points on an avatar."""
+
+    def __init__(self, avatar: Avatar, body: BodyModel) -> None:
+        from scipy.spatial import cKDTree
+
+        self._avatar, self._body = avatar, body
+        self._points = _with_normals(*sample_surface(avatar.vertices, avatar.faces, POINTS))
+        self._tree = cKDTree(self._points)
+        spread, _ = sample_surface(body.mean_vertices, body.faces, MATCHED)
+        self.chosen = np.unique(cKDTree(body.mean_vertices).query(spread)[1])
+
+    def fitted(self) -> np.ndarray:
+        """Gauss-Newton on closest points, from the shape that the bones have."""
+        body, c = self._body, len(self._body.vertex_components)
+        bones = np.stack([self._avatar.bone_heads, self._avatar.bone_tails], axis=1).astype(np.float64)
+        by_bone = body.bone_components.reshape(c, -1).T.astype(np.float64)
+        precision = 1 / (BONE_DEVIATION**2 * len(by_bone))
+        prior = SHAPE_WEIGHT * np.eye(c) + precision * by_bone.T @ by_bone
+        right = precision * by_bone.T @ (bones - body.mean_bones).reshape(-1)
+        coefficients = np.linalg.solve(prior, right)
+        components = body.vertex_components[:, self.chosen].astype(np.float64)
+        for _ in range(ITERATIONS):
+            surface = body.vertices(coefficients).astype(np.float64)
+            target, trust = self._matches(surface)
+            rest = body.mean_vertices[self.chosen]
+            normals, gap = target[:, 3:] / NORMAL_REACH, target[:, :3] - rest
+            across = np.einsum("cki,ki->kc", components, normals)
+            along = TANGENTIAL * components.reshape(c, -1).T
+            importance = trust / (trust.sum() * EXPECTED_RESIDUAL**2)
+            system = prior + across.T @ (importance[:, None] * across)
+            system += along.T @ (importance.repeat(3)[:, None] * along)
+            values = across.T @ (importance * np.einsum("ki,ki->k", normals, gap))
+            values += TANGENTIAL * along.T @ (importance.repeat(3) * gap.reshape(-1))
+            coefficients = np.linalg.solve(system, right + values)
+        return coefficients
+
+    def gaps(self, surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What is missing from the chosen vertices to the avatar, off its surface (k, 3) [m], and trust in it (k,)."""
+        target, trust = self._matches(surface)
+        normals = target[:, 3:] / NORMAL_REACH
+        off = np.einsum("ki,ki->k", target[:, :3] - surface[self.chosen], normals)
+        return off[:, None] * normals, trust
+
+    def _matches(self, surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points (k, 6) that the chosen vertices are matched with, and trust in them (k,)."""
+        mine = _with_normals(surface, vertex_normals(surface, self._body.faces))[self.chosen]
+        distance, match = self._tree.query(mine)
+        return self._points[match], 1 / (1 + (distance / OUTLIER) ** 2) ** 2
+
+
+def _with_normals(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    return np.concatenate([points, NORMAL_REACH * normals], axis=1).astype(np.float64)

@@ -1,0 +1,67 @@
+"""Linear blend skinning of garment vertices and normals to garment nodes. Paper: Node-based Skinning for Garments.
+
+Dimensions: `n` vertices, `m` garment nodes, `K` influences a vertex. Metres, root frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from physkin_core.model.garment_nodes import pose_nodes
+from physkin_core.runtime.bound_garment import BoundGarment
+
+__all__ = ["NORMALS", "cofactors", "plain_skinning", "skin", "skinning_matrices", "unit"]
+
+NORMALS = ("skinned", "faces")
+"""Where normals come from: rest normals carried along, or the draped mesh's faces."""
+
+
+def cofactors(linear: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) what normals transform by where tangents transform by `linear` (..., 3, 3): det(A) A^-T."""
+    x, y, z = np.moveaxis(linear, -1, 0)
+    return np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-1)
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) at unit length; one without a length stays zero."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+
+
+def skinning_matrices(nodes: np.ndarray, node_rest: np.ndarray) -> np.ndarray:
+    """chi_i * inverse(chi-bar_i), chi-bar having an identity linear part. nodes: (..., m, 3, 4). Returns the same."""
+    linear = nodes[..., :3]
+    translation = nodes[..., 3] - np.einsum("...mij,mj->...mi", linear, node_rest)
+    return np.concatenate([linear, translation[..., None]], axis=-1)
+
+
+def skin(
+    nodes: np.ndarray,
+    node_rest: np.ndarray,
+    vertices: np.ndarray,
+    normals: np.ndarray,
+    influence_nodes: np.ndarray,
+    influence_weights: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Deform the garment: x' = sum_i w_i chi_i chi-bar_i^-1 x, normals by the cofactors of the blended linear part,
+    then to unit length.
+
+    nodes: (m, 3, 4). node_rest: (m, 3). vertices, normals: (n, 3). influence_nodes, influence_weights: (n, K).
+    Returns positions (n, 3) and normals (n, 3).
+    """
+    matrices = skinning_matrices(nodes, node_rest)
+    blended = np.einsum("nk,nkij->nij", influence_weights, matrices[influence_nodes])
+    positions = np.einsum("nij,nj->ni", blended[..., :3], vertices) + blended[..., 3]
+    turned = np.einsum("nij,nj->ni", cofactors(blended[..., :3]), normals)
+    return positions, unit(turned)
+
+
+def plain_skinning(bound: BoundGarment, bone_transforms: np.ndarray) -> np.ndarray:
+    """The garment as its garment nodes carry it without any correction: what a model's drape is compared with.
+
+    bone_transforms: (b, 3, 4) of this body, from `Draper.bone_transforms`. Returns (n, 3).
+    """
+    nodes = pose_nodes(bone_transforms, bound.node_bone, bound.node_positions)
+    blended = np.einsum(
+        "nk,nkij->nij", bound.influence_weights, skinning_matrices(nodes, bound.node_rest)[bound.influence_nodes]
+    )
+    return np.einsum("nij,nj->ni", blended[..., :3], bound.vertices) + blended[..., 3]

@@ -1,0 +1,220 @@
+"""Motion clips: joint positions and root placement at a fixed rate, and the file that holds them.
+
+A clip is one safetensors file. It stays in single precision: half precision would move a hand by half a millimetre from
+frame to frame, which is as much as cloth does between two frames.
+
+Dimensions: `T` frames, `d` degrees of freedom. Radians, metres, seconds; world and root frame have Z up.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from physkin_core.rig.rig import Rig
+
+__all__ = ["MOTIONS_DIRECTORY", "Motion", "MotionError", "bundled_motions", "load_motion", "save_motion"]
+
+MOTIONS_DIRECTORY = Path(__file__).parents[1] / "assets" / "motions"
+
+CLOSED_POSITION = 0.02  # [rad] a clip whose ends differ by less repeats as a cycle
+CLOSED_GRAVITY = 0.02
+
+
+class MotionError(ValueError):
+    """A motion clip is unknown, unreadable or inconsistent."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A clip of T frames.
+
+    joint_names: (d,) what the columns of `positions` are, as in `sensor_msgs/JointState`.
+    positions: (T, d) float32 [rad]. root_orientation: (T, 4) float32 unit quaternion x, y, z, w, world <- root.
+    root_position: (T, 3) float32 [m] root in the world, whose floor is Z = 0. rate_hz: frames a second.
+    """
+
+    joint_names: tuple[str, ...]
+    positions: np.ndarray
+    root_orientation: np.ndarray
+    root_position: np.ndarray
+    rate_hz: float
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        """Check and convert. Raises MotionError naming the field, its value and what was expected."""
+        names = tuple(self.joint_names)
+        if len(set(names)) != len(names):
+            raise MotionError(f"motion {self.name!r}: joint names must be unique, got {', '.join(names)}")
+        positions = np.asarray(self.positions, dtype=np.float32)
+        if positions.ndim != 2 or len(positions) == 0 or positions.shape[1] != len(names):
+            raise MotionError(
+                f"motion {self.name!r}: positions have shape {positions.shape}; expected (T, {len(names)}), T > 0"
+            )
+        arrays = {"positions": positions}
+        for field, width in (("root_orientation", 4), ("root_position", 3)):
+            arrays[field] = np.asarray(getattr(self, field), dtype=np.float32)
+            if arrays[field].shape != (len(positions), width):
+                raise MotionError(
+                    f"motion {self.name!r}: {field} has shape {arrays[field].shape}; "
+                    f"expected ({len(positions)}, {width})"
+                )
+        for field, array in arrays.items():
+            if not np.isfinite(array).all():
+                raise MotionError(f"motion {self.name!r}: {field} holds values that are not finite")
+        lengths = np.linalg.norm(arrays["root_orientation"], axis=1, keepdims=True)
+        if np.abs(lengths - 1).max() > 0.01:
+            raise MotionError(f"motion {self.name!r}: root_orientation must be unit quaternions, got length {lengths}")
+        arrays["root_orientation"] = arrays["root_orientation"] / lengths
+        if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
+            raise MotionError(f"motion {self.name!r}: rate_hz must be positive and finite, got {self.rate_hz}")
+        object.__setattr__(self, "joint_names", names)
+        for field, array in arrays.items():
+            object.__setattr__(self, field, array)
+
+    @property
+    def frame_count(self) -> int:
+        """Number of frames T."""
+        return len(self.positions)
+
+    @property
+    def gravity(self) -> np.ndarray:
+        """(T, 3) float32 unit gravity direction (world -Z) in the root frame."""
+        x, y, z, w = self.root_orientation.T
+        down = [2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1]
+        return np.stack(down, axis=1)
+
+    @property
+    def is_cycle(self) -> bool:
+        """Whether the last frame is the first again, wherever the body has walked meanwhile."""
+        if self.frame_count == 1:
+            return False
+        gap = np.abs(self.positions[-1] - self.positions[0]).max(initial=0.0)
+        tilt = np.linalg.norm(self.gravity[-1] - self.gravity[0])
+        return bool(gap < CLOSED_POSITION and tilt < CLOSED_GRAVITY)
+
+    def positions_for(self, rig: Rig) -> np.ndarray:
+        """Joint positions (T, d) float32 [rad] in the order of another rig, matched by name.
+
+        Joints of the rig that the clip does not have stay at rest; those that only the clip has are left out.
+        Raises MotionError when no name matches.
+        """
+        column = {name: k for k, name in enumerate(self.joint_names)}
+        matched = [k for k, name in enumerate(rig.joint_names) if name in column]
+        if not matched:
+            raise MotionError(
+                f"motion {self.name!r} has no joint of the rig: it moves {', '.join(self.joint_names[:3])}, ..., "
+                f"the rig has {', '.join(rig.joint_names[:3])}, ..."
+            )
+        positions = np.tile(rig.rest.astype(np.float32), (self.frame_count, 1))
+        positions[:, matched] = self.positions[:, [column[rig.joint_names[k]] for k in matched]]
+        return positions
+
+    def resampled(self, rate_hz: float) -> Motion:
+        """The clip at another rate, by cubic splines, so that velocities do not jump at the old frames.
+
+        First and last frame are kept: time is stretched by less than half a new frame. Raises MotionError for a rate
+        that is not positive and finite.
+        """
+        from scipy.interpolate import CubicSpline
+        from scipy.spatial.transform import Rotation, RotationSpline
+
+        if not (math.isfinite(rate_hz) and rate_hz > 0):
+            raise MotionError(f"rate_hz must be positive and finite, got {rate_hz}")
+        if self.frame_count == 1:
+            return replace(self, rate_hz=float(rate_hz))
+        old_times = np.arange(self.frame_count)
+        times = np.linspace(0, old_times[-1], 1 + max(1, round(old_times[-1] * rate_hz / self.rate_hz)))
+        orientation = RotationSpline(old_times, Rotation.from_quat(self.root_orientation))
+        return replace(
+            self,
+            positions=CubicSpline(old_times, self.positions, bc_type="natural")(times),
+            root_orientation=orientation(times).as_quat(),
+            root_position=CubicSpline(old_times, self.root_position, bc_type="natural")(times),
+            rate_hz=float(rate_hz),
+        )
+
+    def looped(self, seconds: float) -> Motion:
+        """Exactly ceil(seconds * rate_hz) frames without a jump.
+
+        A cycle (`is_cycle`) repeats, each round starting where and facing as the last one ended; any other clip is
+        played forwards and backwards in turn. Raises MotionError when `seconds` is not positive and finite.
+        """
+        if not (math.isfinite(seconds) and seconds > 0):
+            raise MotionError(f"seconds must be positive and finite, got {seconds}")
+        frames = np.arange(math.ceil(round(seconds * self.rate_hz, 6)))
+        rounds, index = np.divmod(frames, max(1, self.frame_count - 1))
+        if not self.is_cycle:
+            index = np.where(rounds % 2 == 0, index, self.frame_count - 1 - index)
+            rounds = np.zeros_like(rounds)
+        orientation, position = self._carried_on(index, rounds)
+        return replace(self, positions=self.positions[index], root_orientation=orientation, root_position=position)
+
+    def _carried_on(self, index: np.ndarray, rounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Root orientation (F, 4), position (F, 3) of frames `index` (F,) after `rounds` (F,) rounds of the cycle."""
+        from scipy.spatial.transform import Rotation
+
+        orientation = Rotation.from_quat(self.root_orientation)
+        round_turn = (orientation[-1] * orientation[0].inv()).as_rotvec()[2]
+        heading = Rotation.from_rotvec(np.arange(rounds.max() + 2)[:, None] * [0.0, 0.0, round_turn])
+        start, end = self.root_position[0] * [1, 1, 0], self.root_position[-1] * [1, 1, 0]
+        shift = np.cumsum(heading[:-1].apply(end) - heading[1:].apply(start), axis=0)  # a round starts at the last end
+        shift = np.concatenate([np.zeros((1, 3)), shift])
+        turn = heading[rounds]
+        return (turn * orientation[index]).as_quat(), turn.apply(self.root_position[index]) + shift[rounds]
+
+
+def bundled_motions() -> tuple[str, ...]:
+    """Names of the clips that ship with the package, sorted."""
+    return tuple(sorted(path.stem for path in MOTIONS_DIRECTORY.glob("*.safetensors")))
+
+
+def load_motion(path_or_name: str | Path) -> Motion:
+    """Read a clip: a bundled name (`bundled_motions`) or a path to a file that `save_motion` wrote.
+
+    Raises MotionError for an unknown name, an unreadable file, missing tensors, bad shapes or values not finite.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    path = Path(path_or_name)
+    if path.suffix != ".safetensors":
+        if str(path_or_name) not in bundled_motions():
+            raise MotionError(
+                f"no bundled motion {str(path_or_name)!r}; there are {', '.join(bundled_motions())} "
+                "(a clip of your own: give the path of its .safetensors file)"
+            )
+        path = MOTIONS_DIRECTORY / f"{path_or_name}.safetensors"
+    try:
+        with safe_open(path, framework="numpy") as file:
+            metadata = file.metadata() or {}
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a mapping)
+    except (OSError, SafetensorError) as error:
+        raise MotionError(f"cannot read motion file {path}: {error}") from error
+    fields = ("positions", "root_orientation", "root_position")
+    missing = [key for key in fields if key not in tensors]
+    missing += [f"metadata {key!r}" for key in ("joint_names", "rate_hz") if key not in metadata]
+    if missing:
+        raise MotionError(f"motion file {path} lacks {', '.join(missing)}")
+    try:
+        joint_names = tuple(str(name) for name in json.loads(metadata["joint_names"]))
+        rate_hz = float(metadata["rate_hz"])
+    except (ValueError, TypeError) as error:
+        raise MotionError(f"motion file {path}: malformed joint_names or rate_hz: {error}") from error
+    return Motion(joint_names, *(tensors[key] for key in fields), rate_hz, metadata.get("name", path.stem))
+
+
+def save_motion(motion: Motion, path: Path, *, notes: Mapping[str, str] | None = None) -> None:
+    """Write a clip to `path` (.safetensors). notes: further metadata, such as source and licence."""
+    from safetensors.numpy import save_file
+
+    fields = ("positions", "root_orientation", "root_position")
+    described = {"name": motion.name, "rate_hz": repr(motion.rate_hz), "joint_names": json.dumps(motion.joint_names)}
+    tensors = {key: np.ascontiguousarray(getattr(motion, key)) for key in fields}
+    save_file(tensors, path, metadata={**(notes or {}), **described})

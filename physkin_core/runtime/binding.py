@@ -1,0 +1,240 @@
+"""Bind a garment model to a body, and another mesh or point set of the same garment to a trained model.
+
+A finer, coarser or cropped mesh, or points without faces (a point cloud, splat centres), takes the trained skinning
+weights over in canonical space: each point from the closest point of the trained garment's surface (paper: Garment
+Remeshing). Bodies are encoded once here; what comes out changes no more from frame to frame.
+"""
+
+from __future__ import annotations
+
+import logging
+from time import perf_counter
+from typing import Literal
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.avatar.shape_fitting import surface_on_avatar
+from physkin_core.model.garment import Garment, vertex_normals
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.garment_nodes import node_positions_on_body
+from physkin_core.model.hyper_modulator import POINT_COUNT, at_fit, body_modulation
+from physkin_core.model.mlp import fold_modulation
+from physkin_core.model.node_deformer import fold_first_layer
+from physkin_core.model.skinning import unit
+from physkin_core.model.surface_sampling import sample_surface
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.garment_grading import GarmentGrading
+
+__all__ = ["bind_garment", "bind_points", "encode_body"]
+
+log = logging.getLogger(__name__)
+
+FARTHEST_POINT = 0.05
+"""A point farther [m] than this from the trained garment's surface is refused by `bind_points`."""
+POINTS_AT_ONCE = 8192
+"""Points whose skinning weights over all garment nodes `bind_points` holds at a time."""
+
+
+def encode_body(
+    model: GarmentModel, avatar: Avatar, *, fit: float = 0.0, backend: Literal["native", "numpy"] = "numpy"
+) -> np.ndarray:
+    """Run the hyper modulator on a body: modulation (s,) float32 of the pose modulator.
+
+    fit: of the garment, 0 (the template) to 1 (made to measure). backend: "native" (C++, an order of magnitude faster
+    on one core) or "numpy" (readable reference).
+    """
+    network = at_fit(model.hyper_modulator, fit)
+    points, normals = sample_surface(avatar.vertices, avatar.faces, POINT_COUNT)
+    if backend == "native":
+        from physkin_core.runtime.native_body_encoder import native_body_modulation
+
+        return native_body_modulation(network, points, normals)
+    return body_modulation(network, points, normals).astype(np.float32)
+
+
+def bind_garment(
+    model: GarmentModel,
+    avatar: Avatar,
+    *,
+    fit: float = 0.0,
+    backend: Literal["native", "numpy"] = "numpy",
+    fold: bool = True,
+) -> BoundGarment:
+    """Everything of (model, body) that does not change with the pose. Encodes the body; logs how long that took.
+
+    fit: 0 for the template's rest shape, 1 for the one made to measure, between for one between. backend: what encodes
+    the body, as in `encode_body`. fold: fold the body's modulation into the pose modulator, which saves a little time a
+    frame; without, bodies share its network weights (see `NativeEvaluatorBatch`).
+    Raises ValueError when the avatar's bones are not those of the model's rig, for a fit that the model has not learnt,
+    or one above 0 with another rig than the body model's.
+    """
+    fit = model.checked_fit(fit)
+    rig = model.rig
+    if avatar.bone_heads.shape != rig.heads.shape:
+        raise ValueError(
+            f"avatar {avatar.source} has {len(avatar.bone_heads)} bones, the rig of {model.name!r} has {rig.bone_count}"
+        )
+    started = perf_counter()
+    modulation = encode_body(model, avatar, fit=fit, backend=backend)
+    log.info("encoded body %s for %s in %.0f ms", avatar.source, model.name, 1e3 * (perf_counter() - started))
+    node_positions = node_positions_on_body(
+        model.node_rest, model.node_bone, (rig.heads, rig.tails), (avatar.bone_heads, avatar.bone_tails)
+    )
+    garment, node_rest = model.garment, model.node_rest
+    if fit:
+        garment, node_rest, node_positions = _made_to_measure(model, avatar, fit, node_positions)
+    (first_weight, first_bias), *rest = model.node_deformer
+    deformer_bones, folded_weight = fold_first_layer(first_weight, model.node_bone, node_positions)
+    return BoundGarment(
+        bone_parents=rig.parents,
+        bone_heads=_float(avatar.bone_heads),
+        dof_bone=rig.dof_bones,
+        dof_axis=_float(rig.dof_axes),
+        dof_rest=_float(rig.rest),
+        dof_lower=_float(rig.lower),
+        dof_upper=_float(rig.upper),
+        pose_layers=_float_layers(fold_modulation(model.pose_modulator, modulation) if fold else model.pose_modulator),
+        deformer_bones=deformer_bones,
+        deformer_layers=_float_layers([(folded_weight, first_bias), *rest]),
+        node_bone=np.ascontiguousarray(model.node_bone, dtype=np.int32),
+        node_positions=_float(node_positions),
+        node_rest=_float(node_rest),
+        vertices=_float(garment.vertices),
+        normals=_float(_rest_normals(model, garment.vertices)),
+        influence_nodes=np.ascontiguousarray(model.influence_nodes, dtype=np.int32),
+        influence_weights=_float(model.influence_weights),
+        activation=model.activation,
+        pose_modulation=np.empty(0, dtype=np.float32) if fold else _float(modulation),
+        faces=np.ascontiguousarray(garment.faces, dtype=np.int32),
+    )
+
+
+def _made_to_measure(
+    model: GarmentModel, avatar: Avatar, fit: float, carried: np.ndarray
+) -> tuple[Garment, np.ndarray, np.ndarray]:
+    """The garment in its rest shape for a body, garment nodes at rest (m, 3) and on the body (m, 3).
+
+    carried: (m, 3) [m] where bones carry the garment nodes of the template. Made to measure they rest where they are on
+    the body, so that the garment at the canonical pose is its rest shape.
+    """
+    body = load_body_model()
+    if model.rig.to_json() != body.rig.to_json():
+        raise ValueError(f"fit {fit:g} needs the body model's rig; garment model {model.name!r} has another one")
+    started = perf_counter()
+    grading = GarmentGrading(model.garment, body)
+    displacement = fit * grading.carried(surface_on_avatar(avatar, body) - grading.template)
+    moved = displacement[grading.closest_vertices(model.node_rest)]
+    log.info("made %s to measure for %s in %.1f s", model.name, avatar.source, perf_counter() - started)
+    garment = model.garment.reshaped(model.garment.vertices + displacement)
+    return garment, model.node_rest + moved, (1 - fit) * carried + fit * model.node_rest + moved
+
+
+def bind_points(
+    model: GarmentModel,
+    points: np.ndarray,
+    *,
+    normals: np.ndarray | None = None,
+    rest: np.ndarray | None = None,
+) -> dict[str, np.ndarray]:
+    """Skin other points of the same garment to the trained garment nodes.
+
+    points: (n, 3) [m] in the model's canonical space. normals: (n, 3) of any length but zero, turned as those of the
+    trained surface are by being fitted to drapes; default these. rest: rest shape of the model's mesh, its vertices
+    [m], that points and normals are carried to; default its own.
+    Returns the fields of `BoundGarment` to replace: vertices, normals, influence_nodes, influence_weights, and faces,
+    of which there are none.
+    Raises ValueError when points or normals are not finite, normals are not one a point or have no length, or points
+    lie farther than 5 cm from the trained garment.
+    """
+    import trimesh
+
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.isfinite(points).all():
+        raise ValueError(f"points to bind must be a finite, non-empty (n, 3) array, got shape {points.shape}")
+    if normals is not None:
+        normals = _checked_normals(normals, points.shape)
+    garment = model.garment
+    low, high = garment.vertices.min(axis=0), garment.vertices.max(axis=0)
+    beyond = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0), axis=1)
+    _reject_far_points(beyond, "at least ", model.name)  # at once, where closest points of centimetres take minutes
+    surface = trimesh.Trimesh(garment.vertices, garment.faces, process=False)
+    closest, distance, face = trimesh.proximity.closest_point(surface, points)
+    _reject_far_points(distance, "", model.name)
+    corners = garment.faces[face]
+    barycentric = trimesh.triangles.points_to_barycentric(garment.vertices[corners], closest)
+
+    def there(of_vertices: np.ndarray) -> np.ndarray:
+        return np.einsum("nc,nci->ni", barycentric, of_vertices[corners])
+
+    fitted = unit(there(_rest_normals(model, garment.vertices if rest is None else rest)))
+    if normals is None:
+        normals = fitted
+    else:
+        normals = _turned(normals, unit(there(vertex_normals(garment.vertices, garment.faces))), fitted)
+    if rest is not None:
+        points = points + there(rest - garment.vertices)
+    chunks = [slice(start, start + POINTS_AT_ONCE) for start in range(0, len(points), POINTS_AT_ONCE)]
+    influences = [_influences_in_faces(model, corners[chunk], barycentric[chunk]) for chunk in chunks]
+    return {
+        "vertices": _float(points),
+        "normals": _float(unit(normals)),
+        "influence_nodes": np.concatenate([nodes for nodes, _ in influences]),
+        "influence_weights": np.concatenate([weights for _, weights in influences]),
+        "faces": np.empty((0, 3), dtype=np.int32),
+    }
+
+
+def _rest_normals(model: GarmentModel, vertices: np.ndarray) -> np.ndarray:
+    """Unit rest normals (n, 3) of the garment reshaped to vertices (n, 3): the model's, turned as the mesh's are."""
+    faces = model.garment.faces
+    start, end = vertex_normals(model.garment.vertices, faces), vertex_normals(vertices, faces)
+    return unit(_turned(model.rest_normals.astype(np.float64), start, end))
+
+
+def _turned(vectors: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Vectors (n, 3), each turned by the smallest rotation from a unit vector of `start` to that of `end` (n, 3)."""
+    axis, cosine = np.cross(start, end), (start * end).sum(axis=1, keepdims=True)
+    along = (axis * vectors).sum(axis=1, keepdims=True) / np.maximum(1 + cosine, 1e-6)
+    return cosine * vectors + np.cross(axis, vectors) + along * axis
+
+
+def _checked_normals(normals: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    normals = np.asarray(normals, dtype=np.float64)
+    if normals.shape != shape or not np.isfinite(normals).all():
+        raise ValueError(f"normals must be finite, one a point: shape {shape}, got {normals.shape}")
+    length = np.linalg.norm(normals, axis=1)
+    if length.min() < 1e-9:
+        raise ValueError(f"normals must have a length; that of point {int(length.argmin())} is {length.min():.1e}")
+    return normals
+
+
+def _reject_far_points(distance: np.ndarray, bound: str, garment: str) -> None:
+    if distance.max() > FARTHEST_POINT:
+        raise ValueError(
+            f"point {int(distance.argmax())} is {bound}{distance.max() * 100:.1f} cm from garment {garment!r}, at most "
+            f"{FARTHEST_POINT * 100:.0f} cm allowed: is the mesh in the model's canonical space, in metres?"
+        )
+
+
+def _influences_in_faces(
+    model: GarmentModel, corners: np.ndarray, barycentric: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Skinning weights inside faces: the corners' mixed, the K largest kept. corners, barycentric: (n, 3)."""
+    dense = np.zeros((len(corners), len(model.node_rest)))
+    rows = np.arange(len(corners))[:, None]
+    for corner in range(3):
+        share = model.influence_weights[corners[:, corner]] * np.clip(barycentric[:, corner, None], 0, 1)
+        np.add.at(dense, (rows, model.influence_nodes[corners[:, corner]]), share)
+    nodes = np.argsort(-dense, axis=1, kind="stable")[:, : model.influence_nodes.shape[1]]
+    weights = np.take_along_axis(dense, nodes, axis=1)
+    return nodes.astype(np.int32), _float(weights / weights.sum(axis=1, keepdims=True))
+
+
+def _float(array: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def _float_layers(layers) -> tuple:
+    return tuple((_float(weight), _float(bias)) for weight, bias in layers)

@@ -1,0 +1,63 @@
+"""The bound garment file: one garment on one body for hosts without Python, read by native/include/physkin.h.
+
+A safetensors file of the arrays of `BoundGarment` (layers as `pose_layers.0.weight`, ...) and, prefixed `push_out.`, of
+`BoundPushOut`, in float32 and int32 as the evaluator takes them, so that a host computes the same bits. Fitting the
+rig, the canonical pose and the encoding of the body are done by then.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.push_out import BoundPushOut
+
+__all__ = ["BOUND_SCHEMA_VERSION", "save_bound_garment"]
+
+FORMAT = "physkin-bound-garment"
+BOUND_SCHEMA_VERSION = 1
+
+
+def save_bound_garment(
+    bound: BoundGarment,
+    path: str | Path,
+    *,
+    name: str,
+    joint_names: Sequence[str],
+    push_out: BoundPushOut | None = None,
+) -> None:
+    """Write a bound garment to `path`, replacing what is there in one step.
+
+    joint_names: (d,) in the order of the joint positions. push_out: what keeps the garment out of this body.
+    Raises ValueError when there is not one name a degree of freedom.
+    """
+    from safetensors.numpy import save
+
+    if len(joint_names) != len(bound.dof_bone):
+        raise ValueError(f"{len(joint_names)} joint names for {len(bound.dof_bone)} degrees of freedom")
+    tensors = {}
+    for field in fields(bound):
+        value = getattr(bound, field.name)
+        if isinstance(value, tuple):
+            for index, (weight, bias) in enumerate(value):
+                tensors[f"{field.name}.{index}.weight"], tensors[f"{field.name}.{index}.bias"] = weight, bias
+        elif isinstance(value, np.ndarray):
+            tensors[field.name] = value
+    if push_out is not None:
+        tensors |= {f"push_out.{field.name}": getattr(push_out, field.name) for field in fields(push_out)}
+    metadata = {
+        "format": FORMAT,
+        "schema_version": str(BOUND_SCHEMA_VERSION),
+        "name": name,
+        "activation": bound.activation,
+        "joint_names": json.dumps(list(joint_names)),
+    }
+    path = Path(path)
+    partial = path.with_name(path.name + ".partial")
+    partial.write_bytes(save({key: np.ascontiguousarray(array) for key, array in tensors.items()}, metadata=metadata))
+    partial.replace(path)

@@ -1,0 +1,62 @@
+"""A garment model bound to one body: everything the per-frame path needs, nothing that changes with the pose.
+
+Dimensions: `b` bones, `d` degrees of freedom, `p = d + 3` pose vector, `m` garment nodes, `n` garment vertices,
+`K` influences a vertex, `h` node deformer width, `u` bones that garment nodes follow. All float arrays are float32 and
+C-contiguous; lengths in metres, angles in radians, root frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from physkin_core.model.mlp import Layer
+
+__all__ = ["BoundGarment"]
+
+
+@dataclass(frozen=True)
+class BoundGarment:
+    """Constant arrays of the per-frame path for one (garment model, body) pair.
+
+    bone_parents: (b,) int32, parent before child, -1 for the root.
+    bone_heads: (b, 3) joint centres of this body at the canonical pose.
+    dof_bone: (d,) int32; dof_axis: (d, 3) unit; dof_rest, dof_lower, dof_upper: (d,).
+    pose_layers: pose modulator as (network weight (out, in), bias (out,)), the body's modulation folded in; hidden
+        layers are followed by the activation, the last layer is linear and gives the node deformer's modulation
+        [scale_0 (h), shift_0 (h), scale_1, shift_1, ...].
+    deformer_bones: (u,) int32, the bones whose transforms feed the node deformer.
+    deformer_layers: node deformer; the first network weight is (h, 12 u) over the row-major (3, 4) bone transforms,
+        hidden layer k is activation((1 + scale_k) * (W x + bias) + shift_k), the last layer is linear.
+    node_bone: (m,) int32, the bone each garment node follows.
+    node_positions: (m, 3) garment nodes at the canonical pose of this body.
+    node_rest: (m, 3) garment nodes at rest on the garment (translation of chi-bar).
+    vertices: (n, 3) rest garment; normals: (n, 3) unit, what skinning carries to the draped garment's.
+    influence_nodes: (n, K) int32; influence_weights: (n, K), rows sum to 1.
+    activation: "silu" or "relu".
+    pose_modulation: (s,) the body's modulation of the pose modulator, [scale_0, shift_0, scale_1, ...] over its hidden
+        layers, where it is not folded into pose_layers; else empty. Bodies of one garment model then share pose_layers.
+    faces: (f, 3) int32 triangles of the vertices; empty for a point set.
+    """
+
+    bone_parents: np.ndarray
+    bone_heads: np.ndarray
+    dof_bone: np.ndarray
+    dof_axis: np.ndarray
+    dof_rest: np.ndarray
+    dof_lower: np.ndarray
+    dof_upper: np.ndarray
+    pose_layers: tuple[Layer, ...]
+    deformer_bones: np.ndarray
+    deformer_layers: tuple[Layer, ...]
+    node_bone: np.ndarray
+    node_positions: np.ndarray
+    node_rest: np.ndarray
+    vertices: np.ndarray
+    normals: np.ndarray
+    influence_nodes: np.ndarray
+    influence_weights: np.ndarray
+    activation: str = "silu"
+    pose_modulation: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+    faces: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.int32))

@@ -1,0 +1,207 @@
+"""Draper: joint positions in, garment out. Chains rig, networks and skinning for one garment on one body.
+
+Dimensions: `d` scalar degrees of freedom, `n` garment vertices, `m` garment nodes. Radians, metres, root frame.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from time import perf_counter
+from typing import Literal
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar
+from physkin_core.model.garment import Garment
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.runtime.binding import bind_garment, bind_points
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.push_out import BoundPushOut, ContactResidual, bind_push_out
+
+__all__ = ["BACKENDS", "UPRIGHT_GRAVITY", "Binding", "Draper"]
+
+log = logging.getLogger(__name__)
+
+BACKENDS = ("native", "numpy")
+UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
+"""Gravity direction in the root frame of an upright body."""
+
+
+@dataclass(frozen=True)
+class Binding:
+    """A garment model bound to a body: what a draper works out once and another of the same two can take over."""
+
+    garment: BoundGarment
+    push_out: BoundPushOut | None
+
+
+class Draper:
+    """Drapes one garment on one body, a pose at a time.
+
+    backend: "native" (C++, the one to use) or "numpy" (readable reference, slow); never switched silently.
+    precision: of the native backend's network weights, "fp32", "bf16" or "int8" (see `NativeEvaluator`); None for its
+        default, bf16. The NumPy backend knows fp32 only.
+    fit: 0 for the garment's one size, 1 for a garment made to measure, or between; above 0 only for models that have
+        learnt it (`GarmentModel.made_to_measure`). Takes half a second when the body is bound, nothing a frame.
+    push_out: move vertices that end up inside the body out of it again, frame by frame. Takes seconds to set up for a
+        body, then tens of microseconds a frame; see `residual` and `physkin_core.runtime.push_out`.
+    normals: "skinned", rest normals carried along with their vertices, or "faces", recomputed from the draped mesh:
+        truer where the cloth ripples or slides, for some 5 ns a vertex.
+    points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
+        space; they have no faces.
+    binding: of another draper of the same model, avatar and fit, which saves encoding the body again.
+    Raises ValueError for an unknown backend, precision or kind of normals, a body of another rig, a fit that the model
+    has not learnt, points that are not this garment's, or normals of faces where there are points without any.
+    """
+
+    def __init__(
+        self,
+        model: GarmentModel,
+        avatar: Avatar,
+        *,
+        backend: Literal["native", "numpy"] = "native",
+        precision: Literal["fp32", "bf16", "int8"] | None = None,
+        fit: float = 0.0,
+        push_out: bool = False,
+        normals: Literal["skinned", "faces"] = "skinned",
+        points: np.ndarray | None = None,
+        point_normals: np.ndarray | None = None,
+        binding: Binding | None = None,
+    ) -> None:
+        if backend not in BACKENDS:
+            raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
+        if backend == "numpy" and precision not in (None, "fp32"):
+            raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
+        bound = bind_garment(model, avatar, fit=fit, backend=backend) if binding is None else binding.garment
+        self._rest = rest = bound.vertices if fit else None
+        if points is not None:
+            bound = replace(bound, **bind_points(model, points, normals=point_normals, rest=rest))
+        self.model = model
+        self.avatar = avatar
+        self.backend = backend
+        self.bound: BoundGarment = bound
+        self._push_out = binding.push_out if push_out and binding is not None else None
+        if push_out and self._push_out is None:
+            _evaluator(backend, bound, precision, None, normals)  # refuses what is unknown before seconds of work
+            started = perf_counter()
+            self._evaluator = _evaluator(backend, bound, "fp32", None, "skinned")  # the same for every draper
+            self._push_out = bind_push_out(self.drape, model.rig, avatar)
+            log.info("bound the push-out of %s in %.1f s", model.name, perf_counter() - started)
+        self._evaluator = _evaluator(backend, bound, precision, self._push_out, normals)
+        log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """(d,) names of the joint positions, in the order `drape` takes them."""
+        return self.model.rig.joint_names
+
+    @property
+    def instruction_set(self) -> str:
+        """What evaluates: the native evaluator's instruction set, or "numpy"."""
+        return self._evaluator.instruction_set
+
+    @property
+    def precision(self) -> str:
+        """Of the network weights it computes with: "fp32", "bf16" or "int8"."""
+        return self._evaluator.precision
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of points n that `drape` writes."""
+        return len(self.bound.vertices)
+
+    @cached_property
+    def rest_garment(self) -> Garment:
+        """The model's mesh in the rest shape worn here, which depends on the fit: what strains are measured against."""
+        return self.model.garment if self._rest is None else self.model.garment.reshaped(self._rest)
+
+    @property
+    def faces(self) -> np.ndarray:
+        """(f, 3) int32 triangles between the points that `drape` writes; (0, 3) when `points` were given."""
+        return self.bound.faces
+
+    def drape(
+        self,
+        joint_positions: np.ndarray | Mapping[str, float],
+        gravity: np.ndarray = UPRIGHT_GRAVITY,
+        *,
+        out: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Deform the garment for one pose.
+
+        joint_positions: (d,) [rad] in the order of `joint_names`, or positions by joint name, the others being at rest.
+        gravity: (3,) direction in the root frame, any length but zero. out: (n, 6) or (n, 3) writable float32 view, any
+        row stride; default a new (n, 6). Returns `out`: x, y, z [m], then the unit normal.
+        Raises ValueError on wrong lengths, unknown joints or values that are not finite, naming the joint.
+        """
+        if isinstance(joint_positions, Mapping):
+            joint_positions = self.model.rig.joint_positions(joint_positions)
+        positions = np.ascontiguousarray(joint_positions, dtype=np.float32)
+        if positions.shape != (len(self.joint_names),):
+            raise ValueError(f"joint positions have shape {positions.shape}, expected ({len(self.joint_names)},)")
+        if not np.isfinite(positions).all():
+            joint = int(np.flatnonzero(~np.isfinite(positions))[0])
+            raise ValueError(f"joint {self.joint_names[joint]!r} is {positions[joint]}; positions must be finite [rad]")
+        down = np.asarray(gravity, dtype=np.float64)
+        length = float(np.linalg.norm(down))
+        if down.shape != (3,) or not np.isfinite(length) or length < 1e-9:
+            raise ValueError(f"gravity must be a finite, non-zero direction (3,), got {down.tolist()}")
+        if out is None:
+            out = np.empty((self.vertex_count, 6), dtype=np.float32)
+        self._evaluator.evaluate(positions, (down / length).astype(np.float32), out)
+        return out
+
+    def bind_step(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> Callable[[], None]:
+        """A frame bound to its arrays: `step()` drapes what they hold now into `out`, with nothing to convert or check.
+
+        joint_positions: (d,) [rad] and gravity: (3,) unit direction, C-contiguous float32, to be changed in place.
+        out: as for `drape`. Raises TypeError or ValueError for other arrays; `step()` raises ValueError when a value or
+        what the networks make of it is not finite (`out` is then unchanged).
+        """
+        if self.backend == "native":
+            return self._evaluator.bind_step(joint_positions, gravity, out).step
+
+        def step() -> None:
+            self.drape(joint_positions, gravity, out=out)
+
+        return step
+
+    @property
+    def binding(self) -> Binding:
+        """What another draper of the same model and avatar can be made from without encoding the body again."""
+        return Binding(self.bound, self._push_out)
+
+    @property
+    def residual(self) -> ContactResidual | None:
+        """What the push-out knows to be left inside in the last `drape` (see there); None without push-out."""
+        return None if self._push_out is None else self._evaluator.residual
+
+    def save_bound(self, path: str | Path) -> None:
+        """Write what is bound here, push-out included, for hosts without Python: see native/include/physkin.h."""
+        from physkin_core.runtime.bound_file import save_bound_garment
+
+        save_bound_garment(
+            self.bound, path, name=self.model.name, joint_names=self.joint_names, push_out=self._push_out
+        )
+
+    def node_transforms(self) -> np.ndarray:
+        """Garment node transforms chi (m, 3, 4) of the last `drape`, canonical garment node frame to root frame."""
+        return self._evaluator.node_transforms()
+
+    def bone_transforms(self, joint_positions: np.ndarray) -> np.ndarray:
+        """(b, 3, 4) canonical-to-posed transforms of this body's bones, for posing the body beside the garment."""
+        return self.model.rig.bone_transforms(joint_positions, heads=self.avatar.bone_heads)
+
+
+def _evaluator(backend: str, bound: BoundGarment, precision: str | None, push_out: BoundPushOut | None, normals: str):
+    if backend == "native":
+        from physkin_core.runtime.native_evaluator import NativeEvaluator
+
+        return NativeEvaluator(bound, precision=precision, push_out=push_out, normals=normals)
+    from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
+
+    return ReferenceEvaluator(bound, push_out=push_out, normals=normals)

@@ -1,0 +1,112 @@
+"""NumPy reference of the per-frame path, in float64: the readable statement of what the native evaluator computes.
+
+Dimensions: `d` degrees of freedom, `b` bones, `m` garment nodes, `n` garment vertices.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from physkin_core.model.garment import vertex_normals
+from physkin_core.model.garment_nodes import compose_nodes, delta_transforms, pose_nodes
+from physkin_core.model.node_deformer import node_corrections
+from physkin_core.model.pose_modulator import pose_modulation
+from physkin_core.model.skinning import NORMALS, skin
+from physkin_core.rig.rig import forward_kinematics, pose_vector
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.push_out import BoundPushOut, ContactResidual, push_out
+
+__all__ = ["ReferenceEvaluator"]
+
+
+class ReferenceEvaluator:
+    """Evaluates a bound garment one pose at a time.
+
+    push_out, normals: as in `NativeEvaluator`. Raises ValueError for unknown normals, or those of faces without faces.
+    """
+
+    instruction_set = "numpy"
+    precision = "fp32"
+
+    def __init__(
+        self,
+        bound: BoundGarment,
+        *,
+        push_out: BoundPushOut | None = None,
+        normals: Literal["skinned", "faces"] = "skinned",
+    ) -> None:
+        if normals not in NORMALS:
+            raise ValueError(f"normals {normals!r} are unknown; they may be {' or '.join(NORMALS)}")
+        if normals == "faces" and len(bound.faces) == 0:
+            raise ValueError("normals of faces need a garment with faces; this one has none")
+        self._normals_of_faces = normals == "faces"
+        self._bound = bound
+        self._push_out = push_out
+        self._residual = ContactResidual(0.0, 0)
+        self._nodes = np.zeros((len(bound.node_bone), 3, 4))
+
+    def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> None:
+        """Write the garment for one pose.
+
+        joint_positions: (d,) [rad]. gravity: (3,) unit, root frame. out: (n, 3) or (n, 6) float32, any row stride.
+        Raises what the native evaluator raises: TypeError when an array has another dtype or `out` is not a writable
+        2-D one; ValueError when a shape is wrong, rows of `out` overlap or are not contiguous, or an input is not
+        finite. Nothing is written then.
+        """
+        bound = self._bound
+        _check_input("joint_positions", joint_positions, len(bound.dof_bone))
+        _check_input("gravity", gravity, 3)
+        _check_out(out, len(bound.vertices))
+        q = joint_positions.astype(np.float64)
+        heads = bound.bone_heads.astype(np.float64)
+        bones = forward_kinematics(bound.bone_parents, heads, bound.dof_bone, bound.dof_axis, q - bound.dof_rest)
+        pose = pose_vector(q, bound.dof_lower.astype(np.float64), bound.dof_upper.astype(np.float64), gravity)
+        modulation = pose_modulation(
+            bound.pose_layers, pose, bound.pose_modulation if len(bound.pose_modulation) else None, bound.activation
+        )
+        raw = node_corrections(bound.deformer_layers, bones[bound.deformer_bones], modulation, bound.activation)
+        posed = pose_nodes(bones, bound.node_bone, bound.node_positions)
+        self._nodes = compose_nodes(posed, delta_transforms(raw, len(bound.node_bone)))
+        positions, normals = skin(
+            self._nodes, bound.node_rest, bound.vertices, bound.normals, bound.influence_nodes, bound.influence_weights
+        )
+        if self._push_out is not None:
+            self._residual = push_out(self._push_out, bones, positions, normals)
+        if self._normals_of_faces and out.shape[1] == 6:
+            normals = vertex_normals(positions, bound.faces)
+        out[:, :3] = positions
+        if out.shape[1] == 6:
+            out[:, 3:] = normals
+
+    @property
+    def residual(self) -> ContactResidual:
+        """Contact that the push-out left in the last frame; zeros without push-out."""
+        return self._residual
+
+    def node_transforms(self) -> np.ndarray:
+        """Garment node transforms (m, 3, 4) of the last frame."""
+        return self._nodes.astype(np.float32)
+
+
+def _check_input(name: str, values: np.ndarray, count: int) -> None:
+    if not isinstance(values, np.ndarray) or values.dtype not in (np.float32, np.float64):
+        raise TypeError(f"{name} must be a float32 or float64 array, got {getattr(values, 'dtype', type(values))}")
+    if values.shape != (count,):
+        raise ValueError(f"{name} must have shape ({count},), got {values.shape}")
+    if not np.isfinite(values).all():
+        index = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise ValueError(f"{name}[{index}] is {values[index]}; values must be finite")
+
+
+def _check_out(out: np.ndarray, vertex_count: int) -> None:
+    if not isinstance(out, np.ndarray) or out.dtype != np.float32 or out.ndim != 2 or not out.flags.writeable:
+        got = f"{out.dtype} of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
+        raise TypeError(f"out must be a float32 array, writable and 2-D; got {got}")
+    if out.shape not in ((vertex_count, 3), (vertex_count, 6)):
+        raise ValueError(f"out has shape {out.shape}; expected ({vertex_count}, 3) or ({vertex_count}, 6)")
+    if out.strides[1] != out.itemsize:
+        raise ValueError("a row of out must be contiguous; rows may be any distance apart")
+    if vertex_count > 1 and abs(out.strides[0]) < out.shape[1] * out.itemsize:
+        raise ValueError(f"rows of out overlap: they are {out.strides[0]} bytes apart")

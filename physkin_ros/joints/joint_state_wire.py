@@ -1,0 +1,115 @@
+"""`sensor_msgs/JointState` straight from its serialised bytes (CDR).
+
+rclpy makes a Python string of every joint name in every message. Here the bytes before the positions (frame and names)
+are compared with those of earlier messages, and only new ones are looked into.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+from physkin_ros.joints.joint_states import JointStateError, JointStateReader, Selection
+
+__all__ = ["MOST_NAMES", "JointStateWire"]
+
+MOST_NAMES = 4096
+"""A message that names more joints is refused unread."""
+RECENT = 8  # layouts of messages that are kept: publishers that take turns on one topic
+LONGEST_KEPT = 1 << 18  # [bytes]
+ORDER = {0: ">", 1: "<"}  # second byte of the encapsulation: plain CDR, big or little endian
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """What the bytes up to the positions mean: `start` and `middle` are compared, the stamp between them is not."""
+
+    start: bytes
+    middle: bytes
+    stamp: struct.Struct
+    dtype: np.dtype
+    count: int
+    offset: int
+    selection: Selection | JointStateError
+
+
+class JointStateWire:
+    """Reads serialised joint states for a `JointStateReader`.
+
+    After `read`: stamp (sec, nanosec), values (float64, one a name) and selection of the last message.
+    """
+
+    def __init__(self, reader: JointStateReader) -> None:
+        self.stamp = (0, 0)
+        self.values = np.empty(0)
+        self.selection: Selection | None = None
+        self._reader = reader
+        self._recent: list[_Layout] = []
+
+    def read(self, data: bytes, out: np.ndarray) -> None:
+        """Write the joint positions (d,) float32 [rad] after this message into `out`.
+
+        Raises JointStateError as the reader does, and for bytes that are no joint state; `out` may have changed.
+        """
+        for layout in self._recent:
+            if data.startswith(layout.middle, 12) and data.startswith(layout.start):
+                break
+        else:
+            layout = self._look_into(data)
+        if isinstance(layout.selection, JointStateError):
+            raise layout.selection.with_traceback(None)
+        self.stamp = layout.stamp.unpack_from(data, 4)
+        try:
+            self.values = np.frombuffer(data, layout.dtype, layout.count, layout.offset)
+        except ValueError:
+            raise JointStateError(f"the joint state is cut off: {len(data)} bytes") from None
+        self.selection = layout.selection
+        self._reader.read_selected(layout.selection, self.values, out)
+
+    def _look_into(self, data: bytes) -> _Layout:
+        layout = _read_layout(data, self._reader)
+        if layout.offset <= LONGEST_KEPT:
+            self._recent = [layout, *self._recent[: RECENT - 1]]
+        return layout
+
+
+def _read_layout(data: bytes, reader: JointStateReader) -> _Layout:
+    order = ORDER.get(data[1]) if len(data) >= 16 and data[0] == 0 else None
+    if order is None:
+        raise JointStateError(f"the message is no joint state: {len(data)} bytes that start with {data[:4].hex(' ')}")
+    length = struct.Struct(f"{order}I")
+    at = 12
+    selection: Selection | JointStateError
+    try:
+        at += 4 + length.unpack_from(data, at)[0]  # frame_id
+        at += -at % 4
+        (count,) = length.unpack_from(data, at)
+        if count > MOST_NAMES:
+            raise JointStateError(f"the joint state names {count} joints; at most {MOST_NAMES} are read")
+        at += 4
+        names = []
+        for _ in range(count):
+            at += -at % 4
+            (size,) = length.unpack_from(data, at)
+            names.append(data[at + 4 : at + 4 + max(0, size - 1)].decode(errors="replace"))
+            at += 4 + size
+        at += -at % 4
+        (values,) = length.unpack_from(data, at)
+        at += 4
+    except struct.error:
+        raise JointStateError(f"the joint state is cut off: {len(data)} bytes") from None
+    end = at
+    offset = end + -(end - 4) % 8  # CDR aligns from after the four bytes of encapsulation
+    try:
+        if not names:
+            raise JointStateError("the joint state names no joints")
+        if values != len(names):
+            raise JointStateError(f"the joint state has {len(names)} names but {values} positions")
+        selection = reader.select(tuple(names))
+    except JointStateError as error:
+        selection = error
+    return _Layout(
+        data[:4], data[12:end], struct.Struct(f"{order}iI"), np.dtype(f"{order}f8"), values, offset, selection
+    )

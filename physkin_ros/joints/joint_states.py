@@ -1,0 +1,191 @@
+"""Joint states, whatever their naming, as the joint positions of a rig.
+
+What a list of names means is worked out once (`JointNaming`) and kept: a message whose names came before costs a few
+array operations and no work on strings. Dimensions: `d` degrees of freedom. Radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from physkin_ros.joints.ball_joints import BallJoint, BallJoints
+from physkin_ros.joints.joint_map import MappedJoint
+
+__all__ = ["JointNaming", "JointStateError", "JointStateReader", "MappedNames", "NamedJoints", "Selection"]
+
+CACHED_NAME_SETS = 64
+
+
+class JointStateError(ValueError):
+    """A joint state cannot be used; the text says what is wrong with it."""
+
+
+@dataclass
+class NamedJoints:
+    """What a list of names means to a rig.
+
+    scaled: (index of the name, rig joint, scale, offset): the joint's position is scale * value + offset.
+    balls: ball joints, each with the indices of the names of its three angles, -1 for one that counts as zero.
+    unknown: indices of the names that mean nothing.
+    """
+
+    scaled: list[tuple[int, str, float, float]] = field(default_factory=list)
+    balls: list[tuple[BallJoint, tuple[int, int, int]]] = field(default_factory=list)
+    unknown: list[int] = field(default_factory=list)
+
+
+class JointNaming(Protocol):
+    """How joints are named in the messages."""
+
+    def look_up(self, names: Sequence[str]) -> NamedJoints:
+        """What these names mean. Raises JointStateError when they contradict one another."""
+
+
+class MappedNames:
+    """The rig's own names, and those of a joint map."""
+
+    def __init__(self, joint_names: Sequence[str], joint_map: Mapping[str, MappedJoint] | None = None) -> None:
+        self._joints = frozenset(joint_names)
+        self._map = dict(joint_map or {})
+
+    def look_up(self, names: Sequence[str]) -> NamedJoints:
+        """See `JointNaming`."""
+        found = NamedJoints()
+        for index, name in enumerate(names):
+            entry = self._map.get(name) or MappedJoint(name)
+            if entry.joint in self._joints:
+                found.scaled.append((index, entry.joint, entry.scale, entry.offset))
+            else:
+                found.unknown.append(index)
+        return found
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which values of a message go where: positions[target] = scale * values[source] + offset, and ball joints.
+
+    names: of the message. index: of each name in them.
+    """
+
+    names: tuple[str, ...]
+    index: Mapping[str, int]
+    source: np.ndarray
+    target: np.ndarray
+    scale: np.ndarray
+    offset: np.ndarray
+    balls: BallJoints | None
+
+    def apply(self, values: np.ndarray, positions: np.ndarray) -> None:
+        """Write the joints that the message names into `positions` (d,) float32.
+
+        values: float64, one a name. Raises JointStateError, `positions` unchanged, when one is not finite in single
+        precision.
+        """
+        taken = values[self.source]
+        with np.errstate(over="ignore", invalid="ignore"):
+            read = (self.scale * taken + self.offset).astype(np.float32)
+        finite = np.isfinite(read)
+        if not finite.all():
+            self._refuse(values, int(self.source[np.flatnonzero(~finite)[0]]))
+        if self.balls is not None:
+            angles = self.balls.gather(values)
+            if not np.isfinite(angles).all():
+                used = self.balls.sources
+                self._refuse(values, int(used[np.flatnonzero(~np.isfinite(values[used]))[0]]))
+            self.balls.solve(angles, positions)
+        positions[self.target] = read
+
+    def _refuse(self, values: np.ndarray, index: int) -> None:
+        raise JointStateError(
+            f"the position of joint {self.names[index]!r} is {values[index]}; it must be finite [rad]"
+        )
+
+
+class JointStateReader:
+    """Turns joint states into the joint positions of a rig, whatever the order and number of joints they name.
+
+    joint_names, rest: (d,) names and initial positions [rad]. naming: of the messages, default the rig's own names.
+    keep_missing: joints that a message does not name keep their last position; else they go back to `rest`.
+    on_unknown: called with the names that mean nothing here, once for each new set of names.
+    positions: (d,) float32 [rad], the last good state.
+    """
+
+    def __init__(
+        self,
+        joint_names: Sequence[str],
+        rest: np.ndarray,
+        *,
+        naming: JointNaming | None = None,
+        keep_missing: bool = True,
+        on_unknown: Callable[[list[str]], None] = lambda names: None,
+    ) -> None:
+        self.joint_names = tuple(joint_names)
+        self.rest = np.array(rest, dtype=np.float32)
+        self.positions = self.rest.copy()
+        self._naming = MappedNames(joint_names) if naming is None else naming
+        self._keep_missing = keep_missing
+        self._index = {name: index for index, name in enumerate(joint_names)}
+        self._on_unknown = on_unknown
+        self._selections: dict[tuple[str, ...], Selection] = {}
+
+    def read(self, names: Sequence[str], values: Sequence[float]) -> np.ndarray:
+        """Joint positions (d,) float32 [rad] after a joint state; assign to `positions` to keep them.
+
+        names, values: name and position [rad] of a `sensor_msgs/JointState`, of equal length.
+        Raises JointStateError when it names no joint, none that is known or one twice, has another number of positions
+        than names, or a position for a known joint that is not finite in single precision.
+        """
+        names = tuple(names)
+        values = np.asarray(values, dtype=np.float64)
+        if not names:
+            raise JointStateError("the joint state names no joints")
+        if len(values) != len(names):
+            raise JointStateError(f"the joint state has {len(names)} names but {len(values)} positions")
+        positions = np.empty_like(self.positions)
+        self.read_selected(self.select(names), values, positions)
+        return positions
+
+    def read_selected(self, selection: Selection, values: np.ndarray, out: np.ndarray) -> None:
+        """Write the joint positions (d,) after a message of a selection's names into `out`. Raises as `read` does."""
+        np.copyto(out, self.positions if self._keep_missing else self.rest)
+        selection.apply(values, out)
+
+    def select(self, names: tuple[str, ...]) -> Selection:
+        """What these names select, looked up once for each set of names. Raises JointStateError."""
+        return self._selections.get(names) or self._look_up(names)
+
+    def _look_up(self, names: tuple[str, ...]) -> Selection:
+        found = self._naming.look_up(names)
+        if not found.scaled and not found.balls:
+            raise JointStateError(f"no joint is known among {_some(names)}; the rig has {_some(list(self._index))}")
+        driven: dict[str, str] = {}
+        drives = [(joint, index) for index, joint, _, _ in found.scaled]
+        drives += [(joint, max(sources)) for ball, sources in found.balls for joint in ball.joints if joint]
+        for joint, index in drives:
+            if joint in driven:
+                raise JointStateError(f"joints {driven[joint]!r} and {names[index]!r} are the same joint, {joint!r}")
+            driven[joint] = names[index]
+        if found.unknown:
+            self._on_unknown([names[index] for index in found.unknown])
+        selection = Selection(
+            names=names,
+            index={name: index for index, name in enumerate(names)},
+            source=np.array([index for index, _, _, _ in found.scaled], dtype=np.intp),
+            target=np.array([self._index[joint] for _, joint, _, _ in found.scaled], dtype=np.intp),
+            scale=np.array([scale for _, _, scale, _ in found.scaled]),
+            offset=np.array([offset for _, _, _, offset in found.scaled]),
+            balls=BallJoints(found.balls, self._index) if found.balls else None,
+        )
+        if len(self._selections) >= CACHED_NAME_SETS:
+            self._selections.clear()
+        self._selections[names] = selection
+        return selection
+
+
+def _some(names: Sequence[str], count: int = 4) -> str:
+    shown = ", ".join(name if len(name) <= 60 else f"{name[:60]}..." for name in names[:count])
+    return shown + (f" and {len(names) - count} more" if len(names) > count else "")

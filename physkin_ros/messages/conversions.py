@@ -1,0 +1,144 @@
+"""Between ROS messages and the core's arrays: gravity in; clouds, meshes and garment nodes out.
+
+Dimensions: `n` garment vertices, `m` garment nodes. Metres, root frame.
+"""
+
+from __future__ import annotations
+
+import sys
+from array import array
+
+import numpy as np
+
+from physkin_core import Draper
+from physkin_ros.messages.serialised import CheckedMessage, SerialisedMessage
+
+__all__ = [
+    "CLOUD_FIELDS",
+    "GarmentCloud",
+    "NodesMessage",
+    "TriangleMarker",
+    "garment_mesh",
+    "gravity_direction",
+    "read_cloud",
+]
+
+CLOUD_FIELDS = ("x", "y", "z", "normal_x", "normal_y", "normal_z")
+FLOAT32 = 7  # sensor_msgs/PointField.FLOAT32
+MARKER = 1.2345678e-30  # fills a payload until its place among the bytes is known
+CLOTH_COLOUR = (0.36, 0.50, 0.70)
+
+
+class GarmentCloud:
+    """One `sensor_msgs/PointCloud2`, filled in place and published again and again.
+
+    points: (n, 6) float32 view of its data, x, y, z [m] and unit normal. serialised: kept as the bytes
+    it travels as.
+    """
+
+    def __init__(self, point_count: int, frame_id: str, *, serialised: bool = True) -> None:
+        from sensor_msgs.msg import PointCloud2, PointField
+
+        step = 4 * len(CLOUD_FIELDS)
+        fields = [PointField(name=name, offset=4 * i, datatype=FLOAT32, count=1) for i, name in enumerate(CLOUD_FIELDS)]
+        marker = np.full((point_count, len(CLOUD_FIELDS)), MARKER, dtype=np.float32)
+        message = PointCloud2(
+            height=1,
+            width=point_count,
+            fields=fields,
+            is_bigendian=sys.byteorder == "big",
+            point_step=step,
+            row_step=step * point_count,
+            data=array("B", marker.tobytes()),
+            is_dense=True,  # a frame that is not finite is never published
+        )
+        message.header.frame_id = frame_id
+        kept = SerialisedMessage(message, marker) if serialised else CheckedMessage(message, marker)
+        self.points, self.stamped = kept.payload, kept.stamped
+
+
+class NodesMessage:
+    """One `physkin_msgs/GarmentNodes`, filled in place. transforms: (m, 3, 4) float32 view of its data."""
+
+    def __init__(self, node_count: int, frame_id: str, revision: int) -> None:
+        from physkin_msgs.msg import GarmentNodes
+
+        marker = np.full((node_count, 3, 4), MARKER, dtype=np.float32)
+        message = GarmentNodes(revision=revision, transforms=array("f", marker.tobytes()))
+        message.header.frame_id = frame_id
+        self._serialised = SerialisedMessage(message, marker)
+        self.transforms = self._serialised.payload
+        self.stamped = self._serialised.stamped
+
+
+class TriangleMarker:
+    """One `visualization_msgs/Marker` TRIANGLE_LIST of the garment's faces (f, 3), filled in place."""
+
+    def __init__(self, faces: np.ndarray, frame_id: str, name: str) -> None:
+        from geometry_msgs.msg import Point
+        from visualization_msgs.msg import Marker
+
+        marker = np.full((faces.size, 3), MARKER, dtype=np.float64)
+        corner = Point(x=MARKER, y=MARKER, z=MARKER)
+        message = Marker(ns=name, type=Marker.TRIANGLE_LIST, action=Marker.ADD, points=[corner] * faces.size)
+        message.header.frame_id = frame_id
+        message.pose.orientation.w = message.scale.x = message.scale.y = message.scale.z = message.color.a = 1.0
+        message.color.r, message.color.g, message.color.b = CLOTH_COLOUR
+        self._corners = faces.ravel()
+        self._serialised = SerialisedMessage(message, marker)
+
+    def stamped(self, points: np.ndarray, sec: int, nanosec: int) -> bytes:
+        """The marker of a cloud (n, 6), to be published."""
+        self._serialised.payload[:] = points[self._corners, :3]
+        return self._serialised.stamped(sec, nanosec)
+
+
+def read_cloud(message) -> np.ndarray:
+    """The points of a garment cloud: (n, 6) float32 view of the message's data, x, y, z [m] and unit normal.
+
+    Raises ValueError when the `sensor_msgs/PointCloud2` is not laid out as a garment cloud, or its data are too short.
+    """
+    layout = [(field.name, field.offset, field.datatype, field.count) for field in message.fields]
+    expected = [(name, 4 * index, FLOAT32, 1) for index, name in enumerate(CLOUD_FIELDS)]
+    if layout != expected or message.height != 1 or message.is_bigendian != (sys.byteorder == "big"):
+        raise ValueError(f"no garment cloud: fields {layout}, height {message.height}; expected {expected}, height 1")
+    if message.point_step < 4 * len(CLOUD_FIELDS) or len(message.data) < message.point_step * message.width:
+        raise ValueError(f"{len(message.data)} bytes of data for {message.width} points of {message.point_step} bytes")
+    shape, strides = (message.width, len(CLOUD_FIELDS)), (message.point_step, 4)
+    return np.ndarray(shape, dtype=np.float32, buffer=message.data, strides=strides)
+
+
+def garment_mesh(draper: Draper, frame_id: str, *, revision: int = 1, avatar: str = ""):
+    """The `physkin_msgs/GarmentMesh` of what a draper publishes; the stamp is left to the caller."""
+    from physkin_msgs.msg import GarmentMesh
+
+    model, bound = draper.model, draper.bound
+    message = GarmentMesh(
+        revision=revision,
+        model_name=model.name,
+        avatar=avatar,
+        vertex_count=draper.vertex_count,
+        faces=array("I", draper.faces.astype(np.uint32).tobytes()),
+        rest_vertices=array("f", bound.vertices.tobytes()),
+        rest_normals=array("f", bound.normals.tobytes()),
+        node_count=len(bound.node_rest),
+        node_rest=array("f", bound.node_rest.tobytes()),
+        influences=bound.influence_nodes.shape[1],
+        influence_nodes=array("I", bound.influence_nodes.astype(np.uint32).tobytes()),
+        influence_weights=array("f", bound.influence_weights.tobytes()),
+        joint_names=list(draper.joint_names),
+        joint_rest=array("f", model.rig.rest.astype(np.float32).tobytes()),
+    )
+    message.header.frame_id = frame_id
+    return message
+
+
+def gravity_direction(value) -> np.ndarray:
+    """A direction of gravity (3,) from three numbers of any length but zero. Raises ValueError."""
+    if isinstance(value, (list, tuple, array)):
+        value = list(value)
+        numbers = all(isinstance(number, (int, float)) and not isinstance(number, bool) for number in value)
+        with np.errstate(over="ignore"):
+            if numbers and len(value) == 3 and np.isfinite(value).all() and 1e-9 < np.linalg.norm(value) < np.inf:
+                return np.array(value, dtype=np.float64)
+    raise ValueError(f"gravity is {value!r}; it must be three finite numbers, not all zero, such as [0.0, 0.0, -1.0]")

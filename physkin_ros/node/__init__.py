@@ -1,0 +1,1 @@
+"""The ROS node: parameters, streams of joint states in and clouds out, swaps while running, diagnostics."""

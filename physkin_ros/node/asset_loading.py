@@ -1,0 +1,160 @@
+"""Bodies and garment models from files to drapers: which paths are allowed, and what was encoded before.
+
+A network can ask a running node for files, so those must lie below the `asset_roots`. Encodings are kept by the content
+of the files they came from, so that a body that comes back is worn at once.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import json
+import sys
+from collections import OrderedDict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Lock
+from time import perf_counter
+from typing import Literal
+
+from physkin_core import BUNDLED_AVATAR, Avatar, Draper, GarmentModel, load_avatar, load_garment_model
+from physkin_core.runtime.draper import Binding
+
+__all__ = ["LARGEST_ASSET", "AssetError", "AssetRoots", "DraperLoader", "LoadedDraper", "Outfitting"]
+
+LARGEST_ASSET = 1 << 29
+"""[bytes] A larger file is not opened while the node runs."""
+LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
+KEPT = 16
+"""Encodings, avatars and garment models that are kept of each."""
+
+
+class AssetError(ValueError):
+    """A file may not be used."""
+
+
+class AssetRoots:
+    """The folders that files may come from while the node runs.
+
+    folders: as the parameter gives them; when there is none, those of `files`, which the node starts with.
+    """
+
+    def __init__(self, folders: Iterable[str], files: Iterable[str]) -> None:
+        given = [Path(folder) for folder in folders if folder]
+        self.folders = tuple(
+            dict.fromkeys(path.resolve() for path in given or [Path(file).parent for file in files if file])
+        )
+
+    def check(self, path: str) -> None:
+        """Raises AssetError for a file elsewhere (links are followed), one that is too large, and what is no file."""
+        resolved = Path(path).resolve()
+        if not any(resolved.is_relative_to(folder) for folder in self.folders):
+            allowed = ", ".join(map(str, self.folders)) or "nothing but shipped garments and the bundled avatar"
+            raise AssetError(f"{path} lies outside the parameter asset_roots; allowed: {allowed}")
+        if not resolved.is_file():
+            raise AssetError(f"{path}: no such file")
+        if (size := resolved.stat().st_size) > LARGEST_ASSET:
+            raise AssetError(f"{path} has {size} bytes; at most {LARGEST_ASSET} are read while the node runs")
+
+
+@dataclass(frozen=True)
+class Outfitting:
+    """What to make a draper of: garment model and body files, the body's empty for the bundled avatar; the rest as
+    `Draper` takes it, precision empty for the backend's default."""
+
+    model: str = ""
+    body_mesh: str = ""
+    body_rig: str = ""
+    precision: str = ""
+    fit: float = 0.0
+    push_out: bool = False
+    normals: Literal["skinned", "faces"] = "skinned"
+
+    def check(self, roots: AssetRoots) -> None:
+        """Raises AssetError for a file that may not be used while the node runs."""
+        if Path(self.model).suffix or "/" in self.model:
+            roots.check(self.model)
+        for path in (self.body_mesh, self.body_rig):
+            if path and Path(path) != BUNDLED_AVATAR:
+                roots.check(path)
+
+
+@dataclass(frozen=True)
+class LoadedDraper:
+    """A draper, whether the body's encoding for its garment was known from before, and how long all took [s]."""
+
+    draper: Draper
+    cached: bool
+    seconds: float
+
+
+class DraperLoader:
+    """Makes drapers, from any thread. backend: of all of them."""
+
+    def __init__(self, backend: str) -> None:
+        self._backend = backend
+        self._lock = Lock()  # one load at a time: a second core is for draping
+        self._models: OrderedDict[str, tuple[GarmentModel, str]] = OrderedDict()
+        self._avatars: OrderedDict[tuple[str, ...], Avatar] = OrderedDict()
+        self._bindings: OrderedDict[tuple[object, ...], Binding] = OrderedDict()
+
+    def load(self, wanted: Outfitting) -> LoadedDraper:
+        """Read the files and bind the garment to the body. Raises ValueError or OSError naming what is wrong."""
+        with self._lock:
+            started = perf_counter()
+            model_key = _digest(wanted.model) if Path(wanted.model).is_file() else wanted.model
+            if model_key not in self._models:
+                model = load_garment_model(wanted.model)
+                _keep(self._models, model_key, (model, json.dumps(model.rig.to_json())))
+            model, rig = self._models[model_key]
+            body = Path(wanted.body_mesh or BUNDLED_AVATAR)
+            rig_file = wanted.body_rig or None
+            sources = [str(body), *_digests(body, wanted.body_rig)]
+            avatar_key = (*sources, rig)  # in the canonical pose of that rig
+            avatar = self._avatars.get(avatar_key) or load_avatar(body, model.rig, rig_file=rig_file)
+            _keep(self._avatars, avatar_key, avatar)
+            key = (*sources[1:], model_key, wanted.fit, wanted.push_out)
+            known = self._bindings.get(key)
+            draper = Draper(
+                model,
+                avatar,
+                backend=self._backend,
+                precision=wanted.precision or None,
+                fit=wanted.fit,
+                push_out=wanted.push_out,
+                normals=wanted.normals,
+                binding=known,
+            )
+            _keep(self._bindings, key, draper.binding)
+            _return_memory()
+            return LoadedDraper(draper, known is not None, perf_counter() - started)
+
+
+def _return_memory() -> None:
+    """Give back to the system what loading has left free: where bodies are swapped for days, glibc keeps half as much
+    again in pieces."""
+    if trim := getattr(LIBC, "malloc_trim", None):
+        trim(0)
+
+
+def _keep(kept: OrderedDict, key: object, value: object) -> None:
+    """Put an entry in as the latest, and drop the oldest when there are too many."""
+    kept[key] = value
+    kept.move_to_end(key)
+    while len(kept) > KEPT:
+        kept.popitem(last=False)
+
+
+def _digests(body: Path, rig_file: str) -> tuple[str, ...]:
+    """Of everything that a body is read from: the mesh, its rig file, and the buffers beside a .gltf; what is too large
+    to be read from there is left out."""
+    files = [body, Path(rig_file) if rig_file else body.with_suffix(".rig.json")]
+    if body.suffix.lower() == ".gltf":
+        files += sorted(body.parent.glob("*.bin"))
+    return tuple(_digest(file) for file in files if file.is_file() and file.stat().st_size <= LARGEST_ASSET)
+
+
+def _digest(path: str | Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,310 @@
+"""One avatar: its joint states, its orientation, and the garments it wears.
+
+What is worn at the moment is one object, the outfit; a swap makes another one elsewhere and puts it in its place
+between two messages. Dimensions: `d` degrees of freedom. Radians, root frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from time import monotonic_ns, perf_counter_ns
+
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import JointState
+
+from physkin_core import BUNDLED_AVATAR, GarmentModel
+from physkin_ros.joints.joint_naming import load_naming
+from physkin_ros.joints.joint_state_wire import JointStateWire
+from physkin_ros.joints.joint_states import JointNaming, JointStateError, JointStateReader
+from physkin_ros.node.asset_loading import DraperLoader, LoadedDraper, Outfitting
+from physkin_ros.node.diagnostics import AvatarStatistics, Health, HealthReporter, PoseRange
+from physkin_ros.node.garment_stream import GarmentStream, WornGarment, stream_quality
+from physkin_ros.node.interpolation import PoseInterpolator
+from physkin_ros.node.orientation import OrientationError, gravity_from_tilt
+from physkin_ros.node.orientation_source import OrientationSource
+from physkin_ros.node.settings import AvatarSettings
+
+__all__ = ["AvatarStream", "Outfit"]
+
+WARNING_PERIOD = 1.0  # [s] rejected messages are warned about at most this often
+QUEUE = 50  # joint states that may wait while the machine is busy: worked off in milliseconds, none lost
+NANOSECONDS = 1_000_000_000
+JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
+
+
+class Outfit:
+    """What an avatar wears: drapers bound to its pose, and the reader of joint states for their rig.
+
+    pose: (d,) float32 [rad], what the drapers read. garments: in the order of the avatar's streams.
+    """
+
+    def __init__(self, reader: JointStateReader, model: GarmentModel, interpolates: bool) -> None:
+        self.reader = reader
+        self.wire = JointStateWire(reader)
+        self.pose = reader.positions.copy()
+        self.range = PoseRange(model.rig)
+        self.interpolator = PoseInterpolator(len(self.pose)) if interpolates else None
+        self.garments: tuple[WornGarment, ...] = ()
+
+
+class AvatarStream:
+    """Drapes the garments of one avatar, a joint state at a time.
+
+    active: whether joint states are answered. deadline_ns: from the arrival of a joint state to its last cloud, 0 for
+    none. settings: with the body that is worn. Raises ValueError for a joint map that cannot be read.
+    """
+
+    def __init__(self, node, settings: AvatarSettings, loader: DraperLoader, *, deadline_ns: int = 0) -> None:
+        self.settings, self.deadline_ns, self.active = settings, deadline_ns, False
+        self.statistics = AvatarStatistics()
+        self.gravity = _unit(settings.gravity)
+        self._node, self._loader = node, loader
+        self._naming: tuple[JointNaming, tuple[str, ...]] | None = None
+        self._outfit: Outfit | None = None
+        self._closed = False
+        self._reporter = HealthReporter()
+        self._log = node.get_logger()
+        self._label = f"{settings.id}: " if settings.id else ""
+        self.garments = tuple(
+            GarmentStream(node, settings, garment, self._topics(garment)) for garment in settings.garments
+        )
+        # before the joint states: when both have messages waiting, executors serve the older subscription first
+        self._orientation = OrientationSource(node, settings, self.set_gravity, self._on_bad_orientation)
+        topic = settings.joint_states or (f"{settings.id}/joint_states" if settings.id else "joint_states")
+        self._subscription = node.create_subscription(
+            JointState, topic, self._on_joint_state, raw=True, **stream_quality(QUEUE)
+        )
+        self._timer = None
+        if settings.cloud_rate:
+            clock = Clock(clock_type=ClockType.STEADY_TIME)
+            self._timer = node.create_timer(1.0 / settings.cloud_rate, self._on_cloud_time, clock=clock)
+
+    def _topics(self, garment) -> str:
+        return garment.namespace or (f"~/{self.settings.id}/{garment.name}" if self.settings.id else "~")
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is something to drape."""
+        return self._outfit is not None
+
+    # Swapping: these run on any thread.
+
+    def dress(self, *, body: tuple[str, str] | None = None, models: dict[int, str] | None = None) -> list[LoadedDraper]:
+        """Put on what the settings say, with another body (mesh and rig file) or other models by garment index.
+
+        What is worn now serves until all is loaded, and stays when this raises ValueError or OSError.
+        """
+        mesh, rig_file = body or (self.settings.body_mesh, self.settings.body_rig)
+        garments = list(self.settings.garments)
+        for index, model in (models or {}).items():
+            garments[index] = replace(garments[index], model=model)
+        loaded = [
+            self._loader.load(
+                Outfitting(
+                    model=garment.model,
+                    body_mesh=mesh,
+                    body_rig=rig_file,
+                    precision=garment.precision,
+                    fit=garment.fit,
+                    push_out=garment.push_out,
+                    normals=garment.normals,
+                )
+            )
+            for garment in garments
+        ]
+        outfit = self._outfit_of([each.draper for each in loaded])
+        if self._closed:  # the body went meanwhile
+            return loaded
+        if previous := self._outfit:
+            _carry_on(previous, outfit)
+        self.settings = replace(self.settings, body_mesh=mesh, body_rig=rig_file, garments=tuple(garments))
+        self._outfit = outfit  # at once: a message is draped by the old one or by the new one
+        self.statistics.last_error = ""
+        known = {worn.stream: worn.revision for worn in previous.garments} if previous else {}
+        for worn in outfit.garments:
+            if known.get(worn.stream) != worn.revision:
+                worn.stream.show_mesh(worn.draper, worn.revision)
+        for warning in dict.fromkeys(warning for each in loaded for warning in each.draper.avatar.warnings):
+            self._log.warning(f"{self._label}{warning}")
+        source = mesh if mesh and mesh != str(BUNDLED_AVATAR) else "the bundled avatar"
+        for worn in outfit.garments:
+            self._log.info(
+                f"{self._label}{worn.draper.model.name} with {worn.draper.vertex_count} vertices on {source}: "
+                f"{self._subscription.topic_name} -> {worn.stream.cloud_publisher.topic_name}"
+            )
+        return loaded
+
+    def _outfit_of(self, drapers) -> Outfit:
+        model, *others = [draper.model for draper in drapers]
+        for other in others:
+            if other.rig.to_json() != model.rig.to_json():
+                raise ValueError(
+                    f"garments {model.name!r} and {other.name!r} have different rigs; garments of one avatar share one"
+                )
+        reader = JointStateReader(
+            model.rig.joint_names,
+            model.rig.rest,
+            naming=self._naming_for(model),
+            keep_missing=self.settings.missing_joints == "last",
+            on_unknown=self._warn_unknown,
+        )
+        outfit = Outfit(reader, model, self._timer is not None)
+        worn_now = {worn.stream: worn for worn in self._outfit.garments} if self._outfit else {}
+        garments = []
+        for stream, draper in zip(self.garments, drapers):
+            before = worn_now.get(stream)
+            same = before is not None and before.draper.model is draper.model
+            revision = before.revision + (not same) if before else 1
+            garments.append(WornGarment(stream, draper, revision, outfit.pose, self.gravity))
+        outfit.garments = tuple(garments)
+        return outfit
+
+    def _naming_for(self, model: GarmentModel) -> JointNaming:
+        if self._naming is None or self._naming[1] != model.rig.joint_names:
+            self._naming = load_naming(self.settings.joint_map, model.rig), model.rig.joint_names
+        return self._naming[0]
+
+    # The path of a message.
+
+    def _on_joint_state(self, data: bytes) -> None:
+        if not self.active:
+            return
+        arrived = perf_counter_ns()
+        statistics, outfit = self.statistics, self._outfit
+        statistics.received += 1
+        if outfit is None:
+            statistics.not_ready += 1
+            return
+        wire = outfit.wire
+        try:
+            wire.read(data, outfit.pose)
+            if self.settings.orientation == "joints" or self._orientation.tree is not None:
+                self._follow_orientation(wire)
+        except ValueError as error:
+            self._reject(outfit, error)
+            return
+        sec, nanosec = wire.stamp
+        if outfit.interpolator is not None:
+            np.copyto(outfit.reader.positions, outfit.pose)
+            outfit.interpolator.push(outfit.pose, self.gravity, sec * NANOSECONDS + nanosec, monotonic_ns())
+            return
+        if self._drape(outfit, sec, nanosec):
+            np.copyto(outfit.reader.positions, outfit.pose)
+            if self.deadline_ns and perf_counter_ns() - arrived > self.deadline_ns:
+                statistics.deadline_missed += 1
+
+    def _drape(self, outfit: Outfit, sec: int, nanosec: int) -> bool:
+        for worn in outfit.garments:
+            began = perf_counter_ns()
+            try:
+                worn.step()
+            except ValueError as error:
+                self._reject(outfit, error)
+                return False
+            took = perf_counter_ns() - began
+            worn.publish(sec, nanosec)
+            counts = worn.stream.statistics
+            counts.draped(took)
+            if (residual := worn.draper.residual) is not None:
+                counts.touched(residual)
+        outfit.range.add(outfit.pose)
+        self.statistics.last_stamp_ns = sec * NANOSECONDS + nanosec
+        return True
+
+    def _on_cloud_time(self) -> None:
+        outfit = self._outfit
+        if not self.active or outfit is None or outfit.interpolator is None:
+            return
+        gravity = np.empty(3, dtype=np.float32)
+        stamp = outfit.interpolator.sample(monotonic_ns(), outfit.pose, gravity)
+        if stamp is not None:
+            latest = self.gravity.copy()
+            self.gravity[:] = gravity
+            self._drape(outfit, *divmod(stamp, NANOSECONDS))
+            self.gravity[:] = latest
+
+    def _reject(self, outfit: Outfit, error: Exception) -> None:
+        np.copyto(outfit.pose, outfit.reader.positions)
+        self.statistics.reject(str(error))
+        self._log.warning(f"{self._label}joint state ignored: {error}", throttle_duration_sec=WARNING_PERIOD)
+
+    # Orientation.
+
+    def set_gravity(self, down: Sequence[float]) -> None:
+        """Take another direction of gravity (3,), of any length but zero."""
+        self.gravity[:] = _unit(down)
+
+    def _follow_orientation(self, wire: JointStateWire) -> None:
+        if self._orientation.tree is not None:
+            try:
+                down = self._orientation.tree.gravity(self.settings.frame_id, self.settings.world_frame)
+            except OrientationError as error:
+                self._on_bad_orientation(str(error))
+                return
+        else:
+            index = wire.selection.index
+            roll, pitch = self.settings.orientation_joints
+            if roll not in index or pitch not in index:
+                missing = roll if roll not in index else pitch
+                self._on_bad_orientation(f"the joint state has no joint {missing!r} (parameter orientation_joints)")
+                return
+            try:
+                down = gravity_from_tilt(float(wire.values[index[roll]]), float(wire.values[index[pitch]]))
+            except OrientationError as error:
+                raise JointStateError(str(error)) from None
+        self.gravity[:] = down
+
+    def _on_bad_orientation(self, reason: str) -> None:
+        self.statistics.reject_gravity(reason)
+        self._log.warning(f"{self._label}gravity message ignored: {reason}", throttle_duration_sec=WARNING_PERIOD)
+
+    def _warn_unknown(self, names: list[str]) -> None:
+        if self.settings.orientation == "joints":
+            names = [name for name in names if name not in self.settings.orientation_joints]
+        if not names:
+            return
+        shown = ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
+        self._log.warning(f"{self._label}joints without a counterpart in the rig are ignored: {shown}")
+
+    # Reports.
+
+    def health(self, now_ns: int) -> list[tuple[WornGarment | None, GarmentStream, Health]]:
+        """What each garment's stream wears and how it fares since the last call. now_ns: monotonic."""
+        outfit = self._outfit
+        self.statistics.strangers = self._strangers()
+        beyond = outfit.range.beyond() if outfit is not None else []
+        found = self._reporter.report(self.statistics, [each.statistics for each in self.garments], beyond, now_ns)
+        worn = outfit.garments if outfit is not None else (None,) * len(self.garments)
+        return list(zip(worn, self.garments, found))
+
+    def _strangers(self) -> str:
+        publishers = self._node.get_publishers_info_by_topic(self._subscription.topic_name)
+        others = sorted(
+            f"{each.topic_type} of {each.node_name}" for each in publishers if each.topic_type != JOINT_STATE_TYPE
+        )
+        return ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
+
+    def close(self) -> None:
+        """Take all topics down."""
+        self.active, self._closed = False, True
+        self._outfit = None
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+        self._node.destroy_subscription(self._subscription)
+        self._orientation.close()
+        for garment in self.garments:
+            garment.close()
+
+
+def _carry_on(previous: Outfit, outfit: Outfit) -> None:
+    """Keep the last good pose over a swap, where the rig is the same."""
+    if previous.reader.joint_names == outfit.reader.joint_names:
+        np.copyto(outfit.reader.positions, previous.reader.positions)
+        np.copyto(outfit.pose, previous.reader.positions)
+
+
+def _unit(direction: Sequence[float]) -> np.ndarray:
+    down = np.array(direction, dtype=np.float64)
+    return (down / np.linalg.norm(down)).astype(np.float32)

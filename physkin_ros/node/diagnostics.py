@@ -1,0 +1,246 @@
+"""What the drape node counts, and how it tells: `/diagnostics` for people and monitors, `~/statistics` in numbers.
+
+Dimensions: `d` degrees of freedom. Times [ns] unless a name says otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from physkin_core import Rig
+from physkin_core.runtime.push_out import ContactResidual
+
+__all__ = ["AvatarStatistics", "GarmentStatistics", "Health", "HealthReporter", "PoseRange", "diagnostic_status"]
+
+MOST_TIMES = 100_000  # kept between two reports, should nobody report
+NOTICEABLE = 0.02  # [rad] beyond a limit
+
+
+class PoseRange:
+    """How far joints have gone since the last report, against the limits that garments are trained within."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._least = np.empty(len(rig.dofs), dtype=np.float32)
+        self._most = np.empty(len(rig.dofs), dtype=np.float32)
+        self._clear()
+
+    def add(self, positions: np.ndarray) -> None:
+        """A pose (d,) [rad]."""
+        np.minimum(self._least, positions, out=self._least)
+        np.maximum(self._most, positions, out=self._most)
+
+    def beyond(self) -> list[str]:
+        """Joints beyond their limits since the last call, the farthest first, each with its position and limits."""
+        rig = self._rig
+        over = np.maximum(rig.lower - self._least, self._most - rig.upper)
+        worst = [joint for joint in np.argsort(-over).tolist() if over[joint] > NOTICEABLE]
+        found = []
+        for joint in worst:
+            below = rig.lower[joint] - self._least[joint] >= over[joint]
+            reached = self._least[joint] if below else self._most[joint]
+            limits = f"{rig.lower[joint]:.2f} to {rig.upper[joint]:.2f}"
+            found.append(f"{rig.joint_names[joint]} {reached:.2f} rad (trained {limits})")
+        self._clear()
+        return found
+
+    def _clear(self) -> None:
+        self._least.fill(np.inf)
+        self._most.fill(-np.inf)
+
+
+@dataclass
+class AvatarStatistics:
+    """Counts of one avatar since it was configured.
+
+    gravity_rejected: messages of a direction that is none; they count as rejections to warn about, but not as joint
+    states. not_ready: joint states before there was anything to drape. last_stamp_ns: of the last joint state that was
+    draped, None before the first. last_error: of a swap. strangers: who publishes something else than joint states on
+    their topic, which DDS does not deliver.
+    """
+
+    received: int = 0
+    rejected: int = 0
+    gravity_rejected: int = 0
+    not_ready: int = 0
+    deadline_missed: int = 0
+    last_rejection: str = ""
+    last_error: str = ""
+    strangers: str = ""
+    last_stamp_ns: int | None = None
+
+    def reject(self, reason: str) -> None:
+        """Count a joint state that was not draped, and keep why."""
+        self.rejected += 1
+        self.last_rejection = reason
+
+    def reject_gravity(self, reason: str) -> None:
+        """Count an orientation message that was not used, and keep why."""
+        self.gravity_rejected += 1
+        self.last_rejection = reason
+
+
+@dataclass
+class GarmentStatistics:
+    """Clouds of one garment since it was configured, and what those of the last period took.
+
+    deepest: [m] and left_inside: a count, of the period's worst frame; None without push-out.
+    """
+
+    published: int = 0
+    deepest: float | None = None
+    left_inside: int | None = None
+    evaluation_ns: list[int] = field(default_factory=list)
+
+    def draped(self, evaluation_ns: int) -> None:
+        """Count a cloud and how long the evaluation took."""
+        self.published += 1
+        self.evaluation_ns.append(evaluation_ns)
+        if len(self.evaluation_ns) > MOST_TIMES:
+            self.evaluation_ns.clear()
+
+    def touched(self, residual: ContactResidual) -> None:
+        """What the push-out left of a frame's contact."""
+        if self.deepest is None or residual.deepest >= self.deepest:
+            self.deepest, self.left_inside = residual.deepest, residual.left_inside
+
+
+@dataclass
+class Health:
+    """One garment on one avatar over a period: what both ways of telling are made from.
+
+    beyond: joints outside the trained range. period: [s]. evaluation_us: median and 99th percentile, None without
+    frames.
+    """
+
+    counts: AvatarStatistics
+    published: int
+    period: float
+    received_rate: float
+    published_rate: float
+    evaluation_us: tuple[float, float] | None
+    new_rejections: int
+    new_misses: int
+    beyond: Sequence[str]
+    deepest: float | None
+    left_inside: int | None
+
+    def summary(self) -> tuple[bool, str]:
+        """Whether all is well, and a sentence."""
+        counts = self.counts
+        if self.new_rejections:
+            return False, f"{self.new_rejections} messages rejected: {counts.last_rejection}"
+        if counts.last_error:
+            return False, f"swap failed, the old one goes on: {counts.last_error}"
+        if self.new_misses:
+            return False, f"{self.new_misses} joint states missed the deadline"
+        if self.evaluation_us is not None:
+            if self.beyond:
+                return False, f"draping, but the pose is outside the trained range: {self.beyond[0]}"
+            return True, "draping"
+        if counts.strangers:
+            return False, f"no joint states, but other messages on their topic: {counts.strangers}"
+        return True, "waiting for joint states" if not counts.received else "no joint states in the last second"
+
+    def values(self, now_ns: int) -> dict[str, str]:
+        """Named values as text. now_ns: time on the stamps' clock."""
+        counts = self.counts
+        age = None if counts.last_stamp_ns is None else (now_ns - counts.last_stamp_ns) / 1e9
+        p50, p99 = self.evaluation_us or (None, None)
+        values = {
+            "joint states received": str(counts.received),
+            "joint states [Hz]": _number(self.received_rate, 1),
+            "clouds published": str(self.published),
+            "clouds [Hz]": _number(self.published_rate, 1),
+            "joint states rejected": str(counts.rejected),
+            "joint states before a garment was ready": str(counts.not_ready),
+            "gravity messages rejected": str(counts.gravity_rejected),
+            "last rejection": counts.last_rejection or "none",
+            "last error": counts.last_error or "none",
+            "publishers of another type": counts.strangers or "none",
+            "deadline missed": str(counts.deadline_missed),
+            "evaluation p50 [us]": _number(p50, 1),
+            "evaluation p99 [us]": _number(p99, 1),
+            "last stamp age [s]": _number(age, 3),
+            "outside the trained range": "; ".join(self.beyond[:3]) or "none",
+        }
+        if self.deepest is not None:
+            values["vertices left inside"] = str(self.left_inside)
+            values["deepest left inside [mm]"] = _number(1e3 * self.deepest, 2)
+        return values
+
+    def fill(self, message) -> None:
+        """Set the numbers of a `physkin_msgs/GarmentStatistics`."""
+        counts = self.counts
+        for name in ("received", "rejected", "not_ready", "deadline_missed"):
+            setattr(message, name, getattr(counts, name))
+        message.published = self.published
+        message.received_rate, message.published_rate = self.received_rate, self.published_rate
+        message.evaluation_p50, message.evaluation_p99 = self.evaluation_us or (math.nan, math.nan)
+        message.deepest_inside = math.nan if self.deepest is None else self.deepest
+
+
+class HealthReporter:
+    """Takes the health of an avatar and its garments from one report to the next."""
+
+    def __init__(self) -> None:
+        self._last_ns: int | None = None
+        self._before: dict[str, int] = {}
+
+    def report(
+        self, counts: AvatarStatistics, garments: Sequence[GarmentStatistics], beyond: Sequence[str], now_ns: int
+    ) -> list[Health]:
+        """Health of each garment since the last call. now_ns: monotonic time."""
+        period = 1.0 if self._last_ns is None else max(1e-3, (now_ns - self._last_ns) / 1e9)
+        self._last_ns = now_ns
+        received = self._since("received", counts.received)
+        rejected = self._since("rejected", counts.rejected + counts.gravity_rejected)
+        missed = self._since("missed", counts.deadline_missed)
+        found = []
+        for index, garment in enumerate(garments):
+            times, garment.evaluation_ns = garment.evaluation_ns, []
+            p50, p99 = np.percentile(times, (50, 99)) / 1e3 if times else (0.0, 0.0)
+            found.append(
+                Health(
+                    counts=counts,
+                    published=garment.published,
+                    period=period,
+                    received_rate=received / period,
+                    published_rate=self._since(f"published {index}", garment.published) / period,
+                    evaluation_us=(float(p50), float(p99)) if times else None,
+                    new_rejections=rejected,
+                    new_misses=missed,
+                    beyond=beyond,
+                    deepest=garment.deepest,
+                    left_inside=garment.left_inside,
+                )
+            )
+            if times:
+                garment.deepest = garment.left_inside = None
+        return found
+
+    def _since(self, name: str, count: int) -> int:
+        new = count - self._before.get(name, 0)
+        self._before[name] = count
+        return new
+
+
+def diagnostic_status(name: str, hardware_id: str, well: bool, message: str, values: dict[str, str]):
+    """A `diagnostic_msgs/DiagnosticStatus`, OK when `well`, else WARN."""
+    from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+    return DiagnosticStatus(
+        level=DiagnosticStatus.OK if well else DiagnosticStatus.WARN,
+        name=name,
+        hardware_id=hardware_id,
+        message=message,
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )
+
+
+def _number(value: float | None, decimals: int) -> str:
+    return "none" if value is None else f"{value:.{decimals}f}"

@@ -1,0 +1,452 @@
+"""The drape node: joint states in, garment point clouds out, for one or many garments on one or many avatars.
+
+A lifecycle node: configuring loads the files and opens the topics, activating answers joint states. With `autostart`,
+the default, both happen at once. The work is done by `AvatarStream`s; here are parameters, transitions and reports.
+"""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from time import monotonic_ns
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.parameter import Parameter
+
+from physkin_ros.joints.ros4hri import ROS4HRI
+from physkin_ros.middleware.shared_memory import leftovers, remove_shared_memory
+from physkin_ros.node.asset_loading import AssetRoots, DraperLoader, Outfitting
+from physkin_ros.node.avatar_stream import AvatarStream
+from physkin_ros.node.body_discovery import BodyDiscovery, body_publishers
+from physkin_ros.node.diagnostics import diagnostic_status
+from physkin_ros.node.settings import (
+    AVATAR_SETTINGS,
+    GARMENT_SETTINGS,
+    NODE_SETTINGS,
+    AvatarSettings,
+    Setting,
+    SettingsError,
+    avatar_prefixes,
+    check_setting,
+    read_settings,
+)
+
+try:  # clouds never depend on our own interfaces
+    from physkin_msgs.msg import DrapeStatistics, GarmentStatistics
+
+    from physkin_ros.node.swap_services import SwapServices
+except ImportError:  # not installed, or of an earlier version
+    DrapeStatistics = GarmentStatistics = SwapServices = None
+
+__all__ = ["DrapeNode"]
+
+WARNING_PERIOD = 5.0  # [s]
+SWITCH_INTERVAL = 0.0005  # [s] a load in the background holds the callback up no longer; Python's own is ten times that
+
+
+class DrapeNode(LifecycleNode):
+    """Serves the avatars of its parameters.
+
+    Raises ValueError (models, avatars, rigs, joint maps, parameter values), OSError or ParameterException (parameter
+    types); without `autostart`, those of the files only fail the transition `configure`.
+    """
+
+    def __init__(self, **arguments) -> None:
+        """arguments: as `rclpy.node.Node` takes them, such as `context` and `parameter_overrides`."""
+        super().__init__("drape_node", **arguments)
+        self._streams: dict[str, AvatarStream] = {}
+        self._templates: list[tuple[AvatarSettings, BodyDiscovery]] = []
+        self._publishers_of_reports: list = []
+        self._timers_of_reports: list = []
+        self._services_of_swaps = None
+        self._failure: Exception | None = None
+        self._starting = False
+        self._active = False
+        self._changeable: dict[str, Setting] = {}
+        self._declare_parameters()
+        self._settings = self._read_settings()
+        self._roots = AssetRoots(
+            self._settings.asset_roots,
+            (
+                file
+                for avatar in self._settings.avatars
+                for file in (
+                    avatar.body_mesh,
+                    avatar.body_rig,
+                    *(garment.model for garment in avatar.garments if "/" in garment.model),
+                )
+            ),
+        )
+        self._loader = DraperLoader(self._settings.backend)
+        self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="physkin-loader")
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._follow_parameters)
+        sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_INTERVAL))
+        self._tell_leftovers()
+        if self._settings.autostart:
+            self._start()
+
+    # Parameters.
+
+    def _declare_parameters(self) -> None:
+        given = {name: parameter.value for name, parameter in self._parameter_overrides.items()}
+        avatars = avatar_prefixes(given)
+        levels = [("", NODE_SETTINGS)]
+        for avatar, garments in avatars.items():
+            levels += [(avatar, AVATAR_SETTINGS), *((garment, GARMENT_SETTINGS) for garment in garments)]
+        for prefix, settings in levels:
+            for key, setting in settings.items():
+                self._declare(prefix + key, setting)
+        strange = [name for name in given if not self.has_parameter(name) and not name.startswith("qos_overrides.")]
+        if strange:
+            known = [*NODE_SETTINGS, *("avatars" if "" not in avatars else [*AVATAR_SETTINGS, *GARMENT_SETTINGS])]
+            self.get_logger().warning(f"no such parameter: {', '.join(sorted(strange))}; there are {', '.join(known)}")
+
+    def _declare(self, name: str, setting: Setting) -> None:
+        descriptor = ParameterDescriptor(description=setting.description, read_only=not setting.changes)
+        if setting.choices:
+            descriptor.additional_constraints = f"one of: {', '.join(choice or 'empty' for choice in setting.choices)}"
+        if isinstance(setting.default, float):
+            descriptor.dynamic_typing = True  # 60 on a command line is an integer
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=float(setting.low), to_value=float(setting.high))
+            ]
+        elif isinstance(setting.default, int) and not isinstance(setting.default, bool):
+            descriptor.integer_range = [IntegerRange(from_value=int(setting.low), to_value=int(setting.high), step=1)]
+        elif isinstance(setting.default, list) and isinstance(setting.default[0], float):
+            descriptor.dynamic_typing = True  # so is [0, 0, -1]
+        self.declare_parameter(name, setting.default, descriptor)
+        if setting.changes:
+            self._changeable[name] = setting
+
+    def _read_settings(self):
+        return read_settings({name: parameter.value for name, parameter in self._parameters.items()})
+
+    def _check_parameters(self, parameters: Iterable[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            setting = self._changeable.get(parameter.name)
+            if setting is None:
+                continue
+            key = parameter.name.rsplit(".", 1)[-1]
+            try:
+                value = check_setting(parameter.name, setting, parameter.value)
+                if key in ("body_mesh", "body_rig"):
+                    Outfitting(body_mesh=value).check(self._roots)
+                elif key == "model":
+                    Outfitting(model=value).check(self._roots)
+            except ValueError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _follow_parameters(self, parameters: Iterable[Parameter]) -> None:
+        names = {parameter.name for parameter in parameters}
+        if not names & self._changeable.keys():
+            return
+        self._settings = settings = self._read_settings()
+        for stream in self._streams.values():
+            stream.deadline_ns = round(1e9 * settings.deadline)
+        for avatar in settings.avatars:
+            stream = self._streams.get(avatar.id)
+            if avatar.discover or stream is None:
+                continue
+            if avatar.prefix + "gravity" in names:
+                stream.set_gravity(avatar.gravity)
+            worn = stream.settings
+            body = (avatar.body_mesh, avatar.body_rig)
+            models = {
+                index: garment.model
+                for index, (garment, before) in enumerate(zip(avatar.garments, worn.garments))
+                if garment.model != before.model
+            }
+            if body != (worn.body_mesh, worn.body_rig) or models:
+                self._worker.submit(self._swap_for_parameters, stream, body, models)
+        self._templates = [
+            (next(avatar for avatar in settings.avatars if avatar.prefix == template.prefix), discovery)
+            for template, discovery in self._templates
+        ]
+
+    def _swap_for_parameters(self, stream: AvatarStream, body: tuple[str, str], models: dict[int, str]) -> None:
+        try:
+            stream.dress(body=body, models=models)
+        except Exception as error:
+            self._report_swap(stream, error)
+            self._show_settings(stream)
+
+    def _show_settings(self, stream: AvatarStream) -> None:
+        """Let the parameters say what is worn."""
+        worn = stream.settings
+        values = {worn.prefix + "body_mesh": worn.body_mesh, worn.prefix + "body_rig": worn.body_rig}
+        values |= {garment.prefix + "model": garment.model for garment in worn.garments}
+        changed = [
+            Parameter(name, value=value)
+            for name, value in values.items()
+            if name in self._changeable and self.get_parameter(name).value != value
+        ]
+        if changed and self._streams.get(worn.id) is stream and not self._is_template(worn.prefix):
+            # not through the callbacks: they would start the swap again, or refuse what the node was started with
+            for parameter in changed:
+                self._parameters[parameter.name] = parameter
+            self._settings = self._read_settings()
+
+    def _is_template(self, prefix: str) -> bool:
+        return any(template.prefix == prefix for template, _ in self._templates)
+
+    # Lifecycle.
+
+    def _start(self) -> None:
+        self._starting = True
+        try:
+            for trigger in (self.trigger_configure, self.trigger_activate):
+                if trigger() != TransitionCallbackReturn.SUCCESS:
+                    raise self._failure or RuntimeError("the drape node could not be started")
+        except BaseException:
+            self.destroy_node()
+            raise
+        finally:
+            self._starting = False
+
+    def on_configure(self, state) -> TransitionCallbackReturn:
+        """Load models and bodies, and open the topics."""
+        self._failure = None
+        try:
+            self._configure()
+        except (ValueError, OSError, ImportError) as error:
+            self._failure = error
+            if not self._starting:
+                self.get_logger().error(f"cannot configure: {error}")
+            self._take_down()
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # rclpy would swallow it
+            self._failure = error
+            if self.context.ok():  # else a signal came meanwhile
+                self.get_logger().error(f"cannot configure: {traceback.format_exc()}")
+            self._take_down()
+            return TransitionCallbackReturn.ERROR
+        return super().on_configure(state)
+
+    def on_activate(self, state) -> TransitionCallbackReturn:
+        """Answer joint states from now on."""
+        self._set_active(True)
+        return super().on_activate(state)
+
+    def on_deactivate(self, state) -> TransitionCallbackReturn:
+        """Answer no more; what is loaded stays."""
+        self._set_active(False)
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state) -> TransitionCallbackReturn:
+        """Take the topics down and forget the bodies."""
+        self._take_down()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state) -> TransitionCallbackReturn:
+        """As cleaning up, for good."""
+        self._take_down()
+        return super().on_shutdown(state)
+
+    def on_error(self, state) -> TransitionCallbackReturn:
+        """Back to unconfigured."""
+        self._take_down()
+        return TransitionCallbackReturn.SUCCESS
+
+    def destroy_node(self) -> None:
+        """Take everything down, background work included."""
+        self._worker.shutdown(wait=False, cancel_futures=True)
+        self._take_down()
+        super().destroy_node()
+
+    def _configure(self) -> None:
+        self._settings = self._read_settings()
+        for avatar in self._settings.avatars:
+            if avatar.discover:
+                self._templates.append((avatar, BodyDiscovery(self._settings.most_bodies)))
+            else:
+                self._open(avatar).dress()
+        diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._publishers_of_reports = [diagnostics]
+        if SwapServices is not None:
+            self._publishers_of_reports.append(self.create_publisher(DrapeStatistics, "~/statistics", 10))
+            self._services_of_swaps = SwapServices(self, self._set_body, self._set_garment)
+        self._timers_of_reports = [self.create_timer(1.0, self._report)]
+        if self._templates:
+            self._timers_of_reports.append(self.create_timer(0.5, self._look_for_bodies))
+
+    def _open(self, avatar: AvatarSettings) -> AvatarStream:
+        stream = AvatarStream(self, avatar, self._loader, deadline_ns=round(1e9 * self._settings.deadline))
+        self._streams[avatar.id] = stream
+        stream.active = self._active
+        return stream
+
+    def _set_active(self, active: bool) -> None:
+        self._active = active
+        for stream in self._streams.values():
+            stream.active = active
+
+    def _take_down(self) -> None:
+        self._active = False
+        if self._services_of_swaps is not None:
+            self._services_of_swaps.close()
+            self._services_of_swaps = None
+        for timer in self._timers_of_reports:
+            self.destroy_timer(timer)
+        for publisher in self._publishers_of_reports:
+            self.destroy_publisher(publisher)
+        for stream in self._streams.values():
+            stream.close()
+        self._timers_of_reports, self._publishers_of_reports = [], []
+        self._streams, self._templates = {}, []
+
+    # Bodies that come and go.
+
+    def _look_for_bodies(self) -> None:
+        publishers = body_publishers(self)
+        for template, discovery in self._templates:
+            waiting = discovery.waiting
+            came, went = discovery.look(publishers)
+            for body in went:
+                if stream := self._streams.pop(body, None):
+                    stream.close()
+                    self.get_logger().info(f"{body}: the body is gone")
+            for body in came:
+                if body in self._streams:
+                    self.get_logger().warning(f"{body}: a body of this id is dressed already; it is passed over")
+                    continue
+                stream = self._open(_settings_for(template, body))
+                self.get_logger().info(f"{body}: a body has come")
+                self._worker.submit(self._dress_body, stream)
+            if discovery.waiting - waiting:
+                self.get_logger().warning(
+                    f"{len(discovery.waiting)} bodies wait: parameter most_bodies is {self._settings.most_bodies}",
+                    throttle_duration_sec=WARNING_PERIOD,
+                )
+
+    def _dress_body(self, stream: AvatarStream) -> None:
+        try:
+            stream.dress()
+        except Exception as error:
+            self._report_swap(stream, error)
+
+    # Swaps.
+
+    def _set_body(self, request, response):
+        def swap(stream: AvatarStream):
+            Outfitting(body_mesh=request.body_mesh, body_rig=request.body_rig).check(self._roots)
+            return stream.dress(body=(request.body_mesh, request.body_rig))
+
+        return self._answer(request, response, swap)
+
+    def _set_garment(self, request, response):
+        def swap(stream: AvatarStream):
+            names = [garment.settings.name for garment in stream.garments]
+            index = _one_of("garment", request.garment, names)
+            if not request.model:
+                raise SettingsError("model must not be empty")
+            Outfitting(model=request.model).check(self._roots)
+            return [stream.dress(models={index: request.model})[index]]
+
+        return self._answer(request, response, swap)
+
+    def _answer(self, request, response, swap):
+        """Run a swap on the worker and tell how it went. Runs on the services' own thread."""
+        stream = None
+        try:
+            streams = list(self._streams.values())
+            stream = streams[_one_of("avatar", request.avatar, [stream.settings.id for stream in streams])]
+            loaded = self._worker.submit(swap, stream).result()
+        except Exception as error:
+            response.success, response.message = False, self._report_swap(stream, error)
+            return response
+        self._show_settings(stream)
+        response.success = True
+        response.message = ", ".join(f"{each.draper.model.name} on {each.draper.avatar.source}" for each in loaded)
+        response.seconds = sum(each.seconds for each in loaded)
+        response.cached = all(each.cached for each in loaded)
+        return response
+
+    def _report_swap(self, stream: AvatarStream | None, error: Exception) -> str:
+        """Log and count a swap that failed; returns why."""
+        known = isinstance(error, (ValueError, OSError))
+        reason = str(error) if known else f"{type(error).__name__}: {error}"
+        if stream is not None:
+            stream.statistics.last_error = reason
+        self.get_logger().error(f"swap failed, the old one goes on: {reason}")
+        return reason
+
+    # Reports.
+
+    def _report(self) -> None:
+        now = self.get_clock().now()
+        monotonic = monotonic_ns()
+        report = DiagnosticArray()
+        report.header.stamp = now.to_msg()
+        numbers = DrapeStatistics(header=report.header) if DrapeStatistics is not None else None
+        for stream in list(self._streams.values()):
+            for worn, garment, health in stream.health(monotonic):
+                values = health.values(now.nanoseconds)
+                well, summary = health.summary()
+                name = model = garment.settings.model
+                source = ""
+                if worn is not None:
+                    draper = worn.draper
+                    name = model = draper.model.name
+                    source = draper.avatar.source
+                    values |= {"backend": draper.backend, "instruction set": draper.instruction_set}
+                    values["precision"] = draper.precision
+                values["model"] = model
+                values["gravity"] = " ".join(f"{value:.3f}" for value in stream.gravity)
+                if not stream.active:
+                    summary = "inactive"
+                elif worn is None:
+                    well, summary = False, "the garment is being loaded"
+                title = f"{self.get_name()}: {garment.name or name}"
+                report.status.append(diagnostic_status(title, source, well, summary, values))
+                if numbers is not None:
+                    entry = GarmentStatistics(avatar=garment.avatar_id, garment=garment.settings.name, model_name=model)
+                    health.fill(entry)
+                    numbers.period = health.period
+                    numbers.garments.append(entry)
+        messages = [report] if numbers is None else [report, numbers]
+        for publisher, message in zip(self._publishers_of_reports, messages):
+            publisher.publish(message)
+
+    def _tell_leftovers(self) -> None:
+        names = leftovers()
+        if not names:
+            return
+        if self._settings.clear_shared_memory:
+            freed = remove_shared_memory(names)
+            self.get_logger().info(f"deleted {freed / 1e6:.1f} MB that killed processes had left in /dev/shm")
+        else:
+            self.get_logger().info(
+                f"killed processes left {len(names)} Fast DDS segments in /dev/shm, harmless but for the memory; to "
+                "delete them: fastdds shm clean, or start with -p clear_shared_memory:=true"
+            )
+
+
+def _settings_for(template: AvatarSettings, body: str) -> AvatarSettings:
+    """The settings of one discovered body."""
+    return replace(
+        template,
+        id=body,
+        joint_states=f"/humans/bodies/{body}/joint_states",
+        joint_map=template.joint_map or ROS4HRI,
+        frame_id=f"body_{body}",
+        garments=tuple(
+            replace(garment, namespace=f"{garment.namespace}/{body}" if garment.namespace else "")
+            for garment in template.garments
+        ),
+    )
+
+
+def _one_of(kind: str, name: str, names: list[str]) -> int:
+    """Index of `name` among `names`; an empty one will do where there is one only. Raises SettingsError."""
+    if name in names:
+        return names.index(name)
+    if not name and len(names) == 1:
+        return 0
+    raise SettingsError(f"no {kind} {name!r}; allowed: {', '.join(map(repr, names)) or 'none, there is none yet'}")

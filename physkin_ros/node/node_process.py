@@ -1,0 +1,161 @@
+"""The process of the drape node: `physkin node`, `ros2 run physkin_ros drape_node` and `python -m physkin_ros`."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+import traceback
+
+import rclpy
+from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
+from rclpy.logging import get_logger
+from rclpy.utilities import remove_ros_args
+
+from physkin_ros.middleware.transport import use_shipped_profile
+from physkin_ros.node.drape_node import DrapeNode
+from physkin_ros.node.settings import AVATAR_SETTINGS, GARMENT_SETTINGS, NODE_SETTINGS, SettingsError, load_config
+
+__all__ = ["main", "spin"]
+
+EXECUTORS = {"events": EventsExecutor, "single": SingleThreadedExecutor}
+NO_PARTICIPANT = "error creating node"  # how rcl says that the middleware refused
+TOPICS = {
+    "joint_states": "in, sensor_msgs/JointState: pose of the body",
+    "gravity": "in, geometry_msgs/Vector3Stamped: direction of gravity in the body's root frame, any length but zero; "
+    "joint states are draped with the latest, so send it before them; or pose, imu: see orientation",
+    "~/garment": "out, sensor_msgs/PointCloud2: points [m] and normals, body's root frame, stamp of the joint state",
+    "~/marker": "out, visualization_msgs/Marker: the garment's triangles; with marker",
+    "~/mesh": "out, physkin_msgs/GarmentMesh: faces and skinning weights, latched; with physkin_msgs installed",
+    "~/garment_nodes": "out, physkin_msgs/GarmentNodes: garment node transforms; with physkin_msgs installed",
+    "/diagnostics": "out, diagnostic_msgs/DiagnosticArray at 1 Hz",
+    "~/statistics": "out, physkin_msgs/DrapeStatistics at 1 Hz; with physkin_msgs installed",
+    "~/set_body": "service, physkin_msgs/SetBody: another body while running; ~/set_garment likewise",
+}
+"""Name -> direction, type and meaning, for the usage text. With avatars, those of a garment are below ~/ID/NAME."""
+
+
+def spin(node: DrapeNode) -> None:
+    """Serve the node until its context is shut down. What a callback raises is logged, and the next one is served."""
+    executor = EXECUTORS[node.get_parameter("executor").value]()
+    executor.add_node(node)
+    try:
+        while rclpy.ok():  # EventsExecutor delivers nothing in spin(), nor in spin_once() without a timeout
+            try:
+                executor.spin_once(timeout_sec=1.0)
+            except (KeyboardInterrupt, ExternalShutdownException):
+                break
+            except Exception as error:
+                if not rclpy.ok():  # rclpy's, when a signal ends the context between ok() and the wait
+                    break
+                node.get_logger().error(
+                    f"a message or request could not be handled: {type(error).__name__}: {error} "
+                    f"({''.join(traceback.format_tb(error.__traceback__)[-1:]).strip()})",
+                    throttle_duration_sec=1.0,
+                )
+    finally:
+        executor.remove_node(node)
+        executor.shutdown()
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM. argv: without the program's name. Returns the exit status."""
+    arguments = ["drape_node", *(sys.argv[1:] if argv is None else argv)]
+    use_shipped_profile()
+    node = None
+
+    def interrupt(signal_number: int, frame: object) -> None:
+        """After rclpy's own handler, which ends the context. Raised in a callback it would be logged as a fault."""
+        if node is None:
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        arguments = _with_config(arguments)
+        _initialise(arguments)
+        if unknown := remove_ros_args(arguments)[1:]:
+            return _explain_usage(unknown)
+        _forward_log()
+        node = DrapeNode()
+        spin(node)
+        return 0
+    except KeyboardInterrupt:
+        return 0
+    except (ValueError, OSError, ImportError, ParameterException, NameValidationException) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except Exception as error:
+        if node is None and str(error).startswith(NO_PARTICIPANT):  # such as DDS security that is not there
+            print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+            return 2
+        if rclpy.ok() or node is not None:
+            raise
+        return 0  # a signal came while the node was being made
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _with_config(arguments: list[str]) -> list[str]:
+    """`--config FILE` as a ROS 2 parameter file, once it is known to be right."""
+    if "--config" not in arguments or arguments.index("--config") > (arguments + ["--ros-args"]).index("--ros-args"):
+        return arguments
+    at = arguments.index("--config")
+    if at + 1 >= len(arguments) or arguments[at + 1].startswith("-"):
+        raise SettingsError("--config needs a file")
+    path = arguments[at + 1]
+    load_config(path)
+    rest = [*arguments[:at], *arguments[at + 2 :]]
+    split = rest.index("--ros-args") if "--ros-args" in rest else len(rest)
+    return [*rest[:split], "--ros-args", "--params-file", path, "--", *rest[split:]]
+
+
+def _initialise(arguments: list[str]) -> None:
+    """`rclpy.init`; raises ValueError on malformed ROS arguments."""
+    try:
+        rclpy.init(args=arguments)
+    except RuntimeError as error:
+        raise ValueError(str(error)) from error
+
+
+def _explain_usage(arguments: list[str]) -> int:
+    """Text of --help; the same after arguments that mean nothing."""
+    lines = ["usage: physkin node [--config FILE] [--ros-args -p PARAMETER:=VALUE ... -r TOPIC:=TOPIC ...]", ""]
+    lines.append("FILE is a ROS 2 parameter file, for one avatar or for many (avatars.ID.garments.NAME.model).")
+    for title, settings in (
+        ("node", NODE_SETTINGS),
+        ("each avatar", AVATAR_SETTINGS),
+        ("each garment", GARMENT_SETTINGS),
+    ):
+        lines += ["", f"parameters of {title}:"]
+        lines += [
+            f"  {name:<19} {setting.description} (default {setting.default!r})" for name, setting in settings.items()
+        ]
+    lines += ["", "topics:", *(f"  {name:<19} {text}" for name, text in TOPICS.items())]
+    lines += ["", "Ended by SIGKILL the node leaves shared memory (/dev/shm/fastrtps_*) behind: fastdds shm clean."]
+    wanted = bool({"-h", "--help"} & set(arguments))
+    print("\n".join(lines), file=sys.stdout if wanted else sys.stderr)
+    if not wanted:
+        print(f"error: unknown arguments: {' '.join(arguments)}", file=sys.stderr)
+    return 0 if wanted else 2
+
+
+def _forward_log() -> None:
+    """Send what the core logs, such as the time a body's encoding took, to the ROS log."""
+    logger = logging.getLogger("physkin_core")
+    logger.setLevel(logging.INFO)
+    logger.addHandler(_RosLogHandler())
+
+
+class _RosLogHandler(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        # one line a level: rclpy ties each call site to the level of its first message
+        if record.levelno >= logging.ERROR:
+            get_logger(record.name).error(record.getMessage())
+        elif record.levelno >= logging.WARNING:
+            get_logger(record.name).warning(record.getMessage())
+        else:
+            get_logger(record.name).info(record.getMessage())

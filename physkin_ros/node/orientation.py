@@ -1,0 +1,100 @@
+"""Where down is, in the body's root frame: from a pose, an IMU, two joints, or TF.
+
+Quaternions are x, y, z, w and turn the root frame into an upright one (Z up), as ROS gives orientations.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from physkin_ros.messages.conversions import gravity_direction
+
+__all__ = ["OrientationError", "TransformTree", "gravity_from_imu", "gravity_from_quaternion", "gravity_from_tilt"]
+
+DEEPEST_CHAIN = 64
+
+
+class OrientationError(ValueError):
+    """A message gives no direction of gravity; the text says why."""
+
+
+def gravity_from_quaternion(quaternion: Sequence[float]) -> np.ndarray:
+    """Unit direction of gravity (3,) in a frame of this orientation. Raises OrientationError for no rotation."""
+    x, y, z, w = quaternion
+    square = x * x + y * y + z * z + w * w
+    if not (math.isfinite(square) and abs(square - 1.0) < 0.1):
+        raise OrientationError(f"orientation is {[x, y, z, w]}; it must be a unit quaternion x, y, z, w")
+    return np.array([2 * (w * y - x * z), -2 * (y * z + w * x), 2 * (x * x + y * y) - square]) / square
+
+
+def gravity_from_imu(message) -> np.ndarray:
+    """Unit direction of gravity (3,) from a `sensor_msgs/Imu`: its orientation, or the acceleration it feels if it has
+    none (the body is then taken to be at rest). Raises OrientationError.
+    """
+    if message.orientation_covariance[0] != -1.0:
+        turn = message.orientation
+        return gravity_from_quaternion((turn.x, turn.y, turn.z, turn.w))
+    felt = message.linear_acceleration
+    try:
+        down = gravity_direction([-felt.x, -felt.y, -felt.z])
+    except ValueError:
+        raise OrientationError(
+            f"the IMU gives no orientation (covariance -1) and feels {[felt.x, felt.y, felt.z]} m/s2; one is needed"
+        ) from None
+    return down / np.linalg.norm(down)
+
+
+def gravity_from_tilt(roll: float, pitch: float) -> np.ndarray:
+    """Unit direction of gravity (3,) in a root turned about its X by `roll`, then about the upright Y by `pitch` [rad].
+
+    Raises OrientationError for angles that are not finite.
+    """
+    if not (math.isfinite(roll) and math.isfinite(pitch)):
+        raise OrientationError(f"roll is {roll} and pitch {pitch}; they must be finite [rad]")
+    across = math.cos(pitch)
+    return np.array([math.sin(pitch), -across * math.sin(roll), -across * math.cos(roll)])
+
+
+class TransformTree:
+    """The latest rotations of TF, without tf2: each frame's parent and its orientation there."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, tuple[str, tuple[float, float, float, float]]] = {}
+
+    def update(self, transforms) -> None:
+        """Take over a list of `geometry_msgs/TransformStamped`."""
+        for transform in transforms:
+            turn = transform.transform.rotation
+            self._parents[transform.child_frame_id.lstrip("/")] = (
+                transform.header.frame_id.lstrip("/"),
+                (turn.x, turn.y, turn.z, turn.w),
+            )
+
+    def gravity(self, frame: str, world: str) -> np.ndarray:
+        """Unit direction of gravity (3,) in `frame`, the upright `world` frame being above it.
+
+        Raises OrientationError when there is no chain of transforms, or one of them is no rotation.
+        """
+        turn, at = (0.0, 0.0, 0.0, 1.0), frame
+        for _ in range(DEEPEST_CHAIN):
+            if at == world:
+                return gravity_from_quaternion(turn)
+            if at not in self._parents:
+                raise OrientationError(f"no transform from {world!r} to {frame!r}: nothing is known above {at!r}")
+            at, outer = self._parents[at]
+            turn = _product(outer, turn)
+        raise OrientationError(f"the transforms above {frame!r} go round in a circle")
+
+
+def _product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, float]:
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )

@@ -1,0 +1,78 @@
+"""The subscriptions that tell an avatar where down is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped, Vector3Stamped
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Imu
+
+from physkin_ros.messages.conversions import gravity_direction
+from physkin_ros.node.garment_stream import stream_quality
+from physkin_ros.node.orientation import TransformTree, gravity_from_imu, gravity_from_quaternion
+from physkin_ros.node.settings import AvatarSettings, SettingsError
+
+__all__ = ["OrientationSource"]
+
+
+class OrientationSource:
+    """Calls back with gravity's unit direction (3,), or with why a message gave none.
+
+    tree: the TF tree of orientation tf, to be asked for every joint state; else None.
+    Raises SettingsError for orientation tf without tf2_msgs.
+    """
+
+    def __init__(
+        self, node, avatar: AvatarSettings, on_gravity: Callable[[np.ndarray], None], on_bad: Callable[[str], None]
+    ) -> None:
+        self.tree: TransformTree | None = None
+        self._node, self._on_gravity, self._on_bad = node, on_gravity, on_bad
+        self._subscriptions = []
+        kinds = {
+            "gravity": (Vector3Stamped, lambda message: _from_vector(message.vector)),
+            "pose": (PoseStamped, lambda message: _from_pose(message.pose.orientation)),
+            "imu": (Imu, gravity_from_imu),
+        }
+        if avatar.orientation in kinds:
+            kind, self._read = kinds[avatar.orientation]
+            default = f"{avatar.id}/{avatar.orientation}" if avatar.id else avatar.orientation
+            topic = avatar.orientation_topic or default
+            self._subscriptions.append(node.create_subscription(kind, topic, self._on_message, **stream_quality()))
+        elif avatar.orientation == "tf":
+            try:
+                from tf2_msgs.msg import TFMessage
+            except ModuleNotFoundError:
+                raise SettingsError(
+                    f"parameter {avatar.prefix}orientation is 'tf', which needs the package tf2_msgs (apt: "
+                    "ros-jazzy-tf2-msgs); allowed without it: gravity, pose, imu, joints, fixed"
+                ) from None
+            tree = self.tree = TransformTree()
+            latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            for topic, quality in (("/tf", QoSProfile(depth=100)), ("/tf_static", latched)):
+                self._subscriptions.append(
+                    node.create_subscription(TFMessage, topic, lambda message: tree.update(message.transforms), quality)
+                )
+
+    def close(self) -> None:
+        """Stop listening."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+
+    def _on_message(self, message) -> None:
+        try:
+            down = self._read(message)
+        except ValueError as error:
+            self._on_bad(str(error))
+        else:
+            self._on_gravity(down)
+
+
+def _from_vector(vector) -> np.ndarray:
+    down = gravity_direction([vector.x, vector.y, vector.z])
+    return down / np.linalg.norm(down)
+
+
+def _from_pose(turn) -> np.ndarray:
+    return gravity_from_quaternion((turn.x, turn.y, turn.z, turn.w))

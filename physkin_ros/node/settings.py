@@ -1,0 +1,409 @@
+"""What can be set about the drape node: every parameter's meaning, default and allowed values, in one place.
+
+Without `avatars` the node dresses one avatar in one garment, and the parameters of both stand at the top. With
+`avatars.ID.KEY` and `avatars.ID.garments.NAME.KEY` it dresses many. Nothing here needs ROS.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from physkin_core import BACKENDS, NORMALS, UPRIGHT_GRAVITY
+from physkin_core.runtime.native_evaluator import PRECISIONS
+from physkin_ros.messages.conversions import gravity_direction
+
+__all__ = [
+    "AVATAR_SETTINGS",
+    "GARMENT_SETTINGS",
+    "NODE_SETTINGS",
+    "AvatarSettings",
+    "GarmentSettings",
+    "NodeSettings",
+    "Setting",
+    "SettingsError",
+    "avatar_prefixes",
+    "check_setting",
+    "defaults",
+    "flatten",
+    "load_config",
+    "read_settings",
+]
+
+
+class SettingsError(ValueError):
+    """A parameter or a configuration file asks for something that there is not."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One parameter: default, what it does, whether it may change while the node runs, and what is allowed.
+
+    choices: allowed texts. low, high: bounds of a number. may_be_empty: of a text.
+    """
+
+    default: object
+    description: str
+    changes: bool = False
+    choices: tuple[str, ...] = ()
+    low: float = -math.inf
+    high: float = math.inf
+    may_be_empty: bool = True
+
+
+NODE_SETTINGS = {
+    "executor": Setting("events", "rclpy executor: events (least overhead) or single", choices=("events", "single")),
+    "backend": Setting("native", "evaluator: native (C++) or numpy (readable reference, slow)", choices=BACKENDS),
+    "autostart": Setting(True, "configure and activate at once; false: wait for lifecycle transitions"),
+    "asset_roots": Setting(
+        [""],
+        "folders that bodies and garments may be swapped for while running; default: those of the files the node "
+        "started with. Shipped garments and the bundled avatar are always allowed",
+    ),
+    "deadline": Setting(
+        0.0,
+        "[s] from a joint state's arrival to its last cloud; what takes longer is counted. 0: none",
+        True,
+        (),
+        0,
+        60,
+    ),
+    "most_bodies": Setting(8, "bodies dressed at a time by an avatar with discover; later ones wait", low=1, high=64),
+    "clear_shared_memory": Setting(
+        False, "at the start, delete what killed Fast DDS processes of this user left in /dev/shm"
+    ),
+}
+AVATAR_SETTINGS = {
+    "joint_states": Setting("", "topic of sensor_msgs/JointState; default: joint_states, with avatars ID/joint_states"),
+    "body_mesh": Setting(
+        "", "avatar to dress: a GLB, glTF, VRM, OBJ, PLY or STL file; empty: the bundled avatar", changes=True
+    ),
+    "body_rig": Setting(
+        "",
+        "rig file of a body_mesh that has no skin of its own; empty: NAME.rig.json beside it, if there",
+        changes=True,
+    ),
+    "joint_map": Setting(
+        "",
+        "JSON file from incoming joint names to those of the rig; ros4hri for bodies of REP-155, vrm for VRM humanoid "
+        "bones (both: default rig only); empty: the names are the rig's",
+    ),
+    "missing_joints": Setting(
+        "last",
+        "joints that a message does not name keep their last position, or go back to the neutral one",
+        choices=("last", "neutral"),
+    ),
+    "frame_id": Setting(
+        "",
+        "TF frame the clouds are given in: the body's root, X forward, Y left, Z up; default base_link, with avatars "
+        "ID, with discover body_ID",
+    ),
+    "gravity": Setting(
+        UPRIGHT_GRAVITY.tolist(),
+        "direction of gravity in the body's root frame until the orientation source gives one",
+        changes=True,
+    ),
+    "orientation": Setting(
+        "gravity",
+        "what tells the direction of gravity: gravity (topic, Vector3Stamped), pose (topic, PoseStamped of the root in "
+        "an upright frame), imu (topic, Imu in the root frame), joints (of the joint states), tf, or fixed",
+        choices=("gravity", "pose", "imu", "joints", "tf", "fixed"),
+    ),
+    "orientation_topic": Setting(
+        "", "topic of orientation gravity, pose or imu; default: its name, with avatars ID/gravity and so on"
+    ),
+    "orientation_joints": Setting(
+        ["root_roll", "root_pitch"], "names of roll and pitch [rad] in the joint states, for orientation joints"
+    ),
+    "world_frame": Setting("world", "upright TF frame, for orientation tf", may_be_empty=False),
+    "cloud_rate": Setting(
+        0.0,
+        "[Hz] clouds interpolated between joint states, one joint state late; 0: one cloud a joint state",
+        low=0,
+        high=1000,
+    ),
+    "discover": Setting(
+        "",
+        "ros4hri: an avatar for every body on /humans/bodies/ID/joint_states, as they come and go",
+        choices=("", "ros4hri"),
+    ),
+}
+GARMENT_SETTINGS = {
+    "model": Setting(
+        "tshirt", "garment model: a .safetensors file, or the name of a shipped one", changes=True, may_be_empty=False
+    ),
+    "precision": Setting(
+        "",
+        "of the network weights: fp32, bf16 or int8, each faster and coarser than the last; default bf16, and with the "
+        "numpy backend fp32, the only one it knows",
+        choices=("", *PRECISIONS),
+    ),
+    "fit": Setting(
+        0.0,
+        "0: the garment's one size; 1: made to measure for this body; or between. Above 0 only for models that have "
+        "learnt it; takes half a second more to start",
+        low=0,
+        high=1,
+    ),
+    "push_out": Setting(
+        False,
+        "move vertices that end up inside the body out of it, in microseconds a frame; the node takes seconds more to "
+        "start, and its diagnostics tell what is left inside",
+    ),
+    "normals": Setting(
+        "skinned",
+        "skinned: carried along with the cloth; faces: of the draped mesh, truer, for some 5 ns a vertex",
+        choices=NORMALS,
+    ),
+    "namespace": Setting("", "what the garment's topics are below; default ~, with avatars ~/ID/NAME"),
+    "serialised": Setting(
+        True,
+        "fill clouds in place as the bytes they travel as; false: as messages, which rclpy checks and serialises",
+    ),
+    "marker": Setting(False, "publish a visualization_msgs/Marker TRIANGLE_LIST too, for RViz"),
+}
+"""Name -> setting. Those whose `changes` is false are fixed once the node is configured."""
+
+IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+TOPIC = re.compile(r"(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides", "service_introspection")
+NODE_NAMES = ("drape_node", "/drape_node", "/**", "/**/drape_node", "**")
+
+
+@dataclass(frozen=True)
+class GarmentSettings:
+    """One garment. prefix: of its parameters. name: empty for the only one. The rest: see `GARMENT_SETTINGS`."""
+
+    prefix: str
+    name: str
+    model: str
+    precision: str
+    fit: float
+    push_out: bool
+    normals: str
+    namespace: str
+    serialised: bool
+    marker: bool
+
+
+@dataclass(frozen=True)
+class AvatarSettings:
+    """One avatar. prefix: of its parameters. id: empty for the only one. The rest: see `AVATAR_SETTINGS`."""
+
+    prefix: str
+    id: str
+    joint_states: str
+    body_mesh: str
+    body_rig: str
+    joint_map: str
+    missing_joints: str
+    frame_id: str
+    gravity: tuple[float, ...]
+    orientation: str
+    orientation_topic: str
+    orientation_joints: tuple[str, ...]
+    world_frame: str
+    cloud_rate: float
+    discover: str
+    garments: tuple[GarmentSettings, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class NodeSettings:
+    """The node and its avatars; see `NODE_SETTINGS`."""
+
+    executor: str
+    backend: str
+    autostart: bool
+    asset_roots: tuple[str, ...]
+    deadline: float
+    most_bodies: int
+    clear_shared_memory: bool
+    avatars: tuple[AvatarSettings, ...]
+
+
+def avatar_prefixes(names: Mapping[str, object]) -> dict[str, tuple[str, ...]]:
+    """Prefix of each avatar's parameters -> prefixes of its garments', from the names of given parameters.
+
+    Without any `avatars.` these are the empty prefix twice. Raises SettingsError for an unknown key below `avatars`, an
+    id that is no identifier, and an avatar without garments.
+    """
+    avatars: dict[str, list[str]] = {}
+    for name in names:
+        if name != "avatars" and not name.startswith("avatars."):
+            continue
+        parts = name.split(".")
+        if len(parts) < 3:
+            raise SettingsError(
+                f"parameter {name} is {names[name]!r}; expected avatars.ID.KEY, ID being a name you choose"
+            )
+        avatar = ".".join(parts[:2]) + "."
+        garments = avatars.setdefault(avatar, [])
+        identifiers = [("avatar id", parts[1])]
+        if parts[2] != "garments":
+            key, known, where = ".".join(parts[2:]), [*AVATAR_SETTINGS, "garments"], avatar
+        elif len(parts) < 5:
+            raise SettingsError(
+                f"parameter {name} is {names[name]!r}; expected {avatar}garments.NAME.KEY, you choose NAME, "
+                f"KEY is one of {', '.join(GARMENT_SETTINGS)}"
+            )
+        else:
+            garment = ".".join(parts[:4]) + "."
+            if garment not in garments:
+                garments.append(garment)
+            identifiers.append(("garment name", parts[3]))
+            key, known, where = ".".join(parts[4:]), list(GARMENT_SETTINGS), garment
+        for kind, text in identifiers:
+            if not IDENTIFIER.fullmatch(text):
+                raise SettingsError(
+                    f"parameter {name}: {kind} {text!r}; allowed: letters, digits and _, a letter first"
+                )
+        if key not in known:
+            raise SettingsError(f"parameter {name}: unknown key {key!r}; allowed in {where[:-1]}: {', '.join(known)}")
+    for avatar, garments in avatars.items():
+        if not garments:
+            raise SettingsError(f"{avatar[:-1]} has no garments; give it one: {avatar}garments.NAME.model")
+    return {avatar: tuple(garments) for avatar, garments in avatars.items()} or {"": ("",)}
+
+
+def defaults(prefix: str, settings: Mapping[str, Setting]) -> dict[str, object]:
+    """Parameter name -> default below a prefix of `avatar_prefixes`."""
+    return {prefix + key: setting.default for key, setting in settings.items()}
+
+
+def check_setting(name: str, setting: Setting, value: object) -> object:
+    """The value in its setting's type. Raises SettingsError naming parameter, value and what is allowed."""
+
+    def refuse(allowed: str) -> SettingsError:
+        return SettingsError(f"parameter {name} is {value!r}; allowed: {allowed}")
+
+    if name.rsplit(".", 1)[-1] == "gravity":
+        try:
+            gravity_direction(value)
+        except ValueError as error:
+            raise SettingsError(f"parameter {name.removesuffix('gravity')}{error}") from None
+        return tuple(float(number) for number in value)
+    default = setting.default
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise refuse("true or false")
+    elif isinstance(default, (int, float)):
+        whole = isinstance(default, int)
+        kinds = int if whole else (int, float)
+        if isinstance(value, bool) or not isinstance(value, kinds) or not setting.low <= value <= setting.high:
+            raise refuse(f"{'a whole number' if whole else 'a number'} from {setting.low:g} to {setting.high:g}")
+        return type(default)(value)
+    elif isinstance(default, list):
+        if isinstance(value, str) or not all(isinstance(item, str) for item in value):
+            raise refuse("a list of texts")
+        return tuple(value)
+    else:
+        if not isinstance(value, str):
+            raise refuse("a text")
+        if setting.choices and value not in setting.choices:
+            raise refuse(", ".join(choice or "''" for choice in setting.choices))
+        if not value and not setting.may_be_empty:
+            raise SettingsError(f"parameter {name} must not be empty")
+    return value
+
+
+def read_settings(given: Mapping[str, object]) -> NodeSettings:
+    """The settings that parameters give, by their full names; the others at their defaults.
+
+    Raises SettingsError naming parameter, value and what is allowed; names that are not below `avatars` and unknown are
+    passed over, for a parameter file may hold other nodes' too.
+    """
+
+    def read(prefix: str, settings: Mapping[str, Setting]) -> dict[str, object]:
+        return {
+            key: check_setting(prefix + key, setting, given.get(prefix + key, setting.default))
+            for key, setting in settings.items()
+        }
+
+    avatars = []
+    for prefix, garment_prefixes in avatar_prefixes(given).items():
+        values = read(prefix, AVATAR_SETTINGS)
+        identity = prefix.split(".")[1] if prefix else ""
+        garments = []
+        for garment_prefix in garment_prefixes:
+            garment = read(garment_prefix, GARMENT_SETTINGS)
+            name = garment_prefix.split(".")[3] if garment_prefix else ""
+            _check_topic(f"{garment_prefix}namespace", garment["namespace"])
+            garments.append(GarmentSettings(prefix=garment_prefix, name=name, **garment))
+        for key in ("joint_states", "orientation_topic"):
+            _check_topic(prefix + key, values[key])
+        if len(values["orientation_joints"]) != 2:
+            raise SettingsError(
+                f"parameter {prefix}orientation_joints is {list(values['orientation_joints'])!r}; allowed: two "
+                "names, of roll and of pitch"
+            )
+        if values["discover"] and not prefix:
+            raise SettingsError("parameter discover is for avatars: avatars.ID.discover")
+        values["frame_id"] = values["frame_id"] or identity or "base_link"
+        avatars.append(AvatarSettings(prefix=prefix, id=identity, garments=tuple(garments), **values))
+    namespaces = [garment.namespace for avatar in avatars for garment in avatar.garments if garment.namespace]
+    if twice := sorted({name for name in namespaces if namespaces.count(name) > 1}):
+        raise SettingsError(f"namespace {twice[0]!r} is given to two garments; each needs its own")
+    return NodeSettings(avatars=tuple(avatars), **read("", NODE_SETTINGS))
+
+
+def load_config(path: str | Path) -> NodeSettings:
+    """What a ROS 2 parameter file asks of the node. Raises SettingsError naming file, key and what is allowed."""
+    import yaml  # rclpy brings it
+
+    try:
+        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise SettingsError(f"cannot read config {path}: {' '.join(str(error).split())}") from error
+    example = "drape_node: {ros__parameters: {avatars: {...}}}"
+    if not isinstance(document, dict):
+        raise SettingsError(f"config {path} must be a ROS 2 parameter file, {example}; got {document!r:.60}")
+    parts = [document[name] for name in document if name in NODE_NAMES]
+    if not parts:
+        raise SettingsError(
+            f"config {path} names {', '.join(map(repr, document))}; expected {example}, or /** for the name"
+        )
+    flat: dict[str, object] = {}
+    try:
+        for part in parts:
+            if not isinstance(part, dict) or not isinstance(part.get("ros__parameters"), dict) or len(part) > 1:
+                raise SettingsError(f"expected {example}; got {part!r:.60}")
+            flat |= flatten(part["ros__parameters"])
+        known = {*NODE_SETTINGS, *AVATAR_SETTINGS, *GARMENT_SETTINGS}
+        for name in flat:
+            top = name.split(".")[0]
+            if top not in (*BUILT_IN, "avatars") and name not in known:
+                raise SettingsError(f"unknown key {name!r}; allowed: {', '.join(['avatars', *sorted(known)])}")
+        return read_settings(flat)
+    except SettingsError as error:
+        raise SettingsError(f"config {path}: {error}") from None
+
+
+def flatten(tree: Mapping, prefix: str = "") -> dict[str, object]:
+    """Nested mappings as one, keys joined by dots. Raises SettingsError for what rcl would refuse less clearly."""
+    flat: dict[str, object] = {}
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        if not isinstance(key, str):
+            raise SettingsError(f"key {name!r} is a {type(key).__name__}; write it in quotes, starting with a letter")
+        if isinstance(value, dict):
+            if not value:
+                raise SettingsError(f"{name} is empty; leave it out, or give it keys")
+            flat |= flatten(value, f"{name}.")
+        elif value is None:
+            raise SettingsError(f"{name} has no value")
+        elif isinstance(value, list) and len({type(item) for item in value}) != 1:
+            raise SettingsError(
+                f"{name} is {value!r}; the items of a list must be of one type, such as [0.0, 0.0, -1.0]"
+            )
+        else:
+            flat[name] = value
+    return flat
+
+
+def _check_topic(name: str, value: object) -> None:
+    if value and not (isinstance(value, str) and TOPIC.fullmatch(value)):
+        raise SettingsError(f"parameter {name} is {value!r}; allowed: a ROS name, such as /alice/joint_states")

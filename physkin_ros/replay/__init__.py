@@ -1,0 +1,1 @@
+"""Bags: written from motions, draped and measured without a running node. Needs no ROS."""

@@ -1,0 +1,58 @@
+"""`physkin convert`: a motion as a bag of joint states, for replay or `ros2 bag play`. Needs no ROS."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from physkin_core import Motion, load_body_model, load_motion
+from physkin_core.motion.mocap import AMC_RATE_HZ, MOCAP_SUFFIXES, load_mocap
+from physkin_ros.replay.bags import STORAGES, BagWriter, write_motion
+
+__all__ = ["main"]
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line. Returns the exit status."""
+    parser = argparse.ArgumentParser(prog="physkin convert", description=__doc__.splitlines()[0])
+    parser.add_argument("motion", help="shipped clip (walk, dance, ...), motion file (.safetensors), .bvh or .amc")
+    parser.add_argument("output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3")
+    parser.add_argument("--storage", choices=STORAGES, help="of an output folder (default mcap)")
+    parser.add_argument(
+        "--rate", type=float, metavar="HZ", help="joint states a second (default: the clip's; mocap: 60)"
+    )
+    parser.add_argument("--skeleton", metavar="ASF", help="of an .amc (default: 02.asf for 02_02.amc)")
+    parser.add_argument("--source-rate", type=float, default=AMC_RATE_HZ, metavar="HZ", help="of an .amc (%(default)s)")
+    parser.add_argument("--seconds", type=float, help="repeat or cut the clip to this length (default: once)")
+    parser.add_argument("--topic", default="/joint_states", help="default %(default)s")
+    parser.add_argument("--gravity-topic", default="/gravity", help="default %(default)s")
+    parser.add_argument("--frame-id", default="base_link", help="default %(default)s")
+    options = parser.parse_args(argv)
+    motion = _motion(options)
+    if options.rate is not None:
+        motion = motion.resampled(options.rate)
+    if options.seconds is not None:
+        motion = motion.looped(options.seconds)
+    with BagWriter(options.output, storage=options.storage) as writer:
+        topics = {"topic": options.topic, "gravity_topic": options.gravity_topic, "frame_id": options.frame_id}
+        write_motion(writer, motion, **topics)
+    print(f"wrote {options.output}: {motion.frame_count} joint states at {motion.rate_hz:g} Hz")
+    return 0
+
+
+def _motion(options: argparse.Namespace) -> Motion:
+    if Path(options.motion).suffix.lower() not in MOCAP_SUFFIXES:
+        return load_motion(options.motion)
+    settings = {"skeleton": options.skeleton, "source_rate_hz": options.source_rate}
+    motion, missed = load_mocap(options.motion, load_body_model().rig, **settings)
+    bone = max(missed, key=missed.get)
+    print(
+        f"retargeted: bones miss their direction by {sum(missed.values()) / len(missed):.1f} degrees on average, "
+        f"{bone} by {missed[bone]:.1f}"
+    )
+    return motion
+
+
+if __name__ == "__main__":
+    sys.exit(main())

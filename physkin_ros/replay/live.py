@@ -1,0 +1,47 @@
+"""`physkin replay --live`: the joint states and gravity of a bag, played to their topics as they were recorded."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import Vector3Stamped
+from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+
+from physkin_ros.middleware.subscriber_discovery import wait_for_subscribers
+from physkin_ros.middleware.transport import use_shipped_profile
+from physkin_ros.replay.bags import BagReader
+
+__all__ = ["play"]
+
+
+def play(bag: BagReader, *, rate: float = 1.0) -> np.ndarray:
+    """Publish the bag's messages, bytes and stamps unchanged, `rate` times as fast as they were recorded.
+
+    Returns how late each was sent [s], (messages,). Waits for somebody who listens to the joint states, and at the end
+    until everything has arrived. Raises TimeoutError when nobody listens, and BagError when the bag cannot be read on.
+    """
+    use_shipped_profile()
+    rclpy.init(args=[])
+    node = rclpy.create_node("physkin_replay")
+    try:
+        publishers = {"joint_state": node.create_publisher(JointState, bag.topic, QoSProfile(depth=100))}
+        if bag.gravity_topic is not None:
+            publishers["gravity"] = node.create_publisher(Vector3Stamped, bag.gravity_topic, QoSProfile(depth=100))
+        wait_for_subscribers(publishers["joint_state"])
+        late, begin, first = [], time.monotonic(), None
+        for message in bag:
+            first = message.time_ns if first is None else first
+            due = begin + (message.time_ns - first) / 1e9 / rate
+            time.sleep(max(0.0, due - time.monotonic()))
+            late.append(time.monotonic() - due)
+            publishers[message.kind].publish(message.data)
+        for publisher in publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=5))
+        return np.array(late)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()

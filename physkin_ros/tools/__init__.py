@@ -1,0 +1,1 @@
+"""The demo and the benchmark of the node: a player, a listener and the node in processes of their own."""

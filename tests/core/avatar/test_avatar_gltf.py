@@ -1,0 +1,512 @@
+"""GLB, glTF and VRM avatars: the same person from any pose, naming, scale, axis and storage."""
+
+import base64
+import json
+
+import numpy as np
+import pytest
+
+from physkin_core.avatar.avatar import AvatarError, avatar_from_body
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.avatar.loading import load_avatar
+from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
+from physkin_core.rig.rig import Rig
+from physkin_training.prepare.avatar import AVATAR_PATH, BUNDLED_BODY, prepare_avatar, prepare_vrm, t_posed_body
+from physkin_training.prepare.gltf_export import skinned_document, write_glb, write_gltf
+
+BODY = load_body_model()
+RIG = BODY.rig
+PERSON = avatar_from_body(BODY, BODY.held_out_bodies[0])
+
+
+def _builder(**changes):
+    """The person of held-out body 0 at the canonical pose, as a document that tests may change before writing."""
+    arguments = {
+        "vertices": PERSON.vertices,
+        "faces": PERSON.faces,
+        "joint_names": RIG.bone_names,
+        "joint_parents": RIG.parents,
+        "joint_heads": PERSON.bone_heads.astype(np.float64),
+        "influence_joints": PERSON.influence_bones,
+        "influence_weights": PERSON.influence_weights,
+        **changes,
+    }
+    return skinned_document(**arguments)
+
+
+def _load(tmp_path, builder, rig=RIG, name="person.glb"):
+    write_glb(tmp_path / name, builder)
+    return load_avatar(tmp_path / name, rig)
+
+
+def _distances(first, second):
+    """Millimetres between corresponding points."""
+    return 1000 * np.linalg.norm(np.asarray(first) - np.asarray(second), axis=-1)
+
+
+def _bone_map(naming):
+    return json.loads((AVATAR_PATH.parents[1] / "bone_maps" / f"{naming}.json").read_text())["bones"]
+
+
+def _dense(avatar):
+    dense = np.zeros((len(avatar.vertices), RIG.bone_count))
+    np.add.at(dense, (np.arange(len(dense))[:, None], avatar.influence_bones), avatar.influence_weights)
+    return dense
+
+
+def test_demo_avatar_round_trip(tmp_path):
+    """Vertices and bones come back within 0.1 mm; the file stays small; the shipped one is what the script writes."""
+    person = avatar_from_body(BODY, BODY.held_out_bodies[BUNDLED_BODY])
+    prepare_avatar(tmp_path / "avatar.glb")
+    assert (tmp_path / "avatar.glb").stat().st_size < 1e6
+    for path in (tmp_path / "avatar.glb", AVATAR_PATH):
+        avatar = load_avatar(path, RIG)
+        assert np.array_equal(avatar.faces, person.faces)
+        assert _distances(avatar.vertices, person.vertices).max() < 0.1
+        assert _distances(avatar.bone_heads, person.bone_heads).max() < 0.1
+        assert _distances(avatar.bone_tails, person.bone_tails).max() < 0.1
+        assert np.allclose(avatar.influence_weights.sum(axis=1), 1, atol=1e-6)
+        assert np.abs(_dense(avatar) - _dense(PERSON)).mean() < 3e-4  # four of eight influences are kept
+        assert avatar.warnings == ()
+
+
+@pytest.mark.parametrize("body_index", [0, 1, 2])
+@pytest.mark.parametrize("vrm_version", ["1.0", "0.x"])
+def test_t_posed_vrm_is_the_same_person(tmp_path, vrm_version, body_index):
+    """T-pose, 20 humanoid joints, feet on the ground: the canonical A-pose to millimetres, joints, too.
+
+    Rig bones that a VRM has no joint for (where a thigh or a neck is divided) are placed within 2 cm.
+    """
+    prepare_vrm(tmp_path / "person.vrm", body_index=body_index, vrm_version=vrm_version)
+    avatar = load_avatar(tmp_path / "person.vrm", RIG)
+    person = avatar_from_body(BODY, BODY.held_out_bodies[body_index])
+    distance = _distances(avatar.vertices, person.vertices)
+    assert distance.mean() < 3 and distance.max() < 20
+    heads, tails = _distances(avatar.bone_heads, person.bone_heads), _distances(avatar.bone_tails, person.bone_tails)
+    assert max(heads.mean(), tails.mean()) < 4 and max(heads.max(), tails.max()) < 20
+    stated = [RIG.bone_index(bone) for bone in _bone_map("vrm").values()]
+    assert heads[stated].max() < 4
+    assert np.abs(_dense(avatar) - _dense(person)).sum(axis=1).mean() / 2 < 0.07
+    assert avatar.warnings == ()
+
+
+def test_limbs_take_the_canonical_directions(tmp_path):
+    """Every limb segment of a T-posed avatar ends up parallel to the rig's."""
+    prepare_vrm(tmp_path / "person.vrm", body_index=5)
+    heads = load_avatar(tmp_path / "person.vrm", RIG).bone_heads
+    for start, end in LIMB_SEGMENTS.values():
+        own, rig = (at[RIG.bone_index(end)] - at[RIG.bone_index(start)] for at in (heads, RIG.heads))
+        assert own @ rig / np.linalg.norm(own) / np.linalg.norm(rig) > 0.99999
+
+
+def _with_names(naming):
+    """Joint names of a bone map for the rig bones that it has, the rest nameless helpers."""
+    names = {}
+    for name, bone in _bone_map(naming).items():
+        names.setdefault(bone, name)
+    return [names.get(bone, f"helper_{bone.replace('.', '_')}_x") for bone in RIG.bone_names]
+
+
+@pytest.mark.parametrize("naming", ["vrm", "mixamo", "unreal", "rigify", "smpl"])
+def test_common_joint_names(tmp_path, naming):
+    """Each bone map is found by the joints' names, whatever the namespace and case."""
+    names = [f"mixamorig:{name}" if naming == "mixamo" else name for name in _with_names(naming)]
+    avatar = _load(tmp_path, _builder(joint_names=names))
+    assert _distances(avatar.vertices, PERSON.vertices).mean() < 3
+    assert _distances(avatar.bone_heads, PERSON.bone_heads).max() < 20
+
+
+def test_centimetre_armature_and_turned_nodes(tmp_path):
+    """A Z-up armature in centimetres under a scaled and turned node, with helper nodes as matrices: the same person."""
+    builder = _builder()
+    document = builder.document
+    nodes, root = document["nodes"], 0
+    to_centimetres = np.diag([100.0, 100.0, 100.0, 1.0])
+    up = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1]])  # this maps Z up to Y up
+    for node in nodes[:-1]:
+        node["translation"] = (100 * up[:3, :3].T @ node["translation"]).tolist()
+    half = np.sqrt(0.5)
+    nodes.append({"name": "Armature", "rotation": [-half, 0, 0, half], "scale": [0.01] * 3, "children": [root]})
+    document["scenes"][0]["nodes"] = [len(nodes) - 1, len(nodes) - 2]
+    # Inverse bind matrices go from the mesh to each joint's own frame, in centimetres.
+    view = document["bufferViews"][document["accessors"][document["skins"][0]["inverseBindMatrices"]]["bufferView"]]
+    bind = np.frombuffer(bytes(builder.binary), np.float32, 36 * 16, view["byteOffset"]).reshape(-1, 4, 4)
+    changed = np.einsum("ij,njk->nik", to_centimetres @ np.linalg.inv(up), bind.transpose(0, 2, 1).astype(np.float64))
+    changed = changed.transpose(0, 2, 1).astype(np.float32)
+    builder.binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]] = changed.tobytes()
+    spine = nodes[RIG.bone_index("spine05")]
+    matrix = np.eye(4)
+    matrix[:3, 3] = spine.pop("translation")
+    spine["matrix"] = matrix.T.reshape(-1).tolist()
+    avatar = _load(tmp_path, builder)
+    assert _distances(avatar.vertices, PERSON.vertices).max() < 0.1
+    assert _distances(avatar.bone_heads, PERSON.bone_heads).max() < 0.1
+
+
+def test_fingers_follow_the_wrist(tmp_path):
+    """Finger joints without a rig bone turn with the arm, and their influence goes to the wrist."""
+    vertices, heads, _ = t_posed_body(BODY, BODY.held_out_bodies[0])
+    wrist = RIG.bone_index("wrist.L")
+    fingers = (PERSON.influence_bones == wrist) & (np.linalg.norm(vertices - heads[wrist], axis=1) > 0.1)[:, None]
+    assert fingers.any()
+    builder = _builder(
+        vertices=vertices,
+        joint_names=[*RIG.bone_names, "finger", "finger tip"],
+        joint_parents=[*RIG.parents, wrist, RIG.bone_count],
+        joint_heads=np.concatenate([heads, heads[[wrist, wrist]] + [[0, 0.1, 0], [0, 0.13, 0]]]),
+        influence_joints=np.where(fingers, RIG.bone_count + 1, PERSON.influence_bones),
+    )
+    avatar = _load(tmp_path, builder)
+    moved = fingers.any(axis=1)
+    assert _distances(avatar.vertices, PERSON.vertices)[moved].max() < 2
+    assert (_dense(avatar)[moved, wrist] > 0.5).all()
+
+
+def test_humanoid_bones_outside_the_skin(tmp_path):
+    """A VRM may state a bone that no vertex follows and the skin does not list; it counts as a joint."""
+    names = [f"own_{bone}" for bone in range(RIG.bone_count)]
+    humanoid = {role: names[RIG.bone_index(bone)] for role, bone in _bone_map("vrm").items()}
+    builder = _builder(joint_names=names, humanoid=humanoid)
+    nodes, wrist = builder.document["nodes"], RIG.bone_index("wrist.L")
+    nodes[wrist].setdefault("children", []).append(len(nodes))
+    nodes.append({"name": "hand marker"})
+    builder.document["extensions"]["VRMC_vrm"]["humanoid"]["humanBones"]["leftHand"]["node"] = len(nodes) - 1
+    assert _distances(_load(tmp_path, builder).bone_heads, PERSON.bone_heads)[wrist] < 4
+
+
+def test_external_and_embedded_buffers(tmp_path):
+    """A .gltf with its buffer beside it (and a space in its name) or inside it as base64 reads like the GLB."""
+    builder = _builder()
+    (tmp_path / "the buffer.bin").write_bytes(bytes(builder.binary))
+    write_gltf(tmp_path / "beside.gltf", builder, buffer_uri="the%20buffer.bin")
+    data = base64.b64encode(bytes(builder.binary)).decode()
+    write_gltf(tmp_path / "inside.gltf", builder, buffer_uri=f"data:application/octet-stream;base64,{data}")
+    for name in ("beside.gltf", "inside.gltf"):
+        assert _distances(load_avatar(tmp_path / name, RIG).vertices, PERSON.vertices).max() < 0.1
+
+
+def test_sparse_normalised_and_interleaved_accessors(tmp_path):
+    """Positions with a sparse correction, byte weights, and a strided view read as the plain ones."""
+    builder = _builder()
+    document, attributes = builder.document, builder.document["meshes"][0]["primitives"][0]["attributes"]
+    positions = document["accessors"][attributes["POSITION"]]
+    view = document["bufferViews"][positions["bufferView"]]
+    stored = np.frombuffer(bytes(builder.binary), np.float32, 3 * len(PERSON.vertices), view["byteOffset"]).reshape(
+        -1, 3
+    )
+    wrong = np.zeros((len(stored), 5), dtype=np.float32)  # two more floats a vertex: interleaved with something else
+    wrong[:, :3] = stored
+    rows = np.array([7, 100, 4000], dtype=np.uint16)
+    wrong[rows] = 55.0
+    positions["bufferView"] = builder.add_view(wrong)
+    document["bufferViews"][-1]["byteStride"] = 20
+    positions["sparse"] = {
+        "count": len(rows),
+        "indices": {"bufferView": builder.add_view(rows), "componentType": 5123},
+        "values": {"bufferView": builder.add_view(stored[rows])},
+    }
+    avatar = _load(tmp_path, builder)
+    assert _distances(avatar.vertices, PERSON.vertices).max() < 0.1
+    weights = np.round(255 * np.sort(PERSON.influence_weights, axis=1)[:, ::-1][:, :4]).astype(np.uint8)
+    attributes["WEIGHTS_0"] = builder.add_accessor(weights, normalized=True)
+    avatar = _load(tmp_path, builder)
+    assert np.allclose(avatar.influence_weights.sum(axis=1), 1, atol=1e-6)
+    assert np.abs(_dense(avatar) - _dense(PERSON)).mean() < 5e-4
+
+
+def test_morph_targets_are_applied(tmp_path):
+    """A body shape stored as a morph target with a default weight is what is loaded."""
+    builder = _builder()
+    mesh, offset = builder.document["meshes"][0], np.zeros((len(PERSON.vertices), 3), dtype=np.float32)
+    offset[:, 2] = 0.02 * (PERSON.vertices[:, 2] > 0)
+    mesh["primitives"][0]["targets"] = [{"POSITION": builder.add_accessor(offset)}]
+    mesh["weights"] = [0.5]
+    moved = _load(tmp_path, builder).vertices - PERSON.vertices
+    assert np.allclose(moved[:, 0], 0.01 * (PERSON.vertices[:, 2] > 0), atol=1e-4)
+
+
+def test_several_primitives_and_nodes_are_one_surface(tmp_path):
+    """Two primitives with vertices of their own and a second node: welded at the seams, no vertex is doubled."""
+    builder = _builder()
+    document, primitive = builder.document, builder.document["meshes"][0]["primitives"][0]
+    half = len(PERSON.faces) // 2
+    arrays = {}
+    for name, width, dtype in (("POSITION", 3, np.float32), ("JOINTS_0", 4, np.uint8), ("WEIGHTS_0", 4, np.uint16)):
+        view = document["bufferViews"][document["accessors"][primitive["attributes"][name]]["bufferView"]]
+        stored = np.frombuffer(bytes(builder.binary), dtype, width * len(PERSON.vertices), view["byteOffset"])
+        arrays[name] = stored.reshape(-1, width)
+    used, faces = np.unique(PERSON.faces[half:], return_inverse=True)
+    second = {name: builder.add_accessor(a[used], normalized=name == "WEIGHTS_0") for name, a in arrays.items()}
+    document["meshes"].append({"primitives": [{"attributes": second, "indices": None}]})
+    document["meshes"][1]["primitives"][0]["indices"] = builder.add_accessor(faces.reshape(-1).astype(np.uint16))
+    primitive["indices"] = builder.add_accessor(PERSON.faces[:half].astype(np.uint16).reshape(-1))
+    document["nodes"].append({"name": "second half", "mesh": 1, "skin": 0, "translation": [9, 9, 9]})  # to be ignored
+    document["scenes"][0]["nodes"].append(len(document["nodes"]) - 1)
+    avatar = _load(tmp_path, builder)
+    assert avatar.vertices.shape == PERSON.vertices.shape and avatar.faces.shape == PERSON.faces.shape
+    assert np.allclose(avatar.vertices[avatar.faces], PERSON.vertices[PERSON.faces], atol=1e-4)
+
+
+def _add_cube(builder, parent):
+    corners = np.array([[x, y, z] for x in (0, 0.1) for y in (0, 0.1) for z in (0, 0.1)], dtype=np.float32)
+    strip = np.array([0, 1, 2, 3, 6, 7, 4, 5, 0, 1], dtype=np.uint16)
+    document = builder.document
+    primitive = {
+        "attributes": {"POSITION": builder.add_accessor(corners)},
+        "indices": builder.add_accessor(strip),
+        "mode": 5,
+    }
+    document["meshes"].append({"primitives": [primitive]})
+    document["nodes"].append({"name": "box", "mesh": len(document["meshes"]) - 1})
+    siblings = (
+        document["scenes"][0]["nodes"] if parent is None else document["nodes"][parent].setdefault("children", [])
+    )
+    siblings.append(len(document["nodes"]) - 1)
+
+
+def test_meshes_without_a_skin(tmp_path):
+    """What hangs on a joint moves with it (a hat); what hangs on none is left out, with a warning."""
+    hat, prop = _builder(), _builder()
+    _add_cube(hat, RIG.bone_index("head"))
+    _add_cube(prop, None)
+    with_hat, without = _load(tmp_path, hat), _load(tmp_path, prop)
+    assert len(with_hat.vertices) == len(PERSON.vertices) + 8 and with_hat.warnings == ()
+    head = RIG.bone_index("head")
+    added = np.setdiff1d(np.arange(len(with_hat.vertices)), np.arange(len(PERSON.vertices)))
+    assert np.allclose(_dense(with_hat)[added, head], 1)
+    assert np.allclose(with_hat.vertices[added].min(axis=0), PERSON.bone_heads[head], atol=1e-4)
+    assert len(without.vertices) == len(PERSON.vertices)
+    assert "'box' has no skin" in without.warnings[0]
+
+
+def test_an_avatar_facing_backwards_is_turned(tmp_path):
+    """A file against the standard's axes is recognised by its skeleton, turned, and the warning says so."""
+    half_turn = np.array([-1.0, -1.0, 1.0])
+    avatar = _load(tmp_path, _builder(vertices=PERSON.vertices * half_turn, joint_heads=PERSON.bone_heads * half_turn))
+    assert _distances(avatar.vertices, PERSON.vertices).max() < 0.1
+    assert "faces -X with Z up" in avatar.warnings[0]
+
+
+def test_inside_out_faces_are_turned_over(tmp_path):
+    """Faces whose enclosed volume is negative come back outward."""
+    avatar = _load(tmp_path, _builder(faces=PERSON.faces[:, ::-1]))
+    assert np.array_equal(np.sort(avatar.faces, axis=1), np.sort(PERSON.faces, axis=1))
+    corners = avatar.vertices[avatar.faces]
+    assert np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) > 0
+
+
+def test_vertices_without_influences_are_reported(tmp_path):
+    """All-zero skinning weights are bound to the first joint, with a warning that counts them."""
+    builder = _builder()
+    weights = np.zeros((len(PERSON.vertices), 4), dtype=np.float32)
+    weights[5:, 0] = 1
+    builder.document["meshes"][0]["primitives"][0]["attributes"]["WEIGHTS_0"] = builder.add_accessor(weights)
+    assert _load(tmp_path, builder).warnings[0].startswith("5 vertices of 'body' have no skinning weights")
+
+
+def test_another_rig_by_its_own_names(tmp_path):
+    """A rig without human limbs binds an avatar whose joints bear its bones' names, pose untouched."""
+    rig = Rig(
+        ("base", "arm"), np.array([-1, 0]), np.array([[0, 0, 0], [0, 0, 0.5]]), np.array([[0, 0, 0.5], [0, 0, 1]]), ()
+    )
+    heads = np.array([[0.0, 0, 0.2], [0, 0.1, 0.8]])
+    bones = (PERSON.vertices[:, 2:] > 0).astype(int)
+    arguments = {"joint_parents": [-1, 0], "joint_heads": heads, "influence_joints": bones}
+    arguments["influence_weights"] = np.ones_like(bones, dtype=np.float64)
+    avatar = _load(tmp_path, _builder(joint_names=["base", "arm"], **arguments), rig)
+    assert np.allclose(avatar.vertices, PERSON.vertices - heads[0], atol=1e-5)
+    assert np.allclose(avatar.bone_heads, heads - heads[0], atol=1e-5)
+    with pytest.raises(
+        AvatarError, match="no joint for 1 of the 2 rig bones it must have: arm. Joints found: base, leg"
+    ):
+        _load(tmp_path, _builder(joint_names=["base", "leg"], **arguments), rig)
+
+
+def _nan(builder):
+    rows = PERSON.vertices.copy()
+    rows[12, 1] = np.nan
+    builder.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = builder.add_accessor(rows)
+
+
+def _index_too_large(builder):
+    faces = PERSON.faces.astype(np.uint32).reshape(-1).copy()
+    faces[7] = 20000
+    builder.document["meshes"][0]["primitives"][0]["indices"] = builder.add_accessor(faces)
+
+
+def _joint_too_large(builder):
+    joints = np.full((len(PERSON.vertices), 4), 99, dtype=np.uint8)
+    builder.document["meshes"][0]["primitives"][0]["attributes"]["JOINTS_0"] = builder.add_accessor(joints)
+
+
+def _negative_weights(builder):
+    weights = np.full((len(PERSON.vertices), 4), -1, dtype=np.float32)
+    builder.document["meshes"][0]["primitives"][0]["attributes"]["WEIGHTS_0"] = builder.add_accessor(weights)
+
+
+def _short_attributes(builder):
+    weights = np.ones((10, 4), dtype=np.float32)
+    builder.document["meshes"][0]["primitives"][0]["attributes"]["WEIGHTS_0"] = builder.add_accessor(weights)
+
+
+def _no_joints(builder):
+    del builder.document["meshes"][0]["primitives"][0]["attributes"]["JOINTS_0"]
+
+
+def _points_only(builder):
+    builder.document["meshes"][0]["primitives"][0]["mode"] = 0
+
+
+def _no_elbows(builder):
+    for side in "LR":
+        builder.document["nodes"][RIG.bone_index(f"lowerarm01.{side}")]["name"] = f"twig.{side}"
+
+
+def _loop(builder):
+    builder.document["nodes"][5].setdefault("children", []).append(3)
+
+
+def _true_loop(builder):
+    builder.document["scenes"][0]["nodes"] = [len(builder.document["nodes"]) - 1]
+    builder.document["nodes"][5].setdefault("children", []).append(0)
+
+
+def _centimetres(builder):
+    builder.document["nodes"].append({"name": "Armature", "scale": [100, 100, 100], "children": [0]})
+
+
+def _compressed(builder):
+    builder.document["extensionsRequired"] = ["KHR_draco_mesh_compression"]
+
+
+def _far_buffer(builder):
+    builder.document["buffers"][0]["uri"] = "https://example.org/body.bin"
+
+
+def _missing_buffer(builder):
+    builder.document["buffers"][0]["uri"] = "gone.bin"
+
+
+def _strange_buffer(builder):
+    builder.document["buffers"][0]["uri"] = "../person.glb"
+
+
+def _absolute_buffer(builder):
+    builder.document["buffers"][0]["uri"] = "/etc/passwd"
+
+
+def _linked_buffer(builder):
+    builder.document["buffers"][0]["uri"] = "linked.bin"
+
+
+def _endless_buffer(builder):
+    builder.document["buffers"][0] = {"uri": "person.glb", "byteLength": 2**31}
+
+
+def _short_buffer(builder):
+    builder.document["buffers"][0]["byteLength"] += 1000
+
+
+def _huge_accessor(builder):
+    accessor = builder.document["accessors"][builder.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
+    del accessor["bufferView"]
+    accessor["count"] = 10**12
+
+
+def _long_accessor(builder):
+    accessor = builder.document["accessors"][builder.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
+    accessor["count"] += 1
+
+
+def _dangling_accessor(builder):
+    builder.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = 77
+
+
+def _negative_view(builder):
+    accessor = builder.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+    builder.document["accessors"][accessor]["bufferView"] -= len(builder.document["bufferViews"])
+
+
+def _negative_child(builder):
+    builder.document["nodes"][5].setdefault("children", []).append(-1)
+
+
+def _lost_joint(builder):
+    builder.document["nodes"][RIG.bone_index("neck01")]["translation"] = [float("nan"), 0, 0]
+
+
+def _flat_limb(builder):
+    builder.document["nodes"][RIG.bone_index("lowerleg02.L")]["translation"] = [0, 0, 0]
+    builder.document["nodes"][RIG.bone_index("foot.L")]["translation"] = [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (_nan, "1 vertices are not finite, the first is 12"),
+        (_index_too_large, "face indices span 0 to 20000, allowed 0 to 13717"),
+        (_joint_too_large, "names joint 99, allowed 0 to 35"),
+        (_negative_weights, "finite and not negative"),
+        (_short_attributes, "must agree"),
+        (_no_joints, "a skin but no JOINTS_0"),
+        (_points_only, "no faces"),
+        (_no_elbows, r"no joint for 2 of the 12 .* lowerarm01.L, lowerarm01.R. Joints found: root, pelvis.L"),
+        (_loop, "has two parents"),
+        (_true_loop, "form a loop"),
+        (_centimetres, r"m high, allowed 0.5 to 3.0 m"),
+        (_compressed, "KHR_draco_mesh_compression"),
+        (_far_buffer, "only files beside the avatar are read"),
+        (_missing_buffer, "gone.bin does not exist"),
+        (_strange_buffer, "buffer 0 is '../person.glb', outside the avatar's folder; it must be in it"),
+        (_absolute_buffer, "buffer 0 is '/etc/passwd', outside the avatar's folder"),
+        (_linked_buffer, "buffer 0 is 'linked.bin', outside the avatar's folder"),
+        (_endless_buffer, "buffer 0 has 2147483648 bytes, allowed are 0 to 536870912"),
+        (_short_buffer, "is truncated: buffer 0 has"),
+        (_huge_accessor, "1000000000000 elements without data, allowed 1 to"),
+        (_long_accessor, "truncated or malformed"),
+        (_dangling_accessor, "is malformed: accessor 77, allowed 0 to"),
+        (_negative_view, "is malformed: buffer view -.*, allowed 0 to"),
+        (_negative_child, "is malformed: node -1, allowed 0 to"),
+        (_lost_joint, "vertices are not finite"),
+        (_flat_limb, "has no length"),
+    ],
+)
+def test_damaged_files_are_refused(tmp_path, damage, message):
+    """Each damage is refused with an AvatarError that says what was found and what is allowed."""
+    builder = _builder()
+    damage(builder)
+    (tmp_path / "linked.bin").symlink_to("/etc/passwd")
+    with pytest.raises(AvatarError, match=message):
+        _load(tmp_path, builder)
+
+
+def test_truncated_and_foreign_files_are_refused(tmp_path):
+    """Cut anywhere, of another version, or not glTF at all."""
+    write_glb(tmp_path / "whole.glb", _builder())
+    data = (tmp_path / "whole.glb").read_bytes()
+    for length in (0, 3, 10, 19, 100, len(data) // 2, len(data) - 1):
+        (tmp_path / "cut.glb").write_bytes(data[:length])
+        with pytest.raises(AvatarError, match="truncated|not a readable glTF"):
+            load_avatar(tmp_path / "cut.glb", RIG)
+    (tmp_path / "old.glb").write_bytes(data[:4] + b"\1" + data[5:])
+    with pytest.raises(AvatarError, match="version 1, allowed is 2"):
+        load_avatar(tmp_path / "old.glb", RIG)
+    for text in ("solid", "[]", "{}", '{"asset": {"version": "2.0"}, "nodes": 3}'):
+        (tmp_path / "other.gltf").write_text(text)
+        with pytest.raises(AvatarError, match="not a readable glTF|no faces|malformed"):
+            load_avatar(tmp_path / "other.gltf", RIG)
+
+
+def test_a_rig_that_bone_maps_do_not_know(tmp_path):
+    """A model's rig with other bone names cannot be reached from VRM names; the error names its bones."""
+    rig = Rig(("trunk", "branch"), np.array([-1, 0]), np.eye(3)[:2], 2 * np.eye(3)[:2], ())
+    prepare_vrm(tmp_path / "person.vrm")
+    with pytest.raises(AvatarError, match="trunk, branch. Joints found: hips"):
+        load_avatar(tmp_path / "person.vrm", rig)
+
+
+def test_a_rig_file_is_not_for_skinned_files(tmp_path):
+    """A file with its own skeleton does not take another."""
+    prepare_avatar(tmp_path / "avatar.glb")
+    with pytest.raises(AvatarError, match="has its own skeleton"):
+        load_avatar(tmp_path / "avatar.glb", RIG, rig_file=tmp_path / "other.json")

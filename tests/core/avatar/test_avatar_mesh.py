@@ -1,0 +1,251 @@
+"""OBJ, PLY and STL avatars: with bones and skinning weights, with bones alone, with nothing."""
+
+import json
+import logging
+
+import numpy as np
+import pytest
+
+from physkin_core.avatar.avatar import AvatarError, avatar_from_body
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.avatar.loading import load_avatar
+from physkin_core.rig.rig import Rig
+from physkin_training.prepare.avatar import t_posed_body
+from physkin_training.prepare.gltf_export import GltfBuilder, write_glb
+
+BODY = load_body_model()
+RIG = BODY.rig
+PERSON = avatar_from_body(BODY, BODY.held_out_bodies[0])
+T_VERTICES, T_HEADS, T_TAILS = t_posed_body(BODY, BODY.held_out_bodies[0])
+AWAY = np.array([0.3, -0.2, 1.0])
+
+
+def _write_obj(path, vertices, faces, *, textured=False):
+    lines = [f"v {x:.7f} {y:.7f} {z:.7f}" for x, y, z in vertices]
+    if textured:  # two groups, a material, and texture corners that no vertex shares
+        lines += ["mtllib none.mtl", "vt 0 0", "vt 1 0", "vt 0 1", "o body"]
+        half = len(faces) // 2
+        for name, part in (("upper", faces[:half]), ("lower", faces[half:])):
+            lines += [f"g {name}", f"usemtl {name}"]
+            lines += [f"f {a + 1}/1 {b + 1}/2 {c + 1}/3" for a, b, c in part]
+    else:
+        lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _rig_json(heads, tails, *, weights=True, **extra):
+    bones = [
+        {
+            "name": name,
+            "parent": RIG.bone_names[parent] if parent >= 0 else None,
+            "head": list(head),
+            "tail": list(tail),
+        }
+        for name, parent, head, tail in zip(RIG.bone_names, RIG.parents, heads.tolist(), tails.tolist())
+    ]
+    if weights:
+        extra["influence_bones"] = PERSON.influence_bones.tolist()
+        extra["influence_weights"] = PERSON.influence_weights.tolist()
+    return {"bones": bones, **extra}
+
+
+def _write_person(path, rig_data=None, vertices=T_VERTICES + AWAY, **options):
+    _write_obj(path, vertices, PERSON.faces, **options)
+    if rig_data is not None:
+        path.with_name(f"{path.stem}.rig.json").write_text(json.dumps(rig_data))
+    return path
+
+
+def _distances(first, second):
+    """Millimetres between corresponding points."""
+    return 1000 * np.linalg.norm(np.asarray(first) - np.asarray(second), axis=-1)
+
+
+@pytest.mark.parametrize("textured", [False, True])
+def test_obj_with_bones_and_weights(tmp_path, textured):
+    """A T-posed OBJ with a full rig file is the A-posed person; texture seams and groups keep the vertex order."""
+    path = _write_person(tmp_path / "person.obj", _rig_json(T_HEADS + AWAY, T_TAILS + AWAY), textured=textured)
+    avatar = load_avatar(path, RIG)
+    distance = _distances(avatar.vertices, PERSON.vertices)
+    assert distance.mean() < 1.5 and distance.max() < 20
+    assert _distances(avatar.bone_heads, PERSON.bone_heads).max() < 0.1
+    assert _distances(avatar.bone_tails, PERSON.bone_tails).max() < 0.1
+    assert avatar.warnings == ()
+
+
+def test_obj_in_centimetres_with_y_up(tmp_path):
+    """Axes and unit come from the rig file, which is given explicitly here."""
+    to_file = 100 * np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])  # root frame -> x left, y up, z forward
+    path = _write_person(tmp_path / "person.obj", vertices=T_VERTICES @ to_file.T)
+    rig_file = tmp_path / "elsewhere.json"
+    data = _rig_json(T_HEADS @ to_file.T, T_TAILS @ to_file.T, up="Y", forward="Z", scale=0.01)
+    rig_file.write_text(json.dumps(data))
+    avatar = load_avatar(path, RIG, rig_file=rig_file)
+    assert _distances(avatar.vertices, PERSON.vertices).mean() < 1.5
+    assert _distances(avatar.bone_heads, PERSON.bone_heads).max() < 0.1
+
+
+def test_bones_without_weights(tmp_path):
+    """Skinning weights come from the template body, in the mesh's own pose; the warning says so."""
+    path = _write_person(tmp_path / "person.obj", _rig_json(T_HEADS + AWAY, T_TAILS + AWAY, weights=False))
+    avatar = load_avatar(path, RIG)
+    distance = _distances(avatar.vertices, PERSON.vertices)
+    assert distance.mean() < 3
+    assert _distances(avatar.bone_heads, PERSON.bone_heads).max() < 0.1
+    assert "template body" in avatar.warnings[0]
+    own, expected = (np.zeros((len(a.vertices), RIG.bone_count)) for a in (avatar, PERSON))
+    for dense, a in ((own, avatar), (expected, PERSON)):
+        np.add.at(dense, (np.arange(len(dense))[:, None], a.influence_bones), a.influence_weights)
+    assert np.abs(own - expected).sum(axis=1).mean() / 2 < 0.15
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".stl"])
+def test_ply_and_stl(tmp_path, suffix):
+    """Both formats read like the OBJ; the triangle soup of an STL is welded again."""
+    import trimesh
+
+    trimesh.Trimesh(PERSON.vertices, PERSON.faces, process=False).export(tmp_path / f"person{suffix}")
+    data = _rig_json(PERSON.bone_heads, PERSON.bone_tails, weights=False)
+    (tmp_path / "person.rig.json").write_text(json.dumps(data))
+    avatar = load_avatar(tmp_path / f"person{suffix}", RIG)
+    assert len(avatar.vertices) == len(PERSON.vertices) and len(avatar.faces) == len(PERSON.faces)
+    assert np.allclose(
+        avatar.vertices[avatar.faces].mean(axis=0), PERSON.vertices[PERSON.faces].mean(axis=0), atol=1e-3
+    )
+
+
+def test_obj_without_any_skeleton(tmp_path, caplog):
+    """The rig is fitted from an unknown pose and place; a log line says why that takes its time, the warning how far
+    the fit is off."""
+    with caplog.at_level(logging.INFO):
+        avatar = load_avatar(_write_person(tmp_path / "person.obj"), RIG)
+    assert "fitting the body model to a mesh of" in caplog.text
+    distance = _distances(avatar.vertices, PERSON.vertices)
+    assert distance.mean() < 6
+    heads = _distances(avatar.bone_heads, PERSON.bone_heads)
+    assert heads.mean() < 8 and heads.max() < 25
+    assert len(avatar.warnings) == 1 and "was fitted to the mesh (from T-pose, mean distance" in avatar.warnings[0]
+
+
+def test_glb_without_a_skin_facing_backwards(tmp_path):
+    """A glTF mesh without skin is fitted, too; Y is up there; a backward one is turned, with a warning."""
+    builder = GltfBuilder({})
+    position = builder.add_accessor((PERSON.vertices @ np.diag([-1.0, -1.0, 1.0]))[:, [1, 2, 0]].astype(np.float32))
+    indices = builder.add_accessor(PERSON.faces.astype(np.uint16).reshape(-1))
+    primitive = {"attributes": {"POSITION": position}, "indices": indices}
+    builder.document |= {"nodes": [{"mesh": 0}], "meshes": [{"primitives": [primitive]}], "scenes": [{"nodes": [0]}]}
+    write_glb(tmp_path / "person.glb", builder)
+    avatar = load_avatar(tmp_path / "person.glb", RIG)
+    assert _distances(avatar.vertices, PERSON.vertices).mean() < 6
+    assert _distances(avatar.bone_heads, PERSON.bone_heads).max() < 25
+    assert "fitted" in avatar.warnings[0] and "faces -X" in avatar.warnings[1]
+
+
+def test_a_shape_that_is_no_person_is_refused(tmp_path):
+    """The fit's residual is checked, and the error names it."""
+    import trimesh
+
+    trimesh.creation.box((0.3, 1.2, 1.7)).export(tmp_path / "box.obj")
+    with pytest.raises(AvatarError, match=r"does not fit it: \d+ mm mean distance, allowed 2[56] mm"):
+        load_avatar(tmp_path / "box.obj", RIG)
+
+
+def test_meshes_need_weights_on_a_rig_of_another_kind(tmp_path):
+    """The template body knows its own rig only."""
+    rig = Rig(
+        ("base", "arm"), np.array([-1, 0]), np.array([[0, 0, 0], [0, 0, 0.5]]), np.array([[0, 0, 0.5], [0, 0, 1]]), ()
+    )
+    path = _write_person(tmp_path / "person.obj")
+    with pytest.raises(AvatarError, match=r"differs from its own \(base, arm\)"):
+        load_avatar(path, rig)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not a readable mesh|no faces"),
+        ("v 0 0 0\nv 1 0 0\nv 0 0 1\n", "no faces"),
+        ("v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 9\n", "not a readable mesh: IndexError|span"),
+        ("v 0 0 0\nv nan 0 0\nv 0 0 1\nf 1 2 3\n", "1 vertices are not finite, the first is 1"),
+        ("v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 2\n", "all faces are degenerate"),
+        ("v 0 0 0\nv a b c\nf one two three\n", "not a readable mesh|no faces"),
+        ("\0\1\2", "not a readable mesh|no faces"),
+    ],
+)
+def test_bad_obj_files(tmp_path, text, message):
+    """Empty, no faces, index out of range, NaN, degenerate, garbage."""
+    (tmp_path / "person.obj").write_text(text)
+    with pytest.raises(AvatarError, match=message):
+        load_avatar(tmp_path / "person.obj", RIG)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".stl"])
+def test_truncated_binary_meshes(tmp_path, suffix):
+    """Files cut in the header or in the data."""
+    import trimesh
+
+    trimesh.Trimesh(PERSON.vertices, PERSON.faces, process=False).export(tmp_path / f"person{suffix}")
+    data = (tmp_path / f"person{suffix}").read_bytes()
+    for length in (0, 40, 200, len(data) // 2, len(data) - 3):
+        (tmp_path / f"cut{suffix}").write_bytes(data[:length])
+        with pytest.raises(AvatarError, match="not a readable mesh|no faces|span"):
+            load_avatar(tmp_path / f"cut{suffix}", RIG)
+
+
+@pytest.mark.parametrize(
+    ("factor", "hint"), [(100, '"scale": 0.01'), (1000, '"scale": 0.001'), (0.1, "allowed 0.5 to 3.0 m")]
+)
+def test_implausible_sizes(tmp_path, factor, hint):
+    """The height found, the range allowed and a scale that would do."""
+    with pytest.raises(AvatarError, match=hint) as caught:
+        load_avatar(_write_person(tmp_path / "person.obj", vertices=T_VERTICES * factor), RIG)
+    assert f"is {np.ptp(T_VERTICES[:, 2]) * factor:.4g} m high" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"colour": "red"}, "unknown keys colour; allowed: bones"),
+        ({"up": "W"}, "up 'W' and forward 'X'; allowed are two different axes"),
+        ({"up": "X"}, "two different axes"),
+        ({"scale": 0}, "scale is 0.0"),
+        ({"scale": "big"}, "malformed: ValueError"),
+        ({"bones": [{"name": "root"}]}, "malformed: KeyError: 'parent'"),
+        ({"bones": [{"name": "a", "parent": "b", "head": [0, 0, 0], "tail": [0, 0, 1]}]}, "malformed: ValueError"),
+        ({"bones": [{"name": "a", "parent": 0, "head": [0, 0, 0], "tail": [0, 0, 1]}]}, "'a' has parent 0"),
+        ({"bones": [{"name": "a", "parent": -1, "head": [0, 0], "tail": [0, 0, 1]}]}, "of bone 'a' must be 3 finite"),
+        ({"influence_bones": [[0]], "influence_weights": [[1.0]]}, "for 1 vertices, .* has 13718"),
+        ({"influence_bones": [[40]], "influence_weights": [[1.0]]}, "span 40 to 40, allowed 0 to 35"),
+        ({"influence_bones": [[0]], "influence_weights": [[-1.0]]}, "not negative"),
+        ({"influence_bones": [[0, 1]], "influence_weights": [[1.0]]}, "rows of equal length"),
+        ({"influence_bones": [[0]]}, "together or not at all"),
+    ],
+)
+def test_bad_rig_files(tmp_path, change, message):
+    """Each bad entry of a rig file is named."""
+    path = _write_person(tmp_path / "person.obj", {**_rig_json(T_HEADS, T_TAILS, weights=False), **change})
+    with pytest.raises(AvatarError, match=message):
+        load_avatar(path, RIG)
+
+
+def test_rig_file_missing_or_not_json(tmp_path):
+    """An explicit rig file must exist and be a JSON object."""
+    path = _write_person(tmp_path / "person.obj")
+    with pytest.raises(AvatarError, match="no such file"):
+        load_avatar(path, RIG, rig_file=tmp_path / "gone.json")
+    (tmp_path / "bad.json").write_text("{")
+    with pytest.raises(AvatarError, match="is not JSON"):
+        load_avatar(path, RIG, rig_file=tmp_path / "bad.json")
+    (tmp_path / "list.json").write_text("[]")
+    with pytest.raises(AvatarError, match="not an object"):
+        load_avatar(path, RIG, rig_file=tmp_path / "list.json")
+
+
+def test_rig_file_without_required_bones(tmp_path):
+    """The missing limb bones are named, and so are those found."""
+    data = _rig_json(T_HEADS, T_TAILS, weights=False)
+    data["bones"][RIG.bone_index("foot.R")]["name"] = "hoof"
+    with pytest.raises(
+        AvatarError, match=r"no joint for 1 of the 12 rig bones it must have: foot.R\. Joints found: root"
+    ):
+        load_avatar(_write_person(tmp_path / "person.obj", data), RIG)

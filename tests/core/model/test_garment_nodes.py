@@ -1,0 +1,129 @@
+"""Garment nodes: closest bones, other bodies, posing, correctives and composition, one node at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from random_models import random_rig, random_rotation
+
+from physkin_core.model.garment_nodes import (
+    closest_bones,
+    compose_nodes,
+    delta_transforms,
+    node_positions_on_body,
+    pose_nodes,
+)
+
+
+def homogeneous(transform):
+    return np.vstack([transform, [0, 0, 0, 1]])
+
+
+def random_transforms(rng, *shape):
+    flat = [np.c_[random_rotation(rng), rng.normal(size=3)] for _ in range(int(np.prod(shape)))]
+    return np.array(flat).reshape(*shape, 3, 4)
+
+
+def test_closest_bones_against_densely_sampled_segments():
+    rng = np.random.default_rng(0)
+    heads, tails = rng.uniform(-1, 1, size=(2, 12, 3))
+    tails[3] = heads[3]  # a bone without length is a point
+    points = rng.uniform(-1.2, 1.2, size=(300, 3))
+    along = np.linspace(0, 1, 2001)[:, None]
+    distances = np.stack(
+        [
+            np.linalg.norm(points[:, None] - (head + along * (tail - head)), axis=-1).min(axis=1)
+            for head, tail in zip(heads, tails)
+        ],
+        axis=1,
+    )
+    chosen = closest_bones(points, heads, tails)
+    assert chosen.dtype == np.int32 and len(np.unique(chosen)) > 8
+    np.testing.assert_allclose(distances[np.arange(300), chosen], distances.min(axis=1), atol=1e-3)
+
+
+def test_beyond_the_ends_the_distance_is_to_the_end():
+    """The infinite line through the first bone passes the point; its segment is far away."""
+    heads, tails = np.array([[0.0, 0, 0], [5, 1, 0]]), np.array([[1.0, 0, 0], [5, 2, 0]])
+    assert closest_bones(np.array([[5.0, 0, 0], [0.5, 3, 0]]), heads, tails).tolist() == [1, 0]
+
+
+def test_nodes_on_another_body_scale_with_their_bone():
+    """Offset from the bone's head times the ratio of bone lengths; heads move with the body."""
+    rng = np.random.default_rng(1)
+    rig, ratio = random_rig(rng, bones=6), rng.uniform(0.5, 2, size=6)
+    rest, bone = rng.normal(size=(9, 3)), rng.integers(0, 6, size=9)
+    heads = rng.normal(size=(6, 3))
+    tails = heads + ratio[:, None] * (rig.tails - rig.heads) @ random_rotation(rng)
+    carried = node_positions_on_body(rest, bone, (rig.heads, rig.tails), (heads, tails))
+    for node in range(9):
+        k = bone[node]
+        np.testing.assert_allclose(carried[node], heads[k] + ratio[k] * (rest[node] - rig.heads[k]), atol=1e-12)
+    same = node_positions_on_body(rest, bone, (rig.heads, rig.tails), (rig.heads, rig.tails))
+    np.testing.assert_allclose(same, rest, atol=1e-12)
+
+
+def test_posed_nodes_ride_on_their_bones():
+    """A matrix product a node, on any number of leading axes."""
+    rng = np.random.default_rng(2)
+    bones, positions, follows = random_transforms(rng, 2, 5), rng.normal(size=(7, 3)), rng.integers(0, 5, size=7)
+    posed = pose_nodes(bones, follows, positions)
+    assert posed.shape == (2, 7, 3, 4)
+    for sample in range(2):
+        for node in range(7):
+            at_rest = homogeneous(np.c_[np.eye(3), positions[node]])
+            expected = homogeneous(bones[sample, follows[node]]) @ at_rest
+            np.testing.assert_allclose(homogeneous(posed[sample, node]), expected, atol=1e-12)
+
+
+def test_composition_is_the_matrix_product():
+    rng = np.random.default_rng(3)
+    posed, delta = rng.normal(size=(2, 3, 4, 3, 4))
+    composed = compose_nodes(posed, delta)
+    for index in np.ndindex(3, 4):
+        expected = homogeneous(posed[index]) @ homogeneous(delta[index])
+        np.testing.assert_allclose(homogeneous(composed[index]), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("numbers", [9, 12])
+def test_zeros_correct_nothing(numbers):
+    delta = delta_transforms(np.zeros((2, 5 * numbers)), 5)
+    np.testing.assert_array_equal(delta, np.broadcast_to(np.eye(4)[:3], (2, 5, 3, 4)))
+
+
+def test_six_numbers_reach_every_rotation():
+    """The first two columns of a rotation, minus those of the identity, give that rotation back; so do their multiples,
+    and a second column that leans towards the first."""
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        rotation, shift = random_rotation(rng), rng.normal(size=3)
+        for first, second in [
+            (rotation[:, 0], rotation[:, 1]),
+            (3 * rotation[:, 0], 0.2 * rotation[:, 1]),
+            (rotation[:, 0], rotation[:, 1] - 0.7 * rotation[:, 0]),
+        ]:
+            raw = np.concatenate([first - [1, 0, 0], second - [0, 1, 0], shift])
+            np.testing.assert_allclose(delta_transforms(raw, 1)[0], np.c_[rotation, shift], atol=1e-9)
+
+
+def test_nine_numbers_are_always_a_rotation_and_a_translation():
+    rng = np.random.default_rng(5)
+    raw = rng.normal(size=(4, 6 * 9))
+    delta = delta_transforms(raw, 6)
+    product = np.einsum("...ji,...jk->...ik", delta[..., :3], delta[..., :3])
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(delta[..., :3]), 1)
+    np.testing.assert_array_equal(delta[..., 3], raw.reshape(4, 6, 9)[..., 6:])
+
+
+def test_twelve_numbers_are_row_major_beside_the_identity():
+    raw = np.arange(24.0)
+    delta = delta_transforms(raw, 2)
+    np.testing.assert_array_equal(delta[0], [[1, 1, 2, 9], [3, 5, 5, 10], [6, 7, 9, 11]])
+    np.testing.assert_array_equal(delta[1, :, :3] - np.eye(3), raw[12:21].reshape(3, 3))
+
+
+def test_vanishing_directions_stay_finite():
+    """Numbers that cancel the identity leave no direction; nothing may become NaN."""
+    assert np.isfinite(delta_transforms(np.array([-1.0, 0, 0, 0, -1, 0, 0, 0, 0]), 1)).all()
+    assert np.isfinite(delta_transforms(np.array([0.0, 0, 0, 1, -1, 0, 0, 0, 0]), 1)).all()

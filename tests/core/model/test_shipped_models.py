@@ -1,0 +1,69 @@
+"""The five shipped garments: there, scored, and draping as their scores say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from random_models import needs_native
+
+from physkin_core import Draper, load_body_model, load_garment_model
+from physkin_core.avatar.avatar import avatar_from_body
+from physkin_core.model.garment_nodes import pose_nodes
+from physkin_core.model.model_file import MODELS_PATH
+from physkin_core.model.skinning import skin
+from physkin_core.quality import edge_strain
+
+GARMENTS = ("dress", "longsleeve", "skirt", "trousers", "tshirt")
+
+
+def test_five_garments_are_shipped():
+    assert sorted(path.stem for path in MODELS_PATH.glob("*.safetensors")) == sorted(GARMENTS)
+
+
+@pytest.mark.parametrize("path", sorted(MODELS_PATH.glob("*.safetensors")), ids=lambda path: path.stem)
+def test_shipped_models_load_by_name(path):
+    """At most 6 MB each, with a seed and their scores in the file."""
+    model = load_garment_model(path.stem)
+    assert model.name == path.stem and path.stat().st_size <= 6e6
+    assert model.training["seed"] is not None and model.scores
+
+
+@pytest.mark.parametrize("name", GARMENTS)
+def test_scores_are_in_the_file(name):
+    """Of 16 bodies and 128 poses with plain skinning beside them, and of motion, at both fits; the model is better."""
+    model = load_garment_model(name)
+    assert model.training["name"] == name
+    scores = model.scores
+    assert scores["counts"]["bodies"] == 16 and scores["counts"]["poses"] == 128
+    made = scores["made_to_measure"]
+    assert model.made_to_measure
+    shares = [(scores, 0.6), (scores["motion"], 0.6), (made, 0.6), (made["motion"], 0.7)]
+    for rows, share in shares:  # plain skinning of what is made to measure is not as bad
+        for figure in ("edge_strain_percent", "area_strain_percent", "inside_percent"):
+            assert 0 < rows["model"][figure] < share * rows["skinning"][figure], figure
+
+
+@needs_native
+@pytest.mark.parametrize("name", GARMENTS)
+def test_drapes_are_like_the_scores(name):
+    """Twelve poses on three held-out bodies: less strain than plain skinning, near the stored mean, and on the body."""
+    model, body_model = load_garment_model(name), load_body_model()
+    rng = np.random.default_rng(5)
+    strains, skinned, lifts = [], [], []
+    for coefficients in body_model.held_out_bodies[:3]:
+        avatar = avatar_from_body(body_model, coefficients)
+        draper = Draper(model, avatar)
+        bound = draper.bound
+        for _ in range(4):
+            joints = rng.uniform(model.rig.lower, model.rig.upper)
+            drape = draper.drape(joints)[:, :3].astype(np.float64)
+            nodes = pose_nodes(draper.bone_transforms(joints), bound.node_bone, bound.node_positions)
+            plain, _ = skin(
+                nodes, bound.node_rest, bound.vertices, bound.normals, bound.influence_nodes, bound.influence_weights
+            )
+            strains.append(edge_strain(model.garment, drape))
+            skinned.append(edge_strain(model.garment, plain))
+            lifts.append((drape[:, 2] - plain[:, 2]).mean())
+    assert np.mean(strains) < 0.6 * np.mean(skinned)
+    assert np.mean(strains) == pytest.approx(model.scores["model"]["edge_strain_percent"], rel=0.6)
+    assert abs(np.mean(lifts)) < 0.1, "the garment has left the body"

@@ -1,0 +1,276 @@
+"""Binding to a body, and binding another mesh or point set of the same garment to the trained garment nodes."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from random_models import BACKENDS, SIZES, random_avatar, random_model, tube
+
+from physkin_core import Draper, avatar_from_body, load_body_model
+from physkin_core.model.garment import vertex_normals
+from physkin_core.model.garment_nodes import closest_bones
+from physkin_core.runtime import binding
+from physkin_core.runtime.binding import bind_garment, bind_points, encode_body
+
+pytestmark = pytest.mark.usefixtures("exact_network_weights")
+
+BODY = load_body_model()
+RIG = BODY.rig
+
+
+@pytest.fixture(scope="module")
+def model():
+    """A belly band of 2,080 vertices on the default rig, garment nodes on their closest bones, 8 influences."""
+    rng = np.random.default_rng(0)
+    garment = tube(rings=40, segments=52, radius=0.16, height=0.5)
+    model = random_model(rng, rig=RIG, garment=garment, nodes=48, influences=8, correction=0.01)
+    distance = np.linalg.norm(garment.vertices[:, None] - model.node_rest, axis=-1)
+    weights = np.exp(-np.take_along_axis(distance, model.influence_nodes.astype(int), axis=1) / 0.05)
+    return replace(
+        model,
+        node_bone=closest_bones(model.node_rest, RIG.heads, RIG.tails),
+        influence_weights=(weights / weights.sum(axis=1, keepdims=True)).astype(np.float32),
+    )
+
+
+@pytest.fixture(scope="module")
+def avatar():
+    return avatar_from_body(BODY, BODY.held_out_bodies[0])
+
+
+@pytest.fixture(scope="module")
+def poses():
+    rng = np.random.default_rng(1)
+    return [rng.uniform(0.5 * RIG.lower, 0.5 * RIG.upper).astype(np.float32) for _ in range(3)]
+
+
+def surface_distance(points, vertices, faces):
+    surface = trimesh.Trimesh(vertices, faces, process=False)
+    return trimesh.proximity.closest_point(surface, points)[1]
+
+
+def drape_points(model, avatar, points, pose, backend, **kwargs):
+    return Draper(model, avatar, backend=backend, points=points, **kwargs).drape(pose)
+
+
+# --- Another mesh of the same garment ---
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_the_trained_vertices_drape_as_the_trained_garment(model, avatar, poses, backend):
+    points = model.garment.vertices
+    for pose in poses:
+        own = Draper(model, avatar, backend=backend).drape(pose)
+        np.testing.assert_allclose(drape_points(model, avatar, points, pose, backend), own, atol=2e-5)
+
+
+def finer(garment):
+    return trimesh.Trimesh(garment.vertices, garment.faces, process=False).subdivide().vertices
+
+
+def coarser(garment):
+    """Other triangles altogether: their corners touch the trained surface only by chance."""
+    return tube(rings=9, segments=15, radius=0.16, height=0.5).vertices
+
+
+def cropped(garment):
+    mesh = trimesh.Trimesh(garment.vertices, garment.faces, process=False)
+    return mesh.submesh([np.flatnonzero(mesh.triangles_center[:, 2] > 0.05)], append=True).vertices
+
+
+def point_cloud(garment):
+    """Points anywhere on the surface, in any order."""
+    rng = np.random.default_rng(2)
+    corners = garment.vertices[garment.faces[rng.integers(0, len(garment.faces), 500)]]
+    return np.einsum("nc,nci->ni", rng.dirichlet(np.ones(3), size=500), corners)
+
+
+@pytest.mark.parametrize("other", [finer, coarser, cropped, point_cloud], ids=lambda f: f.__name__)
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_other_meshes_drape_onto_the_trained_surface(model, avatar, poses, other, backend):
+    """Within a fraction of a millimetre of the trained garment's drape on average, beyond what they were apart at rest;
+    in a sharp fold, whose corner the trained triangles cut off, several. The garment itself moves by decimetres."""
+    points = np.asarray(other(model.garment))
+    gap = surface_distance(points, model.garment.vertices, model.garment.faces)
+    for pose in poses:
+        trained = Draper(model, avatar, backend=backend).drape(pose)[:, :3]
+        draped = drape_points(model, avatar, points, pose, backend)
+        assert draped.shape == (len(points), 6)
+        distance = surface_distance(draped[:, :3], trained, model.garment.faces)
+        beyond = distance - gap
+        assert beyond.mean() < 6e-4 and np.quantile(beyond, 0.95) < 3e-3 and beyond.max() < 1e-2
+        assert np.linalg.norm(trained - model.garment.vertices, axis=1).max() > 0.1
+
+
+def test_points_off_the_surface_stay_off_it(model, avatar, poses):
+    """Splat centres 15 mm outside move with the cloth under them and keep about their distance."""
+    garment = model.garment
+    points = garment.vertices + 0.015 * vertex_normals(garment.vertices, garment.faces)
+    for pose in poses:
+        trained = Draper(model, avatar, backend="numpy").drape(pose)
+        draped = drape_points(model, avatar, points, pose, "numpy")
+        offset = draped[:, :3] - trained[:, :3]
+        outside = (offset * trained[:, 3:]).sum(axis=1)
+        assert np.median(outside) == pytest.approx(0.015, abs=0.002)
+        assert np.linalg.norm(offset, axis=1).max() < 0.03
+
+
+def test_weights_are_interpolated_in_the_face(model):
+    """At barycentric coordinates (a, b, c) of a face: a, b, c times its corners' weights, the 8 largest of them."""
+    rng = np.random.default_rng(3)
+    garment = model.garment
+    faces = rng.integers(0, len(garment.faces), 30)
+    shares = rng.dirichlet(np.ones(3), size=30)
+    points = np.einsum("nc,nci->ni", shares, garment.vertices[garment.faces[faces]])
+    bound = bind_points(model, points)
+    for index, (face, share) in enumerate(zip(faces, shares)):
+        expected = np.zeros(len(model.node_rest))
+        for corner, part in zip(garment.faces[face], share):
+            for node, weight in zip(model.influence_nodes[corner], model.influence_weights[corner]):
+                expected[node] += part * weight
+        expected[np.argsort(-expected)[8:]] = 0
+        found = np.zeros(len(model.node_rest))
+        np.add.at(found, bound["influence_nodes"][index], bound["influence_weights"][index])
+        np.testing.assert_allclose(found, expected / expected.sum(), atol=1e-5)
+
+
+def test_bound_arrays_and_normals(model):
+    """Types and shapes of `BoundGarment`; normals of the trained surface, or those given, at unit length."""
+    garment = model.garment
+    points = finer(garment)
+    bound = bind_points(model, points)
+    assert bound["influence_nodes"].shape == bound["influence_weights"].shape == (len(points), 8)
+    assert bound["influence_nodes"].dtype == np.int32
+    assert all(bound[name].dtype == np.float32 for name in ("vertices", "normals", "influence_weights"))
+    np.testing.assert_allclose(bound["influence_weights"].sum(axis=1), 1, atol=1e-6)
+    around = points * [1, 1, 0]
+    around /= np.linalg.norm(around, axis=1, keepdims=True)
+    assert (bound["normals"] * around).sum(axis=1).min() > 0.99
+    given = bind_points(model, points, normals=np.tile([0.0, 3.0, 4.0], (len(points), 1)))["normals"]
+    np.testing.assert_allclose(given, np.tile([0, 0.6, 0.8], (len(points), 1)), atol=1e-6)
+
+
+def test_given_normals_turn_as_the_model_s_are_fitted(model):
+    """By one rotation for all here: those of the surface, left out or given, and others."""
+    garment, own = model.garment, vertex_normals(model.garment.vertices, model.garment.faces)
+    turned = own @ np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])  # of a tube around the z axis
+    fitted = replace(model, rest_normals=turned.astype(np.float32))
+    for given in (None, own):
+        bound = bind_points(fitted, garment.vertices, normals=given)
+        np.testing.assert_allclose(bound["normals"], turned, atol=1e-5)
+    across = np.cross(own, turned)  # the axis of each turn, which it leaves alone
+    bound = bind_points(fitted, garment.vertices, normals=across)
+    np.testing.assert_allclose(bound["normals"], across / np.linalg.norm(across, axis=1, keepdims=True), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "points", [np.zeros((0, 3)), np.zeros(3), np.zeros((5, 2)), [[0.16, 0, np.nan]], [[np.inf, 0, 0]]]
+)
+def test_points_must_be_finite_and_three_dimensional(model, points):
+    with pytest.raises(ValueError, match=r"finite, non-empty \(n, 3\) array, got shape"):
+        bind_points(model, points)
+
+
+def test_far_points_are_refused(model):
+    """5 cm are allowed; the message says which point, how far, and what to look for."""
+    outwards = model.garment.vertices[100] * [1, 1, 0] / 0.16
+    near, far = (model.garment.vertices[100] + distance * outwards for distance in (0.049, 0.052))
+    assert len(bind_points(model, [near, near])["vertices"]) == 2
+    with pytest.raises(ValueError, match=r"point 1 is 5\.2 cm from garment 'random', at most 5 cm.*in metres\?"):
+        bind_points(model, [near, far])
+    with pytest.raises(ValueError, match="canonical space, in metres"):
+        bind_points(model, 100 * model.garment.vertices[::50])
+
+
+def test_centimetres_are_refused_at_once(model, monkeypatch):
+    """By the bounding box, before any closest point is looked for."""
+    monkeypatch.setattr(trimesh.proximity, "closest_point", None)
+    with pytest.raises(ValueError, match=r"is at least \d+\.\d cm from garment 'random'.* in metres\?"):
+        bind_points(model, 100 * model.garment.vertices)
+
+
+def test_points_bound_in_parts_are_bound_alike(model, monkeypatch):
+    points = point_cloud(model.garment)
+    expected = bind_points(model, points)
+    monkeypatch.setattr(binding, "POINTS_AT_ONCE", 7)
+    for name, array in bind_points(model, points).items():
+        np.testing.assert_array_equal(array, expected[name], err_msg=name)
+
+
+@pytest.mark.parametrize(
+    "normals",
+    [np.ones((7, 3)), np.ones((1, 3)), np.full((20, 3), np.nan), np.ones((20, 3)) * (np.arange(20) != 5)[:, None]],
+    ids=["too few", "one for all", "nan", "no length"],
+)
+def test_normals_must_be_finite_and_one_a_point(model, normals):
+    with pytest.raises(ValueError, match="normals"):
+        bind_points(model, model.garment.vertices[:20], normals=normals)
+
+
+# --- A body ---
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_bound_garment_has_the_stated_shapes(size):
+    """As `BoundGarment` states them: float32 or int32, contiguous."""
+    rng = np.random.default_rng(4)
+    model = random_model(rng, **SIZES[size])
+    avatar = random_avatar(rng, model.rig)
+    bound = bind_garment(model, avatar)
+    b, d, m, n = model.rig.bone_count, len(model.rig.dofs), len(model.node_rest), len(model.garment.vertices)
+    used = len(set(model.node_bone.tolist()))
+    shapes = {
+        "bone_parents": (b,),
+        "bone_heads": (b, 3),
+        "dof_bone": (d,),
+        "dof_axis": (d, 3),
+        "dof_rest": (d,),
+        "dof_lower": (d,),
+        "dof_upper": (d,),
+        "deformer_bones": (used,),
+        "node_bone": (m,),
+        "node_positions": (m, 3),
+        "node_rest": (m, 3),
+        "vertices": (n, 3),
+        "normals": (n, 3),
+        "influence_nodes": (n, SIZES[size]["influences"]),
+        "influence_weights": (n, SIZES[size]["influences"]),
+    }
+    integers = {"bone_parents", "dof_bone", "deformer_bones", "node_bone", "influence_nodes"}
+    for name, shape in shapes.items():
+        array = getattr(bound, name)
+        assert array.shape == shape and array.flags.c_contiguous, name
+        assert array.dtype == (np.int32 if name in integers else np.float32), name
+    np.testing.assert_array_equal(bound.bone_heads, avatar.bone_heads)
+    np.testing.assert_allclose(np.linalg.norm(bound.dof_axis, axis=1), 1, atol=1e-6)
+    assert bound.deformer_layers[0][0].shape[1] == 12 * used
+    for weight, bias in (*bound.pose_layers, *bound.deformer_layers):
+        assert weight.dtype == bias.dtype == np.float32 and weight.flags.c_contiguous and len(weight) == len(bias)
+
+
+def test_only_the_surface_of_the_body_counts_for_its_encoding(model, avatar):
+    """Not its topology: a refined surface encodes alike, another person does not."""
+    encoded = encode_body(model, avatar)
+    refined = trimesh.Trimesh(avatar.vertices, avatar.faces, process=False).subdivide()
+    same = encode_body(
+        model, replace(avatar, vertices=refined.vertices.astype(np.float32), faces=refined.faces.astype(np.int32))
+    )
+    stranger = encode_body(model, avatar_from_body(BODY, BODY.held_out_bodies[2]))
+    assert np.linalg.norm(same - encoded) < 0.25 * np.linalg.norm(stranger - encoded)
+
+
+def test_encoding_is_logged_with_its_time(model, avatar, caplog):
+    with caplog.at_level(logging.INFO):
+        bind_garment(model, avatar)
+    assert f"encoded body {avatar.source} for random in" in caplog.text and " ms" in caplog.text
+
+
+def test_an_avatar_of_another_rig_is_refused(model):
+    rng = np.random.default_rng(5)
+    other = random_model(rng, bones=7)
+    with pytest.raises(ValueError, match="avatar random body has 7 bones, the rig of 'random' has 36"):
+        bind_garment(model, random_avatar(rng, other.rig))

@@ -1,0 +1,460 @@
+"""Draper: both backends on random models against the chain without any folding, layouts of the output, bad input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from random_models import BACKENDS, SIZES, needs_native, random_avatar, random_model, random_pose, tube, unit_rows
+
+from physkin_core import (
+    BUNDLED_AVATAR,
+    UPRIGHT_GRAVITY,
+    Draper,
+    Garment,
+    avatar_from_body,
+    load_avatar,
+    load_body_model,
+)
+from physkin_core.model.garment import vertex_normals
+from physkin_core.model.garment_nodes import compose_nodes, delta_transforms, node_positions_on_body, pose_nodes
+from physkin_core.model.hyper_modulator import at_fit
+from physkin_core.model.node_deformer import node_corrections
+from physkin_core.model.pose_modulator import pose_modulation
+from physkin_core.model.skinning import skin
+from physkin_core.runtime import binding
+from physkin_core.runtime.binding import encode_body
+from physkin_core.runtime.garment_grading import GarmentGrading
+
+pytestmark = pytest.mark.usefixtures("exact_network_weights")
+
+
+@pytest.fixture(autouse=True)
+def few_body_points(monkeypatch):
+    """The hyper modulator has tests of its own; here a body is 50 points."""
+    monkeypatch.setattr(binding, "POINT_COUNT", 50)
+
+
+def scene(seed, **sizes):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng, **sizes)
+    return rng, model, random_avatar(rng, model.rig)
+
+
+def chain(model, avatar, q, gravity):
+    """The method as DESIGN and paper state it, nothing folded or carried over: garment node transforms (m, 3, 4) and
+    vertices with normals (n, 6)."""
+    rig = model.rig
+    bones = rig.bone_transforms(q, heads=avatar.bone_heads)
+    positions = node_positions_on_body(
+        model.node_rest, model.node_bone, (rig.heads, rig.tails), (avatar.bone_heads, avatar.bone_tails)
+    )
+    posed = pose_nodes(bones, model.node_bone, positions)
+    theta = rig.pose_vector(q, gravity / np.linalg.norm(gravity))
+    modulation = pose_modulation(model.pose_modulator, theta, encode_body(model, avatar), model.activation)
+    raw = node_corrections(model.node_deformer, posed, modulation, model.activation)
+    nodes = compose_nodes(posed, delta_transforms(raw, len(posed)))
+    normals = vertex_normals(model.garment.vertices, model.garment.faces)
+    parts = skin(
+        nodes, model.node_rest, model.garment.vertices, normals, model.influence_nodes, model.influence_weights
+    )
+    return nodes, np.concatenate(parts, axis=1)
+
+
+def assert_agrees(result, expected):
+    """Within 1e-5 of the garment's size, and a little more for normals, which divide by a blend's length."""
+    scale = max(1.0, np.abs(expected[:, :3]).max())
+    assert np.abs(result[:, :3] - expected[:, :3]).max() <= 1e-5 * scale
+    if result.shape[1] == 6:
+        assert np.abs(result[:, 3:] - expected[:, 3:]).max() <= 3e-4
+        assert np.abs(result[:, 3:] - expected[:, 3:]).mean() <= 1e-5
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("activation, node_outputs", [("silu", 9), ("relu", 9), ("silu", 12), ("relu", 12)])
+@pytest.mark.parametrize("size", SIZES)
+def test_drape_is_the_unfolded_chain(size, activation, node_outputs, backend):
+    """Random rigs, bodies, networks and poses, a little beyond the limits; the tiny size ten times over."""
+    for seed in range(10 if size == "tiny" else 1):
+        rng, model, avatar = scene([seed], **SIZES[size], activation=activation, node_outputs=node_outputs)
+        draper = Draper(model, avatar, backend=backend)
+        for _ in range(2):
+            q, gravity = random_pose(rng, model.rig)
+            nodes, expected = chain(model, avatar, q, gravity)
+            assert_agrees(draper.drape(q, gravity), expected)
+            assert np.abs(draper.node_transforms() - nodes).max() <= 1e-5 * max(1, np.abs(nodes).max())
+
+
+@needs_native
+@pytest.mark.parametrize("size", SIZES)
+def test_backends_agree(size):
+    rng, model, avatar = scene(20, **SIZES[size])
+    native, reference = (Draper(model, avatar, backend=backend) for backend in ("native", "numpy"))
+    for _ in range(3):
+        pose = random_pose(rng, model.rig)
+        assert_agrees(native.drape(*pose), reference.drape(*pose))
+        np.testing.assert_allclose(native.node_transforms(), reference.node_transforms(), atol=2e-5)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_rigid_rig_carries_the_garment_rigidly(backend):
+    """No corrective, a root that turns: every vertex turns about the root, normals too."""
+    _, model, avatar = scene(1, bones=1, dofs=2)
+    (weight, bias) = model.node_deformer[-1]
+    model = replace(model, node_deformer=(*model.node_deformer[:-1], (0 * weight, 0 * bias)))
+    avatar = replace(avatar, bone_heads=model.rig.heads, bone_tails=model.rig.tails)
+    q = np.array([0.4, -0.3], dtype=np.float32)
+    rotation = model.rig.bone_transforms(q)[0, :, :3]
+    draped = Draper(model, avatar, backend=backend).drape(q)
+    garment = model.garment
+    np.testing.assert_allclose(draped[:, :3], garment.vertices @ rotation.T, atol=1e-6)
+    normals = vertex_normals(garment.vertices, garment.faces)
+    np.testing.assert_allclose(draped[:, 3:], normals @ rotation.T, atol=1e-5)
+
+
+# --- Gravity ---
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_gravity_is_a_direction_of_any_length(backend):
+    rng, model, avatar = scene(2)
+    q, gravity = random_pose(rng, model.rig)
+    draper = Draper(model, avatar, backend=backend)
+    expected = draper.drape(q, gravity)
+    for length in (1e-6, 9.81, 1e6):
+        np.testing.assert_allclose(draper.drape(q, length * gravity.astype(float)), expected, atol=1e-5)
+    assert np.abs(draper.drape(q, -gravity) - expected).max() > 1e-3
+    upright = draper.drape(q)
+    np.testing.assert_array_equal(upright, draper.drape(q, UPRIGHT_GRAVITY))
+    np.testing.assert_array_equal(upright, draper.drape(q, [0, 0, -3]))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize(
+    "gravity", [np.zeros(3), [0, 0], [0, np.nan, 1], [0, 0, np.inf], np.zeros((1, 3)), np.eye(3), 9.81]
+)
+def test_bad_gravity_is_refused(gravity, backend):
+    _, model, avatar = scene(3)
+    with pytest.raises(ValueError, match=r"gravity must be a finite, non-zero direction \(3,\)"):
+        Draper(model, avatar, backend=backend).drape(model.rig.rest, gravity)
+
+
+# --- Joint positions ---
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_joint_that_is_not_finite_is_named(backend, bad):
+    """And nothing is written."""
+    rng, model, avatar = scene(4)
+    draper = Draper(model, avatar, backend=backend)
+    q, _ = random_pose(rng, model.rig)
+    before = draper.drape(q)
+    out = before.copy()
+    for joint in range(len(q)):
+        spoilt = q.copy()
+        spoilt[joint] = bad
+        with pytest.raises(ValueError, match=rf"joint 'joint{joint}' is {bad}"):
+            draper.drape(spoilt, out=out)
+    np.testing.assert_array_equal(out, before)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_wrong_number_of_joints_is_refused(backend):
+    _, model, avatar = scene(5)
+    draper = Draper(model, avatar, backend=backend)
+    for shape in ((6,), (8,), (7, 1), (1, 7), ()):
+        with pytest.raises(ValueError, match=r"joint positions have shape .*, expected \(7,\)"):
+            draper.drape(np.zeros(shape))
+    assert draper.joint_names == tuple(f"joint{k}" for k in range(7))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_joint_positions_may_be_any_numbers(backend):
+    """A list, float64, a strided view: the same drape."""
+    rng, model, avatar = scene(6)
+    draper = Draper(model, avatar, backend=backend)
+    q, _ = random_pose(rng, model.rig)
+    expected = draper.drape(q)
+    for same in (q.tolist(), q.astype(np.float64), np.repeat(q, 2)[::2]):
+        np.testing.assert_array_equal(draper.drape(same), expected)
+
+
+def test_joint_positions_may_be_given_by_name():
+    """The others are at rest; an unknown joint is named."""
+    _, model, avatar = scene(14)
+    draper = Draper(model, avatar, backend="numpy")
+    q = model.rig.rest.copy()
+    q[3] += 0.4
+    np.testing.assert_array_equal(draper.drape({"joint3": q[3]}), draper.drape(q))
+    with pytest.raises(ValueError, match="no joint 'elbow'"):
+        draper.drape({"elbow": 0.4})
+    with pytest.raises(ValueError, match="joint 'joint3' is nan"):
+        draper.drape({"joint3": np.nan})
+
+
+# --- The output ---
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("columns", [3, 6])
+@pytest.mark.parametrize("width", [6, 8, 11])
+def test_rows_may_be_any_distance_apart(backend, columns, width):
+    """A view of an interleaved cloud; what lies between the rows stays."""
+    rng, model, avatar = scene(7)
+    draper = Draper(model, avatar, backend=backend)
+    pose = random_pose(rng, model.rig)
+    cloud = np.full((draper.vertex_count, width), -7.0, dtype=np.float32)
+    view = cloud[:, :columns]
+    assert draper.drape(*pose, out=view) is view
+    np.testing.assert_array_equal(view, draper.drape(*pose)[:, :columns])
+    assert (cloud[:, columns:] == -7).all()
+
+
+def read_only(array):
+    array.flags.writeable = False
+    return array
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize(
+    "make, error",
+    [
+        (lambda n: np.zeros((n, 6)), TypeError),
+        (lambda n: np.zeros((n, 6), np.int32), TypeError),
+        (lambda n: np.zeros((n, 6), ">f4"), TypeError),
+        (lambda n: read_only(np.zeros((n, 6), np.float32)), TypeError),
+        (lambda n: np.zeros(6 * n, np.float32), TypeError),
+        (lambda n: bytearray(24 * n), TypeError),
+        (lambda n: np.zeros((n, 4), np.float32), ValueError),
+        (lambda n: np.zeros((n + 1, 6), np.float32), ValueError),
+        (lambda n: np.zeros((n - 1, 3), np.float32), ValueError),
+        (lambda n: np.zeros((n, 12), np.float32)[:, ::2], ValueError),
+        (lambda n: np.zeros((6, n), np.float32).T, ValueError),
+        (lambda n: np.lib.stride_tricks.as_strided(np.zeros(6 * n, np.float32), (n, 6), (8, 4)), ValueError),
+    ],
+    ids=[
+        "float64",
+        "int32",
+        "big endian",
+        "read-only",
+        "flat",
+        "bytes",
+        "four columns",
+        "row more",
+        "row less",
+        "gaps in rows",
+        "columns first",
+        "overlapping rows",
+    ],
+)
+def test_other_outputs_are_refused_alike(backend, make, error):
+    """Both backends raise the same kind of error, and write nothing."""
+    rng, model, avatar = scene(8)
+    draper = Draper(model, avatar, backend=backend)
+    out = make(draper.vertex_count)
+    with pytest.raises(error, match="out|contiguous|overlap"):
+        draper.drape(*random_pose(rng, model.rig), out=out)
+    assert not np.any(out)
+
+
+# --- Transforms ---
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_node_transforms_are_those_of_the_last_drape(backend):
+    """Skinning the rest garment with them gives the drape; zeros before the first; a copy each time."""
+    rng, model, avatar = scene(9)
+    draper = Draper(model, avatar, backend=backend)
+    assert draper.node_transforms().shape == (10, 3, 4) and not draper.node_transforms().any()
+    for _ in range(2):
+        draped = draper.drape(*random_pose(rng, model.rig))
+        bound = draper.bound
+        nodes = draper.node_transforms()
+        assert nodes.dtype == np.float32
+        positions, _ = skin(
+            nodes, bound.node_rest, bound.vertices, bound.normals, bound.influence_nodes, bound.influence_weights
+        )
+        np.testing.assert_allclose(draped[:, :3], positions, atol=1e-5)
+        nodes[:] = 0
+        assert draper.node_transforms().any()
+
+
+def test_bone_transforms_are_those_of_this_body():
+    rng, model, avatar = scene(10)
+    draper = Draper(model, avatar, backend="numpy")
+    q, _ = random_pose(rng, model.rig)
+    transforms = draper.bone_transforms(q)
+    np.testing.assert_array_equal(transforms, model.rig.bone_transforms(q, heads=avatar.bone_heads))
+    assert np.abs(transforms - model.rig.bone_transforms(q)).max() > 1e-3
+
+
+# --- Construction ---
+
+
+def test_unknown_backend_is_refused():
+    _, model, avatar = scene(11)
+    with pytest.raises(ValueError, match="unknown backend 'cuda'; allowed: native, numpy"):
+        Draper(model, avatar, backend="cuda")
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_points_replace_the_vertices(backend):
+    rng, model, avatar = scene(12)
+    points = model.garment.vertices[::3]
+    draper = Draper(model, avatar, backend=backend, points=points, point_normals=unit_rows(rng, len(points)))
+    assert draper.vertex_count == len(points) < len(model.garment.vertices)
+    assert draper.faces.shape == (0, 3) and draper.faces.dtype == np.int32
+    pose = random_pose(rng, model.rig)
+    trained = Draper(model, avatar, backend=backend)
+    np.testing.assert_array_equal(trained.faces, model.garment.faces)
+    own = trained.drape(*pose)
+    draped = draper.drape(*pose)
+    np.testing.assert_allclose(draped[:, :3], own[::3, :3], atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(draped[:, 3:], axis=1), 1, atol=1e-5)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_drapers_do_not_share_state(backend):
+    """Two bodies in turns: each gives what it gives alone."""
+    rng, model, first_body = scene(13)
+    second_body = random_avatar(rng, model.rig)
+    first, second = (Draper(model, body, backend=backend) for body in (first_body, second_body))
+    poses = [random_pose(rng, model.rig) for _ in range(4)]
+    alone = [Draper(model, first_body, backend=backend).drape(*pose) for pose in poses]
+    for pose, expected in zip(poses, alone):
+        result = first.drape(*pose)
+        assert np.abs(second.drape(*pose) - result).max() > 1e-3
+        np.testing.assert_array_equal(result, expected)
+
+
+@needs_native
+@pytest.mark.parametrize("precision", ["fp32", "bf16", "int8"])
+def test_precision_reaches_the_native_evaluator(precision):
+    """Each gives about the same garment, and not the same numbers."""
+    rng, model, avatar = scene(41, **SIZES["tiny"])
+    q, gravity = random_pose(rng, model.rig)
+    exact = Draper(model, avatar, precision="fp32").drape(q, gravity)
+    draper = Draper(model, avatar, precision=precision)
+    rounded = draper.drape(q, gravity)
+    assert draper.precision == precision
+    assert np.abs(rounded - exact).max() < 0.1
+    assert np.array_equal(rounded, exact) == (precision == "fp32")
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("wrong", ["precision", "normals", "points"])
+def test_what_cannot_be_is_refused_before_the_push_out_is_bound(monkeypatch, backend, wrong):
+    """Binding it takes seconds."""
+    _, model, avatar = scene(43, **SIZES["tiny"])
+    options, message = {
+        "precision": ({"precision": "fp8"}, "fp8"),
+        "normals": ({"normals": "smooth"}, "smooth"),
+        "points": ({"normals": "faces", "points": model.garment.vertices}, "faces"),
+    }[wrong]
+    monkeypatch.setattr("physkin_core.runtime.draper.bind_push_out", lambda *_: pytest.fail("bound the push-out first"))
+    with pytest.raises(ValueError, match=message):
+        Draper(model, avatar, backend=backend, push_out=True, **options)
+
+
+def test_numpy_backend_refuses_other_precisions():
+    _, model, avatar = scene(42, **SIZES["tiny"])
+    with pytest.raises(ValueError, match="numpy backend computes with the model's own network weights, not in 'bf16'"):
+        Draper(model, avatar, backend="numpy", precision="bf16")
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_bound_step_and_binding(backend, garment_model):
+    """A step reads its arrays as they are now; a draper made from another's binding gives the same."""
+    avatar = load_avatar(BUNDLED_AVATAR, garment_model.rig)
+    draper = Draper(garment_model, avatar, backend=backend)
+    positions, gravity = garment_model.rig.rest.astype(np.float32), np.float32([0, 0, -1])
+    out = np.zeros((draper.vertex_count, 6), dtype=np.float32)
+    step = draper.bind_step(positions, gravity, out)
+    again = Draper(garment_model, avatar, backend=backend, binding=draper.binding)
+    for bend in (0.0, 0.3):
+        positions[2] = bend
+        gravity[:] = 0, np.sin(bend), -np.cos(bend)
+        step()
+        np.testing.assert_allclose(out, again.drape(positions, gravity), atol=1e-6)
+    positions[0] = np.nan
+    with pytest.raises(ValueError):
+        step()
+
+
+# --- Made to measure ---
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """A model of a waistband that has learnt a fit, and a heavy body."""
+    body = load_body_model()
+    band = tube(rings=9, segments=20, radius=1.0, height=0.3)
+    garment = Garment(band.vertices * [0.16, 0.2, 1.0] + [0, 0, 0.12], band.faces)
+    model = random_model(np.random.default_rng(5), rig=body.rig, garment=garment, nodes=12, made_to_measure=True)
+    return model, avatar_from_body(body, body.held_out_bodies[3])
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_made_to_measure_without_correctives_rests_on_the_body(measured, backend):
+    """Plain skinning at the canonical pose is the graded garment, to the millimetres of finding the body's shape; a fit
+    between is between; 0 is as without."""
+    model, avatar = measured
+    weight, bias = model.node_deformer[-1]
+    plain = replace(model, node_deformer=(*model.node_deformer[:-1], (0 * weight, 0 * bias)))
+    drapes, rests = {}, {}
+    for fit in (0.0, 0.5, 1.0):
+        draper = Draper(plain, avatar, fit=fit, backend=backend)
+        drapes[fit], rests[fit] = draper.drape(model.rig.rest), draper.rest_garment.vertices
+    np.testing.assert_array_equal(drapes[0.0], Draper(plain, avatar, backend=backend).drape(model.rig.rest))
+    np.testing.assert_allclose(drapes[1.0][:, :3], rests[1.0], atol=1e-5)
+    np.testing.assert_allclose(drapes[0.5][:, :3], (drapes[0.0] + drapes[1.0])[:, :3] / 2, atol=1e-5)
+    assert rests[0.0] is model.garment.vertices
+    body = load_body_model()
+    exact = GarmentGrading(model.garment, body).graded(body.held_out_bodies[3:4])[0]
+    assert np.linalg.norm(rests[1.0] - exact, axis=1).max() < 5e-3
+    assert np.linalg.norm(exact - model.garment.vertices, axis=1).max() > 0.02
+
+
+def test_the_fit_reaches_the_networks(measured):
+    """Correctives differ between fits by more than rest shapes alone would make them."""
+    model, avatar = measured
+    corrected, folded = Draper(model, avatar, fit=1.0, backend="numpy"), at_fit(model.hyper_modulator, 1.0)
+    same = {**folded, "fit": 0 * model.hyper_modulator["fit"]}
+    as_told = Draper(replace(model, hyper_modulator=same), avatar, fit=1.0, backend="numpy")
+    deaf = {**model.hyper_modulator, "fit": 0 * model.hyper_modulator["fit"]}
+    untold = Draper(replace(model, hyper_modulator=deaf), avatar, fit=1.0, backend="numpy")
+    q = model.rig.rest
+    np.testing.assert_allclose(corrected.drape(q), as_told.drape(q), atol=1e-5)
+    assert np.abs(corrected.drape(q) - untold.drape(q))[:, :3].max() > 1e-4
+
+
+def test_points_are_made_to_measure_as_the_mesh_they_lie_on(measured):
+    """The mesh's own vertices given as points: the same drape; given normals turn with the cloth, and as the model's
+    are fitted."""
+    model, avatar = measured
+    axis = np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]], dtype=np.float32)
+    model = replace(model, rest_normals=model.rest_normals @ axis)
+    whole = Draper(model, avatar, fit=1.0, backend="numpy")
+    mesh = model.garment
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    q = model.rig.rest
+    for given in (None, normals):
+        points = Draper(model, avatar, fit=1.0, backend="numpy", points=mesh.vertices, point_normals=given)
+        np.testing.assert_allclose(points.drape(q)[:, :3], whole.drape(q)[:, :3], atol=1e-4)
+        np.testing.assert_allclose(points.bound.normals, whole.bound.normals, atol=1e-3)
+    assert np.abs(whole.bound.normals - normals).max() > 0.02
+
+
+def test_a_fit_that_cannot_be_is_refused(measured):
+    """Not learnt, out of range, or of another rig than the body model's."""
+    model, avatar = measured
+    with pytest.raises(ValueError, match="fit must be 0 .* to 1 .* got 1.5"):
+        Draper(model, avatar, fit=1.5, backend="numpy")
+    _, template_only, other = scene(0)
+    with pytest.raises(ValueError, match="has not learnt to be made to measure"):
+        Draper(template_only, other, fit=1.0, backend="numpy")
+    _, strange, other = scene(0, made_to_measure=True)
+    with pytest.raises(ValueError, match="needs the body model's rig"):
+        Draper(strange, other, fit=1.0, backend="numpy")

@@ -1,0 +1,48 @@
+"""The joint map file."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from physkin_ros.joints.joint_map import JointMapError, MappedJoint, load_joint_map
+
+JOINTS = ("hip", "knee")
+
+
+def test_names_and_objects(tmp_path):
+    """A plain name means scale 1 and offset 0."""
+    path = tmp_path / "map.json"
+    path.write_text(json.dumps({"LeftHip": "hip", "LeftKnee": {"joint": "knee", "scale": -1, "offset": 0.25}}))
+    assert load_joint_map(path, JOINTS) == {"LeftHip": MappedJoint("hip"), "LeftKnee": MappedJoint("knee", -1.0, 0.25)}
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("{", "cannot read joint map"),
+        ("[]", "must be a JSON object"),
+        ('{"a": "elbow"}', "entry 'a': the rig has no joint 'elbow'; it has hip, knee"),
+        ('{"a": 3}', "must be a rig joint name or an object, got 3"),
+        ('{"a": {"joint": "hip", "gain": 2}}', "unknown key 'gain'; allowed: joint, scale, offset"),
+        ('{"a": {"scale": 2}}', "the rig has no joint None"),
+        ('{"a": {"joint": "hip", "scale": "2"}}', "scale must be a finite number, got '2'"),
+        ('{"a": {"joint": "hip", "offset": NaN}}', "offset must be a finite number, got nan"),
+        ('{"a": {"joint": "hip", "scale": 0}}', "scale must not be zero"),
+        ('{"a": "hip", "b": "hip"}', "two entries drive hip"),
+    ],
+)
+def test_bad_files_are_refused(tmp_path, text, reason):
+    """The error names the file, the entry and what was allowed."""
+    path = tmp_path / "map.json"
+    path.write_text(text)
+    with pytest.raises(JointMapError, match=reason) as error:
+        load_joint_map(path, JOINTS)
+    assert str(path) in str(error.value)
+
+
+def test_missing_file_is_refused(tmp_path):
+    """As any file that cannot be read."""
+    with pytest.raises(JointMapError, match="cannot read joint map"):
+        load_joint_map(tmp_path / "none.json", JOINTS)

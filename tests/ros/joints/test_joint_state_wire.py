@@ -1,0 +1,122 @@
+"""Joint states from their bytes: the same as by way of the message, and nothing that bytes can hold breaks it."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+
+from physkin_ros.joints.joint_state_wire import MOST_NAMES, JointStateWire
+from physkin_ros.joints.joint_states import JointStateError, JointStateReader
+
+NAMES = ("hip", "knee", "ankle", "neck")
+REST = np.array([0.1, 0.2, 0.3, 0.4])
+
+
+def wire_bytes(names, positions, *, frame="", stamp=(1, 2), order="<", names_count=None) -> bytes:
+    """A joint state as CDR, written here from the standard's rules alone."""
+    body = struct.pack(f"{order}iI", *stamp)
+
+    def text(word: str) -> None:
+        nonlocal body
+        body += b"\0" * (-len(body) % 4) + struct.pack(f"{order}I", len(word.encode()) + 1) + word.encode() + b"\0"
+
+    text(frame)
+    body += b"\0" * (-len(body) % 4) + struct.pack(f"{order}I", len(names) if names_count is None else names_count)
+    for name in names:
+        text(name)
+    body += b"\0" * (-len(body) % 4) + struct.pack(f"{order}I", len(positions))
+    if positions:
+        body += b"\0" * (-len(body) % 8) + struct.pack(f"{order}{len(positions)}d", *positions)
+    body += struct.pack(f"{order}II", 0, 0)
+    return b"\0\0\0\0"[:1] + (b"\1" if order == "<" else b"\0") + b"\0\0" + body
+
+
+@pytest.fixture
+def reader() -> JointStateReader:
+    return JointStateReader(NAMES, REST)
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_equals_the_reader(reader, order):
+    """Any names, frame and byte order, and each layout a second time, when it is known."""
+    wire, random = JointStateWire(reader), np.random.default_rng(2)
+    out = np.empty(4, dtype=np.float32)
+    for _ in range(60):
+        count = int(random.integers(1, 5))
+        names = [*random.permutation(NAMES)[:count].tolist(), *["tail" * int(random.integers(1, 5))]]
+        frame = "f" * int(random.integers(0, 9))
+        for _ in range(2):
+            values = random.normal(size=len(names)).tolist()
+            stamp = (int(random.integers(-(2**31), 2**31)), int(random.integers(0, 2**32)))
+            wire.read(wire_bytes(names, values, frame=frame, stamp=stamp, order=order), out)
+            np.testing.assert_array_equal(out, reader.read(names, values))
+            assert wire.stamp == stamp and wire.values.tolist() == values
+
+
+def test_equals_rclpy(reader):
+    """The bytes rclpy makes, velocities and efforts behind the positions."""
+    pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
+    from rclpy.serialization import serialize_message
+    from sensor_msgs.msg import JointState
+
+    message = JointState(name=["neck", "tail", "hip"], position=[4.0, 9.0, 1.0], velocity=[7.0] * 3, effort=[8.0] * 3)
+    message.header.frame_id, message.header.stamp.sec, message.header.stamp.nanosec = "torso", -5, 6
+    wire, out = JointStateWire(reader), np.empty(4, dtype=np.float32)
+    wire.read(serialize_message(message), out)
+    np.testing.assert_array_equal(out, np.float32([1, 0.2, 0.3, 4]))
+    assert wire.stamp == (-5, 6)
+
+
+def test_known_names_are_not_looked_at_again(reader):
+    """Whatever the stamp and the positions; two publishers may take turns."""
+    wire, out = JointStateWire(reader), np.empty(4, dtype=np.float32)
+    looked, select = [], reader.select
+    reader.select = lambda names: looked.append(names) or select(names)
+    for index in range(6):
+        wire.read(wire_bytes(["hip", "knee"], [index, 2.0], stamp=(index, 0)), out)
+        wire.read(wire_bytes(["ankle"], [3.0]), out)
+    assert looked == [("hip", "knee"), ("ankle",)]
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", "no joint state: 0 bytes"),
+        (b"\0\1\0\0" + b"\0" * 4, "no joint state: 8 bytes"),
+        (b"\1\2\3\4" * 20, "no joint state: 80 bytes that start with 01 02 03 04"),
+        (wire_bytes([], []), "names no joints"),
+        (wire_bytes(["hip", "knee"], [1.0]), "2 names but 1 positions"),
+        (wire_bytes(["hip"], [np.nan]), "'hip' is nan"),
+        (wire_bytes(["hip", "hip"], [1.0, 2.0]), "are the same joint"),
+        (wire_bytes(["hip"], [1.0])[:-12], "cut off"),
+        (wire_bytes(["hip"], [1.0], names_count=3), "cut off"),
+        (wire_bytes(["hip"], [], names_count=2**32 - 1), f"names {2**32 - 1} joints; at most {MOST_NAMES}"),
+        (wire_bytes([f"joint{i}" for i in range(5000)], [0.0] * 5000), "names 5000 joints"),
+        (b"\0\1\0\0" + b"\xff" * 400, "cut off"),
+    ],
+)
+def test_bad_bytes_are_refused(reader, data, reason):
+    """Every time, and a good message is read as ever afterwards."""
+    wire, out = JointStateWire(reader), np.empty(4, dtype=np.float32)
+    for _ in range(2):
+        with pytest.raises(JointStateError, match=reason):
+            wire.read(data, out)
+    wire.read(wire_bytes(["hip"], [5.0]), out)
+    np.testing.assert_array_equal(out, np.float32([5, 0.2, 0.3, 0.4]))
+
+
+def test_any_cut_and_any_changed_byte(reader):
+    """Nothing but JointStateError comes out."""
+    good = wire_bytes(["hip", "tail", "knee"], [1.0, 2.0, 3.0], frame="torso")
+    wire, out, random = JointStateWire(reader), np.empty(4, dtype=np.float32), np.random.default_rng(5)
+    for trial in range(3000):
+        data = bytearray(good[: random.integers(0, len(good))] if trial % 2 else good)
+        for at in random.integers(0, max(1, len(data)), size=3 if data else 0):
+            data[at] = random.integers(256)
+        try:
+            wire.read(bytes(data), out)
+        except JointStateError:
+            continue
+        assert np.isfinite(out).all()

@@ -1,0 +1,84 @@
+"""Joint states to joint positions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from physkin_ros.joints.joint_map import MappedJoint
+from physkin_ros.joints.joint_states import JointStateError, JointStateReader, MappedNames
+
+NAMES = ("hip", "knee", "ankle", "neck")
+REST = np.array([0.1, 0.2, 0.3, 0.4])
+
+
+def positions(*values: float) -> np.ndarray:
+    return np.array(values, dtype=np.float32)
+
+
+def test_joints_in_any_order():
+    """The order in the message does not matter."""
+    read = JointStateReader(NAMES, REST).read(["neck", "hip", "ankle", "knee"], [4, 1, 3, 2])
+    np.testing.assert_array_equal(read, positions(1, 2, 3, 4))
+
+
+def test_missing_joints_keep_their_last_position():
+    """At first that is the canonical rest, afterwards what was accepted last."""
+    reader = JointStateReader(NAMES, REST)
+    reader.positions = reader.read(["knee"], [2.0])
+    np.testing.assert_array_equal(reader.positions, positions(0.1, 2, 0.3, 0.4))
+    np.testing.assert_array_equal(reader.read(["hip"], [1.0]), positions(1, 2, 0.3, 0.4))
+
+
+def test_unknown_joints_are_reported_once_for_each_set_of_names():
+    """Two publishers that take turns on one topic are told apart by their names."""
+    reported = []
+    reader = JointStateReader(NAMES, REST, on_unknown=reported.append)
+    for _ in range(3):
+        np.testing.assert_array_equal(reader.read(["tail", "hip"], [9.0, 1.0]), positions(1, 0.2, 0.3, 0.4))
+        reader.read(["hip", "left_ear", "right_ear"], [1.0, 2.0, 3.0])
+    assert reported == [["tail"], ["left_ear", "right_ear"]]
+
+
+def test_values_of_unknown_joints_do_not_matter():
+    """A driver's NaN for a joint the garment does not read is no reason to stop."""
+    read = JointStateReader(NAMES, REST).read(["gripper", "hip"], [np.nan, 1.0])
+    np.testing.assert_array_equal(read, positions(1, 0.2, 0.3, 0.4))
+
+
+@pytest.mark.parametrize(
+    ("names", "values", "reason"),
+    [
+        ([], [], "names no joints"),
+        (["hip", "knee"], [1.0], "2 names but 1 positions"),
+        (["hip"], [], "1 names but 0 positions"),
+        (["hip", "knee"], [1.0, np.nan], "'knee' is nan"),
+        (["hip", "knee"], [np.inf, 1.0], "'hip' is inf"),
+        (["hip"], [1e300], "'hip' is 1e"),
+        (["hip", "knee", "hip"], [1.0, 2.0, 3.0], "'hip' and 'hip' are the same joint"),
+        (["tail", "fin"], [1.0, 2.0], "no joint is known among tail, fin"),
+    ],
+)
+def test_bad_joint_states_are_refused(names, values, reason):
+    """Each says what is wrong, every time it comes, and changes nothing."""
+    reader = JointStateReader(NAMES, REST)
+    for _ in range(2):
+        with pytest.raises(JointStateError, match=reason):
+            reader.read(names, values)
+    np.testing.assert_array_equal(reader.positions, REST.astype(np.float32))
+
+
+def test_joint_map_renames_and_scales():
+    """Mapped names drive the rig's joints; the rig's own names go on working."""
+    naming = MappedNames(NAMES, {"Knee_L": MappedJoint("knee", scale=-2.0, offset=0.5)})
+    reader = JointStateReader(NAMES, REST, naming=naming)
+    np.testing.assert_allclose(reader.read(["neck", "Knee_L"], [7.0, 1.0]), positions(0.1, -1.5, 0.3, 7))
+    with pytest.raises(JointStateError, match="'knee' and 'Knee_L' are the same joint"):
+        reader.read(["knee", "Knee_L"], [1.0, 1.0])
+
+
+def test_missing_joints_can_go_back_to_rest():
+    """With `keep_missing` off, a message says all there is to say."""
+    reader = JointStateReader(NAMES, REST, keep_missing=False)
+    reader.positions = reader.read(["knee"], [2.0])
+    np.testing.assert_array_equal(reader.read(["hip"], [1.0]), positions(1, 0.2, 0.3, 0.4))

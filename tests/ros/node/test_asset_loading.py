@@ -1,0 +1,80 @@
+"""Which files may be used while the node runs, and what is loaded only once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from physkin_core import BUNDLED_AVATAR
+from physkin_core.runtime import push_out
+from physkin_ros.node import asset_loading
+from physkin_ros.node.asset_loading import AssetError, AssetRoots, DraperLoader, Outfitting
+
+BUNDLED = Outfitting("tshirt", precision="fp32")
+
+
+def test_only_below_the_roots(tmp_path):
+    """Links and dots are followed first; shipped garments and the bundled avatar are always allowed."""
+    inside, outside = tmp_path / "inside", tmp_path / "outside"
+    for folder in (inside, outside):
+        folder.mkdir()
+        (folder / "body.glb").write_bytes(b"x")
+    (inside / "link.glb").symlink_to(outside / "body.glb")
+    roots = AssetRoots([str(inside)], [str(outside / "body.glb")])
+    roots.check(str(inside / "body.glb"))
+    BUNDLED.check(roots)
+    replace(BUNDLED, body_mesh=str(BUNDLED_AVATAR)).check(roots)
+    for path in (outside / "body.glb", inside / "link.glb", inside / ".." / "outside" / "body.glb", tmp_path):
+        with pytest.raises(AssetError, match=f"outside the parameter asset_roots; allowed: {inside}"):
+            replace(BUNDLED, body_mesh=str(path)).check(roots)
+    for wrong in (replace(BUNDLED, model=str(outside / "x.safetensors")), replace(BUNDLED, body_rig="/etc/passwd")):
+        with pytest.raises(AssetError, match="outside"):
+            wrong.check(roots)
+    with pytest.raises(AssetError, match="no such file"):
+        roots.check(str(inside / "none.glb"))
+
+
+def test_default_roots_are_the_folders_of_the_start(tmp_path):
+    """Without any file, nothing from the disk is allowed."""
+    (tmp_path / "body.glb").write_bytes(b"x")
+    AssetRoots([""], ["", str(tmp_path / "other.glb")]).check(str(tmp_path / "body.glb"))
+    with pytest.raises(AssetError, match="nothing but shipped garments and the bundled avatar"):
+        AssetRoots([""], ["", ""]).check(str(tmp_path / "body.glb"))
+
+
+def test_large_files_are_not_opened(tmp_path, monkeypatch):
+    """Their size is refused before anything is read."""
+    monkeypatch.setattr(asset_loading, "LARGEST_ASSET", 10)
+    (tmp_path / "body.glb").write_bytes(b"x" * 11)
+    with pytest.raises(AssetError, match="has 11 bytes; at most 10"):
+        AssetRoots([str(tmp_path)], []).check(str(tmp_path / "body.glb"))
+
+
+def test_encodings_are_kept_by_content(tmp_path, model_path, monkeypatch):
+    """The same body under another name is known; a changed file under the same name is not. Clouds are the same."""
+    monkeypatch.setattr(push_out, "BIND_POSES", 8)
+    loader = DraperLoader("native")
+    body, copy = tmp_path / "body.glb", tmp_path / "copy.glb"
+    for path in (body, copy):
+        path.write_bytes(BUNDLED_AVATAR.read_bytes())
+    wanted = Outfitting(str(model_path), str(body), precision="fp32", push_out=True)
+    first = loader.load(wanted)
+    again, renamed = loader.load(wanted), loader.load(replace(wanted, body_mesh=str(copy)))
+    assert (first.cached, again.cached, renamed.cached) == (False, True, True)
+    assert again.seconds < first.seconds and renamed.draper.avatar.source == str(copy)
+    rest = first.draper.model.rig.rest
+    np.testing.assert_array_equal(first.draper.drape(rest), renamed.draper.drape(rest))
+    assert first.draper.residual == renamed.draper.residual
+    body.write_bytes(BUNDLED_AVATAR.read_bytes() + b"\0" * 4)
+    assert not loader.load(wanted).cached
+    assert not loader.load(replace(wanted, push_out=False)).cached
+
+
+def test_only_so_many_are_kept(model_path, monkeypatch):
+    """The one that was used longest ago goes first."""
+    monkeypatch.setattr(asset_loading, "KEPT", 1)
+    loader = DraperLoader("native")
+    one, two = Outfitting(str(model_path), precision="fp32"), BUNDLED
+    assert [loader.load(wanted).cached for wanted in (one, one, two, one)] == [False, True, False, False]

@@ -1,0 +1,115 @@
+"""What the drape node reports about itself."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from physkin_core import load_body_model
+from physkin_core.runtime.push_out import ContactResidual
+from physkin_ros.node.diagnostics import AvatarStatistics, GarmentStatistics, HealthReporter, PoseRange
+
+SECOND = 1_000_000_000
+
+
+def report(reporter, counts, garment, beyond=(), now=SECOND):
+    (health,) = reporter.report(counts, [garment], beyond, now)
+    return (*health.summary(), health.values(now_ns=now))
+
+
+def test_before_the_first_joint_state():
+    """Nothing is wrong, there is only nothing to say."""
+    well, summary, values = report(HealthReporter(), AvatarStatistics(), GarmentStatistics())
+    assert well and summary == "waiting for joint states"
+    assert values["evaluation p50 [us]"] == "none" and values["last stamp age [s]"] == "none"
+
+
+def test_counts_rates_times_and_age():
+    """Counts go on from the start, rates and times are those since the last report."""
+    reporter, counts, garment = HealthReporter(), AvatarStatistics(), GarmentStatistics()
+    report(reporter, counts, garment, now=0)
+    for evaluation_ns in (10_000, 20_000, 30_000):
+        counts.received += 1
+        garment.draped(evaluation_ns)
+    counts.last_stamp_ns = SECOND
+    well, summary, values = report(reporter, counts, garment, now=2 * SECOND)
+    assert well and summary == "draping"
+    assert (values["joint states received"], values["clouds published"]) == ("3", "3")
+    assert (values["joint states [Hz]"], values["clouds [Hz]"]) == ("1.5", "1.5")
+    assert (values["evaluation p50 [us]"], values["evaluation p99 [us]"]) == ("20.0", "29.8")
+    assert values["last stamp age [s]"] == "1.000"
+    _, summary, values = report(reporter, counts, garment, now=3 * SECOND)
+    assert values["clouds published"] == "3" and values["evaluation p50 [us]"] == "none"
+    assert summary == "no joint states in the last second" and values["clouds [Hz]"] == "0.0"
+
+
+def test_rejections_warn_until_reported():
+    """The last reason stays readable after the warning has gone; gravity's are counted apart."""
+    reporter, counts, garment = HealthReporter(), AvatarStatistics(), GarmentStatistics()
+    counts.reject("too odd")
+    well, summary, _ = report(reporter, counts, garment)
+    assert not well and summary == "1 messages rejected: too odd"
+    well, _, values = report(reporter, counts, garment)
+    assert well and values["joint states rejected"] == "1" and values["last rejection"] == "too odd"
+    counts.reject_gravity("no direction")
+    well, summary, values = report(reporter, counts, garment)
+    assert not well and summary == "1 messages rejected: no direction"
+    assert (values["gravity messages rejected"], values["joint states rejected"]) == ("1", "1")
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"last_error": "no such body"}, "swap failed, the old one goes on: no such body"),
+        ({"deadline_missed": 3}, "3 joint states missed the deadline"),
+    ],
+)
+def test_other_troubles_warn(changes, reason):
+    """As does a swap that failed, until one succeeds."""
+    counts = dataclasses.replace(AvatarStatistics(), **changes)
+    well, summary, _ = report(HealthReporter(), counts, GarmentStatistics())
+    assert not well and summary == reason
+
+
+def test_poses_outside_the_trained_range():
+    """The farthest joint is named first, with where it was and what was trained, until reported."""
+    rig = load_body_model().rig
+    found = PoseRange(rig)
+    found.add(rig.rest.astype(np.float32))
+    assert found.beyond() == []
+    pose = rig.rest.astype(np.float32)
+    pose[3], pose[7] = rig.upper[3] + 0.5, rig.lower[7] - 0.25
+    found.add(pose)
+    found.add(rig.rest.astype(np.float32))
+    beyond = found.beyond()
+    assert [text.split()[0] for text in beyond] == [rig.joint_names[3], rig.joint_names[7]]
+    assert f"{rig.upper[3] + 0.5:.2f} rad (trained {rig.lower[3]:.2f} to {rig.upper[3]:.2f})" in beyond[0]
+    assert found.beyond() == []
+    garment = GarmentStatistics()
+    garment.draped(1000)
+    well, summary, values = report(HealthReporter(), AvatarStatistics(), garment, beyond)
+    assert not well and beyond[0] in summary and beyond[1] in values["outside the trained range"]
+
+
+def test_contact_left_is_told_in_millimetres():
+    """The worst frame of the period."""
+    garment = GarmentStatistics()
+    for deepest, left in ((0.0002, 1), (0.00123, 4), (0.001, 9)):
+        garment.draped(1000)
+        garment.touched(ContactResidual(deepest=deepest, left_inside=left))
+    _, _, values = report(HealthReporter(), AvatarStatistics(), garment)
+    assert (values["vertices left inside"], values["deepest left inside [mm]"]) == ("4", "1.23")
+    assert "vertices left inside" not in report(HealthReporter(), AvatarStatistics(), GarmentStatistics())[2]
+
+
+def test_statistics_message_takes_the_numbers():
+    """NaN stands for what there is none of."""
+    counts, garment, message = AvatarStatistics(received=7, rejected=2), GarmentStatistics(), SimpleNamespace()
+    (health,) = HealthReporter().report(counts, [garment], (), SECOND)
+    health.fill(message)
+    assert (message.received, message.rejected, message.published, message.received_rate) == (7, 2, 0, 7.0)
+    assert math.isnan(message.evaluation_p50) and math.isnan(message.deepest_inside)

@@ -1,0 +1,56 @@
+"""Clouds at a rate of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from physkin_ros.node.interpolation import PoseInterpolator
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def poses():
+    return PoseInterpolator(2)
+
+
+def sample(poses, now):
+    pose, gravity = np.empty(2, dtype=np.float32), np.empty(3, dtype=np.float32)
+    return poses.sample(now, pose, gravity), pose, gravity
+
+
+def test_the_first_is_shown_at_once_and_once(poses):
+    """There is nothing to go between."""
+    assert sample(poses, 0)[0] is None
+    poses.push(np.float32([1, 2]), np.float32([0, 0, -1]), 7, 0)
+    stamp, pose, gravity = sample(poses, 5 * MS)
+    assert stamp == 7 and pose.tolist() == [1, 2] and gravity.tolist() == [0, 0, -1]
+    assert sample(poses, 6 * MS)[0] is None
+
+
+def test_between_two(poses):
+    """One joint state late, pose, stamp and direction of gravity on the way; then it stops at the last."""
+    poses.push(np.float32([0, 0]), np.float32([0, 0, -1]), 1000, 0)
+    poses.push(np.float32([4, -8]), np.float32([-1, 0, 0]), 2000, 100 * MS)
+    for now, share in ((100, 0.0), (125, 0.25), (150, 0.5), (200, 1.0)):
+        stamp, pose, gravity = sample(poses, now * MS)
+        assert stamp == 1000 + round(1000 * share)
+        np.testing.assert_allclose(pose, [4 * share, -8 * share], atol=1e-6)
+        assert np.linalg.norm(gravity) == pytest.approx(1)
+        np.testing.assert_allclose(gravity[0] * (1 - share), gravity[2] * share, atol=1e-6)
+    assert sample(poses, 201 * MS)[0] is None
+
+
+def test_after_a_gap_it_starts_anew(poses):
+    """A tracker that lost the body for a second does not sweep it through the room."""
+    poses.push(np.float32([0, 0]), np.float32([0, 0, -1]), 1000, 0)
+    poses.push(np.float32([4, 4]), np.float32([0, 0, -1]), 2000, 1000 * MS)
+    assert sample(poses, 1001 * MS)[1].tolist() == [4, 4]
+
+
+def test_opposite_directions_of_gravity(poses):
+    """Half way there is none: the later one is taken."""
+    poses.push(np.float32([0, 0]), np.float32([0, 0, -1]), 0, 0)
+    poses.push(np.float32([0, 0]), np.float32([0, 0, 1]), 10, 10 * MS)
+    assert sample(poses, 15 * MS)[2].tolist() == [0, 0, 1]

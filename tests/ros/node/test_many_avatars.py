@@ -1,0 +1,419 @@
+"""A drape node with several avatars and garments as a process: streams, discovery, swaps and hostile messages."""
+
+from __future__ import annotations
+
+import os
+import signal
+import struct
+import subprocess
+import sys
+import time
+from array import array
+
+import numpy as np
+import pytest
+import yaml
+
+from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
+
+rclpy = pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
+
+from geometry_msgs.msg import PoseStamped, Vector3Stamped  # noqa: E402
+from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters  # noqa: E402
+from rclpy.serialization import serialize_message  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+
+from physkin_ros.middleware.transport import private_environment  # noqa: E402
+
+interfaces = pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
+
+from drape_site import Site, glb_joined, glb_parts  # noqa: E402
+from physkin_msgs.srv import SetBody, SetGarment  # noqa: E402
+
+TOP, LEGS, BOB = "alice/top", "alice/legs", "bob/top"
+
+
+@pytest.fixture(scope="module")
+def other_body(tmp_path_factory):
+    """A body a tenth larger than the bundled one, in a folder of its own."""
+    path = tmp_path_factory.mktemp("bodies") / "other.glb"
+    document, rest = glb_parts(BUNDLED_AVATAR.read_bytes())
+    roots = document["scenes"][document.get("scene", 0)]["nodes"]
+    document["nodes"].append({"children": roots, "scale": [1.1, 1.1, 1.1]})
+    document["scenes"][document.get("scene", 0)]["nodes"] = [len(document["nodes"]) - 1]
+    path.write_bytes(glb_joined(document, rest))
+    return path
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory, model_path, leaning_model_path, other_body):
+    config = tmp_path_factory.mktemp("config") / "avatars.yaml"
+    parameters = {
+        "asset_roots": [str(other_body.parent), str(model_path.parent)],
+        "deadline": 0.5,
+        "most_bodies": 2,
+        "avatars": {
+            "alice": {"garments": {"top": {"model": str(model_path)}, "legs": {"model": str(leaning_model_path)}}},
+            "bob": {
+                "orientation": "pose",
+                "frame_id": "bobs_root",
+                "missing_joints": "neutral",
+                "garments": {"top": {"model": str(leaning_model_path)}},
+            },
+            "guests": {"discover": "ros4hri", "garments": {"top": {"model": str(model_path)}}},
+        },
+    }
+    config.write_text(yaml.safe_dump({"drape_node": {"ros__parameters": parameters}}))
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in private_environment().items():
+            if os.environ.get(name) != value:
+                patch.setenv(name, value)
+        log = open(config.parent / "log", "w")
+        command = [sys.executable, "-m", "physkin_core.cli", "node", "--config", str(config)]
+        process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+        site = Site(int(os.environ["ROS_DOMAIN_ID"]), process, (TOP, LEGS, BOB))
+        site.log = config.parent / "log"
+        try:
+            site.publisher("/alice/joint_states")
+            yield site
+            process.send_signal(signal.SIGINT)
+            assert process.wait(10) == 0, site.log.read_text()
+            assert "Traceback" not in site.log.read_text()
+        finally:
+            process.kill()
+            process.wait()
+            site.close()
+            log.close()
+
+
+@pytest.fixture(scope="module")
+def drapers(garment_model, leaning_model_path):
+    avatar = load_avatar(BUNDLED_AVATAR, garment_model.rig)
+    leaning_model = load_garment_model(leaning_model_path)
+    return {TOP: Draper(garment_model, avatar), LEGS: Draper(leaning_model, avatar), BOB: Draper(leaning_model, avatar)}
+
+
+def test_each_garment_has_its_stream(site, drapers, garment_model):
+    """One joint state, a cloud of every garment of its avatar and of no other's, equal to the core's."""
+    rig = garment_model.rig
+    pose = np.random.default_rng(1).uniform(rig.lower, rig.upper).astype(np.float32)
+    top = site.cloud(TOP, rig.joint_names, pose)
+    key = LEGS, (site.stamp, 0)
+    site.until(lambda: key in site.clouds, "cloud of the other garment")
+    np.testing.assert_array_equal(top, drapers[TOP].drape(pose))
+    np.testing.assert_allclose(site.clouds[key][0], drapers[LEGS].drape(pose), atol=1e-5)
+    assert site.clouds[key][1] == "alice" and (BOB, (site.stamp, 0)) not in site.clouds
+
+
+def test_gravity_from_a_pose(site, drapers, garment_model):
+    """The root's orientation tilts gravity; joints that are not named are neutral again; bad poses change nothing."""
+    rig = garment_model.rig
+    pose = PoseStamped()
+    turn = pose.pose.orientation
+    turn.x, turn.y, turn.z, turn.w = 0.0, 0.6, 0.0, 0.8
+    poses = site.publisher("/bob/pose", PoseStamped)
+    poses.publish(pose)
+    site.spin(0.2)
+    site.cloud(BOB, rig.joint_names[:2], rig.rest[:2] + 0.2)
+    cloud = site.cloud(BOB, rig.joint_names[3:4], rig.rest[3:4] + 0.1)
+    expected = rig.rest.astype(np.float32)
+    expected[3] = rig.rest[3] + 0.1
+    np.testing.assert_allclose(cloud, drapers[BOB].drape(expected, np.array([0.96, 0, -0.28])), atol=1e-5)
+    assert site.clouds[BOB, (site.stamp, 0)][1] == "bobs_root"
+    turn.w = 7.0
+    poses.publish(pose)
+    site.until(lambda: "unit quaternion" in site.statuses.get(BOB, {}).get("last rejection", ""), "diagnostics")
+    np.testing.assert_array_equal(site.cloud(BOB, rig.joint_names[3:4], rig.rest[3:4] + 0.1), cloud)
+
+
+def test_bodies_come_and_go(site, drapers, garment_model):
+    """A ROS4HRI body is dressed when its topic appears, only so many at a time, and taken down when it goes."""
+    site.listen("zoe/top")
+    topic = "/humans/bodies/zoe/joint_states"
+    publisher = site.node.create_publisher(JointState, topic, 10)
+    site._publishers[topic] = publisher
+    site.until(publisher.get_subscription_count, "subscription to the body")
+    site.until(lambda: "zoe/top" in site.meshes, "mesh of the body")
+    rig = garment_model.rig
+    expected = rig.rest.astype(np.float32)
+    names = [f"neck01_{axis}" for axis in "z"]
+    expected[rig.joint_names.index("neck01_z")] = 0.1
+    cloud = site.cloud("zoe/top", names, [0.1], topic=topic)
+    np.testing.assert_array_equal(cloud, drapers[TOP].drape(expected))
+    assert site.clouds["zoe/top", (site.stamp, 0)][1] == "body_zoe"
+    others = [
+        site.node.create_publisher(JointState, f"/humans/bodies/{body}/joint_states", 10) for body in ("ann", "eve")
+    ]
+    site.until(lambda: others[0].get_subscription_count(), "the second body")
+    site.spin(1.5)
+    assert others[1].get_subscription_count() == 0
+    assert "1 bodies wait: parameter most_bodies is 2" in site.log.read_text()
+    site.node.destroy_publisher(publisher)
+    site.until(others[1].get_subscription_count, "the third body, once the first has gone")
+    assert "zoe: the body is gone" in site.log.read_text()
+    for other in others:
+        site.node.destroy_publisher(other)
+    site.until(lambda: not site.node.count_subscribers("/humans/bodies/eve/joint_states"), "end of the bodies")
+
+
+def test_body_swap_loses_no_cloud(site, drapers, garment_model, other_body):
+    """While the body is swapped every joint state is answered: by the old body, then the new one, never a mixture."""
+    rig = garment_model.rig
+    rest = rig.rest.astype(np.float32)
+    avatar = load_avatar(other_body, rig)
+    expected = {False: drapers[TOP].drape(rest).copy(), True: Draper(garment_model, avatar).drape(rest)}
+    assert np.abs(expected[True] - expected[False]).max() > 0.01
+    before = site.stamp + 1
+    publisher = site.publisher("/alice/joint_states")
+    client = site.node.create_client(SetBody, "/drape_node/set_body")
+    site.until(client.service_is_ready, "service")
+    future = client.call_async(SetBody.Request(avatar="alice", body_mesh=str(other_body)))
+    after_done = 0
+    while after_done < 30:
+        publisher.publish(site.state(rig.joint_names, rest))
+        end = time.monotonic() + 0.005
+        while time.monotonic() < end:
+            site.executor.spin_once(timeout_sec=0.001)
+        after_done += future.done()
+    answer = future.result()
+    assert answer.success and not answer.cached and 0 < answer.seconds < 10, answer.message
+    stamps = [(stamp, 0) for stamp in range(before, site.stamp + 1)]
+    site.until(lambda: all((TOP, stamp) in site.clouds for stamp in stamps), "clouds during the swap")
+    worn = []
+    for stamp in stamps:
+        equal = [np.array_equal(site.clouds[TOP, stamp][0], expected[new]) for new in (False, True)]
+        assert sum(equal) == 1
+        worn.append(equal[1])
+    assert worn == sorted(worn) and not worn[0] and worn[-1]
+    assert site.meshes[TOP].revision == 1
+
+    assert site.call(SetBody, "set_body", avatar="alice").success
+    np.testing.assert_array_equal(site.cloud(TOP, rig.joint_names, rest), expected[False])
+    answer = site.call(SetBody, "set_body", avatar="alice", body_mesh=str(other_body))
+    assert answer.success and answer.cached
+    assert site.call(SetBody, "set_body", avatar="alice").success
+    values = site.call(GetParameters, "get_parameters", names=["avatars.alice.body_mesh"]).values
+    assert values[0].string_value == ""
+
+
+def test_garment_swap(site, drapers, garment_model, leaning_model_path, model_path):
+    """The mesh of the other garment is published with the next revision; its clouds follow."""
+    rig = garment_model.rig
+    site.until(lambda: TOP in site.meshes, "mesh")
+    revision = site.meshes[TOP].revision
+    answer = site.call(SetGarment, "set_garment", avatar="alice", garment="top", model="tshirt")
+    assert answer.success, answer.message
+    site.until(lambda: site.meshes[TOP].revision == revision + 1, "mesh of the other garment")
+    assert site.meshes[TOP].model_name == "tshirt"
+    assert len(site.cloud(TOP, rig.joint_names, rig.rest)) == site.meshes[TOP].vertex_count
+    values = site.call(GetParameters, "get_parameters", names=["avatars.alice.garments.top.model"]).values
+    assert values[0].string_value == "tshirt"
+    request = [text_parameter("avatars.alice.garments.top.model", str(model_path))]  # back, by the parameter
+    (result,) = site.call(SetParameters, "set_parameters", parameters=request).results
+    assert result.successful
+    site.until(lambda: site.meshes[TOP].model_name == "vest", "the first garment again")
+    rest = rig.rest.astype(np.float32)
+    np.testing.assert_array_equal(site.cloud(TOP, rig.joint_names, rest), drapers[TOP].drape(rest))
+
+
+def test_swaps_that_fail_leave_the_old(site, drapers, garment_model, other_body, tmp_path):
+    """Each says why; clouds go on as before, and the diagnostics tell of the last."""
+    folder = other_body.parent
+    (folder / "cut.glb").write_bytes(BUNDLED_AVATAR.read_bytes()[:5000])
+    (folder / "huge.glb").write_bytes(
+        struct.pack("<4sII", b"glTF", 2, 2**31) + struct.pack("<I4s", 2**31 - 20, b"JSON")
+    )
+    (folder / "index.glb").write_bytes(_with_bad_accessor(BUNDLED_AVATAR.read_bytes()))
+    (folder / "binary.stl").write_bytes(b"\0" * 80 + struct.pack("<I", 2**31))
+    (tmp_path / "outside.obj").write_bytes(other_body.read_bytes())
+    (folder / "link.obj").symlink_to(tmp_path / "outside.obj")
+    bodies = {
+        str(tmp_path / "outside.obj"): "outside the parameter asset_roots",
+        str(folder / "link.obj"): "outside the parameter asset_roots",
+        f"{folder}/../../../../etc/passwd": "outside the parameter asset_roots",
+        str(folder / "none.glb"): "no such file",
+        str(folder): "no such file",
+        str(folder / "cut.glb"): "cut.glb",
+        str(folder / "huge.glb"): "huge.glb",
+        str(folder / "index.glb"): "index.glb",
+        str(folder / "binary.stl"): "binary.stl",
+    }
+    for body, reason in bodies.items():
+        answer = site.call(SetBody, "set_body", avatar="alice", body_mesh=body)
+        assert not answer.success and reason in answer.message, (body, answer.message)
+    for request, reason in (
+        ({"avatar": "carol"}, "no avatar 'carol'; allowed: 'alice', 'bob'"),
+        ({}, "no avatar ''"),
+    ):
+        assert reason in site.call(SetBody, "set_body", **request).message
+    for request, reason in (
+        ({"avatar": "alice", "model": "tshirt"}, "no garment ''; allowed: '"),
+        ({"avatar": "alice", "garment": "top"}, "model must not be empty"),
+        ({"avatar": "alice", "garment": "top", "model": "nosuch"}, "no garment model 'nosuch'"),
+        ({"avatar": "alice", "garment": "top", "model": str(tmp_path / "x.safetensors")}, "outside the parameter"),
+        ({"avatar": "alice", "garment": "top", "model": str(other_body)}, "cannot read garment model"),
+    ):
+        answer = site.call(SetGarment, "set_garment", **request)
+        assert not answer.success and reason in answer.message
+    rest = garment_model.rig.rest.astype(np.float32)
+    np.testing.assert_array_equal(site.cloud(TOP, garment_model.rig.joint_names, rest), drapers[TOP].drape(rest))
+    site.until(lambda: "cannot read garment model" in site.statuses[TOP]["last error"], "diagnostics")
+
+
+def test_parameters_are_validated(site, other_body, tmp_path):
+    """Each change is refused with a reason; a body that cannot be read is worn no more than by the service."""
+    outside = tmp_path / "outside.obj"
+    outside.write_bytes(b"")
+    (other_body.parent / "empty.obj").write_bytes(b"")
+    for name, value, reason in (
+        ("avatars.alice.body_mesh", str(outside), "outside the parameter asset_roots"),
+        ("avatars.alice.garments.top.model", "", "must not be empty"),
+        ("avatars.alice.frame_id", "torso", "read-only"),
+        ("deadline", "soon", "parameter deadline is 'soon'; allowed: a number from 0 to 60"),
+    ):
+        (result,) = site.call(SetParameters, "set_parameters", parameters=[text_parameter(name, value)]).results
+        assert not result.successful and reason in result.reason.replace("read only", "read-only"), (
+            name,
+            result.reason,
+        )
+    name = "avatars.alice.body_mesh"
+    parameters = [text_parameter(name, str(other_body.parent / "empty.obj"))]
+    (result,) = site.call(SetParameters, "set_parameters", parameters=parameters).results
+    assert result.successful
+    value = lambda: site.call(GetParameters, "get_parameters", names=[name]).values[0].string_value  # noqa: E731
+    site.until(lambda: value() == "", "parameter to go back")
+    names = ["avatars.alice.joint_map", "deadline", "most_bodies", "avatars.bob.orientation"]
+    described = site.call(DescribeParameters, "describe_parameters", names=names).descriptors
+    assert all(each.description for each in described)
+    assert [each.read_only for each in described] == [True, False, True, True]
+    assert described[1].floating_point_range[0].to_value == 60 and described[2].integer_range[0].from_value == 1
+    assert "pose" in described[3].additional_constraints
+
+
+def test_hostile_messages(site, drapers, garment_model):
+    """Whatever comes, the node counts it and answers the next good joint state."""
+    rig = garment_model.rig
+    publisher = site.publisher("/alice/joint_states")
+    good = serialize_message(site.state(rig.joint_names, rig.rest))
+    random = np.random.default_rng(6)
+    huge = [f"joint{index}" for index in range(1_000_000)]
+    names = list(rig.joint_names)
+    states = [
+        site.state(names, [np.nan] * len(names)),
+        site.state(names, [1e308] * len(names)),
+        site.state(names, [-np.inf] * len(names)),
+        site.state(["a", "a"] + names, [0.0] * len(names)),
+        site.state(names + names, [0.0] * 2 * len(names)),
+        site.state([], []),
+        site.state(names, []),
+        site.state(names, [0.0]),
+        site.state(["\u202e", "x" * 100_000], [0.0, 0.0]),
+        site.state(huge, array("d", [0.0]) * len(huge)),
+    ]
+    rejected = int(site.statuses.get(TOP, {}).get("joint states rejected", 0))
+    for message in states:
+        publisher.publish(message)
+        site.spin(0.02)
+    raw = [good[: int(random.integers(4, len(good)))] for _ in range(20)]
+    raw += [b"\0\1\0\0" + random.bytes(int(random.integers(0, 3000))) for _ in range(20)]
+    raw += [b"\0\1\0\0" + b"\xff" * 64, b"\0\7\0\0" + good[4:]]
+    for data in raw:
+        publisher.publish(data)
+        site.spin(0.005)
+    context = rclpy.Context()
+    rclpy.init(context=context, args=[], domain_id=int(os.environ["ROS_DOMAIN_ID"]))
+    stranger = rclpy.create_node("stranger", context=context)
+    wrong = [stranger.create_publisher(String, topic, 5) for topic in ("/alice/gravity", "/alice/joint_states")]
+    site.spin(0.3)
+    for each in wrong:  # another type than the node's: not matched
+        each.publish(String(data="down"))
+    stranger.destroy_node()
+    rclpy.shutdown(context=context)
+    tilt = Vector3Stamped()
+    tilt.vector.z = float("nan")
+    directions = site.publisher("/alice/gravity", Vector3Stamped)
+    directions.publish(tilt)
+    directions.publish(b"\0\1\0\0" + b"\xff" * 20)
+    site.spin(0.2)
+    rest = rig.rest.astype(np.float32)
+    np.testing.assert_array_equal(site.cloud(TOP, names, rest), drapers[TOP].drape(rest))
+    site.until(
+        lambda: int(site.statuses[TOP]["joint states rejected"]) >= rejected + len(states), "rejections to be counted"
+    )
+    site.until(lambda: int(site.statuses[TOP]["gravity messages rejected"]) >= 1, "bad gravity to be counted")
+
+
+def test_message_storm(site, drapers, garment_model):
+    """Five thousand joint states a second for a second: afterwards the node answers at once."""
+    rig = garment_model.rig
+    publisher = site.publisher("/alice/joint_states")
+    data = serialize_message(site.state(rig.joint_names, rig.rest))
+    start = time.monotonic()
+    for index in range(5000):
+        publisher.publish(data)
+        if index % 50 == 0:
+            time.sleep(max(0.0, start + index / 5000 - time.monotonic()))
+    rest = rig.rest.astype(np.float32)
+    rest[2] = 0.1
+    sent = time.monotonic()
+    np.testing.assert_array_equal(site.cloud(TOP, rig.joint_names, rest), drapers[TOP].drape(rest))
+    assert time.monotonic() - sent < 5.0
+
+
+def test_statistics(site, garment_model):
+    """Numbers for each garment, once a second."""
+    site.statistics.clear()
+    rig = garment_model.rig
+    for _ in range(20):
+        site.cloud(BOB, rig.joint_names, rig.rest)
+    site.until(lambda: len(site.statistics) >= 2, "statistics")
+    entries = {(entry.avatar, entry.garment): entry for entry in site.statistics[-1].garments}
+    assert {("alice", "top"), ("alice", "legs"), ("bob", "top")} <= entries.keys()
+    assert entries["bob", "top"].published >= 20 and entries["bob", "top"].model_name == "vest"
+    rates = [entry.published_rate for message in site.statistics for entry in message.garments if entry.avatar == "bob"]
+    assert max(rates) > 1
+
+
+def test_lifecycle(site, drapers, garment_model):
+    """Deactivated it answers nothing, cleaned up it has no topics, and a transition that is none does no harm."""
+    rig = garment_model.rig
+    state = lambda: site.call(GetState, "get_state").current_state.label  # noqa: E731
+
+    def change(label: str) -> bool:
+        request = ChangeState.Request()
+        request.transition.label = label
+        return site.call(ChangeState, "change_state", transition=request.transition).success
+
+    assert state() == "active"
+    assert change("deactivate") and state() == "inactive"
+    message = site.state(rig.joint_names, rig.rest)
+    site.publisher("/alice/joint_states").publish(message)
+    site.spin(0.5)
+    assert (TOP, (message.header.stamp.sec, 0)) not in site.clouds
+    assert not change("dance")
+    request = ChangeState.Request()
+    request.transition.id = 97
+    site.node.create_client(ChangeState, "/drape_node/change_state").call_async(request)
+    site.spin(0.3)
+    assert change("cleanup") and state() == "unconfigured"
+    site.until(lambda: not site.node.count_publishers("/drape_node/alice/top/garment"), "end of the topics")
+    assert change("configure") and change("activate") and state() == "active"
+    site.until(site.publisher("/alice/joint_states").get_subscription_count, "subscription again")
+    site.spin(0.3)
+    rest = rig.rest.astype(np.float32)
+    np.testing.assert_array_equal(site.cloud(TOP, rig.joint_names, rest), drapers[TOP].drape(rest))
+
+
+def text_parameter(name: str, value: str) -> Parameter:
+    return Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value))
+
+
+def _with_bad_accessor(glb: bytes) -> bytes:
+    """The GLB, its faces pointing at vertices that do not exist."""
+    document, rest = glb_parts(glb)
+    primitive = document["meshes"][0]["primitives"][0]
+    document["accessors"][primitive["attributes"]["POSITION"]]["count"] = 7
+    return glb_joined(document, rest)

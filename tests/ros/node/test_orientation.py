@@ -1,0 +1,88 @@
+"""Gravity in the root frame, against rotation matrices."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace as Message
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from physkin_ros.node.orientation import (
+    OrientationError,
+    TransformTree,
+    gravity_from_imu,
+    gravity_from_quaternion,
+    gravity_from_tilt,
+)
+
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def vector(values):
+    return Message(x=values[0], y=values[1], z=values[2])
+
+
+def turned(values):
+    return Message(x=values[0], y=values[1], z=values[2], w=values[3])
+
+
+def transform(parent: str, child: str, rotation: Rotation):
+    return Message(
+        header=Message(frame_id=parent), child_frame_id=child, transform=Message(rotation=turned(rotation.as_quat()))
+    )
+
+
+def test_any_orientation():
+    """The world's down, seen from the root; a quaternion a little off unit length is taken as it is meant."""
+    for rotation in Rotation.random(50, rng=np.random.default_rng(1)):
+        expected = rotation.inv().apply(DOWN)
+        np.testing.assert_allclose(gravity_from_quaternion(rotation.as_quat()), expected, atol=1e-12)
+        np.testing.assert_allclose(gravity_from_quaternion(1.01 * rotation.as_quat()), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("wrong", [(0, 0, 0, 0), (0, 0, 0, 2), (np.nan, 0, 0, 1), (0, np.inf, 0, 1), (1e200, 0, 0, 0)])
+def test_what_is_no_rotation_is_refused(wrong):
+    """Among them the message nobody filled in."""
+    with pytest.raises(OrientationError, match="must be a unit quaternion"):
+        gravity_from_quaternion(wrong)
+
+
+def test_roll_and_pitch():
+    """As REP-103's fixed-axis angles."""
+    for roll, pitch in np.random.default_rng(2).uniform(-3, 3, (20, 2)):
+        expected = Rotation.from_euler("xy", [roll, pitch]).inv().apply(DOWN)
+        np.testing.assert_allclose(gravity_from_tilt(roll, pitch), expected, atol=1e-12)
+    with pytest.raises(OrientationError, match="roll is nan"):
+        gravity_from_tilt(float("nan"), 0.0)
+
+
+def test_imu():
+    """Its orientation; without one, what it feels at rest."""
+    rotation = Rotation.from_euler("xyz", [0.3, -0.4, 2.0])
+    expected = rotation.inv().apply(DOWN)
+    message = Message(
+        orientation=turned(rotation.as_quat()), orientation_covariance=[0.0] * 9, linear_acceleration=vector([0.0] * 3)
+    )
+    np.testing.assert_allclose(gravity_from_imu(message), expected, atol=1e-12)
+    message.orientation_covariance = [-1.0] + [0.0] * 8
+    with pytest.raises(OrientationError, match="no orientation"):
+        gravity_from_imu(message)
+    message.linear_acceleration = vector(-9.81 * expected)
+    np.testing.assert_allclose(gravity_from_imu(message), expected, atol=1e-12)
+
+
+def test_chain_of_transforms():
+    """The latest of each; frames may bear a slash."""
+    tree, world, hips = TransformTree(), Rotation.from_euler("x", 0.7), Rotation.from_euler("yz", [0.4, 1.0])
+    tree.update([transform("map", "person", Rotation.identity())])
+    tree.update(
+        [transform("/map", "/person", world), transform("person", "root", hips), transform("root", "arm", hips)]
+    )
+    np.testing.assert_allclose(tree.gravity("root", "map"), (world * hips).inv().apply(DOWN), atol=1e-12)
+    np.testing.assert_allclose(tree.gravity("map", "map"), DOWN)
+    with pytest.raises(OrientationError, match="no transform from 'odom' to 'root': nothing is known above 'map'"):
+        tree.gravity("root", "odom")
+    tree.update([transform("root", "map", hips)])
+    with pytest.raises(OrientationError, match="go round in a circle"):
+        tree.gravity("root", "odom")

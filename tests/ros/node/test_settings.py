@@ -1,0 +1,129 @@
+"""Parameters and configuration files: what is asked for is found, what is wrong is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from physkin_ros.node import settings
+from physkin_ros.node.settings import SettingsError, load_config, read_settings
+
+CONFIG = Path(settings.__file__).parents[1] / "config"
+
+
+def write(tmp_path, text: str) -> Path:
+    path = tmp_path / "avatars.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_defaults_are_one_garment_on_one_avatar():
+    """As the quick start has it."""
+    (avatar,) = read_settings({}).avatars
+    (garment,) = avatar.garments
+    assert (avatar.id, avatar.prefix, avatar.frame_id, avatar.gravity) == ("", "", "base_link", (0.0, 0.0, -1.0))
+    assert (garment.name, garment.model, garment.push_out) == ("", "tshirt", False)
+
+
+@pytest.mark.parametrize("name", ["avatars.yaml", "one_avatar.yaml"])
+def test_shipped_configs_are_right(name):
+    """Those that users start from."""
+    pytest.importorskip("yaml")
+    assert load_config(CONFIG / name).avatars
+
+
+def test_many_avatars(tmp_path):
+    """Ids and names become frames and prefixes; whole numbers will do for real ones."""
+    pytest.importorskip("yaml")
+    path = write(
+        tmp_path,
+        """
+/**:
+  ros__parameters:
+    use_sim_time: true
+    deadline: 1
+    avatars:
+      ann: {cloud_rate: 60, gravity: [0, 1, 0], garments: {top: {model: tshirt}, legs: {model: trousers}}}
+      bob: {frame_id: torso, garments: {top: {push_out: true}}}
+""",
+    )
+    found = load_config(path)
+    ann, bob = found.avatars
+    assert (ann.id, ann.prefix, ann.frame_id, ann.cloud_rate) == ("ann", "avatars.ann.", "ann", 60.0)
+    assert [(each.name, each.prefix, each.model) for each in ann.garments] == [
+        ("top", "avatars.ann.garments.top.", "tshirt"),
+        ("legs", "avatars.ann.garments.legs.", "trousers"),
+    ]
+    assert bob.frame_id == "torso" and bob.garments[0].push_out and found.deadline == 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("[", "cannot read config"),
+        ("- 1", "must be a ROS 2 parameter file"),
+        ("camera: {ros__parameters: {}}", "names 'camera'; expected drape_node"),
+        ("drape_node: {model: tshirt}", "expected drape_node: {ros__parameters"),
+        ("drape_node: {ros__parameters: {modl: tshirt}}", "unknown key 'modl'; allowed: avatars, asset_roots"),
+        ("drape_node: {ros__parameters: {model: }}", "model has no value"),
+        ("drape_node: {ros__parameters: {executor: many}}", "executor is 'many'; allowed: events, single"),
+        ("drape_node: {ros__parameters: {deadline: 100}}", "deadline is 100; allowed: a number from 0 to 60"),
+        ("drape_node: {ros__parameters: {autostart: 1}}", "autostart is 1; allowed: true or false"),
+        ("drape_node: {ros__parameters: {most_bodies: 2.5}}", "most_bodies is 2.5; allowed: a whole number from 1"),
+        ("drape_node: {ros__parameters: {asset_roots: /tmp}}", "asset_roots is '/tmp'; allowed: a list of texts"),
+        ("drape_node: {ros__parameters: {asset_roots: []}}", "asset_roots is []; the items of a list"),
+        ("drape_node: {ros__parameters: {gravity: [0.0, 0, -1]}}", "items of a list must be of one type"),
+        ("drape_node: {ros__parameters: {gravity: [0.0, 0.0, 0.0]}}", "three finite numbers"),
+        ("drape_node: {ros__parameters: {discover: ros4hri}}", "parameter discover is for avatars"),
+        ("{avatars: {ann: {}}}", "avatars.ann is empty"),
+        ("{avatars: {ann: tall}}", "avatars.ann is 'tall'; expected avatars.ID.KEY"),
+        (
+            "{avatars: {ann: {frame_id: a}}}",
+            "avatars.ann has no garments; give it one: avatars.ann.garments.NAME.model",
+        ),
+        (
+            "{avatars: {ann: {garmets: {top: {model: a}}}}}",
+            "unknown key 'garmets.top.model'; allowed in avatars.ann: joint_st",
+        ),
+        (
+            "{avatars: {ann: {garments: {top: {modl: a}}}}}",
+            "unknown key 'modl'; allowed in avatars.ann.garments.top: model",
+        ),
+        ("{avatars: {ann: {garments: {top: tshirt}}}}", "expected avatars.ann.garments.NAME.KEY"),
+        ("{avatars: {7: {garments: {top: {model: a}}}}}", "is a int; write it in quotes"),
+        ("{avatars: {'7': {garments: {top: {model: a}}}}}", "avatar id '7'; allowed: letters"),
+        ("{avatars: {ann: {garments: {a-b: {model: a}}}}}", "garment name 'a-b'; allowed: letters"),
+        ("{avatars: {ann: {garments: {top: {model: 3}}}}}", "garments.top.model is 3; allowed: a text"),
+        ("{avatars: {ann: {garments: {top: {model: ''}}}}}", "garments.top.model must not be empty"),
+        (
+            "{avatars: {ann: {orientation: sun, garments: {top: {model: a}}}}}",
+            "orientation is 'sun'; allowed: gravity, pose",
+        ),
+        (
+            "{avatars: {ann: {joint_states: 'a b', garments: {top: {model: a}}}}}",
+            "joint_states is 'a b'; allowed: a ROS name",
+        ),
+        ("{avatars: {ann: {orientation_joints: [a], garments: {top: {model: a}}}}}", "allowed: two names"),
+        (
+            "{avatars: {ann: {garments: {a: {namespace: /x}, b: {namespace: /x}}}}}",
+            "namespace '/x' is given to two garments",
+        ),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path, text, reason):
+    """File, key, value and what is allowed."""
+    pytest.importorskip("yaml")
+    if text.startswith("{avatars"):
+        text = f"drape_node: {{ros__parameters: {text}}}"
+    path = write(tmp_path, text)
+    with pytest.raises(SettingsError) as error:
+        load_config(path)
+    assert reason in str(error.value) and str(path) in str(error.value)
+
+
+def test_missing_file(tmp_path):
+    """As any file that cannot be read."""
+    pytest.importorskip("yaml")
+    with pytest.raises(SettingsError, match="cannot read config"):
+        load_config(tmp_path / "none.yaml")

@@ -1,0 +1,73 @@
+"""`physkin replay --live`: a bag's messages reach their topics, in order, in time."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from physkin_core import cli, load_motion
+
+pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
+pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[replay]'")
+
+from geometry_msgs.msg import Vector3Stamped  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+
+from physkin_ros.replay.bags import BagWriter, write_motion  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    """Two seconds of a motion, on topics of its own."""
+    path = tmp_path_factory.mktemp("bags") / "walk.mcap"
+    motion = load_motion("walk").resampled(30.0).looped(2.0)
+    with BagWriter(path) as writer:
+        write_motion(writer, motion, topic="/arm/joints", gravity_topic="/down", frame_id="torso")
+    return path, motion
+
+
+def test_every_message_arrives(peer, start, bag):
+    """Joint states and gravity as recorded, stamps too, in a quarter of the time."""
+    path, motion = bag
+    states, directions, times = [], [], []
+    node = peer.node
+    node.create_subscription(
+        JointState, "/arm/joints", lambda m: (states.append(m), times.append(time.monotonic())), 100
+    )
+    node.create_subscription(Vector3Stamped, "/down", directions.append, 100)
+    player = start("physkin_core.cli", "replay", str(path), "--live", "--rate", "4", "--gravity-topic", "/down")
+    peer.spin_until(lambda: len(states) == len(directions) == motion.frame_count, "all messages")
+    assert player.wait(20) == 0
+    assert player.stdout.read().startswith(f"sent {2 * motion.frame_count} messages, late by p50 ")
+    np.testing.assert_array_equal([state.position for state in states], motion.positions.astype(np.float64))
+    assert states[0].name == list(motion.joint_names)
+    stamps = [state.header.stamp.sec + state.header.stamp.nanosec / 1e9 for state in states]
+    np.testing.assert_allclose(stamps, 1 + np.arange(motion.frame_count) / 30, atol=1e-6)
+    np.testing.assert_allclose([d.vector.z for d in directions], motion.gravity[:, 2])
+    assert times[-1] - times[0] == pytest.approx((motion.frame_count - 1) / 30 / 4, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--live", "--json", "out.json", "--fit", "1"], "--fit, --json belongs to draping"),
+        (["--rate", "2"], "--rate is for --live"),
+        (["--live", "--rate", "0"], "must be positive and finite, got 0"),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(bag, arguments, reason, capsys):
+    """Those of draping while playing, and the other way round."""
+    with pytest.raises(SystemExit):
+        cli.main(["replay", str(bag[0]), *arguments])
+    assert reason in capsys.readouterr().err
+
+
+def test_nobody_listens(bag, domain, monkeypatch, capsys):
+    """Told in one line."""
+    from physkin_ros.middleware import subscriber_discovery
+
+    monkeypatch.setattr(subscriber_discovery, "DISCOVERY_SECONDS", 0.2)
+    assert cli.main(["replay", str(bag[0]), "--live"]) == 2
+    assert "nobody has subscribed to /arm/joints" in capsys.readouterr().err

@@ -1,0 +1,183 @@
+"""The ablations' rows, their order over devices, and the report."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the [training] extra")
+wp = pytest.importorskip("warp", reason="needs the [training] extra")
+pytest.importorskip("potpourri3d", reason="needs the [training] extra")
+
+from training.small_runs import small_config  # noqa: E402
+
+from physkin_core import load_body_model, load_garment_model  # noqa: E402
+from physkin_studies import ablation_report, ablations, supervised  # noqa: E402
+from physkin_studies.ablation_report import write_report  # noqa: E402
+from physkin_studies.ablation_rows import (  # noqa: E402
+    BASE,
+    ROWS,
+    RowOptions,
+    finished_figures,
+    frame_weights,
+    model_path,
+    run_row,
+)
+from physkin_studies.ablations import main, run_rows  # noqa: E402
+from physkin_training.config import TrainingConfig  # noqa: E402
+from physkin_training.networks.networks import NetworkConfig  # noqa: E402
+from physkin_training.train.trainer import Trainer  # noqa: E402
+from physkin_training.train.validation import Validation  # noqa: E402
+
+CPU = torch.device("cpu")
+OPTIONS = RowOptions(minutes=0.08, bodies=1, poses=2, drapes=2, drape_batch=2)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Two rows of a small garment, trained for 30 steps whatever the time."""
+    wp.config.quiet = True
+
+    def choose_steps(trainer, seconds):
+        assert seconds == pytest.approx(60 * OPTIONS.minutes)
+        trainer.config = replace(trainer.config, optimisation=replace(trainer.config.optimisation, steps=30))
+        return 7.0
+
+    folder = tmp_path_factory.mktemp("ablations")
+    config = small_config(folder, full_encoding=1.0, validate_every=100000)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Trainer, "choose_steps", choose_steps)
+        patch.setattr(supervised, "STAGES", 1)
+        patch.setattr(Validation, "energy", lambda *_, **__: 3.0)  # seconds a time on a CPU
+        for name in ("nodes32-fixed", "supervised"):
+            run_row(name, config, folder, CPU, OPTIONS)
+    return folder
+
+
+def test_rows_change_what_they_are_named_after(tmp_path):
+    base = TrainingConfig(name="shirt", garment=tmp_path / "shirt.obj")
+    for name, row in ROWS.items():
+        config = row.change(base)
+        if name.startswith("nodes"):
+            assert config.garment_nodes.count == int("".join(filter(str.isdigit, name)))
+            assert (config.optimisation.skinning_rate == 0) == name.endswith("fixed")
+    assert ROWS[BASE].change(base) == base == ROWS["supervised"].change(base)
+    wider = replace(base.networks, activation="relu", pose_hidden=768, deformer_hidden=512)
+    assert ROWS["relu"].change(base).networks == wider
+    assert ROWS["fantastical"].change(base).body_distribution == "fantastical"
+    assert ROWS["fantastical"].change(base).train_bodies == 256
+
+
+def test_concatenation_reads_as_many_network_weights():
+    """By a count of its own for one small network, and within eight neurons' worth for the shipped one."""
+    rig = load_body_model().rig
+    sizes = NetworkConfig(pose_hidden=8, pose_layers=2, deformer_hidden=4, deformer_layers=2)
+    bones = rig.bone_count
+    shared = 8 * rig.pose_size + 8 * 8 + 4 * 12 * bones + 4 * 4 + 12 * 50 * 4
+    assert frame_weights(sizes, rig, 50) == shared + 8 * (2 * 2 * 4)
+    assert frame_weights(replace(sizes, conditioning="concatenation"), rig, 50) == shared + 8 * 4
+    base = TrainingConfig(name="shirt", garment="shirt.obj")
+    budget = frame_weights(base.networks, rig, 128)
+    concatenated = ROWS["concatenation"].change(base).networks
+    assert concatenated.conditioning == "concatenation" and concatenated.deformer_hidden > base.networks.deformer_hidden
+    assert 0.97 * budget < frame_weights(concatenated, rig, 128) <= budget
+
+
+def test_a_row_leaves_figures_and_a_model_and_nothing_large(finished):
+    """What was trained is told; simulated drapes are gone."""
+    figures = finished_figures(finished, "nodes32-fixed")
+    assert figures["steps"] == 30 == figures["config"]["optimisation"]["steps"]
+    assert figures["steps_a_second"] == 7.0 and figures["budget_minutes"] == OPTIONS.minutes
+    assert figures["curve"][-1]["step"] == figures["steps"] and figures["curve"][0]["step"] == 0
+    assert figures["figures"]["model"]["pairs"] == 2 and "fantastical" not in figures
+    model = load_garment_model(model_path(finished, "nodes32-fixed"))
+    assert len(model.node_rest) == 32 and model.training["optimisation"]["skinning_rate"] == 0
+    assert finished_figures(finished, "supervised")["simulated"]["drapes"] == 2
+    for name in ("nodes32-fixed", "supervised"):
+        left = {path.name for path in (finished / name).iterdir()}
+        assert left == {"figures.json", f"{name}.safetensors"}
+
+
+def test_finished_rows_are_skipped(finished, monkeypatch):
+    """Others are run, and one that fails does not stop the rest."""
+    tried = []
+    monkeypatch.setattr(ablations, "_run", lambda name, *_: tried.append(name) or name != "relu")
+    names = ["nodes32-fixed", "relu", "nodes64", "supervised"]
+    failed = run_rows(names, finished / "none.toml", finished, OPTIONS, devices=["0", "1"])
+    assert sorted(tried) == ["nodes64", "relu"] and failed == ["relu"]
+
+
+def test_a_row_of_another_budget_is_not_mixed_in(finished):
+    with pytest.raises(ValueError, match="nodes32-fixed in .* was trained for 0.08 minutes, not 4"):
+        run_rows(["nodes32-fixed"], finished / "none.toml", finished, RowOptions(minutes=4.0), devices=["cpu"])
+
+
+def test_a_row_sees_one_device_alone(tmp_path, monkeypatch):
+    """Every process has its GPU as the only one; what went wrong is told."""
+    seen = []
+
+    def run(command, *, env, stdout, **_):
+        seen.append((env.get("CUDA_VISIBLE_DEVICES"), command[command.index("--device") + 1]))
+        stdout.write("error: no luck\n")
+        return subprocess.CompletedProcess(command, 1)
+
+    monkeypatch.setattr(ablations.subprocess, "run", run)
+    assert run_rows(["relu"], tmp_path / "a.toml", tmp_path, OPTIONS, devices=["3"]) == ["relu"]
+    assert seen == [("3", "cuda")]
+
+
+def test_the_report_holds_what_is_finished(finished, monkeypatch):
+    """Tables of the rows there are, plots, and frame times of this machine; the base being absent is no error."""
+    monkeypatch.setattr(ablation_report, "ROUNDS", 2)
+    path = write_report(finished, bodies=1, poses=1)
+    text = path.read_text()
+    figures = finished_figures(finished, "nodes32-fixed")["figures"]["model"]
+    row = next(line for line in text.splitlines() if line.startswith("| 32 | fixed |"))
+    assert f"| {figures['edge_strain_percent']:.2f} | {figures['area_strain_percent']:.2f} |" in row
+    assert row.endswith("7.010 / 8.091 / 0.316 |") and "2 full-space drapes" in text
+    times = json.loads((path.parent / "times.json").read_text())
+    assert times["nodes32-fixed"]["frame"] > times["nodes32-fixed"]["skinning"] > 0
+    assert all((path.parent / name).is_file() for name in ("ablations_curves.svg", "ablations_figures.svg"))
+
+
+def test_other_meshes_are_measured_once(finished, monkeypatch):
+    """The figures are of the model and counts they were made with."""
+    model, made = load_garment_model(model_path(finished, "nodes32-fixed")), []
+    monkeypatch.setattr(ablation_report, "measure_other_meshes", lambda *_, **kind: made.append(kind) or [])
+    for poses in (1, 1, 2):
+        ablation_report._other_meshes(finished, model, 1, poses)
+    assert [kind["poses"] for kind in made] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["--minutes", "0"], "minutes must be above 0"),
+        (["--devices", "gpu"], "devices must be GPU indices"),
+        (["--garment", "cape"], "no training configuration"),
+        (["--bodies", "0"], "bodies must be at least 1"),
+        (["--rows-per-device", "0"], "at least 1"),
+        (["--report-only"], "no finished row"),
+    ],
+)
+def test_impossible_requests_are_told(tmp_path, capsys, arguments, message):
+    assert main(["--output", str(tmp_path), *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_rows_need_neither_plots_nor_ray_queries():
+    """The machine with the GPU has no rich, TensorBoard, gpytoolbox, rtree or mitsuba."""
+    blocked = ("rich", "tensorboard", "gpytoolbox", "rtree", "mitsuba", "PIL", "rclpy")
+    code = f"import sys\nfor name in {blocked!r}: sys.modules[name] = None\nimport physkin_studies.ablations"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_rows_wear_the_template_whatever_the_configuration(tmp_path):
+    """Shipped garments are trained on both fits; supervision and the paper's figures know the template alone."""
+    base = small_config(tmp_path, fit="both")
+    for row in ROWS.values():
+        assert row.change(ROWS[BASE].change(base)).optimisation.fit == "template", row.label

@@ -1,0 +1,101 @@
+"""Supervised training: drapes are minima of the energy, are kept between runs, and are what is learnt."""
+
+from __future__ import annotations
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the [training] extra")
+wp = pytest.importorskip("warp", reason="needs the [training] extra")
+pytest.importorskip("potpourri3d", reason="needs the [training] extra")
+
+from training.small_runs import small_config  # noqa: E402
+
+from physkin_core import load_body_model  # noqa: E402
+from physkin_studies import supervised  # noqa: E402
+from physkin_studies.supervised import SupervisedTrainer, simulate_drapes  # noqa: E402
+from physkin_training.train.trainer import Trainer  # noqa: E402
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    wp.config.quiet = True
+    folder = tmp_path_factory.mktemp("run")
+    config = small_config(folder, samples=4, full_encoding=1.0, learning_rate=5e-3)
+    drapes = simulate_drapes(Trainer(config, CPU), 5, folder / "drapes", batch=3, iterations=20)
+    return config, folder, drapes
+
+
+def test_as_many_drapes_a_body_as_a_step_takes(simulated):
+    """Five drapes in groups of two make six; they are neither plain skinning nor apart."""
+    config, _, drapes = simulated
+    assert drapes.positions.shape[:2] == drapes.converged.shape == (3, 2)
+    assert len(set(drapes.body.tolist())) == 3
+    trainer = Trainer(config, CPU)
+    body = drapes.body.repeat_interleave(2)
+    bones = trainer.posed_bodies.pose(drapes.positions.flatten(0, 1)[:4], body[:4])
+    skinned = trainer.drape.skin(trainer.drape.posed_nodes(bones, trainer.node_positions[body[:4]]))
+    gravity, minimised = drapes.gravity.flatten(0, 1)[:4], drapes.vertices.flatten(0, 1)[:4]
+    energies = [
+        trainer.losses(vertices, gravity, trainer.posed_bodies.mesh, trainer.posed_bodies.offset)[1].total
+        for vertices in (minimised.contiguous(), skinned)
+    ]
+    assert (energies[0] < 0.5 * energies[1]).all()
+
+
+def test_stored_drapes_are_not_simulated_again(simulated, monkeypatch):
+    config, folder, drapes = simulated
+    monkeypatch.setattr(supervised, "_StagedSimulation", None)
+    again = simulate_drapes(Trainer(config, CPU), 5, folder / "drapes", batch=3, iterations=20)
+    assert torch.equal(again.vertices, drapes.vertices) and torch.equal(again.positions, drapes.positions)
+
+
+def test_the_distance_falls(simulated):
+    """The loss is the distance from the drapes, and training lowers it; the energy chooses no model."""
+    config, _, drapes = simulated
+    trainer = SupervisedTrainer(config, CPU, drapes)
+    losses = []
+    compute = trainer._loss
+    trainer._loss = lambda *arguments: losses.append(compute(*arguments)) or losses[-1]
+    for _ in trainer.run(12):
+        pass
+    values = [loss.item() for loss in losses]
+    assert sum(values[-4:]) < 0.8 * sum(values[:4])
+    assert trainer.best is None and trainer.best_drape() is trainer.averaged
+
+
+def test_a_drape_learnt_by_heart_has_no_loss(simulated):
+    """Targets belong to the bodies and poses that were drawn, in order."""
+    config, _, drapes = simulated
+    trainer = SupervisedTrainer(config, CPU, drapes)
+    chosen, positions, gravity, *_ = trainer._draw()
+    for index, body in enumerate(chosen.repeat_interleave(2)):
+        group = int((drapes.body == body).nonzero())
+        place = int((drapes.positions[group] == positions[index]).all(dim=1).nonzero())
+        assert torch.equal(trainer._targets[index], drapes.vertices[group, place])
+        assert torch.equal(gravity[index], drapes.gravity[group, place])
+
+
+@pytest.mark.parametrize("count, batch", [(0, 2), (2, 0)])
+def test_impossible_counts_are_refused(simulated, tmp_path, count, batch):
+    with pytest.raises(ValueError, match=f"at least 1, got {count} and {batch}"):
+        simulate_drapes(Trainer(simulated[0], CPU), count, tmp_path, batch=batch)
+
+
+def test_drapes_of_another_count_a_body_are_refused(simulated, tmp_path):
+    config, _, drapes = simulated
+    with pytest.raises(ValueError, match="drapes must be 1 a body, got 2"):
+        SupervisedTrainer(small_config(tmp_path), CPU, drapes)
+
+
+@pytest.mark.parametrize("other_limbs, one_way", [("one_way", True), ("both_ways", False)])
+def test_training_validation_and_simulation_have_the_configured_contact(tmp_path, other_limbs, one_way):
+    """An arm beside a belly band presses it one way or both, in all three; drapes of the other way are not taken."""
+    config = small_config(tmp_path, other_limbs=other_limbs)
+    trainer = Trainer(config, CPU)
+    simulation = supervised._StagedSimulation(trainer, load_body_model(), 2)
+    for losses in (trainer.losses, trainer._validation._losses, simulation._solver.losses):
+        assert losses._other_limb.numpy().any() == one_way
+    simulate_drapes(trainer, 1, tmp_path / "drapes", batch=2, iterations=1)
+    assert [other_limbs in path.name for path in (tmp_path / "drapes").iterdir()] == [True]

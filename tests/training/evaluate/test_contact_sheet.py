@@ -1,0 +1,150 @@
+"""The contact sheet: which bodies and poses, the model's own drapes beside lower energies, cells in their places."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the [training] extra")
+wp = pytest.importorskip("warp", reason="needs the [training] extra")
+
+
+from training.small_runs import waist_band_model  # noqa: E402
+
+from physkin_core import Draper, avatar_from_body, cli, load_body_model, load_motion, quality  # noqa: E402
+from physkin_core import save_garment_model as save  # noqa: E402
+from physkin_training.evaluate import contact_sheet  # noqa: E402
+from physkin_training.evaluate.contact_sheet import chosen_bodies, chosen_poses, drape_all  # noqa: E402
+from physkin_training.evaluate.evaluate import Evaluation  # noqa: E402
+
+BODY = load_body_model()
+
+
+@pytest.fixture(scope="module")
+def model():
+    wp.config.quiet = True
+    return waist_band_model()
+
+
+def test_bodies_are_the_leanest_the_middle_and_the_heaviest():
+    """By girth at the height of the root, which was not what they were chosen by."""
+    bodies = chosen_bodies(BODY)
+    assert list(bodies) == ["thin", "average", "heavy"]
+
+    def depth(index):
+        vertices = BODY.vertices(BODY.held_out_bodies[index])
+        waist = vertices[(np.abs(vertices[:, 2] - 0.1) < 0.03) & (np.abs(vertices[:, 1]) < 0.1)]
+        return np.ptp(waist[:, 0])
+
+    depths = np.array([depth(index) for index in range(len(BODY.held_out_bodies))])
+    ranks = [(depths < depths[index]).mean() for index in bodies.values()]
+    assert ranks[0] < 0.15 and 0.25 < ranks[1] < 0.75 and ranks[2] > 0.85
+
+
+def test_poses_are_half_uniform_half_motion_and_seeded():
+    pairs, names = chosen_poses(BODY.rig, count=5, seed=3)
+    again, same = chosen_poses(BODY.rig, count=5, seed=3)
+    assert names == same and torch.equal(pairs.positions, again.positions)
+    assert names[:3] == ["uniform 1", "uniform 2", "uniform 3"] and len(set(names)) == len(pairs) == 5
+    for index in (3, 4):
+        clip, frame = names[index].split()
+        motion = load_motion(clip)
+        np.testing.assert_array_equal(pairs.positions[index].numpy(), motion.positions_for(BODY.rig)[int(frame)])
+        np.testing.assert_array_equal(pairs.gravity[index].numpy(), motion.gravity[int(frame)])
+    assert chosen_poses(BODY.rig, count=5, seed=4)[1] != names
+    with pytest.raises(ValueError, match="poses must be at least 1, got 0"):
+        chosen_poses(BODY.rig, count=0, seed=0)
+
+
+def test_drapes_are_the_run_times_and_the_minimum_is_lower(model):
+    """Pose by pose, body by body; the surfaces under them are the avatars'. A batch holds four of the six."""
+    bodies = [5, 2, 9]
+    evaluation = Evaluation(model, torch.device("cpu"), bodies=bodies, poses=2, seed=0, batch=4)
+    poses, _ = chosen_poses(model.rig, count=2, seed=0)
+    drapes = drape_all(evaluation, poses, minimum=True)
+    assert list(drapes.garments) == ["model", "minimum"]
+    for pair in (1, 3):
+        avatar = avatar_from_body(BODY, BODY.held_out_bodies[bodies[pair % 3]])
+        draper = Draper(model, avatar, backend="numpy")
+        q, gravity = poses.positions[pair // 3].numpy(), poses.gravity[pair // 3].numpy()
+        np.testing.assert_allclose(drapes.garments["model"][pair], draper.drape(q, gravity)[:, :3], atol=1e-4)
+        under = avatar.posed_vertices(draper.bone_transforms(q))
+        np.testing.assert_allclose(drapes.bodies[pair], under, atol=1e-4)
+    figures = drapes.figures
+    assert figures["minimum"]["energy_j"] < figures["model"]["energy_j"]
+    for row, vertices in drapes.garments.items():
+        strain = quality.edge_strain(model.garment, vertices).mean()
+        assert figures[row]["edge_strain_percent"] == pytest.approx(strain, rel=1e-3) and figures[row]["pairs"] == 6
+    assert list(drape_all(evaluation, poses, minimum=False).garments) == ["model"]
+
+
+def test_made_to_measure_is_drawn_with_its_own_strain(model):
+    """The run time's drape with that fit, within what finding the body's shape costs, against its own rest shape."""
+    hyper = {**model.hyper_modulator, "fit": np.zeros(8, dtype=np.float32)}
+    fitted = replace(model, hyper_modulator=hyper)
+    evaluation = Evaluation(fitted, torch.device("cpu"), bodies=[5, 2], poses=1, seed=0, fit=1.0)
+    poses, _ = chosen_poses(model.rig, count=1, seed=0)
+    drapes = drape_all(evaluation, poses, minimum=False)
+    q, gravity = poses.positions[0].numpy(), poses.gravity[0].numpy()
+    for pair, body in enumerate([5, 2]):
+        draper = Draper(fitted, avatar_from_body(BODY, BODY.held_out_bodies[body]), fit=1.0, backend="numpy")
+        apart = np.linalg.norm(drapes.garments["model"][pair] - draper.drape(q, gravity)[:, :3], axis=1)
+        assert apart.mean() < 3e-3
+        expected = quality.edge_strain(draper.rest_garment, draper.drape(q, gravity)[:, :3].astype(float))
+        assert drapes.strains["model"][pair] == pytest.approx(float(expected), rel=0.03)
+    assert drapes.figures["model"]["edge_strain_percent"] == pytest.approx(drapes.strains["model"].mean(), rel=1e-3)
+    template = quality.edge_strain(model.garment, drapes.garments["model"]).mean()
+    assert abs(template - drapes.strains["model"].mean()) > 1
+    with pytest.raises(ValueError, match="has not learnt to be made to measure"):
+        Evaluation(model, torch.device("cpu"), bodies=[5], poses=1, seed=0, fit=1.0)
+
+
+@pytest.mark.parametrize("gravity", [[0, 0, -1], [0, 0, 1], [1, 0, 0], [0.48, -0.6, 0.64]])
+def test_pictures_stand_the_way_gravity_points(gravity):
+    turn = contact_sheet._to_world(np.array(gravity, dtype=float))
+    np.testing.assert_allclose(turn @ gravity, [0, 0, -1], atol=1e-12)
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(turn) == pytest.approx(1)
+    assert np.trace(turn) == pytest.approx(1 - 2 * gravity[2]), "the smallest rotation"
+
+
+def test_the_command_draws_every_cell(model, tmp_path, monkeypatch, capsys):
+    """Two poses on three bodies: one row of six pairs of pictures; figures are printed."""
+    drawn = []
+
+    def render(meshes, *, size, bounds, samples):
+        drawn.append(meshes)
+        return np.full((size[1], size[0], 3), len(drawn), dtype=np.uint8)
+
+    image = pytest.importorskip("PIL.Image", reason="needs pillow: pip install 'physkin[view]'")
+    monkeypatch.setattr(contact_sheet, "render", render)
+    save(model, tmp_path / "band.safetensors")
+    arguments = ["contact-sheet", str(tmp_path / "band.safetensors"), "-o", str(tmp_path / "sheet.png")]
+    options = ["--poses", "2", "--width", "40", "--minimum", "--device", "cpu"]
+    assert cli.main([*arguments, *options]) == 0
+    sheet = np.asarray(image.open(tmp_path / "sheet.png"))
+    assert sheet.shape[1] == 4 + 12 * 44
+    assert [sheet[20, 24 + 44 * k, 0] for k in range(12)] == list(range(1, 13))
+    assert all(len(body.vertices) == len(BODY.mean_vertices) for body, _ in drawn)
+    assert drawn[0][1].colour == drawn[2][1].colour != drawn[1][1].colour
+    printed = capsys.readouterr().out
+    assert "model (6 pairs): " in printed and "minimum (6 pairs): " in printed and "sheet.png" in printed
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["-o", "{tmp}/none/sheet.png"], "none/sheet.png: no such directory"),
+        (["-o", "{tmp}/sheet.jpg"], "sheet.jpg: the name must end in .png"),
+        (["-o", "{tmp}/sheet.png", "--width", "0"], "at least 1, got 0"),
+        (["-o", "{tmp}/sheet.png", "--poses", "0"], "poses must be at least 1, got 0"),
+    ],
+)
+def test_errors_are_one_line(model, options, reason, tmp_path, capsys):
+    save(model, tmp_path / "band.safetensors")
+    filled = [word.format(tmp=tmp_path) for word in options]
+    assert contact_sheet.main([str(tmp_path / "band.safetensors"), *filled, "--device", "cpu"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[-1].startswith("error: ") and reason in lines[-1]

@@ -1,0 +1,80 @@
+"""Energy minima: what garment nodes can reach, and start > subspace minimum > full-space minimum on a clothed body."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the [training] extra")
+wp = pytest.importorskip("warp", reason="needs the [training] extra")
+
+from random_models import random_model, random_rotation, tube  # noqa: E402
+
+from physkin_core import Garment, load_body_model  # noqa: E402
+from physkin_core.model.garment_nodes import closest_bones  # noqa: E402
+from physkin_training.evaluate.evaluate import Evaluation  # noqa: E402
+from physkin_training.evaluate.minimum import subspace_minimum  # noqa: E402
+from physkin_training.networks.draping import compose_nodes, delta_transforms  # noqa: E402
+from physkin_training.networks.export import drape_from_model  # noqa: E402
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def quiet():
+    wp.config.quiet = True
+    wp.init()
+
+
+@pytest.mark.parametrize("node_outputs", [9, 12])
+def test_subspace_finds_a_drape_that_the_nodes_can_reach(node_outputs):
+    """The energy is the squared distance to a drape made with known node numbers; sheared ones only 12 can reach."""
+    rng = np.random.default_rng(0)
+    model = random_model(rng, nodes=4, node_outputs=node_outputs)
+    drape = drape_from_model(model)
+    posed = torch.as_tensor(
+        np.array([[np.c_[random_rotation(rng), rng.normal(size=3)] for _ in range(4)] for _ in range(2)]),
+        dtype=torch.float32,
+    )
+
+    def shape(raw):
+        return drape.skin(compose_nodes(posed, delta_transforms(raw)))
+
+    with torch.no_grad():
+        target = shape(torch.as_tensor(0.1 * rng.normal(size=(2, 4, node_outputs)), dtype=torch.float32))
+        sheared = shape(torch.as_tensor(0.1 * rng.normal(size=(2, 4, 12)), dtype=torch.float32))
+    start = torch.zeros(2, 4, node_outputs)
+
+    def distance(result, target):
+        return (result - target).square().sum(dim=-1).mean().sqrt().item()
+
+    steps = 600 if node_outputs == 9 else 1500  # sheared nodes pull at each other and settle more slowly
+    for goal, reachable in ((target, True), (sheared, node_outputs == 12)):
+        result = subspace_minimum(lambda x, goal=goal: (x - goal).square().mean(), drape, posed, start, steps=steps)
+        before, after = distance(shape(start), goal), distance(result.vertices, goal)
+        assert before > 0.02 and after < before
+        assert (after < 1e-3) == reachable
+        assert not result.vertices.requires_grad and not result.gradient_norm.requires_grad
+        assert not start.any(), "the start is left alone"
+
+
+def test_minima_on_a_clothed_body_are_in_order():
+    """The model's energy is above the subspace minimum's, and that above the full-space minimum's; gravity included."""
+    body = load_body_model()
+    band = tube(rings=9, segments=20, radius=1.0, height=0.3)
+    garment = Garment(band.vertices * [0.19, 0.23, 1.0] + [0, 0, 0.12], band.faces)
+    model = random_model(
+        np.random.default_rng(1), rig=body.rig, garment=garment, nodes=12, influences=6, correction=0.005
+    )
+    model = replace(model, node_bone=closest_bones(model.node_rest, body.rig.heads, body.rig.tails))
+    evaluation = Evaluation(model, CPU, bodies=1, poses=2, seed=0)
+    rows = evaluation.minima(count=2, steps=300)
+    assert list(rows) == ["model", "subspace_minimum", "minimum"]
+    total = {name: row["energy_j"] + row["gravity_j"] for name, row in rows.items()}
+    assert total["minimum"] < total["subspace_minimum"] < total["model"]
+    assert rows["minimum"]["edge_strain_percent"] < 0.5 * rows["model"]["edge_strain_percent"]
+    assert all(0 < rows[name]["gradient_norm"] < np.inf for name in ("subspace_minimum", "minimum"))
+    again = evaluation.minima(count=2, steps=300)
+    assert again == rows

@@ -1,0 +1,140 @@
+"""`physkin simulate`: a band on the garment maker's body, its report, its files, and its errors."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the [training] extra")
+pytest.importorskip("warp", reason="needs the [training] extra")
+trimesh = pytest.importorskip("trimesh")
+
+from training.small_runs import write_belly_band  # noqa: E402
+
+from physkin_core import load_body_model, load_garment, load_motion  # noqa: E402
+from physkin_core.avatar.avatar import avatar_from_body  # noqa: E402
+from physkin_core.cli import main  # noqa: E402
+from physkin_core.model.garment_model import Material  # noqa: E402
+from physkin_training.evaluate import simulate  # noqa: E402
+from physkin_training.evaluate.plain_model import plain_model  # noqa: E402
+from physkin_training.evaluate.posed_avatar import PosedAvatar  # noqa: E402
+from physkin_training.evaluate.simulate import DrapeSimulation, Poses, load_pose  # noqa: E402
+from physkin_training.sampling.posed_bodies import BodySet, PosedBodies  # noqa: E402
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def band(tmp_path_factory):
+    path = tmp_path_factory.mktemp("band") / "band.obj"
+    write_belly_band(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def body():
+    return load_body_model()
+
+
+def test_an_npz_of_two_frames(band, tmp_path, capsys):
+    out = tmp_path / "band.npz"
+    code = main(
+        ["simulate", str(band), "--motion", "walk", "--frame", "0", "20", "--stages", "1", "-o", str(out)]
+        + ["--tolerance", "0.5", "--device", "cpu"]
+    )
+    arrays = np.load(out)
+    garment = load_garment(band)
+    assert code == (0 if arrays["converged"].all() else 1)
+    assert arrays["vertices"].shape == (2, *garment.vertices.shape)
+    np.testing.assert_array_equal(arrays["faces"], garment.faces)
+    assert not np.allclose(arrays["vertices"][0], arrays["vertices"][1])
+    text = capsys.readouterr().out
+    assert text.count("| yes |") + text.count("| NO |") == 2
+    assert "stretch J" in text and "force scale" in text
+
+
+def test_a_drape_that_cannot_converge_says_so(band, tmp_path, capsys):
+    out = tmp_path / "band.ply"
+    code = main(
+        ["simulate", str(band), "--stages", "0", "--iterations", "1", "--tolerance", "1e-6", "-o", str(out)]
+        + ["--device", "cpu"]
+    )
+    assert code == 1 and "did not converge" in capsys.readouterr().err
+    assert len(trimesh.load_mesh(out, process=False).vertices) == len(load_garment(band).vertices)
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["-o", "drape.stl"], "must end in .obj or .ply or .npz"),
+        (["--motion", "walk", "--frame", "0", "1", "-o", "drape.obj"], "must end in .npz"),
+        (["--motion", "walk", "--frame", "100000", "-o", "drape.obj"], "has frames 0 to"),
+        (["--stages", "-1", "-o", "drape.obj"], "stages must be 0 or more, got -1"),
+        (["--tolerance", "0", "-o", "drape.obj"], "must be above 0"),
+        (["--density", "0", "-o", "drape.obj"], "material density is 0.0"),
+    ],
+)
+def test_errors(band, arguments, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", str(band), "--device", "cpu", *arguments]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_pose_file(body, tmp_path):
+    path = tmp_path / "pose.json"
+    joint = body.rig.joint_names[3]
+    path.write_text(json.dumps({"positions": {joint: 0.25}, "gravity": [0, 0, -2]}))
+    poses = load_pose(path, body.rig)
+    expected = body.rig.rest.copy()
+    expected[3] = 0.25
+    np.testing.assert_allclose(poses.positions, expected[None])
+    np.testing.assert_allclose(poses.gravity, [[0, 0, -1]])
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("no json", "must be JSON"),
+        ("{}", "must be JSON with an object 'positions'"),
+        ('{"positions": {"no joint": 1}}', "no joint 'no joint'"),
+        ('{"positions": {}, "speed": 1}', "unknown entries speed"),
+        ('{"positions": {}, "gravity": [0, 0, 0]}', "gravity"),
+    ],
+)
+def test_a_bad_pose_file_is_rejected(body, tmp_path, text, message):
+    path = tmp_path / "pose.json"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        load_pose(path, body.rig)
+
+
+def test_posed_avatars_are_where_posed_bodies_are(body):
+    """The same body in the same poses; each copy at its own place on the grid."""
+    poses = load_motion("walk").positions_for(body.rig)[[0, 30]].astype(np.float64)
+    avatar = avatar_from_body(body, body.held_out_bodies[0])
+    ours = PosedAvatar(avatar, body.rig, 2, CPU)
+    ours.pose(poses)
+    other = PosedBodies(body, BodySet(body, body.held_out_bodies[:1], CPU), 2)
+    other.pose(torch.as_tensor(poses, dtype=torch.float32), torch.zeros(2, dtype=torch.int64))
+    assert torch.equal(ours.offset, other.offset)
+    np.testing.assert_allclose(ours.mesh.points.numpy(), other.mesh.points.numpy(), atol=2e-5)
+    np.testing.assert_array_equal(ours.mesh.indices.numpy(), other.mesh.indices.numpy())
+
+
+def test_stages_carry_the_garment_along(body, band, monkeypatch):
+    """Without minimising, a garment that started as skinning puts it ends as skinning puts it."""
+    garment = load_garment(band)
+    avatar = avatar_from_body(body, body.garment_body)
+    simulation = DrapeSimulation(garment, avatar, plain_model(band, nodes=12), Material(), 1, CPU)
+    poses = Poses(body.rig.joint_positions({"spine05_x": 0.4, "spine03_x": 0.3})[None], np.array([[0.0, 0, -1]]))
+    options = {"iterations": 1, "tolerance": 1e9}  # converged where it starts
+    monkeypatch.setattr(simulate, "ON_THE_WAY", options)
+    direct = simulation.run(poses, **options).vertices[0].numpy()
+    rest = simulation.run(Poses(body.rig.rest[None], poses.gravity), **options).vertices[0].numpy()
+    staged = simulation.run(poses, stages=3, **options).vertices[0].numpy()
+    moved = np.linalg.norm(direct - rest, axis=1).mean()
+    assert moved > 0.01
+    assert np.linalg.norm(staged - direct, axis=1).max() < 1e-4

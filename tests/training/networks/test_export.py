@@ -1,0 +1,257 @@
+"""Export: the garment model says what the trained drape says, pruned to the influences asked for, and back again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the [training] extra")
+wp = pytest.importorskip("warp", reason="needs the [training] extra")
+pytest.importorskip("potpourri3d", reason="needs the [training] extra")
+
+from random_models import random_model  # noqa: E402
+from training.small_runs import small_config  # noqa: E402
+
+from physkin_core import Draper, avatar_from_body, load_body_model, load_garment_model, save_garment_model  # noqa: E402
+from physkin_core.runtime.binding import encode_body  # noqa: E402
+from physkin_training.evaluate.plain_model import plain_model  # noqa: E402
+from physkin_training.networks.export import agreement, drape_from_model, encode_bodies, model_from_drape  # noqa: E402
+from physkin_training.train.trainer import Trainer  # noqa: E402
+
+BODY = load_body_model()
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A small run a few steps in, not yet pruned, with networks large enough to matter."""
+    wp.config.quiet = True
+    trainer = Trainer(
+        small_config(tmp_path_factory.mktemp("run"), prune_at=1.0, full_encoding=1.0), torch.device("cpu")
+    )
+    for _ in trainer.run(3):
+        pass
+    with torch.no_grad():
+        for network in (trainer.drape.networks.pose_modulator, trainer.drape.networks.node_deformer):
+            network.layers[-1].weight += 0.05 * torch.randn_like(network.layers[-1].weight)
+        trainer.drape.skinning_logits += torch.randn_like(trainer.drape.skinning_logits)
+    return trainer
+
+
+def exported(trainer, influences):
+    return model_from_drape(
+        trainer.drape,
+        trainer.garment,
+        trainer.rig,
+        name="band",
+        influences=influences,
+        material=trainer.config.material,
+        training={"seed": 5},
+    )
+
+
+def poses(count=4):
+    rng = np.random.default_rng(3)
+    gravity = rng.normal(size=(count, 3))
+    q = rng.uniform(BODY.rig.lower, BODY.rig.upper, size=(count, len(BODY.rig.dofs)))
+    return q.astype(np.float32), (gravity / np.linalg.norm(gravity, axis=1, keepdims=True)).astype(np.float32)
+
+
+def torch_drape(drape, avatar, q, gravity):
+    """The drape in torch on one body: (B, n, 3)."""
+    heads, tails = (torch.as_tensor(a)[None] for a in (avatar.bone_heads, avatar.bone_tails))
+    bodies = type("Bodies", (), {"heads": heads, "tails": tails})
+    transforms = np.stack([BODY.rig.bone_transforms(pose, heads=avatar.bone_heads) for pose in q])
+    with torch.no_grad():
+        positions = drape.node_positions(bodies).expand(len(q), -1, -1)
+        nodes = drape.posed_nodes(torch.as_tensor(transforms, dtype=torch.float32), positions)
+        body = encode_bodies(drape, avatar.vertices[None], avatar.faces).expand(len(q), -1)
+        return drape(body, torch.as_tensor(q), torch.as_tensor(gravity), nodes).numpy()
+
+
+def test_the_exported_model_drapes_as_the_trained_one(trained, tmp_path):
+    """The run time on the model, its file read again, and torch: within 0.1 mm in memory, 1 mm through half precision;
+    the correctives that this compares are centimetres."""
+    avatar = avatar_from_body(BODY, BODY.held_out_bodies[1])
+    q, gravity = poses()
+    expected = torch_drape(trained.drape, avatar, q, gravity)
+    model = exported(trained, 6)
+    save_garment_model(model, tmp_path / "band.safetensors")
+    for form, tolerance in ((model, 1e-4), (load_garment_model(tmp_path / "band.safetensors"), 1e-3)):
+        draper = Draper(form, avatar, backend="numpy")
+        for index in range(len(q)):
+            drape = draper.drape(q[index], gravity[index])[:, :3]
+            assert np.linalg.norm(drape - expected[index], axis=1).max() < tolerance
+    (weight, bias) = model.node_deformer[-1]
+    plain = replace(model, node_deformer=(*model.node_deformer[:-1], (0 * weight, 0 * bias)))
+    skinned = Draper(plain, avatar, backend="numpy").drape(q[0], gravity[0])[:, :3]
+    assert np.linalg.norm(skinned - expected[0], axis=1).max() > 0.02
+
+
+def test_agreement_of_small_and_random_models(trained, tmp_path):
+    """Below 0.1 mm, also for a model of another activation and affine garment nodes."""
+
+    def twins(model):
+        return agreement(model, drape_from_model(model), poses=3).largest
+
+    assert twins(exported(trained, 3)) < 1e-4
+    model = random_model(np.random.default_rng(0), rig=BODY.rig, activation="relu", node_outputs=12)
+    assert twins(model) < 1e-4
+    save_garment_model(model, tmp_path / "random.safetensors")
+    assert twins(load_garment_model(tmp_path / "random.safetensors")) < 1e-4
+
+
+def test_a_model_made_to_measure_agrees_both_ways(tmp_path):
+    """Its file read again, at the run time and in torch; a fit that only torch has learnt otherwise is seen."""
+    wp.config.quiet = True
+    trainer = Trainer(small_config(tmp_path, fit="both", full_encoding=1.0), torch.device("cpu"))
+    with torch.no_grad():
+        trainer.drape.networks.hyper_modulator.fit.normal_()
+        for network in (trainer.drape.networks.pose_modulator, trainer.drape.networks.node_deformer):
+            network.layers[-1].weight += 0.05 * torch.randn_like(network.layers[-1].weight)
+        trainer.drape.networks.hyper_modulator.output.weight += torch.randn(1)
+    model = exported(trainer, 6)
+    save_garment_model(model, tmp_path / "band.safetensors")
+    model = load_garment_model(tmp_path / "band.safetensors")
+    twin = drape_from_model(model)
+    assert model.made_to_measure and agreement(model, twin, poses=4).largest < 1e-4
+    with torch.no_grad():
+        twin.networks.hyper_modulator.fit += 1
+    assert agreement(model, twin, poses=1).largest < 1e-4, "one pose is at the template"
+    assert agreement(model, twin, poses=4).largest > 1e-4
+
+
+def test_agreement_sees_a_difference(trained):
+    """One garment node's translation wrong by a centimetre in torch."""
+    model = exported(trained, 3)
+    spoilt = drape_from_model(model)
+    with torch.no_grad():
+        spoilt.networks.node_deformer.layers[-1].bias[6] += 0.01
+    difference = agreement(model, spoilt, poses=2)
+    shares = np.where(model.influence_nodes == 0, model.influence_weights, 0).sum(axis=1)
+    assert difference.largest == pytest.approx(0.01 * shares.max(), rel=0.05)
+    assert difference.mean == pytest.approx(0.01 * shares.mean(), rel=0.05)
+
+
+def test_agreement_tells_what_pruning_costs(trained):
+    """Nothing with all influences, millimetres and more with a few of them; the twin check sees none of it."""
+    costs = [agreement(exported(trained, influences), trained.drape, poses=2) for influences in (6, 3, 1)]
+    assert costs[0].largest < 1e-4
+    assert 1e-3 < costs[1].largest < costs[2].largest and costs[1].mean < costs[2].mean
+    model = exported(trained, 1)
+    assert agreement(model, drape_from_model(model), poses=2).largest < 1e-4
+
+
+@pytest.mark.parametrize("influences", [1, 3, 6])
+def test_pruning_keeps_the_strongest_and_renormalises(trained, influences):
+    model = exported(trained, influences)
+    weights = trained.drape.skinning_weights.detach().numpy()
+    nodes = trained.drape.influence_nodes.numpy()
+    assert model.influence_nodes.shape == model.influence_weights.shape == (286, influences)
+    np.testing.assert_allclose(model.influence_weights.sum(axis=1), 1, atol=1e-6)
+    for vertex in range(286):
+        kept = sorted(range(6), key=lambda k: -weights[vertex, k])[:influences]
+        assert model.influence_nodes[vertex].tolist() == nodes[vertex, kept].tolist()
+        expected = weights[vertex, kept] / weights[vertex, kept].sum()
+        np.testing.assert_allclose(model.influence_weights[vertex], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("activation, node_outputs", [("silu", 9), ("relu", 12)])
+def test_there_and_back_again(activation, node_outputs):
+    """A garment model through torch is the same garment model, array by array."""
+    model = random_model(
+        np.random.default_rng(1), activation=activation, node_outputs=node_outputs, pose_widths=(16,) * 3
+    )
+    back = model_from_drape(
+        drape_from_model(model), model.garment, model.rig, name=model.name, influences=4, material=model.material
+    )
+    assert back.activation == activation
+    dense, dense_back = (np.zeros((len(m.garment.vertices), 10)) for m in (model, back))
+    for m, target in ((model, dense), (back, dense_back)):
+        np.put_along_axis(target, m.influence_nodes.astype(int), m.influence_weights, axis=1)
+    np.testing.assert_allclose(dense_back, dense, atol=1e-6)
+    expected = model.arrays()
+    for name, array in back.arrays().items():
+        if not name.startswith("skinning"):
+            np.testing.assert_array_equal(array, expected[name], err_msg=name)
+
+
+def test_influences_that_were_pruned_stay_out_of_a_drape_trained_on():
+    model = random_model(np.random.default_rng(2))
+    weights = model.influence_weights.copy()
+    weights[:, 2:] = 0
+    model = replace(model, influence_weights=weights / weights.sum(axis=1, keepdims=True))
+    drape = drape_from_model(model)
+    with torch.no_grad():
+        drape.skinning_logits += 30
+    assert (drape.skinning_weights[:, 2:] == 0).all()
+
+
+def test_bodies_are_encoded_as_at_run_time(trained):
+    model = exported(trained, 3)
+    avatars = [avatar_from_body(BODY, coefficients) for coefficients in BODY.held_out_bodies[:2]]
+    encoded = encode_bodies(trained.drape, np.stack([avatar.vertices for avatar in avatars]), BODY.faces).numpy()
+    for index, avatar in enumerate(avatars):
+        np.testing.assert_allclose(encoded[index], encode_body(model, avatar), atol=2e-4)
+    assert np.abs(encoded[0] - encoded[1]).max() > 5e-4
+
+
+def test_the_untrained_model_is_plain_skinning(trained, tmp_path):
+    """Its nodes ride on their bones, whatever pose and gravity."""
+    path = trained.config.garment
+    model = plain_model(path, nodes=12, influences=4)
+    assert model.name == "band" and model.influence_nodes.shape == (286, 4)
+    avatar = avatar_from_body(BODY, BODY.held_out_bodies[0])
+    draper = Draper(model, avatar, backend="numpy")
+    q, gravity = poses(1)
+    first = draper.drape(q[0], gravity[0])
+    np.testing.assert_array_equal(draper.drape(q[0], -gravity[0]), first)
+    bones = draper.bone_transforms(q[0])[model.node_bone]
+    np.testing.assert_allclose(draper.node_transforms()[..., :3], bones[..., :3], atol=1e-6)
+
+
+def test_concatenated_codes_are_modulation_of_the_first_layer(tmp_path):
+    """The model file has no other form than modulation; filled up with zeros it holds concatenation exactly."""
+    config = small_config(tmp_path)
+    trainer = Trainer(
+        replace(config, networks=replace(config.networks, conditioning="concatenation")), torch.device("cpu")
+    )
+    networks = trainer.drape.networks
+    assert networks.pose_modulator.layers[-1].out_features == config.networks.deformer_hidden
+    assert networks.hyper_modulator.output.out_features == config.networks.pose_hidden
+    with torch.no_grad():
+        networks.node_deformer.layers[-1].weight += 0.05 * torch.randn_like(networks.node_deformer.layers[-1].weight)
+    model = exported(trainer, influences=6)
+    difference = agreement(model, trainer.drape)
+    assert difference.largest < 1e-4
+    before = agreement(model, drape_from_model(model)).largest
+    assert before < 1e-4
+    with torch.no_grad():  # the body's code matters
+        networks.hyper_modulator.output.weight += 1.0
+    assert agreement(model, trainer.drape).largest > 1e-3
+
+
+def test_concatenation_is_a_plain_network_of_the_joined_input():
+    """Pose modulator: a multilayer perceptron over (pose vector, body code) with one weight matrix over both."""
+    from physkin_training.networks.networks import NetworkConfig, Networks
+
+    torch.manual_seed(3)
+    config = NetworkConfig(
+        pose_hidden=8, pose_layers=2, deformer_hidden=6, deformer_layers=2, token_width=4, conditioning="concatenation"
+    )
+    networks = Networks(config, pose_size=5, node_count=3)
+    code, pose, nodes = torch.randn(2, 4), torch.randn(2, 5), torch.randn(2, 3, 3, 4)
+    output = networks.hyper_modulator.output
+
+    def layers(network, x, of_code, code):
+        first, *hidden, last = network.layers
+        joined = torch.cat([first.weight, of_code.weight], dim=1)
+        x = torch.nn.functional.silu(torch.cat([x, code], dim=1) @ joined.T + first.bias + of_code.bias)
+        for layer in hidden:
+            x = torch.nn.functional.silu(layer(x))
+        return x, last
+
+    features, to_deformer = layers(networks.pose_modulator, pose, output, code)
+    hidden, last = layers(networks.node_deformer, nodes.flatten(1), to_deformer, features)
+    torch.testing.assert_close(networks(output(code), pose, nodes), last(hidden).unflatten(1, (3, 12)))

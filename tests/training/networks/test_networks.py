@@ -1,0 +1,210 @@
+"""Torch twins of the networks: the values of the run time, and the standard transformer layer the paper names."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from random_models import random_hyper_modulator, random_model, unit_rows
+
+torch = pytest.importorskip("torch", reason="needs the [training] extra")
+
+from physkin_core.model.hyper_modulator import at_fit, body_modulation  # noqa: E402
+from physkin_core.model.mlp import modulation_size  # noqa: E402
+from physkin_core.model.node_deformer import node_corrections  # noqa: E402
+from physkin_core.model.pose_modulator import pose_modulation  # noqa: E402
+from physkin_training.networks.export import drape_from_model  # noqa: E402
+from physkin_training.networks.networks import HyperModulator, NetworkConfig, Networks  # noqa: E402
+
+
+def as_double(*arrays):
+    return [torch.as_tensor(np.asarray(array), dtype=torch.float64) for array in arrays]
+
+
+@pytest.mark.parametrize("activation", ["silu", "relu"])
+@pytest.mark.parametrize("node_outputs", [9, 12])
+@pytest.mark.parametrize(
+    "sizes",
+    [dict(), dict(bones=36, dofs=52, nodes=64, pose_widths=(96,) * 4, deformer_widths=(48,) * 4)],
+    ids=["tiny", "deep"],
+)
+def test_pose_modulator_and_node_deformer_agree(activation, node_outputs, sizes):
+    """The network weights of one garment model in both: the same modulation and the same node numbers, in float64."""
+    rng = np.random.default_rng([node_outputs, len(activation)])
+    model = random_model(rng, activation=activation, node_outputs=node_outputs, **sizes)
+    networks = drape_from_model(model).networks.double()
+    m = len(model.node_rest)
+    theta = rng.uniform(-1, 1, size=(5, model.rig.pose_size))
+    body = rng.normal(size=(5, modulation_size(model.pose_modulator)))
+    posed = rng.normal(size=(5, m, 3, 4))
+    with torch.no_grad():
+        modulation = networks.pose_modulator(*as_double(theta, body)).numpy()
+        raw = networks(*as_double(body, theta, posed)).numpy()
+    expected = pose_modulation(model.pose_modulator, theta, body, activation)
+    np.testing.assert_allclose(modulation, expected, atol=1e-10)
+    expected = node_corrections(model.node_deformer, posed, expected, activation)
+    assert raw.shape == (5, m, node_outputs)
+    np.testing.assert_allclose(raw.reshape(5, -1), expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("width, blocks, count", [(8, 2, 50), (32, 1, 600), (4, 0, 3)])
+def test_hyper_modulator_agrees(width, blocks, count):
+    """Points, attention, pooling and residual blocks; bodies of a batch do not see each other."""
+    rng = np.random.default_rng(width)
+    model = random_model(rng, width=width)
+    arrays = random_hyper_modulator(rng, modulation_size(model.pose_modulator), width=width, blocks=blocks)
+    config = NetworkConfig(token_width=width, feed_forward=16, residual_blocks=blocks)
+    twin = HyperModulator(config, modulation_size(model.pose_modulator))
+    twin.load_state_dict({name: torch.as_tensor(array) for name, array in arrays.items()})
+    points = rng.uniform(-1, 1, size=(3, count, 3)).astype(np.float32)
+    normals = np.stack([unit_rows(rng, count) for _ in range(3)]).astype(np.float32)
+    with torch.no_grad():
+        result = twin(torch.as_tensor(points), torch.as_tensor(normals)).numpy()
+        double = twin.double()(*as_double(points, normals)).numpy()
+    for body in range(3):
+        expected = body_modulation(arrays, points[body], normals[body])
+        np.testing.assert_allclose(result[body], expected, atol=3e-5)
+        np.testing.assert_allclose(double[body], expected, atol=3e-5)
+    assert np.abs(result[0] - result[1]).max() > 1e-3
+
+
+def test_the_fit_shifts_tokens_as_at_the_run_time():
+    """Each body at its own fit, against the NumPy network with the fit folded in; without a fit as at fit 0."""
+    rng = np.random.default_rng(2)
+    arrays = random_hyper_modulator(rng, 20) | {"fit": rng.normal(size=8).astype(np.float32)}
+    config = NetworkConfig(token_width=8, feed_forward=16, residual_blocks=2)
+    twin = HyperModulator(config, 20, made_to_measure=True)
+    twin.load_state_dict({name: torch.as_tensor(array) for name, array in arrays.items()})
+    points = rng.uniform(-1, 1, size=(1, 60, 3)).astype(np.float32).repeat(3, axis=0)
+    normals = unit_rows(rng, 60).astype(np.float32)[None].repeat(3, axis=0)
+    pair, fits = (torch.as_tensor(points), torch.as_tensor(normals)), [0.0, 0.4, 1.0]
+    with torch.no_grad():
+        result, plain = twin(*pair, torch.tensor(fits)).numpy(), twin(*pair).numpy()
+    for body, fit in enumerate(fits):
+        expected = body_modulation(at_fit(arrays, fit), points[body], normals[body])
+        np.testing.assert_allclose(result[body], expected, atol=3e-5)
+    np.testing.assert_array_equal(plain[0], result[0])
+    assert np.abs(result[2] - result[0]).max() > 0.01
+
+
+def test_the_encoder_is_one_standard_transformer_layer():
+    """`torch.nn.TransformerEncoderLayer` with 4 heads, post-norm and ReLU between embedding and pooling."""
+    torch.manual_seed(0)
+    config = NetworkConfig(token_width=16, feed_forward=24, residual_blocks=0)
+    network = HyperModulator(config, 5).double()
+    layer = torch.nn.TransformerEncoderLayer(16, 4, 24, dropout=0.0, batch_first=True, dtype=torch.float64)
+    twin = {
+        "self_attn.in_proj_weight": network.attention["input"].weight,
+        "self_attn.in_proj_bias": network.attention["input"].bias,
+        "self_attn.out_proj.weight": network.attention["output"].weight,
+        "self_attn.out_proj.bias": network.attention["output"].bias,
+        "linear1.weight": network.feed_forward[0].weight,
+        "linear1.bias": network.feed_forward[0].bias,
+        "linear2.weight": network.feed_forward[1].weight,
+        "linear2.bias": network.feed_forward[1].bias,
+        "norm1.weight": network.norm_1.weight,
+        "norm1.bias": network.norm_1.bias,
+        "norm2.weight": network.norm_2.weight,
+        "norm2.bias": network.norm_2.bias,
+    }
+    layer.load_state_dict({name: tensor.detach() for name, tensor in twin.items()})
+    points, normals = torch.randn(2, 2, 30, 3, dtype=torch.float64)
+    frequency = torch.pi * 2.0 ** torch.arange(6, dtype=torch.float64)
+    angles = (points[..., None] * frequency).reshape(2, 30, 18)
+    tokens = layer(network.embed(torch.cat([points, angles.sin(), angles.cos(), normals], dim=-1)))
+    pooled = (torch.softmax(network.pool(tokens), dim=1) * tokens).sum(dim=1)
+    torch.testing.assert_close(network(points, normals), network.output(pooled), rtol=1e-9, atol=1e-10)
+
+
+@pytest.mark.parametrize("activation", ["silu", "relu"])
+def test_gradients_of_all_networks(activation):
+    """Every parameter of all three gets the gradient that central differences measure, in float64."""
+    torch.manual_seed(1)
+    config = NetworkConfig(
+        pose_hidden=6, pose_layers=2, deformer_hidden=5, deformer_layers=2, activation=activation, token_width=4,
+        feed_forward=6, residual_blocks=1,
+    )  # fmt: skip
+    networks = Networks(config, pose_size=5, node_count=3).double()
+    for parameter in networks.parameters():  # last layers start near zero, where everything is flat
+        torch.nn.init.normal_(parameter, std=0.5)
+    points, normals = torch.randn(2, 2, 7, 3, dtype=torch.float64)
+    theta, posed = torch.randn(2, 5, dtype=torch.float64), torch.randn(2, 3, 3, 4, dtype=torch.float64)
+
+    def loss():
+        return networks(networks.hyper_modulator(points, normals), theta, posed).square().mean()
+
+    loss().backward()
+    step = 1e-5
+    for name, parameter in networks.named_parameters():
+        assert parameter.grad.abs().max() > 0 or name in ("pool.bias", "hyper_modulator.pool.bias"), name
+        direction = torch.randn_like(parameter)
+        with torch.no_grad():
+            values = []
+            for sign in (1, -1):
+                parameter += sign * step * direction
+                values.append(loss().item())
+                parameter -= sign * step * direction
+        measured = (values[0] - values[1]) / (2 * step)
+        assert (parameter.grad * direction).sum().item() == pytest.approx(measured, rel=1e-4, abs=1e-8), name
+
+
+def test_new_networks_correct_almost_nothing():
+    """Training starts from plain skinning: correctives of a millimetre or so."""
+    torch.manual_seed(2)
+    networks = Networks(NetworkConfig(pose_hidden=64, deformer_hidden=32, token_width=16), pose_size=20, node_count=9)
+    body = networks.hyper_modulator(torch.randn(4, 100, 3), torch.randn(4, 100, 3))
+    raw = networks(body, torch.rand(4, 20) * 2 - 1, torch.randn(4, 9, 3, 4))
+    assert raw.shape == (4, 9, 12) and 0 < raw.abs().max() < 0.03
+
+
+def test_sizes():
+    """The paper's; and the default ones: hardly more numbers a frame, the first deformer layer folded onto 20 bones."""
+    paper = NetworkConfig(pose_hidden=512, pose_layers=4, deformer_hidden=128, deformer_layers=4)
+
+    def shapes(config):
+        networks = Networks(config, pose_size=120, node_count=128)
+        parts = networks.pose_modulator, networks.node_deformer
+        return [[tuple(layer.weight.shape) for layer in part.layers] for part in parts], networks
+
+    (pose, deformer), networks = shapes(paper)
+    assert pose == [(512, 120), *[(512, 512)] * 3, (1024, 512)]
+    assert deformer == [(128, 1536), *[(128, 128)] * 3, (1536, 128)]
+    assert networks.hyper_modulator.output.out_features == 4096
+    numbers = []
+    for config in (paper, NetworkConfig()):
+        (pose, deformer), _ = shapes(config)
+        numbers.append(sum(a * b for a, b in [*pose, (deformer[0][0], 12 * 20), *deformer[1:]]))
+    assert numbers[0] == 1_648_640 and numbers[1] < 1.1 * numbers[0]
+
+
+def test_normalised_nodes_fold_into_the_first_layer():
+    """Inputs of mean 0 and spread 1, numbers that hardly vary left out; the folded layer gives the same."""
+    torch.manual_seed(3)
+    config = NetworkConfig(pose_hidden=8, deformer_hidden=6, token_width=4, feed_forward=4)
+    networks = Networks(config, pose_size=5, node_count=3).double()
+    posed = 2 + 0.5 * torch.randn(4000, 3, 3, 4, dtype=torch.float64)
+    posed[:, 1, 0, 0] = 1.0
+    networks.normalise_nodes(posed)
+    inputs = (posed.flatten(1) - networks.node_mean) * networks.node_scale
+    assert inputs.mean(dim=0).abs().max() < 1e-9
+    constant = 12
+    assert inputs[:, constant].abs().max() == 0
+    others = torch.arange(36) != constant
+    torch.testing.assert_close(inputs[:, others].std(dim=0), torch.ones(35, dtype=torch.float64))
+    weight, bias = networks.folded_first_layer()
+    expected = networks.node_deformer.layers[0](inputs)
+    torch.testing.assert_close(posed.flatten(1) @ weight.T + bias, expected)
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (dict(activation="tanh"), "activation 'tanh' is not one of silu, relu"),
+        (dict(node_outputs=10), "node_outputs must be 9 .* got 10"),
+        (dict(token_width=30), "networks.token_width must be a multiple of 4, got 30"),
+        (dict(deformer_layers=0), "networks.deformer_layers must be at least 1, got 0"),
+        (dict(residual_blocks=-1), "networks.residual_blocks must be at least 0, got -1"),
+    ],
+)
+def test_impossible_networks_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        NetworkConfig(**change)

@@ -1,0 +1,90 @@
+"""A new run from a garment model file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("warp")
+
+from training.small_runs import small_config  # noqa: E402
+
+from physkin_core.model.model_file import save_garment_model  # noqa: E402
+from physkin_training.networks.export import agreement, drape_from_model, model_from_drape  # noqa: E402
+from physkin_training.networks.warm_start import NEW_INFLUENCE, take_over_model  # noqa: E402
+from physkin_training.train.trainer import Trainer  # noqa: E402
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """The folder of a configuration and a model of it that was pruned to three influences, as a file holds it."""
+    folder = tmp_path_factory.mktemp("warm")
+    trainer = Trainer(small_config(folder), CPU)
+    with torch.no_grad():
+        for parameter in trainer.drape.parameters():
+            parameter += 0.05 * torch.randn_like(parameter)
+    config = trainer.config
+    model = model_from_drape(
+        trainer.drape, trainer.garment, trainer.rig, name="band", influences=3, material=config.material,
+        training={"seed": 5},
+    )  # fmt: skip
+    save_garment_model(model, folder / "band.safetensors")
+    return folder, model
+
+
+def more_influences(folder, **optimisation):
+    config = small_config(folder, **optimisation)
+    return replace(config, garment_nodes=replace(config.garment_nodes, initial_influences=5, influences=5))
+
+
+def test_the_run_drapes_as_the_model_but_for_its_new_influences(trained):
+    """Inputs shifted and scaled otherwise, five influences, not three: with the new ones at nothing, the same."""
+    folder, model = trained
+    trainer = Trainer(more_influences(folder), CPU)
+    trainer.start_from(folder / "band.safetensors")
+    assert trainer.started_from == {"model": "band", "seed": 5}
+    for ours, averaged in zip(trainer.drape.parameters(), trainer.averaged.parameters(), strict=True):
+        assert torch.equal(ours, averaged)
+    weights = trainer.drape.skinning_weights.detach()
+    new = (weights < 2 * NEW_INFLUENCE).sum(dim=1)
+    assert (new >= 2).all(), "two of five influences are new"
+    assert agreement(model, trainer.drape, poses=2).largest < 2e-3
+    with torch.no_grad():
+        logits = trainer.drape.skinning_logits
+        logits[logits <= np.log(NEW_INFLUENCE) + 1e-6] = -30.0
+    # What is left is the half precision of the file.
+    assert agreement(model, trainer.drape, poses=2).largest < 3e-4
+
+
+def test_made_to_measure_may_be_learnt_on_top(trained):
+    folder, _ = trained
+    trainer = Trainer(more_influences(folder, fit="both"), CPU)
+    trainer.start_from(folder / "band.safetensors")
+    assert not trainer.drape.networks.hyper_modulator.fit.any()
+    (step,) = trainer.run(1)
+    assert step == 1
+
+
+def test_other_models_are_refused(trained):
+    """Another garment, other sizes, and one that has learnt what the run has not."""
+    folder, model = trained
+    config = small_config(folder)
+    drape = Trainer(config, CPU).drape
+    moved = replace(model, garment=model.garment.reshaped(model.garment.vertices + 0.01))
+    with pytest.raises(ValueError, match="its vertices differ"):
+        take_over_model(moved, drape)
+    wider = replace(config, networks=replace(config.networks, pose_hidden=25))
+    with pytest.raises(ValueError, match=r"pose_modulator.layers.0.* is \(24, .*expected \(25, "):
+        take_over_model(model, Trainer(wider, CPU).drape)
+    both = Trainer(small_config(folder, fit="both"), CPU)
+    learnt = model_from_drape(
+        both.drape, both.garment, both.rig, name="band", influences=3, material=config.material
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="hyper_modulator.fit is .*expected none"):
+        take_over_model(learnt, drape)
+    assert drape_from_model(learnt).networks.hyper_modulator.fit.shape == (8,)

@@ -1,0 +1,311 @@
+"""Physics losses (Warp) against the float64 torch oracle and against finite differences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the [training] extra")
+wp = pytest.importorskip("warp", reason="needs the [training] extra")
+trimesh = pytest.importorskip("trimesh")
+
+from physkin_core.model.garment import Garment  # noqa: E402
+from physkin_core.model.garment_model import Material  # noqa: E402
+from physkin_training.physics.energy_kernels import BAND_SLACK, BAND_STIFFNESS, LED_BACK_BEYOND  # noqa: E402
+from physkin_training.physics.physics_losses import PhysicsLosses  # noqa: E402
+from physkin_training.physics.rest_data import RestData  # noqa: E402
+from physkin_training.physics.wearing import Wearing  # noqa: E402
+from training import physics_oracle as oracle  # noqa: E402
+
+MATERIAL = Material(contact_stiffness=5.0e4, bending=1e-3)
+SAMPLES = 2
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A cylinder of cloth around a slightly larger icosphere, two random deformations."""
+    wp.config.quiet = True
+    wp.init()
+    rng = np.random.default_rng(7)
+    tube = trimesh.creation.cylinder(radius=0.1, height=0.12, sections=9).subdivide()
+    side = np.abs(tube.face_normals[:, 2]) < 0.5
+    used, faces = np.unique(tube.faces[side], return_inverse=True)
+    garment = Garment(np.asarray(tube.vertices)[used], faces.reshape(-1, 3))
+    body = trimesh.creation.icosphere(subdivisions=2, radius=0.104)
+    x = garment.vertices + rng.normal(scale=4e-3, size=(SAMPLES, len(garment.vertices), 3))
+    offset = np.array([[0.0, 0, 0], [2.0, 0, 0]])
+    points = np.concatenate([body.vertices + o for o in offset]).astype(np.float32)
+    triangles = np.concatenate([body.faces, body.faces + len(body.vertices)]).astype(np.int32)
+    mesh = wp.Mesh(wp.array(points, dtype=wp.vec3, device="cpu"), wp.array(triangles.reshape(-1), device="cpu"))
+    gravity = rng.normal(size=(SAMPLES, 3))
+    gravity /= np.linalg.norm(gravity, axis=1, keepdims=True)
+    return garment, body, x, offset, mesh, gravity
+
+
+def evaluate(scene, x):
+    """Energies (term -> (B,)) and gradient (B, n, 3) from the Warp kernels."""
+    garment, _, _, offset, mesh, gravity = scene
+    losses = PhysicsLosses(garment, MATERIAL, SAMPLES, torch.device("cpu"))
+    tensors = [torch.as_tensor(a, dtype=torch.float32) for a in (x, gravity, offset)]
+    energies, gradient = losses.evaluate(tensors[0], tensors[1], mesh, tensors[2])
+    return {name: value.numpy() for name, value in energies.items()}, gradient.numpy()
+
+
+def oracle_terms(scene, x, sample):
+    """Energy terms of one sample as functions of a leaf tensor."""
+    garment, body, _, _, _, gravity = scene
+    return {
+        "stretch": oracle.stretch_energy(x, garment, MATERIAL),
+        "bend": oracle.bend_energy(x, garment, MATERIAL),
+        "collision": oracle.collision_energy(x, garment, MATERIAL, np.asarray(body.vertices), np.asarray(body.faces)),
+        "gravity": oracle.gravity_energy(x, garment, MATERIAL, torch.as_tensor(gravity[sample])),
+    }
+
+
+def test_energies_and_gradient_match_the_oracle(scene):
+    energies, gradient = evaluate(scene, scene[2])
+    for sample in range(SAMPLES):
+        x = torch.tensor(scene[2][sample], requires_grad=True)
+        terms = oracle_terms(scene, x, sample)
+        for name, value in terms.items():
+            assert energies[name][sample] == pytest.approx(value.item(), rel=2e-4), name
+        (expected,) = torch.autograd.grad(sum(terms.values()), x)
+        assert terms["collision"].item() > 0, "the scene must touch"
+        error = np.abs(gradient[sample] - expected.numpy()).max()
+        assert error < 1e-3 * np.abs(expected.numpy()).max()
+
+
+def test_gradient_matches_finite_differences(scene):
+    rng = np.random.default_rng(3)
+    x = scene[2]
+    _, gradient = evaluate(scene, x)
+    direction = rng.normal(size=x.shape)
+    step = 2e-5
+    for sample in range(SAMPLES):
+        difference = 0.0
+        for sign in (1, -1):
+            moved = torch.tensor(x[sample] + sign * step * direction[sample])
+            difference += sign * float(sum(oracle_terms(scene, moved, sample).values()))
+        assert (gradient[sample] * direction[sample]).sum() == pytest.approx(difference / (2 * step), rel=2e-3)
+
+
+def rest_shapes(garment) -> list[Garment]:
+    """The garment itself, and two graded ones of other sizes and curvature."""
+    z = garment.vertices[:, 2:]
+    return [
+        garment,
+        garment.reshaped(garment.vertices * [1.15, 0.95, 1.1]),
+        garment.reshaped(garment.vertices * (1 + 2 * np.abs(z)) * [0.9, 0.9, 1.2]),
+    ]
+
+
+def test_each_sample_has_its_own_rest_shape(scene):
+    """Energies and gradient against the oracle with that rest shape alone, and the gradient against finite differences
+    of the kernels' own energies; rows may change from call to call."""
+    garment, _, x, offset, mesh, gravity = scene
+    shapes = rest_shapes(garment)
+    rest = RestData(garment, MATERIAL, torch.device("cpu"), shapes=np.stack([shape.vertices for shape in shapes]))
+    body = scene[1]
+    band = worn_on(garment, body, worn=True, band=[0, 5, 9])
+    losses = PhysicsLosses(garment, MATERIAL, SAMPLES, torch.device("cpu"), rest=rest, wearing=band)
+    tensors = [torch.as_tensor(a, dtype=torch.float32) for a in (x, gravity, offset)]
+    for rows in ([2, 1], [0, 2]):
+        losses.rest_row.copy_(torch.tensor(rows))
+        energies, gradient = losses.evaluate(tensors[0], tensors[1], mesh, tensors[2])
+        for sample, row in enumerate(rows):
+            leaf = torch.tensor(x[sample], requires_grad=True)
+            terms = oracle_terms((shapes[row], *scene[1:]), leaf, sample)
+            for name, value in terms.items():
+                assert energies[name][sample].item() == pytest.approx(value.item(), rel=3e-4), (name, row)
+            (expected,) = torch.autograd.grad(sum(terms.values()), leaf)
+            held = band_gradient(shapes[row], body, x[sample], band)
+            error = np.abs(gradient[sample].numpy() - expected.numpy() - held).max()
+            assert error < 1e-3 * np.abs(expected.numpy()).max()
+    alone = PhysicsLosses(shapes[2], MATERIAL, SAMPLES, torch.device("cpu"), wearing=band)
+    there = alone.evaluate(tensors[0], tensors[1], mesh, tensors[2])[0]
+    assert there["band"][1].item() == pytest.approx(energies["band"][1].item(), rel=1e-5) and there["band"][1] > 0
+
+
+def band_gradient(garment, body, x, wearing):
+    """dE/dx (n, 3) of the band by its formula."""
+    gradient = np.zeros_like(x)
+    for vertex, place, limit in zip(wearing.band, wearing.band_place, wearing.band_distance + BAND_SLACK):
+        away = x[vertex] - body.vertices[place]
+        distance = np.linalg.norm(away)
+        beyond = max(0.0, distance - limit)
+        gradient[vertex] += 2 * BAND_STIFFNESS * garment.vertex_areas[vertex] * beyond * away / distance
+    return gradient
+
+
+def test_backward_is_the_mean_energy_gradient(scene):
+    garment, _, x, offset, mesh, gravity = scene
+    losses = PhysicsLosses(garment, MATERIAL, SAMPLES, torch.device("cpu"))
+    leaf = torch.tensor(x, dtype=torch.float32, requires_grad=True)
+    as_float = [torch.as_tensor(a, dtype=torch.float32) for a in (gravity, offset)]
+    total, energies = losses(leaf, as_float[0], mesh, as_float[1])
+    (3 * total).backward()
+    _, gradient = evaluate(scene, x)
+    np.testing.assert_allclose(leaf.grad.numpy(), 3 * gradient / SAMPLES, rtol=1e-4, atol=1e-4)
+    assert total.item() == pytest.approx(energies.total.mean().item(), rel=1e-5)
+
+
+def test_rest_shape_has_no_elastic_energy(scene):
+    garment = scene[0]
+    energies, _ = evaluate(scene, np.repeat(garment.vertices[None], SAMPLES, axis=0))
+    assert np.abs(energies["stretch"]).max() < 1e-6
+    assert np.abs(energies["bend"]).max() < 1e-6
+
+
+def test_wrong_side_hits_are_ignored(scene):
+    """Deep inside, cloth whose outside faces away from the closest surface is not pushed through the limb."""
+    garment = scene[0]
+    shrunk = garment.vertices * np.array([0.7, 0.7, 1.0])
+    energies, _ = evaluate(scene, np.repeat(shrunk[None], SAMPLES, axis=0))
+    assert energies["collision"].min() > 0
+    inside_out = shrunk * np.array([-1.0, 1.0, 1.0])
+    energies, _ = evaluate(scene, np.repeat(inside_out[None], SAMPLES, axis=0))
+    assert energies["collision"].max() == 0
+
+
+def worn_on(garment, body, *, worn: bool, other_limb: bool = False, band=(), distance=0.0) -> Wearing:
+    """All faces of the body belong to one part, on which the whole garment lies or does not."""
+    band = np.array(band, dtype=np.int32)
+    return Wearing(
+        faces=np.asarray(body.faces, dtype=np.int32),
+        face_bone=np.zeros(len(body.faces), dtype=np.int32),
+        worn=np.full((len(garment.vertices), 1), worn),
+        other_limb=np.full((len(garment.vertices), 1), other_limb),
+        own_face=closest_face(garment, body),
+        band=band,
+        band_place=np.arange(len(band), dtype=np.int32),
+        band_distance=np.full(len(band), distance, dtype=np.float32),
+    )
+
+
+def closest_face(garment, body) -> np.ndarray:
+    centres = np.asarray(body.triangles_center)
+    return np.linalg.norm(centres[None] - garment.vertices[:, None], axis=2).argmin(axis=1).astype(np.int32)
+
+
+def run(scene, x, **options):
+    garment, _, _, offset, mesh, gravity = scene
+    losses = PhysicsLosses(garment, MATERIAL, SAMPLES, torch.device("cpu"), **options)
+    leaf = torch.tensor(np.asarray(x), dtype=torch.float32, requires_grad=True)
+    as_float = [torch.as_tensor(a, dtype=torch.float32) for a in (gravity, offset)]
+    total, energies = losses(leaf, as_float[0], mesh, as_float[1])
+    total.backward()
+    return energies, leaf.grad.numpy()
+
+
+def test_deep_contact_counts_only_with_parts_a_vertex_is_worn_on(scene):
+    """Another limb, run through by the cloth, does not hold it; touching cloth does, worn or not."""
+    garment, body, *_ = scene
+    for scale, depth in ((0.7, "deep"), (1.08, "shallow")):
+        shrunk = np.repeat((garment.vertices * np.array([scale, scale, 1.0]))[None], SAMPLES, axis=0)
+        mine = run(scene, shrunk, wearing=worn_on(garment, body, worn=True))[0].collision.numpy()
+        strange = run(scene, shrunk, wearing=worn_on(garment, body, worn=False))[0].collision.numpy()
+        plain = run(scene, shrunk)[0].collision.numpy()
+        np.testing.assert_array_equal(mine, plain)
+        assert mine.min() > 0
+        assert run(scene, shrunk, wearing=worn_on(garment, body, worn=True))[0].at_worn_part.all()
+        assert not run(scene, shrunk, wearing=worn_on(garment, body, worn=False))[0].at_worn_part.any()
+        if depth == "deep":
+            assert strange.max() < 0.01 * mine.min()
+        else:
+            np.testing.assert_array_equal(strange, mine)
+
+
+def test_another_limb_presses_only_towards_where_the_cloth_is_worn(scene):
+    """A limb beside the body, cloth around it that is worn on the body: the half between the two feels the limb as it
+    would otherwise, the half beyond the limb nothing."""
+    garment, trunk, *_, gravity = scene
+    limb = trunk.copy()
+    limb.apply_translation([0.3, 0.0, 0.0])
+    body = trimesh.util.concatenate([trunk, limb])
+    mesh = wp.Mesh(wp.array(body.vertices, dtype=wp.vec3), wp.array(body.faces.reshape(-1), dtype=wp.int32))
+    x = 0.1 * garment.vertices / np.linalg.norm(garment.vertices, axis=1, keepdims=True) + [0.3, 0.0, 0.0]
+    nearest = np.asarray(trunk.triangles_center)[:, 0].argmax()
+
+    def pressed(*, other_limb: bool) -> np.ndarray:
+        wearing = worn_on(garment, body, worn=False, other_limb=other_limb)
+        wearing = replace(wearing, own_face=np.full(len(x), nearest, dtype=np.int32))
+        losses = PhysicsLosses(garment, MATERIAL, 1, torch.device("cpu"), wearing=wearing)
+        posed = torch.as_tensor(x[None], dtype=torch.float32)
+        losses.evaluate(posed, torch.as_tensor(gravity[:1], dtype=torch.float32), mesh, torch.zeros(1, 3))
+        return losses.element_energies["collision"][0].numpy()
+
+    without, found = pressed(other_limb=False), pressed(other_limb=True)
+    towards, beyond = x[:, 0] < 0.23, x[:, 0] > 0.3
+    assert without[towards].min() > 0 and without[beyond].min() > 0, "the whole ring must touch the limb"
+    np.testing.assert_array_equal(found[towards], without[towards])
+    assert found[beyond].max() == 0
+
+
+def test_lost_vertices_are_led_back_to_where_they_are_worn(scene):
+    """Cloth that came through the limb: energy and gradient of the plane of each vertex' own face, by the formula."""
+    garment, body, _, offset, _, _ = scene
+    own = closest_face(garment, body)
+    normal, centre = np.asarray(body.face_normals)[own], np.asarray(body.triangles_center)[own]
+    through = garment.vertices * np.array([-0.7, 0.7, 1.0])
+    posed = np.repeat(through[None], SAMPLES, axis=0)
+    wearing = worn_on(garment, body, worn=True)
+    lost, without = run(scene, posed, wearing=wearing)
+    energies, gradient = run(scene, posed, wearing=wearing, leads_back=True)
+    assert lost.collision.max() == 0
+    behind = np.maximum(MATERIAL.contact_offset - ((through - centre) * normal).sum(axis=1), 0)
+    assert behind.max() > 0.1
+    bounded = np.minimum(behind, LED_BACK_BEYOND)
+    stiffness = MATERIAL.contact_stiffness * garment.vertex_areas
+    for sample in range(SAMPLES):
+        expected = (stiffness * bounded * (2 * behind - bounded)).sum()
+        assert energies.collision[sample].item() == pytest.approx(expected, rel=1e-4)
+        pushed = (gradient - without)[sample] * SAMPLES
+        expected = normal * (-2 * stiffness * bounded)[:, None]
+        np.testing.assert_allclose(pushed, expected, atol=1e-3 * np.abs(expected).max())
+
+
+def test_cloth_where_it_belongs_is_not_led(scene):
+    """Run through by another limb, and outside its own: the same with and without."""
+    garment, body, *_ = scene
+    for scale, worn in ((1.08, True), (0.95, True), (1.3, False)):
+        posed = np.repeat((garment.vertices * np.array([scale, scale, 1.0]))[None], SAMPLES, axis=0)
+        wearing = worn_on(garment, body, worn=worn)
+        (plain, force), (led, led_force) = (run(scene, posed, wearing=wearing, leads_back=b) for b in (False, True))
+        np.testing.assert_array_equal(plain.collision, led.collision)
+        np.testing.assert_allclose(force, led_force, atol=1e-6)
+
+
+def test_the_band_holds_beyond_its_slack(scene):
+    """Energy and gradient of three vertices against the formula; none while within limit and slack."""
+    garment, body, x, offset, _, _ = scene
+    band, distance = [0, 5, 9], 0.01
+    places = np.asarray(body.vertices)[: len(band)]
+    energies, gradient = run(scene, x, wearing=worn_on(garment, body, worn=True, band=band, distance=distance))
+    _, without = run(scene, x, wearing=worn_on(garment, body, worn=True))
+    held = (gradient - without) * SAMPLES
+    for sample in range(SAMPLES):
+        away = x[sample, band] - places
+        length = np.linalg.norm(away, axis=1)
+        beyond = length - distance - BAND_SLACK
+        assert beyond.min() > 0, "the scene must pull"
+        stiffness = BAND_STIFFNESS * garment.vertex_areas[band]
+        assert energies.band[sample].item() == pytest.approx((stiffness * beyond**2).sum(), rel=1e-4)
+        expected = np.zeros_like(held[sample])
+        expected[band] = away * (2 * stiffness * beyond / length)[:, None]
+        np.testing.assert_allclose(held[sample], expected, atol=2e-4 * np.abs(gradient).max())
+    slack, _ = run(scene, x, wearing=worn_on(garment, body, worn=True, band=band, distance=1.0))
+    assert slack.band.abs().max() == 0
+
+
+def test_heavy_samples_weigh_less(scene):
+    """A sample's gradient is multiplied by 1 / sqrt(1 + E / heavy_energy), E without gravity; energies stay."""
+    x = np.stack([scene[2][0], scene[0].vertices + 0.1 * (scene[2][0] - scene[0].vertices)])
+    energies, plain = run(scene, x)
+    same, weighted = run(scene, x, heavy_energy=0.02)
+    strained = (energies.stretch + energies.bend + energies.collision + energies.band).numpy()
+    assert strained[0] > 1.5 * strained[1]
+    np.testing.assert_array_equal(same.total.numpy(), energies.total.numpy())
+    factor = 1 / np.sqrt(1 + strained / 0.02)
+    np.testing.assert_allclose(weighted, plain * factor[:, None, None], rtol=1e-4, atol=1e-7)

@@ -1,0 +1,107 @@
+"""How a garment is worn: parts each vertex lies on and the band of the uppermost opening."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from random_models import tube
+
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.model.garment import Garment, load_garment
+from physkin_training.physics.wearing import BAND_WIDTH, WORN_WITHIN, Wearing
+
+GARMENTS = Path(__file__).parents[3] / "training" / "garments"
+BODY = load_body_model()
+SURFACE = BODY.vertices(BODY.garment_body)
+BONES = BODY.rig.bone_names
+
+
+def wearing(name: str) -> tuple[Garment, Wearing]:
+    garment = load_garment(GARMENTS / f"{name}.obj")
+    return garment, Wearing.of(garment, BODY)
+
+
+@pytest.mark.parametrize(
+    "name, lowest, highest",
+    [("tshirt", 0.45, 0.57), ("dress", 0.45, 0.57), ("trousers", 0.0, 0.07), ("skirt", 0.0, 0.07)],
+)
+def test_the_band_is_the_neckline_or_the_waistline(name, lowest, highest):
+    """Heights above the root [m]; both sides of the opening; each vertex placed on the closest body vertex."""
+    garment, worn = wearing(name)
+    band = garment.vertices[worn.band]
+    assert lowest < band[:, 2].min() and band[:, 2].max() < highest
+    assert band[:, 1].min() < -0.05 and band[:, 1].max() > 0.05
+    distance = np.linalg.norm(SURFACE[worn.band_place] - band, axis=1)
+    np.testing.assert_allclose(worn.band_distance, distance, atol=1e-6)
+    nearest = np.linalg.norm(SURFACE[None] - band[::20, None], axis=2).min(axis=1)
+    np.testing.assert_allclose(distance[::20], nearest, atol=1e-6)
+
+
+def test_the_higher_of_two_openings_counts():
+    """A tube: its upper ring and all within the band's width of it."""
+    garment = tube(rings=11, segments=30, radius=0.2, height=0.2)
+    worn = Wearing.of(garment, BODY)
+    height = garment.vertices[:, 2]
+    expected = np.flatnonzero(height.max() - height < BAND_WIDTH)
+    np.testing.assert_array_equal(worn.band, expected)
+    assert len(expected) == 60
+
+
+def test_a_closed_surface_is_refused():
+    faces = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
+    corners = [[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]
+    with pytest.raises(ValueError, match="no opening"):
+        Wearing.of(Garment(np.array(corners), np.array(faces)), BODY)
+
+
+def test_parts_a_shirt_is_worn_on():
+    """The trunk under its front and an arm under its sleeve; no hand and no foot anywhere."""
+    garment, worn = wearing("tshirt")
+    sleeve = garment.vertices[:, 1].argmax()
+    belly = np.linalg.norm(garment.vertices - [0.15, 0.0, 0.15], axis=1).argmin()
+    assert worn.worn[sleeve, BONES.index("upperarm02.L")] and not worn.worn[sleeve, BONES.index("spine03")]
+    assert worn.worn[belly, BONES.index("spine04")] and not worn.worn[belly, BONES.index("upperarm02.L")]
+    side = np.linalg.norm(garment.vertices - [0.05, 0.15, 0.27], axis=1).argmin()
+    arm = [worn.worn[side, BONES.index(part)] for part in ("upperarm01.L", "upperarm02.L")]
+    assert worn.worn[side, BONES.index("spine02")] and not any(arm), garment.vertices[side]
+    for part in ("wrist.L", "wrist.R", "foot.L", "lowerleg02.R"):
+        assert not worn.worn[:, BONES.index(part)].any(), part
+
+
+def test_limbs_that_pass_by_the_cloth():
+    """The arm beside the trunk of a dress, but not to its sleeve; neither leg to the side of a skirt."""
+    garment, worn = wearing("dress")
+    side = np.linalg.norm(garment.vertices - [0.05, 0.17, 0.27], axis=1).argmin()
+    arm = [BONES.index(part) for part in ("clavicle.L", "upperarm01.L", "upperarm02.L", "lowerarm01.L")]
+    assert worn.other_limb[side, arm].all() and not worn.other_limb[side, BONES.index("spine04")]
+    sleeve = np.linalg.norm(garment.vertices - [0.0, 0.26, 0.45], axis=1).argmin()
+    assert worn.worn[sleeve, arm].any() and not worn.other_limb[sleeve, arm].any()
+    assert not (worn.worn & worn.other_limb).any()
+    both_ways = Wearing.of(garment, BODY, other_limbs="both_ways")
+    assert not both_ways.other_limb.any() and np.array_equal(both_ways.worn, worn.worn)
+    with pytest.raises(ValueError, match="other_limbs must be one of one_way, both_ways, got 'both-ways'"):
+        Wearing.of(garment, BODY, other_limbs="both-ways")
+    garment, worn = wearing("skirt")
+    side = np.linalg.norm(garment.vertices - [0.0, 0.25, -0.15], axis=1).argmin()
+    legs = [BONES.index(part) for part in ("upperleg01.L", "upperleg02.L", "upperleg01.R", "upperleg02.R")]
+    assert not worn.worn[side, legs[2:]].any() and not worn.other_limb[side, legs].any()
+    hem = ~worn.worn.any(axis=1)
+    assert hem.any() and not worn.other_limb[hem].any()
+
+
+def test_worn_faces_are_those_near_the_garment():
+    """All faces of a part or none; what is left out is farther from the cloth than the limit."""
+    garment, worn = wearing("skirt")
+    left = worn.worn_faces()
+    assert 0 < len(left.faces) < len(worn.faces) == len(BODY.faces)
+    assert set(left.face_bone) == set(np.flatnonzero(worn.worn.any(axis=0)))
+    np.testing.assert_array_equal(left.worn, worn.worn)
+    own = SURFACE[left.faces[left.own_face]].mean(axis=1)
+    nearest = np.linalg.norm(SURFACE[left.faces].mean(axis=1)[None] - garment.vertices[::40, None], axis=2).min(axis=1)
+    np.testing.assert_allclose(np.linalg.norm(own - garment.vertices, axis=1)[::40], nearest, atol=1e-6)
+    outside = worn.faces[~np.isin(worn.face_bone, left.face_bone)]
+    whole = SURFACE[outside[::50]].mean(axis=1)
+    distance = np.linalg.norm(whole[:, None] - garment.vertices[None], axis=2).min(axis=1)
+    assert distance.min() > WORN_WITHIN - 0.03

@@ -1,0 +1,324 @@
+"""Checkpoints: a run that stopped and went on is the run that never stopped, bit for bit; misfits are refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the [training] extra")
+wp = pytest.importorskip("warp", reason="needs the [training] extra")
+pytest.importorskip("potpourri3d", reason="needs the [training] extra")
+
+from safetensors.torch import load_file, save_file  # noqa: E402
+from training.small_runs import small_config  # noqa: E402
+
+from physkin_training.train.checkpoint import CheckpointError  # noqa: E402
+from physkin_training.train.train import checkpoint  # noqa: E402
+from physkin_training.train.trainer import Trainer  # noqa: E402
+
+CPU = torch.device("cpu")
+
+
+def run(trainer, steps):
+    for _ in trainer.run(steps):
+        pass
+
+
+@pytest.fixture(scope="module")
+def straight(tmp_path_factory):
+    """The small run to its end without a stop, with checkpoints on the way after 2, 6 and 11 steps."""
+    wp.config.quiet = True
+    folder = tmp_path_factory.mktemp("run")
+    trainer = Trainer(small_config(folder), CPU)
+    for stop in (2, 6, 11):
+        run(trainer, stop - trainer.step)
+        trainer.save(folder / f"step{stop}")
+    run(trainer, 12)
+    return folder, trainer
+
+
+def exactly_equal(one, other):
+    first, second = one.drape.state_dict(), other.drape.state_dict()
+    assert first.keys() == second.keys()
+    for name, tensor in first.items():
+        assert torch.equal(tensor, second[name]), name
+    for left, right in zip(one.drape.parameters(), other.drape.parameters(), strict=True):
+        states = one.optimiser.state[left], other.optimiser.state[right]
+        assert states[0].keys() == states[1].keys()
+        for name in states[0]:
+            assert torch.equal(states[0][name], states[1][name]), name
+    for (name, left), right in zip(one.averaged.named_parameters(), other.averaged.parameters(), strict=True):
+        assert torch.equal(left, right), name
+    assert torch.equal(one.averaged.influence_bias, other.averaged.influence_bias)
+    assert (one.best is None) == (other.best is None)
+    if one.best:
+        assert (one.best.step, one.best.energy) == (other.best.step, other.best.energy)
+        for name, tensor in one.best.parameters.items():
+            assert torch.equal(tensor, other.best.parameters[name]), name
+    assert torch.equal(one.range, other.range)
+    assert torch.equal(one.losses.contact_stiffness, other.losses.contact_stiffness)
+
+
+@pytest.mark.parametrize("stop", [2, 6, 11])
+def test_resumed_run_is_exactly_the_straight_one(straight, stop):
+    """Stopped before influences are pruned, after that, and while bodies are encoded from all points, with an average
+    of step 8 kept that is better than the last one."""
+    folder, expected = straight
+    torch.manual_seed(99)  # whatever was drawn before must not matter
+    trainer = Trainer(small_config(folder), CPU)
+    trainer.resume(folder / f"step{stop}")
+    assert trainer.step == stop
+    assert (trainer.best.step if trainer.best else None) == (8 if stop == 11 else None)
+    run(trainer, 12)
+    assert trainer.step == expected.step == 12
+    exactly_equal(trainer, expected)
+
+
+def test_saving_does_not_disturb_the_run(straight):
+    """The same without any checkpoint; and another seed is another run."""
+    folder, expected = straight
+    trainer = Trainer(small_config(folder), CPU)
+    run(trainer, 12)
+    exactly_equal(trainer, expected)
+    other = Trainer(replace(small_config(folder), seed=6), CPU)
+    run(other, 2)
+    saved = load_file(folder / "step2" / "drape.safetensors")
+    assert not torch.equal(other.drape.skinning_logits, saved["skinning_logits"])
+
+
+def test_a_checkpoint_before_the_first_step(straight, tmp_path):
+    folder, _ = straight
+    Trainer(small_config(folder), CPU).save(tmp_path)
+    trainer = Trainer(small_config(folder), CPU)
+    trainer.resume(tmp_path)
+    run(trainer, 2)
+    saved = load_file(folder / "step2" / "drape.safetensors")
+    for name, tensor in trainer.drape.state_dict().items():
+        assert torch.equal(tensor, saved[name]), name
+
+
+# --- A new run from another's networks ---
+
+
+def test_a_new_run_may_start_from_another(straight, tmp_path):
+    """Averaged networks and skinning weights as they were; step, optimiser and random numbers as in any new run, and
+    another schedule, material and seed. Where it came from goes along, also through the new run's checkpoints."""
+    folder, _ = straight
+    config = small_config(folder, learning_rate=1e-3, steps=7)
+    trainer = Trainer(replace(config, seed=8), CPU)
+    trainer.start_from(folder / "step6")
+    assert trainer.step == 0 and not trainer.optimiser.state
+    saved = {k: v for file in ("drape", "average") for k, v in load_file(folder / f"step6/{file}.safetensors").items()}
+    for name, tensor in trainer.drape.state_dict().items():
+        assert torch.equal(tensor, saved[name]), name
+        assert torch.equal(tensor, trainer.averaged.state_dict()[name]), name
+    run(trainer, 7)
+    assert trainer.step == 7
+    assert trainer.started_from["step"] == 6 and trainer.started_from["seed"] == 5
+    trainer.save(tmp_path / "second")
+    third = Trainer(config, CPU)
+    third.start_from(tmp_path / "second")
+    assert third.started_from["seed"] == 8 and third.started_from["started_from"] == trainer.started_from
+    again = Trainer(replace(config, seed=8), CPU)
+    again.resume(tmp_path / "second")
+    assert again.started_from == trainer.started_from
+
+
+def test_a_run_of_the_template_may_be_started_from_to_make_to_measure(straight):
+    """What it has not learnt starts at nothing; the other way round is refused."""
+    folder, _ = straight
+    trainer = Trainer(small_config(folder, fit="both"), CPU)
+    with torch.no_grad():
+        trainer.drape.networks.hyper_modulator.fit.fill_(0.0)
+    trainer.start_from(folder / "step6")
+    saved = load_file(folder / "step6/average.safetensors")
+    assert torch.equal(trainer.drape.skinning_logits, saved["skinning_logits"])
+    assert not trainer.drape.networks.hyper_modulator.fit.any()
+    trainer.save(folder / "both")
+    with pytest.raises(CheckpointError, match="too much or lacks networks.hyper_modulator.fit"):
+        Trainer(small_config(folder), CPU).start_from(folder / "both")
+
+
+def test_a_new_run_starts_from_the_best_that_was_kept(straight):
+    """Not from the average where the other run stopped."""
+    folder, _ = straight
+    trainer = Trainer(small_config(folder), CPU)
+    trainer.start_from(folder / "step11")
+    best = load_file(folder / "step11" / "best.safetensors")
+    average = load_file(folder / "step11" / "average.safetensors")
+    for name, parameter in trainer.drape.named_parameters():
+        assert torch.equal(parameter, best[name]), name
+    assert not torch.equal(average["skinning_logits"], best["skinning_logits"])
+    assert trainer.started_from["step"] == 8 and trainer.best is None
+
+
+def test_starting_from_other_sizes_is_refused(straight, tmp_path):
+    folder, _ = straight
+    config = small_config(folder)
+    trainer = Trainer(replace(config, networks=replace(config.networks, pose_hidden=32)), CPU)
+    for path in (folder / "step6", tmp_path / "nowhere"):
+        with pytest.raises(CheckpointError, match="cannot start from checkpoint"):
+            trainer.start_from(path)
+
+
+@pytest.mark.parametrize("entry", ["lower", "upper", "garment_heads", "vertices", "node_rest", "node_bone"])
+@pytest.mark.parametrize("how", ["resume", "start_from"])
+def test_a_checkpoint_of_another_rig_or_garment_is_not_taken_over(straight, copy, how, entry):
+    """Equal sizes, other numbers: joint limits, body or mesh changed since. The exported model holds the run's own rig,
+    so networks must not go on with the checkpoint's."""
+    tensors = load_file(copy / "drape.safetensors")
+    tensors[entry] = tensors[entry] + 1
+    save_file(tensors, copy / "drape.safetensors")
+    trainer = Trainer(small_config(straight[0]), CPU)
+    own = trainer.drape.state_dict()[entry].clone()
+    with pytest.raises(CheckpointError, match=f"is of another garment, body or garment nodes: {entry} differ"):
+        getattr(trainer, how)(copy)
+    assert torch.equal(trainer.drape.state_dict()[entry], own)
+
+
+# --- Refusals ---
+
+
+@pytest.fixture
+def copy(straight, tmp_path):
+    folder, _ = straight
+    return shutil.copytree(folder / "step6", tmp_path / "checkpoint")
+
+
+def resume(straight, path, **changes):
+    trainer = Trainer(replace(small_config(straight[0]), **changes), CPU)
+    trainer.resume(path)
+    return trainer
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        (dict(seed=6), "seed = 5, the configuration says 6; a new run from its networks is --start-from"),
+        (dict(train_bodies=2), "train_bodies = 3, the configuration says 2"),
+        (dict(name="shirt"), "name = 'band', the configuration says 'shirt'"),
+    ],
+)
+def test_another_configuration_is_refused(straight, copy, changes, message):
+    with pytest.raises(CheckpointError, match=message):
+        resume(straight, copy, **changes)
+
+
+def test_another_schedule_or_network_is_refused_by_its_entry(straight, copy):
+    config = small_config(straight[0])
+    with pytest.raises(CheckpointError, match="learning_rate = 0.002, the configuration says 0.001"):
+        resume(straight, copy, optimisation=replace(config.optimisation, learning_rate=1e-3))
+    with pytest.raises(CheckpointError, match="pose_hidden = 24, the configuration says 32"):
+        resume(straight, copy, networks=replace(config.networks, pose_hidden=32))
+
+
+def test_a_missing_folder_is_refused(straight, tmp_path):
+    with pytest.raises(CheckpointError, match="cannot read checkpoint .*nowhere"):
+        resume(straight, tmp_path / "nowhere")
+
+
+TENSORS = ("drape", "average", "best", "exp_avg", "exp_avg_sq", "random")
+FILES = ("state.json", *(f"{name}.safetensors" for name in TENSORS))
+
+
+@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("damage", ["missing", "empty", "half", "garbage"])
+def test_a_damaged_file_is_refused(straight, copy, name, damage):
+    path = copy / name
+    data = path.read_bytes()
+    if damage == "missing":
+        path.unlink()
+    else:
+        path.write_bytes({"empty": b"", "half": data[: len(data) // 2], "garbage": b"\xff" * len(data)}[damage])
+    with pytest.raises(CheckpointError, match="cannot read checkpoint"):
+        resume(straight, copy)
+
+
+def test_tensors_of_another_model_are_refused(straight, copy):
+    """Undamaged files that do not belong together: another shape, a name too many."""
+    original = load_file(copy / "drape.safetensors")
+    for spoilt in (
+        {**original, "skinning_logits": original["skinning_logits"][:-1].clone()},
+        {**original, "colour": torch.zeros(1)},
+        {name: tensor for name, tensor in original.items() if name != "node_rest"},
+    ):
+        save_file(spoilt, copy / "drape.safetensors")
+        with pytest.raises(CheckpointError, match="does not fit the model"):
+            resume(straight, copy)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {},
+        [],
+        {"config": None},
+        "no step",
+        "an odd best",
+    ],
+)
+def test_a_state_without_its_entries_is_refused(straight, copy, content):
+    if content == "no step":
+        content = json.loads((copy / "state.json").read_text())
+        del content["step"]
+    if content == "an odd best":
+        content = json.loads((copy / "state.json").read_text()) | {"best": {"step": 5}}
+    (copy / "state.json").write_text(json.dumps(content))
+    with pytest.raises(CheckpointError):
+        resume(straight, copy)
+
+
+@pytest.mark.parametrize(
+    "file, change",
+    [
+        ("exp_avg", lambda t: {**t, "skinning_logits": torch.zeros(3)}),
+        ("exp_avg_sq", lambda t: {"skinning_logits": t["skinning_logits"]}),
+        ("average", lambda t: {"skinning_logits": t["skinning_logits"]}),
+        ("best", lambda t: {"skinning_logits": torch.zeros(3)}),
+        ("random", lambda t: {"gpu": t["cpu"]}),
+        ("random", lambda t: {"cpu": t["cpu"][:, :5].clone()}),
+    ],
+)
+def test_an_optimiser_state_that_does_not_fit_is_refused(straight, copy, file, change):
+    save_file(change(load_file(copy / f"{file}.safetensors")), copy / f"{file}.safetensors")
+    with pytest.raises(CheckpointError):
+        resume(straight, copy)
+
+
+@pytest.mark.parametrize("writes", [0, 2, 4])
+def test_an_interrupted_save_loses_nothing(straight, copy, monkeypatch, writes):
+    """The disk fills up in the middle of writing over an older checkpoint: the older one is still there."""
+    trainer = resume(straight, copy)
+    run(trainer, 1)
+    written = []
+
+    def failing(tensors, path):
+        if len(written) == writes:
+            raise OSError("no space left on device")
+        written.append(path)
+        save_file(tensors, path)
+
+    monkeypatch.setattr(checkpoint, "save_file", failing)
+    with pytest.raises(OSError, match="no space"):
+        trainer.save(copy)
+    assert resume(straight, copy).step == 6
+    monkeypatch.undo()
+    trainer.save(copy)
+    assert resume(straight, copy).step == 7
+    assert [path.name for path in copy.parent.iterdir()] == [copy.name], "nothing is left beside it"
+
+
+def test_a_save_killed_while_swapping_loses_nothing(straight, copy):
+    """Between moving the older checkpoint aside and moving the new one in its place."""
+    copy.rename(copy.with_name("checkpoint.previous"))
+    assert resume(straight, copy).step == 6
+
+
+def test_other_files_are_not_swept_away(straight, copy):
+    (copy / "notes.txt").write_text("mine")
+    with pytest.raises(CheckpointError, match=r"holds notes.txt; a checkpoint needs a folder of its own"):
+        resume(straight, copy).save(copy)
+    assert (copy / "notes.txt").exists()

@@ -1,0 +1,147 @@
+"""The best model of a run: what is measured, when, that training does not notice, and that it is the one exported."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the [training] extra")
+wp = pytest.importorskip("warp", reason="needs the [training] extra")
+pytest.importorskip("potpourri3d", reason="needs the [training] extra")
+
+from training.small_runs import as_toml, small_config  # noqa: E402
+
+from physkin_core import load_body_model, load_garment_model  # noqa: E402
+from physkin_training.networks.export import drape_from_model, encode_bodies  # noqa: E402
+from physkin_training.physics.physics_losses import PhysicsLosses  # noqa: E402
+from physkin_training.physics.wearing import Wearing  # noqa: E402
+from physkin_training.sampling.posed_bodies import PosedBodies  # noqa: E402
+from physkin_training.train.processes import Processes  # noqa: E402
+from physkin_training.train.train import main  # noqa: E402
+from physkin_training.train.trainer import Trainer  # noqa: E402
+from physkin_training.train.validation import Validation  # noqa: E402
+
+CPU = torch.device("cpu")
+BODY = load_body_model()
+
+
+@pytest.fixture(scope="module")
+def trainer(tmp_path_factory):
+    wp.config.quiet = True
+    return Trainer(small_config(tmp_path_factory.mktemp("run")), CPU)
+
+
+def wearing_of(trainer):
+    return Wearing.of(trainer.garment, BODY).worn_faces()
+
+
+def test_the_energy_is_the_mean_over_the_set(trainer):
+    """Against each sample by itself, at the material's stiffness and with the body points of the run time."""
+    validation, drape, material = trainer._validation, trainer.averaged, trainer.config.material
+    trainer.losses.contact_stiffness.fill_(1.0)  # training's own must not matter
+    wearing = wearing_of(trainer)
+    posed = PosedBodies(BODY, trainer.bodies, 1, faces=wearing.faces)
+    losses = PhysicsLosses(trainer.garment, material, 1, CPU, wearing=wearing, linear_beyond=0.01, leads_back=True)
+    modulations = encode_bodies(drape, trainer.bodies.vertices.numpy(), trainer.bodies.faces.numpy())
+    energies = []
+    with torch.no_grad():
+        for batch, chosen in enumerate(validation._chosen):
+            for sample, body in enumerate(chosen.repeat_interleave(len(validation._positions[0]) // len(chosen))):
+                q, g = validation._positions[batch, sample, None], validation._gravity[batch, sample, None]
+                nodes = drape.posed_nodes(posed.pose(q, body[None]), trainer.node_positions[body[None]])
+                x = drape(modulations[body[None]], q, g, nodes)
+                energies.append(losses(x, g, posed.mesh, posed.offset)[0].item())
+    assert len(energies) == 4 * trainer.config.optimisation.samples
+    expected = sum(energies) / len(energies)
+    assert validation.energy(drape, trainer.node_positions) == pytest.approx(expected, rel=1e-3)
+
+
+def test_poses_are_drawn_from_the_full_range(trainer):
+    positions = trainer._validation._positions.flatten(0, 1)
+    share = (positions - trainer.sampler.lower) / (trainer.sampler.upper - trainer.sampler.lower)
+    assert share.min() >= 0 and share.max() <= 1
+    assert share.min() < 0.05 and share.max() > 0.95
+    assert len(positions.unique(dim=0)) == len(positions)
+
+
+class Silent(Processes):
+    """A process whose companions do not answer."""
+
+    def average(self, tensors):
+        pass
+
+
+def test_processes_share_the_set(trainer):
+    """The mean over two processes' shares is the one process's figure."""
+    shares = [
+        Validation(trainer.config, BODY, trainer.garment, trainer.bodies, wearing_of(trainer), Silent(rank, 2))
+        for rank in range(2)
+    ]
+    halves = [share.energy(trainer.averaged, trainer.node_positions) for share in shares]
+    whole = trainer._validation.energy(trainer.averaged, trainer.node_positions)
+    assert sum(halves) / 2 == pytest.approx(whole, rel=1e-4) and halves[0] != halves[1]
+
+
+def spoken(monkeypatch, energies):
+    """Let validation say these energies one after the other; returns how often it was asked."""
+    remaining = list(energies)
+    monkeypatch.setattr(Validation, "energy", lambda *_: remaining.pop(0))
+    return remaining
+
+
+def test_training_does_not_notice(tmp_path):
+    """Measured after every step or never before the end: the same networks, bit for bit, and the same random state."""
+    often = Trainer(small_config(tmp_path, growth=0.0, prune_from=0.0, prune_at=0.0, validate_every=1), CPU)
+    list(often.run(2))
+    state = torch.get_rng_state()
+    assert often.best is not None
+    seldom = Trainer(small_config(tmp_path, growth=0.0, prune_from=0.0, prune_at=0.0, validate_every=500), CPU)
+    list(seldom.run(2))
+    assert torch.equal(torch.get_rng_state(), state)
+    assert seldom.best is None
+    for (name, left), right in zip(often.drape.named_parameters(), seldom.drape.parameters(), strict=True):
+        assert torch.equal(left, right), name
+
+
+def test_the_lowest_is_kept_once_range_and_influences_are_final(tmp_path, monkeypatch):
+    """Asked at every step from the one after which both are final; what is not finite is never the best."""
+    # Full range from the seventh step on, all pruned from the eighth on.
+    trainer = Trainer(small_config(tmp_path, prune_at=0.65, validate_every=1, full_encoding=1.0), CPU)
+    remaining = spoken(monkeypatch, [math.nan, 3.0, 1.0, 2.0, 1.5])
+    seen, averages = [], {}
+    for step in trainer.run(12):
+        seen.append((step, trainer.best and trainer.best.step, trainer.validation_energy))
+        averages[step] = trainer.averaged.skinning_logits.detach().clone()
+    assert not remaining
+    assert seen[6][1:] == (None, None)
+    assert [entry[1] for entry in seen[7:]] == [None, 9, 10, 10, 10]
+    assert trainer.best.energy == 1.0 and trainer.validation_energy == 1.5
+    best = trainer.best_drape()
+    assert torch.equal(best.skinning_logits, averages[10]) and not torch.equal(averages[10], averages[12])
+    assert torch.equal(best.influence_bias, trainer.averaged.influence_bias)
+    assert torch.equal(trainer.averaged.skinning_logits, averages[12])
+
+
+def test_without_a_measurement_the_last_average_is_exported(trainer):
+    assert trainer.best is None and trainer.best_drape() is trainer.averaged
+
+
+def test_the_export_is_the_best_model(tmp_path, monkeypatch):
+    """Through the command: two measurements, the first one better."""
+    config = small_config(tmp_path, steps=4, growth=0.0, prune_from=0.0, prune_at=0.0, validate_every=2)
+    path = tmp_path / "band.toml"
+    path.write_text(as_toml(config))
+    averages = []
+
+    def energy(_, drape, __):
+        averages.append(drape.skinning_weights.detach().clone())
+        return float(len(averages))
+
+    monkeypatch.setattr(Validation, "energy", energy)
+    assert main(["--config", str(path), "--output", str(tmp_path / "out"), "--device", "cpu"]) == 0
+    model = load_garment_model(tmp_path / "out" / "band.safetensors")
+    assert model.training["step"] == 2 and model.training["validation_energy_j"] == 1.0
+    exported = drape_from_model(model).skinning_weights.detach().sort(dim=1).values
+    first, second = (weights.sort(dim=1).values[:, -3:] for weights in averages)
+    assert (exported - first).abs().max() < 0.2 * (second - first).abs().max()

@@ -1,0 +1,288 @@
+"""The report on finished ablations: frame times of this CPU, other meshes, tables, plots and pictures.
+
+Dimensions: `n` garment vertices, `V` body vertices.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from physkin_bench.cases import model_case
+from physkin_bench.timing import time_in_turns
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.model_file import load_garment_model
+from physkin_core.motion.motion import load_motion
+from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
+from physkin_core.runtime.native_evaluator import NativeEvaluator
+from physkin_studies.ablation_plots import bars, curves
+from physkin_studies.ablation_rows import BASE, ROWS, finished_figures, model_path
+from physkin_studies.other_meshes import carried_to, other_meshes
+from physkin_training.evaluate.contact_sheet import drape_all
+from physkin_training.evaluate.evaluate import Evaluation
+from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs
+from physkin_training.sampling.fantastical_bodies import KINDS, fantastical_body_model
+
+__all__ = ["frame_times", "measure_other_meshes", "write_report"]
+
+CPU = torch.device("cpu")
+ROUNDS = 60
+PAPER = {
+    "nodes32-fixed": "7.010 / 8.091 / 0.316",
+    "nodes64-fixed": "5.817 / 6.103 / 0.207",
+    "nodes128-fixed": "4.266 / 4.093 / 0.129",
+    "nodes64": "4.512 / 4.718 / 0.126",
+    "nodes128": "3.074 / 3.193 / 0.119",
+    "nodes256": "3.068 / 3.188 / 0.117",
+}
+NODE_ROWS = (*PAPER, "seed1", "seed2")
+NETWORK_ROWS = (BASE, "concatenation", "relu", "supervised")
+FIGURES = {
+    "edge %": ("edge_strain_percent", "{:.2f}"),
+    "area %": ("area_strain_percent", "{:.2f}"),
+    "inside %": ("inside_percent", "{:.3f}"),
+    "< 3 mm %": ("within_3mm_percent", "{:.2f}"),
+    "depth p99.9 mm": ("max_depth_p999_mm", "{:.0f}"),
+    "energy J": ("energy_j", "{:.3f}"),
+}
+PICTURE_SIZE = (230, 300)
+
+
+def write_report(folder: Path, *, bodies: int, poses: int) -> Path:
+    """Write `report/ablations.md` with its plots and pictures from the rows finished in `folder`; returns its path.
+
+    bodies, poses: held-out bodies and poses of each for the other meshes. Raises ValueError when no row is finished.
+    """
+    rows = {name: figures for name in ROWS if (figures := finished_figures(folder, name))}
+    if not rows:
+        raise ValueError(f"no finished row in {folder}: nothing to report on")
+    report = folder / "report"
+    report.mkdir(exist_ok=True)
+    times = frame_times({name: model_path(folder, name) for name in rows})
+    first = next(iter(rows.values()))
+    counts = first["figures"]["model"]["pairs"]
+    parts = [
+        "# Ablations",
+        f"Each row trained for {first['budget_minutes']:g} minutes on one {first['device']}, the reference material. "
+        f"Figures on {counts} pairs of held-out adults and uniform poses over the full range, roots upright; frame and "
+        "skinning times with the native evaluator on one core of the machine that wrote this (median, fp32).",
+        "## Garment nodes and skinning weights",
+        _node_table(rows, times),
+        "The paper's figures are of its own bodies, motion and material; see docs/training.md. Rows with "
+        "another seed are the base again: differences within theirs mean nothing.",
+        "## Conditioning, activation, supervision",
+        _network_table(rows, times),
+        _network_notes(rows),
+    ]
+    parts += ["![Energy over training](ablations_curves.svg)", "![Figures](ablations_figures.svg)"]
+    _plot(report, rows)
+    if BASE in rows:
+        meshes = _other_meshes(report, load_garment_model(model_path(folder, BASE)), bodies, poses)
+        parts += ["## Other meshes, the same model", _mesh_table(meshes)]
+    fantastical = {name: row["fantastical"] for name, row in rows.items() if "fantastical" in row}
+    if fantastical:
+        parts += ["## Fantastical bodies", _fantastical_table(fantastical), _fantastical_notes()]
+        try:
+            models = {ROWS[name].label: load_garment_model(model_path(folder, name)) for name in fantastical}
+            save_png(report / "ablations_fantastical.png", _fantastical_sheet(models))
+            parts.append("![Fantastical bodies](ablations_fantastical.png)")
+        except PictureError as error:
+            parts.append(f"No pictures: {error}")
+    path = report / "ablations.md"
+    path.write_text("\n\n".join(part for part in parts if part) + "\n")
+    (report / "times.json").write_text(json.dumps(times, indent=1))
+    return path
+
+
+def frame_times(models: Mapping[str, Path]) -> dict[str, dict[str, float]]:
+    """Median microseconds of a `frame`, its `networks` and its `skinning` on one core of this machine, in turns."""
+    steps, calls = {}, {}
+    for name, path in models.items():
+        case = model_case(path)
+        middle = len(case.joint_positions) // 2
+        arrays = case.joint_positions[middle].copy(), case.gravity[middle].copy()
+        evaluator = NativeEvaluator(case.bound, precision="fp32")
+        steps[name] = evaluator.bind_step(*arrays, np.empty((len(case.bound.vertices), 6), dtype=np.float32))
+        steps[name].step()
+        stages = {"frame": steps[name].step, "networks": steps[name].run_networks, "skinning": steps[name].skin}
+        calls |= {f"{name} {stage}": call for stage, call in stages.items()}
+    timings = time_in_turns(calls, rounds=ROUNDS)
+    return {
+        name: {stage: timings[f"{name} {stage}"].p50 for stage in ("frame", "networks", "skinning")} for name in models
+    }
+
+
+def measure_other_meshes(model: GarmentModel, *, bodies: int, poses: int) -> list[dict]:
+    """The model carried to coarser, finer and cropped meshes: `mesh`, `vertices`, `edge_mm`, and the figures."""
+    measured = []
+    for name, garment in other_meshes(model.garment):
+        evaluation = Evaluation(carried_to(model, garment), CPU, bodies=bodies, poses=poses, seed=0, batch=8)
+        figures = evaluation.figures(upright=True, only=("model", "skinning"))
+        sizes = {"vertices": len(garment.vertices), "edge_mm": 1000 * float(garment.edge_lengths.mean())}
+        measured.append({"mesh": name, **sizes, **figures})
+    return measured
+
+
+def _other_meshes(report: Path, model: GarmentModel, bodies: int, poses: int) -> list[dict]:
+    """Measured, or as measured before on as many pairs of the same training."""
+    path, wanted = report / "meshes.json", {"bodies": bodies, "poses": poses, "training": dict(model.training)}
+    if path.exists() and (stored := json.loads(path.read_text()))["of"] == wanted:
+        return stored["meshes"]
+    meshes = measure_other_meshes(model, bodies=bodies, poses=poses)
+    path.write_text(json.dumps({"of": wanted, "meshes": meshes}, indent=1))
+    return meshes
+
+
+def _table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    header = list(header)
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(str(cell) for cell in line)} |" for line in lines)
+
+
+def _cells(figures: Mapping[str, float]) -> list[str]:
+    return [text.format(figures[key]) for key, text in FIGURES.values()]
+
+
+def _node_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
+    header = ["nodes", "skinning weights", *FIGURES, "skinning us", "frame us", "steps", "paper edge / area / inside %"]
+    lines = []
+    for name in NODE_ROWS:
+        if name in rows:
+            config = rows[name]["config"]
+            trained = "trained" if config["optimisation"]["skinning_rate"] > 0 else "fixed"
+            if name not in PAPER:
+                trained += f", seed {config['seed']}"
+            lines.append(
+                [config["garment_nodes"]["count"], trained, *_cells(rows[name]["figures"]["model"])]
+                + [
+                    f"{times[name]['skinning']:.1f}",
+                    f"{times[name]['frame']:.1f}",
+                    rows[name]["steps"],
+                    PAPER.get(name, "-"),
+                ]
+            )
+    return _table(header, lines) if lines else ""
+
+
+def _network_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
+    header = ["", *FIGURES, "network weights a frame", "networks us", "frame us", "steps", "training s"]
+    lines = []
+    for name in NETWORK_ROWS:
+        if name in rows:
+            label = "base: modulation, SiLU, self-supervised" if name == BASE else ROWS[name].label
+            # Its model file is filled up with zeros to have modulation's form; what those cost is not its cost.
+            own = (
+                ["-", "-"] if name == "concatenation" else [f"{times[name][key]:.1f}" for key in ("networks", "frame")]
+            )
+            spent = [rows[name]["steps"], f"{rows[name]['seconds']:.0f}"]
+            lines.append([label, *_cells(rows[name]["figures"]["model"]), rows[name]["frame_weights"], *own, *spent])
+    if BASE in rows:
+        dashes = ["-"] * 5
+        lines.append(["plain skinning, with the base's weights", *_cells(rows[BASE]["figures"]["skinning"]), *dashes])
+    return _table(header, lines) if lines else ""
+
+
+def _network_notes(rows: Mapping[str, dict]) -> str:
+    notes = []
+    if "concatenation" in rows:
+        networks = rows["concatenation"]["config"]["networks"]
+        notes.append(
+            "- Concatenation: the body's code joins the pose vector, the pose's code the node deformer's input; the "
+            f"node deformer is {networks['deformer_hidden']} wide, so that a frame reads as many network weights."
+        )
+    if "relu" in rows:
+        networks = rows["relu"]["config"]["networks"]
+        notes.append(
+            f"- ReLU: {networks['pose_hidden']} and {networks['deformer_hidden']} wide; the evaluator skips network "
+            "weights of activations that are zero. The times are what that comes to."
+        )
+    if "supervised" in rows:
+        simulated = rows["supervised"]["simulated"]
+        notes.append(
+            f"- Supervised: {simulated['drapes']} full-space drapes of training bodies, "
+            f"{simulated['converged_percent']:.0f} % converged, simulated in {simulated['seconds'] / 60:.1f} minutes "
+            "beside the training time; squared distance of vertices; all else as in the base."
+        )
+    return "\n".join(notes)
+
+
+def _mesh_table(meshes: list[dict]) -> str:
+    header = ["mesh", "vertices", "mean edge mm", *FIGURES, "plain skinning edge %"]
+    pairs = meshes[0]["model"]["pairs"]
+    lines = [
+        [mesh["mesh"], mesh["vertices"], f"{mesh['edge_mm']:.1f}", *_cells(mesh["model"])]
+        + [f"{mesh['skinning']['edge_strain_percent']:.2f}"]
+        for mesh in meshes
+    ]
+    return _table(header, lines) + f"\n\n{pairs} pairs each; strain against each mesh's own rest shape."
+
+
+def _fantastical_table(fantastical: Mapping[str, dict]) -> str:
+    lines = []
+    for kind in KINDS:
+        for name, kinds in fantastical.items():
+            trained = "fantastical bodies" if name == "fantastical" else "adults"
+            lines.append([kind, trained, *_cells(kinds[kind]["model"])])
+        lines.append([kind, "plain skinning", *_cells(next(iter(fantastical.values()))[kind]["skinning"])])
+    return _table(["bodies", "trained on", *FIGURES], lines)
+
+
+def _fantastical_notes() -> str:
+    return (
+        "None of these bodies was trained on. Strain is against the one template, made for an adult: on a child the "
+        "garment has to shrink and on a giant to grow, whatever the model. " + " ".join(
+            f"{name.capitalize()}: shape coefficients {kind.shape[0]:g} to {kind.shape[1]:g} times an adult's, scale "
+            f"{kind.scale[0]:g} to {kind.scale[1]:g}, head {kind.head[0]:+g} to {kind.head[1]:+g}, up to "
+            f"{kind.swellings} swellings." for name, kind in KINDS.items()
+        )
+    )  # fmt: skip
+
+
+def _plot(report: Path, rows: Mapping[str, dict]) -> None:
+    lines = {
+        row["label"]: [(point["seconds"] / 60, point["energy_j"]) for point in row["curve"]] for row in rows.values()
+    }
+    (report / "ablations_curves.svg").write_text(
+        curves(lines, title="Averaged model, fixed bodies and poses", x="minutes", y="energy [J] but for gravity")
+    )
+    groups = {
+        row["label"]: {"edge %": model["edge_strain_percent"], "area %": model["area_strain_percent"]}
+        | {"inside, 0.1 %": 10 * model["inside_percent"]}
+        for row in rows.values()
+        for model in [row["figures"]["model"]]
+    }
+    (report / "ablations_figures.svg").write_text(bars(groups, title="Held-out adults, uniform poses"))
+
+
+def _fantastical_sheet(models: Mapping[str, GarmentModel]) -> np.ndarray:
+    """Each kind's first held-out body, at the canonical pose and in a walk, in the garment of every model."""
+    body_model = fantastical_body_model()
+    rig = next(iter(models.values())).rig
+    rest = Pairs(
+        torch.as_tensor(rig.rest.copy(), dtype=torch.float32)[None],
+        torch.tensor([[0.0, 0.0, -1.0]]),
+        torch.zeros(1).long(),
+    )
+    walk = motion_pairs(load_motion("walk"), rig, bodies=1)
+    walk = walk[torch.tensor([len(walk) // 3])]
+    poses = Pairs(
+        *(torch.cat([getattr(part, key) for part in (rest, walk)]) for key in ("positions", "gravity", "body"))
+    )
+    pictures, captions = [], []
+    for label, model in models.items():
+        evaluation = Evaluation(
+            model, CPU, bodies=list(range(len(KINDS))), poses=len(poses), seed=0, body_model=body_model
+        )
+        drapes = drape_all(evaluation, poses, minimum=False)
+        for pair, cloth in enumerate(drapes.garments["model"]):
+            meshes = [
+                Mesh(drapes.bodies[pair], body_model.faces),
+                Mesh(cloth, model.garment.faces, CLOTH_COLOUR),
+            ]
+            pictures.append(render(meshes, size=PICTURE_SIZE, samples=8))
+            captions.append(f"{list(KINDS)[pair % len(KINDS)]}, {label}")
+    return contact_sheet(pictures, columns=2 * len(KINDS), captions=captions, gap=4)

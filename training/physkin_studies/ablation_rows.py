@@ -1,0 +1,281 @@
+"""The rows of the ablations: each is one change of a base configuration, trained for a time and measured.
+
+Runs where there is a GPU and nothing but torch, Warp, numpy, scipy, safetensors, trimesh and potpourri3d. A row leaves
+a model file and `figures.json`, which is written last: a row that has it is finished.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import math
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+
+from physkin_core.avatar.body_model import BodyModel, load_body_model
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.model_file import load_garment_model, save_garment_model
+from physkin_core.rig.rig import Rig
+from physkin_studies.supervised import SupervisedTrainer, simulate_drapes
+from physkin_training.config import TrainingConfig, load_config
+from physkin_training.devices import resolve_device
+from physkin_training.evaluate.evaluate import Evaluation
+from physkin_training.networks.export import agreement, model_from_drape
+from physkin_training.networks.networks import NetworkConfig
+from physkin_training.sampling.fantastical_bodies import KINDS, fantastical_body_model
+from physkin_training.train.trainer import Trainer, TrainingDiverged
+
+__all__ = ["BASE", "ROWS", "Row", "RowOptions", "finished_figures", "frame_weights", "model_path", "run_row"]
+
+log = logging.getLogger(__name__)
+BASE = "nodes128"
+"""The row that all others are compared with."""
+CURVE_POINTS, CURVE_SHARE = 24, 0.02
+"""Points of a row's curve, and the share of its time that measuring them may take."""
+RELU_WIDER = 2
+"""ReLU networks are so many times as wide: four fifths of their activations are zero once trained, and the evaluator
+skips those, so that twice the width takes no more time a frame."""
+EXPORT_TOLERANCE = 5e-3
+"""Largest distance [m] that half precision and pruning may move a vertex of the trained drape."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """label: in tables and plots. change: what makes its configuration of the base's. supervised: learns simulated
+    drapes. on_fantastical: measured on fantastical bodies too."""
+
+    label: str
+    change: Callable[[TrainingConfig], TrainingConfig]
+    supervised: bool = False
+    on_fantastical: bool = False
+
+
+@dataclass(frozen=True)
+class RowOptions:
+    """minutes of training. bodies, poses: held-out bodies and uniform poses of each to measure on. drapes, drape_batch:
+    how many to simulate for the supervised row, and how many at once."""
+
+    minutes: float
+    bodies: int = 16
+    poses: int = 64
+    drapes: int = 1000
+    drape_batch: int = 128
+
+    def __post_init__(self) -> None:
+        if not 0 < self.minutes < float("inf"):
+            raise ValueError(f"minutes must be above 0 and finite, got {self.minutes}")
+        for name in ("bodies", "poses", "drapes", "drape_batch"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+
+
+def _nodes(count: int, *, optimised: bool) -> Callable[[TrainingConfig], TrainingConfig]:
+    def change(config: TrainingConfig) -> TrainingConfig:
+        optimisation = replace(config.optimisation, fit="template")  # the paper's, and what drapes are simulated for
+        if not optimised:
+            optimisation = replace(optimisation, skinning_rate=0.0)
+        return replace(config, garment_nodes=replace(config.garment_nodes, count=count), optimisation=optimisation)
+
+    return change
+
+
+def _relu(config: TrainingConfig) -> TrainingConfig:
+    networks = config.networks
+    wider = {key: RELU_WIDER * getattr(networks, key) for key in ("pose_hidden", "deformer_hidden")}
+    return replace(config, networks=replace(networks, activation="relu", **wider))
+
+
+def _concatenation(config: TrainingConfig) -> TrainingConfig:
+    """A node deformer so wide that there are as many network weights a frame as with modulation."""
+    rig, count = load_body_model().rig, config.garment_nodes.count
+    budget = frame_weights(config.networks, rig, count)
+    concatenated = replace(config.networks, conditioning="concatenation")
+    wider = replace(concatenated, deformer_hidden=concatenated.deformer_hidden + 8)
+    while frame_weights(wider, rig, count) <= budget:
+        concatenated, wider = wider, replace(wider, deformer_hidden=wider.deformer_hidden + 8)
+    return replace(config, networks=concatenated)
+
+
+def _fantastical(config: TrainingConfig) -> TrainingConfig:
+    most = len(fantastical_body_model().train_bodies)
+    return replace(config, body_distribution="fantastical", train_bodies=min(config.train_bodies, most))
+
+
+def _seed(seed: int) -> Callable[[TrainingConfig], TrainingConfig]:
+    return lambda config: replace(config, seed=seed)
+
+
+def _as_it_is(config: TrainingConfig) -> TrainingConfig:
+    return config
+
+
+ROWS = {
+    "nodes32-fixed": Row("32 nodes, fixed", _nodes(32, optimised=False)),
+    "nodes64-fixed": Row("64 nodes, fixed", _nodes(64, optimised=False)),
+    "nodes128-fixed": Row("128 nodes, fixed", _nodes(128, optimised=False)),
+    "nodes64": Row("64 nodes", _nodes(64, optimised=True)),
+    BASE: Row("128 nodes", _nodes(128, optimised=True), on_fantastical=True),
+    "nodes256": Row("256 nodes", _nodes(256, optimised=True)),
+    "concatenation": Row("concatenation", _concatenation),
+    "relu": Row("ReLU", _relu),
+    "supervised": Row("supervised", _as_it_is, supervised=True),
+    "fantastical": Row("fantastical", _fantastical, on_fantastical=True),
+    "seed1": Row("128 nodes, seed 1", _seed(1)),
+    "seed2": Row("128 nodes, seed 2", _seed(2)),
+}
+
+
+def frame_weights(networks: NetworkConfig, rig: Rig, node_count: int) -> int:
+    """Network weights that one frame reads at most: the node deformer's first layer is folded to the rig's bones, a
+    concatenated body code into a bias."""
+    h, p = networks.deformer_hidden, networks.pose_hidden
+    codes = h if networks.conditioning == "concatenation" else 2 * h * networks.deformer_layers
+    pose = rig.pose_size * p + (networks.pose_layers - 1) * p * p + p * codes
+    inputs = 12 * min(rig.bone_count, node_count)
+    return pose + inputs * h + (networks.deformer_layers - 1) * h * h + h * networks.node_outputs * node_count
+
+
+def model_path(folder: Path, name: str) -> Path:
+    """Where a row's model file lies in the ablations' folder."""
+    return folder / name / f"{name}.safetensors"
+
+
+def finished_figures(folder: Path, name: str) -> dict | None:
+    """What a finished row left in the ablations' folder, None while it is not finished."""
+    path = folder / name / "figures.json"
+    return json.loads(path.read_text()) if path.exists() else None
+
+
+def run_row(name: str, base: TrainingConfig, folder: Path, device: torch.device, options: RowOptions) -> dict:
+    """Train and measure one row into `folder`/`name`. Returns its figures.
+
+    Raises ValueError for impossible configurations, TrainingDiverged when training does.
+    """
+    row, own = ROWS[name], folder / name
+    config = replace(row.change(ROWS[BASE].change(base)), name=name)
+    own.mkdir(parents=True, exist_ok=True)
+    trainer = Trainer(config, device)
+    result: dict = {"row": name, "label": row.label, "budget_minutes": options.minutes, "device": _name_of(device)}
+    simulated = own / "drapes"
+    if row.supervised:
+        began = time.perf_counter()
+        drapes = simulate_drapes(trainer, options.drapes, simulated, batch=options.drape_batch)
+        trainer = SupervisedTrainer(config, device, drapes)
+        result["simulated"] = {
+            "drapes": drapes.converged.numel(),
+            "converged_percent": 100 * drapes.converged.float().mean().item(),
+            "mean_gradient_norm_n": drapes.gradient_norm.mean().item(),
+            "seconds": time.perf_counter() - began,
+        }
+    result |= _train(trainer, options.minutes)
+    model = _exported(trainer, model_path(folder, name))
+    result["config"] = trainer.config.as_plain_data()
+    result["frame_weights"] = frame_weights(config.networks, model.rig, len(model.node_rest))
+    result["figures"] = _measured(model, device, range(options.bodies), options.poses, None)
+    if row.on_fantastical:
+        result["fantastical"] = _on_fantastical(model, device, options.poses)
+    partial = own / "figures.partial"
+    partial.write_text(json.dumps(result, indent=1))
+    partial.replace(own / "figures.json")
+    shutil.rmtree(simulated, ignore_errors=True)
+    return result
+
+
+def _train(trainer: Trainer, minutes: float) -> dict:
+    """Train for a time; the curve is the energy of the averaged drape on a fixed set over the full range of poses."""
+    began = time.perf_counter()
+    rate = trainer.choose_steps(60 * minutes)
+    steps = trainer.config.optimisation.steps
+    log.info("%.1f steps a second: %d steps in %g minutes", rate, steps, minutes)
+    measuring = time.perf_counter()
+    curve = [{"step": 0, "seconds": 0.0, "energy_j": trainer.average_energy()}]
+    first = time.perf_counter()
+    points = min(CURVE_POINTS, CURVE_SHARE * 60 * minutes / (first - measuring))
+    every = math.ceil(steps / max(1, int(points)))
+    for step in trainer.run(steps):
+        if step % every == 0 or step == steps:
+            energy = trainer.average_energy()
+            curve.append({"step": step, "seconds": time.perf_counter() - first, "energy_j": energy})
+            log.info("step %d of %d, %.0f s, %.4f J", step, steps, curve[-1]["seconds"], energy)
+    trainer.close()
+    return {
+        "steps": steps,
+        "steps_a_second": rate,
+        "seconds": time.perf_counter() - began,
+        "exported_step": trainer.best.step if trainer.best else steps,
+        "curve": curve,
+    }
+
+
+def _exported(trainer: Trainer, path: Path) -> GarmentModel:
+    """The model as it is stored. Raises ValueError when it drapes otherwise than the trained one."""
+    config, drape = trainer.config, trainer.best_drape()
+    model = model_from_drape(
+        drape,
+        trainer.garment,
+        trainer.rig,
+        name=config.name,
+        influences=config.garment_nodes.influences,
+        material=config.material,
+        training=config.as_plain_data(),
+    )
+    save_garment_model(model, path)
+    stored = load_garment_model(path)
+    cost = agreement(stored, drape)
+    if not cost.largest <= EXPORT_TOLERANCE:
+        raise ValueError(f"the exported model drapes {1000 * cost.largest:.2f} mm away from the trained one")
+    return stored
+
+
+def _measured(
+    model: GarmentModel, device: torch.device, bodies: range, poses: int, body_model: BodyModel | None
+) -> dict:
+    batch = 64 if device.type == "cuda" else 16
+    evaluation = Evaluation(model, device, bodies=list(bodies), poses=poses, seed=0, batch=batch, body_model=body_model)
+    return evaluation.figures(upright=True, only=("model", "skinning"))
+
+
+def _on_fantastical(model: GarmentModel, device: torch.device, poses: int) -> dict:
+    body_model = fantastical_body_model()
+    count = len(body_model.held_out_bodies)
+    kinds = {kind: range(index, count, len(KINDS)) for index, kind in enumerate(KINDS)}
+    return {kind: _measured(model, device, bodies, poses, body_model) for kind, bodies in kinds.items()}
+
+
+def _name_of(device: torch.device) -> str:
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line of one row, started by `physkin_studies.ablations`."""
+    parser = argparse.ArgumentParser(prog="python -m physkin_studies.ablation_rows", description=main.__doc__)
+    parser.add_argument("row", choices=tuple(ROWS))
+    parser.add_argument("--config", type=Path, required=True)
+    parser.add_argument("--output", type=Path, required=True)
+    parser.add_argument("--device", required=True)
+    parser.add_argument("--options", type=json.loads, required=True, help="RowOptions as JSON")
+    arguments = parser.parse_args(argv)
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    try:
+        run_row(
+            arguments.row,
+            load_config(arguments.config),
+            arguments.output,
+            resolve_device(arguments.device),
+            RowOptions(**arguments.options),
+        )
+    except (ValueError, TrainingDiverged) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,196 @@
+"""A contact sheet of a garment model: seeded poses x three held-out bodies, the model beside the full-space minimum.
+
+`physkin contact-sheet MODEL -o PNG`. Half the poses are uniform in the joint limits, half are frames of the shipped
+clips, turned so that gravity points down; each cell's caption gives its edge strain.
+Dimensions: `P` pairs, `B` samples of a batch, `n` garment vertices, `V` body vertices.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+import warp as wp
+
+from physkin_core.avatar.body_model import BodyModel, load_body_model
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.model_file import load_garment_model
+from physkin_core.motion.motion import bundled_motions, load_motion
+from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
+from physkin_core.quality import edge_strain
+from physkin_core.rig.rig import Rig
+from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.evaluate.evaluate import Evaluation
+from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
+
+__all__ = ["Drapes", "chosen_bodies", "chosen_poses", "drape_all", "draw"]
+
+MINIMUM_COLOUR = (0.45, 0.50, 0.28)
+POSES_A_ROW = 2
+PIXELS_HIGH = 1.25
+"""Height of a picture, relative to its width."""
+LIGHT_PATHS = 8
+PRINTED = {
+    "edge_strain_percent": "% edge strain",
+    "area_strain_percent": "% area strain",
+    "inside_percent": "% inside",
+    "max_depth_mm": "mm deepest",
+    "energy_j": "J",
+}
+
+
+@dataclass(frozen=True)
+class Drapes:
+    """Garment vertices (P, n, 3) [m] and edge strains (P,) [%] by row, `model` and perhaps `minimum`, and the bodies
+    under them (P, V, 3) [m], in the root frame; `figures` over all pairs by row."""
+
+    garments: dict[str, np.ndarray]
+    strains: dict[str, np.ndarray]
+    bodies: np.ndarray
+    figures: dict[str, dict[str, float]]
+
+
+def chosen_bodies(body_model: BodyModel) -> dict[str, int]:
+    """Indices of the held-out bodies with the least, the median and the most volume for their height squared."""
+    index = []
+    for coefficients in body_model.held_out_bodies:
+        vertices = body_model.vertices(coefficients).astype(np.float64)
+        a, b, c = vertices[body_model.faces].transpose(1, 0, 2)
+        index.append((a * np.cross(b, c)).sum() / 6 / np.ptp(vertices[:, 2]) ** 2)
+    order = np.argsort(index)
+    places = {"thin": 0, "average": len(order) // 2, "heavy": len(order) - 1}
+    return {name: int(order[place]) for name, place in places.items()}
+
+
+def chosen_poses(rig: Rig, *, count: int, seed: int) -> tuple[Pairs, list[str]]:
+    """`count` poses of body 0 and what to call them: half uniform over the limits, half frames of the shipped clips."""
+    if count < 1:
+        raise ValueError(f"poses must be at least 1, got {count}")
+    uniform = count - count // 2
+    parts = [uniform_pairs(rig, bodies=1, poses=uniform, seed=seed, upright=True)]
+    names = [f"uniform {k}" for k in range(1, uniform + 1)]
+    clips = [load_motion(name) for name in bundled_motions()]
+    frames = [(clip, frame) for clip in clips for frame in range(clip.frame_count)]
+    for index in sorted(np.random.default_rng(seed).choice(len(frames), count - uniform, replace=False)):
+        clip, frame = frames[index]
+        parts.append(motion_pairs(clip, rig, bodies=1)[torch.tensor([frame])])
+        names.append(f"{clip.name} {frame}")
+    fields = ([getattr(part, field) for part in parts] for field in ("positions", "gravity", "body"))
+    return Pairs(*(torch.cat(field) for field in fields)), names
+
+
+def drape_all(evaluation: Evaluation, poses: Pairs, *, minimum: bool) -> Drapes:
+    """Every pose on every body of the evaluation, pose by pose. minimum: beside its full-space minimum."""
+    count = len(evaluation.bodies)
+    pairs = poses[torch.arange(len(poses)).repeat_interleave(count)]
+    pairs = replace(pairs, body=torch.arange(count).repeat(len(poses)))
+    rows = ["model", "minimum"] if minimum else ["model"]
+    figures = {row: evaluation.new_figures() for row in rows}
+    garments: dict[str, list] = {row: [] for row in rows}
+    strains: dict[str, list] = {row: [] for row in rows}
+    bodies = []
+    for batch in evaluation.batches(pairs):
+        points = wp.to_torch(evaluation.posed_bodies.mesh.points).view(evaluation.batch, -1, 3)
+        bodies.append((points - evaluation.posed_bodies.offset[:, None])[: batch.count].cpu().numpy())
+        with torch.no_grad():
+            inputs = (batch.modulation, batch.positions, batch.gravity, batch.posed_nodes, batch.rest)
+            drapes = {"model": evaluation.drape(*inputs)}
+        if minimum:
+            drapes["minimum"] = evaluation.full_space_minimum(drapes["model"], batch).vertices
+        for row, vertices in drapes.items():
+            evaluation.count_in(figures[row], vertices, batch)
+            garments[row].append(vertices[: batch.count].cpu().numpy())
+            strains[row] += [
+                float(edge_strain(evaluation.rest_garment(body), x))
+                for body, x in zip(batch.body.tolist(), garments[row][-1])
+            ]
+    return Drapes(
+        {row: np.concatenate(parts) for row, parts in garments.items()},
+        {row: np.array(values) for row, values in strains.items()},
+        np.concatenate(bodies),
+        {row: counted.result() for row, counted in figures.items()},
+    )
+
+
+def draw(
+    drapes: Drapes, model: GarmentModel, gravity: np.ndarray, captions: Sequence[str], *, columns: int, width: int
+) -> np.ndarray:
+    """The sheet (H, W, 3) uint8: pairs in rows of `columns`, the rows of `drapes` of each side by side.
+
+    gravity: (P, 3) in the root frame. captions: (P,). width: of one picture [pixels].
+    """
+    faces, colours = load_body_model().faces, {"model": CLOTH_COLOUR, "minimum": MINIMUM_COLOUR}
+    pictures, texts = [], []
+    for pair, caption in enumerate(captions):
+        turn = _to_world(gravity[pair]).T
+        body = drapes.bodies[pair] @ turn
+        cloths = {row: vertices[pair] @ turn for row, vertices in drapes.garments.items()}
+        everything = np.concatenate([body, *cloths.values()])
+        for row, cloth in cloths.items():
+            picture = render(
+                [Mesh(body, faces), Mesh(cloth, model.garment.faces, colours[row])],
+                size=(width, round(PIXELS_HIGH * width)),
+                bounds=np.stack([everything.min(axis=0), everything.max(axis=0)]),
+                samples=LIGHT_PATHS,
+            )
+            pictures.append(picture)
+            texts.append(f"{caption if row == 'model' else row} {drapes.strains[row][pair]:.1f} %")
+    return contact_sheet(pictures, columns=columns * len(drapes.garments), captions=texts, gap=4)
+
+
+def _to_world(gravity: np.ndarray) -> np.ndarray:
+    """The smallest rotation (3, 3) that turns a gravity direction (3,) to -Z; about X where none is smallest."""
+    from scipy.spatial.transform import Rotation
+
+    axis = np.cross(gravity, [0.0, 0.0, -1.0])
+    length = np.linalg.norm(axis)
+    axis = axis / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
+    return Rotation.from_rotvec(np.arctan2(length, -gravity[2]) * axis).as_matrix()
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line entry: `physkin contact-sheet MODEL -o PNG`."""
+    parser = argparse.ArgumentParser(prog="physkin contact-sheet", description=__doc__.splitlines()[0])
+    parser.add_argument("model", help="garment model file, or the name of a shipped one")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="PNG")
+    parser.add_argument("--poses", type=int, default=12, help="poses on each of the three bodies (default 12)")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--fit", type=float, default=0.0, help="0: one size, 1: made to measure (default 0)")
+    parser.add_argument("--minimum", action="store_true", help="beside the full-space minimum (minutes on a CPU)")
+    parser.add_argument("--width", type=int, default=170, help="of one picture, in pixels (default 170)")
+    parser.add_argument("--device", default=DEFAULT_DEVICE)
+    arguments = parser.parse_args(argv)
+    try:
+        if arguments.output.suffix.lower() != ".png":
+            raise ValueError(f"cannot write {arguments.output}: the name must end in .png")
+        if not arguments.output.resolve().parent.is_dir():
+            raise ValueError(f"cannot write {arguments.output}: no such directory")
+        if arguments.width < 1:
+            raise ValueError(f"--width must be at least 1, got {arguments.width}")
+        model = load_garment_model(arguments.model)
+        bodies = chosen_bodies(load_body_model())
+        device, held_out = resolve_device(arguments.device), list(bodies.values())
+        evaluation = Evaluation(model, device, bodies=held_out, poses=arguments.poses, seed=0, fit=arguments.fit)
+        poses, names = chosen_poses(model.rig, count=arguments.poses, seed=arguments.seed)
+        drapes = drape_all(evaluation, poses, minimum=arguments.minimum)
+        captions = [f"{name}, {body}" for name in names for body in bodies]
+        gravity = poses.gravity.numpy().repeat(len(bodies), axis=0)
+        sheet = draw(drapes, model, gravity, captions, columns=POSES_A_ROW * len(bodies), width=arguments.width)
+        save_png(arguments.output, sheet)
+    except (ValueError, PictureError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    for row, figures in drapes.figures.items():
+        listed = ", ".join(f"{figures[figure]:.3f} {unit}" for figure, unit in PRINTED.items())
+        print(f"{row} ({figures['pairs']} pairs): {listed}")
+    print(f"wrote {arguments.output}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,357 @@
+"""Quality figures of a garment model on held-out bodies, beside plain skinning and the two minima.
+
+Poses are uniform in the joint limits, or frames of motion. `physkin evaluate MODEL` prints a table and writes JSON;
+deterministic for a seed on one kind of device.
+Dimensions: `B` samples of a batch, `n` garment vertices, `m` garment nodes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+import sys
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from physkin_core.avatar.body_model import BodyModel, load_body_model
+from physkin_core.model.garment import Garment
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.model_file import load_garment_model, save_garment_model
+from physkin_core.motion.motion import Motion, bundled_motions, load_motion
+from physkin_core.rig.rig import Rig
+from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.evaluate.figures import Figures
+from physkin_training.evaluate.inside_by_vertex import inside_by_vertex
+from physkin_training.evaluate.minimum import subspace_minimum
+from physkin_training.evaluate.score_table import table
+from physkin_training.networks.draping import Drape, RestShape, compose_nodes, delta_transforms
+from physkin_training.networks.export import drape_from_model, encode_bodies
+from physkin_training.networks.made_to_measure import MadeToMeasure
+from physkin_training.physics.full_space_solver import FullSpaceSolver, Solution
+from physkin_training.physics.physics_losses import Energies, PhysicsLosses
+from physkin_training.physics.rest_data import GRAVITY, RestData
+from physkin_training.physics.wearing import Wearing
+from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
+from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
+
+__all__ = ["Evaluation", "evaluate_model"]
+
+REACH = 0.3
+"""Bodies are looked for up to this distance [m], beyond the deepest penetration."""
+FEWER_INFLUENCES = 4
+"""What skinning to so few influences, which most engines support, would cost is measured too."""
+MOTION_RATE = 60.0
+"""Frames a second at which motion is measured; clips of another rate are resampled."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """One batch of held-out (body, pose) pairs, ready to drape. The first `count` count, the others only fill it up."""
+
+    count: int
+    posed_nodes: torch.Tensor
+    modulation: torch.Tensor
+    positions: torch.Tensor
+    gravity: torch.Tensor
+    body: torch.Tensor
+    rest: RestShape | None = None
+
+
+class Evaluation:
+    """Held-out bodies and seeded poses for one garment model on one device.
+
+    bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, 0 (template) to
+    1 (made to measure); strains are against the rest shape at that fit. body_model: whose bodies, default the adults
+    that are shipped. Other limbs press one way (see `Wearing`) whatever the model was trained with, so that energies of
+    all models are of one kind. Raises ValueError when the model is for another rig than the body model's or has not
+    learnt the fit, or there are not so many bodies.
+    """
+
+    def __init__(
+        self,
+        model: GarmentModel,
+        device: torch.device,
+        *,
+        bodies: int | Sequence[int],
+        poses: int,
+        seed: int,
+        batch: int = 64,
+        fit: float = 0.0,
+        body_model: BodyModel | None = None,
+    ) -> None:
+        fit = model.checked_fit(fit)
+        body_model = body_model or load_body_model()
+        held_out = body_model.held_out_bodies
+        if isinstance(bodies, int):
+            if not 1 <= bodies <= len(held_out):
+                raise ValueError(f"bodies must be 1 to {len(held_out)}, got {bodies}")
+            bodies = range(bodies)
+        if poses < 1:
+            raise ValueError(f"poses must be at least 1, got {poses}")
+        if model.rig.to_json() != body_model.rig.to_json():
+            difference = _difference(model.rig, body_model.rig)
+            raise ValueError(f"garment model {model.name!r} is for another rig than the body model's: {difference}")
+        self.model, self.device, self.poses, self.seed = model, device, poses, seed
+        self.drape: Drape = drape_from_model(model).to(device).eval()
+        self.bodies = BodySet(body_model, held_out[list(bodies)], device)
+        self.batch = min(batch, len(bodies) * poses)
+        self.posed_bodies = PosedBodies(body_model, self.bodies, self.batch)
+        wearing = Wearing.of(model.garment, body_model)
+        self._fits: MadeToMeasure | None = None
+        if fit:
+            self._fits = MadeToMeasure(model.garment, self.drape, self.bodies, body_model, fit=fit)
+        shapes = self._fits.shapes if self._fits else None
+        self.rest = RestData(model.garment, model.material, device, shapes=shapes)
+        self.losses = PhysicsLosses(
+            model.garment, model.material, self.batch, device, wearing=wearing, reach=REACH, rest=self.rest
+        )
+        self.modulations = encode_bodies(self.drape, self.bodies.vertices.cpu().numpy(), body_model.faces, fit=fit)
+        self.node_positions = self.drape.node_positions(self.bodies)
+
+    def uniform(self, *, upright: bool) -> Pairs:
+        """The seed's pairs of every body with `poses` poses uniform in the limits."""
+        return uniform_pairs(self.model.rig, bodies=len(self.bodies), poses=self.poses, seed=self.seed, upright=upright)
+
+    def batches(self, pairs: Pairs) -> Iterator[Batch]:
+        """All pairs in order, `self.batch` at a time: kernels keep their size, so a last partial batch is filled up
+        with pairs that do not count."""
+        for start in range(0, len(pairs), self.batch):
+            pick = torch.arange(start, start + self.batch) % len(pairs)
+            q, g, b = (a[pick].to(self.device) for a in (pairs.positions, pairs.gravity, pairs.body))
+            bones = self.posed_bodies.pose(q, b)
+            positions, rest = self.node_positions[b], None
+            if self._fits is not None:
+                worn = self._fits.worn(b, torch.ones_like(b, dtype=torch.bool))
+                positions, rest = worn.node_positions, worn.rest
+                self.losses.rest_row.copy_(worn.rows)
+            posed_nodes = self.drape.posed_nodes(bones, positions)
+            yield Batch(min(self.batch, len(pairs) - start), posed_nodes, self.modulations[b], q, g, b, rest)
+
+    def rest_garment(self, body: int) -> Garment:
+        """The garment in the rest shape that body `body` of this evaluation wears."""
+        garment = self.model.garment
+        return garment.reshaped(self._fits.shapes[1 + body]) if self._fits else garment
+
+    def new_figures(self) -> Figures:
+        """Figures that count nothing yet, with strains against this evaluation's rest shapes."""
+        return Figures(self.model.garment, self.device, rest=self.rest)
+
+    def energy(self, vertices: torch.Tensor, batch: Batch) -> tuple[torch.Tensor, Energies]:
+        """Mean energy and energies of drapes (B, n, 3) against the bodies of the batch posed last."""
+        return self.losses(vertices, batch.gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
+
+    def count_in(self, figures: Figures, vertices: torch.Tensor, batch: Batch, *, motion: bool = False) -> None:
+        """Count drapes (B, n, 3) of the batch posed last in. motion: they are frames, each body's a take."""
+        with torch.no_grad():
+            energies = self.energy(vertices, batch)[1]
+            inside = inside_by_vertex(vertices, self.posed_bodies, reach=REACH)
+        takes = batch.body if motion else None
+        figures.add(vertices, energies, inside, rest_row=self.losses.rest_row, takes=takes, count=batch.count)
+
+    def figures(
+        self, *, upright: bool, only: Collection[str] = ("model", "skinning", "fewer_influences")
+    ) -> dict[str, dict[str, float]]:
+        """The model, plain skinning, and the model with only the `FEWER_INFLUENCES` strongest influences a vertex
+        (renormalised), over all pairs; of these rows, those named in `only`."""
+        rows = self._rows(self.uniform(upright=upright), only)
+        return {name: figures.result() for name, figures in rows.items()}
+
+    def motion(self, motions: Sequence[Motion]) -> dict:
+        """Model and plain skinning on every frame of clips on every body: `model`, `skinning`, `jitter_ratio`; `clips`
+        by name with the same; `counts`.
+
+        Raises MotionError when a clip moves none of the rig's joints, ValueError when one is too short, stands still or
+        comes twice.
+        """
+        clips = {motion.name: motion.resampled(MOTION_RATE) for motion in motions}
+        if len(clips) < len(motions):
+            raise ValueError(f"clips must have different names, got {', '.join(motion.name for motion in motions)}")
+        for motion in clips.values():
+            if motion.frame_count < 3:
+                raise ValueError(f"motion {motion.name!r} is too short: jitter needs 3 frames at {MOTION_RATE:g} Hz")
+            if not np.ptp(motion.positions, axis=0).any():
+                raise ValueError(f"motion {motion.name!r} stands still: jitter is measured against plain skinning's")
+        total = {name: self.new_figures() for name in ("model", "skinning")}
+        results: dict = {"clips": {}}
+        for name, motion in clips.items():
+            rows = self._rows(motion_pairs(motion, self.model.rig, bodies=len(self.bodies)), total, motion=True)
+            for row, figures in rows.items():
+                total[row].include(figures)
+            results["clips"][name] = _with_jitter_ratio(rows)
+        results["counts"] = {
+            "clips": len(clips),
+            "frames": sum(motion.frame_count for motion in clips.values()),
+            "bodies": len(self.bodies),
+            "rate_hz": MOTION_RATE,
+        }
+        return _with_jitter_ratio(total) | results
+
+    def _rows(self, pairs: Pairs, only: Collection[str], *, motion: bool = False) -> dict[str, Figures]:
+        fewer = copy.deepcopy(self.drape)
+        fewer.prune_influences(FEWER_INFLUENCES)
+        drapes = {"model": self.drape, "skinning": self.drape, "fewer_influences": fewer}
+        drapes = {name: drape for name, drape in drapes.items() if name in only}
+        rows = {name: self.new_figures() for name in drapes}
+        with torch.no_grad():
+            for batch in self.batches(pairs):
+                raw = self._raw(batch)
+                for name, drape in drapes.items():
+                    delta = delta_transforms(torch.zeros_like(raw) if name == "skinning" else raw)
+                    vertices = drape.skin(compose_nodes(batch.posed_nodes, delta), batch.rest)
+                    self.count_in(rows[name], vertices, batch, motion=motion)
+        return rows
+
+    def minima(self, *, count: int, steps: int) -> dict[str, dict[str, float]]:
+        """Model, subspace minimum and full-space minimum on `count` upright pairs (at most all of them).
+
+        The full-space minimum starts from the lower of the other two. Minima also hold the mean `gradient_norm` at the
+        end, the full-space one the `converged_percent` of its samples (see `Solution`).
+        """
+        rows = {name: self.new_figures() for name in ("model", "subspace_minimum", "minimum")}
+        converged: list[bool] = []
+        norms: dict[str, list[float]] = {"subspace_minimum": [], "minimum": []}
+        for batch in self.batches(self.uniform(upright=True).spread(count)):
+
+            def objective(vertices: torch.Tensor, batch: Batch = batch) -> torch.Tensor:
+                return self.energy(vertices, batch)[0]
+
+            with torch.no_grad():
+                raw = self._raw(batch)
+                own = self.drape.skin(compose_nodes(batch.posed_nodes, delta_transforms(raw)), batch.rest)
+            subspace = subspace_minimum(objective, self.drape, batch.posed_nodes, raw, rest=batch.rest, steps=steps)
+            with torch.no_grad():
+                better = self.energy(subspace.vertices, batch)[1].total < self.energy(own, batch)[1].total
+            start = torch.where(better[:, None, None], subspace.vertices, own)
+            minima = {"subspace_minimum": subspace, "minimum": self.full_space_minimum(start, batch)}
+            converged += minima["minimum"].converged[: batch.count].tolist()
+            for name, minimum in minima.items():
+                norms[name] += minimum.gradient_norm[: batch.count].tolist()
+            for name, vertices in {"model": own, **{k: m.vertices for k, m in minima.items()}}.items():
+                self.count_in(rows[name], vertices, batch)
+        results = {name: figures.result() for name, figures in rows.items()}
+        for name, values in norms.items():
+            results[name]["gradient_norm"] = sum(values) / len(values)
+        results["minimum"]["converged_percent"] = 100 * sum(converged) / len(converged)
+        return results
+
+    def full_space_minimum(self, start: torch.Tensor, batch: Batch) -> Solution:
+        """Minimise over all vertices from drapes (B, n, 3), against the bodies of the batch posed last."""
+        return self._solver.minimise(start, batch.gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
+
+    @cached_property
+    def _solver(self) -> FullSpaceSolver:
+        return FullSpaceSolver(self.model.garment, self.losses, self.batch, self.device)
+
+    def _raw(self, batch: Batch) -> torch.Tensor:
+        vector = self.drape.pose_vector(batch.positions, batch.gravity)
+        return self.drape.networks(batch.modulation, vector, batch.posed_nodes)
+
+
+def _with_jitter_ratio(rows: dict[str, Figures]) -> dict:
+    results: dict = {name: figures.result() for name, figures in rows.items()}
+    return results | {"jitter_ratio": results["model"]["jitter_mm"] / results["skinning"]["jitter_mm"]}
+
+
+def _difference(rig: Rig, other: Rig) -> str:
+    if rig.bone_names != other.bone_names:
+        return f"{rig.bone_count} bones, expected {other.bone_count}, or other names"
+    if rig.dofs != other.dofs:
+        return f"{len(rig.dofs)} degrees of freedom, expected {len(other.dofs)}, or other axes or limits"
+    return "bones of other parents or in other places"
+
+
+def evaluate_model(
+    model: GarmentModel,
+    device: torch.device,
+    *,
+    bodies: int,
+    poses: int,
+    seed: int,
+    minimum: int,
+    steps: int,
+    motions: Sequence[Motion] = (),
+) -> dict:
+    """All rows of one model as plain data. minimum: pairs for the minima, 0 to leave them out. motions: clips for the
+    rows on motion.
+
+    Raises ValueError for another rig than the body model's, impossible counts and clips that cannot be used.
+    """
+    batch = 64 if device.type == "cuda" else min(16, bodies * poses)
+    evaluation = Evaluation(model, device, bodies=bodies, poses=poses, seed=seed, batch=batch)
+    influences = model.influence_weights.shape[1]
+    rows = ["model", "skinning", *(["fewer_influences"] if influences > FEWER_INFLUENCES else [])]
+    scores: dict = evaluation.figures(upright=True, only=rows)
+    scores["tilted"] = evaluation.figures(upright=False, only=["model"])["model"]
+    scores["counts"] = {"bodies": bodies, "poses": poses, "seed": seed, "pairs": scores["model"]["pairs"]}
+    scores["counts"]["influences"] = influences
+    scores["material"] = asdict(model.material)
+    if model.made_to_measure:
+        fitted = Evaluation(model, device, bodies=bodies, poses=poses, seed=seed, batch=batch, fit=1.0)
+        made: dict = fitted.figures(upright=True, only=["model", "skinning"])
+        made["tilted"] = fitted.figures(upright=False, only=["model"])["model"]
+        if motions:
+            made["motion"] = fitted.motion(motions)
+        scores["made_to_measure"] = made
+    scores["weight_n"] = float(model.garment.vertex_areas.sum() * model.material.density * GRAVITY)
+    if motions:
+        scores["motion"] = evaluation.motion(motions)
+    if minimum:
+        subset = evaluation.minima(count=minimum, steps=steps)
+        scores |= {"subspace_minimum": subset["subspace_minimum"], "minimum": subset["minimum"]}
+        scores["model_on_subset"] = subset["model"]
+        scores["counts"] |= {"minimum_pairs": subset["model"]["pairs"], "minimum_steps": steps}
+        scores["energy_ratio"] = subset["model"]["energy_j"] / subset["minimum"]["energy_j"]
+    return scores
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line entry: `physkin evaluate MODEL`."""
+    parser = argparse.ArgumentParser(prog="physkin evaluate", description=__doc__.splitlines()[0])
+    parser.add_argument("model", help="garment model file, or the name of a shipped one")
+    parser.add_argument("--bodies", type=int, default=16, help="held-out bodies (default 16)")
+    parser.add_argument("--poses", type=int, default=256, help="uniform poses a body (default 256)")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--motion",
+        nargs="*",
+        default=bundled_motions(),
+        metavar="CLIP",
+        help="shipped clips or motion files to measure on as well (default all shipped ones; none given: none)",
+    )
+    parser.add_argument("--minimum", type=int, default=0, metavar="PAIRS", help="also minimise that many pairs")
+    parser.add_argument("--minimum-steps", type=int, default=2000)
+    parser.add_argument("--device", default=DEFAULT_DEVICE)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
+    parser.add_argument("--store", type=Path, metavar="FILE", help="write the model with its scores there")
+    arguments = parser.parse_args(argv)
+    try:
+        model = load_garment_model(arguments.model)
+        scores = evaluate_model(
+            model,
+            resolve_device(arguments.device),
+            bodies=arguments.bodies,
+            poses=arguments.poses,
+            seed=arguments.seed,
+            minimum=arguments.minimum,
+            steps=arguments.minimum_steps,
+            motions=[load_motion(clip) for clip in arguments.motion],
+        )
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(table(scores))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(scores, indent=1))
+    if arguments.store:
+        save_garment_model(replace(model, scores=scores), arguments.store)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

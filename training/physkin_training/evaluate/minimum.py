@@ -1,0 +1,59 @@
+"""The energy's minimum over the garment nodes' numbers, free per pose (the full space has `full_space_solver`).
+
+The same energies, minimised with Adam under a cosine-decayed rate, a fixed number of steps; the gradient norms at the
+end are reported with the result, so that a reader can tell how well it converged.
+Dimensions: `B` samples, `m` garment nodes, `n` vertices.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+
+from physkin_training.networks.draping import Drape, RestShape, compose_nodes, delta_transforms
+
+__all__ = ["Minimum", "subspace_minimum"]
+
+Energy = Callable[[torch.Tensor], torch.Tensor]
+"""Differentiable mean energy [J] of garment vertices (B, n, 3)."""
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Where a minimisation ended: vertices (B, n, 3) [m], and norm (B,) of each sample's energy gradient there, by the
+    free numbers. Both detached."""
+
+    vertices: torch.Tensor
+    gradient_norm: torch.Tensor
+
+
+def subspace_minimum(
+    energy: Energy,
+    drape: Drape,
+    posed_nodes: torch.Tensor,
+    raw: torch.Tensor,
+    *,
+    steps: int,
+    rate: float = 5e-3,
+    rest: RestShape | None = None,
+) -> Minimum:
+    """Minimise over the garment nodes' numbers `raw` (B, m, 9 or 12), skinning weights fixed. rate: first Adam step.
+    rest: of the samples, default the template."""
+    free = raw.detach().clone().requires_grad_(True)
+    optimiser = torch.optim.Adam([free], lr=rate)
+
+    def shape() -> torch.Tensor:
+        return drape.skin(compose_nodes(posed_nodes, delta_transforms(free)), rest)
+
+    def compute_gradient() -> None:
+        (free.grad,) = torch.autograd.grad(energy(shape()) * len(free), free)
+
+    for step in range(steps):
+        optimiser.param_groups[0]["lr"] = rate * (0.001 + 0.999 * 0.5 * (1 + math.cos(math.pi * step / steps)))
+        compute_gradient()
+        optimiser.step()
+    compute_gradient()
+    return Minimum(shape().detach(), torch.linalg.vector_norm(free.grad.flatten(1), dim=1))

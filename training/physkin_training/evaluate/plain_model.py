@@ -1,0 +1,44 @@
+"""A garment model without training: plain skinning to the garment nodes, the networks' last layers at zero.
+
+What every trained model is compared with, and a stand-in while a garment is being prepared.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import torch
+
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.model.garment import load_garment
+from physkin_core.model.garment_model import GarmentModel, Material
+from physkin_core.model.model_file import save_garment_model
+from physkin_training.networks.draping import Drape, GarmentNodes
+from physkin_training.networks.export import model_from_drape
+from physkin_training.networks.networks import NetworkConfig
+
+__all__ = ["plain_model"]
+
+
+def plain_model(garment_path: str | Path, *, nodes: int = 128, influences: int = 8) -> GarmentModel:
+    """Garment nodes, heat-method skinning weights and networks that correct nothing."""
+    garment, rig = load_garment(garment_path), load_body_model().rig
+    config = NetworkConfig(pose_hidden=8, pose_layers=1, deformer_hidden=8, deformer_layers=1, token_width=8)
+    drape = Drape(garment, GarmentNodes.sample(garment, rig, nodes, influences), rig, config)
+    torch.nn.init.zeros_(drape.networks.node_deformer.layers[-1].weight)
+    name = Path(garment_path).stem
+    return model_from_drape(drape, garment, rig, name=name, influences=influences, material=Material())
+
+
+def main() -> None:
+    """Command line entry."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("garment", type=Path)
+    parser.add_argument("output", type=Path)
+    arguments = parser.parse_args()
+    save_garment_model(plain_model(arguments.garment), arguments.output)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,302 @@
+"""`physkin simulate`: drape a garment on an avatar by minimising the energy that training minimises.
+
+The minimum over all vertices is what a trained garment is measured against, and shows what a mesh is worth before it is
+trained. Dimensions: `B` poses, `n` garment vertices, `d` degrees of freedom.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from physkin_core.avatar.avatar import Avatar, avatar_from_body
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.avatar.loading import load_avatar
+from physkin_core.model.garment import Garment, load_garment
+from physkin_core.model.garment_model import GarmentModel, Material
+from physkin_core.model.model_file import load_garment_model
+from physkin_core.motion.motion import load_motion
+from physkin_core.quality import area_strain, edge_strain
+from physkin_core.rig.rig import Rig
+from physkin_core.runtime.draper import UPRIGHT_GRAVITY, Draper
+from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.evaluate.plain_model import plain_model
+from physkin_training.evaluate.posed_avatar import PosedAvatar
+from physkin_training.physics.full_space_solver import FullSpaceSolver, Progress, Solution
+from physkin_training.physics.physics_losses import PhysicsLosses
+from physkin_training.physics.wearing import Wearing
+
+__all__ = ["DrapeSimulation", "Poses", "load_pose", "main"]
+
+REACH = 0.3
+"""The body is looked for up to this distance [m]."""
+ON_THE_WAY = {"tolerance": 0.1, "iterations": 15}
+"""How well poses on the way from the canonical one are minimised."""
+NOT_CONVERGED = 1
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Joint positions (B, d) [rad] in the order of a rig, and gravity directions (B, 3) in the root frame."""
+
+    positions: np.ndarray
+    gravity: np.ndarray
+
+
+def load_pose(path: str | Path, rig: Rig) -> Poses:
+    """One pose from a JSON file: `{"positions": {joint: radians, ...}, "gravity": [x, y, z]}`.
+
+    Joints left out are at rest; gravity is a direction in the root frame, default that of an upright body.
+    Raises ValueError for a file that is not so, or joints the rig has not.
+    """
+    try:
+        data = json.loads(Path(path).read_text())
+        positions = rig.joint_positions({str(name): float(value) for name, value in data["positions"].items()})
+        gravity = np.array(data.get("gravity", UPRIGHT_GRAVITY), dtype=np.float64)
+    except (OSError, KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        raise ValueError(f"pose file {path} must be JSON with an object 'positions': {error!r}") from error
+    if unknown := set(data) - {"positions", "gravity"}:
+        raise ValueError(
+            f"pose file {path} has unknown entries {', '.join(sorted(unknown))}; allowed: positions, gravity"
+        )
+    length = np.linalg.norm(gravity)
+    if gravity.shape != (3,) or not (np.isfinite(length) and length > 1e-9 and np.isfinite(positions).all()):
+        raise ValueError(f"pose file {path}: positions and gravity must be finite, gravity (3,) of some length")
+    return Poses(positions[None], gravity[None] / length)
+
+
+class DrapeSimulation:
+    """One garment on one avatar, minimised at `samples` poses at once.
+
+    start_model: the model whose drapes are started from; the garment may be another mesh of the same garment.
+    wearing: what of the body counts as contact, and the band, as in training; None: all of the body, and no band.
+    Raises ValueError when the model is for another rig than the avatar.
+    """
+
+    def __init__(
+        self,
+        garment: Garment,
+        avatar: Avatar,
+        start_model: GarmentModel,
+        material: Material,
+        samples: int,
+        device: torch.device,
+        *,
+        wearing: Wearing | None = None,
+    ) -> None:
+        same = np.array_equal(garment.faces, start_model.garment.faces)
+        self.garment, self.avatar, self.device = garment, avatar, device
+        self._draper = Draper(start_model, avatar, backend="numpy", points=None if same else garment.vertices)
+        self.rig = start_model.rig
+        self.body = PosedAvatar(avatar, self.rig, samples, device)
+        self.losses = PhysicsLosses(garment, material, samples, device, wearing=wearing, reach=REACH)
+        self.solver = FullSpaceSolver(garment, self.losses, samples, device)
+
+    def run(
+        self,
+        poses: Poses,
+        *,
+        stages: int = 0,
+        tolerance: float = 1e-2,
+        iterations: int = 300,
+        watch: Callable[[Progress], None] | None = None,
+    ) -> Solution:
+        """Minimise at the poses.
+
+        stages: 0 starts from the drapes of the start model at the poses themselves; otherwise the body is moved there
+        from the canonical pose in so many steps, the garment being minimised roughly after each.
+        """
+        if stages < 0:
+            raise ValueError(f"stages must be 0 or more, got {stages}")
+        skin, linear = self._start(poses)
+        place = skin
+        if stages:
+            here = self._partly(poses, 0.0)
+            skin, linear = self._start(here)
+            place = self.run_from(skin, here, **ON_THE_WAY).vertices.double().cpu().numpy()
+        for stage in range(1, stages + 1):
+            here = self._partly(poses, stage / stages)
+            next_skin, next_linear = self._start(here)
+            turned = np.linalg.solve(linear, (place - skin)[..., None])
+            place = next_skin + (next_linear @ turned)[..., 0]
+            skin, linear = next_skin, next_linear
+            if stage < stages:
+                place = self.run_from(place, here, **ON_THE_WAY).vertices.double().cpu().numpy()
+        return self.run_from(place, poses, tolerance=tolerance, iterations=iterations, watch=watch)
+
+    def run_from(self, start: np.ndarray, poses: Poses, **options) -> Solution:
+        """Minimise at the poses from vertices (B, n, 3) [m]. options: of `FullSpaceSolver.minimise`."""
+        self.body.pose(poses.positions)
+        return self.solver.minimise(*self._tensors(start, poses.gravity), self.body.mesh, self.body.offset, **options)
+
+    def energies(self, vertices: np.ndarray, poses: Poses) -> dict[str, torch.Tensor]:
+        """Energies (B,) [J] by term of drapes (B, n, 3) at the poses."""
+        self.body.pose(poses.positions)
+        return self.losses.evaluate(*self._tensors(vertices, poses.gravity), self.body.mesh, self.body.offset)[0]
+
+    def _partly(self, poses: Poses, share: float) -> Poses:
+        positions = self.rig.rest + share * (poses.positions - self.rig.rest)
+        gravity = UPRIGHT_GRAVITY + share * (poses.gravity - UPRIGHT_GRAVITY)
+        length = np.linalg.norm(gravity, axis=1, keepdims=True)
+        return Poses(positions, np.where(length > 0.1, gravity / np.maximum(length, 0.1), poses.gravity))
+
+    def _start(self, poses: Poses) -> tuple[np.ndarray, np.ndarray]:
+        """Drapes (B, n, 3) of the start model, and how it turns the cloth about each vertex (B, n, 3, 3)."""
+        bound = self._draper.bound
+        drapes, turns = [], []
+        for positions, gravity in zip(poses.positions, poses.gravity, strict=True):
+            drapes.append(self._draper.drape(positions, gravity)[:, :3].astype(np.float64))
+            linear = self._draper.node_transforms()[:, :, :3].astype(np.float64)
+            turns.append(np.einsum("vk,vkij->vij", bound.influence_weights, linear[bound.influence_nodes]))
+        return np.stack(drapes), np.stack(turns)
+
+    def _tensors(self, *arrays: np.ndarray) -> tuple[torch.Tensor, ...]:
+        return tuple(torch.as_tensor(array, dtype=torch.float32, device=self.device) for array in arrays)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line entry: `physkin simulate GARMENT`. Returns 0, 1 when a drape did not converge, 2 after an error."""
+    options = _parser().parse_args(argv)
+    try:
+        return _simulate(options)
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="physkin simulate", description=__doc__.splitlines()[0])
+    parser.add_argument("garment", type=Path, help="garment mesh (OBJ, PLY, STL), in the canonical pose")
+    parser.add_argument("--avatar", metavar="FILE", help="body (default: the one the shipped garments were made on)")
+    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    pose = parser.add_mutually_exclusive_group()
+    pose.add_argument(
+        "--pose", type=Path, metavar="FILE", help='JSON: {"positions": {joint: radians}, "gravity": [...]}'
+    )
+    pose.add_argument("--motion", help="bundled motion or a motion file (default: the canonical pose)")
+    parser.add_argument("--frame", type=int, nargs="+", default=[0], metavar="K", help="frames of the motion")
+    parser.add_argument("--start-from", metavar="MODEL", help="trained garment to start from (default: plain skinning)")
+    parser.add_argument("--stages", type=int, help="steps from the canonical pose (default: 8; 0 with --start-from)")
+    for entry in fields(Material):
+        name = "--" + entry.name.replace("_", "-")
+        parser.add_argument(name, type=float, default=entry.default, metavar="X", help="(default %(default)s)")
+    parser.add_argument("--tolerance", type=float, default=1e-2, help="residual force / weight (default %(default)s)")
+    parser.add_argument("--iterations", type=int, default=300, help="Newton steps at most (default %(default)s)")
+    parser.add_argument("--device", default=DEFAULT_DEVICE)
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, help=".obj or .ply (one frame), or .npz (any number)"
+    )
+    parser.add_argument("--picture", type=Path, metavar="PNG", help="body and garment of all frames")
+    return parser
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    if not options.tolerance > 0 or options.iterations < 1:
+        raise ValueError(
+            f"tolerance {options.tolerance} must be above 0, iterations {options.iterations} must be at least 1"
+        )
+    suffixes = (".obj", ".ply", ".npz") if len(options.frame) == 1 else (".npz",)
+    if options.output.suffix.lower() not in suffixes:
+        raise ValueError(f"cannot write {options.output}: the name must end in {' or '.join(suffixes)}")
+    material = Material(**{entry.name: getattr(options, entry.name) for entry in fields(Material)})
+    garment = load_garment(options.garment)
+    model = load_garment_model(options.start_from) if options.start_from else plain_model(options.garment)
+    body_model = load_body_model()
+    if options.avatar:
+        avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
+    else:
+        avatar = avatar_from_body(body_model, body_model.garment_body)
+    for warning in avatar.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    poses = _poses(options, model.rig)
+    stages = options.stages if options.stages is not None else 0 if options.start_from else 8
+    device = resolve_device(options.device)
+    if device.type == "cpu":
+        torch.set_num_threads(1)  # vectors are short: more threads would only wait for each other
+    began = time.perf_counter()
+    wearing = Wearing.on(garment, avatar, model.rig)
+    simulation = DrapeSimulation(garment, avatar, model, material, len(poses.positions), device, wearing=wearing)
+    result = simulation.run(poses, stages=stages, tolerance=options.tolerance, iterations=options.iterations)
+    seconds = time.perf_counter() - began
+    vertices = result.vertices.double().cpu().numpy()
+    print(report(garment, result))
+    print(f"{seconds:.1f} s; force scale (the garment's weight) {result.force_scale:.3f} N")
+    _write(options.output, garment, vertices, result)
+    if options.picture:
+        _draw(options.picture, avatar, garment, simulation.body.vertices, vertices)
+    if result.converged.all():
+        return 0
+    print(
+        f"warning: {int((~result.converged).sum())} of {len(vertices)} drapes did not converge to a residual of "
+        f"{options.tolerance} of the weight; where body parts run through each other there may be no such drape",
+        file=sys.stderr,
+    )
+    return NOT_CONVERGED
+
+
+def _poses(options: argparse.Namespace, rig: Rig) -> Poses:
+    if options.pose:
+        return load_pose(options.pose, rig)
+    if not options.motion:
+        return Poses(rig.rest[None].copy(), np.array(UPRIGHT_GRAVITY)[None])
+    motion = load_motion(options.motion)
+    for frame in options.frame:
+        if not 0 <= frame < motion.frame_count:
+            raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {frame}")
+    return Poses(motion.positions_for(rig)[options.frame].astype(np.float64), motion.gravity[options.frame])
+
+
+def report(garment: Garment, result: Solution) -> str:
+    """Markdown table of a solution, one row a drape."""
+    vertices = result.vertices.double().cpu().numpy()
+    columns = {
+        "drape": [str(index) for index in range(len(vertices))],
+        "iterations": [str(count) for count in result.iterations.tolist()],
+        "residual / weight": [f"{norm / result.force_scale:.4f}" for norm in result.gradient_norm.tolist()],
+        "converged": ["yes" if flag else "NO" for flag in result.converged.tolist()],
+        "edge %": [f"{value:.3f}" for value in edge_strain(garment, vertices)],
+        "area %": [f"{value:.3f}" for value in area_strain(garment, vertices)],
+        **{f"{name} J": [f"{value:.4f}" for value in values.tolist()] for name, values in result.energies.items()},
+    }
+    rows = zip(*columns.values(), strict=True)
+    lines = ["| " + " | ".join(columns) + " |", "|---" * len(columns) + "|"]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+def _write(path: Path, garment: Garment, vertices: np.ndarray, result: Solution) -> None:
+    if path.suffix.lower() == ".npz":
+        energies = {f"{name}_j": values.cpu().numpy() for name, values in result.energies.items()}
+        np.savez_compressed(
+            path,
+            vertices=vertices.astype(np.float32),
+            faces=garment.faces,
+            converged=result.converged.cpu().numpy(),
+            gradient_norm_n=result.gradient_norm.cpu().numpy(),
+            **energies,
+        )
+        return
+    import trimesh
+
+    trimesh.Trimesh(vertices[0], garment.faces, process=False).export(path)
+
+
+def _draw(path: Path, avatar: Avatar, garment: Garment, bodies: np.ndarray, drapes: np.ndarray) -> None:
+    from physkin_core.picture import CLOTH_COLOUR, Mesh, contact_sheet, render, save_png
+
+    images = [
+        render([Mesh(body, avatar.faces), Mesh(drape, garment.faces, CLOTH_COLOUR)], size=(600, 750))
+        for body, drape in zip(bodies, drapes, strict=True)
+    ]
+    save_png(path, images[0] if len(images) == 1 else contact_sheet(images, columns=min(4, len(images))))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

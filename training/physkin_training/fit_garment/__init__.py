@@ -1,0 +1,1 @@
+"""A garment of one's own: checked, mended, laid on the body, trained and reported on."""

@@ -1,0 +1,215 @@
+"""`physkin fit-garment`: from a garment mesh of one's own to a trained model, with verdicts on the way and a report.
+
+Checks and repairs the mesh, measures how fast this machine trains, trains for the minutes given with the recipe of
+`TrainingConfig`, exports, and writes a one-page HTML report.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import math
+import re
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+
+from physkin_core.avatar.avatar import Avatar, avatar_from_body
+from physkin_core.avatar.body_model import BodyModel, load_body_model
+from physkin_core.avatar.loading import load_avatar
+from physkin_core.model.model_file import load_garment_model
+from physkin_training.config import TrainingConfig, load_config
+from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.fit_garment.fit_report import write_report
+from physkin_training.fit_garment.garment_checks import CheckedGarment, check_garment, write_garment
+from physkin_training.fit_garment.verdicts import verdict_table
+from physkin_training.train import train
+from physkin_training.train.trainer import Trainer
+
+__all__ = ["StepTime", "as_toml", "main", "measure_step", "steps_in"]
+
+log = logging.getLogger(__name__)
+DEFAULT_MINUTES = {"cuda": 13.0, "cpu": 480.0}
+"""A GPU in minutes, a CPU overnight."""
+MEASURED_SECONDS = 10.0
+FEWEST_STEPS = 100
+"""Shorter runs do not even get through the warm-up."""
+REFUSED = 1
+
+
+@dataclass(frozen=True)
+class StepTime:
+    """Seconds a training step takes: while bodies are encoded from few points, and from all, late in the run."""
+
+    early: float
+    late: float
+
+
+def measure_step(config: TrainingConfig, device: torch.device, *, seconds: float = MEASURED_SECONDS) -> StepTime:
+    """Time real training steps of a configuration on a device, for about `seconds` and two steps at least."""
+    times = []
+    for full_encoding in (1.0, 0.0) if config.optimisation.full_encoding < 1 else (1.0,):
+        schedule = replace(config.optimisation, steps=10**6, full_encoding=full_encoding)
+        steps = Trainer(replace(config, optimisation=schedule), device).run(10**6)
+        next(steps), next(steps)  # compiles, captures
+        _wait(device)
+        began, count = time.perf_counter(), 0
+        while count < 2 or time.perf_counter() - began < seconds / 2:
+            next(steps)
+            count += 1
+            if count % 16 == 0:
+                _wait(device)
+        _wait(device)
+        times.append((time.perf_counter() - began) / count)
+    return StepTime(times[0], times[-1])
+
+
+def _wait(device: torch.device) -> None:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+def steps_in(minutes: float, step: StepTime, full_encoding: float) -> int:
+    """Training steps that fit into `minutes`; all body points are used from `full_encoding` (0 to 1) of the run on.
+
+    Raises ValueError when they are too few to learn anything.
+    """
+    seconds = full_encoding * step.early + (1 - full_encoding) * step.late
+    steps = int(60 * minutes / seconds)
+    if steps < FEWEST_STEPS:
+        raise ValueError(
+            f"{minutes:g} minutes are only {steps} steps of {seconds:.2f} s here, at least {FEWEST_STEPS} are needed: "
+            f"give --minutes {math.ceil(FEWEST_STEPS * seconds / 60)} or more, or a smaller recipe with --recipe"
+        )
+    return steps
+
+
+def as_toml(config: TrainingConfig) -> str:
+    """A configuration as the text of a file that `load_config` reads; the garment by its file name alone."""
+    data = config.as_plain_data()
+    tables = {name: value for name, value in data.items() if isinstance(value, dict)}
+
+    def lines(values: dict) -> list[str]:
+        return [f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v!r}" for k, v in values.items()]
+
+    text = lines({name: value for name, value in data.items() if name not in tables})
+    for name, values in tables.items():
+        text += ["", f"[{name}]", *lines(values)]
+    return "\n".join(text) + "\n"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line entry. Returns 0, 1 when the mesh is refused or training fails, 2 for an error, 130 for Ctrl-C."""
+    options = _parser().parse_args(argv)
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    try:
+        return _fit(options)
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="physkin fit-garment", description=__doc__.splitlines()[0])
+    parser.add_argument("garment", type=Path, help="garment mesh: OBJ, PLY, STL, OFF, GLB or glTF")
+    parser.add_argument("--avatar", metavar="FILE", help="body it was made on (default: that of the shipped garments)")
+    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="NAME.safetensors")
+    parser.add_argument("--check-only", action="store_true", help="print the verdicts, write the repaired mesh, stop")
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument("--minutes", type=float, help="of training (default: 13 on a GPU, 480 on a CPU)")
+    length.add_argument("--steps", type=int, help="of training, instead of minutes")
+    parser.add_argument("--recipe", type=Path, metavar="TOML", help="training configuration to take all else from")
+    parser.add_argument("--bodies", type=int, default=8, help="held-out bodies of the report's figures (default 8)")
+    parser.add_argument("--poses", type=int, default=64, help="poses a body of the report's figures (default 64)")
+    parser.add_argument("--no-pictures", action="store_true", help="a report of tables only")
+    parser.add_argument("--device", default=DEFAULT_DEVICE)
+    return parser
+
+
+def _fit(options: argparse.Namespace) -> int:
+    output: Path = options.output
+    if output.suffix != ".safetensors" or not re.fullmatch(r"\w[\w. -]*", output.stem):
+        raise ValueError(f"cannot write {output}: the name must be a plain one that ends in .safetensors")
+    if options.minutes is not None and not 0 < options.minutes < math.inf:
+        raise ValueError(f"--minutes {options.minutes} must be above 0")
+    if options.steps is not None and options.steps < 1:
+        raise ValueError(f"--steps {options.steps} must be at least 1")
+    device = resolve_device(options.device)
+    body_model = load_body_model()
+    template = avatar_from_body(body_model, body_model.garment_body)
+    avatar = _avatar(options, body_model, template)
+    checked = check_garment(options.garment, avatar, template)
+    print(verdict_table(checked.verdicts))
+    if checked.refused:
+        refused = next(verdict for verdict in checked.verdicts if verdict.outcome == "refused")
+        print(
+            f"error: {options.garment} cannot be trained: {refused.check}: {refused.found}; allowed: {refused.allowed}",
+            file=sys.stderr,
+        )
+        return REFUSED
+    folder = output.with_suffix("")
+    folder.mkdir(parents=True, exist_ok=True)
+    mesh = folder / "garment.obj"
+    write_garment(mesh, checked)
+    print(f"wrote {mesh}")
+    if options.check_only:
+        return 0
+    return _train_and_report(options, checked, mesh, template, device)
+
+
+def _avatar(options: argparse.Namespace, body_model: BodyModel, template: Avatar) -> Avatar:
+    if not options.avatar:
+        return template
+    avatar = load_avatar(options.avatar, body_model.rig, rig_file=options.rig)
+    for warning in avatar.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    return avatar
+
+
+def _train_and_report(
+    options: argparse.Namespace, checked: CheckedGarment, mesh: Path, template: Avatar, device: torch.device
+) -> int:
+    output, folder = options.output, mesh.parent
+    recipe = load_config(options.recipe) if options.recipe else TrainingConfig(output.stem, mesh)
+    recipe = replace(recipe, name=output.stem, garment=mesh)
+    steps = options.steps
+    if steps is None:
+        minutes = options.minutes or DEFAULT_MINUTES[device.type]
+        step = measure_step(recipe, device)
+        steps = steps_in(minutes, step, recipe.optimisation.full_encoding)
+        samples = recipe.optimisation.samples
+        log.info("%.0f ms a step of %d poses: %d steps in %g minutes", 1000 * step.early, samples, steps, minutes)
+    config = replace(recipe, optimisation=replace(recipe.optimisation, steps=steps))
+    configuration = folder / "config.toml"
+    configuration.write_text(as_toml(config))
+    (folder / "losses.jsonl").unlink(missing_ok=True)
+    began = time.perf_counter()
+    arguments = ["--config", str(configuration), "--output", str(folder), "--device", options.device]
+    status = train.main([*arguments, "--log-every", str(max(1, min(200, steps // 200)))])
+    if status:
+        return status
+    seconds = time.perf_counter() - began
+    (folder / f"{config.name}.safetensors").replace(output)
+    report = output.with_suffix(".html")
+    write_report(
+        report,
+        load_garment_model(output),
+        checked,
+        template,
+        device,
+        losses=folder / "losses.jsonl",
+        seconds=seconds,
+        bodies=options.bodies,
+        poses=options.poses,
+        pictures=not options.no_pictures,
+    )
+    print(f"wrote {output} and {report}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,146 @@
+"""Checks of a garment mesh by itself: what is wrong with it, repaired where that changes no shape.
+
+Each takes the `Checks` so far, repairs its mesh and adds a verdict. Metres.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from physkin_training.fit_garment import mesh_repair
+from physkin_training.fit_garment.verdicts import Checks
+from physkin_training.physics.surface_queries import layers_near, piercing_edges
+
+__all__ = [
+    "check_duplicates",
+    "check_edges",
+    "check_layers",
+    "check_manifold",
+    "check_openings",
+    "check_pieces",
+    "check_self_intersection",
+    "check_triangles",
+]
+
+WELD = 5e-5
+"""Vertices closer than this [m] to each other are one."""
+SMALLEST_FACE = 1e-8
+"""[m2], a hundredth of a square millimetre."""
+MOST_DROPPED = 0.005
+"""Share of faces that may go for the sake of edges shared by three."""
+SMALL_PIECE = 0.02
+"""Pieces of less than this share of the area are buttons and scraps, and dropped."""
+EDGE_RANGE = (0.006, 0.025)
+"""[m] mean edge; the shipped garments have 0.015."""
+MOST_VERTICES = 20000
+SMALL_LOOP = 0.1
+"""[m] an opening with less boundary than this is a hole."""
+LAYER_REACH = 0.006
+"""[m] nearest other layer of cloth; how many percent of the faces may have one."""
+LAYERED, DOUBLED = 0.02, 0.3
+
+
+def check_triangles(checks: Checks, polygons: int) -> None:
+    """Indices and positions that can be used at all."""
+    allowed = "triangles; faces of more corners are cut into triangles"
+    n, faces = len(checks.vertices), checks.faces
+    if faces.ndim != 2 or faces.shape[1:] != (3,) or len(faces) == 0 or faces.min() < 0 or faces.max() >= n:
+        return checks.say("triangles", "refused", f"no faces, or faces of vertices that are not there ({n})", allowed)
+    if not np.isfinite(checks.vertices[np.unique(faces)]).all():
+        count = int((~np.isfinite(checks.vertices).all(axis=1)).sum())
+        return checks.say("triangles", "refused", f"{count} vertices have no finite position", "finite positions")
+    checks.vertices, checks.faces = mesh_repair.compacted(checks.vertices, faces)
+    found = f"{len(faces)} triangles, {len(checks.vertices)} vertices"
+    if polygons:
+        return checks.say("triangles", "repaired", f"{found}, from {polygons} faces of more corners", allowed)
+    return checks.say("triangles", "ok", found, allowed)
+
+
+def check_duplicates(checks: Checks) -> None:
+    """Vertices at one place, faces without area or twice."""
+    allowed = f"no two vertices within {1000 * WELD:g} mm, no face below {1e6 * SMALLEST_FACE:g} mm2 or twice"
+    checks.vertices, checks.faces, welded = mesh_repair.weld(checks.vertices, checks.faces, WELD)
+    checks.faces, dropped = mesh_repair.drop_empty_faces(checks.vertices, checks.faces, SMALLEST_FACE)
+    if len(checks.faces) == 0:
+        return checks.say("duplicates", "refused", "no face has an area", allowed)
+    checks.vertices, checks.faces = mesh_repair.compacted(checks.vertices, checks.faces)
+    outcome = "repaired" if welded or dropped else "ok"
+    return checks.say(
+        "duplicates", outcome, f"{welded} duplicate vertices, {dropped} degenerate or repeated faces", allowed
+    )
+
+
+def check_manifold(checks: Checks) -> None:
+    """Edges of more than two faces, vertices where sheets touch."""
+    allowed = f"two faces an edge, one fan a vertex; up to {100 * MOST_DROPPED:g} % of the faces may go for it"
+    total = len(checks.faces)
+    checks.faces, dropped = mesh_repair.drop_crowded_faces(checks.vertices, checks.faces)
+    checks.vertices, checks.faces, split = mesh_repair.split_pinched_vertices(checks.vertices, checks.faces)
+    found = f"{dropped} faces at edges of three or more faces, {split} vertices that pinch"
+    if dropped > MOST_DROPPED * total:
+        return checks.say("manifold", "refused", found, allowed)
+    return checks.say("manifold", "repaired" if dropped or split else "ok", found, allowed)
+
+
+def check_pieces(checks: Checks) -> None:
+    """Separate pieces and scraps."""
+    allowed = f"one piece; those below {100 * SMALL_PIECE:g} % of the area are dropped"
+    label = mesh_repair.face_components(checks.faces)
+    share = np.bincount(label, weights=checks.areas) / checks.areas.sum()
+    small = share < SMALL_PIECE
+    checks.vertices, checks.faces = mesh_repair.compacted(checks.vertices, checks.faces[~small[label]])
+    found = f"{len(share)} connected pieces" if len(share) > 1 else "one piece"
+    if small.any():
+        found += f", {int(small.sum())} scraps dropped"
+    if (~small).sum() > 1:
+        return checks.say("pieces", "warning", f"{found}; separate pieces do not hold each other", allowed)
+    return checks.say("pieces", "repaired" if small.any() else "ok", found, allowed)
+
+
+def check_openings(checks: Checks) -> None:
+    """Openings and holes."""
+    allowed = f"at least one opening; boundaries shorter than {100 * SMALL_LOOP:g} cm are holes"
+    loops = mesh_repair.boundary_loops(checks.faces)
+    around = [float(np.ptp(checks.vertices[loop], axis=0).max()) * np.pi for loop in loops]
+    holes = sum(length < SMALL_LOOP for length in around)
+    if len(loops) == holes:
+        found = "it is closed" if not loops else f"{holes} holes only"
+        return checks.say("openings", "refused", f"{found}: no opening to get into it", allowed)
+    found = f"{len(loops) - holes} openings" + (f", {holes} holes" if holes else "")
+    return checks.say("openings", "warning" if holes else "ok", found, allowed)
+
+
+def check_edges(checks: Checks) -> None:
+    """Edges too long or too short to train."""
+    low, high = EDGE_RANGE
+    allowed = (
+        f"mean edge {1000 * low:g} to {1000 * high:g} mm, up to {MOST_VERTICES} vertices; coarser ones are refined"
+    )
+    before = checks.edge_mean
+    while checks.edge_mean > high:
+        checks.vertices, checks.faces = mesh_repair.refined(checks.vertices, checks.faces)
+    mean, count = checks.edge_mean, len(checks.vertices)
+    if mean != before:
+        found = f"mean edge {1000 * before:.1f} mm, refined to {1000 * mean:.1f} mm, {count} vertices"
+        return checks.say("edge length", "repaired", found, allowed)
+    found = f"mean edge {1000 * mean:.1f} mm, {count} vertices"
+    if mean < low or count > MOST_VERTICES:
+        return checks.say("edge length", "warning", f"{found}: finer than training needs, and slower", allowed)
+    return checks.say("edge length", "ok", found, allowed)
+
+
+def check_layers(checks: Checks) -> None:
+    """Cloth modelled with a thickness."""
+    allowed = f"one layer: up to {100 * LAYERED:g} % of the faces within {1000 * LAYER_REACH:g} mm of another layer"
+    share = float(layers_near(checks.vertices, checks.faces, LAYER_REACH).mean())
+    found = f"{100 * share:.1f} % of the faces have another layer near"
+    if share > DOUBLED:
+        return checks.say("one layer", "refused", f"{found}: export the outer surface only, without thickness", allowed)
+    return checks.say("one layer", "warning" if share > LAYERED else "ok", found, allowed)
+
+
+def check_self_intersection(checks: Checks) -> None:
+    """Cloth that goes through itself."""
+    allowed = "none; cloth in contact with itself is not trained, so that they stay"
+    count = int(piercing_edges(checks.vertices, checks.faces, checks.edges).sum())
+    return checks.say("self-intersection", "warning" if count else "ok", f"{count} edges go through a face", allowed)

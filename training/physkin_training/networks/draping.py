@@ -1,0 +1,180 @@
+"""The trainable drape: networks, garment nodes and skinning weights from pose to garment vertices, in torch.
+
+Dimensions: `B` samples, `m` garment nodes, `n` vertices, `K` influences, `p` pose vector, `s` body modulation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import nn
+
+from physkin_core.model.garment import Garment
+from physkin_core.model.garment_nodes import closest_bones
+from physkin_core.rig.rig import Rig
+from physkin_training.networks.networks import NetworkConfig, Networks
+from physkin_training.sampling.posed_bodies import BodySet
+
+__all__ = ["Drape", "GarmentNodes", "RestShape", "compose_nodes", "delta_transforms"]
+
+
+@dataclass(frozen=True)
+class GarmentNodes:
+    """Garment nodes of a garment: rest (m, 3) [m], bone (m,) int32, and initial skinning by `influence_nodes`,
+    `influence_weights` (n, K)."""
+
+    rest: np.ndarray
+    bone: np.ndarray
+    influence_nodes: np.ndarray
+    influence_weights: np.ndarray
+
+    @classmethod
+    def sample(cls, garment: Garment, rig: Rig, count: int, influences: int) -> GarmentNodes:
+        """Farthest-point garment nodes with heat-method skinning weights, each bound to its closest bone."""
+        from physkin_training.networks.garment_nodes import initial_skinning_weights, sample_garment_nodes
+
+        vertices, distances = sample_garment_nodes(garment, count)
+        rest = garment.vertices[vertices]
+        nodes, weights = initial_skinning_weights(garment, distances, influences)
+        return cls(rest, closest_bones(rest, rig.heads, rig.tails), nodes, weights)
+
+
+@dataclass(frozen=True)
+class RestShape:
+    """Rest shapes of samples: vertices (B, n, 3) and garment nodes (B, m, 3) [m], canonical pose."""
+
+    vertices: torch.Tensor
+    nodes: torch.Tensor
+
+
+class Drape(nn.Module):
+    """Pose, body modulation and bone transforms to deformed vertices; skinning weights are a softmax of logits.
+
+    Skinning is one dense product: a vertex's basis is w_vi (x_v - chi-bar_i, 1) over all garment nodes.
+    made_to_measure: the networks learn rest shapes graded to the body, too.
+    """
+
+    def __init__(
+        self,
+        garment: Garment,
+        nodes: GarmentNodes,
+        rig: Rig,
+        config: NetworkConfig,
+        *,
+        made_to_measure: bool = False,
+    ) -> None:
+        super().__init__()
+        self.networks = Networks(
+            config, pose_size=rig.pose_size, node_count=len(nodes.rest), made_to_measure=made_to_measure
+        )
+        self.skinning_logits = nn.Parameter(_tensor(np.log(np.maximum(nodes.influence_weights, 1e-12))))
+        self.register_buffer("influence_nodes", _tensor(nodes.influence_nodes, torch.int64))
+        self.register_buffer("influence_bias", torch.zeros_like(self.skinning_logits))
+        self.register_buffer("node_rest", _tensor(nodes.rest))
+        self.register_buffer("node_bone", _tensor(nodes.bone, torch.int64))
+        self.register_buffer("vertices", _tensor(garment.vertices))
+        self.register_buffer("garment_heads", _tensor(rig.heads))
+        self.register_buffer("garment_lengths", _tensor(np.linalg.norm(rig.tails - rig.heads, axis=1)))
+        self.register_buffer("lower", _tensor(rig.lower))
+        self.register_buffer("upper", _tensor(rig.upper))
+
+    @property
+    def skinning_weights(self) -> torch.Tensor:
+        """(n, K), rows sum to 1; pruned influences are exactly zero."""
+        return torch.softmax(self.skinning_logits + self.influence_bias, dim=1)
+
+    def prune_influences(self, keep: int) -> None:
+        """Leave only the `keep` strongest influences of every vertex; the others stay zero from here on."""
+        weights = self.skinning_weights.detach()
+        strongest = weights.topk(min(keep, weights.shape[1]), dim=1).indices
+        others = torch.ones_like(weights, dtype=torch.bool).scatter_(1, strongest, False)
+        self.influence_bias.masked_fill_(others, float("-inf"))
+
+    def node_positions(self, bodies: BodySet) -> torch.Tensor:
+        """Twin of `physkin_core.model.garment_nodes.node_positions_on_body` for all bodies, (S, m, 3) [m]."""
+        lengths = torch.linalg.norm(bodies.tails - bodies.heads, dim=-1)
+        ratio = (lengths / self.garment_lengths.clamp_min(1e-6))[:, self.node_bone, None]
+        return bodies.heads[:, self.node_bone] + ratio * (self.node_rest - self.garment_heads[self.node_bone])
+
+    def pose_vector(self, joint_positions: torch.Tensor, gravity: torch.Tensor) -> torch.Tensor:
+        """Twin of `Rig.pose_vector`: (B, d) [rad] and (B, 3) to (B, p)."""
+        theta = (joint_positions - (self.lower + self.upper) / 2) / ((self.upper - self.lower) / 2)
+        return torch.cat([theta.clamp(-1, 1), gravity], dim=1)
+
+    def posed_nodes(self, bone_transforms: torch.Tensor, node_positions: torch.Tensor) -> torch.Tensor:
+        """chi_skin (B, m, 3, 4). bone_transforms: (B, b, 3, 4). node_positions: (B, m, 3)."""
+        transforms = bone_transforms[:, self.node_bone]
+        rotation, translation = transforms[..., :3], transforms[..., 3]
+        position = (rotation * node_positions[..., None, :]).sum(dim=-1) + translation
+        return torch.cat([rotation, position[..., None]], dim=-1)
+
+    def forward(
+        self,
+        body_modulation: torch.Tensor,
+        joint_positions: torch.Tensor,
+        gravity: torch.Tensor,
+        posed_nodes: torch.Tensor,
+        rest: RestShape | None = None,
+    ) -> torch.Tensor:
+        """Deformed vertices (B, n, 3) [m]. body_modulation: (B, s), otherwise as above and below."""
+        return self.skin(self.draped_nodes(body_modulation, joint_positions, gravity, posed_nodes), rest)
+
+    def draped_nodes(
+        self,
+        body_modulation: torch.Tensor,
+        joint_positions: torch.Tensor,
+        gravity: torch.Tensor,
+        posed_nodes: torch.Tensor,
+    ) -> torch.Tensor:
+        """chi (B, m, 3, 4): the posed garment nodes as the networks correct them."""
+        raw = self.networks(body_modulation, self.pose_vector(joint_positions, gravity), posed_nodes)
+        return compose_nodes(posed_nodes, delta_transforms(raw))
+
+    def skin(self, nodes: torch.Tensor, rest: RestShape | None = None) -> torch.Tensor:
+        """Linear blend skinning of the garment to garment node transforms (B, m, 3, 4). Returns (B, n, 3).
+
+        rest: the samples' rest shapes, default the template for all.
+        """
+        n, m = len(self.vertices), len(self.node_rest)
+        dense = self._dense_skinning_weights(nodes)
+        if rest is not None:
+            shift = nodes[..., 3:] - nodes[..., :3] @ rest.nodes[..., None]
+            handles = torch.cat([nodes[..., :3], shift], dim=-1).permute(1, 0, 2, 3).reshape(m, -1)
+            blended = (dense @ handles).view(n, -1, 3, 4).transpose(0, 1)
+            return ((blended[..., :3] * rest.vertices[:, :, None]).sum(dim=-1) + blended[..., 3]).contiguous()
+        offset = self.vertices[:, None] - self.node_rest
+        basis = torch.cat([dense[..., None] * offset, dense[..., None]], dim=-1).view(n, 4 * m)
+        handles = nodes.permute(1, 3, 0, 2).reshape(4 * m, -1)
+        return (basis @ handles).view(n, -1, 3).transpose(0, 1).contiguous()
+
+    def linear_parts(self, nodes: torch.Tensor) -> torch.Tensor:
+        """The linear parts of garment node transforms (B, m, 3, 4), blended at each vertex: (B, n, 3, 3)."""
+        return torch.einsum("vm,bmij->bvij", self._dense_skinning_weights(nodes), nodes[..., :3])
+
+    def _dense_skinning_weights(self, nodes: torch.Tensor) -> torch.Tensor:
+        """Skinning weights over all garment nodes (n, m), in the type of `nodes`."""
+        dense = torch.zeros(len(self.vertices), len(self.node_rest), device=nodes.device, dtype=nodes.dtype)
+        return dense.scatter_add(1, self.influence_nodes, self.skinning_weights.to(nodes.dtype))
+
+
+def delta_transforms(raw: torch.Tensor) -> torch.Tensor:
+    """Twin of `physkin_core.model.garment_nodes.delta_transforms`: (B, m, 9 or 12) to (B, m, 3, 4)."""
+    eye = torch.eye(3, device=raw.device, dtype=raw.dtype)
+    if raw.shape[-1] == 12:
+        return torch.cat([eye + raw[..., :9].unflatten(-1, (3, 3)), raw[..., 9:, None]], dim=-1)
+    first = nn.functional.normalize(raw[..., 0:3] + eye[0], dim=-1)
+    second = raw[..., 3:6] + eye[1]
+    second = nn.functional.normalize(second - first * (first * second).sum(dim=-1, keepdim=True), dim=-1)
+    return torch.stack([first, second, torch.linalg.cross(first, second), raw[..., 6:9]], dim=-1)
+
+
+def compose_nodes(posed: torch.Tensor, delta: torch.Tensor) -> torch.Tensor:
+    """Twin of `physkin_core.model.garment_nodes.compose_nodes`: chi = chi_skin * delta, all (B, m, 3, 4)."""
+    turned = posed[..., :3] @ delta
+    return torch.cat([turned[..., :3], turned[..., 3:] + posed[..., 3:]], dim=-1)
+
+
+def _tensor(array: np.ndarray, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+    return torch.as_tensor(np.array(array), dtype=dtype)

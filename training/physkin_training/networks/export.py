@@ -1,0 +1,177 @@
+"""Export to the garment model file and back into torch, with a check of what that costs.
+
+Dimensions: `n` garment vertices, `K` influences, `m` garment nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from physkin_core.avatar.avatar import avatar_from_body
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.model.garment import Garment
+from physkin_core.model.garment_model import GarmentModel, Material
+from physkin_core.model.hyper_modulator import POINT_COUNT
+from physkin_core.model.mlp import Layer
+from physkin_core.model.surface_sampling import sample_surface
+from physkin_core.rig.rig import Rig
+from physkin_core.runtime.draper import Draper
+from physkin_training.networks.draping import Drape, GarmentNodes, RestShape
+from physkin_training.networks.networks import ModulatedMLP, NetworkConfig
+from physkin_training.sampling.posed_bodies import BodySet
+
+__all__ = ["Agreement", "agreement", "drape_from_model", "encode_bodies", "model_from_drape"]
+
+
+def model_from_drape(
+    drape: Drape,
+    garment: Garment,
+    rig: Rig,
+    *,
+    name: str,
+    influences: int,
+    material: Material,
+    training: Mapping | None = None,
+) -> GarmentModel:
+    """The garment model of a trained drape, pruned to the `influences` strongest garment nodes a vertex."""
+    weights = drape.skinning_weights.detach().cpu().numpy()
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :influences]
+    kept = np.take_along_axis(weights, order, axis=1)
+    networks = {key: tensor.detach().cpu().numpy() for key, tensor in drape.networks.state_dict().items()}
+    hyper = {
+        key.removeprefix("hyper_modulator."): array
+        for key, array in networks.items()
+        if key.startswith("hyper_modulator.")
+    }
+    pose_modulator = _layers(drape.networks.pose_modulator)
+    if drape.networks.conditioning == "concatenation":
+        last = _as_modulation(pose_modulator[-1], drape.networks.node_deformer)
+        pose_modulator = (*pose_modulator[:-1], last)
+        body = (hyper["output.weight"], hyper["output.bias"])
+        hyper["output.weight"], hyper["output.bias"] = _as_modulation(body, drape.networks.pose_modulator)
+    return GarmentModel(
+        name=name,
+        rig=rig,
+        garment=garment,
+        node_rest=drape.node_rest.cpu().numpy(),
+        node_bone=drape.node_bone.cpu().numpy().astype(np.int32),
+        influence_nodes=np.take_along_axis(drape.influence_nodes.cpu().numpy(), order, axis=1).astype(np.int32),
+        influence_weights=kept / kept.sum(axis=1, keepdims=True),
+        hyper_modulator=hyper,
+        pose_modulator=pose_modulator,
+        node_deformer=(_numpy(*drape.networks.folded_first_layer()), *_layers(drape.networks.node_deformer)[1:]),
+        activation=drape.networks.pose_modulator.activation,
+        material=material,
+        training=training or {},
+    )
+
+
+def drape_from_model(model: GarmentModel) -> Drape:
+    """The torch drape of a garment model (for evaluation, or to train on)."""
+    nodes = GarmentNodes(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
+    config, both = network_config(model), model.made_to_measure
+    drape = Drape(model.garment, nodes, model.rig, config, made_to_measure=both)
+    state = {f"hyper_modulator.{key}": array for key, array in model.hyper_modulator.items()}
+    for network in ("pose_modulator", "node_deformer"):
+        for index, (weight, bias) in enumerate(getattr(model, network)):
+            state |= {f"{network}.layers.{index}.weight": weight, f"{network}.layers.{index}.bias": bias}
+    as_tensors = {key: torch.as_tensor(np.array(array)) for key, array in state.items()}
+    drape.networks.load_state_dict(drape.networks.state_dict() | as_tensors)
+    drape.influence_bias.masked_fill_(torch.as_tensor(model.influence_weights == 0), float("-inf"))
+    return drape
+
+
+def network_config(model: GarmentModel) -> NetworkConfig:
+    """Sizes of a garment model's networks."""
+    blocks = sum(key.endswith(".norm.weight") and key.startswith("residual") for key in model.hyper_modulator)
+    return NetworkConfig(
+        pose_hidden=len(model.pose_modulator[0][1]),
+        pose_layers=len(model.pose_modulator) - 1,
+        deformer_hidden=len(model.node_deformer[0][1]),
+        deformer_layers=len(model.node_deformer) - 1,
+        node_outputs=len(model.node_deformer[-1][1]) // len(model.node_rest),
+        activation=model.activation,
+        token_width=len(model.hyper_modulator["embed.bias"]),
+        feed_forward=len(model.hyper_modulator["feed_forward.0.bias"]),
+        residual_blocks=blocks,
+    )
+
+
+def encode_bodies(drape: Drape, vertices: np.ndarray, faces: np.ndarray, *, fit: float = 0.0) -> torch.Tensor:
+    """Body modulations (S, s) of bodies (S, V, 3), from the same surface points as the run time takes. fit: of the
+    garment, above 0 only for a drape that has learnt it."""
+    device = drape.node_rest.device
+    fits = torch.full((1,), fit, device=device) if fit else None
+    modulations = []
+    with torch.no_grad():
+        for body in vertices:
+            points, normals = sample_surface(body, faces, POINT_COUNT)
+            pair = [torch.as_tensor(a, dtype=torch.float32, device=device)[None] for a in (points, normals)]
+            modulations.append(drape.networks.hyper_modulator(*pair, fits))
+    return torch.cat(modulations)
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Distance [m] between two drapes of the same vertices and poses: the largest, and the mean."""
+
+    largest: float
+    mean: float
+
+
+def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8, seed: int = 0) -> Agreement:
+    """How far the run time's NumPy drape of `model` is from the torch `drape`, on random poses of a held-out body; of a
+    model that can be made to measure, half of them so, both with the rest shape that the run time finds.
+
+    With the trained drape this is what pruning and half precision cost; with `drape_from_model(model)` it tells whether
+    run time and torch compute the same.
+    """
+    body_model = load_body_model()
+    avatar = avatar_from_body(body_model, body_model.held_out_bodies[0])
+    rig, device = model.rig, drape.node_rest.device
+    generator = np.random.default_rng(seed)
+    distances = []
+    fits = (0.0, 1.0) if model.made_to_measure else (0.0,)
+    drapers = [Draper(model, avatar, fit=fit, backend="numpy") for fit in fits]
+
+    def tensor(array: np.ndarray) -> torch.Tensor:
+        return torch.as_tensor(array, dtype=torch.float32, device=device)[None]
+
+    with torch.no_grad():
+        modulations = [encode_bodies(drape, avatar.vertices[None], avatar.faces, fit=fit) for fit in fits]
+        carried = drape.node_positions(BodySet(body_model, body_model.held_out_bodies[:1], device))
+        for pose in range(poses):
+            index = pose % len(fits)
+            draper, modulation = drapers[index], modulations[index]
+            node_positions, rest = carried, None
+            if index:
+                bound = draper.bound
+                node_positions = tensor(bound.node_positions)
+                rest = RestShape(tensor(bound.vertices), tensor(bound.node_rest))
+            positions = generator.uniform(rig.lower, rig.upper).astype(np.float32)
+            gravity = generator.normal(size=3)
+            gravity = (gravity / np.linalg.norm(gravity)).astype(np.float32)
+            arrays = (draper.bone_transforms(positions), positions, gravity)
+            bones, q, g = (tensor(array) for array in arrays)
+            there = drape(modulation, q, g, drape.posed_nodes(bones, node_positions), rest)[0].cpu().numpy()
+            distances.append(np.linalg.norm(draper.drape(positions, gravity)[:, :3] - there, axis=1))
+    return Agreement(float(np.max(distances)), float(np.mean(distances)))
+
+
+def _layers(network: ModulatedMLP) -> tuple:
+    return tuple(_numpy(layer.weight, layer.bias) for layer in network.layers)
+
+
+def _as_modulation(layer: Layer, network: ModulatedMLP) -> Layer:
+    """A layer that gives the first shift of `network`, filled up with zeros to give all of its modulation."""
+    place, (weight, bias) = network.first_shift, layer
+    fill = (place.start, network.modulation_size - place.stop)
+    return np.pad(weight, (fill, (0, 0))), np.pad(bias, fill)
+
+
+def _numpy(weight: torch.Tensor, bias: torch.Tensor) -> Layer:
+    return weight.detach().cpu().numpy(), bias.detach().cpu().numpy()

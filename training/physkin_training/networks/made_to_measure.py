@@ -1,0 +1,61 @@
+"""Rest shapes of a garment on the bodies of a set: the template, and one made to measure for each body.
+
+They are computed once; a training step only looks up the ones of its samples.
+
+Dimensions: `B` samples, `S` bodies of the set, `n` garment vertices, `m` garment nodes. Metres, canonical pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from physkin_core.avatar.body_model import BodyModel
+from physkin_core.model.garment import Garment
+from physkin_core.runtime.garment_grading import GarmentGrading
+from physkin_training.networks.draping import Drape, RestShape
+from physkin_training.sampling.posed_bodies import BodySet
+
+__all__ = ["MadeToMeasure", "Worn"]
+
+
+@dataclass(frozen=True)
+class Worn:
+    """Rest shapes of samples: rows (B,) int64 of `MadeToMeasure.shapes`, node_positions (B, m, 3) of the garment nodes
+    on the samples' bodies, and the rest shapes themselves."""
+
+    rows: torch.Tensor
+    node_positions: torch.Tensor
+    rest: RestShape
+
+
+class MadeToMeasure:
+    """Row 0 of `shapes` (1 + S, n, 3) float64, NumPy, is the template, row 1 + k is graded to body k.
+
+    fit: how far from the template to the graded shape, 0 to 1. `node_positions` (2 S, m, 3): of all bodies at the
+    template, then of all made to measure. Garment nodes go from where their bones carry them to where the graded
+    garment has them, and at fit 1 rest there, so that the graded garment at the canonical pose is its own rest shape.
+    """
+
+    def __init__(
+        self, garment: Garment, drape: Drape, bodies: BodySet, body_model: BodyModel, *, fit: float = 1.0
+    ) -> None:
+        device = drape.node_rest.device
+        grading = GarmentGrading(garment, body_model)
+        displacement = fit * (grading.graded(bodies.coefficients) - garment.vertices)
+        displacement = np.concatenate([np.zeros_like(displacement[:1]), displacement])
+        self.shapes = garment.vertices + displacement
+        self._vertices = torch.as_tensor(self.shapes, dtype=torch.float32, device=device)
+        moved = displacement[:, grading.closest_vertices(drape.node_rest.cpu().numpy())]
+        self._nodes = drape.node_rest + torch.as_tensor(moved, dtype=torch.float32, device=device)
+        carried = drape.node_positions(bodies)
+        graded = (1 - fit) * (carried - drape.node_rest) + self._nodes[1:]
+        self.node_positions = torch.cat([carried, graded])
+
+    def worn(self, body: torch.Tensor, made: torch.Tensor) -> Worn:
+        """What samples wear. body: (B,) int64 into the set. made: (B,) bool, whether made to measure."""
+        rows = torch.where(made, 1 + body, 0)
+        positions = self.node_positions[body + made * (len(self.shapes) - 1)]
+        return Worn(rows, positions, RestShape(self._vertices[rows], self._nodes[rows]))

@@ -1,0 +1,220 @@
+"""Torch twins of the three networks: hyper modulator, pose modulator, node deformer (paper: Network Architecture).
+
+Values agree with `physkin_core.model.hyper_modulator`, `.pose_modulator` and `.node_deformer`; names of parameters are
+those of the garment model file. Dimensions: `B` poses, `S` bodies, `N` points, `D` token width, `p` pose vector,
+`m` nodes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from physkin_core.model.hyper_modulator import ENCODING_FREQUENCIES, HEADS, token_features
+
+__all__ = ["HyperModulator", "ModulatedMLP", "NetworkConfig", "Networks"]
+
+ACTIVATIONS = {"silu": functional.silu, "relu": functional.relu}
+CONDITIONINGS = ("modulation", "concatenation")
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Sizes of the networks.
+
+    As many network weights a frame as the paper's (a pose modulator of 4 layers of 512, a node deformer of 4 of 128),
+    spent where they do more: a node deformer twice as wide, whose last layer spans twice as many drapes.
+    conditioning: "modulation" as in the paper, scale and shift for every hidden activation; or, to compare with,
+    "concatenation" of the body's code to the pose vector and of the pose's code to the node deformer's input.
+    """
+
+    pose_hidden: int = 384
+    pose_layers: int = 3
+    deformer_hidden: int = 256
+    deformer_layers: int = 4
+    node_outputs: int = 12
+    activation: str = "silu"
+    conditioning: str = "modulation"
+    token_width: int = 128
+    feed_forward: int = 256
+    residual_blocks: int = 2
+
+    def __post_init__(self) -> None:
+        for key in ("pose_hidden", "pose_layers", "deformer_hidden", "deformer_layers", "token_width", "feed_forward"):
+            if getattr(self, key) < 1:
+                raise ValueError(f"networks.{key} must be at least 1, got {getattr(self, key)}")
+        if self.residual_blocks < 0:
+            raise ValueError(f"networks.residual_blocks must be at least 0, got {self.residual_blocks}")
+        if self.token_width % HEADS:
+            raise ValueError(f"networks.token_width must be a multiple of {HEADS}, got {self.token_width}")
+        if self.activation not in ACTIVATIONS:
+            raise ValueError(f"activation {self.activation!r} is not one of {', '.join(ACTIVATIONS)}")
+        if self.conditioning not in CONDITIONINGS:
+            raise ValueError(f"conditioning {self.conditioning!r} is not one of {', '.join(CONDITIONINGS)}")
+        if self.node_outputs not in (9, 12):
+            raise ValueError(
+                f"node_outputs must be 9 (6-D rotation, translation) or 12 (affine), got {self.node_outputs}"
+            )
+
+
+class ModulatedMLP(nn.Module):
+    """Hidden layers act((1 + scale) * (W x + bias) + shift), then a linear layer that starts near zero."""
+
+    def __init__(self, inputs: int, hidden: int, hidden_layers: int, outputs: int, activation: str) -> None:
+        super().__init__()
+        sizes = [inputs, *[hidden] * hidden_layers]
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(sizes, [*sizes[1:], outputs], strict=True))
+        self.activation = activation
+        nn.init.normal_(self.layers[-1].weight, std=1e-3)
+        nn.init.zeros_(self.layers[-1].bias)
+
+    @property
+    def modulation_size(self) -> int:
+        """Numbers of modulation this network takes."""
+        return 2 * sum(layer.out_features for layer in self.layers[:-1])
+
+    @property
+    def first_shift(self) -> slice:
+        """Where in the modulation the first hidden layer's shift lies."""
+        hidden = self.layers[0].out_features
+        return slice(hidden, 2 * hidden)
+
+    def forward(self, x: torch.Tensor, modulation: torch.Tensor) -> torch.Tensor:
+        """x: (B, in). modulation: (B, modulation_size). Returns (B, out)."""
+        act = ACTIVATIONS[self.activation]
+        start = 0
+        for layer in self.layers[:-1]:
+            scale, shift = modulation[:, start : start + 2 * layer.out_features].chunk(2, dim=-1)
+            x = act(torch.addcmul(shift, 1 + scale, layer(x)))
+            start += 2 * layer.out_features
+        return self.layers[-1](x)
+
+
+class HyperModulator(nn.Module):
+    """Body points to modulation of the pose modulator. made_to_measure: it also learns what the fit changes."""
+
+    def __init__(self, config: NetworkConfig, outputs: int, *, made_to_measure: bool = False) -> None:
+        super().__init__()
+        width = config.token_width
+        self.embed = nn.Linear(token_features(), width)
+        self.attention = nn.ModuleDict({"input": nn.Linear(width, 3 * width), "output": nn.Linear(width, width)})
+        self.norm_1, self.norm_2 = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.feed_forward = nn.ModuleList(
+            [nn.Linear(width, config.feed_forward), nn.Linear(config.feed_forward, width)]
+        )
+        self.pool = nn.Linear(width, 1)
+        self.residual = nn.ModuleList(
+            nn.ModuleDict(
+                {"norm": nn.LayerNorm(width), "0": nn.Linear(width, 2 * width), "1": nn.Linear(2 * width, width)}
+            )
+            for _ in range(config.residual_blocks)
+        )
+        self.output = nn.Linear(width, outputs)
+        nn.init.normal_(self.output.weight, std=1e-2)
+        nn.init.zeros_(self.output.bias)
+        if made_to_measure:
+            self.fit = nn.Parameter(torch.zeros(width))
+
+    def forward(self, points: torch.Tensor, normals: torch.Tensor, fit: torch.Tensor | None = None) -> torch.Tensor:
+        """points, normals: (S, N, 3), canonical pose [m]. fit: (S,), 0 (the template) to 1 (made to measure), default
+        0. Returns (S, outputs)."""
+        bodies, count, _ = points.shape
+        tokens = self.embed(encode_points(points, normals))
+        if fit is not None:
+            tokens = tokens + fit[:, None, None] * self.fit
+        projected = self.attention["input"](tokens).view(bodies, count, 3, HEADS, -1)
+        query, key, value = projected.permute(2, 0, 3, 1, 4)
+        if tokens.is_cuda:  # the fused attention kernel takes half-width numbers
+            attended = functional.scaled_dot_product_attention(
+                query.bfloat16().contiguous(), key.bfloat16().contiguous(), value.bfloat16().contiguous()
+            ).float()
+        else:
+            attended = functional.scaled_dot_product_attention(query, key, value)
+        attended = attended.transpose(1, 2).reshape(bodies, count, -1)
+        tokens = self.norm_1(tokens + self.attention["output"](attended))
+        tokens = self.norm_2(tokens + self.feed_forward[1](functional.relu(self.feed_forward[0](tokens))))
+        body = (torch.softmax(self.pool(tokens), dim=1) * tokens).sum(dim=1)
+        for block in self.residual:
+            body = body + block["1"](functional.relu(block["0"](block["norm"](body))))
+        return self.output(body)
+
+
+class Networks(nn.Module):
+    """The three networks chained: (body points, pose vector, posed garment nodes) -> raw delta-chi.
+
+    The node deformer sees node transforms shifted and scaled to about unit variance (`normalise_nodes`); the model file
+    holds its first layer with both folded in. made_to_measure: see `HyperModulator`. A code concatenated to a network's
+    input adds its product with the first layer's network weights for it: to modulation that is a shift of the first
+    layer, and nothing for all others. So a network's last layer gives that product at once, and the model file holds it
+    filled up with zeros.
+    """
+
+    def __init__(
+        self, config: NetworkConfig, *, pose_size: int, node_count: int, made_to_measure: bool = False
+    ) -> None:
+        super().__init__()
+        self.node_deformer = ModulatedMLP(
+            12 * node_count,
+            config.deformer_hidden,
+            config.deformer_layers,
+            config.node_outputs * node_count,
+            config.activation,
+        )
+        self.conditioning = config.conditioning
+        concatenated = config.conditioning == "concatenation"
+        self.pose_modulator = ModulatedMLP(
+            pose_size,
+            config.pose_hidden,
+            config.pose_layers,
+            config.deformer_hidden if concatenated else self.node_deformer.modulation_size,
+            config.activation,
+        )
+        outputs = config.pose_hidden if concatenated else self.pose_modulator.modulation_size
+        self.hyper_modulator = HyperModulator(config, outputs, made_to_measure=made_to_measure)
+        if concatenated:  # they are part of a first layer, and start as one
+            self.pose_modulator.layers[-1].reset_parameters()
+            self.hyper_modulator.output.reset_parameters()
+        else:
+            nn.init.normal_(self.pose_modulator.layers[-1].weight, std=1e-2)
+        self.register_buffer("node_mean", torch.zeros(12 * node_count))
+        self.register_buffer("node_scale", torch.ones(12 * node_count))
+
+    def normalise_nodes(self, posed_nodes: torch.Tensor) -> None:
+        """Take mean and spread of the node deformer's inputs from posed garment nodes (B, m, 3, 4). Numbers that hardly
+        vary are left out: scaled up, their rounding would be noise."""
+        inputs = posed_nodes.flatten(1)
+        spread = inputs.std(dim=0)
+        self.node_mean.copy_(inputs.mean(dim=0))
+        self.node_scale.copy_(torch.where(spread < 0.01, 0.0, 1 / spread.clamp_min(0.1)))
+
+    def folded_first_layer(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Weight and bias of the node deformer's first layer over node transforms as they are."""
+        first = self.node_deformer.layers[0]
+        weight = first.weight * self.node_scale
+        return weight, first.bias - weight @ self.node_mean
+
+    def forward(
+        self, body_modulation: torch.Tensor, pose_vector: torch.Tensor, posed_nodes: torch.Tensor
+    ) -> torch.Tensor:
+        """body_modulation: (B, s). pose_vector: (B, p). posed_nodes: (B, m, 3, 4). Returns (B, m, 9 or 12)."""
+        modulation = self.pose_modulator(pose_vector, self._filled_up(self.pose_modulator, body_modulation))
+        modulation = self._filled_up(self.node_deformer, modulation)
+        inputs = (posed_nodes.flatten(1) - self.node_mean) * self.node_scale
+        return self.node_deformer(inputs, modulation).unflatten(1, (posed_nodes.shape[1], -1))
+
+    def _filled_up(self, network: ModulatedMLP, modulation: torch.Tensor) -> torch.Tensor:
+        """Modulation of all hidden layers from that of the first shift, where conditioning gives no more."""
+        if self.conditioning == "modulation":
+            return modulation
+        place = network.first_shift
+        return functional.pad(modulation, (place.start, network.modulation_size - place.stop))
+
+
+def encode_points(points: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
+    """Twin of `physkin_core.model.hyper_modulator.encode_points`."""
+    frequencies = torch.pi * 2.0 ** torch.arange(ENCODING_FREQUENCIES, device=points.device, dtype=points.dtype)
+    angles = (points[..., None] * frequencies).flatten(-2)
+    return torch.cat([points, angles.sin(), angles.cos(), normals], dim=-1)

@@ -1,0 +1,66 @@
+"""Rest data of one garment in one or several rest shapes: what energies and strains are measured against.
+
+Dimensions: `R` rest shapes, `n` vertices, `f` faces, `e` edges, `q` hinges. Metres.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from physkin_core.model.garment import Garment
+from physkin_core.model.garment_model import Material
+
+__all__ = ["GRAVITY", "RestData", "face_rest_inverse", "hinge_rest"]
+
+GRAVITY = 9.81
+"""Gravitational acceleration [m/s2]."""
+
+
+class RestData:
+    """Tables with a row for every rest shape, float32 on one device.
+
+    rest_inverse: (R, f, 2, 2) [1/m], see `face_rest_inverse`. face_area: (R, f), vertex_area: (R, n) [m2].
+    edge_length: (R, e) [m]. hinge_angle: (R, q) [rad]. bend_stiffness: (R, q) [J]. weight: (R, n) [N].
+    shapes: rest positions (R, n, 3), default the garment's own alone.
+    """
+
+    def __init__(
+        self, garment: Garment, material: Material, device: torch.device, *, shapes: np.ndarray | None = None
+    ) -> None:
+        garments = [garment] if shapes is None else [garment.reshaped(vertices) for vertices in shapes]
+
+        def table(rows: list[np.ndarray]) -> torch.Tensor:
+            return torch.as_tensor(np.stack([row.astype(np.float32) for row in rows]), device=device)
+
+        self.rest_inverse = table([face_rest_inverse(shape) for shape in garments])
+        self.face_area = table([shape.face_areas for shape in garments])
+        self.vertex_area = table([shape.vertex_areas for shape in garments])
+        self.edge_length = table([shape.edge_lengths for shape in garments])
+        self.weight = table([shape.vertex_areas * material.density * GRAVITY for shape in garments])
+        hinges = [hinge_rest(shape) for shape in garments]
+        self.hinge_angle = table([angle for angle, _ in hinges])
+        self.bend_stiffness = table([material.bending * factor for _, factor in hinges])
+
+
+def face_rest_inverse(garment: Garment) -> np.ndarray:
+    """Inverse of the rest edge matrix of every face in its own plane, (f, 2, 2) [1/m]."""
+    corners = garment.vertices[garment.faces]
+    d1, d2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    length = np.linalg.norm(d1, axis=1)
+    along = (d1 * d2).sum(axis=1) / length
+    across = 2 * garment.face_areas / length
+    inverse = np.zeros((len(length), 2, 2))  # of ((length, along), (0, across))
+    inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1] = 1 / length, -along / (length * across), 1 / across
+    return inverse
+
+
+def hinge_rest(garment: Garment) -> tuple[np.ndarray, np.ndarray]:
+    """Rest dihedral angle (q,) [rad] and 3 |e|^2 / (A_a + A_b) (q,) of every hinge."""
+    x0, x1, x2, x3 = (garment.vertices[garment.hinges[:, k]] for k in range(4))
+    edge = x1 - x0
+    length = np.linalg.norm(edge, axis=1)
+    na, nb = np.cross(edge, x2 - x0), np.cross(x3 - x0, edge)
+    angle = np.arctan2((np.cross(na, nb) * edge).sum(axis=1) / length, (na * nb).sum(axis=1))
+    areas = (np.linalg.norm(na, axis=1) + np.linalg.norm(nb, axis=1)) / 2
+    return angle, 3 * length**2 / areas

@@ -1,0 +1,153 @@
+"""Exact queries of a garment against a body and against itself, on the CPU.
+
+Dimensions: `n` points, `f` faces, `e` edges. Metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from physkin_core.model.garment import vertex_normals
+
+__all__ = ["BodySurface", "Closest", "layers_near", "piercing_edges"]
+
+FARTHEST = 10.0
+"""The body is looked for up to this distance [m]."""
+
+
+@wp.kernel
+def closest_kernel(
+    points: wp.array(dtype=wp.vec3),
+    body: wp.uint64,
+    farthest: wp.float32,
+    distance: wp.array(dtype=wp.float32),
+    outward: wp.array(dtype=wp.vec3),
+    face: wp.array(dtype=wp.int32),
+    barycentric: wp.array(dtype=wp.vec3),
+):
+    """Signed distance, the way out, and where on the body the closest point is."""
+    i = wp.tid()
+    hit = wp.mesh_query_point_sign_normal(body, points[i], farthest)
+    face[i] = hit.face
+    barycentric[i] = wp.vec3(hit.u, hit.v, 1.0 - hit.u - hit.v)
+    gap = points[i] - wp.mesh_eval_position(body, hit.face, hit.u, hit.v)
+    length = wp.length(gap)
+    distance[i] = hit.sign * length
+    way = wp.mesh_eval_face_normal(body, hit.face)
+    if length > 1.0e-6:
+        way = gap * (hit.sign / length)
+    outward[i] = way
+
+
+@wp.kernel
+def piercing_kernel(
+    mesh_id: wp.uint64,
+    edges: wp.array2d(dtype=wp.int32),
+    pierces: wp.array(dtype=wp.bool),
+):
+    """Whether an edge crosses a face that shares no vertex with it (Moeller and Trumbore 1997)."""
+    i = wp.tid()
+    mesh = wp.mesh_get(mesh_id)
+    a, b = edges[i, 0], edges[i, 1]
+    p, q = mesh.points[a], mesh.points[b]
+    way = q - p
+    query = wp.mesh_query_aabb(mesh_id, wp.min(p, q), wp.max(p, q))
+    face = wp.int32(0)
+    while wp.mesh_query_aabb_next(query, face):
+        i0, i1, i2 = mesh.indices[3 * face], mesh.indices[3 * face + 1], mesh.indices[3 * face + 2]
+        if i0 != a and i1 != a and i2 != a and i0 != b and i1 != b and i2 != b:
+            x0 = mesh.points[i0]
+            side1, side2 = mesh.points[i1] - x0, mesh.points[i2] - x0
+            across = wp.cross(way, side2)
+            volume = wp.dot(side1, across)
+            if wp.abs(volume) > 1.0e-16:
+                offset = p - x0
+                u = wp.dot(offset, across) / volume
+                turned = wp.cross(offset, side1)
+                v = wp.dot(way, turned) / volume
+                along = wp.dot(side2, turned) / volume
+                if u > 0.0 and v > 0.0 and u + v < 1.0 and along > 0.0 and along < 1.0:
+                    pierces[i] = True
+
+
+@wp.kernel
+def layers_kernel(mesh_id: wp.uint64, reach: wp.float32, start: wp.float32, doubled: wp.array(dtype=wp.bool)):
+    """Whether a ray from a face's centre, outwards or inwards, meets a nearly parallel face within `reach`."""
+    i = wp.tid()
+    centre = wp.mesh_eval_position(mesh_id, i, 1.0 / 3.0, 1.0 / 3.0)
+    normal = wp.mesh_eval_face_normal(mesh_id, i)
+    for side in range(2):
+        way = normal * (1.0 - 2.0 * float(side))
+        hit = wp.mesh_query_ray(mesh_id, centre + way * start, way, reach - start)
+        if hit.result and wp.abs(wp.dot(hit.normal, normal)) > 0.7:
+            doubled[i] = True
+
+
+@dataclass(frozen=True)
+class Closest:
+    """Where points are: signed distance (n,) [m], negative inside; outward (n, 3) unit vectors of its growth; the
+    closest point's face (n,) and barycentric coordinates (n, 3)."""
+
+    distance: np.ndarray
+    outward: np.ndarray
+    face: np.ndarray
+    barycentric: np.ndarray
+
+
+class BodySurface:
+    """A closed body: vertices (V, 3) [m], faces (f, 3) counter-clockwise seen from outside."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
+        wp.init()
+        self.vertices, self.faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+        self.normals = vertex_normals(self.vertices, self.faces)
+        self._mesh = _mesh(self.vertices, self.faces)
+
+    def closest(self, points: np.ndarray) -> Closest:
+        """The closest point of the body to each of points (n, 3)."""
+        n = len(points)
+        where = wp.array(np.asarray(points, dtype=np.float32), dtype=wp.vec3, device="cpu")
+        distance, face = wp.zeros(n, wp.float32, device="cpu"), wp.zeros(n, wp.int32, device="cpu")
+        outward, barycentric = (wp.zeros(n, wp.vec3, device="cpu") for _ in range(2))
+        inputs = [where, self._mesh.id, FARTHEST]
+        wp.launch(closest_kernel, n, inputs, [distance, outward, face, barycentric], device="cpu")
+        return Closest(*(array.numpy().copy() for array in (distance, outward, face, barycentric)))
+
+    def push_out(self, points: np.ndarray, clearance: float, *, iterations: int = 30, step: float = 0.02) -> np.ndarray:
+        """`points` (n, 3), those closer than `clearance` [m] moved out, at most `step` [m] an iteration."""
+        points = np.array(points, dtype=np.float64)
+        for _ in range(iterations):
+            closest = self.closest(points)
+            if closest.distance.min() >= clearance:
+                break
+            # A micrometre more: single precision must not leave a point just short of the clearance.
+            missing = np.where(closest.distance < clearance, clearance + 1e-6 - closest.distance, 0.0)
+            points += closest.outward * np.minimum(missing, step)[:, None]
+        return points
+
+
+def piercing_edges(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Which edges (e, 2) of a mesh cross one of its faces, (e,) bool. Touching does not count."""
+    wp.init()
+    mesh = _mesh(vertices, faces)
+    pierces = wp.zeros(len(edges), wp.bool, device="cpu")
+    inputs = [mesh.id, wp.array(edges, dtype=wp.int32, device="cpu")]
+    wp.launch(piercing_kernel, len(edges), inputs, [pierces], device="cpu")
+    return pierces.numpy().copy()
+
+
+def layers_near(vertices: np.ndarray, faces: np.ndarray, reach: float) -> np.ndarray:
+    """Which faces have another, nearly parallel one over or under them within `reach` [m], (f,) bool."""
+    wp.init()
+    mesh = _mesh(vertices, faces)
+    doubled = wp.zeros(len(faces), wp.bool, device="cpu")
+    wp.launch(layers_kernel, len(faces), [mesh.id, reach, 1e-5], [doubled], device="cpu")
+    return doubled.numpy().copy()
+
+
+def _mesh(vertices: np.ndarray, faces: np.ndarray) -> wp.Mesh:
+    points = wp.array(np.asarray(vertices, dtype=np.float32), dtype=wp.vec3, device="cpu")
+    return wp.Mesh(points, wp.array(np.asarray(faces, dtype=np.int32).reshape(-1), dtype=wp.int32, device="cpu"))

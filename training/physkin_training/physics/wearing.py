@@ -1,0 +1,149 @@
+"""How a garment is worn: which body parts each vertex lies on, and the band of its uppermost opening that holds it up.
+
+Both are read off a body at the canonical pose, the garment maker's as a rule; other bodies share its mesh.
+Dimensions: `n` garment vertices, `b` bones, `f` contact faces, `k` band vertices. Metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from physkin_core.avatar.avatar import Avatar, avatar_from_body
+from physkin_core.avatar.body_model import BodyModel
+from physkin_core.model.garment import Garment, vertex_normals
+from physkin_core.rig.rig import Rig
+
+__all__ = ["OTHER_LIMBS", "Wearing"]
+
+OTHER_LIMBS = ("one_way", "both_ways")
+"""How a limb that a vertex lies nowhere on presses it: towards its own place on the body alone, or as any part does."""
+
+WORN_WITHIN = 0.15
+"""A vertex is worn on body parts that come this close [m] at the canonical pose."""
+WORN_BESIDE = 0.02
+"""It is worn on the closest part, on those at most this much [m] farther away, and on the parts joined to these: cloth
+slides along a limb, but the side of a shirt is not worn on the arm that hangs beside it."""
+BEHIND = -0.35
+"""Cosine between the way to a part and the cloth's normal below which the part is behind the cloth, as all are that a
+skirt hangs around; others are beside it or in front of it."""
+BAND_WIDTH = 0.03
+"""Vertices this close [m] to the uppermost opening make up the band."""
+
+
+@dataclass(frozen=True)
+class Wearing:
+    """A garment on a body.
+
+    faces: (f, 3) int32, faces of the body that cloth may be in contact with; face_bone: (f,) int32, the bone that moves
+    each most. worn: (n, b) bool, the vertex lies on that bone's part. other_limb: (n, b) bool, it lies on no part of
+    that bone's limb, which is beside the cloth or in front of it, as an arm is to the side of a shirt, and presses it
+    one way; none where limbs press both ways. own_face: (n,) int32, of the `faces` of worn parts the one whose centre
+    is closest. band: (k,) int32 vertices of the neckband or waistband; band_place: (k,) int32 the body vertex closest
+    to each, band_distance: (k,) float32 [m] away.
+    """
+
+    faces: np.ndarray
+    face_bone: np.ndarray
+    worn: np.ndarray
+    other_limb: np.ndarray
+    own_face: np.ndarray
+    band: np.ndarray
+    band_place: np.ndarray
+    band_distance: np.ndarray
+
+    @classmethod
+    def of(cls, garment: Garment, body_model: BodyModel, *, other_limbs: str = "one_way") -> Wearing:
+        """Read off the garment maker's body. other_limbs: one of `OTHER_LIMBS`.
+
+        Raises ValueError for a garment without an opening, and for other limbs that are none of these.
+        """
+        if other_limbs not in OTHER_LIMBS:
+            raise ValueError(f"other_limbs must be one of {', '.join(OTHER_LIMBS)}, got {other_limbs!r}")
+        wearing = cls.on(garment, avatar_from_body(body_model, body_model.garment_body), body_model.rig)
+        if other_limbs == "both_ways":
+            return replace(wearing, other_limb=np.zeros_like(wearing.other_limb))
+        return wearing
+
+    @classmethod
+    def on(cls, garment: Garment, avatar: Avatar, rig: Rig) -> Wearing:
+        """Read off a body in the canonical pose of `rig`. Raises ValueError for a garment without an opening."""
+        body, faces = avatar.vertices, avatar.faces
+        vertex_bone = avatar.influence_bones[np.arange(len(body)), avatar.influence_weights.argmax(axis=1)]
+        corner_bones = vertex_bone[faces]
+        face_bone = np.where(corner_bones[:, 1] == corner_bones[:, 2], corner_bones[:, 1], corner_bones[:, 0])
+        distance = np.full((len(garment.vertices), rig.bone_count), np.inf)
+        outwards = np.full(distance.shape, -np.inf)
+        normals = vertex_normals(garment.vertices, garment.faces)
+        for bone in np.unique(vertex_bone):
+            part = body[vertex_bone == bone]
+            distance[:, bone], closest = cKDTree(part).query(garment.vertices)
+            outwards[:, bone] = np.einsum("vi,vi->v", part[closest] - garment.vertices, normals)
+        beside = distance <= distance.min(axis=1, keepdims=True) + WORN_BESIDE
+        worn = (beside | _joined(beside, rig.parents)) & (distance <= WORN_WITHIN)
+        limb = np.eye(rig.bone_count, dtype=int)[_limbs(rig.parents)]
+        on_limb = (worn @ limb) @ limb.T > 0
+        other_limb = ~on_limb & worn.any(axis=1, keepdims=True) & (outwards > BEHIND * distance)
+        near = np.flatnonzero(worn.any(axis=0)[face_bone])
+        opening = garment.vertices[_uppermost_opening(garment)]
+        distance, _ = cKDTree(opening).query(garment.vertices, distance_upper_bound=BAND_WIDTH)
+        band = np.flatnonzero(np.isfinite(distance))
+        gap, place = cKDTree(body).query(garment.vertices[band])
+        return cls(
+            faces=faces,
+            face_bone=face_bone.astype(np.int32),
+            worn=worn,
+            other_limb=other_limb,
+            own_face=near[cKDTree(body[faces[near]].mean(axis=1)).query(garment.vertices)[1]].astype(np.int32),
+            band=band.astype(np.int32),
+            band_place=place.astype(np.int32),
+            band_distance=gap.astype(np.float32),
+        )
+
+    def worn_faces(self) -> Wearing:
+        """Contact only with faces of parts on which some vertex of the garment lies."""
+        keep = self.worn.any(axis=0)[self.face_bone]
+        kept = np.cumsum(keep) - 1
+        return replace(
+            self,
+            faces=self.faces[keep],
+            face_bone=self.face_bone[keep],
+            own_face=kept[self.own_face].astype(np.int32),
+        )
+
+
+def _joined(parts: np.ndarray, parents: np.ndarray) -> np.ndarray:
+    """(n, b) bool: parents and children of the parts (n, b)."""
+    child = np.flatnonzero(parents >= 0)
+    joined = np.zeros_like(parts)
+    joined[:, child] |= parts[:, parents[child]]
+    for bone in child:
+        joined[:, parents[bone]] |= parts[:, bone]
+    return joined
+
+
+def _limbs(parents: np.ndarray) -> np.ndarray:
+    """(b,) the first bone of each bone's limb, or of trunk or neck: they begin where bones fork."""
+    children = np.bincount(parents[parents >= 0], minlength=len(parents))
+    first = np.arange(len(parents))
+    for bone, parent in enumerate(parents):
+        if parent >= 0 and children[parent] == 1:
+            first[bone] = first[parent]
+    return first
+
+
+def _uppermost_opening(garment: Garment) -> np.ndarray:
+    """Vertices of the boundary loop whose centre is highest."""
+    directed = garment.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    edges, count = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+    boundary = edges[count == 1]
+    if len(boundary) == 0:
+        raise ValueError("the garment has no opening: every edge has two faces")
+    n = len(garment.vertices)
+    _, label = connected_components(coo_array((np.ones(len(boundary)), boundary.T), shape=(n, n)), directed=False)
+    loops = [np.unique(boundary[label[boundary[:, 0]] == loop]) for loop in np.unique(label[boundary[:, 0]])]
+    return max(loops, key=lambda loop: garment.vertices[loop, 2].mean())

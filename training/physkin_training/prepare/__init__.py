@@ -1,0 +1,1 @@
+"""How the shipped bodies, garments, avatar and motion are made from public packages."""

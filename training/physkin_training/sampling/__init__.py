@@ -1,0 +1,1 @@
+"""What training and evaluation draw from: poses, bodies, and pairs of the two."""

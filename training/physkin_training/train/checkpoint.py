@@ -1,0 +1,264 @@
+"""Checkpoints: a folder of safetensors files and one JSON file, enough to go on exactly where a run stopped.
+
+Networks, their moving average, the best average so far, first moments and second moments lie in files of their own, so
+that none grows large.
+A checkpoint is written beside the one it replaces and takes its place once complete: an interrupted save loses nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from safetensors.torch import load_file, save_file
+
+from physkin_training.config import TrainingConfig
+from physkin_training.networks.draping import Drape
+from physkin_training.train.processes import Processes
+from physkin_training.train.validation import BestModel
+
+__all__ = ["CheckpointError", "Progress", "load_checkpoint", "load_drape", "save_checkpoint", "saved_steps"]
+
+MOMENTS = ("exp_avg", "exp_avg_sq")
+TENSOR_FILES = ("drape", "average", "best", *MOMENTS, "random")
+OWN_BUFFERS = ("influence_bias", "networks.node_mean", "networks.node_scale")
+"""What a run sets for itself, beside what it trains."""
+FIT = "networks.hyper_modulator.fit"
+"""What only a run that makes to measure, too, has."""
+SAME = 1e-6
+"""Rest positions [m] and joint limits [rad] that differ by less are the same: another processor rounds differently."""
+
+
+class CheckpointError(ValueError):
+    """A checkpoint is missing, damaged, or of another configuration, garment or body."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a run is: finished steps, the best model yet, and plain data on the run that this one began from."""
+
+    step: int
+    best: BestModel | None = None
+    started_from: dict | None = None
+
+
+def save_checkpoint(
+    folder: Path,
+    drape: Drape,
+    averaged: Drape,
+    optimiser: torch.optim.Optimizer,
+    *,
+    progress: Progress,
+    config: TrainingConfig,
+    processes: Processes,
+) -> None:
+    """Write drape, moving average, optimiser and random states as `folder`, replacing a checkpoint that is there.
+
+    Every process must call it; the first writes. Raises CheckpointError when other files lie in `folder`.
+    """
+    random = {"cpu": processes.gather(torch.get_rng_state())}
+    if torch.cuda.is_available():
+        random["cuda"] = processes.gather(torch.cuda.get_rng_state())
+    if not processes.writes:
+        return
+    folder = folder.resolve()
+    _refuse_other_files(folder)
+    partial, previous = _sibling(folder, "partial"), _sibling(folder, "previous")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    names = {id(parameter): name for name, parameter in drape.named_parameters()}
+    best = progress.best
+    _save(drape.state_dict(), partial / "drape.safetensors")
+    _save(dict(averaged.named_parameters()), partial / "average.safetensors")
+    _save(best.parameters if best else {}, partial / "best.safetensors")
+    for moment in MOMENTS:
+        moments = {names[id(p)]: state[moment] for p, state in optimiser.state.items()}
+        _save(moments, partial / f"{moment}.safetensors")
+    _save(random, partial / "random.safetensors")
+    state = {
+        "step": progress.step,
+        "best": {"step": best.step, "energy_j": best.energy} if best else None,
+        "config": config.as_plain_data(),
+        "started_from": progress.started_from,
+    }
+    (partial / "state.json").write_text(json.dumps(state, indent=1))
+    if folder.exists():
+        shutil.rmtree(previous, ignore_errors=True)
+        folder.rename(previous)
+    partial.rename(folder)
+    shutil.rmtree(previous, ignore_errors=True)
+
+
+def load_checkpoint(
+    folder: Path,
+    drape: Drape,
+    averaged: Drape,
+    optimiser: torch.optim.Optimizer,
+    *,
+    config: TrainingConfig,
+    processes: Processes,
+) -> Progress:
+    """Restore what `save_checkpoint` wrote; random states only to as many processes as wrote them, to others new ones.
+
+    Raises CheckpointError when files are missing or do not fit, or the configuration, the garment or the body differs
+    (naming the entry).
+    """
+    state = _read_state(folder)
+    files = {name: _read_tensors(folder, name) for name in TENSOR_FILES}
+    _check_same_config(state["config"], config.as_plain_data())
+    parameters = dict(drape.named_parameters())
+    try:
+        _check_same_model(files["drape"], drape)
+        _check_fit(files["average"], parameters, "average")
+        _check_fit(files["best"], parameters if state["best"] else {}, "best")
+        for moment in MOMENTS:
+            _check_fit(files[moment], parameters if state["step"] > 0 else {}, moment)
+        _set_random_state(files["random"], processes, seed=config.seed, step=state["step"])
+    except CheckpointError as error:
+        raise CheckpointError(f"checkpoint {folder} {error}") from error
+    drape.load_state_dict(files["drape"])
+    averaged.load_state_dict(files["drape"] | files["average"])
+    for name, parameter in parameters.items() if state["step"] > 0 else ():
+        entry = {moment: files[moment][name].to(parameter.device) for moment in MOMENTS}
+        entry["step"] = torch.tensor(float(state["step"]), device=parameter.device)
+        optimiser.state[parameter] = entry
+    best = None
+    if state["best"]:
+        tensors = {name: tensor.to(parameters[name].device) for name, tensor in files["best"].items()}
+        best = BestModel(state["best"]["step"], state["best"]["energy_j"], tensors)
+    return Progress(state["step"], best, state.get("started_from"))
+
+
+def load_drape(folder: Path, drape: Drape) -> dict:
+    """Take over networks and skinning weights alone, whatever the run's configuration was: the best that the run kept,
+    or where it kept none yet the moving average.
+
+    Returns plain data on that run: its configuration, the `step` they are of and `started_from`. Raises CheckpointError
+    when the files cannot be read or are of another garment, another body or other sizes. A run that had only the
+    template may be started from to learn made to measure, too.
+    """
+    own = {name: tensor for name, tensor in drape.state_dict().items() if name == FIT}
+    try:
+        state = _read_state(folder)
+        tensors = own | _read_tensors(folder, "drape")
+        _check_same_model(tensors, drape)
+        file = "best" if state["best"] else "average"
+        learnt = own | _read_tensors(folder, file)
+        _check_fit(learnt, dict(drape.named_parameters()), file)
+    except CheckpointError as error:
+        raise CheckpointError(f"cannot start from checkpoint {folder}: {error}") from error
+    drape.load_state_dict(tensors | learnt)
+    run = state["config"] | {"step": state["best"]["step"] if state["best"] else state["step"]}
+    return run | ({"started_from": state["started_from"]} if state.get("started_from") else {})
+
+
+def saved_steps(folder: Path) -> int:
+    """How many steps the run of a checkpoint takes in all. Raises CheckpointError when the file cannot be read."""
+    steps = (_read_state(folder)["config"].get("optimisation") or {}).get("steps")
+    if type(steps) is not int or steps < 1:
+        raise CheckpointError(f"cannot read checkpoint {folder}: its configuration has {steps!r} optimisation.steps")
+    return steps
+
+
+def _sibling(folder: Path, suffix: str) -> Path:
+    return folder.with_name(f"{folder.name}.{suffix}")
+
+
+def _complete(folder: Path) -> Path:
+    """The folder, or what an interrupted save had just moved aside."""
+    folder = folder.resolve()
+    previous = _sibling(folder, "previous")
+    return previous if not folder.exists() and previous.exists() else folder
+
+
+def _refuse_other_files(folder: Path) -> None:
+    own = {"state.json", *(f"{name}.safetensors" for name in TENSOR_FILES)}
+    others = sorted(path.name for path in folder.iterdir() if path.name not in own) if folder.exists() else []
+    if others:
+        raise CheckpointError(f"{folder} holds {', '.join(others)}; a checkpoint needs a folder of its own")
+
+
+def _save(tensors: Mapping[str, torch.Tensor], path: Path) -> None:
+    save_file({name: tensor.detach().contiguous() for name, tensor in tensors.items()}, path)
+
+
+def _read_state(folder: Path) -> dict:
+    try:
+        state = json.loads((_complete(folder) / "state.json").read_text())
+    except (OSError, ValueError) as error:
+        raise CheckpointError(f"cannot read checkpoint {folder}: {error}") from error
+    state = state if isinstance(state, dict) else {}
+    step, config = state.get("step"), state.get("config")
+    if type(step) is not int or step < 0 or not isinstance(config, dict):
+        raise CheckpointError(
+            f"cannot read checkpoint {folder}: state.json needs a step of at least 0 and a config table, "
+            f"got {step!r} and {config!r}"
+        )
+    best = state.setdefault("best", None)
+    if best is not None and not (
+        isinstance(best, dict) and type(best.get("step")) is int and type(best.get("energy_j")) is float
+    ):
+        raise CheckpointError(
+            f"cannot read checkpoint {folder}: state.json needs best to be null or have step and energy_j, got {best!r}"
+        )
+    return state
+
+
+def _read_tensors(folder: Path, name: str) -> dict[str, torch.Tensor]:
+    try:
+        return load_file(_complete(folder) / f"{name}.safetensors")
+    except Exception as error:  # safetensors raises errors of its own, OSError and ValueError
+        raise CheckpointError(f"cannot read checkpoint {folder}: {name}.safetensors: {error}") from error
+
+
+def _check_same_model(tensors: dict, drape: Drape) -> None:
+    """Sizes must fit, and what is given (mesh, garment nodes, body, joint limits) must be the drape's own."""
+    _check_fit(tensors, drape.state_dict(), "drape")
+    fixed = {name: buffer.cpu() for name, buffer in drape.named_buffers() if name not in OWN_BUFFERS}
+    differing = [
+        name for name, own in fixed.items() if not torch.allclose(tensors[name].to(own.dtype), own, rtol=0, atol=SAME)
+    ]
+    if differing:
+        raise CheckpointError(f"is of another garment, body or garment nodes: {', '.join(differing)} differ")
+
+
+def _check_fit(tensors: Mapping, expected: Mapping, file: str) -> None:
+    if odd := sorted(set(tensors) ^ set(expected)):
+        raise CheckpointError(f"does not fit the model: {file}.safetensors has too much or lacks {', '.join(odd)}")
+    for name, tensor in tensors.items():
+        if tensor.shape != expected[name].shape:
+            raise CheckpointError(
+                f"does not fit the model: {file}.safetensors has {name} of shape {tuple(tensor.shape)}, "
+                f"expected {tuple(expected[name].shape)}"
+            )
+
+
+def _set_random_state(random: Mapping[str, torch.Tensor], processes: Processes, *, seed: int, step: int) -> None:
+    try:
+        if len(random["cpu"]) != processes.count:
+            processes.seed_samples(seed, step)
+            return
+        own = {
+            device: states[processes.rank].clone() for device, states in random.items()
+        }  # set_rng_state wants no view
+        torch.set_rng_state(own["cpu"])
+        if "cuda" in own and torch.cuda.is_available():
+            torch.cuda.set_rng_state(own["cuda"])
+    except (KeyError, IndexError, TypeError, RuntimeError) as error:
+        raise CheckpointError(f"has no usable random state: {error!r}") from error
+
+
+def _check_same_config(saved: dict, current: dict) -> None:
+    for key in sorted(set(saved) | set(current)):
+        before, now = saved.get(key), current.get(key)
+        if isinstance(before, dict) and isinstance(now, dict):
+            _check_same_config(before, now)
+        elif before != now:
+            raise CheckpointError(
+                f"checkpoint was made with {key} = {before!r}, the configuration says {now!r}; "
+                "a new run from its networks is --start-from"
+            )

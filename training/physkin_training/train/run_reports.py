@@ -1,0 +1,96 @@
+"""What a training run says of itself: losses.jsonl, TensorBoard scalars, a progress bar and lines of log."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import time
+from pathlib import Path
+
+from physkin_training.train.trainer import TERMS, Trainer
+
+__all__ = ["RunReports"]
+
+log = logging.getLogger(__name__)
+LINE_EVERY = 10
+"""Reports between two lines of log."""
+
+
+class RunReports:
+    """Reports of one run into `output`, appended to those that are there. Use as a context.
+
+    Of several processes only the first one writes; all must call `report`, which asks all for their figures.
+    """
+
+    def __init__(self, trainer: Trainer, output: Path, *, every: int) -> None:
+        self._trainer, self._output, self._every = trainer, output, every
+        self._started, self._first_step = time.perf_counter(), trainer.step
+
+    def __enter__(self) -> RunReports:
+        if self._trainer.processes.writes:
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+            from torch.utils.tensorboard import SummaryWriter
+
+            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+            self._writer = SummaryWriter(self._output / "scalars")
+            self._record = open(self._output / "losses.jsonl", "a")
+            self._progress = Progress(*columns, disable=not sys.stderr.isatty())
+            steps = self._trainer.config.optimisation.steps
+            self._task = self._progress.add_task("training", total=steps, completed=self._trainer.step)
+            self._progress.start()
+        return self
+
+    def __exit__(self, *_) -> None:
+        if self._trainer.processes.writes:
+            self._progress.stop()
+            self._record.close()
+            self._writer.close()
+
+    @property
+    def seconds(self) -> float:
+        """Time [s] since the run began or went on."""
+        return time.perf_counter() - self._started
+
+    def report(self) -> None:
+        """The figures of the steps since the last report. Raises TrainingDiverged when they are not finite."""
+        trainer = self._trainer
+        energies = trainer.mean_energies()
+        row = {"step": trainer.step, "seconds": self.seconds, "range": trainer.range.item()} | energies
+        row["median_stretch_and_collision"] = trainer.median_energy()
+        row["gradient_norm"] = trainer.gradient_norm.item()
+        if trainer.validation_energy is not None:
+            row["validation_energy"] = trainer.validation_energy
+        if trainer.validation_energy_made_to_measure is not None:
+            row["validation_energy_made_to_measure"] = trainer.validation_energy_made_to_measure
+        if trainer.best:
+            row |= {"best_validation_energy": trainer.best.energy, "best_step": trainer.best.step}
+        if trainer.processes.writes:
+            self._write(row)
+
+    def _write(self, row: dict) -> None:
+        step = row["step"]
+        self._record.write(json.dumps(row) + "\n")
+        self._record.flush()
+        for name, value in row.items():
+            self._writer.add_scalar(name, value, step)
+        total = sum(row[term] for term in TERMS)
+        self._progress.update(self._task, completed=step, description=f"energy {total:8.4f} J")
+        if not sys.stderr.isatty() and step // self._every % LINE_EVERY == 0:
+            self._log(row)
+
+    def _log(self, row: dict) -> None:
+        optimisation = self._trainer.config.optimisation
+        terms = "  ".join(f"{term} {row[term]:.4f}" for term in TERMS)
+        done = row["step"] - self._first_step
+        rate = done * optimisation.samples / row["seconds"]
+        left = (optimisation.steps - row["step"]) * row["seconds"] / done / 60
+        log.info(
+            "step %d/%d  %s  median %.4f  range %.1f  %.0f samples/s  %.1f minutes left",
+            *(row["step"], optimisation.steps, terms, row["median_stretch_and_collision"], row["range"], rate, left),
+        )
+        if "best_step" in row:
+            log.info(
+                "validation %.4f J  best %.4f J of step %d",
+                *(row.get("validation_energy", float("nan")), row["best_validation_energy"], row["best_step"]),
+            )

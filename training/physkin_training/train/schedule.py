@@ -1,0 +1,66 @@
+"""What changes over a run (paper: Training): pose range, contact, learning rates, influences a vertex, body points."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from physkin_core.model.hyper_modulator import POINT_COUNT
+from physkin_training.config import TrainingConfig
+from physkin_training.sampling.pose_sampling import pose_range
+
+__all__ = ["EARLY_REACH", "Schedule"]
+
+EARLY_REACH = 0.1
+"""How far [m] bodies are looked for while the pose range grows: heavy ones start that deep in the garment."""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """One step's place in the run.
+
+    pose_range: share of the joint limits in use. contact: share of the material's contact stiffness. learning_rate: of
+    networks, skinning_rate: of skinning weights. average_decay: of the moving average. reach [m]: how far the body is
+    looked for.
+    """
+
+    pose_range: float
+    contact: float
+    learning_rate: float
+    skinning_rate: float
+    average_decay: float
+    influences: int
+    encoder_points: int
+    reach: float
+
+    @classmethod
+    def at(cls, step: int, config: TrainingConfig) -> Schedule:
+        """The schedule of the step after `step` finished ones."""
+        optimisation = config.optimisation
+        progress = step / optimisation.steps
+        ramp = min(1.0, progress / optimisation.growth) if optimisation.growth > 0 else 1.0
+        warm = min(1.0, (progress + 1e-9) / optimisation.warm_up) if optimisation.warm_up > 0 else 1.0
+        cosine = 0.5 * (1 + math.cos(math.pi * progress))
+        factor = warm * (optimisation.final_rate + (1 - optimisation.final_rate) * cosine)
+        return cls(
+            pose_range=pose_range(progress, optimisation.growth),
+            contact=optimisation.initial_contact + (1 - optimisation.initial_contact) * ramp,
+            learning_rate=optimisation.learning_rate * factor,
+            skinning_rate=optimisation.skinning_rate * factor,
+            # A young average forgets faster, so that it does not hold on to the untrained start.
+            average_decay=min(optimisation.average, (1 + step) / (10 + step)),
+            influences=influences_left(progress, config),
+            encoder_points=POINT_COUNT if progress >= optimisation.full_encoding else optimisation.encoder_points,
+            reach=EARLY_REACH if progress < optimisation.growth else optimisation.late_reach,
+        )
+
+
+def influences_left(progress: float, config: TrainingConfig) -> int:
+    """Influences a vertex at `progress` (0 to 1) of the run: they fall one by one from `prune_from` to `prune_at`."""
+    most, fewest = config.garment_nodes.initial_influences, config.garment_nodes.influences
+    start, end = config.optimisation.prune_from, config.optimisation.prune_at
+    if progress < start:
+        return most
+    if progress >= end:
+        return fewest
+    return most - math.ceil((most - fewest) * (progress - start) / (end - start))

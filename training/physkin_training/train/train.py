@@ -1,0 +1,201 @@
+"""`physkin train`: learn a garment from its mesh and physics, with checkpoints, TensorBoard scalars and export."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import math
+import signal
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from physkin_core.model.model_file import load_garment_model, save_garment_model
+from physkin_training.config import ConfigError, load_config
+from physkin_training.devices import DEFAULT_DEVICE
+from physkin_training.networks.export import Agreement, agreement, drape_from_model, model_from_drape
+from physkin_training.networks.rest_normals import fitted_rest_normals
+from physkin_training.train.checkpoint import CheckpointError, saved_steps
+from physkin_training.train.processes import join, leave
+from physkin_training.train.run_reports import RunReports
+from physkin_training.train.trainer import Trainer, TrainingDiverged
+
+__all__ = ["main"]
+
+log = logging.getLogger(__name__)
+TWIN_TOLERANCE = 1e-3
+"""Largest distance [m] allowed between the exported model's drape at run time and in torch."""
+EXPORT_TOLERANCE = 5e-3
+"""Largest distance [m] that half precision and pruning may move a vertex of the trained drape."""
+INTERRUPTED = 130
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line entry."""
+    parser = argparse.ArgumentParser(prog="physkin train", description=__doc__)
+    parser.add_argument("--config", type=Path, required=True, help="training configuration (TOML)")
+    parser.add_argument("--output", type=Path, required=True, help="folder for checkpoint, scalars and the model")
+    start = parser.add_mutually_exclusive_group()
+    start.add_argument("--resume", type=Path, metavar="FOLDER", help="go on from this checkpoint")
+    start.add_argument(
+        "--start-from", type=Path, metavar="PATH", help="new run from the networks of this checkpoint or model"
+    )
+    parser.add_argument("--device", default=DEFAULT_DEVICE)
+    parser.add_argument(
+        "--minutes",
+        type=_minutes,
+        help="choose the number of steps so that the run takes so long on this machine (to resume, give it again)",
+    )
+    parser.add_argument(
+        "--stop-after", type=_minutes, default=math.inf, metavar="MINUTES", help="then write a checkpoint and stop"
+    )
+    parser.add_argument(
+        "--checkpoint-every", type=_minutes, default=5.0, metavar="MINUTES", help="default 5; inf for none on the way"
+    )
+    parser.add_argument("--log-every", type=_steps, default=200, metavar="STEPS")
+    arguments = parser.parse_args(argv)
+    try:
+        config = load_config(arguments.config)
+        processes, device = join(arguments.device)
+        logging.basicConfig(level=logging.INFO if processes.writes else logging.WARNING, format="%(message)s")
+        if arguments.minutes:
+            config = replace(config, optimisation=replace(config.optimisation, minutes=arguments.minutes))
+        minutes = config.optimisation.minutes
+        if minutes and arguments.resume:
+            config = replace(config, optimisation=replace(config.optimisation, steps=saved_steps(arguments.resume)))
+        trainer = Trainer(config, device, processes=processes)
+        if arguments.resume:
+            trainer.resume(arguments.resume)
+        elif arguments.start_from:
+            trainer.start_from(arguments.start_from)
+        if minutes and not arguments.resume:
+            rate = trainer.choose_steps(60 * minutes)
+            steps = trainer.config.optimisation.steps
+            log.info("%.1f steps a second: %d steps in %g minutes", rate, steps, minutes)
+    except (ConfigError, CheckpointError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    checkpoint = arguments.output / "checkpoint"
+    try:
+        stopped = _train(trainer, arguments, checkpoint)
+        trainer.save(checkpoint)
+    except TrainingDiverged as error:
+        kept = f"; {checkpoint} is from before, start from it with a lower learning rate" if checkpoint.exists() else ""
+        print(f"error: {error}{kept}", file=sys.stderr)
+        return 1
+    except CheckpointError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    trainer.close()
+    leave()
+    if stopped is not None:
+        log.info("stopped at step %d; go on with --resume %s", trainer.step, checkpoint)
+        return stopped
+    if not processes.writes:
+        return 0
+    return _export(trainer, arguments.output / f"{config.name}.safetensors")
+
+
+def _minutes(text: str) -> float:
+    value = float(text)
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"{text} must be above 0 minutes")
+    return value
+
+
+def _steps(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} must be at least 1 step")
+    return value
+
+
+class _Interrupt:
+    """Ctrl-C lets the running step finish, so that the checkpoint is exact; a second one stops at once."""
+
+    def __init__(self) -> None:
+        self.requested = False
+
+    def __enter__(self) -> _Interrupt:
+        self._previous = signal.signal(signal.SIGINT, self._request)
+        return self
+
+    def __exit__(self, *_) -> None:
+        signal.signal(signal.SIGINT, self._previous)
+
+    def _request(self, *_) -> None:
+        self.requested = True
+        signal.signal(signal.SIGINT, self._previous)
+
+
+def _train(trainer: Trainer, arguments: argparse.Namespace, checkpoint: Path) -> int | None:
+    """Run to the end (returns None), until the time is up or until Ctrl-C (returns the exit status)."""
+    steps = trainer.config.optimisation.steps
+    saved = time.perf_counter()
+    with RunReports(trainer, arguments.output, every=arguments.log_every) as reports, _Interrupt() as interrupt:
+        for step in trainer.run(steps):
+            report = step % arguments.log_every == 0 or step == steps
+            late = report and step < steps and reports.seconds > 60 * arguments.stop_after
+            due = time.perf_counter() - saved > 60 * arguments.checkpoint_every
+            interrupted, due, late = trainer.processes.any(interrupt.requested, due, late)
+            if interrupted:
+                return INTERRUPTED
+            if due:
+                trainer.save(checkpoint)
+                saved = time.perf_counter()
+            if report:
+                reports.report()
+            if late:
+                return 0
+    return None
+
+
+def _export(trainer: Trainer, path: Path) -> int:
+    """Write the model file of the run's best drape, unless it drapes otherwise; returns the exit status."""
+    config, drape, best = trainer.config, trainer.best_drape(), trainer.best
+    training = config.as_plain_data() | {"step": best.step if best else trainer.step}
+    if best:
+        training["validation_energy_j"] = best.energy
+        log.info("the model is the one of step %d, with the lowest validation energy, %.4f J", best.step, best.energy)
+    if trainer.started_from:
+        training["started_from"] = trainer.started_from
+    model = model_from_drape(
+        drape,
+        trainer.garment,
+        trainer.rig,
+        name=config.name,
+        influences=config.garment_nodes.influences,
+        material=config.material,
+        training=training,
+    )
+    model = replace(model, rest_normals=fitted_rest_normals(drape, trainer.garment, trainer.rig))
+    unchecked = path.with_suffix(".unchecked")
+    save_garment_model(model, unchecked)
+    stored = load_garment_model(unchecked)
+    cost, twin = agreement(stored, drape), agreement(stored, drape_from_model(stored))
+    log.info("half precision and pruning move vertices by %.3f mm at most, %.4f mm on average", *_mm(cost))
+    log.info("run time and torch agree to %.4f mm at most, %.4f mm on average", *_mm(twin))
+    for difference, allowed, other in (
+        (cost, EXPORT_TOLERANCE, "the trained drape"),
+        (twin, TWIN_TOLERANCE, "the same model in torch"),
+    ):
+        if not difference.largest <= allowed:
+            print(
+                f"error: the exported model drapes {1000 * difference.largest:.2f} mm away from {other}, allowed "
+                f"{1000 * allowed:g} mm; it is left as {unchecked}",
+                file=sys.stderr,
+            )
+            return 1
+    unchecked.replace(path)
+    log.info("%s: %.2f MB", path, path.stat().st_size / 1e6)
+    return 0
+
+
+def _mm(difference: Agreement) -> tuple[float, float]:
+    return 1000 * difference.largest, 1000 * difference.mean
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

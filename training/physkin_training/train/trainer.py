@@ -1,0 +1,406 @@
+"""Joint optimisation of networks and skinning weights by physics losses alone (paper: Training).
+
+One step draws bodies, poses and gravity, encodes the bodies, drapes the garment and descends the mean physical energy.
+Everything that changes between steps (pose range, contact stiffness, learning rates) sits in tensors, so that a GPU can
+replay the step. Several processes each do the step on their share of the samples and average the gradients.
+
+Dimensions: `B` samples, `S` bodies of a step, `n` garment vertices.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from physkin_core.model.garment import load_garment
+from physkin_core.model.model_file import load_garment_model
+from physkin_training.config import TrainingConfig
+from physkin_training.networks.draping import Drape, GarmentNodes
+from physkin_training.networks.made_to_measure import MadeToMeasure
+from physkin_training.networks.warm_start import take_over_model
+from physkin_training.physics.physics_losses import TERMS, PhysicsLosses
+from physkin_training.physics.rest_data import RestData
+from physkin_training.physics.wearing import Wearing
+from physkin_training.sampling.fantastical_bodies import BODY_DISTRIBUTIONS
+from physkin_training.sampling.pose_sampling import PoseSampler
+from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
+from physkin_training.train.checkpoint import Progress, load_checkpoint, load_drape, save_checkpoint
+from physkin_training.train.processes import Processes
+from physkin_training.train.recorded_step import RecordedStep
+from physkin_training.train.schedule import EARLY_REACH, Schedule
+from physkin_training.train.validation import BestModel, Validation
+
+__all__ = ["Trainer", "TrainingDiverged"]
+
+NORMALISING_POSES = 2048
+"""Poses from which the node deformer's inputs are scaled."""
+LATE = 0.7
+"""Share of a run at which steps are as long as in most of it: full range, influences pruned."""
+MEASURING = 8.0
+"""Time [s] over which the rate of steps is measured; at most a thirtieth of the run's."""
+WARM_UP_STEPS, STEPS_A_LOOK = 60, 20
+FEWEST_STEPS = 10
+PARTS = 1000
+"""Steps of the run in which rates are measured."""
+USED = 0.97
+"""Share of the time that steps fill; the rest is for measuring the average, and for rates that were too high."""
+
+
+class TrainingDiverged(RuntimeError):
+    """Energies or gradients are no longer finite."""
+
+
+class Trainer:
+    """A training run that can stop anywhere and go on exactly.
+
+    `step` counts finished steps; `drape` is the model in training, `averaged` its exponential moving average (the drape
+    itself where the configuration averages nothing), `best` the average with the lowest `validation_energy` [J] (the
+    last one measured), both None until pose range and influences are final. `started_from`: plain data on the run this
+    one took its networks from, or None. Of several `processes` each makes a trainer and calls the same methods.
+    """
+
+    def __init__(self, config: TrainingConfig, device: torch.device, *, processes: Processes | None = None) -> None:
+        torch.manual_seed(config.seed)
+        self.config = config
+        self.device = device
+        self.processes = processes or Processes()
+        self.step = 0
+        self.best: BestModel | None = None
+        self.validation_energy: float | None = None
+        self.started_from: dict | None = None
+        optimisation = config.optimisation
+        count = self.processes.count
+        if optimisation.bodies % count:
+            raise ValueError(
+                f"optimisation.bodies must be a multiple of the {count} processes, got {optimisation.bodies}"
+            )
+        self._samples, self._bodies = optimisation.samples // count, optimisation.bodies // count
+        if optimisation.made_to_measure and self._bodies < 2:
+            raise ValueError('optimisation.fit = "both" needs at least 2 bodies a step for each process')
+        body_model = BODY_DISTRIBUTIONS[config.body_distribution]()
+        if config.train_bodies > len(body_model.train_bodies):
+            raise ValueError(f"train_bodies must be 1 to {len(body_model.train_bodies)}, got {config.train_bodies}")
+        self.rig = body_model.rig
+        self.garment = load_garment(config.garment)
+        nodes = GarmentNodes.sample(
+            self.garment, self.rig, config.garment_nodes.count, config.garment_nodes.initial_influences
+        )
+        self.nodes = nodes
+        both = optimisation.made_to_measure
+        self.drape = Drape(self.garment, nodes, self.rig, config.networks, made_to_measure=both).to(device)
+        self.bodies = BodySet(body_model, body_model.train_bodies[: config.train_bodies], device)
+        self.node_positions = self.drape.node_positions(self.bodies)
+        self.fits = MadeToMeasure(self.garment, self.drape, self.bodies, body_model) if both else None
+        self._made = torch.arange(self._bodies, device=device) % 2 == 1
+        rest = RestData(self.garment, config.material, device, shapes=self.fits.shapes if self.fits else None)
+        self.sampler = PoseSampler.configured(config.poses, self.rig, device)
+        wearing = Wearing.of(self.garment, body_model, other_limbs=optimisation.other_limbs).worn_faces()
+        self.posed_bodies = PosedBodies(body_model, self.bodies, self._samples, faces=wearing.faces)
+        self._normalise_nodes()
+        self.processes.broadcast(list(self.drape.state_dict().values()))
+        self.averaged = copy.deepcopy(self.drape).requires_grad_(False) if optimisation.average > 0 else self.drape
+        self.losses = PhysicsLosses(
+            self.garment,
+            config.material,
+            self._samples,
+            device,
+            wearing=wearing,
+            reach=EARLY_REACH,
+            linear_beyond=optimisation.contact_linear_beyond,
+            leads_back=True,
+            heavy_energy=optimisation.heavy_energy,
+            rest=rest,
+        )
+        self._validation = Validation(
+            config, body_model, self.garment, self.bodies, wearing, self.processes, fits=self.fits, rest=rest
+        )
+        self.range = torch.zeros((), device=device)
+        self._average_decay = torch.zeros((), device=device)
+        self._energy_sum = torch.zeros(len(TERMS), device=device)
+        self._stretch_and_collision = torch.zeros(self._samples, device=device)
+        self._summed_from = 0
+        self.gradient_norm = torch.zeros((), device=device)
+        self.optimiser = self._make_optimiser()
+        self._recorded = RecordedStep(
+            lambda: self._compute_step(),
+            device,
+            clear=lambda: self.optimiser.zero_grad(set_to_none=True),
+            in_company=count > 1,
+        )
+        self._influences = config.garment_nodes.initial_influences
+        self._encoder_points = optimisation.encoder_points
+        if count > 1:
+            self.processes.seed_samples(config.seed, 0)
+
+    def run(self, steps: int) -> Iterator[int]:
+        """Do up to `steps` steps, yielding the count of finished ones after each."""
+        end = min(self.step + steps, self.config.optimisation.steps)
+        while self.step < end:
+            self._set_schedules()
+            self._recorded()
+            self.step += 1
+            self._validate()
+            yield self.step
+
+    @property
+    def validation_energy_made_to_measure(self) -> float | None:
+        """The part of the last `validation_energy` [J] of rest shapes made to measure; None where there are none."""
+        return self._validation.made_to_measure
+
+    def choose_steps(self, seconds: float) -> float:
+        """Set the run's steps so that it takes `seconds` from now on, measuring included. Returns the rate [steps/s].
+
+        Steps at the settings of late training, and of its end, are done and timed, and then undone. Raises ValueError
+        when the run has begun, or the time is too short for any.
+        """
+        if self.step:
+            raise ValueError(f"the number of steps is chosen before the first one, not after {self.step}")
+        began = time.perf_counter()
+        rate = self._mean_rate(min(MEASURING, seconds / 30))
+        left = torch.tensor([rate, seconds - (time.perf_counter() - began)])
+        self.processes.average([left])
+        rate, left = left.tolist()
+        steps = int(rate * left * USED)
+        if steps < FEWEST_STEPS:
+            raise ValueError(
+                f"{seconds / 60:g} minutes are too short for a run of {FEWEST_STEPS} steps at {rate:.1f} a second"
+            )
+        self.config = replace(self.config, optimisation=replace(self.config.optimisation, steps=steps))
+        return rate
+
+    def best_drape(self) -> Drape:
+        """The averaged drape to export and evaluate: of the best step, or the latest where none was measured."""
+        if self.best is None:
+            return self.averaged
+        drape = copy.deepcopy(self.averaged)
+        drape.load_state_dict(drape.state_dict() | self.best.parameters)
+        return drape
+
+    def close(self) -> None:
+        """Drop the recorded step, which holds on to the other processes."""
+        self._recorded.forget()
+
+    def mean_energies(self) -> dict[str, float]:
+        """Mean energies [J] a sample by term over the steps since the last call. Waits for the device.
+
+        Raises TrainingDiverged when they are not finite.
+        """
+        sums = self._finite_sums()
+        steps = max(1, self.step - self._summed_from)
+        self._energy_sum.zero_()
+        self._summed_from = self.step
+        return {term: energy / steps for term, energy in zip(TERMS, sums)}
+
+    def median_energy(self) -> float:
+        """Median of stretch and contact energy [J] over the last step's samples: the few worst poses, which decide the
+        mean, do not move it. Waits for the device."""
+        return self.processes.gather(self._stretch_and_collision).median().item()
+
+    def average_energy(self) -> float:
+        """Mean energy [J] of the averaged drape, gravity left out, on the validation's bodies and poses. Waits for the
+        device.
+
+        Raises TrainingDiverged when it is not finite.
+        """
+        with self._recorded.beside():
+            energy = self._validation.energy(self.averaged, self.node_positions, with_gravity=False)
+        if not math.isfinite(energy):
+            raise TrainingDiverged(f"the averaged drape's energy is {energy} at step {self.step}")
+        return energy
+
+    def _mean_rate(self, seconds: float) -> float:
+        """Steps a second over the run, from those late in it, timed over `seconds`, and those with all body points,
+        timed over a quarter of that. Leaves everything as it was."""
+        config, drapes = self.config, {id(drape): drape for drape in (self.drape, self.averaged)}.values()
+        states = [{name: tensor.clone() for name, tensor in drape.state_dict().items()} for drape in drapes]
+        on_gpu = self.device.type == "cuda"
+        random = torch.get_rng_state(), torch.cuda.get_rng_state(self.device) if on_gpu else None
+        before = self._influences, self._encoder_points, self.losses.reach
+        self.config = replace(config, optimisation=replace(config.optimisation, steps=PARTS))
+        end = min(config.optimisation.full_encoding, 1 - 1 / PARTS)
+        late = self._steady_rate(LATE, seconds)
+        last = self._steady_rate(end, seconds / 4)
+        mean = 1 / (end / late + (1 - end) / last)
+        self._recorded.forget()
+        self.config, self.step = config, 0
+        self._influences, self._encoder_points, self.losses.reach = before
+        for drape, state in zip(drapes, states):
+            drape.load_state_dict(state)
+        self.optimiser.zero_grad(set_to_none=True)
+        self.optimiser.state.clear()
+        for tensor in (self._energy_sum, self._stretch_and_collision, self.gradient_norm):
+            tensor.zero_()
+        torch.set_rng_state(random[0])
+        if on_gpu:
+            torch.cuda.set_rng_state(random[1], self.device)
+        return mean
+
+    def _steady_rate(self, progress: float, seconds: float) -> float:
+        """Steps a second at `progress` (0 to 1) of the run, over `seconds` after a warm-up. Nothing is learnt."""
+        self.step = math.ceil(progress * PARTS)
+        self._set_schedules()
+        for group in self.optimiser.param_groups:
+            group["lr"].zero_()
+
+        def rate(most: float) -> float:
+            began, done, late = time.perf_counter(), 0, False
+            while not late and done < most:
+                for _ in range(STEPS_A_LOOK if self.device.type == "cuda" else 1):
+                    self._recorded()
+                    done += 1
+                if self.device.type == "cuda":
+                    torch.cuda.synchronize(self.device)
+                (late,) = self.processes.any(time.perf_counter() - began > seconds)
+            return done / (time.perf_counter() - began)
+
+        rate(WARM_UP_STEPS)
+        return rate(math.inf)
+
+    def _finite_sums(self) -> list[float]:
+        """Mean over the processes of the summed energies [J]. Raises TrainingDiverged when energies since the last
+        report or the last gradient are not finite."""
+        sums = torch.cat([self._energy_sum, self.gradient_norm[None]])
+        self.processes.average([sums])
+        if not torch.isfinite(sums).all():
+            raise TrainingDiverged(f"energies or gradients are not finite at step {self.step}")
+        return sums[:-1].tolist()
+
+    def save(self, folder: Path) -> None:
+        """Write a checkpoint (see `physkin_training.train.checkpoint`). Raises TrainingDiverged and leaves `folder`
+        as it is when the run has diverged."""
+        self._finite_sums()
+        save_checkpoint(
+            folder,
+            self.drape,
+            self.averaged,
+            self.optimiser,
+            progress=Progress(self.step, self.best, self.started_from),
+            config=self.config,
+            processes=self.processes,
+        )
+
+    def resume(self, folder: Path) -> None:
+        """Go on from a checkpoint of the same configuration, whatever number of processes wrote it; exactly as it would
+        have gone on where that is the same number."""
+        progress = load_checkpoint(
+            folder, self.drape, self.averaged, self.optimiser, config=self.config, processes=self.processes
+        )
+        self.step = self._summed_from = progress.step
+        self.best, self.started_from = progress.best, progress.started_from
+
+    def start_from(self, path: Path) -> None:
+        """Begin a new run with the networks and skinning weights of another run's checkpoint, or of a model file.
+
+        Raises CheckpointError or ValueError when they do not fit this run.
+        """
+        if path.is_file():
+            self.started_from = take_over_model(load_garment_model(path), self.drape)
+        else:
+            self.started_from = load_drape(path, self.drape)
+        self.averaged.load_state_dict(self.drape.state_dict())
+
+    def _normalise_nodes(self) -> None:
+        """Scale the node deformer's inputs by their spread over poses of the full range."""
+        posed = []
+        for _ in range(math.ceil(NORMALISING_POSES / self._samples)):
+            positions, _ = self.sampler.sample(self._samples, 1.0)
+            body = torch.randint(len(self.bodies), (self._samples,), device=self.device)
+            bones = self.posed_bodies.pose(positions, body)
+            node_positions = self.node_positions[body]
+            if self.fits is not None:
+                every_second = torch.arange(self._samples, device=self.device) % 2 == 1
+                node_positions = self.fits.worn(body, every_second).node_positions
+            posed.append(self.drape.posed_nodes(bones, node_positions))
+        self.drape.networks.normalise_nodes(torch.cat(posed))
+
+    def _make_optimiser(self) -> torch.optim.Adam:
+        """Adam whose learning rates sit in tensors, which `_set_schedules` fills."""
+        groups = [
+            {"params": list(self.drape.networks.parameters()), "lr": torch.zeros((), device=self.device)},
+            {"params": [self.drape.skinning_logits], "lr": torch.zeros((), device=self.device)},
+        ]
+        on_gpu = self.device.type == "cuda"
+        return torch.optim.Adam(groups, capturable=on_gpu, fused=on_gpu)
+
+    def _set_schedules(self) -> None:
+        schedule = Schedule.at(self.step, self.config)
+        self.range.fill_(schedule.pose_range)
+        self.losses.contact_stiffness.fill_(self.config.material.contact_stiffness * schedule.contact)
+        rates = (schedule.learning_rate, schedule.skinning_rate)
+        for group, rate in zip(self.optimiser.param_groups, rates, strict=True):
+            group["lr"].fill_(rate)
+        self._average_decay.fill_(schedule.average_decay)
+        if schedule.influences < self._influences:
+            self._influences = schedule.influences
+            self.drape.prune_influences(schedule.influences)
+            self.averaged.influence_bias.copy_(self.drape.influence_bias)
+        if (schedule.encoder_points, schedule.reach) != (self._encoder_points, self.losses.reach):
+            self._encoder_points, self.losses.reach = schedule.encoder_points, schedule.reach
+            self._recorded.forget()
+
+    def _validate(self) -> None:
+        """Measure the average, every so often and at the end, and keep it if it is the best."""
+        optimisation = self.config.optimisation
+        if self.step % optimisation.validate_every and self.step != optimisation.steps:
+            return
+        last = Schedule.at(self.step - 1, self.config)
+        if last.pose_range < 1 or last.influences > self.config.garment_nodes.influences:
+            return
+        with self._recorded.beside():
+            self.validation_energy = self._validation.energy(self.averaged, self.node_positions)
+        if math.isfinite(self.validation_energy) and (self.best is None or self.validation_energy < self.best.energy):
+            self.best = BestModel.of(self.averaged, step=self.step, energy=self.validation_energy)
+
+    def _draw(self) -> tuple[torch.Tensor, ...]:
+        """Bodies (S,), joint positions (B, d) [rad], gravity (B, 3), surface points and normals (S, N, 3) of a step."""
+        chosen = torch.randint(len(self.bodies), (self._bodies,), device=self.device)
+        positions, gravity = self.sampler.sample(self._samples, self.range)
+        return chosen, positions, gravity, *self.bodies.sample_points(chosen, self._encoder_points)
+
+    def _compute_step(self) -> None:
+        optimisation = self.config.optimisation
+        per_body = self._samples // self._bodies
+        with torch.no_grad():
+            chosen, positions, gravity, *surface = self._draw()
+            body_index = chosen.repeat_interleave(per_body)
+            bone_transforms = self.posed_bodies.pose(positions, body_index)
+            if self.fits is None:
+                node_positions, fit, rest = self.node_positions[body_index], None, None
+            else:
+                worn = self.fits.worn(body_index, self._made.repeat_interleave(per_body))
+                node_positions, fit, rest = worn.node_positions, self._made.float(), worn.rest
+                self.losses.rest_row.copy_(worn.rows)
+            posed_nodes = self.drape.posed_nodes(bone_transforms, node_positions)
+        modulation = self.drape.networks.hyper_modulator(*surface, fit)
+        vertices = self.drape(modulation.repeat_interleave(per_body, dim=0), positions, gravity, posed_nodes, rest)
+        loss = self._loss(vertices, gravity)
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        self.processes.average([parameter.grad for parameter in self.drape.parameters()])
+        norm = torch.nn.utils.clip_grad_norm_(self.drape.parameters(), optimisation.gradient_clip, foreach=True)
+        self.optimiser.step()
+        self._update_average()
+        self.gradient_norm.copy_(norm)
+
+    def _loss(self, vertices: torch.Tensor, gravity: torch.Tensor) -> torch.Tensor:
+        """What a step descends, from drapes (B, n, 3): the mean energy [J], which is also summed up for reports."""
+        loss, energies = self.losses(vertices, gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
+        self._energy_sum += torch.stack([getattr(energies, term).mean() for term in TERMS])
+        self._stretch_and_collision.copy_(energies.stretch + energies.collision)
+        return loss
+
+    @torch.no_grad()
+    def _update_average(self) -> None:
+        """average = parameter + decay * (average - parameter): in place, and the decay may sit in a tensor."""
+        if self.averaged is self.drape:
+            return
+        average, parameters = list(self.averaged.parameters()), list(self.drape.parameters())
+        torch._foreach_sub_(average, parameters)
+        torch._foreach_mul_(average, self._average_decay)
+        torch._foreach_add_(average, parameters)

@@ -1,0 +1,136 @@
+"""Which model of a run to keep: mean energy of the averaged networks on bodies and poses that stay the same.
+
+A run can end in a worse state than it has been through (docs/training-runs.md), so the best is kept. The bodies are
+training bodies: held-out ones are for the figures, and a model chosen by them would flatter itself.
+
+Dimensions: `k` batches, `B` samples of this process, `S` bodies of this process, `n` garment vertices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from physkin_core.avatar.body_model import BodyModel
+from physkin_core.model.garment import Garment
+from physkin_core.model.hyper_modulator import POINT_COUNT
+from physkin_core.model.surface_sampling import sample_surface
+from physkin_training.config import TrainingConfig
+from physkin_training.networks.draping import Drape
+from physkin_training.networks.made_to_measure import MadeToMeasure
+from physkin_training.physics.physics_losses import PhysicsLosses
+from physkin_training.physics.rest_data import RestData
+from physkin_training.physics.wearing import Wearing
+from physkin_training.sampling.pose_sampling import PoseSampler
+from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
+from physkin_training.train.processes import Processes
+
+__all__ = ["BestModel", "Validation"]
+
+BATCHES = 4
+"""The set is this many times as large as a training step's: four passes forward cost about as much as three steps."""
+
+
+@dataclass(frozen=True)
+class BestModel:
+    """The averaged networks and skinning weights of the step with the lowest validation energy [J] so far."""
+
+    step: int
+    energy: float
+    parameters: dict[str, torch.Tensor]
+
+    @classmethod
+    def of(cls, drape: Drape, *, step: int, energy: float) -> BestModel:
+        """A copy of what the drape is now."""
+        parameters = {name: parameter.detach().clone() for name, parameter in drape.named_parameters()}
+        return cls(step, energy, parameters)
+
+
+class Validation:
+    """A fixed set of bodies and poses over the full range; the configuration's seed decides it, on any device.
+
+    All buffers are its own and it draws nothing from torch's random streams, so that neither a recorded step nor the
+    samples to come notice it. Of several processes each measures its share of the same set.
+    fits, rest: rest shapes of the set, where training has them made to measure, too; then the set is measured both
+    ways. `made_to_measure`: the last mean energy [J] of these, None where there are none.
+    """
+
+    def __init__(
+        self,
+        config: TrainingConfig,
+        body_model: BodyModel,
+        garment: Garment,
+        bodies: BodySet,
+        wearing: Wearing,
+        processes: Processes,
+        *,
+        fits: MadeToMeasure | None = None,
+        rest: RestData | None = None,
+    ) -> None:
+        device = bodies.vertices.device
+        optimisation = config.optimisation
+        self._processes, self._fits = processes, fits
+        self.made_to_measure: float | None = None
+        generator = torch.Generator().manual_seed(config.seed)
+        chosen = torch.randint(len(bodies), (BATCHES, optimisation.bodies), generator=generator)
+        sampler = PoseSampler.configured(config.poses, body_model.rig, torch.device("cpu"))
+        samples = [sampler.sample(optimisation.samples, 1.0, generator=generator) for _ in range(BATCHES)]
+
+        def share(values: torch.Tensor) -> torch.Tensor:
+            return values.chunk(processes.count, dim=1)[processes.rank].contiguous().to(device)
+
+        self._positions, self._gravity = (share(torch.stack(part)) for part in zip(*samples))
+        self._chosen = share(chosen)
+        self._per_body = optimisation.samples // optimisation.bodies
+        self._points, self._normals = self._surfaces(bodies)
+        count = self._positions.shape[1]
+        self._posed_bodies = PosedBodies(body_model, bodies, count, faces=wearing.faces)
+        self._losses = PhysicsLosses(
+            garment,
+            config.material,
+            count,
+            device,
+            wearing=wearing,
+            linear_beyond=optimisation.contact_linear_beyond,
+            leads_back=True,
+            rest=rest,
+        )
+
+    @torch.no_grad()
+    def energy(self, drape: Drape, node_positions: torch.Tensor, *, with_gravity: bool = True) -> float:
+        """Mean energy [J], all terms, or all but gravity, at the material's full contact stiffness; contact grows
+        linearly where it does in training. Where rest shapes are made to measure, too, the mean of both ways.
+        node_positions: of all bodies of the set at the template (see `Drape.node_positions`). Waits for the device."""
+        ways = [False] if self._fits is None else [False, True]
+        totals = torch.zeros(len(ways), device=node_positions.device)
+        for batch, chosen in enumerate(self._chosen):
+            positions, gravity = self._positions[batch], self._gravity[batch]
+            body_index = chosen.repeat_interleave(self._per_body)
+            bones = self._posed_bodies.pose(positions, body_index)
+            for way, made in enumerate(ways):
+                placed, fit, rest = node_positions[body_index], None, None
+                if made:
+                    worn = self._fits.worn(body_index, torch.ones_like(body_index, dtype=torch.bool))
+                    placed, fit, rest = worn.node_positions, torch.ones(len(chosen), device=placed.device), worn.rest
+                    self._losses.rest_row.copy_(worn.rows)
+                else:
+                    self._losses.rest_row.zero_()
+                modulation = drape.networks.hyper_modulator(self._points[batch], self._normals[batch], fit)
+                modulation = modulation.repeat_interleave(self._per_body, dim=0)
+                vertices = drape(modulation, positions, gravity, drape.posed_nodes(bones, placed), rest)
+                mean, energies = self._losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
+                totals[way] += (mean if with_gravity else mean - energies.gravity.mean()) / BATCHES
+        self._processes.average([totals])
+        means = totals.tolist()
+        self.made_to_measure = means[1] if len(ways) > 1 else None
+        return sum(means) / len(means)
+
+    def _surfaces(self, bodies: BodySet) -> tuple[torch.Tensor, torch.Tensor]:
+        """Points and normals (k, S, N, 3) of the chosen bodies, the ones that the run time takes."""
+        vertices, faces = bodies.vertices[self._chosen].cpu().numpy(), bodies.faces.cpu().numpy()
+        pairs = [sample_surface(body, faces, POINT_COUNT) for batch in vertices for body in batch]
+        shape = (*self._chosen.shape, POINT_COUNT, 3)
+        device = bodies.vertices.device
+        return tuple(torch.as_tensor(np.stack(part), device=device).view(shape) for part in zip(*pairs))
