@@ -8,9 +8,11 @@ import pytest
 HEAVY = ("torch", "warp", "rclpy", "trimesh", "pygltflib")
 
 
-@pytest.mark.parametrize(
-    "module", ["physkin_core", "physkin_core.runtime.native_evaluator", "physkin_core.cli", "physkin_bench"]
-)
+MODULES = ("physkin_core", "physkin_core.runtime.native_evaluator", "physkin_core.cli", "physkin_bench")
+MODULES += ("physkin_training.config",)  # reading a configuration needs no torch
+
+
+@pytest.mark.parametrize("module", MODULES)
 def test_import_loads_no_heavy_package(module, tmp_path):
     code = f"import sys, {module}; print(*sorted({{name.split('.')[0] for name in sys.modules}}))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
