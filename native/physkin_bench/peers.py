@@ -1,24 +1,27 @@
-"""What peers of networks and of skinning have in common: they are built, checked, and only then timed."""
+"""Engines that do the same on one thread: LiteRT and ONNX Runtime the networks, Warp skinning.
+
+Each is built, its result compared with the float64 reference, and only then timed.
+"""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-__all__ = ["Peer", "Runner", "hold_blas_to_one_thread", "installed_versions", "prepare_peers"]
+from physkin_bench.engine_models import litert_model, onnx_model
+from physkin_bench.network_case import NetworkCase
+from physkin_bench.warp_skinning import warp_skinning
 
-log = logging.getLogger(__name__)
+__all__ = ["NETWORK_PEERS", "SKINNING_PEERS", "Peer", "prepare_peers"]
 
+EXACT, ROUNDED = 1e-4, 5e-2
+"""Tolerances of fp32 and int8 engines."""
 
-@dataclass(frozen=True)
-class Runner:
-    """A peer ready to be timed. run: one evaluation, inputs and outputs bound. output: result of the last one."""
-
-    run: Callable[[], object]
-    output: Callable[[], np.ndarray]
+Runner = tuple[Callable[[], object], Callable[[], np.ndarray]]
+"""One evaluation, inputs and outputs bound, and what gives the result of the last one."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +29,42 @@ class Peer:
     """An engine to compare with. build: takes the case. tolerance: of the result, relative to its largest value."""
 
     name: str
-    packages: tuple[str, ...]
     build: Callable[..., Runner]
-    tolerance: float
+    tolerance: float = EXACT
+
+
+def _litert(case: NetworkCase, *, int8: bool) -> Runner:
+    from ai_edge_litert.interpreter import Interpreter
+
+    interpreter = Interpreter(model_content=litert_model(case, int8=int8), num_threads=1)
+    interpreter.allocate_tensors()
+    for detail in interpreter.get_input_details():
+        interpreter.set_tensor(detail["index"], getattr(case, detail["name"]))
+    output = interpreter.get_output_details()[0]["index"]
+    return interpreter.invoke, lambda: interpreter.get_tensor(output)
+
+
+def _onnxruntime(case: NetworkCase) -> Runner:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    session = onnxruntime.InferenceSession(onnx_model(case), options, providers=["CPUExecutionProvider"])
+    result = onnxruntime.OrtValue.ortvalue_from_numpy(np.empty(case.expected.shape, dtype=np.float32))
+    binding = session.io_binding()
+    for name in ("pose", "bones"):
+        binding.bind_ortvalue_input(name, onnxruntime.OrtValue.ortvalue_from_numpy(getattr(case, name)))
+    binding.bind_ortvalue_output(session.get_outputs()[0].name, result)
+    return partial(session.run_with_iobinding, binding), result.numpy
+
+
+NETWORK_PEERS = (
+    Peer("litert_fp32", partial(_litert, int8=False)),
+    Peer("litert_int8", partial(_litert, int8=True), ROUNDED),
+    Peer("onnxruntime_fp32", _onnxruntime),
+)
+SKINNING_PEERS = (Peer("warp", warp_skinning),)
 
 
 def prepare_peers(
@@ -39,41 +75,20 @@ def prepare_peers(
     Returns what to time by name, and by name why a peer is left out: not installed, failed, or another result.
     """
     calls, missing = {}, {}
-    largest = np.abs(expected).max()
     for peer in peers:
         try:
-            runner = peer.build(case)
-            runner.run()
-            error = float(np.abs(runner.output().astype(np.float64).reshape(expected.shape) - expected).max() / largest)
+            run, output = peer.build(case)
+            run()
+            error = (
+                np.abs(output().astype(np.float64).reshape(expected.shape) - expected).max() / np.abs(expected).max()
+            )
         except ImportError as reason:
             missing[peer.name] = f"not installed ({reason}); pip install 'physkin[bench]'"
         except Exception as reason:  # a peer must never end the benchmark, whatever it dislikes
             missing[peer.name] = f"failed: {type(reason).__name__}: {str(reason).partition(chr(10))[0]}"
         else:
             if error <= peer.tolerance:
-                calls[peer.name] = runner.run
+                calls[peer.name] = run
             else:
                 missing[peer.name] = f"computes another result: relative error {error:.1e}"
-    for name, reason in missing.items():
-        log.info("peer %s left out: %s", name, reason)
     return calls, missing
-
-
-def hold_blas_to_one_thread() -> None:
-    """Of NumPy and scipy, for the rest of the process. Raises ImportError where threadpoolctl is not installed."""
-    from threadpoolctl import threadpool_limits
-
-    threadpool_limits(limits=1)
-
-
-def installed_versions(peers: Iterable[Peer]) -> Mapping[str, str]:
-    """Version of every installed distribution that the peers use."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    versions = {}
-    for package in sorted({package for peer in peers for package in peer.packages}):
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return versions

@@ -37,7 +37,7 @@ def time_in_turns(
 
     A turn starts with one call that is not timed, so that the timed ones find what the call itself leaves in caches.
     before_each: run, untimed, before every timed call (to empty the caches); the untimed call is left out then.
-    Each sample holds about 0.1 us of Python.
+    Each sample holds about 0.1 µs of Python.
     """
     samples: dict[str, list[int]] = {name: [] for name in calls}
     collecting = gc.isenabled()
@@ -45,7 +45,6 @@ def time_in_turns(
     try:
         for _ in range(rounds):
             for name, call in calls.items():
-                taken = samples[name]
                 if before_each is None:
                     call()
                 for _ in range(repeats):
@@ -53,13 +52,9 @@ def time_in_turns(
                         before_each()
                     start = perf_counter_ns()
                     call()
-                    taken.append(perf_counter_ns() - start)
+                    samples[name].append(perf_counter_ns() - start)
     finally:
         if collecting:
             gc.enable()
-    return {name: _timing(np.array(taken) / 1e3) for name, taken in samples.items()}
-
-
-def _timing(samples: np.ndarray) -> Timing:
-    p50, p99 = np.percentile(samples, [50, 99])
-    return Timing(float(samples.min()), float(p50), float(p99), len(samples))
+    figures = {name: np.percentile(np.array(taken) / 1e3, [0, 50, 99]) for name, taken in samples.items()}
+    return {name: Timing(*map(float, figures[name]), len(samples[name])) for name in calls}
