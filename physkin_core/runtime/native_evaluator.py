@@ -46,7 +46,7 @@ class NativeEvaluator:
     precision: of the network weights, one of `PRECISIONS`: "fp32"; "bf16", widened in registers; "int8", with
         activations rounded to 16 bits and the layer that reads bone transforms in bf16. By default the environment
         variable PHYSKIN_NATIVE_PRECISION decides, and without it "bf16", which no quality figure tells from "fp32"
-        (docs/benchmark.md).
+        (docs/notebook/benchmark.md).
     push_out: what keeps the garment out of this body, from `bind_push_out`; default nothing does.
     normals: "skinned", rest normals carried along, or "faces", those of the posed mesh's faces around each vertex,
         weighted by area: slower, and right where the cloth ripples.
