@@ -2,25 +2,32 @@
 
 PYTHON ?= python3
 DEMO_SECONDS ?= 10
+# Test files run at once by `make test`.
+PROCESSES ?= 2
 
 VENV := .venv
-PIP := $(VENV)/bin/pip install --quiet --constraint constraints.txt
+# Not compiled on installation: Python compiles what is imported, which is a fraction, and keeps it.
+PIP := $(VENV)/bin/pip install --quiet --no-compile --constraint constraints.txt
+PYTEST := $(VENV)/bin/pytest
 # Installed editable: Python changes are live, and a Python started in this folder finds the native module too.
 BUILT_FROM := pyproject.toml constraints.txt $(shell find native -type f -not -path '*/__pycache__/*')
 MESSAGES := $(shell find msg_defs -type f -not -path '*/__pycache__/*')
 
-.PHONY: demo test test-slow lint format clean
+.PHONY: demo test test-slow bench lint format clean
 
 demo: $(VENV)/installed-demo
 	$(VENV)/bin/physkin demo --seconds $(DEMO_SECONDS) --output demo.png
 
-# What starts ROS nodes and measures times has the machine to itself; one thread each for the others.
+# One thread each while several run; what measures times has the machine to itself (5: there is none of it).
 test: $(VENV)/installed-test
-	OMP_NUM_THREADS=1 $(VENV)/bin/pytest -m "not slow" --numprocesses 2 --dist loadfile --ignore tests/ros
-	$(VENV)/bin/pytest -m "not slow" tests/ros
+	OMP_NUM_THREADS=1 $(PYTEST) -m "not slow and not alone" --numprocesses $(PROCESSES) --dist loadfile
+	$(PYTEST) -m "alone and not slow" || test $$? -eq 5
 
 test-slow: $(VENV)/installed-test
-	$(VENV)/bin/pytest -m slow
+	$(PYTEST) -m slow
+
+bench: $(VENV)/installed-bench
+	$(VENV)/bin/physkin bench
 
 lint: $(VENV)/installed-lint
 	$(VENV)/bin/ruff check .
@@ -36,18 +43,22 @@ clean:
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) --upgrade pip
 
 $(VENV)/installed-demo: $(BUILT_FROM) | $(VENV)/bin/python
 	$(PIP) --editable ".[ros,view]"
 	touch $@
 
-# torch goes first and alone, so that the build the user's pip is set up for (CPU or CUDA) is the one the rest meets.
+# The message package is built beside the installation. torch goes first and alone, so that the build the user's pip is
+# set up for (CPU or CUDA) is the one the rest meets.
 $(VENV)/installed-test: $(BUILT_FROM) $(MESSAGES) | $(VENV)/bin/python
-	$(PIP) torch
-	$(PIP) --editable ".[ros,replay,training,view,test]"
+	$(VENV)/bin/python msg_defs/wheel/build.py & messages=$$!; \
+	$(PIP) torch && $(PIP) --editable ".[ros,replay,training,view,test]" && wait $$messages
 	$(VENV)/bin/python msg_defs/wheel/build.py --install
 	touch $@ $(VENV)/installed-demo $(VENV)/installed-lint
+
+$(VENV)/installed-bench: $(BUILT_FROM) | $(VENV)/bin/python
+	$(PIP) --editable ".[bench]"
+	touch $@
 
 $(VENV)/installed-lint: | $(VENV)/bin/python
 	$(PIP) ruff

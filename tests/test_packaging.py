@@ -1,47 +1,57 @@
 """The wheel holds every file of the packages, the native module, and asks for nothing heavy."""
 
+import shutil
 import subprocess
 import sys
+import tomllib
 import zipfile
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
-PACKAGES = {
-    "physkin_core": "physkin_core",
-    "physkin_ros": "physkin_ros",
-    "physkin_training": "training/physkin_training",
-    "physkin_bench": "native/physkin_bench",
-}
+from import_graph import PACKAGES, ROOT
+
+SHIPPED = {name: folder for name, folder in PACKAGES.items() if name != "physkin_studies"}
 NOT_SHIPPED = ("__pycache__", "CMakeLists.txt", "package.xml", ".so")
+HEAVY = ("torch", "warp", "anny", "rclpy", "mitsuba")
+
+
+def files():
+    """Of the packages: (package, path below its folder, path below the root)."""
+    for package, folder in SHIPPED.items():
+        for path in (ROOT / folder).rglob("*"):
+            if path.is_file() and not any(part in str(path) for part in NOT_SHIPPED):
+                yield package, path.relative_to(ROOT / folder), path.relative_to(ROOT)
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, ROOT]
-    subprocess.run(command, check=True)
-    (path,) = folder.glob("physkin-*.whl")
-    with zipfile.ZipFile(path) as archive:
-        yield archive
+def project():
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
-def test_wheel_holds_every_file(wheel):
+@pytest.mark.skipif(not (ROOT / ".git").exists() or shutil.which("git") is None, reason="needs a clone and git")
+def test_no_file_is_left_out_of_the_build(project):
+    """A wheel takes what lies in its packages and git does not ignore: a new asset under an ignored name goes missing."""
+    assert project["tool"]["scikit-build"]["wheel"]["packages"] == list(SHIPPED.values())
+    names = "\n".join(str(path) for _, _, path in files())
+    command = ["git", "check-ignore", "--no-index", "--stdin"]
+    ignored = subprocess.run(command, input=names, capture_output=True, text=True, cwd=ROOT)
+    assert ignored.returncode == 1, ignored.stdout + ignored.stderr  # 1: none
+
+
+def test_plain_install_asks_for_nothing_heavy(project):
+    wanted = project["project"]["dependencies"]
+    assert wanted and [line for line in wanted for heavy in HEAVY if heavy in line.lower()] == []
+
+
+@pytest.mark.slow
+def test_wheel_holds_every_file(tmp_path):
     """Data files too: a model or a map that is left out is missed only on the user's machine."""
-    names = set(wheel.namelist())
-    for package, folder in PACKAGES.items():
-        files = [path for path in (ROOT / folder).rglob("*") if path.is_file()]
-        wanted = {f"{package}/{path.relative_to(ROOT / folder)}" for path in files}
-        wanted = {name for name in wanted if not any(part in name for part in NOT_SHIPPED)}
-        assert f"{package}/__init__.py" in wanted
-        assert wanted - names == set()
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", tmp_path, ROOT]
+    subprocess.run(command, check=True)
+    (path,) = tmp_path.glob("physkin-*.whl")
+    with zipfile.ZipFile(path) as archive:
+        names = set(archive.namelist())
+    wanted = {f"{package}/{path}" for package, path, _ in files()}
+    assert {f"{package}/__init__.py" for package in SHIPPED} <= wanted
+    assert wanted - names == set()
     assert any(name.startswith("physkin_core/_native.") for name in names)
-
-
-def test_plain_install_needs_nothing_heavy(wheel):
-    (metadata,) = [name for name in wheel.namelist() if name.endswith(".dist-info/METADATA")]
-    lines = wheel.read(metadata).decode().splitlines()
-    plain = [line.lower() for line in lines if line.startswith("Requires-Dist:") and "extra ==" not in line]
-    assert plain
-    assert [line for line in plain for heavy in ("torch", "warp", "anny", "rclpy", "mitsuba") if heavy in line] == []
