@@ -30,7 +30,7 @@ def project():
 
 @pytest.mark.skipif(not (ROOT / ".git").exists() or shutil.which("git") is None, reason="needs a clone and git")
 def test_no_file_is_left_out_of_the_build(project):
-    """A wheel takes what lies in its packages and git does not ignore: a new asset under an ignored name goes missing."""
+    """A wheel takes what lies in its packages, but for what git ignores: an asset of such a name would go missing."""
     assert project["tool"]["scikit-build"]["wheel"]["packages"] == list(SHIPPED.values())
     names = "\n".join(str(path) for _, _, path in files())
     command = ["git", "check-ignore", "--no-index", "--stdin"]

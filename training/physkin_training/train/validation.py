@@ -1,7 +1,7 @@
 """Which model of a run to keep: mean energy of the averaged networks on bodies and poses that stay the same.
 
-A run can end in a worse state than it has been through (docs/notebook/training-runs.md), so the best is kept. The bodies
-are training bodies: held-out ones are for the figures, and a model chosen by them would flatter itself.
+A run can end in a worse state than it has been through (docs/notebook/training-runs.md), so the best is kept. The
+bodies are training bodies: held-out ones are for the figures, and a model chosen by them would flatter itself.
 
 Dimensions: `k` batches, `B` samples of this process, `S` bodies of this process, `n` garment vertices.
 """
