@@ -11,7 +11,7 @@ import numpy as np
 from physkin_bench.cases import BenchmarkCase
 from physkin_bench.network_case import network_case
 from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, prepare_peers
-from physkin_bench.timing import Timing, time_in_turns
+from physkin_bench.timing import time_in_turns
 from physkin_bench.warp_skinning import skinning_case
 from physkin_core import _native
 from physkin_core.quality import edge_strain
@@ -70,7 +70,7 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
         calls |= {f"peers.{kind}.{name}": call for name, call in built.items()}
         missing |= {f"{kind}.{name}": reason for name, reason in left_out.items()}
     calls |= _batches(case)
-    probes, amounts = _probes(networks.weight_count, bound.deformer_layers[0][0].size, levels[-1])
+    probes, amount = _probes(networks.weight_count, bound.deformer_layers[0][0].size, levels[-1])
     timings = time_in_turns(calls | probes, rounds=rounds)
     for count in BATCH_SIZES:
         timings |= {f"batch.{p}.{count}": timings[f"batch.{p}.{count}"].shared_by(count) for p in PRECISIONS}
@@ -90,12 +90,13 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
         figures |= {f"{name}.us.{figure}": value for figure, value in asdict(timing).items() if figure != "count"}
     terms = evaluators["fp32"].skinning_terms
     blocks = -(-len(bound.vertices) // BLOCK)
-    floors = _floors(limits, amounts, BLOCK * (12 * terms + MULTIPLY_ADDS_A_VERTEX * blocks))
-    figures |= floors
-    for name in (name for name in floors if name.endswith(".us")):
-        stage, _, precision = name.split(".")[1].partition("_")
-        median = timings[f"{precision or 'fp32'}.{levels[-1]}.{stage}"].p50
-        figures[name.removesuffix(".us") + ".share"] = floors[name] / median
+    multiply_adds = BLOCK * (12 * terms + MULTIPLY_ADDS_A_VERTEX * blocks)
+    floors = {"fp32.skinning": limits["multiply_add"].p50 * multiply_adds / amount}
+    floors |= {f"{p}.networks": min(limits[f"read.{p}.{way}"].p50 for way in (False, True)) for p in PRECISIONS}
+    for name, floor in floors.items():
+        precision, stage = name.split(".")
+        figures[f"floor.{name}.us"] = floor
+        figures[f"floor.{name}.share"] = floor / timings[f"{precision}.{levels[-1]}.{stage}"].p50
     for precision in PRECISIONS:
         errors = _errors(case, evaluators[precision])
         figures |= {f"error.{precision}.{figure}": value for figure, value in errors.items()}
@@ -120,29 +121,17 @@ def _batches(case: BenchmarkCase) -> dict[str, Callable[[], object]]:
     return calls
 
 
-def _probes(weights: int, first_layer: int, level: str) -> tuple[dict[str, Callable[[], object]], dict[str, int]]:
+def _probes(weights: int, first_layer: int, level: str) -> tuple[dict[str, Callable[[], object]], int]:
     """What the machine can do at best: reading as many bytes as the network weights have, in two ways, and multiplying.
 
-    Returns calls, and what a call does (bytes or multiply-adds).
+    Returns calls, and how many multiply-adds the last one does.
     """
     calls: dict[str, Callable[[], object]] = {}
     for precision, size in BYTES_A_WEIGHT.items():
         probe = _native.MachineProbe(size * weights + (first_layer if precision == "int8" else 0), level)
         calls |= {f"read.{precision}.{way}": partial(probe.read, way) for way in (False, True)}
     calls["multiply_add"] = partial(probe.multiply_add, MULTIPLY_ADD_ROUNDS)
-    return calls, {name: call() for name, call in calls.items()}
-
-
-def _floors(limits: dict[str, Timing], amounts: dict[str, int], skinning_multiply_adds: int) -> dict[str, float]:
-    """The least time that reading the network weights and multiplying take."""
-    rate = amounts["multiply_add"] / limits["multiply_add"].p50
-    keys = {"floor.gmacs": rate / 1e3, "floor.skinning.us": skinning_multiply_adds / rate}
-    for precision, size in BYTES_A_WEIGHT.items():
-        keys[f"floor.networks_{precision}.us"] = min(limits[f"read.{precision}.{way}"].p50 for way in (False, True))
-        if precision != "int8":  # multiplies as many floats as it reads
-            read = amounts[f"read.{precision}.True"]
-            keys[f"floor.networks_{precision}.us"] = max(keys[f"floor.networks_{precision}.us"], read / size / rate)
-    return keys
+    return calls, calls["multiply_add"]()
 
 
 def _errors(case: BenchmarkCase, evaluator: NativeEvaluator) -> dict[str, float]:
