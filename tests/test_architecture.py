@@ -13,7 +13,7 @@ from draw_architecture import DRAWING, drawing
 from import_graph import PACKAGES, ROOT, SCRIPTS, import_graph, modules, room_graph
 
 MOST_FILES, MOST_LINES = 17, 450
-"""Python files a folder; lines a Python file."""
+"""Python files a folder; lines a file, of C++ too."""
 
 MAY_IMPORT = {
     "physkin_core": set(),
@@ -58,7 +58,7 @@ def too_large(root):
     files = list(python_files(root))
     folders = Counter(path.parent for path in files)
     wrong = [f"{folder.relative_to(root)}: {count} files" for folder, count in folders.items() if count > MOST_FILES]
-    lines = {path: len(path.read_text().splitlines()) for path in files}
+    lines = {path: len(path.read_text().splitlines()) for path in (*files, *(root / "native").rglob("*.?pp"))}
     return wrong + [f"{path.relative_to(root)}: {count} lines" for path, count in lines.items() if count > MOST_LINES]
 
 
@@ -155,7 +155,9 @@ def test_wrong_direction_is_found(tree, text):
 
 def test_large_folder_and_file_are_found(tree):
     root = tree(**{f"a__m{k}": "" for k in range(MOST_FILES)}, b__long="\n" * (MOST_LINES + 1))
-    assert too_large(root) == ["physkin_core/a: 18 files", "physkin_core/b/long.py: 451 lines"]
+    (root / "native" / "long.cpp").write_text("\n" * (MOST_LINES + 1))
+    found = ["physkin_core/a: 18 files", "physkin_core/b/long.py: 451 lines", "native/long.cpp: 451 lines"]
+    assert too_large(root) == found
 
 
 def test_missing_docstring_is_found(tree):
