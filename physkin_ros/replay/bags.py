@@ -5,7 +5,6 @@ A bag is a folder with `metadata.yaml`, or a single .mcap or .db3 file. Times ar
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import shutil
 import struct
@@ -111,14 +110,6 @@ class BagReader:
                 ]
                 yield from sorted(moment, key=lambda message: message.kind != "gravity")
 
-    def digest(self) -> str:
-        """SHA-256 of all these messages and their times: whether two bags are the same recording."""
-        digest = hashlib.sha256()
-        for message in self:
-            digest.update(struct.pack("<?qQ", message.kind == "gravity", message.time_ns, len(message.data)))
-            digest.update(message.data)
-        return digest.hexdigest()
-
 
 def decode(message: Recorded):
     """The message of `rosbags` that a recorded one is. Raises UndecodableError."""
@@ -152,9 +143,11 @@ class BagWriter:
         self._connections: dict[str, object] = {}
 
     def __enter__(self) -> BagWriter:
-        with _bag_errors(self.path):
-            # beside the target, so that nobody sees half a bag and the last step is a rename
+        try:  # beside the target, so that nobody sees half a bag and the last step is a rename
             self._folder = Path(tempfile.mkdtemp(dir=self.path.parent, prefix=f".{self.path.name}-"))
+        except OSError as error:
+            raise BagError(f"cannot write {self.path}: {error.strerror}") from error
+        with _bag_errors(self.path):
             plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[self._storage]
             bag = self._folder / self.path.name
             self._writer = Writer(bag, version=METADATA_VERSION, storage_plugin=plugin)
