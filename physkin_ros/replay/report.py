@@ -128,7 +128,7 @@ def _plots(series: Mapping[str, Sequence[float | None]]) -> str:
         return "<p>No plots: they need matplotlib: pip install 'physkin[view]'</p>"
     drawn = {title: names for title, names in PLOTS.items() if any(value is not None for value in series[names[0]])}
     figure = Figure(figsize=(9, 1.7 * len(drawn)), layout="constrained")
-    for axes, (title, names) in zip(figure.subplots(len(drawn), squeeze=False)[:, 0], drawn.items()):
+    for axes, (title, names) in zip(figure.subplots(len(drawn), sharex=True, squeeze=False)[:, 0], drawn.items()):
         for name, style in zip(names, ("-", ":")):
             values = np.array(series[name], dtype=float)
             times = series["time_s"] if len(values) == len(series["time_s"]) else series["contact_time_s"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import time
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from sensor_msgs.msg import JointState
 from physkin_ros.middleware.subscriber_discovery import wait_for_subscribers
 from physkin_ros.middleware.transport import use_shipped_profile
 from physkin_ros.replay.bags import BagError, BagReader
+from physkin_ros.tools.arguments import positive
 
 __all__ = ["main", "play"]
 
@@ -26,7 +26,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="physkin replay --live", description=__doc__.splitlines()[0])
     parser.add_argument("bag", type=Path, help="folder with metadata.yaml, or a .mcap or .db3 file")
     parser.add_argument("--live", action="store_true", help="play, do not drape")
-    parser.add_argument("--rate", type=_positive, default=1.0, metavar="R", help="times as fast (default 1)")
+    parser.add_argument("--rate", type=positive, default=1.0, metavar="R", help="times as fast (default 1)")
     parser.add_argument("--topic", help="joint states (default /joint_states, or the only one)")
     parser.add_argument("--gravity-topic", help="gravity's direction (default /gravity, if the bag has it)")
     options = parser.parse_args(argv)
@@ -66,10 +66,3 @@ def play(bag: BagReader, *, rate: float = 1.0) -> np.ndarray:
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"must be positive and finite, got {text}")
-    return value

@@ -20,9 +20,9 @@ rclpy = pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[r
 
 from sensor_msgs.msg import JointState  # noqa: E402
 
-from physkin_ros.tools import ros_bench  # noqa: E402
 from physkin_ros.tools.children import Children  # noqa: E402
-from physkin_ros.tools.ros_bench_listener import READY  # noqa: E402
+from physkin_ros.tools.ros_bench import Case, figures  # noqa: E402
+from physkin_ros.tools.trial import finish, start_playing  # noqa: E402
 
 pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
 
@@ -60,7 +60,8 @@ class Usage:
         return float(np.polyfit(seconds, megabytes, 1)[0] * (seconds[-1] - seconds[0]))
 
 
-@pytest.mark.parametrize("seconds", [40, pytest.param(600, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [40, 600])
 def test_soak(domain, tmp_path, seconds):
     """At most one cloud in a thousand is lost; memory and files do not grow; nothing is logged that should not be.
 
@@ -77,29 +78,24 @@ def test_soak(domain, tmp_path, seconds):
         node = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
         site = Site(domain, node, [])
         try:
-            children.start("listener", "physkin_ros.tools.ros_bench_listener", GARMENTS, tmp_path / "received.npz")
-            children.wait(lambda: READY in children.log("listener").splitlines(), "the garments", 90)
-            arguments = (RATE_HZ, seconds, GARMENTS, node.pid, tmp_path / "sent.npz")
-            children.start("player", "physkin_ros.tools.ros_bench_player", *arguments)
+            start_playing(children, tmp_path, GARMENTS, "dance", RATE_HZ, seconds)
             usage, swaps = _disturb(site, bodies, lambda: children.finished("player"))
-            children.wait(lambda: children.finished("listener"), "the last cloud", 60)
+            row = figures(Case(GARMENTS, RATE_HZ, "events", "shipped"), finish(children, tmp_path, seconds))
             node.send_signal(signal.SIGINT)
             assert node.wait(10) == 0, log.read_text()
         finally:
             node.kill()
             node.wait()
             site.close()
-    with np.load(tmp_path / "sent.npz") as player, np.load(tmp_path / "received.npz") as listener:
-        row = ros_bench._row(ros_bench.Case(GARMENTS, RATE_HZ, "events", "serialised", "shipped"), player, listener)
     settled = usage.settled()
     assert swaps > 1.5 * GARMENTS
     print(
-        f"soak: {seconds} s, {row.sent} joint states, {row.delivered_percent:.3f} % delivered, {swaps} swaps, "
-        f"p50 {row.p50_ms:.2f} ms, p99 {row.p99_ms:.2f} ms, load {row.load:.1f}; "
+        f"soak: {seconds} s, {row['sent']} joint states, {row['delivered_percent']:.3f} % delivered, {swaps} swaps, "
+        f"p50 {row['p50_ms']:.2f} ms, p99 {row['p99_ms']:.2f} ms, load {row['load']:.1f}; "
         f"memory {usage.samples[0][1]:.0f} to {settled[-1, 1]:.0f} MB, of which {usage.growth():.2f} MB in the last "
         f"{settled[-1, 0] - settled[0, 0]:.0f} s; {settled[-1, 2]:.0f} files, {settled[-1, 3]:.0f} threads"
     )
-    assert row.delivered_percent >= (99.9 if others < os.cpu_count() else 95), f"load {others:.1f} before"
+    assert row["delivered_percent"] >= (99.9 if others < os.cpu_count() else 95), f"load {others:.1f} before"
     assert usage.growth() < 3.0 + seconds / 60
     assert np.ptp(settled[:, 2]) <= 2 and np.ptp(settled[:, 3]) <= 1
     text = log.read_text()
