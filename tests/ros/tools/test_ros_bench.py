@@ -13,7 +13,7 @@ pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
 from physkin_ros.tools.ros_bench import Case, figures, judge  # noqa: E402
 
-CASE = Case(2, 5.0, "events", "shipped")
+CASE = Case(2, 5.0, "events", "shipped")  # whose warm-up is the first five joint states of each avatar
 
 
 def test_figures_of_a_case(made_records):
