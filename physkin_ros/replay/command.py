@@ -10,6 +10,7 @@ from pathlib import Path
 
 from physkin_core import BACKENDS, BUNDLED_AVATAR, NORMALS, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
 from physkin_core.runtime.native_evaluator import PRECISIONS
+from physkin_ros.arguments import file_to_write, whole_number
 from physkin_ros.joints.joint_naming import PRESETS
 from physkin_ros.messages.conversions import gravity_direction
 from physkin_ros.replay.bags import STORAGES, BagError, BagReader, BagWriter
@@ -30,9 +31,6 @@ def main(argv: list[str] | None = None) -> int:
     options = _parser().parse_args(argv)
     gravity = gravity_direction(options.gravity)
     baseline = load_baseline(options.baseline) if options.baseline else None
-    for path in (options.json, options.report):
-        if path and not path.parent.is_dir():
-            raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}")
     output = BagWriter(options.output, storage=options.storage) if options.output else nullcontext()
     with output as writer, BagReader(options.bag, topic=options.topic, gravity_topic=options.gravity_topic) as bag:
         draper, every = _draper(options), options.contact_every
@@ -93,14 +91,16 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--frame-id", default="base_link", help="of the clouds (default %(default)s)")
     parser.add_argument(
         "--contact-every",
-        type=_not_negative,
+        type=whole_number(0),
         metavar="N",
         help=f"measure every Nth cloud against the body, 0: none (default: about {CONTACT_CLOUDS} clouds)",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures; docs/replay.md explains the keys")
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write a self-contained HTML page")
     parser.add_argument(
-        "--pictures", type=_not_negative, default=6, metavar="K", help="in the report (default %(default)s)"
+        "--json", type=file_to_write, metavar="FILE", help="write the figures; docs/replay.md explains the keys"
+    )
+    parser.add_argument("--report", type=file_to_write, metavar="FILE", help="write a self-contained HTML page")
+    parser.add_argument(
+        "--pictures", type=whole_number(0), default=6, metavar="K", help="in the report (default %(default)s)"
     )
     parser.add_argument(
         "--baseline", type=Path, metavar="FILE", help="an earlier --json of this bag; exit 1 when worse"
@@ -112,10 +112,3 @@ def _parser() -> argparse.ArgumentParser:
         help="compare latencies with the baseline too (default: not, for they are the machine's)",
     )
     return parser
-
-
-def _not_negative(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{value} must not be negative")
-    return value

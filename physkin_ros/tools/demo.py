@@ -14,8 +14,8 @@ import tempfile
 from pathlib import Path
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model, load_motion
+from physkin_ros.arguments import file_to_write, positive
 from physkin_ros.middleware.transport import private_environment
-from physkin_ros.tools.arguments import positive
 from physkin_ros.tools.children import ChildFailedError, Children
 from physkin_ros.tools.demo_report import complete, draw, largest_error, table
 from physkin_ros.tools.listener import KEPT_CLOUDS
@@ -34,8 +34,6 @@ def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0; 1 when a cloud was lost, was not finite or was wrong, or a process failed."""
     options = _parser().parse_args(argv)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    if not options.output.parent.is_dir():
-        raise FileNotFoundError(f"cannot write {options.output}: there is no folder {options.output.parent}")
     model = load_garment_model(options.garment)
     avatar = load_avatar(options.body or BUNDLED_AVATAR, model.rig)
     clip = load_motion(options.motion).resampled(RATE_HZ)
@@ -72,7 +70,7 @@ def _play(options: argparse.Namespace, keep_every: int, folder: Path) -> Records
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin demo", description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=positive, default=10.0, help="how long to play (default %(default)g)")
-    parser.add_argument("--output", type=Path, default=Path("demo.png"), help="picture (default %(default)s)")
+    parser.add_argument("--output", type=file_to_write, default=Path("demo.png"), help="picture (default %(default)s)")
     parser.add_argument("--garment", default="tshirt", help="shipped garment or model file (default %(default)s)")
     parser.add_argument("--body", default="", help="avatar file (default: the bundled avatar)")
     parser.add_argument("--motion", default="dance", help="bundled motion or a motion file (default %(default)s)")

@@ -8,7 +8,6 @@ joint state is published to when the cloud's bytes are in the reader's callback.
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import re
 import signal
@@ -20,8 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core import load_garment_model
-from physkin_ros.middleware.transport import PROFILE_VARIABLES, private_environment
-from physkin_ros.tools.arguments import positive
+from physkin_ros.arguments import file_to_write, positive, whole_number
+from physkin_ros.middleware.transport import private_environment
 from physkin_ros.tools.children import ChildFailedError, Children
 from physkin_ros.tools.machine import machine_line, versions_line
 from physkin_ros.tools.trial import Records, finish, start_node, start_playing
@@ -32,12 +31,9 @@ MOTION = "dance"
 WARM_UP_SECONDS = 1.0
 
 CASES = ("1x60", "1x500", "1x1000", "1x2000", "4x60", "4x200", "4x800", "16x60", "16x200")
-PLAIN_PROFILE = '<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles/></dds>'
 COLUMNS = (
     ("garments", "garments", "d"),
     ("rate_hz", "Hz", "g"),
-    ("executor", "executor", "s"),
-    ("transport", "transport", "s"),
     ("delivered_percent", "delivered %", ".2f"),
     ("p50_ms", "p50 ms", ".3f"),
     ("p99_ms", "p99 ms", ".3f"),
@@ -62,12 +58,10 @@ TARGETS = (
 
 @dataclass(frozen=True)
 class Case:
-    """What to measure. garments: one an avatar. executor, transport: see the options."""
+    """What to measure. garments: one an avatar."""
 
     garments: int
     rate_hz: float
-    executor: str
-    transport: str
 
     @property
     def name(self) -> str:
@@ -92,10 +86,7 @@ def main(argv: list[str] | None = None) -> int:
     print(" | ".join(title for _, title, _ in COLUMNS), flush=True)
     rows = []
     try:
-        for executor, transport, (garments, rate) in itertools.product(
-            options.executor, options.transport, options.cases
-        ):
-            case = Case(garments, rate, executor, transport)
+        for case in options.cases:
             with tempfile.TemporaryDirectory(prefix="physkin-ros-bench-") as folder:
                 rows.append(figures(case, _measure(case, options, Path(folder))))
             shown = (rows[-1][key] for key, _, _ in COLUMNS)
@@ -115,14 +106,10 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _measure(case: Case, options: argparse.Namespace, folder: Path) -> Records:
-    environment = private_environment()
-    if case.transport == "default":
-        (folder / "plain.xml").write_text(PLAIN_PROFILE)
-        environment |= dict.fromkeys(PROFILE_VARIABLES, str(folder / "plain.xml"))
     seconds = options.seconds + WARM_UP_SECONDS
-    with Children(environment, folder) as children:
+    with Children(private_environment(), folder) as children:
         settings = {"avatar": {"orientation": "fixed"}, "garment": {"model": options.model}, "queue": options.queue}
-        start_node(children, folder, case.garments, executor=case.executor, **settings)
+        start_node(children, folder, case.garments, **settings)
         more = ("--warm-up", round(WARM_UP_SECONDS * case.rate_hz), "--watched", children.pid("node"))
         start_playing(children, folder, case.garments, MOTION, case.rate_hz, seconds, *more)
         return finish(children, folder, seconds)
@@ -161,11 +148,11 @@ def figures(case: Case, records: Records) -> dict[str, object]:
 
 
 def judge(rows: list[dict[str, object]]) -> list[str]:
-    """A line for each target and row of `figures` it is about, of the node's defaults."""
+    """A line for each target and row of `figures` it is about."""
     lines = []
     for case, figure, kind, limit in TARGETS:
         for row in rows:
-            if (row["case"], row["executor"], row["transport"]) == (case, "events", "shipped"):
+            if row["case"] == case:
                 value = row[figure]
                 met = value is not None and (value <= limit if kind == "at most" else value >= limit)
                 shown = "nothing" if value is None else f"{value:.3f}"
@@ -175,7 +162,7 @@ def judge(rows: list[dict[str, object]]) -> list[str]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin ros-bench", description=__doc__.splitlines()[0])
-    parser.add_argument("--json", type=Path, metavar="OUT", help="write what is printed to a file, too")
+    parser.add_argument("--json", type=file_to_write, metavar="OUT", help="write what is printed to a file, too")
     parser.add_argument("--model", default="dress", help="garment: a file or a shipped name (default %(default)s)")
     parser.add_argument("--seconds", type=positive, default=5.0, help="of each case, after a warm-up (default 5)")
     parser.add_argument(
@@ -186,24 +173,14 @@ def _parser() -> argparse.ArgumentParser:
         metavar="KxHZ",
         help=f"garments and joint states a second of each (default {' '.join(CASES)})",
     )
-    parser.add_argument("--executor", nargs="+", choices=("events", "single"), default=["events"])
     parser.add_argument(
-        "--transport", nargs="+", choices=("shipped", "default"), default=["shipped"], help="Fast DDS profile"
-    )
-    parser.add_argument(
-        "--queue", type=_count, metavar="N", help="joint states the node may queue (default: the node's, 50)"
+        "--queue", type=whole_number(1), metavar="N", help="joint states the node may queue (default: the node's, 50)"
     )
     return parser
 
 
-def _case(text: str) -> tuple[int, float]:
+def _case(text: str) -> Case:
     match = re.fullmatch(r"([1-9]\d{0,2})x([1-9]\d{0,4})", text)
     if not match:
         raise argparse.ArgumentTypeError(f"{text!r} is no case; write garments and rate, such as 16x200")
-    return int(match[1]), float(match[2])
-
-
-def _count(text: str) -> int:
-    if not re.fullmatch(r"[1-9]\d{0,5}", text):
-        raise argparse.ArgumentTypeError(f"must be a whole number from 1 to 999999, got {text}")
-    return int(text)
+    return Case(int(match[1]), float(match[2]))

@@ -180,8 +180,6 @@ def test_normals_of_faces_when_asked(quick, draper, leaning_model_path, bag, tmp
         (["replay", "{bag}", "--gravity", "0", "0", "0"], "must be three finite numbers"),
         (["replay", "{bag}", "--joint-map", "{tmp}/none.json"], "cannot read joint map"),
         (["replay", "{bag}", "--baseline", "{tmp}/none.json"], "cannot read baseline"),
-        (["replay", "{bag}", "--json", "{tmp}/no/a.json"], "there is no folder"),
-        (["replay", "{bag}", "--report", "{tmp}/no/a.html"], "there is no folder"),
         (["replay", "{tmp}/text.mcap"], "bag "),
         (["replay", "{tmp}/text.db3"], "bag "),
         (["replay", "{tmp}/strange.mcap", "-o", "{tmp}/out"], "none of the 1 joint states on /joint_states"),
@@ -203,3 +201,11 @@ def test_errors_are_one_line(quick, arguments, reason, bag, model_path, tmp_path
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: ") and reason in line
     assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("words", ["--json no/a.json", "--report no/a.html", "--contact-every -1", "--push-out"])
+def test_wrong_arguments_are_told_before_anything_is_read(words, capsys):
+    """By their value."""
+    with pytest.raises(SystemExit):
+        cli.main(["replay", "nosuch.mcap", *words.split()])
+    assert words.split()[-1] in capsys.readouterr().err

@@ -13,7 +13,7 @@ pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
 from physkin_ros.tools.ros_bench import Case, figures, judge  # noqa: E402
 
-CASE = Case(2, 5.0, "events", "shipped")  # whose warm-up is the first five joint states of each avatar
+CASE = Case(2, 5.0)  # whose warm-up is the first five joint states of each avatar
 
 
 def test_figures_of_a_case(made_records):
@@ -28,17 +28,20 @@ def test_figures_of_a_case(made_records):
     assert nothing["delivered_percent"] == 0 and nothing["p99_ms"] is nothing["overhead_us"] is None
 
 
-def test_targets_are_judged_on_the_defaults(made_records):
-    """Of rows with another executor nothing is said; a figure that there is none for is a target missed."""
+def test_targets_are_judged(made_records):
+    """A figure that there is none for is a target missed."""
     row = figures(CASE, made_records([1] * 20, avatars=2))
     row |= {"case": "1x60", "p50_ms": 0.6, "p99_ms": None, "overhead_us": 151.0}
-    lines = judge([row, row | {"executor": "single"}])
+    lines = judge([row, row | {"case": "2x5"}])
     assert [line.rpartition(" ")[2] for line in lines] == ["met", "MISSED", "MISSED"]
 
 
-@pytest.mark.parametrize("arguments", [["--cases", "0x60"], ["--cases", "16"], ["--seconds", "nan"], ["--queue", "0"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [["--cases", "0x60"], ["--cases", "16"], ["--seconds", "nan"], ["--queue", "0"], ["--json", "no/a.json"]],
+)
 def test_wrong_arguments(arguments, capsys):
-    """Argument errors name the value."""
+    """Told before anything is started, by their value."""
     with pytest.raises(SystemExit):
         cli.main(["ros-bench", *arguments])
     assert arguments[1] in capsys.readouterr().err

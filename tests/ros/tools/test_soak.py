@@ -80,7 +80,7 @@ def test_soak(domain, tmp_path, seconds):
         try:
             start_playing(children, tmp_path, GARMENTS, "dance", RATE_HZ, seconds)
             usage, swaps = _disturb(site, bodies, lambda: children.finished("player"))
-            row = figures(Case(GARMENTS, RATE_HZ, "events", "shipped"), finish(children, tmp_path, seconds))
+            row = figures(Case(GARMENTS, RATE_HZ), finish(children, tmp_path, seconds))
             node.send_signal(signal.SIGINT)
             assert node.wait(10) == 0, log.read_text()
         finally:
