@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from pathlib import Path
 from threading import Thread
 
@@ -22,7 +21,6 @@ from physkin_ros.messages.conversions import GarmentCloud  # noqa: E402
 from physkin_ros.middleware.spinning import spin_until  # noqa: E402
 from physkin_ros.tools.children import ChildFailedError, Children  # noqa: E402
 from physkin_ros.tools.listener import Listener  # noqa: E402
-from physkin_ros.tools.machine import cpu_seconds  # noqa: E402
 from physkin_ros.tools.player import play  # noqa: E402
 from physkin_ros.tools.trial import Records  # noqa: E402
 
@@ -104,16 +102,6 @@ def test_killed_child_leaves_no_shared_memory(domain, tmp_path, monkeypatch):
         os.kill(pid, signal.SIGSTOP)  # deaf to SIGINT, so that it is killed
     assert not Path(f"/proc/{pid}").exists()
     assert not [path for path in opened if path.exists()]
-
-
-def test_processor_time_is_counted():
-    """Of the first thread, and of all."""
-    before = cpu_seconds(os.getpid())
-    start = time.thread_time()
-    while time.thread_time() < start + 0.05:
-        pass
-    first, total = cpu_seconds(os.getpid())
-    assert first - before[0] > 0.04 and total >= first
 
 
 def _shared_memory_of(pid: int) -> set[Path]:
