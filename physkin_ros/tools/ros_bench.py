@@ -98,7 +98,8 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     targets = judge(rows)
-    print("\n".join(targets))
+    for line in targets:
+        print(line)
     if options.json:
         document = facts | {"rows": rows, "targets": targets}
         options.json.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
