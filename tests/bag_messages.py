@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 from rosbags.rosbag2 import Reader
 
-from physkin_ros.replay.bags import GRAVITY, JOINT_STATE, TYPES
-
-TIME, HEADER, VECTOR3 = (
-    TYPES.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", "geometry_msgs/msg/Vector3")
-)
+from physkin_ros.replay.bags import TYPES, Header, JointState, Time, Vector3, Vector3Stamped
 
 
 def recorded(path):
@@ -21,10 +17,9 @@ def recorded(path):
         ]
 
 
-def joint_state(names, positions, seconds=1):
-    nothing, header = np.zeros(0), HEADER(TIME(seconds, 0), "torso")
-    return TYPES.types[JOINT_STATE](header, list(names), np.array(positions, dtype=np.float64), nothing, nothing)
+def joint_state(names, positions):
+    return JointState(Header(Time(1, 0), "torso"), list(names), np.array(positions, float), np.zeros(0), np.zeros(0))
 
 
 def gravity(x, y, z):
-    return TYPES.types[GRAVITY](HEADER(TIME(0, 0), ""), VECTOR3(float(x), float(y), float(z)))
+    return Vector3Stamped(Header(Time(0, 0), ""), Vector3(float(x), float(y), float(z)))
