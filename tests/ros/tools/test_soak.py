@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import os
-import signal
-import subprocess
-import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import yaml
 
 from physkin_core import BUNDLED_AVATAR, load_garment_model
 
@@ -22,7 +19,7 @@ from sensor_msgs.msg import JointState  # noqa: E402
 
 from physkin_ros.tools.children import Children  # noqa: E402
 from physkin_ros.tools.ros_bench import Case, figures  # noqa: E402
-from physkin_ros.tools.trial import finish, start_playing  # noqa: E402
+from physkin_ros.tools.trial import finish, start_node, start_playing  # noqa: E402
 
 pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
 
@@ -68,25 +65,20 @@ def test_soak(domain, tmp_path, seconds):
     Where others keep all cores busy, up to one in twenty: all this takes most of a core by itself.
     """
     others = os.getloadavg()[0]
-    bodies, config, log = tmp_path / "bodies", tmp_path / "avatars.yaml", tmp_path / "log"
+    bodies = tmp_path / "bodies"
     bodies.mkdir()
-    avatars = {f"a{index}": {"orientation": "fixed", "garments": {"g": {"model": MODEL}}} for index in range(GARMENTS)}
-    parameters = {"asset_roots": [str(bodies)], "avatars": avatars}
-    config.write_text(yaml.safe_dump({"drape_node": {"ros__parameters": parameters}}))
-    command = [sys.executable, "-m", "physkin_core.cli", "node", "--config", str(config)]
-    with open(log, "w") as output, Children(os.environ, tmp_path) as children:
-        node = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
+    with Children(os.environ, tmp_path) as children:
+        settings = {"avatar": {"orientation": "fixed"}, "garment": {"model": MODEL}, "queue": None}
+        start_node(children, tmp_path, GARMENTS, asset_roots=[str(bodies)], **settings)
+        node = SimpleNamespace(pid=children.pid("node"), poll=lambda: children.finished("node") or None)
         site = Site(domain, node, [])
         try:
             start_playing(children, tmp_path, GARMENTS, "dance", RATE_HZ, seconds)
             usage, swaps = _disturb(site, bodies, lambda: children.finished("player"))
             row = figures(Case(GARMENTS, RATE_HZ), finish(children, tmp_path, seconds))
-            node.send_signal(signal.SIGINT)
-            assert node.wait(10) == 0, log.read_text()
         finally:
-            node.kill()
-            node.wait()
             site.close()
+    text = children.log("node")
     settled = usage.settled()
     assert swaps > 1.5 * GARMENTS
     print(
@@ -98,7 +90,6 @@ def test_soak(domain, tmp_path, seconds):
     assert row["delivered_percent"] >= (99.9 if others < os.cpu_count() else 95), f"load {others:.1f} before"
     assert usage.growth() < 3.0 + seconds / 60
     assert np.ptp(settled[:, 2]) <= 2 and np.ptp(settled[:, 3]) <= 1
-    text = log.read_text()
     assert "Traceback" not in text and "[ERROR]" not in text and "could not be handled" not in text
 
 
