@@ -42,7 +42,7 @@ FORWARDED = {
         "draw a model on thin, average and heavy bodies",
     ),
     "replay": (
-        "physkin_ros.replay.replay",
+        "physkin_ros.tools.replay",
         "drape the joint states of a bag; write clouds, figures and a report. Needs no ROS",
     ),
     "convert": ("physkin_ros.replay.convert", "write a motion clip, BVH or AMC file as a bag of joint states"),
@@ -51,9 +51,9 @@ FORWARDED = {
 
 EXTRAS = {
     "ros": ("rclpy", "sensor_msgs", "diagnostic_msgs", "rcl_interfaces"),
-    "replay": ("rosbags", "apsw"),
+    "replay": ("rosbags", "apsw", "tabulate"),
     "training": ("torch", "warp", "potpourri3d", "rich", "tensorboard", "physkin_training"),
-    "view": ("mitsuba", "PIL"),
+    "view": ("mitsuba", "PIL", "matplotlib"),
 }
 """Extra of the pip package -> import packages it brings; colcon leaves `physkin_training` out."""
 

@@ -5,7 +5,6 @@ A bag is a folder with `metadata.yaml`, or a single .mcap or .db3 file. Times ar
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import shutil
 import struct
@@ -18,10 +17,16 @@ from pathlib import Path
 
 import apsw
 import numpy as np
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import Reader, ReaderError, StoragePlugin, Writer, WriterError
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.stores.ros2_jazzy import builtin_interfaces__msg__Time as Time
+from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Vector3 as Vector3
+from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Vector3Stamped as Vector3Stamped
+from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__JointState as JointState
+from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__PointCloud2 as PointCloud2
+from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__PointField as PointField
+from rosbags.typesys.stores.ros2_jazzy import std_msgs__msg__Header as Header
 
 from physkin_core import Motion
 from physkin_ros.messages.conversions import CLOUD_FIELDS, FLOAT32
@@ -35,19 +40,6 @@ STORAGES = ("mcap", "sqlite3")
 SUFFIXES = {".mcap": "mcap", ".db3": "sqlite3"}
 METADATA_VERSION = 9  # of ROS 2 Jazzy
 TYPES = get_typestore(Stores.ROS2_JAZZY)
-
-_ALWAYS = QosTime(9223372036, 854775807)
-_QUALITY = Qos(
-    history=QosHistory.KEEP_LAST,
-    depth=5,
-    reliability=QosReliability.RELIABLE,
-    durability=QosDurability.VOLATILE,
-    deadline=_ALWAYS,
-    lifespan=_ALWAYS,
-    liveliness=QosLiveliness.AUTOMATIC,
-    liveliness_lease_duration=_ALWAYS,
-    avoid_ros_namespace_conventions=False,
-)
 
 
 class BagError(ValueError):
@@ -111,14 +103,6 @@ class BagReader:
                 ]
                 yield from sorted(moment, key=lambda message: message.kind != "gravity")
 
-    def digest(self) -> str:
-        """SHA-256 of all these messages and their times: whether two bags are the same recording."""
-        digest = hashlib.sha256()
-        for message in self:
-            digest.update(struct.pack("<?qQ", message.kind == "gravity", message.time_ns, len(message.data)))
-            digest.update(message.data)
-        return digest.hexdigest()
-
 
 def decode(message: Recorded):
     """The message of `rosbags` that a recorded one is. Raises UndecodableError."""
@@ -152,9 +136,11 @@ class BagWriter:
         self._connections: dict[str, object] = {}
 
     def __enter__(self) -> BagWriter:
-        with _bag_errors(self.path):
-            # beside the target, so that nobody sees half a bag and the last step is a rename
+        try:  # beside the target, so that nobody sees half a bag and the last step is a rename
             self._folder = Path(tempfile.mkdtemp(dir=self.path.parent, prefix=f".{self.path.name}-"))
+        except OSError as error:
+            raise BagError(f"cannot write {self.path}: {error.strerror}") from error
+        with _bag_errors(self.path):
             plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[self._storage]
             bag = self._folder / self.path.name
             self._writer = Writer(bag, version=METADATA_VERSION, storage_plugin=plugin)
@@ -183,21 +169,18 @@ class BagWriter:
         """Write a message that is CDR bytes already, right or wrong."""
         with _bag_errors(self.path):
             if topic not in self._connections:
-                quality = [_QUALITY]
-                self._connections[topic] = self._writer.add_connection(
-                    topic, kind, typestore=TYPES, offered_qos_profiles=quality
-                )
+                # no quality of service is named: players take their default, reliable
+                self._connections[topic] = self._writer.add_connection(topic, kind, typestore=TYPES)
             self._writer.write(self._connections[topic], time_ns, data)
 
     def write_cloud(self, topic: str, points: np.ndarray, stamp, frame_id: str, time_ns: int) -> None:
         """Write a garment cloud, laid out as the node's. points: (n, 6) float32, position [m] and unit normal."""
-        field, cloud = TYPES.types["sensor_msgs/msg/PointField"], TYPES.types[CLOUD]
-        step = 4 * len(CLOUD_FIELDS)
-        message = cloud(
-            header=_header(stamp, frame_id),
+        step, one = 4 * len(CLOUD_FIELDS), {"datatype": FLOAT32, "count": 1}
+        message = PointCloud2(
+            header=Header(Time(stamp.sec, stamp.nanosec), frame_id),
             height=1,
             width=len(points),
-            fields=[field(name=name, offset=4 * i, datatype=FLOAT32, count=1) for i, name in enumerate(CLOUD_FIELDS)],
+            fields=[PointField(name=name, offset=4 * i, **one) for i, name in enumerate(CLOUD_FIELDS)],
             is_bigendian=sys.byteorder == "big",
             point_step=step,
             row_step=step * len(points),
@@ -212,22 +195,12 @@ def write_motion(
 ) -> None:
     """Write a clip as joint states, each preceded by gravity's direction in the root frame. Time starts at one second,
     as stamps of zero mean "none" to many tools."""
-    joint_state, vector3 = TYPES.types[JOINT_STATE], TYPES.types["geometry_msgs/msg/Vector3"]
-    vector_stamped, nothing = TYPES.types[GRAVITY], np.zeros(0)
-    names = list(motion.joint_names)
+    names, nothing = list(motion.joint_names), np.zeros(0)
     for index, (positions, gravity) in enumerate(zip(motion.positions.astype(np.float64), motion.gravity)):
         time_ns = 1_000_000_000 + round(index * 1e9 / motion.rate_hz)
-        seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
-        header = _header(TYPES.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds), frame_id)
-        direction = vector3(*map(float, gravity))
-        writer.write(gravity_topic, GRAVITY, vector_stamped(header=header, vector=direction), time_ns)
-        message = joint_state(header=header, name=names, position=positions, velocity=nothing, effort=nothing)
-        writer.write(topic, JOINT_STATE, message, time_ns)
-
-
-def _header(stamp, frame_id: str):
-    time = TYPES.types["builtin_interfaces/msg/Time"](sec=stamp.sec, nanosec=stamp.nanosec)
-    return TYPES.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
+        header = Header(Time(*divmod(time_ns, 1_000_000_000)), frame_id)
+        writer.write(gravity_topic, GRAVITY, Vector3Stamped(header, Vector3(*map(float, gravity))), time_ns)
+        writer.write(topic, JOINT_STATE, JointState(header, names, positions, nothing, nothing), time_ns)
 
 
 def _topic(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from physkin_core import Motion, load_body_model, load_motion
@@ -29,12 +28,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--gravity-topic", default="/gravity", help="default %(default)s")
     parser.add_argument("--frame-id", default="base_link", help="default %(default)s")
     options = parser.parse_args(argv)
-    motion = _motion(options)
-    if options.rate is not None:
-        motion = motion.resampled(options.rate)
-    if options.seconds is not None:
-        motion = motion.looped(options.seconds)
-    with BagWriter(options.output, storage=options.storage) as writer:
+    with BagWriter(options.output, storage=options.storage) as writer:  # first: reading a motion may take a minute
+        motion = _motion(options)
+        if options.rate is not None:
+            motion = motion.resampled(options.rate)
+        if options.seconds is not None:
+            motion = motion.looped(options.seconds)
         topics = {"topic": options.topic, "gravity_topic": options.gravity_topic, "frame_id": options.frame_id}
         write_motion(writer, motion, **topics)
     print(f"wrote {options.output}: {motion.frame_count} joint states at {motion.rate_hz:g} Hz")
@@ -52,7 +51,3 @@ def _motion(options: argparse.Namespace) -> Motion:
         f"{bone} by {missed[bone]:.1f}"
     )
     return motion
-
-
-if __name__ == "__main__":
-    sys.exit(main())

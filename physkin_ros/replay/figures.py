@@ -8,19 +8,18 @@ from __future__ import annotations
 import json
 import math
 import platform
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from tabulate import tabulate
 
 from physkin_core import Draper
+from physkin_ros.replay.bags import BagReader
+from physkin_ros.replay.replay import Replay
 
-if TYPE_CHECKING:
-    from physkin_ros.replay.bags import BagReader
-    from physkin_ros.replay.replay import Replay
-
-__all__ = ["SCHEMA", "TOLERANCES", "BaselineError", "describe", "load_baseline", "regressions", "summary"]
+__all__ = ["LABELS", "SCHEMA", "TOLERANCES", "BaselineError", "describe", "load_baseline", "regressions", "summary"]
 
 SCHEMA = 1
 LONGEST_STEP = 1.5  # times the usual one: a longer step between two clouds is a gap, over which nothing is differenced
@@ -38,6 +37,32 @@ TOLERANCES = {
 }
 """Figure -> how much larger than the baseline it may be: this share of it plus this much."""
 LATENCIES = ("p50", "p99")
+SPREAD = ("mean", "p50", "p95", "p99", "max")
+LABELS = {
+    "edge_strain_percent": "edge strain [%]",
+    "area_strain_percent": "area strain [%]",
+    "inside_percent": "vertices inside the body [%]",
+    "within_3mm_percent": "vertices within 3 mm [%]",
+    "max_depth_mm": "deepest penetration [mm]",
+    "jitter_mm": "jitter [mm]",
+    "jitter_ratio": "jitter / plain skinning's",
+}
+"""Figure -> what people read."""
+DECIMALS = {
+    "edge_strain_percent": 4,
+    "area_strain_percent": 4,
+    "jitter_mm": 5,
+    "jitter_skinning_mm": 5,
+    "latency_us": 1,
+    "inside_percent": 4,
+    "within_3mm_percent": 4,
+    "max_depth_mm": 4,
+}
+"""What is measured cloud by cloud -> decimals of its series."""
+COUNTS = (
+    *("joint_states", "draped", "rejected", "gravity_messages", "gravity_rejected", "names_unknown"),
+    "out_of_range_clouds",
+)
 
 
 class BaselineError(ValueError):
@@ -49,28 +74,24 @@ def describe(found: Replay, draper: Draper, bag: BagReader, *, contact_every: in
     times = (np.array(found.times_ns) - found.times_ns[0]) / 1e9
     steps = np.diff(times)
     usual = float(np.median(steps)) if len(steps) else math.nan
-    bend, skinning_bend = _without_gaps(found, steps, usual)
-    contact = np.array(found.contact, dtype=np.float64).reshape(-1, 4)
-    latency = np.array(found.latency_ns) / 1e3
-    jitter, skinning = _mean(1000 * bend), _mean(1000 * skinning_bend)
-    figures = {
-        "edge_strain_percent": _spread(np.array(found.edge_strain)),
-        "area_strain_percent": _spread(np.array(found.area_strain)),
-        "inside_percent": _spread(contact[:, 1]),
-        "within_3mm_percent": _spread(contact[:, 2]),
-        "max_depth_mm": _spread(contact[:, 3]),
-        "jitter_mm": _spread(1000 * bend[np.isfinite(bend)]),
-        "jitter_skinning_mm": {"mean": skinning},
-        "jitter_ratio": {"mean": jitter / skinning if jitter is not None and skinning else None},
-    }
-    rows = contact[:, 0].astype(int)
+    measured = {name: np.array(found.measured[name]) for name in DECIMALS}
+    gaps = np.ones(len(times), dtype=bool)  # over which nothing is differenced: the last two steps must be even
+    even = (steps > 0) & (steps < LONGEST_STEP * usual)
+    gaps[2:] = ~(even[1:] & even[:-1])
+    for name in ("jitter_mm", "jitter_skinning_mm"):
+        measured[name][gaps] = math.nan
+    figures = {name: _spread(measured[name]) for name in LABELS if name in measured}
+    jitter, skinning = figures["jitter_mm"]["mean"], _spread(measured["jitter_skinning_mm"])["mean"]
+    figures["jitter_skinning_mm"] = {"mean": skinning}
+    figures["jitter_ratio"] = {"mean": jitter / skinning if jitter is not None and skinning else None}
+    series = {"time_s": times, "contact_time_s": times[found.contact_rows]} | measured
     return {
         "schema": SCHEMA,
         "bag": {
             "name": bag.path.name,
             "topic": bag.topic,
             "gravity_topic": bag.gravity_topic,
-            "sha256": bag.digest(),
+            "sha256": found.bag_sha256,
             "duration_s": float(times[-1]),
             "rate_hz": 1 / usual if usual > 0 else None,
         },
@@ -84,38 +105,16 @@ def describe(found: Replay, draper: Draper, bag: BagReader, *, contact_every: in
             "machine": platform.machine(),
         },
         "counts": {
-            **{
-                name: found.counts[name]
-                for name in (
-                    "joint_states",
-                    "draped",
-                    "rejected",
-                    "gravity_messages",
-                    "gravity_rejected",
-                    "names_unknown",
-                )
-            },
-            "contact_clouds": len(contact),
-            "jitter_clouds": int(np.isfinite(bend).sum()),
-            "out_of_range_clouds": found.out_of_range_clouds,
+            **{name: found.counts[name] for name in COUNTS},
+            "contact_clouds": len(found.contact_rows),
+            "jitter_clouds": int(np.isfinite(measured["jitter_mm"]).sum()),
         },
-        "reasons": dict(sorted(found.reasons.items(), key=lambda item: (-item[1], item[0]))),
-        "out_of_range": dict(sorted(found.out_of_range.items(), key=lambda item: (-item[1], item[0]))),
+        "reasons": _most_frequent_first(found.reasons),
+        "out_of_range": _most_frequent_first(found.out_of_range),
         "figures": figures,
-        "latency_us": _spread(latency),
+        "latency_us": _spread(measured["latency_us"]),
         "clouds_sha256": found.clouds_sha256,
-        "series": {
-            "time_s": _list(times, 6),
-            "edge_strain_percent": _list(np.array(found.edge_strain), 4),
-            "area_strain_percent": _list(np.array(found.area_strain), 4),
-            "jitter_mm": _list(1000 * bend, 5),
-            "jitter_skinning_mm": _list(1000 * skinning_bend, 5),
-            "latency_us": _list(latency, 1),
-            "contact_time_s": _list(times[rows], 6),
-            "inside_percent": _list(contact[:, 1], 4),
-            "within_3mm_percent": _list(contact[:, 2], 4),
-            "max_depth_mm": _list(contact[:, 3], 4),
-        },
+        "series": {name: _rounded(values, DECIMALS.get(name, 6)) for name, values in series.items()},
     }
 
 
@@ -172,48 +171,25 @@ def summary(figures: Mapping) -> str:
         if spread["mean"] is not None:
             tail = f", p95 {spread['p95']:.3f}, max {spread['max']:.3f}" if "p95" in spread else ""
             rows[label] = f"mean {spread['mean']:.3f}{tail}"
-    rows["evaluator [us]"] = f"p50 {latency['p50']:.1f}, p99 {latency['p99']:.1f} ({run['instruction_set']})"
-    for reason, count in list(figures["reasons"].items())[:5]:
-        rows[f"rejected {count} times"] = reason
-    width = max(map(len, rows))
-    return "\n".join(f"  {name:<{width}}  {value}" for name, value in rows.items())
-
-
-LABELS = {
-    "edge_strain_percent": "edge strain [%]",
-    "area_strain_percent": "area strain [%]",
-    "inside_percent": "vertices inside the body [%]",
-    "within_3mm_percent": "vertices within 3 mm [%]",
-    "max_depth_mm": "deepest penetration [mm]",
-    "jitter_mm": "jitter [mm]",
-    "jitter_ratio": "jitter / plain skinning's",
-}
-"""Figure -> what people read."""
-
-
-def _without_gaps(found: Replay, steps: np.ndarray, usual: float) -> tuple[np.ndarray, np.ndarray]:
-    """Second differences (T,) [m] of model and plain skinning, NaN where the three clouds are not evenly spaced."""
-    even = (steps > 0) & (steps < LONGEST_STEP * usual)
-    usable = np.zeros(len(found.frames), dtype=bool)
-    usable[2:] = even[1:] & even[:-1]
-    bends = np.array(found.bend), np.array(found.skinning_bend)
-    return tuple(np.where(usable, bend, np.nan) for bend in bends)
+    rows["evaluator [µs]"] = f"p50 {latency['p50']:.1f}, p99 {latency['p99']:.1f} ({run['instruction_set']})"
+    rows |= {f"rejected {count} times": reason for reason, count in list(figures["reasons"].items())[:5]}
+    return tabulate(rows.items(), tablefmt="plain", disable_numparse=True)
 
 
 def _spread(values: np.ndarray) -> dict[str, float | None]:
-    if not len(values):
-        return dict.fromkeys(("mean", "p50", "p95", "p99", "max"))
-    p50, p95, p99 = np.percentile(values, (50, 95, 99))
-    figures = {"mean": values.mean(), "p50": p50, "p95": p95, "p99": p99, "max": values.max()}
-    return {name: float(value) for name, value in figures.items()}
-
-
-def _mean(values: np.ndarray) -> float | None:
+    """Over the values that are numbers."""
     values = values[np.isfinite(values)]
-    return float(values.mean()) if len(values) else None
+    if not len(values):
+        return dict.fromkeys(SPREAD)
+    p50, p95, p99 = np.percentile(values, (50, 95, 99))
+    return dict(zip(SPREAD, map(float, (values.mean(), p50, p95, p99, values.max()))))
 
 
-def _list(values: np.ndarray, decimals: int) -> list[float | None]:
+def _most_frequent_first(counter: Counter) -> dict[str, int]:
+    return dict(sorted(counter.items(), key=lambda item: (-item[1], item[0])))
+
+
+def _rounded(values: np.ndarray, decimals: int) -> list[float | None]:
     return [None if math.isnan(value) else round(value, decimals) for value in values.tolist()]
 
 

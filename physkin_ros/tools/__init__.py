@@ -1,1 +1,5 @@
-"""The demo and the benchmark of the node: a player, a listener and the node in processes of their own."""
+"""Commands that run ROS processes: the demo and the benchmark of the node, and a bag played to live topics.
+
+A `trial` is a drape node, a `listener` and a `player` in processes of their own; demo and benchmark differ in what they
+ask of it and make of its records. `replay` alone needs no ROS until it is asked to play live.
+"""

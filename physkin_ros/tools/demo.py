@@ -14,19 +14,19 @@ import tempfile
 from pathlib import Path
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model, load_motion
+from physkin_ros.arguments import file_to_write, positive
 from physkin_ros.middleware.transport import private_environment
 from physkin_ros.tools.children import ChildFailedError, Children
-from physkin_ros.tools.demo_listener import KEPT_CLOUDS, READY
-from physkin_ros.tools.demo_player import RATE_HZ
-from physkin_ros.tools.demo_report import DemoReport, draw
+from physkin_ros.tools.demo_report import complete, draw, largest_error, table
+from physkin_ros.tools.listener import KEPT_CLOUDS
+from physkin_ros.tools.trial import Records, finish, start_node, start_playing
 
 __all__ = ["main"]
 
-START_SECONDS = 90.0
+RATE_HZ = 60.0
 ERROR_ALLOWED = (
     1e-3  # [m] a cloud with the gravity of the frame before or after passes, one with an upright body's fails
 )
-QUEUE_PARAMETERS = [f"qos_overrides./{topic}.subscription.depth" for topic in ("joint_states", "gravity")]
 QUEUE = 120  # messages the node may queue: two seconds, so that a busy machine makes clouds late but not lost
 
 
@@ -41,61 +41,41 @@ def main(argv: list[str] | None = None) -> int:
     keep_every = math.ceil(min(clip.frame_count, motion.frame_count) / KEPT_CLOUDS)
     try:
         with tempfile.TemporaryDirectory(prefix="physkin-demo-") as folder:
-            sent, received = _play(options, motion.frame_count, keep_every, Path(folder))
-            report = DemoReport.from_files(sent, received)
+            records = _play(options, keep_every, Path(folder))
     except ChildFailedError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         _say("interrupted")
         return 130
-    error = report.largest_error(Draper(model, avatar), motion)
-    print(report.table(model, error), flush=True)
-    if report.lost < motion.frame_count:
+    error = largest_error(records, Draper(model, avatar), motion)
+    print(table(records, model, error), flush=True)
+    if len(records.kept):
         _say(f"drawing {options.output}")
-        draw(options.output, report, model, avatar, motion)
-    return 0 if report.complete and error <= ERROR_ALLOWED else 1
+        draw(options.output, records, model, avatar, motion)
+    return 0 if complete(records) and error <= ERROR_ALLOWED else 1
 
 
-def _play(options: argparse.Namespace, count: int, keep_every: int, folder: Path) -> tuple[Path, Path]:
-    """Run the three processes for `count` joint states; returns the files of the player and of the listener."""
-    sent, received = folder / "sent.npz", folder / "received.npz"
-    parameters = {
-        "model": options.garment,
-        "backend": options.backend,
-        **dict.fromkeys(QUEUE_PARAMETERS, QUEUE),
-    }
-    if options.body:
-        parameters["body_mesh"] = options.body
-    node_arguments = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+def _play(options: argparse.Namespace, keep_every: int, folder: Path) -> Records:
     with Children(private_environment(), folder) as children:
         _say(f"starting the drape node with {options.garment}")
-        children.start("node", "physkin_core.cli", "node", "--ros-args", *node_arguments)
-        children.start("listener", "physkin_ros.tools.demo_listener", count, keep_every, received)
-        children.wait(lambda: READY in children.log("listener").splitlines(), "the garment's topic", START_SECONDS)
-        _say(f"playing {options.motion}: {count} joint states at {RATE_HZ:.0f} Hz, {options.seconds:g} s")
-        children.start("player", "physkin_ros.tools.demo_player", options.motion, options.seconds, sent)
-        children.wait(lambda: children.finished("player"), "the motion", options.seconds + START_SECONDS)
-        children.wait(lambda: children.finished("listener"), "the last cloud", START_SECONDS)
-    return sent, received
+        avatar, garment = {"body_mesh": options.body}, {"model": options.garment}
+        start_node(children, folder, 1, avatar=avatar, garment=garment, queue=QUEUE, backend=options.backend)
+        played = (options.motion, RATE_HZ, options.seconds, "--gravity")
+        start_playing(children, folder, 1, *played, keep_every=keep_every)
+        _say(f"playing {options.motion} at {RATE_HZ:.0f} Hz, {options.seconds:g} s")
+        return finish(children, folder, options.seconds)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin demo", description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=_positive, default=10.0, help="how long to play (default %(default)g)")
-    parser.add_argument("--output", type=Path, default=Path("demo.png"), help="picture (default %(default)s)")
+    parser.add_argument("--seconds", type=positive, default=10.0, help="how long to play (default %(default)g)")
+    parser.add_argument("--output", type=file_to_write, default=Path("demo.png"), help="picture (default %(default)s)")
     parser.add_argument("--garment", default="tshirt", help="shipped garment or model file (default %(default)s)")
     parser.add_argument("--body", default="", help="avatar file (default: the bundled avatar)")
     parser.add_argument("--motion", default="dance", help="bundled motion or a motion file (default %(default)s)")
     parser.add_argument("--backend", default="native", choices=("native", "numpy"), help="default %(default)s")
     return parser
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"must be positive and finite, got {text}")
-    return value
 
 
 def _say(line: str) -> None:

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 __all__ = ["cpu_seconds", "machine_line", "versions_line"]
 
+CPU_LIST = Path("/proc/cpuinfo")
 PACKAGES = ("physkin", "ros-jazzy-rclpy", "numpy")
 
 
 def machine_line() -> str:
     """Processor, cores and system."""
-    return f"{_processor()}, {os.cpu_count()} cores, {platform.system()} {platform.release()}"
+    listed = CPU_LIST.read_text() if CPU_LIST.exists() else ""
+    found = re.search(r"^model name\s*: (.*)$", listed, re.MULTILINE)
+    processor = found[1] if found else platform.machine()
+    return f"{processor}, {os.cpu_count()} cores, {platform.system()} {platform.release()}"
 
 
 def versions_line() -> str:
@@ -32,16 +37,6 @@ def cpu_seconds(pid: int) -> tuple[float, float]:
             continue
     first = int(Path(f"/proc/{pid}/task/{pid}/schedstat").read_text().split()[0]) / 1e9
     return first, total
-
-
-def _processor() -> str:
-    """Name of the processor, as far as the system tells."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
 
 
 def _version(package: str) -> str:

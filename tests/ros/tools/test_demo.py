@@ -1,11 +1,9 @@
-"""The demo: three processes, a table and a picture; and what it does when something goes wrong."""
+"""The demo: a table and a picture; its whole runs, also interrupted."""
 
 from __future__ import annotations
 
-import os
 import signal
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,111 +11,98 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
-from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_motion  # noqa: E402
-from physkin_ros.tools.children import ChildFailedError, Children  # noqa: E402
-from physkin_ros.tools.demo import ERROR_ALLOWED  # noqa: E402
-from physkin_ros.tools.demo_report import DemoReport  # noqa: E402
+from physkin_core import BUNDLED_AVATAR, Draper, cli, load_avatar, load_motion  # noqa: E402
+from physkin_ros.tools import demo  # noqa: E402
+from physkin_ros.tools.demo_report import complete, largest_error  # noqa: E402
 
 
+@pytest.fixture(scope="module")
+def draper(leaning_model):
+    return Draper(leaning_model, load_avatar(BUNDLED_AVATAR, leaning_model.rig))
+
+
+@pytest.mark.slow
 def test_demo_ends_well(start, leaning_model_path, tmp_path):
     """Every joint state comes back as a cloud; figures and picture are there."""
     pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")
     picture = tmp_path / "demo.png"
     arguments = ("--seconds", "2", "--garment", str(leaning_model_path), "--output", str(picture), "--motion", "crawl")
     demo = start("physkin_core.cli", "demo", *arguments)
-    output, _ = demo.communicate(timeout=120)
+    output, _ = demo.communicate(timeout=180)
     assert demo.returncode == 0, output
-    table = {line[:32].strip(): line[32:].strip() for line in output.splitlines() if line.startswith("  ")}
+    table = _table(output)
     assert table["joint states sent"] == table["clouds received"] == "120"
     assert table["clouds lost"] == table["clouds with values not finite"] == "0"
     assert float(table["largest error [mm]"].split()[0]) < 1
-    assert table["evaluator [us]"].startswith("median of each second's p50 ")
-    assert table["end to end [ms]"].startswith("p50 ")
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_interrupted_demo_leaves_nothing_running(start, model_path, tmp_path):
     """Ctrl-C while the motion plays ends the other three processes too."""
     demo = start("physkin_core.cli", "demo", "--garment", str(model_path), "--output", str(tmp_path / "demo.png"))
     for line in demo.stdout:
         if "playing" in line:
             break
+    folder = next(Path(word).parent for word in _processes_naming("avatars.yaml")[0].split("\0") if "avatars" in word)
     time.sleep(1)
-    # The demo and its node; and for a moment the player, which until it has begun goes by its parent's command line.
-    deadline = time.monotonic() + 10
-    while len(running := _processes_naming(str(model_path))) != 2:
-        assert time.monotonic() < deadline, running
-        time.sleep(0.05)
+    assert len(_processes_naming(str(folder))) == 3
     demo.send_signal(signal.SIGINT)
     assert demo.wait(20) == 130
-    assert not _processes_naming(str(model_path))
+    assert not _processes_naming(str(folder)) and not folder.exists()
     assert not (tmp_path / "demo.png").exists()
 
 
-def test_child_that_fails_is_heard(tmp_path):
-    """Waiting ends at once, with what the child wrote."""
-    with Children(os.environ, tmp_path) as children:
-        children.start("player", "physkin_ros.tools.demo_player", "nosuchmotion", "1", tmp_path / "sent.npz")
-        with pytest.raises(
-            ChildFailedError, match="player ended with status 2:\nerror: no bundled motion 'nosuchmotion'"
-        ):
-            children.wait(lambda: False, "a miracle", seconds=30)
-
-
-def test_killed_child_leaves_no_shared_memory(domain, model_path, tmp_path):
-    """A node that must be killed cannot tidy up, so its parent does."""
-    with Children(os.environ, tmp_path) as children:
-        children.start("node", "physkin_ros", "--ros-args", "-p", f"model:={model_path}")
-        children.wait(lambda: "garment" in children.log("node"), "the node", seconds=60)
-        node = children._processes["node"]
-        opened = _shared_memory_of(node.pid)
-        assert opened
-        node.send_signal(signal.SIGSTOP)  # deaf to SIGINT, so that it is killed
-    assert node.returncode == -signal.SIGKILL
-    assert not [path for path in opened if path.exists()]
-
-
-def test_report_counts_what_was_lost():
+@pytest.mark.parametrize(
+    ("trouble", "lost", "status"),
+    [
+        ({}, "0", 0),
+        ({"delays_ms": [1] * 5 + [None]}, "1", 1),
+        ({"repeated": [2]}, "1", 1),
+        ({"strangers": 1}, "0", 1),
+        ({"not_finite": 1}, "0", 1),
+        ({"delays_ms": [None] * 6}, "6", 1),
+    ],
+)
+def test_exit_status_tells_what_was_lost(
+    trouble, lost, status, made_records, leaning_model_path, draper, monkeypatch, capsys
+):
     """A missing cloud, one that came twice and one of another stamp all make the demo fail, as does a bad value."""
-    sent = np.arange(5) * 1_000_000
-    assert _report(sent, sent, [True] * 5).complete
-    assert not _report(sent, sent, [True, True, False, True, True]).complete
-    for received, lost in ((sent[:4], 1), (sent[[0, 1, 2, 3, 3]], 2), ([*sent[:4], 99], 1), ([], 5)):
-        report = _report(sent, received, [True] * len(received))
-        assert report.lost == lost and not report.complete
+    records = made_records(**{"delays_ms": [1, 1, 2, 1, 1, 1]} | trouble)
+    monkeypatch.setattr(demo, "load_avatar", lambda *_: draper.avatar)
+    monkeypatch.setattr(demo, "_play", lambda *_: records)
+    assert cli.main(["demo", "--seconds", "0.1", "--garment", str(leaning_model_path)]) == status
+    assert complete(records) == (status == 0)
+    table = _table(capsys.readouterr().out)
+    assert table["clouds lost"] == lost and table["joint states sent"] == "6"
+    assert table["evaluator [µs]"] == "median of each second's p50 52.0, worst of each second's p99 90.0"
+    assert table["end to end [ms]"].startswith("none" if lost == "6" else "p50 1.00, p99 ")
 
 
-def test_report_measures_latency():
-    """Receipt minus sending of the same stamp, whatever order the clouds come in."""
-    report = _report(np.array([10, 20, 30]), [30, 10, 99], [True] * 3, received=[5_000_030, 2_000_010, 0])
-    np.testing.assert_allclose(report.latencies_ms(), [5.0, 2.0])
-
-
-def test_report_compares_with_the_core(leaning_model):
+def test_clouds_are_compared_with_the_core(made_records, draper):
     """A cloud draped as if the body stood upright is far from right when it crawls, as is one that is not finite."""
-    draper, motion = Draper(leaning_model, load_avatar(BUNDLED_AVATAR, leaning_model.rig)), load_motion("crawl")
-    order = [motion.joint_names.index(name) for name in draper.joint_names]
-    positions = motion.positions[3][order]
+    motion = load_motion("crawl")
+    positions = motion.positions_for(draper.model.rig)[3]
     right, upright = draper.drape(positions, motion.gravity[3]), draper.drape(positions)
-    stamps = np.arange(motion.frame_count)
-    report = replace(_report(stamps, stamps, [True]), kept_stamps=stamps[3:4], kept=right[None])
-    assert report.largest_error(draper, motion) < 1e-7
-    assert replace(report, kept=upright[None]).largest_error(draper, motion) > ERROR_ALLOWED
-    assert replace(report, kept=right[None] * np.nan).largest_error(draper, motion) == np.inf
+    for cloud, least, most in ((right, 0, 1e-7), (upright, demo.ERROR_ALLOWED, 9), (right * np.nan, np.inf, np.inf)):
+        records = made_records([1] * 6, kept=cloud[None], kept_stamps=np.array([15_000_000]))
+        assert least <= largest_error(records, draper, motion) <= most
 
 
-def _report(sent, stamps, finite, received=None) -> DemoReport:
-    stamps = np.array(stamps, dtype=np.int64)
-    return DemoReport(
-        stamps=sent,
-        sent=sent,
-        received_stamps=stamps,
-        received=stamps if received is None else np.array(received),
-        finite=np.array(finite, dtype=bool),
-        kept_stamps=stamps[:0],
-        kept=np.zeros((0, 1, 6)),
-        reports=[],
-    )
+@pytest.mark.parametrize(
+    "arguments", [["--output", "no/demo.png"], ["--motion", "nosuch"], ["--garment", "nosuch"], ["--seconds", "nan"]]
+)
+def test_wrong_arguments(arguments, capsys):
+    """Told before anything is started, by their value."""
+    try:
+        assert cli.main(["demo", *arguments]) == 2
+    except SystemExit as error:
+        assert error.code == 2
+    assert arguments[1] in capsys.readouterr().err
+
+
+def _table(output: str) -> dict[str, str]:
+    return {line[:31].strip(): line[31:].strip() for line in output.splitlines() if line.startswith("  ")}
 
 
 def _processes_naming(text: str) -> list[str]:
@@ -129,9 +114,3 @@ def _processes_naming(text: str) -> list[str]:
         except OSError:
             continue
     return [line for line in lines if text in line]
-
-
-def _shared_memory_of(pid: int) -> set[Path]:
-    """The process's own segments, not the ports it may share."""
-    words = Path(f"/proc/{pid}/maps").read_text().split()
-    return {Path(word) for word in words if word.startswith("/dev/shm/fastrtps_") and "_port" not in word}

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import os
-import signal
-import subprocess
-import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import yaml
 
 from physkin_core import BUNDLED_AVATAR, load_garment_model
 
@@ -20,9 +17,9 @@ rclpy = pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[r
 
 from sensor_msgs.msg import JointState  # noqa: E402
 
-from physkin_ros.tools import ros_bench  # noqa: E402
 from physkin_ros.tools.children import Children  # noqa: E402
-from physkin_ros.tools.ros_bench_listener import READY  # noqa: E402
+from physkin_ros.tools.ros_bench import Case, figures  # noqa: E402
+from physkin_ros.tools.trial import finish, start_node, start_playing  # noqa: E402
 
 pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
 
@@ -60,49 +57,39 @@ class Usage:
         return float(np.polyfit(seconds, megabytes, 1)[0] * (seconds[-1] - seconds[0]))
 
 
-@pytest.mark.parametrize("seconds", [40, pytest.param(600, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [40, 600])
 def test_soak(domain, tmp_path, seconds):
     """At most one cloud in a thousand is lost; memory and files do not grow; nothing is logged that should not be.
 
     Where others keep all cores busy, up to one in twenty: all this takes most of a core by itself.
     """
     others = os.getloadavg()[0]
-    bodies, config, log = tmp_path / "bodies", tmp_path / "avatars.yaml", tmp_path / "log"
+    bodies = tmp_path / "bodies"
     bodies.mkdir()
-    avatars = {f"a{index}": {"orientation": "fixed", "garments": {"g": {"model": MODEL}}} for index in range(GARMENTS)}
-    parameters = {"asset_roots": [str(bodies)], "avatars": avatars}
-    config.write_text(yaml.safe_dump({"drape_node": {"ros__parameters": parameters}}))
-    command = [sys.executable, "-m", "physkin_core.cli", "node", "--config", str(config)]
-    with open(log, "w") as output, Children(os.environ, tmp_path) as children:
-        node = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
+    with Children(os.environ, tmp_path) as children:
+        settings = {"avatar": {"orientation": "fixed"}, "garment": {"model": MODEL}, "queue": None}
+        start_node(children, tmp_path, GARMENTS, asset_roots=[str(bodies)], **settings)
+        node = SimpleNamespace(pid=children.pid("node"), poll=lambda: children.finished("node") or None)
         site = Site(domain, node, [])
         try:
-            children.start("listener", "physkin_ros.tools.ros_bench_listener", GARMENTS, tmp_path / "received.npz")
-            children.wait(lambda: READY in children.log("listener").splitlines(), "the garments", 90)
-            arguments = (RATE_HZ, seconds, GARMENTS, node.pid, tmp_path / "sent.npz")
-            children.start("player", "physkin_ros.tools.ros_bench_player", *arguments)
+            start_playing(children, tmp_path, GARMENTS, "dance", RATE_HZ, seconds)
             usage, swaps = _disturb(site, bodies, lambda: children.finished("player"))
-            children.wait(lambda: children.finished("listener"), "the last cloud", 60)
-            node.send_signal(signal.SIGINT)
-            assert node.wait(10) == 0, log.read_text()
+            row = figures(Case(GARMENTS, RATE_HZ), finish(children, tmp_path, seconds))
         finally:
-            node.kill()
-            node.wait()
             site.close()
-    with np.load(tmp_path / "sent.npz") as player, np.load(tmp_path / "received.npz") as listener:
-        row = ros_bench._row(ros_bench.Case(GARMENTS, RATE_HZ, "events", "serialised", "shipped"), player, listener)
+    text = children.log("node")
     settled = usage.settled()
     assert swaps > 1.5 * GARMENTS
     print(
-        f"soak: {seconds} s, {row.sent} joint states, {row.delivered_percent:.3f} % delivered, {swaps} swaps, "
-        f"p50 {row.p50_ms:.2f} ms, p99 {row.p99_ms:.2f} ms, load {row.load:.1f}; "
+        f"soak: {seconds} s, {row['sent']} joint states, {row['delivered_percent']:.3f} % delivered, {swaps} swaps, "
+        f"p50 {row['p50_ms']:.2f} ms, p99 {row['p99_ms']:.2f} ms, load {row['load']:.1f}; "
         f"memory {usage.samples[0][1]:.0f} to {settled[-1, 1]:.0f} MB, of which {usage.growth():.2f} MB in the last "
         f"{settled[-1, 0] - settled[0, 0]:.0f} s; {settled[-1, 2]:.0f} files, {settled[-1, 3]:.0f} threads"
     )
-    assert row.delivered_percent >= (99.9 if others < os.cpu_count() else 95), f"load {others:.1f} before"
+    assert row["delivered_percent"] >= (99.9 if others < os.cpu_count() else 95), f"load {others:.1f} before"
     assert usage.growth() < 3.0 + seconds / 60
     assert np.ptp(settled[:, 2]) <= 2 and np.ptp(settled[:, 3]) <= 1
-    text = log.read_text()
     assert "Traceback" not in text and "[ERROR]" not in text and "could not be handled" not in text
 
 

@@ -28,6 +28,7 @@ def bag(tmp_path_factory):
     return path, motion
 
 
+@pytest.mark.slow
 def test_every_message_arrives(peer, start, bag):
     """Joint states and gravity as recorded, stamps too, in a quarter of the time."""
     path, motion = bag
@@ -49,19 +50,12 @@ def test_every_message_arrives(peer, start, bag):
     assert times[-1] - times[0] == pytest.approx((motion.frame_count - 1) / 30 / 4, abs=0.2)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["--live", "--json", "out.json", "--fit", "1"], "--fit, --json belongs to draping"),
-        (["--rate", "2"], "--rate is for --live"),
-        (["--live", "--rate", "0"], "must be positive and finite, got 0"),
-    ],
-)
-def test_options_that_mean_nothing_are_refused(bag, arguments, reason, capsys):
+@pytest.mark.parametrize("arguments", [["--live", "--fit", "1"], ["--rate", "2"], ["--live", "--rate", "0"]])
+def test_options_that_mean_nothing_are_refused(bag, arguments, capsys):
     """Those of draping while playing, and the other way round."""
     with pytest.raises(SystemExit):
         cli.main(["replay", str(bag[0]), *arguments])
-    assert reason in capsys.readouterr().err
+    assert arguments[-2] in capsys.readouterr().err
 
 
 def test_nobody_listens(bag, domain, monkeypatch, capsys):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import time
+from pathlib import Path
 
 import numpy as np
 import rclpy
@@ -11,11 +13,30 @@ from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
+from physkin_ros.arguments import positive
 from physkin_ros.middleware.subscriber_discovery import wait_for_subscribers
 from physkin_ros.middleware.transport import use_shipped_profile
-from physkin_ros.replay.bags import BagReader
+from physkin_ros.replay.bags import BagError, BagReader
 
-__all__ = ["play"]
+__all__ = ["main", "play"]
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line. Returns 0."""
+    parser = argparse.ArgumentParser(prog="physkin replay --live", description=__doc__.splitlines()[0])
+    parser.add_argument("bag", type=Path, help="folder with metadata.yaml, or a .mcap or .db3 file")
+    parser.add_argument("--live", action="store_true", help="play, do not drape")
+    parser.add_argument("--rate", type=positive, default=1.0, metavar="R", help="times as fast (default 1)")
+    parser.add_argument("--topic", help="joint states (default /joint_states, or the only one)")
+    parser.add_argument("--gravity-topic", help="gravity's direction (default /gravity, if the bag has it)")
+    options = parser.parse_args(argv)
+    with BagReader(options.bag, topic=options.topic, gravity_topic=options.gravity_topic) as bag:
+        late = 1e3 * play(bag, rate=options.rate)
+    if not len(late):
+        raise BagError(f"bag {bag.path} holds no message on {bag.topic}")
+    p50, p99 = np.percentile(late, (50, 99))
+    print(f"sent {len(late)} messages, late by p50 {p50:.3f} ms, p99 {p99:.3f} ms, at most {late.max():.3f} ms")
+    return 0
 
 
 def play(bag: BagReader, *, rate: float = 1.0) -> np.ndarray:

@@ -1,0 +1,114 @@
+"""`physkin replay`: drape every joint state of a bag, write the clouds to another bag, measure them. Needs no ROS."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+
+from physkin_core import BACKENDS, BUNDLED_AVATAR, NORMALS, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
+from physkin_core.runtime.native_evaluator import PRECISIONS
+from physkin_ros.arguments import file_to_write, whole_number
+from physkin_ros.joints.joint_naming import PRESETS
+from physkin_ros.messages.conversions import gravity_direction
+from physkin_ros.replay.bags import STORAGES, BagError, BagReader, BagWriter
+from physkin_ros.replay.figures import describe, load_baseline, regressions, summary
+from physkin_ros.replay.replay import GARMENT_TOPIC, replay
+from physkin_ros.replay.report import thumbnails, write_report
+
+__all__ = ["main"]
+
+CONTACT_CLOUDS = 24  # measured against the body, unless --contact-every says otherwise
+LIVE = (
+    "With --live it only plays joint states and gravity to their topics, which needs ROS: physkin replay --live --help."
+)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line. Returns 0, or 1 when something is worse than in the baseline, which is then told."""
+    options = _parser().parse_args(argv)
+    gravity = gravity_direction(options.gravity)
+    baseline = load_baseline(options.baseline) if options.baseline else None
+    output = BagWriter(options.output, storage=options.storage) if options.output else nullcontext()
+    with output as writer, BagReader(options.bag, topic=options.topic, gravity_topic=options.gravity_topic) as bag:
+        draper, every = _draper(options), options.contact_every
+        if every is None:
+            every = max(1, -(-bag.joint_state_count // CONTACT_CLOUDS))
+        settings = {"joint_map": options.joint_map, "gravity": gravity, "contact_every": every}
+        found = replay(draper, bag, writer, topic=options.garment_topic, frame_id=options.frame_id, **settings)
+        if not found.frames:
+            why = f"; most often: {found.reasons.most_common(1)[0][0]}" if found.reasons else ""
+            count = found.counts["joint_states"]
+            raise BagError(f"bag {bag.path}: none of the {count} joint states on {bag.topic} could be draped{why}")
+    figures = describe(found, draper, bag, contact_every=every)
+    print(summary(figures))
+    if options.json:
+        options.json.write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    worse = regressions(figures, baseline, latency_percent=options.latency_tolerance) if baseline else None
+    if options.report:
+        write_report(options.report, figures, *thumbnails(found, draper, count=options.pictures), worse)
+    for line in worse or ():
+        print(f"worse than {options.baseline}: {line}", file=sys.stderr)
+    if worse == []:
+        print(f"not worse than {options.baseline}")
+    return 1 if worse else 0
+
+
+def _draper(options: argparse.Namespace) -> Draper:
+    model = load_garment_model(options.model)
+    avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
+    for warning in avatar.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    chosen = {"backend": options.backend, "precision": options.precision, "fit": options.fit}
+    return Draper(model, avatar, normals=options.normals, **chosen)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="physkin replay", description=__doc__.splitlines()[0], epilog=LIVE)
+    parser.add_argument("bag", type=Path, help="folder with metadata.yaml, or a .mcap or .db3 file")
+    parser.add_argument("--model", default="tshirt", help="garment model: a file or a shipped name (default tshirt)")
+    parser.add_argument(
+        "--avatar", default=BUNDLED_AVATAR, help="body: GLB, glTF, VRM, OBJ, PLY, STL (default: bundled)"
+    )
+    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    parser.add_argument(
+        "--joint-map", metavar="FILE", help=f"from incoming joint names to the rig's; or {' or '.join(PRESETS)}"
+    )
+    parser.add_argument("--topic", help="joint states (default /joint_states, or the only one)")
+    parser.add_argument("--gravity-topic", help="gravity's direction (default /gravity, if the bag has it)")
+    parser.add_argument("--gravity", type=float, nargs=3, default=UPRIGHT_GRAVITY.tolist(), metavar=("X", "Y", "Z"))
+    parser.add_argument("--backend", choices=BACKENDS, default="native")
+    parser.add_argument(
+        "--precision", choices=PRECISIONS, help="of the native backend's network weights (default bf16)"
+    )
+    parser.add_argument("--fit", type=float, default=0.0, help="0: one size, 1: made to measure (default 0)")
+    parser.add_argument("--normals", choices=NORMALS, default="skinned", help="carried along, or of the draped mesh")
+    parser.add_argument("-o", "--output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3")
+    parser.add_argument("--storage", choices=STORAGES, help="of an output folder (default mcap)")
+    parser.add_argument("--garment-topic", default=GARMENT_TOPIC, help="of the clouds (default %(default)s)")
+    parser.add_argument("--frame-id", default="base_link", help="of the clouds (default %(default)s)")
+    parser.add_argument(
+        "--contact-every",
+        type=whole_number(0),
+        metavar="N",
+        help=f"measure every Nth cloud against the body, 0: none (default: about {CONTACT_CLOUDS} clouds)",
+    )
+    parser.add_argument(
+        "--json", type=file_to_write, metavar="FILE", help="write the figures; docs/replay.md explains the keys"
+    )
+    parser.add_argument("--report", type=file_to_write, metavar="FILE", help="write a self-contained HTML page")
+    parser.add_argument(
+        "--pictures", type=whole_number(0), default=6, metavar="K", help="in the report (default %(default)s)"
+    )
+    parser.add_argument(
+        "--baseline", type=Path, metavar="FILE", help="an earlier --json of this bag; exit 1 when worse"
+    )
+    parser.add_argument(
+        "--latency-tolerance",
+        type=float,
+        metavar="PERCENT",
+        help="compare latencies with the baseline too (default: not, for they are the machine's)",
+    )
+    return parser

@@ -1,0 +1,149 @@
+"""Listener process of a trial: makes sure that every garment answers, then writes down when each cloud came.
+
+Dimensions: `R` received clouds, `k` kept clouds, `n` garment vertices. Times are CLOCK_MONOTONIC [ns].
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from array import array
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import Executor
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState, PointCloud2
+
+from physkin_core import Motion, load_motion
+from physkin_ros.messages.conversions import read_cloud
+from physkin_ros.middleware.spinning import spin_until
+from physkin_ros.tools.player import STAMP, STAMP_OFFSET
+
+__all__ = ["READY", "Listener", "main"]
+
+READY = "ready"
+"""Printed once every garment has answered a joint state: what is sent from then on and does not come back is lost."""
+ANSWER_SECONDS = 90.0
+PROBE_PERIOD = 0.2
+SILENCE_SECONDS = 1.5
+KEPT_CLOUDS = 8
+
+
+class Listener(Node):
+    """Collects what arrives on `drape_node/a0/g/garment`, that of the other `avatars`, and `/diagnostics`.
+
+    motion: whose first pose is sent to ask whether anybody answers. keep_every: of every so many clouds one is kept
+    with its points, and all are checked to be finite; 0: none.
+    """
+
+    def __init__(self, avatars: int, motion: Motion, *, keep_every: int = 0) -> None:
+        super().__init__("listener")
+        self.clouds: list[tuple[int, int, int]] = []
+        self.kept: dict[int, np.ndarray] = {}
+        self.not_finite = 0
+        self.reports: list[dict[str, str]] = []
+        self._keep_every = keep_every
+        self._probe = JointState(name=list(motion.joint_names), position=array("d", motion.positions[0].tolist()))
+        self._probes: set[int] = set()
+        self._silent = set(range(avatars))
+        for k in range(avatars):  # deep queues: what is lost on the way is counted, not what a busy machine reads late
+            topic, quality = f"drape_node/a{k}/g/garment", QoSProfile(depth=1000)
+            self.create_subscription(PointCloud2, topic, lambda data, k=k: self._on_cloud(k, data), quality, raw=True)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    def wait_until_answered(self, executor: Executor, seconds: float) -> bool:
+        """Send joint states until each garment has answered one; whether all did within `seconds`.
+
+        Discovery does not tell: a garment may still be loading, and its publisher may not know of this reader yet.
+        """
+        publishers = [self.create_publisher(JointState, f"a{k}/joint_states", 1) for k in sorted(self._silent)]
+
+        def ask() -> None:
+            for k in self._silent:
+                stamp, now = self._probe.header.stamp, time.monotonic_ns()
+                stamp.sec, stamp.nanosec = divmod(now, 1_000_000_000)
+                self._probes.add(now)
+                publishers[k].publish(self._probe)
+
+        timer = self.create_timer(PROBE_PERIOD, ask)
+        answered = spin_until(executor, seconds, lambda: not self._silent)
+        self.destroy_timer(timer)
+        for publisher in publishers:
+            self.destroy_publisher(publisher)
+        self.reports.clear()
+        return answered
+
+    def _on_cloud(self, avatar: int, data: bytes) -> None:
+        received = time.monotonic_ns()
+        sec, nanosec = STAMP.unpack_from(data, STAMP_OFFSET)
+        stamp = sec * 1_000_000_000 + nanosec
+        if stamp in self._probes:
+            self._silent.discard(avatar)
+            return
+        if self._keep_every:
+            points = read_cloud(deserialize_message(data, PointCloud2))
+            self.not_finite += not np.isfinite(points).all()
+            if len(self.clouds) % self._keep_every == 0 and len(self.kept) < KEPT_CLOUDS:
+                self.kept[stamp] = points.copy()
+        self.clouds.append((avatar, stamp, received))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        self.reports += [{value.key: value.value for value in status.values} for status in message.status]
+
+    def save(self, path: Path) -> None:
+        """Write avatars, received_stamps and received (R,), not_finite, kept_stamps (k,), kept (k, n, 6), reports."""
+        avatars, stamps, received = np.array(self.clouds, dtype=np.int64).reshape(-1, 3).T
+        np.savez(
+            path,
+            avatars=avatars,
+            received_stamps=stamps,
+            received=received,
+            not_finite=self.not_finite,
+            kept_stamps=np.array(list(self.kept), dtype=np.int64),
+            kept=np.array(list(self.kept.values()), dtype=np.float32),
+            reports=json.dumps(self.reports),
+        )
+
+
+def main() -> int:
+    """Command line; returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("output", type=Path, help="what `Listener.save` writes, .npz")
+    parser.add_argument("avatars", type=int)
+    parser.add_argument("motion", help="whose joints are sent")
+    parser.add_argument("sent", type=Path, help="what the player writes when it has ended")
+    parser.add_argument("--keep-every", type=int, default=0)
+    options = parser.parse_args()
+    rclpy.init(args=[])
+    executor = EventsExecutor()
+    listener = Listener(options.avatars, load_motion(options.motion), keep_every=options.keep_every)
+    executor.add_node(listener)
+    try:
+        if not listener.wait_until_answered(executor, ANSWER_SECONDS):
+            print("error: the node did not answer joint states", file=sys.stderr)
+            return 2
+        print(READY, flush=True)
+        count = -1
+        while rclpy.ok() and (count < len(listener.clouds) or not options.sent.exists()):
+            count = len(listener.clouds)
+            spin_until(executor, SILENCE_SECONDS, lambda: False)
+        listener.save(options.output)
+        return 0
+    except KeyboardInterrupt:
+        return 130
+    finally:
+        executor.remove_node(listener)
+        listener.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

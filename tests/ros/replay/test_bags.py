@@ -1,0 +1,104 @@
+"""Bags as files: what is written can be played, what is asked for is found; motion clips as bags."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[replay]'")
+
+from bag_messages import joint_state, recorded  # noqa: E402
+from rosbags.rosbag2 import Reader  # noqa: E402
+
+from physkin_core import cli, load_motion  # noqa: E402
+from physkin_ros.replay.bags import JOINT_STATE, TYPES, BagError, BagReader, BagWriter  # noqa: E402
+
+
+def test_output_is_playable(tmp_path):
+    """What `ros2 bag play` of Jazzy reads: metadata version 9, type, hash and definition.
+
+    A cloud that is not finite is not dense.
+    """
+    points = np.full((4, 6), np.inf, dtype=np.float32)
+    with BagWriter(tmp_path / "out") as writer:
+        writer.write_cloud("/garment", points, SimpleNamespace(sec=1, nanosec=2), "torso", 5)
+    ((_, _, cloud),) = recorded(tmp_path / "out")
+    assert not cloud.is_dense and cloud.header.frame_id == "torso" and cloud.header.stamp.nanosec == 2
+    metadata = (tmp_path / "out" / "metadata.yaml").read_text()
+    assert re.search(r"^  version: 9$", metadata, re.M) and "storage_identifier: mcap" in metadata
+    assert re.search(r"^  message_count: 1$", metadata, re.M)
+    with Reader(tmp_path / "out") as reader:
+        (connection,) = reader.connections
+        assert connection.msgtype == "sensor_msgs/msg/PointCloud2" and "uint32 point_step" in connection.msgdef.data
+        assert connection.digest == TYPES.hash_rihs01(connection.msgtype)
+
+
+def test_the_only_joint_states_are_found(tmp_path):
+    """Another name is no obstacle; two of them are."""
+    state = joint_state(["hip"], [0.0])
+    with BagWriter(tmp_path / "1.mcap") as one, BagWriter(tmp_path / "2.mcap") as two:
+        for writer, topic in ((one, "/body0/joint_states"), (two, "/body0/joint_states"), (two, "/body1/joint_states")):
+            writer.write(topic, JOINT_STATE, state, 1)
+    with BagReader(tmp_path / "1.mcap") as bag:
+        assert (bag.topic, bag.gravity_topic, bag.joint_state_count) == ("/body0/joint_states", None, 1)
+    with pytest.raises(BagError, match="which topic.*/body0/joint_states, /body1/joint_states"):
+        BagReader(tmp_path / "2.mcap")
+
+
+def test_failed_block_leaves_no_bag(tmp_path):
+    """Half a bag would be taken for a whole one."""
+    with pytest.raises(RuntimeError), BagWriter(tmp_path / "out") as writer:
+        writer.write("/joint_states", JOINT_STATE, joint_state(["hip"], [0.0]), 1)
+        raise RuntimeError
+    assert not list(tmp_path.iterdir())
+
+
+def test_convert_writes_what_the_clip_holds(tmp_path, capsys):
+    """Names, positions and gravity of the shipped clip, gravity first, at its rate and at another."""
+    path, motion = tmp_path / "walk.mcap", load_motion("walk")
+    assert cli.main(["convert", "walk", str(path)]) == 0
+    assert f"{motion.frame_count} joint states at 60 Hz" in capsys.readouterr().out
+    entries = recorded(path)
+    assert [topic for topic, *_ in entries] == ["/gravity", "/joint_states"] * motion.frame_count
+    states = [message for topic, _, message in entries if topic == "/joint_states"]
+    assert tuple(states[0].name) == motion.joint_names
+    np.testing.assert_array_equal([state.position for state in states], motion.positions)
+    down = [message.vector for topic, _, message in entries if topic == "/gravity"]
+    np.testing.assert_allclose([[v.x, v.y, v.z] for v in down], motion.gravity)
+    up = Rotation.from_quat(motion.root_orientation).inv().apply([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(motion.gravity, -up, atol=1e-6)
+    times = np.array([time_ns for topic, time_ns, _ in entries if topic == "/joint_states"])
+    np.testing.assert_allclose(np.diff(times), 1e9 / 60, atol=1)
+    assert [state.header.stamp.sec * 10**9 + state.header.stamp.nanosec for state in states] == times.tolist()
+    slow = tmp_path / "slow"
+    assert cli.main(["convert", "walk", str(slow), "--rate", "30", "--seconds", "2", "--storage", "sqlite3"]) == 0
+    assert len(recorded(slow)) == 2 * 60
+
+
+@pytest.mark.parametrize("output", ["{tmp}/there", "/proc/out.mcap", "{tmp}/no/out", "{tmp}/a.db3 --storage mcap"])
+def test_convert_refuses_an_output_before_it_reads_the_motion(output, tmp_path, monkeypatch, capsys):
+    """Reading motion capture may take a minute."""
+    monkeypatch.setattr("physkin_ros.replay.convert.load_mocap", lambda *_, **__: pytest.fail("the motion was read"))
+    (tmp_path / "there").mkdir()
+    words = output.format(tmp=tmp_path).split()
+    assert cli.main(["convert", "walk.bvh", *words]) == 2
+    assert words[0] in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+
+
+def test_needs_no_ros():
+    """Every module of physkin_ros.replay can be imported where there is no rclpy and no message package."""
+    code = """
+import sys
+sys.modules |= dict.fromkeys(("rclpy", "sensor_msgs", "geometry_msgs", "rosidl_runtime_py", "matplotlib", "mitsuba"))
+import importlib, pkgutil, physkin_ros.replay, physkin_ros.tools.replay
+for module in pkgutil.iter_modules(physkin_ros.replay.__path__, "physkin_ros.replay."):
+    importlib.import_module(module.name)
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,180 @@
+"""Figures of a replayed bag: baselines, and the page."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import hashlib
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[replay]'")
+
+from bag_messages import gravity, joint_state, recorded  # noqa: E402
+
+from physkin_core import cli, save_garment_model  # noqa: E402
+from physkin_core.picture import PictureError  # noqa: E402
+from physkin_ros.messages.conversions import read_cloud  # noqa: E402
+from physkin_ros.replay import report  # noqa: E402
+from physkin_ros.replay.bags import GRAVITY, JOINT_STATE, BagWriter  # noqa: E402
+from physkin_ros.replay.figures import TOLERANCES, BaselineError, load_baseline, regressions, summary  # noqa: E402
+
+
+def test_baseline_of_the_same_run_passes(quick, leaning_model_path, bag, tmp_path, capsys):
+    """And its report says so."""
+    old, page, output = tmp_path / "old.json", tmp_path / "page.html", tmp_path / "out"
+    arguments = ["replay", str(bag), "--model", str(leaning_model_path), "--contact-every", "12"]
+    assert cli.main([*arguments, "--json", str(old), "-o", str(output)]) == 0
+    clouds = np.stack([read_cloud(message) for _, _, message in recorded(output)])
+    assert json.loads(old.read_text())["clouds_sha256"] == hashlib.sha256(clouds.tobytes()).hexdigest()
+    again = ["--baseline", str(old), "--report", str(page), "--pictures", "0", "--json", str(tmp_path / "new.json")]
+    assert cli.main([*arguments, *again]) == 0
+    assert "not worse than" in capsys.readouterr().out and "Not worse than the baseline" in page.read_text()
+
+
+def test_worse_garment_fails_against_the_baseline(quick, leaning_model, leaning_model_path, bag, tmp_path, capsys):
+    """Exit status 1, and which figure it is."""
+    *layers, (weight, bias) = leaning_model.node_deformer
+    crumpled = dataclasses.replace(leaning_model, node_deformer=(*layers, (30 * weight, 30 * bias)))
+    save_garment_model(crumpled, tmp_path / "crumpled.safetensors")
+    old, page = tmp_path / "old.json", tmp_path / "page.html"
+    arguments = ["replay", str(bag), "--contact-every", "0"]
+    assert cli.main([*arguments, "--model", str(leaning_model_path), "--json", str(old)]) == 0
+    worse = ["--model", str(tmp_path / "crumpled.safetensors"), "--baseline", str(old)]
+    assert cli.main([*arguments, *worse, "--report", str(page), "--pictures", "0"]) == 1
+    captured = capsys.readouterr()
+    assert "edge_strain_percent mean is" in captured.err and "Worse than the baseline" in page.read_text()
+
+
+@pytest.mark.parametrize("key", TOLERANCES)
+def test_each_figure_may_grow_so_far_and_no_further(key, figures):
+    """What the table of tolerances states is what fails."""
+    name, kind = key
+    share, margin = TOLERANCES[key]
+    old = copy.deepcopy(figures)
+    value = figures["figures"][name][kind]
+    assert not regressions(figures, old)
+    old["figures"][name][kind] = (value - margin) / (1 + share) + 1e-9
+    assert not regressions(figures, old)
+    old["figures"][name][kind] -= 1e-6 + 1e-6 * value
+    (line,) = regressions(figures, old)
+    assert line.startswith(f"{name} {kind} is ")
+    figures = copy.deepcopy(figures)
+    figures["figures"][name][kind] = None
+    assert any("is missing" in line for line in regressions(figures, old))
+
+
+def test_counts_and_latencies_against_the_baseline(figures):
+    """One more rejection fails; latencies only when asked."""
+    old = copy.deepcopy(figures)
+    old["latency_us"]["p99"] = figures["latency_us"]["p99"] / 2
+    assert not regressions(figures, old)
+    assert not regressions(figures, old, latency_percent=101)
+    assert regressions(figures, old, latency_percent=50)[0].startswith("latency_us p99 is")
+    worse = copy.deepcopy(figures)
+    worse["counts"]["rejected"] = 1
+    assert regressions(worse, figures) == ["rejected is 1; it was 0, allowed is 0"]
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda old: old["bag"].update(sha256="0"), "its bag sha256 is 0"),
+        (lambda old: old["run"].update(contact_every=7), "its run contact_every is 7, this one's is 4"),
+        (lambda old: old["figures"]["jitter_mm"].update(mean="much"), "figures jitter_mm mean is 'much'|is 'much'"),
+    ],
+)
+def test_baselines_that_do_not_fit_are_refused(change, reason, figures):
+    """Another recording says nothing about this one."""
+    old = copy.deepcopy(figures)
+    change(old)
+    with pytest.raises(BaselineError, match=reason):
+        regressions(figures, old)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"schema": 2}', '{"schema": 1, "bag": 3}'])
+def test_broken_baselines_are_refused(text, tmp_path):
+    """Before anything is draped."""
+    path = tmp_path / "old.json"
+    path.write_text(text)
+    with pytest.raises(BaselineError, match="baseline"):
+        load_baseline(path)
+
+
+def test_page_stands_alone_and_escapes(figures, tmp_path):
+    """One file of bounded size that loads nothing, however long the bag; a joint name cannot smuggle anything in."""
+    figures = copy.deepcopy(figures)
+    figures["reasons"] = {"joint '<script>' is nan": 3}
+    for name in ("edge_strain_percent", "area_strain_percent", "jitter_mm", "jitter_skinning_mm", "latency_us"):
+        figures["series"][name] = [None, *np.random.default_rng(1).random(20_000).tolist()]
+    figures["series"]["time_s"] = [k / 60 for k in range(20_001)]
+    path = tmp_path / "page.html"
+    report.write_report(path, figures, [("0.10 <s", b"\x89PNG")], "a <remark", ["edge strain <up>"])
+    page = path.read_text()
+    assert not re.search(r"<(script|up|remark|s)\b", page) and "&lt;script&gt;" in page and "&lt;up&gt;" in page
+    assert "data:image/png;base64,iVBORw==" in page and not re.search(r"(?:src|href)=\"(?!data:)", page)
+    assert len(page) < 500_000
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_little_is_enough_for_a_page(count, run, draper, tmp_path, monkeypatch):
+    """One joint state, or several at one moment, upside down: no rate and no jitter, but figures, plots and scenes."""
+    pytest.importorskip("PIL", reason="needs pillow: pip install 'physkin[view]'")
+    path, page, scenes = tmp_path / "one.mcap", tmp_path / "page.html", []
+    with BagWriter(path) as writer:
+        writer.write("/gravity", GRAVITY, gravity(0, 0, 1), 7)
+        for _ in range(count):
+            writer.write("/joint_states", JOINT_STATE, joint_state(draper.joint_names, draper.model.rig.rest), 7)
+    found, figures = run(path)
+    assert figures["counts"]["draped"] == count and figures["figures"]["jitter_mm"]["mean"] is None
+    assert figures["bag"]["rate_hz"] is None and figures["figures"]["inside_percent"]["max"] is None
+    report.write_report(page, json.loads(json.dumps(figures, allow_nan=False)))
+    assert "</table>" in page.read_text() and summary(figures)
+    blank = np.zeros((4, 4, 3), dtype=np.uint8)
+    monkeypatch.setattr(report, "render", lambda meshes, **_: scenes.append(meshes) or blank)
+    report.thumbnails(found, draper, count=2)
+    body = scenes[0][0].vertices
+    assert body[body[:, 2].argmax()] @ [0, 0, 1] == pytest.approx(-draper.avatar.vertices[:, 2].min(), abs=1e-3)
+
+
+def test_missing_pictures_are_explained(found_and_figures, draper, tmp_path, monkeypatch):
+    """Without the extra `[view]` the page goes without them and without plots, and says what to install."""
+
+    def no_picture(*arguments, **settings):
+        raise PictureError("pictures need mitsuba")
+
+    monkeypatch.setattr(report, "render", no_picture)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    found, figures = found_and_figures
+    pictures, remark = report.thumbnails(found, draper, count=2)
+    assert not pictures
+    report.write_report(tmp_path / "page.html", figures, pictures, remark)
+    page = (tmp_path / "page.html").read_text()
+    assert "pictures need mitsuba" in page and "plots: they need matplotlib" in page and "<img" not in page
+
+
+def test_pictures_in_the_page(found_and_figures, draper, tmp_path, monkeypatch):
+    """First and last cloud, and the plots, as PNG."""
+    pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")
+    monkeypatch.setattr(report, "PICTURE_SIZE", (24, 32))
+    found, figures = found_and_figures
+    pictures, remark = report.thumbnails(found, draper, count=2)
+    assert [caption for caption, _ in pictures] == ["0.00 s", "0.18 s"] and not remark
+    report.write_report(tmp_path / "page.html", figures, pictures)
+    assert (tmp_path / "page.html").read_text().count('<img src="data:image/png;base64,iVBORw0KGgo') == 3
+
+
+def test_every_key_is_explained(figures):
+    """docs/replay.md knows what --json writes."""
+    text = (Path(__file__).parents[3] / "docs" / "replay.md").read_text()
+    named = set(re.findall(r"`(\w+)`", text))
+    keys = set(figures)
+    for section in ("bag", "run", "counts", "figures", "series"):
+        keys |= set(figures[section])
+    keys |= set(figures["figures"]["jitter_mm"])
+    assert keys - named == set()
