@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from native_library import SANITIZERS, build_library
 
 from physkin_core.runtime.bound_file import save_bound_garment
 from physkin_core.runtime.bound_garment import BoundGarment
@@ -70,18 +69,6 @@ def random_bound_garment(
         influence_weights=weights.astype(np.float32),
         activation=activation,
     )
-
-
-@pytest.fixture(scope="session")
-def library(tmp_path_factory):
-    """Folder with the native libraries."""
-    return build_library(tmp_path_factory.mktemp("native"))
-
-
-@pytest.fixture(scope="session")
-def sanitized_library(tmp_path_factory):
-    """The same, with address and undefined-behaviour sanitizers."""
-    return build_library(tmp_path_factory.mktemp("sanitized"), "c++", *SANITIZERS)
 
 
 @pytest.fixture(scope="session")
