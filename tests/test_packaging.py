@@ -37,6 +37,7 @@ def test_wheel_holds_every_file(wheel):
         assert f"{package}/__init__.py" in wanted
         assert wanted - names == set()
     assert any(name.startswith("physkin_core/_native.") for name in names)
+    assert "physkin_core/libphyskin_c.so" in names
 
 
 def test_plain_install_needs_nothing_heavy(wheel):

@@ -9,9 +9,9 @@
 #include <random>
 #include <vector>
 
-#include "kernels/dispatch.hpp"
 #include "evaluator/evaluator.hpp"
 #include "evaluator/evaluator_batch.hpp"
+#include "kernels/dispatch.hpp"
 
 static long allocations = 0;
 

@@ -51,7 +51,7 @@ def test_builds_of_other_hosts(compiler, small_bound_file, tmp_path):
     """Without a warning.
 
     Optimised: no frame allocates, on any instruction set, in any precision, for garments of odd sizes, alone and in a
-    batch. With sanitizers: frames stay in bounds, and so do bound garment files with numbers, names and offsets changed.
+    batch. With sanitizers: frames stay in bounds, and so do bound garment files with numbers, names, offsets changed.
     """
     if shutil.which(compiler) is None:
         pytest.skip(f"{compiler} is not installed")

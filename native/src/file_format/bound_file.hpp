@@ -1,4 +1,4 @@
-// The bound garment file: a garment model bound to one body. Written by physkin_core/bound_file.py.
+// The bound garment file: a garment model bound to one body. Written by physkin_core/runtime/bound_file.py.
 #pragma once
 
 #include <string>

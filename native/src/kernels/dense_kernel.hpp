@@ -66,7 +66,7 @@ constexpr int loads_a_pass(int bodies, int count) {
 
 template <class Rows, bool kAhead, int kBodies, int kCount>
 inline void dense_panel(const PackedLayer& layer, const Rows* rows, const unsigned char* weights, int row_count,
-                              int at, const DenseCall* calls, Activation activation) {
+                        int at, const DenseCall* calls, Activation activation) {
   constexpr int kPer = Rows::kSumsALoad, kLoads = loads_a_pass<Rows>(kBodies, kCount), kAll = kCount / kPer;
   constexpr std::ptrdiff_t kRow = Rows::bytes(kCount * kLanes), kLoad = Rows::bytes(kPer * kLanes);
   for (int first = 0; first < kAll; first += kLoads) {
@@ -99,13 +99,13 @@ inline void dense_panel(const PackedLayer& layer, const Rows* rows, const unsign
 
 template <class Rows, bool kAhead, int kBodies, int kCount = kSums>
 inline void dense_panel_of(int count, const PackedLayer& layer, const Rows* rows, const unsigned char* weights,
-                                 int row_count, int at, const DenseCall* calls, Activation activation) {
+                           int row_count, int at, const DenseCall* calls, Activation activation) {
   if (count == kCount) {
     return dense_panel<Rows, kAhead, kBodies, kCount>(layer, rows, weights, row_count, at, calls, activation);
   }
   if constexpr (kCount * kLanes > kGroup) {
-    dense_panel_of<Rows, kAhead, kBodies, kCount - kGroup / kLanes>(count, layer, rows, weights, row_count, at,
-                                                                          calls, activation);
+    dense_panel_of<Rows, kAhead, kBodies, kCount - kGroup / kLanes>(count, layer, rows, weights, row_count, at, calls,
+                                                                    activation);
   }
 }
 
