@@ -45,7 +45,7 @@ typedef struct physkin_garment physkin_garment;
 
 /* A null pointer in place of options, or of a string in them, means the default. */
 typedef struct physkin_options {
-  uint32_t size;               /* sizeof(physkin_options): later versions may add members; what a shorter one lacks is default */
+  uint32_t size;               /* sizeof(physkin_options), which may grow: what a shorter one lacks is default */
   int32_t normals_from_faces;  /* 0: rest normals carried along; 1: of the posed mesh, slower and truer */
   const char* precision;       /* of network weights: "fp32", "bf16" (default), "int8" */
   const char* instruction_set; /* "baseline", "v3", "v4", "v4_vnni"; default the widest that this processor has */

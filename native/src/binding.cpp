@@ -54,8 +54,8 @@ const T* view(nb::handle object, const std::string& name, std::vector<int>& shap
   return static_cast<const T*>(array.data());
 }
 
-// The fields of a Python object, to be read under the interpreter's lock and used without it. Network weights are viewed
-// and kept alive. Everything else is copied: indices and what they are checked against must not change in between.
+// The fields of a Python object, to be read under the interpreter's lock and used without it. Network weights are
+// viewed and kept alive. Everything else is copied: an index must not change between its check and its use.
 class PythonFields : public FieldSource {
  public:
   PythonFields(nb::handle object, Arena& arena, std::vector<nb::object>& held)

@@ -73,8 +73,9 @@ Wanted wanted(const physkin_options* given) {
   physkin_options options{};
   if (given != nullptr) {
     // A host built against an older header has a shorter structure: members that it lacks stay at their defaults.
-    constexpr std::size_t kEnds[] = {offsetof(physkin_options, normals_from_faces), offsetof(physkin_options, precision),
-                                     offsetof(physkin_options, instruction_set), sizeof options};
+    constexpr std::size_t kEnds[] = {
+        offsetof(physkin_options, normals_from_faces), offsetof(physkin_options, precision),
+        offsetof(physkin_options, instruction_set), sizeof options};
     std::size_t known = 0;
     for (const std::size_t end : kEnds) {
       if (given->size >= end) known = end;

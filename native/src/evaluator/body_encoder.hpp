@@ -28,8 +28,8 @@ struct BodyEncoder {
 };
 
 // points (count, 3) in metres, canonical pose, and unit normals (count, 3) -> output.outputs numbers. The same as
-// physkin_core/model/hyper_modulator.py. Throws std::invalid_argument if layers do not fit each other, there is no point, a
-// value is not finite or absurdly large, or the result is; `modulation` is then unchanged.
+// physkin_core/model/hyper_modulator.py. Throws std::invalid_argument if layers do not fit each other, there is no
+// point, a value is not finite or absurdly large, or the result is; `modulation` is then unchanged.
 void encode_body(const BodyEncoder& encoder, const Kernels& kernels, const float* points, const float* normals,
                  int count, float* modulation);
 

@@ -136,7 +136,9 @@ int hidden_activations(const std::vector<DenseWeights>& layers) {
 }
 
 struct Check {
-  void floats(const char* name, const float* values, Shape shape) const { check_finite(name, values, count(name, shape)); }
+  void floats(const char* name, const float* values, Shape shape) const {
+    check_finite(name, values, count(name, shape));
+  }
   void indices(const char* name, const std::int32_t* values, Shape shape, int lowest, int limit) const {
     const std::size_t size = count(name, shape);
     for (std::size_t i = 0; i < size; ++i) {

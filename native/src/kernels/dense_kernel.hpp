@@ -8,7 +8,7 @@
 
 namespace physkin::PHYSKIN_ISA {
 
-// Eight independent sums hide the latency of the fused multiply-add. Every output has one sum, over its inputs in order.
+// Eight independent sums hide the latency of the fused multiply-add. Every output has one sum, its inputs in order.
 constexpr int kSums = 8;
 constexpr int kPanel = kSums * kLanes;
 static_assert(kPanel % kGroup == 0);

@@ -16,8 +16,8 @@ std::vector<std::string> supported_instruction_sets();
 // that the widest one supported. Throws std::invalid_argument for a name that is unknown or not supported here.
 const Kernels& select_kernels(const std::string& name = "");
 
-// Whether instructions that fetch network weights ahead of time make this processor read them faster: Zen 5 stops at the
-// end of every page without them, while Zen 3 and 4 read from L3 a quarter faster without.
+// Whether instructions that fetch network weights ahead of time make this processor read them faster: Zen 5 stops at
+// the end of every page without them, while Zen 4 reads from L3 a quarter faster without.
 bool fetches_ahead();
 
 }  // namespace physkin

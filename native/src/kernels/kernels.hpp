@@ -52,8 +52,8 @@ struct TokenAttention {
 
 constexpr std::size_t attention_scratch(int head_width) { return (std::size_t(head_width) + kTokens + 2) * kTokens; }
 
-// What a dense kernel computes for one body: output = activation((1 + scale) * (W input + bias) + shift). scale and shift
-// may both be null (no modulation). input must be 64-byte aligned and readable to a multiple of 64 bytes. Writes
+// What a dense kernel computes for one body: output = activation((1 + scale) * (W input + bias) + shift). scale and
+// shift may both be null (no modulation). input must be 64-byte aligned and readable to a multiple of 64 bytes. Writes
 // padded_to_group(outputs) floats and reads as many of scale and shift; those beyond outputs are unspecified.
 struct DenseCall {
   const float* input = nullptr;
