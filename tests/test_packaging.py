@@ -55,3 +55,4 @@ def test_wheel_holds_every_file(tmp_path):
     assert {f"{package}/__init__.py" for package in SHIPPED} <= wanted
     assert wanted - names == set()
     assert any(name.startswith("physkin_core/_native.") for name in names)
+    assert "physkin_core/libphyskin_c.so" in names

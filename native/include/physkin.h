@@ -45,7 +45,7 @@ typedef struct physkin_garment physkin_garment;
 
 /* A null pointer in place of options, or of a string in them, means the default. */
 typedef struct physkin_options {
-  uint32_t size;               /* sizeof(physkin_options): later versions may add members */
+  uint32_t size;               /* sizeof(physkin_options), which may grow: what a shorter one lacks is default */
   int32_t normals_from_faces;  /* 0: rest normals carried along; 1: of the posed mesh, slower and truer */
   const char* precision;       /* of network weights: "fp32", "bf16" (default), "int8" */
   const char* instruction_set; /* "baseline", "v3", "v4", "v4_vnni"; default the widest that this processor has */
@@ -79,8 +79,7 @@ PHYSKIN_API physkin_status physkin_joint_axis(const physkin_garment* garment, in
 PHYSKIN_API physkin_status physkin_step(physkin_garment* garment, const float* joint_positions, const float* gravity,
                                         float* out, int32_t columns, ptrdiff_t stride);
 
-/* What the push-out, if the file has one, left inside the body in the last frame: depth in metres of the deepest
- * vertex, and how many are deeper than 0.5 mm. Zeros without push-out. */
+/* Push-out was removed: always PHYSKIN_BAD_ARGUMENT, for hosts that still call it. */
 PHYSKIN_API physkin_status physkin_residual(const physkin_garment* garment, float* deepest, int32_t* left_inside);
 
 /* What computes: names as in physkin_options. */

@@ -1,5 +1,6 @@
 // The plain C interface of include/physkin.h.
 #include <algorithm>
+#include <cstddef>
 #include <cstdio>
 #include <cstring>
 #include <fstream>
@@ -7,11 +8,11 @@
 #include <new>
 #include <sstream>
 
-#include "bound_file.hpp"
-#include "dispatch.hpp"
-#include "evaluator.hpp"
+#include "evaluator/evaluator.hpp"
+#include "file_format/bound_file.hpp"
+#include "file_format/tensor_file.hpp"
+#include "kernels/dispatch.hpp"
 #include "physkin.h"
-#include "tensor_file.hpp"
 
 struct physkin_garment {
   physkin_garment(const physkin::BoundFile& file, const physkin::Kernels& kernels,
@@ -71,10 +72,18 @@ struct Wanted {
 Wanted wanted(const physkin_options* given) {
   physkin_options options{};
   if (given != nullptr) {
-    if (given->size < sizeof options) {
+    // A host built against an older header has a shorter structure: members that it lacks stay at their defaults.
+    constexpr std::size_t kEnds[] = {
+        offsetof(physkin_options, normals_from_faces), offsetof(physkin_options, precision),
+        offsetof(physkin_options, instruction_set), sizeof options};
+    std::size_t known = 0;
+    for (const std::size_t end : kEnds) {
+      if (given->size >= end) known = end;
+    }
+    if (known == 0) {
       throw std::invalid_argument("options.size is " + std::to_string(given->size) + "; set it to sizeof(physkin_options)");
     }
-    options = *given;
+    std::memcpy(&options, given, known);
   }
   if (options.normals_from_faces != 0 && options.normals_from_faces != 1) {
     throw std::invalid_argument("options.normals_from_faces is " + std::to_string(options.normals_from_faces) +
@@ -89,9 +98,8 @@ Wanted wanted(const physkin_options* given) {
 
 physkin_status open(const unsigned char* data, std::size_t size, const physkin_options* given,
                     physkin_garment** garment) {
-  Wanted how = wanted(given);
+  const Wanted how = wanted(given);
   const physkin::BoundFile file(data, size);
-  how.options.push_out = file.push_out ? &*file.push_out : nullptr;
   try {
     *garment = std::make_unique<physkin_garment>(file, *how.kernels, how.options).release();
   } catch (const std::invalid_argument& error) {
@@ -176,13 +184,8 @@ physkin_status physkin_step(physkin_garment* garment, const float* joint_positio
   return PHYSKIN_OK;
 }
 
-physkin_status physkin_residual(const physkin_garment* garment, float* deepest, int32_t* left_inside) {
-  if (garment == nullptr || deepest == nullptr || left_inside == nullptr) {
-    return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment, deepest or left_inside is null");
-  }
-  *deepest = garment->evaluator.residual().deepest;
-  *left_inside = garment->evaluator.residual().left_inside;
-  return PHYSKIN_OK;
+physkin_status physkin_residual(const physkin_garment*, float*, int32_t*) {
+  return fail(PHYSKIN_BAD_ARGUMENT, "%s", "push-out was removed: a garment has no residual any more");
 }
 
 const char* physkin_precision(const physkin_garment* garment) {

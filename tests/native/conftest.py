@@ -4,26 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from native_library import SANITIZERS, build_library
+from random_models import random_layers, unit_rows
 
 from physkin_core.runtime.bound_file import save_bound_garment
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.push_out import BLOCK, PATCH, BoundPushOut
-
-
-def random_layers(rng, widths, output_scale):
-    """He-initialised layers through `widths`; the last one scaled so that outputs have size `output_scale`."""
-    layers = []
-    for k, (inputs, outputs) in enumerate(zip(widths[:-1], widths[1:])):
-        gain = np.sqrt(2.0 / inputs) if k + 2 < len(widths) else output_scale / np.sqrt(inputs)
-        weights = rng.normal(size=(outputs, inputs)) * gain
-        layers.append((weights.astype(np.float32), rng.normal(size=outputs, scale=0.05).astype(np.float32)))
-    return tuple(layers)
-
-
-def unit_rows(rng, count):
-    rows = rng.normal(size=(count, 3))
-    return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
 
 
 def random_bound_garment(
@@ -55,54 +39,24 @@ def random_bound_garment(
         bone_parents=np.array([-1] + [rng.integers(0, j) for j in range(1, bones)], dtype=np.int32),
         bone_heads=box(bones),
         dof_bone=rng.integers(0, bones, size=dofs).astype(np.int32),
-        dof_axis=unit_rows(rng, dofs),
+        dof_axis=unit_rows(rng, dofs).astype(np.float32),
         dof_rest=rng.uniform(-0.3, 0.3, size=dofs).astype(np.float32),
         dof_lower=lower,
         dof_upper=lower + rng.uniform(0.5, 3.0, size=dofs).astype(np.float32),
-        pose_layers=random_layers(rng, (dofs + 3, *pose_widths, 2 * sum(deformer_widths)), 0.3),
+        pose_layers=random_layers(rng, (dofs + 3, *pose_widths, 2 * sum(deformer_widths)), output_scale=0.3),
         deformer_bones=used,
-        deformer_layers=random_layers(rng, (12 * len(used), *deformer_widths, correction_size * nodes), 0.1),
+        deformer_layers=random_layers(
+            rng, (12 * len(used), *deformer_widths, correction_size * nodes), output_scale=0.1
+        ),
         node_bone=rng.integers(0, bones, size=nodes).astype(np.int32),
         node_positions=box(nodes),
         node_rest=box(nodes),
         vertices=box(vertices),
-        normals=unit_rows(rng, vertices),
+        normals=unit_rows(rng, vertices).astype(np.float32),
         influence_nodes=rng.integers(0, nodes, size=(vertices, influences)).astype(np.int32),
         influence_weights=weights.astype(np.float32),
         activation=activation,
     )
-
-
-def random_push_out(rng, *, vertices, bones, candidates=20):
-    """A body scattered over the same box as a garment, blocks of any length, all of them with candidates."""
-    count = 4 * candidates
-    blocks = np.full((-(-vertices // (BLOCK - 1)), BLOCK), -1, dtype=np.int32)
-    blocks[:, :-1].flat[:vertices] = rng.permutation(vertices)
-    listed = [rng.choice(candidates, size=rng.integers(1, candidates), replace=False) for _ in blocks]
-    weights = rng.dirichlet(np.full(2, 0.3), size=count).astype(np.float32)
-    return BoundPushOut(
-        body_vertices=rng.uniform(-1, 1, size=(count, 3)).astype(np.float32),
-        body_normals=unit_rows(rng, count),
-        body_bones=rng.integers(0, bones, size=(count, 2)).astype(np.int32),
-        body_weights=weights,
-        body_bend=rng.uniform(-3, 3, size=candidates).astype(np.float32),
-        body_patch=rng.integers(0, count, size=(candidates, PATCH, 3)).astype(np.int32),
-        block_vertices=blocks,
-        candidate_start=np.cumsum([0, *map(len, listed)]).astype(np.int32),
-        candidates=np.concatenate(listed).astype(np.int32),
-    )
-
-
-@pytest.fixture(scope="session")
-def library(tmp_path_factory):
-    """Folder with the native libraries."""
-    return build_library(tmp_path_factory.mktemp("native"))
-
-
-@pytest.fixture(scope="session")
-def sanitized_library(tmp_path_factory):
-    """The same, with address and undefined-behaviour sanitizers."""
-    return build_library(tmp_path_factory.mktemp("sanitized"), "c++", *SANITIZERS)
 
 
 @pytest.fixture(scope="session")
@@ -112,8 +66,7 @@ def small_bound_file(tmp_path_factory):
     faces = rng.integers(0, 50, size=(90, 3)).astype(np.int32)
     garment = replace(random_bound_garment(rng), faces=faces)
     path = tmp_path_factory.mktemp("bound") / "small.bound.safetensors"
-    push_out = random_push_out(rng, vertices=50, bones=5)
-    save_bound_garment(garment, path, name="small", joint_names=[f"joint {k}" for k in range(7)], push_out=push_out)
+    save_bound_garment(garment, path, name="small", joint_names=[f"joint {k}" for k in range(7)])
     return path
 
 
@@ -129,6 +82,6 @@ def make_pose():
     def pose(rng, garment):
         span = garment.dof_upper - garment.dof_lower
         positions = rng.uniform(garment.dof_lower - 0.1 * span, garment.dof_upper + 0.1 * span)
-        return positions.astype(np.float32), unit_rows(rng, 1)[0]
+        return positions.astype(np.float32), unit_rows(rng, 1)[0].astype(np.float32)
 
     return pose

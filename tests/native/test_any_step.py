@@ -72,19 +72,11 @@ def check_any_step(data, level, make_garment, make_pose):
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_any_step(level, make_garment, make_pose):
-    @settings(max_examples=EXAMPLES, **COMMON)
-    @given(st.data())
-    def any_step(data):
-        check_any_step(data, level, make_garment, make_pose)
-
-    any_step()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("level", LEVELS)
-def test_any_step_for_long(level, make_garment, make_pose):
-    @settings(max_examples=int(os.environ.get("PHYSKIN_FUZZ_EXAMPLES", 3000)), **COMMON)
+@pytest.mark.parametrize(
+    "examples", [EXAMPLES, pytest.param(int(os.environ.get("PHYSKIN_FUZZ_EXAMPLES", 3000)), marks=pytest.mark.slow)]
+)
+def test_any_step(examples, level, make_garment, make_pose):
+    @settings(max_examples=examples, **COMMON)
     @given(st.data())
     def any_step(data):
         check_any_step(data, level, make_garment, make_pose)

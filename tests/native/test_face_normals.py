@@ -71,12 +71,3 @@ def test_draper_takes_them_from_the_mesh_it_draped(backend, monkeypatch):
     ):
         with pytest.raises(ValueError, match=message):
             Draper(model, avatar, backend=backend, **options)
-
-
-def test_faces_are_checked(with_faces):
-    garment, *_ = with_faces(np.random.default_rng(72), 20)
-    for bad in (20, -1):
-        faces = garment.faces.copy()
-        faces[3, 1] = bad
-        with pytest.raises(ValueError, match=r"faces\[10\] \(flattened\) is"):
-            NativeEvaluator(replace(garment, faces=faces))

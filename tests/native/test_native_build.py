@@ -20,18 +20,21 @@ def run(program, *arguments, launcher=()):
     return result
 
 
-def test_a_frame_allocates_nothing(library):
-    """On every instruction set of this CPU, in every precision, for garments of odd sizes, alone and in a batch."""
-    result = run(build_program(library, HERE / "frame_test.cpp"))
-    if result.returncode == 1:
-        pytest.skip("counting allocations needs glibc")
-    assert result.returncode == 0, result.stderr
-    lines = result.stdout.splitlines()
-    assert len(lines) >= 3 * 12
-    assert [line for line in lines if line.split()[2] != "0"] == []
+def test_sources_keep_their_promises():
+    """Python only in the binding; no flag for one machine or for relaxed arithmetic; rooms go one way."""
+    rooms = {"kernels": set(), "garment": {"kernels"}, "file_format": {"garment", "kernels"}}
+    rooms["evaluator"] = {"garment", "kernels"}
+    for source in (NATIVE / "src").rglob("*.[ch]pp"):
+        text, room = source.read_text(), source.parent.name
+        assert source.name == "binding.cpp" or ("Python.h" not in text and "nanobind" not in text), source
+        included = set(re.findall(r'#include "([a-z_]+)/', text))
+        assert room == "src" or included <= rooms[room] | {room}, source
+    flags = (NATIVE / "CMakeLists.txt").read_text()
+    assert "-march=native" not in flags and "-ffast-math" not in flags
+    assert (NATIVE / "COLCON_IGNORE").exists()
 
 
-def test_kernels_define_no_shared_inline_functions(library):
+def check_kernels_define_no_shared_inline_functions(library):
     """A weak symbol of a unit compiled for AVX-512 could be the copy that the linker keeps for everyone."""
     objects = list(library.glob("**/kernel_unit.cpp.o"))
     assert objects
@@ -42,44 +45,29 @@ def test_kernels_define_no_shared_inline_functions(library):
         assert any(kind in "BDRr" for kind in kinds.values())  # the kernel table itself: nm did list symbols
 
 
-def test_sources_keep_their_promises():
-    """Python only in the binding; no flag that ties the build to one machine or relaxes arithmetic."""
-    for source in (NATIVE / "src").iterdir():
-        if source.name != "binding.cpp":
-            text = source.read_text()
-            assert "Python.h" not in text and "nanobind" not in text, source
-    flags = (NATIVE / "CMakeLists.txt").read_text()
-    assert "-march=native" not in flags and "-ffast-math" not in flags
-    assert (NATIVE / "COLCON_IGNORE").exists()
-
-
-def test_frames_stay_in_bounds(sanitized_library):
-    """Address and undefined-behaviour sanitizers over every instruction set and odd sizes."""
-    assert run(build_program(sanitized_library, HERE / "frame_test.cpp", "c++", *SANITIZERS)).stdout
-
-
-def test_damaged_files_stay_in_bounds(sanitized_library, small_bound_file):
-    """Bound garment files with numbers, names and offsets changed are refused, or their frames are computed."""
-    program = build_program(sanitized_library, HERE / "bound_file_fuzz.cpp", "c++", *SANITIZERS)
-    result = run(program, small_bound_file, "1000")
-    assert result.returncode == 0, result.stderr
-    loaded, refused = (int(count) for count in re.findall(r"\d+", result.stdout))
-    assert loaded > 50 and refused > 300  # both ways were gone
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", ["g++", "clang++"])
-def test_other_compilers_and_many_damaged_files(compiler, small_bound_file, tmp_path):
-    """Without a warning; then the two tests above, longer."""
+def test_builds_of_other_hosts(compiler, small_bound_file, tmp_path):
+    """Without a warning.
+
+    Optimised: no frame allocates, on any instruction set, in any precision, for garments of odd sizes, alone and in a
+    batch. With sanitizers: frames stay in bounds, and so do bound garment files with numbers, names, offsets changed.
+    """
     if shutil.which(compiler) is None:
         pytest.skip(f"{compiler} is not installed")
-    build_library(tmp_path / "optimised", compiler)
-    frames = run(build_program(tmp_path / "optimised", HERE / "frame_test.cpp", compiler))
+    library = build_library(tmp_path / "optimised", compiler)
+    check_kernels_define_no_shared_inline_functions(library)
+    subprocess.run(["cmake", "--install", library, "--prefix", tmp_path], check=True, stdout=subprocess.DEVNULL)
+    assert (tmp_path / "include" / "physkin.h").is_file() and list(tmp_path.glob("lib*/**/libphyskin_c.so.1"))
+    frames = run(build_program(library, HERE / "frame_test.cpp", compiler))
     assert {line.split()[2] for line in frames.stdout.splitlines()} == {"0"}
     library = build_library(tmp_path / "sanitized", compiler, *SANITIZERS)
     assert run(build_program(library, HERE / "frame_test.cpp", compiler, *SANITIZERS)).stdout
     program = build_program(library, HERE / "bound_file_fuzz.cpp", compiler, *SANITIZERS)
-    assert run(program, small_bound_file, "30000").returncode == 0
+    result = run(program, small_bound_file, "30000")
+    assert result.returncode == 0, result.stderr
+    loaded, refused = (int(count) for count in re.findall(r"\d+", result.stdout))
+    assert loaded > 1500 and refused > 9000  # both ways were gone
 
 
 @pytest.mark.slow

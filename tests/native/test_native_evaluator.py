@@ -1,11 +1,13 @@
 """The native evaluator agrees with a naive float64 reading of the method, on every instruction set of this CPU."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
-from physkin_core.runtime.native_evaluator import NativeEvaluator, supported_instruction_sets
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.native_evaluator import NativeEvaluator, _native, supported_instruction_sets
+from physkin_core.runtime.native_skinner import NativeSkinner
 from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
@@ -121,28 +123,31 @@ def assert_agrees(out, positions, blended):
 # --- Agreement ---
 
 
-@pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("activation, correction_size", [("silu", 9), ("relu", 9), ("silu", 12), ("relu", 12)])
-@pytest.mark.parametrize("shape", SHAPES)
-def test_frame_agrees_with_oracle(shape, activation, correction_size, level, make_garment, make_pose):
-    """Positions, normals and garment node transforms, with and without normals in the output."""
-    rng = np.random.default_rng(list(f"{shape}{activation}{correction_size}".encode()))
-    g = make_garment(rng, **{**SHAPES[shape], "activation": activation, "correction_size": correction_size})
-    evaluator = NativeEvaluator(g, instruction_set=level)
-    assert evaluator.instruction_set == level
-    for columns in (6, 3):
-        q, gravity = make_pose(rng, g)
+def assert_frame_agrees(g, q, gravity, columns=6):
+    """Positions, normals and garment node transforms, on every instruction set."""
+    transforms = oracle_node_transforms(g, q.astype(float), gravity.astype(float))
+    expected = oracle_skin(g, transforms)
+    for level in LEVELS:
+        evaluator = NativeEvaluator(g, instruction_set=level)
+        assert evaluator.instruction_set == level
         out = np.full((len(g.vertices), columns), np.nan, dtype=np.float32)
         evaluator.evaluate(q, gravity, out)
-        transforms = oracle_node_transforms(g, q.astype(float), gravity.astype(float))
-        scale = max(1.0, np.abs(transforms).max())
-        assert np.abs(evaluator.node_transforms() - transforms).max() <= 1e-5 * scale
-        assert_agrees(out, *oracle_skin(g, transforms))
+        assert np.abs(evaluator.node_transforms() - transforms).max() <= 1e-5 * max(1.0, np.abs(transforms).max())
+        assert_agrees(out, *expected)
 
 
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("activation, correction_size", [("silu", 9), ("relu", 12)])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_frame_agrees_with_oracle(shape, activation, correction_size, make_garment, make_pose):
+    """With and without normals in the output."""
+    rng = np.random.default_rng(list(f"{shape}{activation}{correction_size}".encode()))
+    g = make_garment(rng, **{**SHAPES[shape], "activation": activation, "correction_size": correction_size})
+    for columns in (6, 3):
+        assert_frame_agrees(g, *make_pose(rng, g), columns)
+
+
 @pytest.mark.parametrize("seed", range(20))
-def test_random_shapes_agree_with_oracle(seed, level, make_garment, make_pose):
+def test_random_shapes_agree_with_oracle(seed, make_garment, make_pose):
     rng = np.random.default_rng([2603, seed])
     bones, nodes = rng.integers(1, 30), rng.integers(1, 40)
     g = make_garment(
@@ -157,10 +162,7 @@ def test_random_shapes_agree_with_oracle(seed, level, make_garment, make_pose):
         correction_size=rng.choice([9, 12]),
         activation=rng.choice(["silu", "relu"]).item(),
     )
-    q, gravity = make_pose(rng, g)
-    out = np.empty((len(g.vertices), 6), dtype=np.float32)
-    NativeEvaluator(g, instruction_set=level).evaluate(q, gravity, out)
-    assert_agrees(out, *oracle_skin(g, oracle_node_transforms(g, q.astype(float), gravity.astype(float))))
+    assert_frame_agrees(g, *make_pose(rng, g))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -179,48 +181,61 @@ def test_both_backends_agree(seed, make_garment, make_pose):
     assert_agrees(reference, *oracle_skin(g, transforms[1].astype(float)))
 
 
-@pytest.mark.parametrize("level", LEVELS)
-def test_skinning_alone_agrees_with_oracle(level, make_garment):
-    """Given transforms need not be rotations: shear and scale pass through the last stage."""
-    rng = np.random.default_rng(5)
-    g = make_garment(rng, nodes=20, vertices=210, influences=8)
-    transforms = rng.normal(size=(20, 3, 4)).astype(np.float32)
-    out = np.empty((210, 6), dtype=np.float32)
-    NativeEvaluator(g, instruction_set=level).skin(transforms, out)
-    assert_agrees(out, *oracle_skin(g, transforms.astype(float)))
-
-
-@pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("vertices", [*range(1, 18), 32, 47])
-def test_last_block_of_any_length(vertices, level, make_garment):
-    """Positions alone are those written with normals, bit for bit, and nothing is written beyond a row."""
+@pytest.mark.parametrize("vertices", [*range(1, 18), 32, 47, 210])
+def test_skinning_alone_agrees_with_oracle(vertices, make_garment):
+    """A last block of any length; transforms need not be rotations. Positions alone are those written with normals, bit
+    for bit, and nothing is written beyond a row."""
     rng = np.random.default_rng(vertices)
-    g = make_garment(rng, nodes=9, vertices=vertices)
+    g = make_garment(rng, nodes=9, vertices=vertices, influences=1 + vertices % 8)
     transforms = rng.normal(size=(9, 3, 4)).astype(np.float32)
-    evaluator = NativeEvaluator(g, instruction_set=level)
-    guarded = np.full((vertices + 2, 6), 7.0, dtype=np.float32)
-    guarded_positions = np.full((vertices + 2, 3), 7.0, dtype=np.float32)
-    evaluator.skin(transforms, guarded[1:-1])
-    evaluator.skin(transforms, guarded_positions[1:-1])
-    assert_agrees(guarded[1:-1], *oracle_skin(g, transforms))
-    np.testing.assert_array_equal(guarded_positions[1:-1], guarded[1:-1, :3])
-    for untouched in (guarded, guarded_positions):
-        assert (untouched[[0, -1]] == 7.0).all()
+    expected = oracle_skin(g, transforms)
+    for level in LEVELS:
+        evaluator = NativeEvaluator(g, instruction_set=level)
+        guarded = np.full((vertices + 2, 6), 7.0, dtype=np.float32)
+        guarded_positions = np.full((vertices + 2, 3), 7.0, dtype=np.float32)
+        evaluator.skin(transforms, guarded[1:-1])
+        evaluator.skin(transforms, guarded_positions[1:-1])
+        assert_agrees(guarded[1:-1], *expected)
+        np.testing.assert_array_equal(guarded_positions[1:-1], guarded[1:-1, :3])
+        for untouched in (guarded, guarded_positions):
+            assert (untouched[[0, -1]] == 7.0).all()
 
 
-@pytest.mark.parametrize("level", LEVELS)
-def test_vertices_without_skinning_weights(level, make_garment):
+def test_skinning_needs_no_networks(make_garment):
+    """`NativeSkinner` gives the evaluator's bits, and checks what it is given."""
+    rng = np.random.default_rng(9)
+    g = make_garment(rng, nodes=11, vertices=137)
+    transforms = rng.normal(size=(11, 3, 4)).astype(np.float32)
+    out, expected = np.empty((2, 137, 6), dtype=np.float32)
+    NativeEvaluator(g).skin(transforms, expected)
+    arrays = [g.vertices, g.normals, g.node_rest, g.influence_nodes, g.influence_weights]
+    skinner = NativeSkinner(*arrays)
+    skinner.skin(transforms, out)
+    assert np.array_equal(out, expected)
+    transforms[3, 1, 2] = np.nan
+    with pytest.raises(ValueError, match=r"node_transforms\[42\] is nan"):
+        skinner.skin(transforms, out)
+    with pytest.raises(ValueError, match="node_transforms must have shape"):
+        skinner.skin(transforms[1:], out)
+    for wrong in (11, -1):
+        arrays[3] = g.influence_nodes.copy()
+        arrays[3][5, 0] = wrong
+        with pytest.raises(ValueError, match="influence_nodes"):
+            NativeSkinner(*arrays)
+
+
+def test_vertices_without_skinning_weights(make_garment):
     """A block none of whose vertices follows a garment node comes to lie at the origin, without normals."""
     rng = np.random.default_rng(5)
     g = make_garment(rng, nodes=9, vertices=40)
     g = replace(g, influence_weights=np.zeros_like(g.influence_weights))
-    out = np.full((40, 6), np.nan, dtype=np.float32)
-    NativeEvaluator(g, instruction_set=level).skin(rng.normal(size=(9, 3, 4)).astype(np.float32), out)
-    np.testing.assert_array_equal(out, 0)
+    for level in LEVELS:
+        out = np.full((40, 6), np.nan, dtype=np.float32)
+        NativeEvaluator(g, instruction_set=level).skin(rng.normal(size=(9, 3, 4)).astype(np.float32), out)
+        np.testing.assert_array_equal(out, 0)
 
 
-@pytest.mark.parametrize("level", LEVELS)
-def test_silu_over_its_whole_range(level, make_garment):
+def test_silu_over_its_whole_range(make_garment):
     """Relative error below 1e-6, also where the exponential under- or overflows.
 
     Each hidden unit's input is its bias and its output goes unchanged into one coordinate of a node's translation.
@@ -238,37 +253,32 @@ def test_silu_over_its_whole_range(level, make_garment):
     bias = np.zeros(3 * count, dtype=np.float32)
     g = replace(g, deformer_layers=(g.deformer_layers[0], (output.reshape(-1, count), bias)))
 
-    evaluator = NativeEvaluator(g, instruction_set=level)
-    evaluator.evaluate(np.empty(0), np.array([0.0, 0, -1]), np.empty((len(g.vertices), 3), dtype=np.float32))
     x = inputs.astype(float)
     with np.errstate(over="ignore"):
         expected = x / (1 + np.exp(-x))
-    np.testing.assert_allclose(evaluator.node_transforms()[:, :, 3].ravel(), expected, rtol=1e-6, atol=1e-30)
+    for level in LEVELS:
+        evaluator = NativeEvaluator(g, instruction_set=level)
+        evaluator.evaluate(np.empty(0), np.array([0.0, 0, -1]), np.empty((len(g.vertices), 3), dtype=np.float32))
+        np.testing.assert_allclose(evaluator.node_transforms()[:, :, 3].ravel(), expected, rtol=1e-6, atol=1e-30)
 
 
 def test_frames_do_not_interact(make_garment, make_pose):
-    """Evaluating one pose, another, and the first again gives the first result bit for bit."""
+    """One pose, another, and the first again gives the first result bit for bit, whatever became of the garment."""
     rng = np.random.default_rng(7)
     g = make_garment(rng)
     first, second = make_pose(rng, g), make_pose(rng, g)
-    for level in LEVELS:
-        evaluator = NativeEvaluator(g, instruction_set=level)
-        a, b, c = np.empty((3, len(g.vertices), 6), dtype=np.float32)
-        evaluator.evaluate(*first, a)
-        evaluator.evaluate(*second, b)
+    evaluators = [NativeEvaluator(g, instruction_set=level) for level in LEVELS]
+    frames = np.empty((len(evaluators), 3, len(g.vertices), 6), dtype=np.float32)
+    for evaluator, out in zip(evaluators, frames):
+        evaluator.evaluate(*first, out[0])
+        evaluator.evaluate(*second, out[1])
+    for array in (g.vertices, g.bone_heads, g.dof_axis, g.influence_weights, g.pose_layers[0][0]):
+        array[:] = np.nan
+    for evaluator, (a, b, c) in zip(evaluators, frames):
         evaluator.evaluate(*first, c)
         assert np.array_equal(a, c) and not np.array_equal(a, b)
 
 
-def test_garment_is_copied(make_garment, make_pose):
-    """The evaluator keeps nothing of the caller's arrays."""
-    rng = np.random.default_rng(8)
-    g = make_garment(rng)
-    pose = make_pose(rng, g)
-    evaluator = NativeEvaluator(g)
-    before, after = np.empty((2, len(g.vertices), 6), dtype=np.float32)
-    evaluator.evaluate(*pose, before)
-    for array in (g.vertices, g.bone_heads, g.dof_axis, g.influence_weights, g.pose_layers[0][0]):
-        array[:] = np.nan
-    evaluator.evaluate(*pose, after)
-    assert np.array_equal(before, after)
+def test_both_sides_name_the_same_fields():
+    """The dataclass and the list that native code reads, checks and loads by."""
+    assert sorted(_native.bound_garment_fields()) == sorted(field.name for field in fields(BoundGarment))
