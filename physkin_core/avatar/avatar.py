@@ -12,11 +12,15 @@ import numpy as np
 
 from physkin_core.avatar.body_model import BodyModel
 
-__all__ = ["Avatar", "AvatarError", "avatar_from_body"]
+__all__ = ["Avatar", "AvatarError", "AvatarWarning", "avatar_from_body"]
 
 
 class AvatarError(ValueError):
     """An avatar file cannot be read, is malformed, or does not fit the garment model's rig."""
+
+
+class AvatarWarning(UserWarning):
+    """Something of an avatar file was assumed or repaired; what `Avatar.warnings` keeps."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,7 @@ class Avatar:
     bone_heads, bone_tails: (b, 3) float32 [m], the bones of the garment model's rig on this body.
     influence_bones: (V, K) int32 into the rig's bones; influence_weights: (V, K) float32, rows sum to 1.
     source: where it came from. warnings: what was assumed or repaired on the way, for the user to read.
+    bone_names: (b,) of the rig it is bound to; where left out, `Draper` can only compare the number of bones.
     """
 
     vertices: np.ndarray
@@ -37,6 +42,7 @@ class Avatar:
     influence_weights: np.ndarray
     source: str
     warnings: tuple[str, ...] = ()
+    bone_names: tuple[str, ...] = ()
 
     def posed_vertices(self, bone_transforms: np.ndarray) -> np.ndarray:
         """Body surface in a pose, by linear blend skinning.
@@ -65,4 +71,5 @@ def avatar_from_body(body_model: BodyModel, coefficients: np.ndarray) -> Avatar:
         influence_bones=body_model.influence_bones,
         influence_weights=body_model.influence_weights,
         source="compact body model",
+        bone_names=body_model.rig.bone_names,
     )

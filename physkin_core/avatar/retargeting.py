@@ -76,6 +76,7 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
         influence_weights=weights,
         source=mesh.source,
         warnings=mesh.warnings,
+        bone_names=rig.bone_names,
     )
 
 

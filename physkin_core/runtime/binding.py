@@ -76,6 +76,12 @@ def bind_garment(
         raise ValueError(
             f"avatar {avatar.source} has {len(avatar.bone_heads)} bones, the rig of {model.name!r} has {rig.bone_count}"
         )
+    for own, expected in zip(avatar.bone_names, rig.bone_names):
+        if own != expected:
+            raise ValueError(
+                f"avatar {avatar.source} is bound to another rig than that of {model.name!r}: its bone {own!r} is "
+                f"{expected!r} there; load it with `load_avatar(path, model.rig)`"
+            )
     started = perf_counter()
     modulation = encode_body(model, avatar, fit=fit, backend=backend)
     log.info("encoded body %s for %s in %.0f ms", avatar.source, model.name, 1e3 * (perf_counter() - started))
