@@ -103,7 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     bind.add_argument("--model", default="tshirt", help="garment model: a file or a shipped name (default %(default)s)")
     bind.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
     bind.add_argument("--fit", type=float, default=0.0, help="0: one size, 1: made to measure (default 0)")
-    bind.add_argument("--push-out", action="store_true", help="with what keeps the garment out of this body")
+    bind.add_argument("--push-out", action="store_true", help=argparse.SUPPRESS)  # removed: told so
     bind.add_argument("-o", "--output", type=Path, required=True, help="file to write (docs/c-host.md)")
     bind.set_defaults(run=_bind)
     info = commands.add_parser("info", help="say what a garment model file holds")
@@ -137,11 +137,13 @@ def _drape(options: argparse.Namespace) -> int:
 def _bind(options: argparse.Namespace) -> int:
     from physkin_core import Draper, load_avatar, load_garment_model
 
+    if options.push_out:
+        raise ValueError("--push-out: push-out was removed; a bound garment is as its model drapes it")
     model = load_garment_model(options.model)
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
     for warning in avatar.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    Draper(model, avatar, fit=options.fit, push_out=options.push_out).save_bound(options.output)
+    Draper(model, avatar, fit=options.fit).save_bound(options.output)
     print(f"wrote {options.output}: {options.output.stat().st_size / 1e6:.1f} MB")
     return 0
 

@@ -57,6 +57,7 @@ def test_drape_draws(model_path, tmp_path):
         (["drape", "{model}", "{avatar}", "-o", "out.fbx"], "must end in .obj or .png"),
         (["drape", "{model}", "{avatar}", "--backend", "gpu", "-o", "out.obj"], "unknown backend 'gpu'"),
         (["drape", "{model}", "{avatar}", "-o", "{tmp}/none/out.obj"], "No such file or directory"),
+        (["bind", "{avatar}", "--push-out", "-o", "{tmp}/x"], "push-out was removed"),
     ],
 )
 def test_errors_are_one_line(arguments, reason, model_path, tmp_path, capsys):

@@ -79,8 +79,7 @@ PHYSKIN_API physkin_status physkin_joint_axis(const physkin_garment* garment, in
 PHYSKIN_API physkin_status physkin_step(physkin_garment* garment, const float* joint_positions, const float* gravity,
                                         float* out, int32_t columns, ptrdiff_t stride);
 
-/* What the push-out, if the file has one, left inside the body in the last frame: depth in metres of the deepest
- * vertex, and how many are deeper than 0.5 mm. Zeros without push-out. */
+/* Push-out was removed: always PHYSKIN_BAD_ARGUMENT, for hosts that still call it. */
 PHYSKIN_API physkin_status physkin_residual(const physkin_garment* garment, float* deepest, int32_t* left_inside);
 
 /* What computes: names as in physkin_options. */

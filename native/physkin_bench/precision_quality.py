@@ -21,11 +21,12 @@ from physkin_core.motion.motion import bundled_motions, load_motion
 from physkin_core.quality import edge_strain, signed_distance
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.native_evaluator import PRECISIONS, NativeEvaluator
-from physkin_core.runtime.push_out import TOLERATED_DEPTH
 
 __all__ = ["PrecisionQuality", "main", "measure_precision_quality"]
 
 BODIES, FRAMES_A_MOTION = 6, 6
+TOLERATED_DEPTH = 0.0005
+"""[m] what counts as inside the body in `deeper`."""
 
 
 @dataclass(frozen=True)

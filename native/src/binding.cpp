@@ -114,26 +114,6 @@ BoundGarment bound_garment(nb::handle source) {
   return g;
 }
 
-BoundPushOut bound_push_out(nb::handle source) {
-  BoundPushOut b;
-  const int v = b.body_count = length(source, "body_vertices");
-  const int c = b.candidate_count = length(source, "body_bend");
-  b.block_count = length(source, "block_vertices");
-  b.listed_count = length(source, "candidates");
-  b.body_vertices = field<float>(source, "body_vertices", {v, 3});
-  b.body_normals = field<float>(source, "body_normals", {v, 3});
-  std::vector<int> shape{v, -1};
-  b.body_bones = view<std::int32_t>(source.attr("body_bones"), "body_bones", shape);
-  b.influences = shape[1];
-  b.body_weights = field<float>(source, "body_weights", shape);
-  b.body_bend = field<float>(source, "body_bend", {c});
-  b.body_patch = field<std::int32_t>(source, "body_patch", {c, kPatch, 3});
-  b.block_vertices = field<std::int32_t>(source, "block_vertices", {b.block_count, kBlock});
-  b.candidate_start = field<std::int32_t>(source, "candidate_start", {b.block_count + 1});
-  b.candidates = field<std::int32_t>(source, "candidates", {b.listed_count});
-  return b;
-}
-
 DenseWeights named_layer(const nb::dict& network, const std::string& name) {
   const std::string weight = name + ".weight", bias = name + ".bias";
   std::vector<int> shape{-1, -1};
@@ -233,10 +213,9 @@ void raise_if(const Rejection& rejection) {
 class BoundEvaluator {
  public:
   BoundEvaluator(nb::handle garment, const std::optional<std::string>& instruction_set,
-                 const std::optional<std::string>& precision, nb::handle push_out, const std::string& normals)
+                 const std::optional<std::string>& precision, const std::string& normals)
       : evaluator_(bound_garment(garment), select_kernels(instruction_set.value_or("")),
-                   {select_precision(precision.value_or("")), select_normals(normals),
-                    push_out.is_none() ? nullptr : &static_cast<const BoundPushOut&>(bound_push_out(push_out))}),
+                   {select_precision(precision.value_or("")), select_normals(normals)}),
         joint_positions_(evaluator_.dofs()) {}
 
   void evaluate(const AnyArray& joint_positions, const AnyArray& gravity, const OutputArray& out) {
@@ -285,7 +264,6 @@ class BoundStep {
   void run_networks() { evaluator_.run_networks(); }
   void compose_nodes() { evaluator_.compose_nodes(evaluator_.corrections()); }
   void skin() { raise_if(evaluator_.skin(evaluator_.node_transforms(), rows_)); }
-  void push_out() { evaluator_.push_out(rows_); }
   void compute_normals() { evaluator_.compute_normals(rows_); }
 
  private:
@@ -309,9 +287,9 @@ class BoundBatch {
   using OutputArrays = nb::ndarray<float, nb::ndim<3>, nb::device::cpu>;
 
   BoundBatch(const nb::list& garments, const std::optional<std::string>& instruction_set,
-             const std::optional<std::string>& precision, const nb::list& push_outs, const std::string& normals)
+             const std::optional<std::string>& precision, const std::string& normals)
       : batch_(bound_garments(garments), select_kernels(instruction_set.value_or("")),
-               {select_precision(precision.value_or("")), select_normals(normals)}, pointers(bound_push_outs(push_outs))),
+               {select_precision(precision.value_or("")), select_normals(normals)}),
         rows_(std::size_t(batch_.count())) {}
 
   void bind(InputArray joint_positions, InputArray gravity, OutputArrays out) {
@@ -357,16 +335,6 @@ class BoundBatch {
     for (nb::handle source : sources) garments.push_back(bound_garment(source));
     return garments;
   }
-  static std::vector<BoundPushOut> bound_push_outs(const nb::list& sources) {
-    std::vector<BoundPushOut> push_outs;
-    for (nb::handle source : sources) push_outs.push_back(bound_push_out(source));
-    return push_outs;
-  }
-  static std::vector<const BoundPushOut*> pointers(const std::vector<BoundPushOut>& push_outs) {
-    std::vector<const BoundPushOut*> pointers;
-    for (const BoundPushOut& push_out : push_outs) pointers.push_back(&push_out);
-    return pointers;
-  }
   void check_shape(const InputArray& array, const char* name, int width) const {
     if (array.shape(0) != std::size_t(batch_.count()) || array.shape(1) != std::size_t(width)) {
       throw nb::value_error((std::string(name) + " must have shape " + shape_text({batch_.count(), width})).c_str());
@@ -394,9 +362,9 @@ NB_MODULE(_native, module) {
   using physkin::BoundStep;
   using physkin::MachineProbe;
   nb::class_<BoundEvaluator>(module, "Evaluator")
-      .def(nb::init<nb::handle, const std::optional<std::string>&, const std::optional<std::string>&, nb::handle,
+      .def(nb::init<nb::handle, const std::optional<std::string>&, const std::optional<std::string>&,
                     const std::string&>(),
-           "garment"_a, "instruction_set"_a = nb::none(), "precision"_a = nb::none(), "push_out"_a = nb::none(),
+           "garment"_a, "instruction_set"_a = nb::none(), "precision"_a = nb::none(),
            "normals"_a = "skinned")
       .def("evaluate", &BoundEvaluator::evaluate, "joint_positions"_a.noconvert(), "gravity"_a.noconvert(),
            "out"_a.noconvert())
@@ -406,11 +374,6 @@ NB_MODULE(_native, module) {
                      const std::size_t nodes = std::size_t(self.evaluator().nodes());
                      return nb::ndarray<nb::numpy, const float, nb::shape<-1, 3, 4>>(
                          self.evaluator().node_transforms(), {nodes, 3, 4}, nb::find(self));
-                   })
-      .def_prop_ro("residual",
-                   [](const BoundEvaluator& self) {
-                     const physkin::ContactResidual& residual = self.evaluator().residual();
-                     return nb::make_tuple(residual.deepest, residual.left_inside);
                    })
       .def_prop_ro("corrections", physkin::corrections)
       .def_prop_ro("instruction_set", [](const BoundEvaluator& self) { return self.evaluator().instruction_set(); })
@@ -434,24 +397,14 @@ NB_MODULE(_native, module) {
       .def("run_networks", &BoundStep::run_networks)
       .def("compose_nodes", &BoundStep::compose_nodes)
       .def("skin", &BoundStep::skin)
-      .def("push_out", &BoundStep::push_out)
       .def("compute_normals", &BoundStep::compute_normals);
   nb::class_<BoundBatch>(module, "Batch")
       .def(nb::init<const nb::list&, const std::optional<std::string>&, const std::optional<std::string>&,
-                    const nb::list&, const std::string&>(),
-           "garments"_a, "instruction_set"_a = nb::none(), "precision"_a = nb::none(), "push_outs"_a = nb::list(),
+                    const std::string&>(),
+           "garments"_a, "instruction_set"_a = nb::none(), "precision"_a = nb::none(),
            "normals"_a = "skinned")
       .def("bind", &BoundBatch::bind, "joint_positions"_a.noconvert(), "gravity"_a.noconvert(), "out"_a.noconvert())
       .def("step", &BoundBatch::step, "Computes a frame of every body from what the bound input arrays hold now.")
-      .def_prop_ro("residuals",
-                   [](const BoundBatch& self) {
-                     nb::list residuals;
-                     for (int k = 0; k < self.batch().count(); ++k) {
-                       const physkin::ContactResidual& residual = self.batch()[k].residual();
-                       residuals.append(nb::make_tuple(residual.deepest, residual.left_inside));
-                     }
-                     return residuals;
-                   })
       .def_prop_ro("instruction_set", [](const BoundBatch& self) { return self.batch()[0].instruction_set(); })
       .def_prop_ro("precision", [](const BoundBatch& self) { return precision_name(self.batch()[0].precision()); });
   module.def("encode_body", &physkin::encode, "network"_a, "points"_a, "normals"_a, "out"_a.noconvert(),

@@ -10,22 +10,22 @@ constexpr char kFormat[] = "physkin-bound-garment", kVersion[] = "1";
 // Arrays of one file into one arena, by name.
 class Reader {
  public:
-  Reader(TensorFile& file, Arena& arena, std::string prefix = "") : file_(file), arena_(arena), prefix_(prefix) {}
+  Reader(TensorFile& file, Arena& arena) : file_(file), arena_(arena) {}
 
   const float* floats(const std::string& name, std::vector<int> shape) {
-    return file_.floats(prefix_ + name, shape, arena_);
+    return file_.floats(name, shape, arena_);
   }
   const std::int32_t* integers(const std::string& name, std::vector<int> shape) {
-    return file_.integers(prefix_ + name, shape, arena_);
+    return file_.integers(name, shape, arena_);
   }
   // The same, leaving in `size` what the file has as the size of the axis that allows any.
   const float* floats(const std::string& name, std::vector<int> shape, std::size_t axis, int& size) {
-    const float* values = file_.floats(prefix_ + name, shape, arena_);
+    const float* values = file_.floats(name, shape, arena_);
     size = shape[axis];
     return values;
   }
   const std::int32_t* integers(const std::string& name, std::vector<int> shape, std::size_t axis, int& size) {
-    const std::int32_t* values = file_.integers(prefix_ + name, shape, arena_);
+    const std::int32_t* values = file_.integers(name, shape, arena_);
     size = shape[axis];
     return values;
   }
@@ -47,7 +47,6 @@ class Reader {
  private:
   TensorFile& file_;
   Arena& arena_;
-  std::string prefix_;
 };
 
 void read_garment(Reader from, BoundGarment& g) {
@@ -70,20 +69,6 @@ void read_garment(Reader from, BoundGarment& g) {
   g.influence_nodes = from.integers("influence_nodes", {g.vertex_count, -1}, 1, g.influences);
   g.influence_weights = from.floats("influence_weights", {g.vertex_count, g.influences});
   g.faces = from.integers("faces", {-1, 3}, 0, g.face_count);
-}
-
-BoundPushOut read_push_out(Reader from) {
-  BoundPushOut b;
-  b.body_vertices = from.floats("body_vertices", {-1, 3}, 0, b.body_count);
-  b.body_normals = from.floats("body_normals", {b.body_count, 3});
-  b.body_bones = from.integers("body_bones", {b.body_count, -1}, 1, b.influences);
-  b.body_weights = from.floats("body_weights", {b.body_count, b.influences});
-  b.body_bend = from.floats("body_bend", {-1}, 0, b.candidate_count);
-  b.body_patch = from.integers("body_patch", {b.candidate_count, kPatch, 3});
-  b.block_vertices = from.integers("block_vertices", {-1, kBlock}, 0, b.block_count);
-  b.candidate_start = from.integers("candidate_start", {b.block_count + 1});
-  b.candidates = from.integers("candidates", {-1}, 0, b.listed_count);
-  return b;
 }
 
 }  // namespace
@@ -109,7 +94,10 @@ BoundFile::BoundFile(const unsigned char* data, std::size_t size) {
     throw FileError("the file names " + std::to_string(joint_names.size()) + " joints; expected " +
                     std::to_string(garment.dofs));
   }
-  if (file.contains("push_out.body_vertices")) push_out = read_push_out({file, arena, "push_out."});
+  if (file.contains("push_out.body_vertices")) {
+    throw FileError("the file holds a push-out (push_out.body_vertices), which was removed; write it anew with "
+                    "`physkin bind`");
+  }
   file.refuse_unread();
 }
 

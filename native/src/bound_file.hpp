@@ -1,14 +1,11 @@
-// The bound garment file: a garment model bound to one body, with what keeps it out of that body if it was asked for.
-// Written by physkin_core/bound_file.py.
+// The bound garment file: a garment model bound to one body. Written by physkin_core/bound_file.py.
 #pragma once
 
-#include <optional>
 #include <string>
 #include <vector>
 
 #include "arena.hpp"
 #include "bound_garment.hpp"
-#include "push_out.hpp"
 
 namespace physkin {
 
@@ -21,7 +18,6 @@ struct BoundFile {
 
   Arena arena;
   BoundGarment garment;
-  std::optional<BoundPushOut> push_out;
   std::vector<std::string> joint_names;  // (dofs,)
 };
 

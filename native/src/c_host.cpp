@@ -89,9 +89,8 @@ Wanted wanted(const physkin_options* given) {
 
 physkin_status open(const unsigned char* data, std::size_t size, const physkin_options* given,
                     physkin_garment** garment) {
-  Wanted how = wanted(given);
+  const Wanted how = wanted(given);
   const physkin::BoundFile file(data, size);
-  how.options.push_out = file.push_out ? &*file.push_out : nullptr;
   try {
     *garment = std::make_unique<physkin_garment>(file, *how.kernels, how.options).release();
   } catch (const std::invalid_argument& error) {
@@ -176,13 +175,8 @@ physkin_status physkin_step(physkin_garment* garment, const float* joint_positio
   return PHYSKIN_OK;
 }
 
-physkin_status physkin_residual(const physkin_garment* garment, float* deepest, int32_t* left_inside) {
-  if (garment == nullptr || deepest == nullptr || left_inside == nullptr) {
-    return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment, deepest or left_inside is null");
-  }
-  *deepest = garment->evaluator.residual().deepest;
-  *left_inside = garment->evaluator.residual().left_inside;
-  return PHYSKIN_OK;
+physkin_status physkin_residual(const physkin_garment*, float*, int32_t*) {
+  return fail(PHYSKIN_BAD_ARGUMENT, "%s", "push-out was removed: a garment has no residual any more");
 }
 
 const char* physkin_precision(const physkin_garment* garment) {

@@ -60,7 +60,6 @@ Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, const Evalua
       node_transforms_(arena_.take<float>(12 * g.nodes)),
       skinning_matrices_(arena_.take<float>(12 * g.nodes)),
       corrections_(arena_.take<float>(g.deformer_layers.back().outputs)) {
-  if (options.push_out != nullptr) push_out_.emplace(*options.push_out, g.bones, g.vertex_count, arena_);
   if (options.normals == Normals::faces) face_normals_.emplace(g, arena_);
   if (shared == nullptr) choose_reading(g);
 }
@@ -82,7 +81,6 @@ Rejection Evaluator::step(const float* joint_positions, const float* gravity, co
   compose_nodes(corrections_);
   if (const auto bad = check_nodes(node_transforms_)) return bad;
   skin_checked(node_transforms_, rows);
-  push_out(rows);
   compute_normals(rows);
   return {};
 }
@@ -116,11 +114,7 @@ Rejection Evaluator::skin(const float* node_transforms, const VertexRows& rows) 
 
 void Evaluator::skin_checked(const float* node_transforms, const VertexRows& rows) noexcept {
   garment_nodes_.compute_skinning_matrices(node_transforms, skinning_matrices_);
-  kernels_.skin(blocks_, skinning_matrices_, rows);  // with normals even if faces replace them: push-out turns them
-}
-
-void Evaluator::push_out(const VertexRows& rows) noexcept {
-  if (push_out_) residual_ = push_out_->apply(kernels_, bone_transforms_, rows);
+  kernels_.skin(blocks_, skinning_matrices_, rows);
 }
 
 void Evaluator::compute_normals(const VertexRows& rows) noexcept {

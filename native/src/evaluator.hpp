@@ -10,7 +10,6 @@
 #include "garment_nodes.hpp"
 #include "kernels.hpp"
 #include "mlp.hpp"
-#include "push_out.hpp"
 #include "rejection.hpp"
 #include "rig.hpp"
 
@@ -25,7 +24,6 @@ Normals select_normals(const std::string& name);
 struct EvaluatorOptions {
   Precision precision = Precision::fp32;
   Normals normals = Normals::skinned;
-  const BoundPushOut* push_out = nullptr;  // what keeps the garment out of the body, if anything
 };
 
 class Evaluator {
@@ -41,23 +39,19 @@ class Evaluator {
   // the networks make of it is not finite, says so and leaves the rows and the last frame as they were.
   Rejection step(const float* joint_positions, const float* gravity, const VertexRows& rows) noexcept;
 
-  // Skinning alone, without push-out, from the given node_transforms (nodes, 3, 4), which must be finite.
+  // Skinning alone, from the given node_transforms (nodes, 3, 4), which must be finite.
   Rejection skin(const float* node_transforms, const VertexRows& rows) noexcept;
 
   // The stages of a frame, in order, each from what the last one left; `step` checks what lies between them.
   void pose(const float* joint_positions, const float* gravity) noexcept;
   const float* run_networks() noexcept;  // corrections (nodes, 9 or 12)
   void compose_nodes(const float* corrections) noexcept;
-  void push_out(const VertexRows& rows) noexcept;         // after skinning; does nothing if there is none
   void compute_normals(const VertexRows& rows) noexcept;  // from faces; does nothing if they are skinned
 
   // (nodes, 3, 4) of the last frame, root frame, metres.
   const float* node_transforms() const { return node_transforms_; }
   // What the networks last gave, (nodes, 9 or 12); zeros before the first frame.
   const float* corrections() const { return corrections_; }
-
-  // Contact that the push-out left in the last frame; none without push-out.
-  const ContactResidual& residual() const { return residual_; }
 
   int dofs() const { return rig_.dofs(); }
   int nodes() const { return garment_nodes_.count(); }
@@ -97,9 +91,7 @@ class Evaluator {
   float* node_transforms_;
   float* skinning_matrices_;
   const float* corrections_;
-  std::optional<PushOut> push_out_;
   std::optional<FaceNormals> face_normals_;
-  ContactResidual residual_;
 };
 
 }  // namespace physkin

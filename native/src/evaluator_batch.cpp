@@ -32,19 +32,14 @@ bool same_networks(const BoundGarment& a, const BoundGarment& b) {
 }  // namespace
 
 EvaluatorBatch::EvaluatorBatch(const std::vector<BoundGarment>& garments, const Kernels& kernels,
-                               EvaluatorOptions options, const std::vector<const BoundPushOut*>& push_outs) {
+                               const EvaluatorOptions& options) {
   if (garments.empty()) throw std::invalid_argument("a batch needs at least one bound garment");
-  if (!push_outs.empty() && push_outs.size() != garments.size()) {
-    throw std::invalid_argument("a batch of " + std::to_string(garments.size()) + " bodies got " +
-                                std::to_string(push_outs.size()) + " push-outs; expected one a body, or none");
-  }
   for (std::size_t k = 0; k < garments.size(); ++k) {
     validate(garments[k]);
     if (!same_networks(garments[0], garments[k])) {
       throw std::invalid_argument("bound garment " + std::to_string(k) + " of a batch has other networks than the " +
                                   "first; all must be of one garment model, with the modulation not folded in");
     }
-    options.push_out = push_outs.empty() ? nullptr : push_outs[k];
     const Evaluator* shared = k == 0 ? nullptr : evaluators_[0].get();
     evaluators_.push_back(std::make_unique<Evaluator>(garments[k], kernels, options, shared));
     Evaluator& evaluator = *evaluators_.back();
@@ -77,7 +72,6 @@ Rejection EvaluatorBatch::step(const float* joint_positions, const float* gravit
   for (int k = 0; k < count(); ++k) {
     Evaluator& e = *evaluators_[k];
     e.skin_checked(e.node_transforms_, rows[k]);
-    e.push_out(rows[k]);
     e.compute_normals(rows[k]);
   }
   rejected_ = -1;

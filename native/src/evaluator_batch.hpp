@@ -13,9 +13,8 @@ namespace physkin {
 class EvaluatorBatch {
  public:
   // Throws std::invalid_argument if there is no garment, one is malformed, or their networks differ in more than that.
-  // push_outs: one a garment, null for none, or empty.
-  EvaluatorBatch(const std::vector<BoundGarment>& garments, const Kernels& kernels, EvaluatorOptions options,
-                 const std::vector<const BoundPushOut*>& push_outs = {});
+  EvaluatorBatch(const std::vector<BoundGarment>& garments, const Kernels& kernels,
+                 const EvaluatorOptions& options);
   EvaluatorBatch(const EvaluatorBatch&) = delete;
   EvaluatorBatch& operator=(const EvaluatorBatch&) = delete;
 

@@ -1,5 +1,4 @@
 // Compiled once per instruction set, with PHYSKIN_ISA set to its name and the flags that CMakeLists.txt gives it.
-#include "contact_kernel.hpp"
 #include "dense_batch_kernel.hpp"
 #include "dense_kernel.hpp"
 #include "floor_kernel.hpp"
@@ -29,8 +28,6 @@ const Kernels kernels{
     token_linear,
     token_norm,
     token_attention,
-    find_near,
-    closest_on_patch,
 };
 
 }  // namespace physkin::PHYSKIN_ISA

@@ -52,34 +52,6 @@ struct TokenAttention {
 
 constexpr std::size_t attention_scratch(int head_width) { return (std::size_t(head_width) + kTokens + 2) * kTokens; }
 
-// A posed body vertex is a row: x, y, z, outward normal x, y, z, bend [1/m], unused.
-constexpr int kBodyRow = 8;
-
-// Triangles around a candidate that the exact distance looks at.
-constexpr int kPatch = 8;
-
-// Candidates of one block, a power of two.
-constexpr int kMaxCandidates = 1024;
-
-// Garment vertices in blocks of kBlock that share the body vertices they may come near (see push_out.hpp).
-struct ContactBlocks {
-  int block_count = 0;
-  const std::int32_t* vertex = nullptr;           // (block_count, kBlock) in the caller's order, repeated to fill up
-  const std::int32_t* count = nullptr;            // (block_count,) vertices that are not repetitions
-  const std::int32_t* candidate_start = nullptr;  // (block_count + 1,)
-  const std::int32_t* candidate = nullptr;        // body vertices by block, an even number for each
-};
-
-struct NearVertex {
-  std::int32_t vertex, candidate;
-};
-
-// The point of a patch that is closest to another: corners of triangle `triangle` weighted 1 - second - third, second,
-// third.
-struct PatchPoint {
-  int triangle;
-  float second, third;
-};
 // Room for what a dense kernel makes of its inputs; the arrays hold a value for each input of the widest layer and
 // kGroup more, and are 64-byte aligned.
 struct DenseScratch {
@@ -143,14 +115,6 @@ struct Kernels {
 
   // Overwrites the queries (head_width, kTokens) of one tile with softmax(scale * query keys) values.
   void (*token_attention)(const TokenAttention& attention, float* query, float* scratch);
-
-  // Lists the garment vertices whose estimated distance to the body is below `limit`, each with its nearest candidate.
-  // `near` needs room for every vertex of the blocks. Returns how many there are.
-  int (*find_near)(const ContactBlocks& blocks, const float* posed, const VertexRows& rows, float limit,
-                   NearVertex* near);
-
-  // patch: (kPatch, 3) body vertices. posed: rows of kBodyRow. point: (3,).
-  PatchPoint (*closest_on_patch)(const std::int32_t* patch, const float* posed, const float* point);
 };
 
 }  // namespace physkin

@@ -1,8 +1,8 @@
 """The bound garment file: one garment on one body for hosts without Python, read by native/include/physkin.h.
 
-A safetensors file of the arrays of `BoundGarment` (layers as `pose_layers.0.weight`, ...) and, prefixed `push_out.`, of
-`BoundPushOut`, in float32 and int32 as the evaluator takes them, so that a host computes the same bits. Fitting the
-rig, the canonical pose and the encoding of the body are done by then.
+A safetensors file of the arrays of `BoundGarment` (layers as `pose_layers.0.weight`, ...) in float32 and int32 as
+the evaluator takes them, so that a host computes the same bits. Fitting the rig, the canonical pose and the encoding of
+the body are done by then.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.push_out import BoundPushOut
 
 __all__ = ["BOUND_SCHEMA_VERSION", "save_bound_garment"]
 
@@ -29,11 +28,10 @@ def save_bound_garment(
     *,
     name: str,
     joint_names: Sequence[str],
-    push_out: BoundPushOut | None = None,
 ) -> None:
     """Write a bound garment to `path`, replacing what is there in one step.
 
-    joint_names: (d,) in the order of the joint positions. push_out: what keeps the garment out of this body.
+    joint_names: (d,) in the order of the joint positions.
     Raises ValueError when there is not one name a degree of freedom.
     """
     from safetensors.numpy import save
@@ -48,8 +46,6 @@ def save_bound_garment(
                 tensors[f"{field.name}.{index}.weight"], tensors[f"{field.name}.{index}.bias"] = weight, bias
         elif isinstance(value, np.ndarray):
             tensors[field.name] = value
-    if push_out is not None:
-        tensors |= {f"push_out.{field.name}": getattr(push_out, field.name) for field in fields(push_out)}
     metadata = {
         "format": FORMAT,
         "schema_version": str(BOUND_SCHEMA_VERSION),

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from time import perf_counter
 from typing import Literal
 
 import numpy as np
@@ -20,7 +19,6 @@ from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.runtime.binding import bind_garment, bind_points
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.push_out import BoundPushOut, ContactResidual, bind_push_out
 
 __all__ = ["BACKENDS", "UPRIGHT_GRAVITY", "Binding", "Draper"]
 
@@ -36,7 +34,6 @@ class Binding:
     """A garment model bound to a body: what a draper works out once and another of the same two can take over."""
 
     garment: BoundGarment
-    push_out: BoundPushOut | None
 
 
 class Draper:
@@ -47,8 +44,6 @@ class Draper:
         default, bf16. The NumPy backend knows fp32 only.
     fit: 0 for the garment's one size, 1 for a garment made to measure, or between; above 0 only for models that have
         learnt it (`GarmentModel.made_to_measure`). Takes half a second when the body is bound, nothing a frame.
-    push_out: move vertices that end up inside the body out of it again, frame by frame. Takes seconds to set up for a
-        body, then tens of microseconds a frame; see `residual` and `physkin_core.runtime.push_out`.
     normals: "skinned", rest normals carried along with their vertices, or "faces", recomputed from the draped mesh:
         truer where the cloth ripples or slides, for some 5 ns a vertex.
     points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
@@ -66,7 +61,6 @@ class Draper:
         backend: Literal["native", "numpy"] = "native",
         precision: Literal["fp32", "bf16", "int8"] | None = None,
         fit: float = 0.0,
-        push_out: bool = False,
         normals: Literal["skinned", "faces"] = "skinned",
         points: np.ndarray | None = None,
         point_normals: np.ndarray | None = None,
@@ -84,14 +78,7 @@ class Draper:
         self.avatar = avatar
         self.backend = backend
         self.bound: BoundGarment = bound
-        self._push_out = binding.push_out if push_out and binding is not None else None
-        if push_out and self._push_out is None:
-            _evaluator(backend, bound, precision, None, normals)  # refuses what is unknown before seconds of work
-            started = perf_counter()
-            self._evaluator = _evaluator(backend, bound, "fp32", None, "skinned")  # the same for every draper
-            self._push_out = bind_push_out(self.drape, model.rig, avatar)
-            log.info("bound the push-out of %s in %.1f s", model.name, perf_counter() - started)
-        self._evaluator = _evaluator(backend, bound, precision, self._push_out, normals)
+        self._evaluator = _evaluator(backend, bound, precision, normals)
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
 
     @property
@@ -173,20 +160,13 @@ class Draper:
     @property
     def binding(self) -> Binding:
         """What another draper of the same model and avatar can be made from without encoding the body again."""
-        return Binding(self.bound, self._push_out)
-
-    @property
-    def residual(self) -> ContactResidual | None:
-        """What the push-out knows to be left inside in the last `drape` (see there); None without push-out."""
-        return None if self._push_out is None else self._evaluator.residual
+        return Binding(self.bound)
 
     def save_bound(self, path: str | Path) -> None:
-        """Write what is bound here, push-out included, for hosts without Python: see native/include/physkin.h."""
+        """Write what is bound here for hosts without Python: see native/include/physkin.h."""
         from physkin_core.runtime.bound_file import save_bound_garment
 
-        save_bound_garment(
-            self.bound, path, name=self.model.name, joint_names=self.joint_names, push_out=self._push_out
-        )
+        save_bound_garment(self.bound, path, name=self.model.name, joint_names=self.joint_names)
 
     def node_transforms(self) -> np.ndarray:
         """Garment node transforms chi (m, 3, 4) of the last `drape`, canonical garment node frame to root frame."""
@@ -197,11 +177,11 @@ class Draper:
         return self.model.rig.bone_transforms(joint_positions, heads=self.avatar.bone_heads)
 
 
-def _evaluator(backend: str, bound: BoundGarment, precision: str | None, push_out: BoundPushOut | None, normals: str):
+def _evaluator(backend: str, bound: BoundGarment, precision: str | None, normals: str):
     if backend == "native":
         from physkin_core.runtime.native_evaluator import NativeEvaluator
 
-        return NativeEvaluator(bound, precision=precision, push_out=push_out, normals=normals)
+        return NativeEvaluator(bound, precision=precision, normals=normals)
     from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
 
-    return ReferenceEvaluator(bound, push_out=push_out, normals=normals)
+    return ReferenceEvaluator(bound, normals=normals)

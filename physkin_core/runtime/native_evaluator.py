@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.push_out import BoundPushOut, ContactResidual
 
 try:
     from physkin_core import _native
@@ -47,7 +46,6 @@ class NativeEvaluator:
         activations rounded to 16 bits and the layer that reads bone transforms in bf16. By default the environment
         variable PHYSKIN_NATIVE_PRECISION decides, and without it "bf16", which no quality figure tells from "fp32"
         (docs/benchmark.md).
-    push_out: what keeps the garment out of this body, from `bind_push_out`; default nothing does.
     normals: "skinned", rest normals carried along, or "faces", those of the posed mesh's faces around each vertex,
         weighted by area: slower, and right where the cloth ripples.
 
@@ -55,7 +53,7 @@ class NativeEvaluator:
     skipped, which changes no bit of a frame. Whether that pays is measured here, in tens of milliseconds; the
     environment variable PHYSKIN_NATIVE_ZEROS ("skip" or "read") decides on skipping without measuring.
 
-    Raises ValueError if an array of `bound` or `push_out` has another dtype, shape or layout than its class states, an
+    Raises ValueError if an array of `bound` has another dtype, shape or layout than its class states, an
     index is out of range, a value is not finite, the instruction set is unknown or not supported by this CPU, the
     precision or `normals` are unknown, or normals are those of faces and the garment has none.
     """
@@ -66,20 +64,14 @@ class NativeEvaluator:
         *,
         instruction_set: str | None = None,
         precision: Precision | None = None,
-        push_out: BoundPushOut | None = None,
         normals: Literal["skinned", "faces"] = "skinned",
     ) -> None:
-        self._evaluator = _native.Evaluator(bound, instruction_set, precision, push_out, normals)
+        self._evaluator = _native.Evaluator(bound, instruction_set, precision, normals)
 
     @property
     def instruction_set(self) -> str:
         """Name of the instruction set in use."""
         return self._evaluator.instruction_set
-
-    @property
-    def residual(self) -> ContactResidual:
-        """Contact that the push-out left in the last frame; zeros without push-out."""
-        return ContactResidual(*self._evaluator.residual)
 
     @property
     def precision(self) -> str:
@@ -123,8 +115,8 @@ class NativeEvaluator:
 
         joint_positions: (d,) [rad] and gravity: (3,), C-contiguous float32, to be changed in place between frames.
         out: as in `evaluate`. Returns an object whose method `step()`, of no arguments, converts and allocates nothing;
-        it keeps the arrays and this evaluator alive. Its methods `pose`, `run_networks`, `compose_nodes`, `skin`,
-        `push_out` and `compute_normals` repeat single stages of the last frame, for timing.
+        it keeps the arrays and this evaluator alive. Its methods `pose`, `run_networks`, `compose_nodes`, `skin`
+        and `compute_normals` repeat single stages of the last frame, for timing.
 
         Raises TypeError or ValueError as `evaluate` does; `step()` raises ValueError if an input or the networks'
         output is not finite (`out` is then unchanged).
@@ -135,7 +127,7 @@ class NativeEvaluator:
             raise TypeError(_explain(joint_positions=joint_positions, gravity=gravity, out=out)) from None
 
     def skin(self, node_transforms: np.ndarray, out: np.ndarray) -> None:
-        """Skinning alone, without push-out, from given node transforms, (m, 3, 4) float32, C-contiguous.
+        """Skinning alone, from given node transforms, (m, 3, 4) float32, C-contiguous.
 
         out and errors as in `evaluate`.
         """
@@ -162,7 +154,7 @@ class NativeEvaluatorBatch:
     Network weights are kept once, and read from memory once for up to four bodies. Every body's frame is, bit for bit,
     that of a `NativeEvaluator` of its bound garment.
 
-    bounds: `B` of them, from `bind_garment(..., fold=False)` of one garment model. push_outs: one a body, or none.
+    bounds: `B` of them, from `bind_garment(..., fold=False)` of one garment model.
     instruction_set, precision, normals: as in `NativeEvaluator`.
     Raises ValueError as `NativeEvaluator` does, and where the bound garments do not share their networks.
     """
@@ -173,10 +165,9 @@ class NativeEvaluatorBatch:
         *,
         instruction_set: str | None = None,
         precision: Precision | None = None,
-        push_outs: Sequence[BoundPushOut] = (),
         normals: Literal["skinned", "faces"] = "skinned",
     ) -> None:
-        self._batch = _native.Batch(list(bounds), instruction_set, precision, list(push_outs), normals)
+        self._batch = _native.Batch(list(bounds), instruction_set, precision, normals)
 
     @property
     def instruction_set(self) -> str:
@@ -187,11 +178,6 @@ class NativeEvaluatorBatch:
     def precision(self) -> str:
         """Precision of the network weights."""
         return self._batch.precision
-
-    @property
-    def residuals(self) -> list[ContactResidual]:
-        """Contact that the push-out left in the last frame, by body; zeros without push-out."""
-        return [ContactResidual(*residual) for residual in self._batch.residuals]
 
     def bind(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> None:
         """Sets the arrays that `step` reads and writes where they lie, until others are bound; they are kept alive.

@@ -16,7 +16,6 @@ from physkin_core.model.pose_modulator import pose_modulation
 from physkin_core.model.skinning import NORMALS, skin
 from physkin_core.rig.rig import forward_kinematics, pose_vector
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.push_out import BoundPushOut, ContactResidual, push_out
 
 __all__ = ["ReferenceEvaluator"]
 
@@ -27,7 +26,7 @@ LARGEST = 1e6
 class ReferenceEvaluator:
     """Evaluates a bound garment one pose at a time.
 
-    push_out, normals: as in `NativeEvaluator`. Raises ValueError for unknown normals, or those of faces without faces.
+    normals: as in `NativeEvaluator`. Raises ValueError for unknown normals, or those of faces without faces.
     """
 
     instruction_set = "numpy"
@@ -37,7 +36,6 @@ class ReferenceEvaluator:
         self,
         bound: BoundGarment,
         *,
-        push_out: BoundPushOut | None = None,
         normals: Literal["skinned", "faces"] = "skinned",
     ) -> None:
         if normals not in NORMALS:
@@ -46,8 +44,6 @@ class ReferenceEvaluator:
             raise ValueError("normals of faces need a garment with faces; this one has none")
         self._normals_of_faces = normals == "faces"
         self._bound = bound
-        self._push_out = push_out
-        self._residual = ContactResidual(0.0, 0)
         self._nodes = np.zeros((len(bound.node_bone), 3, 4))
 
     def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> None:
@@ -78,18 +74,11 @@ class ReferenceEvaluator:
         positions, normals = skin(
             self._nodes, bound.node_rest, bound.vertices, bound.normals, bound.influence_nodes, bound.influence_weights
         )
-        if self._push_out is not None:
-            self._residual = push_out(self._push_out, bones, positions, normals)
         if self._normals_of_faces and out.shape[1] == 6:
             normals = vertex_normals(positions, bound.faces)
         out[:, :3] = positions
         if out.shape[1] == 6:
             out[:, 3:] = normals
-
-    @property
-    def residual(self) -> ContactResidual:
-        """Contact that the push-out left in the last frame; zeros without push-out."""
-        return self._residual
 
     def node_transforms(self) -> np.ndarray:
         """Garment node transforms (m, 3, 4) of the last frame."""

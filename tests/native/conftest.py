@@ -8,7 +8,6 @@ from native_library import SANITIZERS, build_library
 
 from physkin_core.runtime.bound_file import save_bound_garment
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.push_out import BLOCK, PATCH, BoundPushOut
 
 
 def random_layers(rng, widths, output_scale):
@@ -73,26 +72,6 @@ def random_bound_garment(
     )
 
 
-def random_push_out(rng, *, vertices, bones, candidates=20):
-    """A body scattered over the same box as a garment, blocks of any length, all of them with candidates."""
-    count = 4 * candidates
-    blocks = np.full((-(-vertices // (BLOCK - 1)), BLOCK), -1, dtype=np.int32)
-    blocks[:, :-1].flat[:vertices] = rng.permutation(vertices)
-    listed = [rng.choice(candidates, size=rng.integers(1, candidates), replace=False) for _ in blocks]
-    weights = rng.dirichlet(np.full(2, 0.3), size=count).astype(np.float32)
-    return BoundPushOut(
-        body_vertices=rng.uniform(-1, 1, size=(count, 3)).astype(np.float32),
-        body_normals=unit_rows(rng, count),
-        body_bones=rng.integers(0, bones, size=(count, 2)).astype(np.int32),
-        body_weights=weights,
-        body_bend=rng.uniform(-3, 3, size=candidates).astype(np.float32),
-        body_patch=rng.integers(0, count, size=(candidates, PATCH, 3)).astype(np.int32),
-        block_vertices=blocks,
-        candidate_start=np.cumsum([0, *map(len, listed)]).astype(np.int32),
-        candidates=np.concatenate(listed).astype(np.int32),
-    )
-
-
 @pytest.fixture(scope="session")
 def library(tmp_path_factory):
     """Folder with the native libraries."""
@@ -112,8 +91,7 @@ def small_bound_file(tmp_path_factory):
     faces = rng.integers(0, 50, size=(90, 3)).astype(np.int32)
     garment = replace(random_bound_garment(rng), faces=faces)
     path = tmp_path_factory.mktemp("bound") / "small.bound.safetensors"
-    push_out = random_push_out(rng, vertices=50, bones=5)
-    save_bound_garment(garment, path, name="small", joint_names=[f"joint {k}" for k in range(7)], push_out=push_out)
+    save_bound_garment(garment, path, name="small", joint_names=[f"joint {k}" for k in range(7)])
     return path
 
 

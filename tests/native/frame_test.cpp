@@ -82,8 +82,7 @@ long run_batch(physkin::BoundGarment g, const physkin::Kernels& kernels, physkin
     g.deformer_layers[0].matrix = first_layers.back().data();
     bodies.push_back(g);
   }
-  physkin::EvaluatorBatch batch(bodies, kernels, options,
-                                std::vector<const physkin::BoundPushOut*>(kBodies, options.push_out));
+  physkin::EvaluatorBatch batch(bodies, kernels, options);
   const auto q = uniform(std::size_t(kBodies) * dofs, -1, 1), gravity = uniform(3 * kBodies, -1, 1);
   std::vector<std::vector<float>> out(kBodies, std::vector<float>(6 * std::size_t(vertices)));
   std::vector<physkin::VertexRows> rows;
@@ -143,37 +142,10 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
   g.influence_nodes = influence_nodes.data();
   g.influence_weights = weights.data();
 
-  // A body of as many vertices as the garment, scattered over the same box, and blocks of all but full length.
-  const auto body = uniform(3 * vertices, -1, 1), body_normals = uniform(3 * vertices, -1, 1);
-  const int candidates = (vertices + 1) / 2, blocks = (vertices + physkin::kBlock - 2) / (physkin::kBlock - 1);
-  const auto body_bones = indices(std::size_t(vertices) * influences, bones);
-  const auto bend = uniform(candidates, -5, 5);
-  const auto patch = indices(std::size_t(candidates) * physkin::kPatch * 3, vertices);
-  const auto listed = indices(3 * std::size_t(blocks), candidates);
-  std::vector<std::int32_t> block_vertices(std::size_t(blocks) * physkin::kBlock, -1), start(blocks + 1);
-  constexpr int kFilled = physkin::kBlock - 1;
-  for (int v = 0; v < vertices; ++v) block_vertices[v / kFilled * physkin::kBlock + v % kFilled] = v;
-  for (int block = 0; block <= blocks; ++block) start[block] = 3 * block;
-  physkin::BoundPushOut out_of_body;
-  out_of_body.body_count = vertices;
-  out_of_body.candidate_count = candidates;
-  out_of_body.influences = influences;
-  out_of_body.block_count = blocks;
-  out_of_body.listed_count = 3 * blocks;
-  out_of_body.body_vertices = body.data();
-  out_of_body.body_normals = body_normals.data();
-  out_of_body.body_bones = body_bones.data();
-  out_of_body.body_weights = weights.data();
-  out_of_body.body_bend = bend.data();
-  out_of_body.body_patch = patch.data();
-  out_of_body.block_vertices = block_vertices.data();
-  out_of_body.candidate_start = start.data();
-  out_of_body.candidates = listed.data();
-
   const auto faces = indices(6 * std::size_t(vertices), vertices);
   g.faces = faces.data();
   g.face_count = 2 * vertices;
-  physkin::EvaluatorOptions options{precision, physkin::Normals::skinned, &out_of_body};
+  physkin::EvaluatorOptions options{precision, physkin::Normals::skinned};
   if (vertices % 2 == 0) options.normals = physkin::Normals::faces;
 
   physkin::Evaluator evaluator(g, kernels, options);

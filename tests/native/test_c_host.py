@@ -154,6 +154,7 @@ def test_bad_steps_write_nothing_and_say_why(c, small_bound_file):
     assert step(c, garment, pose, gravity, out) == BAD_POSE
     assert c.physkin_last_error().startswith(b"joint_positions[2] is inf")
     assert (out == 7).all()
+    assert c.physkin_residual(garment, None, None) == BAD_ARGUMENT and b"removed" in c.physkin_last_error()
     c.physkin_close(garment)
 
 
@@ -203,7 +204,7 @@ def edited(data, change):
         (lambda h: h["pose_layers.0.weight"].update(shape=[10, 16]), "pose_layers"),
         (lambda h: h["node_bone"].update(data_offsets=h["influence_nodes"]["data_offsets"]), "node_bone has"),
         (lambda h: h["faces"].update(data_offsets=[0, 1080]), "faces"),
-        (lambda h: h["push_out.candidates"].update(dtype="U32"), "push_out.candidates"),
+        (lambda h: h.update({"push_out.body_vertices": h["vertices"]}), "push_out.body_vertices.*removed"),
     ],
 )
 def test_other_files_are_refused(change, message, c, small_bound_file):

@@ -343,21 +343,6 @@ def test_precision_reaches_the_native_evaluator(precision):
     assert np.array_equal(rounded, exact) == (precision == "fp32")
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("wrong", ["precision", "normals", "points"])
-def test_what_cannot_be_is_refused_before_the_push_out_is_bound(monkeypatch, backend, wrong):
-    """Binding it takes seconds."""
-    _, model, avatar = scene(43, **SIZES["tiny"])
-    options, message = {
-        "precision": ({"precision": "fp8"}, "fp8"),
-        "normals": ({"normals": "smooth"}, "smooth"),
-        "points": ({"normals": "faces", "points": model.garment.vertices}, "faces"),
-    }[wrong]
-    monkeypatch.setattr("physkin_core.runtime.draper.bind_push_out", lambda *_: pytest.fail("bound the push-out first"))
-    with pytest.raises(ValueError, match=message):
-        Draper(model, avatar, backend=backend, push_out=True, **options)
-
-
 def test_numpy_backend_refuses_other_precisions():
     _, model, avatar = scene(42, **SIZES["tiny"])
     with pytest.raises(ValueError, match="numpy backend computes with the model's own network weights, not in 'bf16'"):
