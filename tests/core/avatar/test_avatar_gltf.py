@@ -2,6 +2,7 @@
 
 import base64
 import json
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from physkin_training.prepare.gltf_export import skinned_document, write_glb, wr
 BODY = load_body_model()
 RIG = BODY.rig
 PERSON = avatar_from_body(BODY, BODY.held_out_bodies[0])
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, tested with plain meshes
 
 
 def _builder(**changes):
@@ -414,6 +416,19 @@ def _huge_accessor(builder):
     accessor["count"] = 10**12
 
 
+def _endless_without_indices(builder):
+    _endless_without_data(builder)
+    primitive = builder.document["meshes"][0]["primitives"][0]
+    del primitive["indices"]
+    builder.document["accessors"][primitive["attributes"]["POSITION"]]["bufferView"] = 0
+
+
+def _endless_without_data(builder):
+    accessor = builder.document["accessors"][builder.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
+    accessor["count"] = 9_999_999
+    del accessor["bufferView"]
+
+
 def _long_accessor(builder):
     accessor = builder.document["accessors"][builder.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
     accessor["count"] += 1
@@ -464,6 +479,8 @@ def _flat_limb(builder):
         (_endless_buffer, "buffer 0 has 2147483648 bytes, allowed are 0 to 536870912"),
         (_short_buffer, "is truncated: buffer 0 has"),
         (_huge_accessor, "1000000000000 elements without data, allowed 1 to"),
+        (_endless_without_data, "9999999 elements without data, allowed 1 to"),
+        (_endless_without_indices, "an accessor of 9999999 elements needs bytes"),
         (_long_accessor, "truncated or malformed"),
         (_dangling_accessor, "is malformed: accessor 77, allowed 0 to"),
         (_negative_view, "is malformed: buffer view -.*, allowed 0 to"),
@@ -473,12 +490,18 @@ def _flat_limb(builder):
     ],
 )
 def test_damaged_files_are_refused(tmp_path, damage, message):
-    """Each damage is refused with an AvatarError that says what was found and what is allowed."""
+    """Each damage is refused with an AvatarError that says what was found and what is allowed, before much is
+    allocated."""
     builder = _builder()
     damage(builder)
     (tmp_path / "linked.bin").symlink_to("/etc/passwd")
-    with pytest.raises(AvatarError, match=message):
-        _load(tmp_path, builder)
+    tracemalloc.start()
+    try:
+        with pytest.raises(AvatarError, match=message):
+            _load(tmp_path, builder)
+        assert tracemalloc.get_traced_memory()[1] < 60e6  # bytes
+    finally:
+        tracemalloc.stop()
 
 
 def test_truncated_and_foreign_files_are_refused(tmp_path):

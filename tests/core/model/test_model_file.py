@@ -195,12 +195,16 @@ def test_missing_file_and_folder_are_refused(tmp_path):
         load_garment_model(folder)
 
 
-def test_a_folder_does_not_hide_a_shipped_model(tmp_path, saved, monkeypatch):
-    """A name that is also a folder in the working directory, where trained models are kept by name."""
+@pytest.mark.parametrize("kind", ["folder", "file"])
+def test_nothing_in_the_working_folder_hides_a_shipped_model(kind, tmp_path, saved, monkeypatch):
+    """A bare name is the shipped model's; with a folder before it the path of a file."""
     monkeypatch.setattr(model_file, "MODELS_PATH", saved.parent)
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "tiny").mkdir()
+    here = tmp_path / "tiny"
+    here.mkdir() if kind == "folder" else save_garment_model(replace(tiny(), name="another"), here)
     assert load_garment_model("tiny").name == "random"
+    if kind == "file":
+        assert load_garment_model("./tiny").name == "another"
 
 
 def test_unknown_name_lists_the_shipped_models():

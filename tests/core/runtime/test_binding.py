@@ -269,8 +269,10 @@ def test_encoding_is_logged_with_its_time(model, avatar, caplog):
     assert f"encoded body {avatar.source} for random in" in caplog.text and " ms" in caplog.text
 
 
-def test_an_avatar_of_another_rig_is_refused(model):
+def test_an_avatar_of_another_rig_is_refused(model, avatar):
     rng = np.random.default_rng(5)
     other = random_model(rng, bones=7)
     with pytest.raises(ValueError, match="avatar random body has 7 bones, the rig of 'random' has 36"):
         bind_garment(model, random_avatar(rng, other.rig))
+    with pytest.raises(ValueError, match="its bone 'tail' is 'head' there"):
+        bind_garment(model, replace(avatar, bone_names=(*RIG.bone_names[:-1], "tail")))

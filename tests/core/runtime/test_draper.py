@@ -194,6 +194,21 @@ def test_joint_positions_may_be_given_by_name():
         draper.drape({"joint3": np.nan})
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("way", ["drape", "bind_step"])
+def test_degrees_are_told_once(backend, way, caplog):
+    """A joint far beyond its limits is named with its value, in both ways of draping, once."""
+    _, model, avatar = scene(15)
+    draper, q = Draper(model, avatar, backend=backend), model.rig.rest.astype(np.float32)
+    out = draper.drape(q + 6)  # not yet
+    assert not caplog.records
+    q[4] = 97
+    step = draper.bind_step(q, np.float32([0, 0, -1]), out)
+    for _ in range(2):
+        draper.drape(q, out=out) if way == "drape" else step()
+    assert len(caplog.records) == 1 and "'joint4' is 97" in caplog.text and "degrees" in caplog.text
+
+
 # --- The output ---
 
 
@@ -293,8 +308,10 @@ def test_bone_transforms_are_those_of_this_body():
 # --- Construction ---
 
 
-def test_unknown_backend_is_refused():
+def test_unknown_backend_and_swapped_arguments_are_refused():
     _, model, avatar = scene(11)
+    with pytest.raises(TypeError, match=r"Draper\(model, avatar\), got Draper\(Avatar, GarmentModel\)"):
+        Draper(avatar, model)
     with pytest.raises(ValueError, match="unknown backend 'cuda'; allowed: native, numpy"):
         Draper(model, avatar, backend="cuda")
 
@@ -313,6 +330,18 @@ def test_points_replace_the_vertices(backend):
     draped = draper.drape(*pose)
     np.testing.assert_allclose(draped[:, :3], own[::3, :3], atol=1e-5)
     np.testing.assert_allclose(np.linalg.norm(draped[:, 3:], axis=1), 1, atol=1e-5)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_networks_that_overflow_are_refused(backend):
+    """Finite network weights whose result is not: nothing is written, and the node transforms stay."""
+    rng, model, avatar = scene(16)
+    layers = tuple((np.float32(1e5) * weight, bias) for weight, bias in model.node_deformer)
+    draper = Draper(replace(model, node_deformer=layers), avatar, backend=backend)
+    out = np.full((draper.vertex_count, 6), 7, dtype=np.float32)
+    with pytest.raises(ValueError, match="node deformer output"):
+        draper.drape(*random_pose(rng, model.rig), out=out)
+    assert (out == 7).all() and not draper.node_transforms().any()
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
