@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from physkin_core.avatar.body_model import BodyModel
+from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
 
 __all__ = ["Avatar", "AvatarError", "AvatarWarning", "avatar_from_body"]
 
@@ -52,8 +53,7 @@ class Avatar:
         matrices = np.asarray(bone_transforms, dtype=np.float32)
         if matrices.shape != (len(self.bone_heads), 3, 4):
             raise ValueError(f"bone transforms have shape {matrices.shape}, expected ({len(self.bone_heads)}, 3, 4)")
-        blended = np.einsum("vk,vkij->vij", self.influence_weights, matrices[self.influence_bones])
-        return np.einsum("vij,vj->vi", blended[..., :3], self.vertices) + blended[..., 3]
+        return linear_blend_skinning(self.vertices, matrices, self.influence_bones, self.influence_weights)
 
 
 def avatar_from_body(body_model: BodyModel, coefficients: np.ndarray) -> Avatar:

@@ -16,7 +16,8 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.rig.bone_naming import OWN_NAMES, match_bones
-from physkin_core.rig.canonical_pose import blended, limb_rotations, smallest_rotation, turned_down_the_chain
+from physkin_core.rig.canonical_pose import limb_rotations, smallest_rotation, turned_down_the_chain
+from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
 from physkin_core.rig.rig import Rig
 
 __all__ = ["SkinnedMesh", "check_size", "clean_surface", "place_bones", "retarget", "turn_upright"]
@@ -260,7 +261,7 @@ def _canonical(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> Sk
     transforms, posed = turned_down_the_chain(mesh.joint_heads, mesh.joint_parents, joint_turn)
     return replace(
         mesh,
-        vertices=blended(mesh.vertices, transforms, mesh.influence_joints, mesh.influence_weights),
+        vertices=linear_blend_skinning(mesh.vertices, transforms, mesh.influence_joints, mesh.influence_weights),
         joint_heads=posed,
         joint_tails=np.einsum("jab,jb->ja", transforms[..., :3], mesh.joint_tails) + transforms[..., 3],
     )

@@ -9,11 +9,11 @@ from random_models import random_rotation, unit_rows
 from physkin_core import load_body_model
 from physkin_core.rig.canonical_pose import (
     LIMB_SEGMENTS,
-    blended,
     limb_rotations,
     smallest_rotation,
     turned_down_the_chain,
 )
+from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
 
 
 def angle_of(rotation):
@@ -125,7 +125,7 @@ def test_blending_vertex_by_vertex():
     rng = np.random.default_rng(3)
     vertices, transforms = rng.normal(size=(8, 3)), rng.normal(size=(4, 3, 4))
     joints, weights = rng.integers(0, 4, size=(8, 2)), rng.dirichlet(np.ones(2), size=8)
-    moved = blended(vertices, transforms, joints, weights)
+    moved = linear_blend_skinning(vertices, transforms, joints, weights)
     for vertex, result, own, share in zip(vertices, moved, joints, weights):
         expected = sum(w * (transforms[j] @ [*vertex, 1.0]) for j, w in zip(own, share))
         np.testing.assert_allclose(result, expected, atol=1e-12)
