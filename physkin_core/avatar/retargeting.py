@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import permutations, product
 
 import numpy as np
 
@@ -129,6 +128,8 @@ def check_size(vertices: np.ndarray, source: str) -> None:
 
 def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int]) -> SkinnedMesh:
     """Turn by quarters until the skeleton stands up and looks forward; a warning says when that was needed."""
+    from scipy.spatial.transform import Rotation
+
     ends = [f"{bone}.{side}" for bone in ("upperarm01", "upperleg01") for side in SIDES]
     if any(name not in bone_joint for name in ends):
         return mesh
@@ -141,7 +142,8 @@ def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int]) -> SkinnedMes
         )
     up, left = up / np.linalg.norm(up), left / np.linalg.norm(left)
     axes = np.stack([np.cross(left, up), left, up], axis=1)
-    turn = max(_quarter_turns(), key=lambda candidate: np.trace(candidate @ axes))
+    quarter_turns = np.round(Rotation.create_group("O").as_matrix())  # the 24 that take axes to axes
+    turn = max(quarter_turns, key=lambda candidate: np.trace(candidate @ axes))
     if np.array_equal(turn, np.eye(3)):
         return mesh
     facing, rising = _axis_name(turn[0]), _axis_name(turn[2])
@@ -316,14 +318,3 @@ def _outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def _axis_name(direction: np.ndarray) -> str:
     axis = int(np.argmax(np.abs(direction)))
     return ("-" if direction[axis] < 0 else "") + "XYZ"[axis]
-
-
-def _quarter_turns() -> list[np.ndarray]:
-    """The 24 rotations that take axes to axes, the identity first."""
-    turns = []
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            matrix = np.eye(3)[list(order)] * np.array(signs)[:, None]
-            if np.linalg.det(matrix) > 0:
-                turns.append(matrix)
-    return turns
