@@ -59,8 +59,6 @@ class CaseResult:
     case: BenchmarkCase
     weight_count: int
     skinning_terms: int
-    skips_zeros: dict[str, tuple[bool, bool]]
-    fetches_ahead: dict[str, tuple[bool, bool]]
     native: dict[tuple[str, str, str], Timing] = field(default_factory=dict)
     batches: dict[tuple[str, int], Timing] = field(default_factory=dict)
     singles: dict[str, Timing] = field(default_factory=dict)
@@ -101,8 +99,6 @@ def measure_case(
         case=case,
         weight_count=networks.weight_count,
         skinning_terms=exact.skinning_terms,
-        skips_zeros={precision: evaluators[precision, widest].skips_zeros for precision in PRECISIONS},
-        fetches_ahead={precision: evaluators[precision, widest].fetches_ahead for precision in PRECISIONS},
     )
     network_calls, missing = prepare_peers(network_peers, networks, networks.expected)
     result.missing |= {f"networks.{name}": reason for name, reason in missing.items()}

@@ -59,8 +59,6 @@ def case_keys(result: CaseResult) -> dict[str, object]:
         keys |= _timing_keys(f"cold.{name}", timing)
     for precision, errors in result.errors.items():
         keys |= {f"error.{precision}.{figure}": value for figure, value in errors.items()}
-        keys[f"{precision}.skips_zeros"] = list(result.skips_zeros[precision])
-        keys[f"{precision}.fetches_ahead"] = list(result.fetches_ahead[precision])
     return keys | _ratio_keys(result, widest) | _floor_keys(result, widest) | {"missing": dict(result.missing)}
 
 

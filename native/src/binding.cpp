@@ -10,11 +10,13 @@
 #include <string>
 #include <vector>
 
-#include "body_encoder.hpp"
-#include "dispatch.hpp"
-#include "evaluator.hpp"
-#include "evaluator_batch.hpp"
-#include "machine_floors.hpp"
+#include "evaluator/body_encoder.hpp"
+#include "evaluator/evaluator.hpp"
+#include "evaluator/evaluator_batch.hpp"
+#include "evaluator/skinner.hpp"
+#include "garment/bound_garment.hpp"
+#include "kernels/dispatch.hpp"
+#include "kernels/machine_floors.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -52,88 +54,78 @@ const T* view(nb::handle object, const std::string& name, std::vector<int>& shap
   return static_cast<const T*>(array.data());
 }
 
-template <class T>
-const T* field(nb::handle garment, const char* name, std::vector<int> shape) {
-  return view<T>(garment.attr(name), name, shape);
-}
+// The fields of a Python object, to be read under the interpreter's lock and used without it. Network weights are viewed
+// and kept alive. Everything else is copied: indices and what they are checked against must not change in between.
+class PythonFields : public FieldSource {
+ public:
+  PythonFields(nb::handle object, Arena& arena, std::vector<nb::object>& held)
+      : object_(object), arena_(arena), held_(held) {}
 
-int length(nb::handle garment, const char* name) { return int(nb::len(nb::object(garment.attr(name)))); }
-
-std::vector<DenseWeights> layers(nb::handle garment, const char* name) {
-  std::vector<DenseWeights> layers;
-  for (nb::handle layer : garment.attr(name)) {
-    const std::string at = std::string(name) + "[" + std::to_string(layers.size()) + "]";
-    std::vector<int> shape{-1, -1};
-    DenseWeights dense;
-    dense.matrix = view<float>(layer[0], at + " network weights", shape);
-    dense.outputs = shape[0];
-    dense.inputs = shape[1];
-    shape = {dense.outputs};
-    dense.bias = view<float>(layer[1], at + " bias", shape);
-    layers.push_back(dense);
+  const float* floats(const std::string& name, std::vector<int>& shape) override { return copied<float>(name, shape); }
+  const std::int32_t* integers(const std::string& name, std::vector<int>& shape) override {
+    return copied<std::int32_t>(name, shape);
   }
-  return layers;
-}
-
-BoundGarment bound_garment(nb::handle source) {
-  BoundGarment g;
-  const int b = g.bones = length(source, "bone_parents");
-  const int d = g.dofs = length(source, "dof_bone");
-  const int m = g.nodes = length(source, "node_bone");
-  const int n = g.vertex_count = length(source, "vertices");
-  const int u = g.deformer_bone_count = length(source, "deformer_bones");
-  g.bone_parents = field<std::int32_t>(source, "bone_parents", {b});
-  g.bone_heads = field<float>(source, "bone_heads", {b, 3});
-  g.dof_bone = field<std::int32_t>(source, "dof_bone", {d});
-  g.dof_axis = field<float>(source, "dof_axis", {d, 3});
-  g.dof_rest = field<float>(source, "dof_rest", {d});
-  g.dof_lower = field<float>(source, "dof_lower", {d});
-  g.dof_upper = field<float>(source, "dof_upper", {d});
-  g.pose_layers = layers(source, "pose_layers");
-  g.modulation_size = length(source, "pose_modulation");
-  g.pose_modulation = field<float>(source, "pose_modulation", {g.modulation_size});
-  g.deformer_bones = field<std::int32_t>(source, "deformer_bones", {u});
-  g.deformer_layers = layers(source, "deformer_layers");
-  g.node_bone = field<std::int32_t>(source, "node_bone", {m});
-  g.node_positions = field<float>(source, "node_positions", {m, 3});
-  g.node_rest = field<float>(source, "node_rest", {m, 3});
-  g.vertices = field<float>(source, "vertices", {n, 3});
-  g.normals = field<float>(source, "normals", {n, 3});
-  std::vector<int> shape{n, -1};
-  g.influence_nodes = view<std::int32_t>(source.attr("influence_nodes"), "influence_nodes", shape);
-  g.influences = shape[1];
-  g.influence_weights = field<float>(source, "influence_weights", shape);
-  g.face_count = length(source, "faces");
-  g.faces = field<std::int32_t>(source, "faces", {g.face_count, 3});
-
-  const std::string activation = nb::cast<std::string>(source.attr("activation"));
-  if (activation != "silu" && activation != "relu") {
-    throw nb::value_error(("activation is '" + activation + "'; must be 'silu' or 'relu'").c_str());
+  std::vector<DenseWeights> layers(const std::string& name) override {
+    std::vector<DenseWeights> layers;
+    for (nb::handle layer : attribute(name)) {
+      const std::string at = name + "[" + std::to_string(layers.size()) + "]";
+      std::vector<int> shape{-1, -1};
+      const float* matrix = view<float>(held(layer[0]), at + " network weights", shape);
+      std::vector<int> outputs{shape[0]};
+      layers.push_back({shape[0], shape[1], matrix, view<float>(held(layer[1]), at + " bias", outputs)});
+    }
+    return layers;
   }
-  g.activation = activation == "silu" ? Activation::silu : Activation::relu;
-  return g;
-}
+  std::string text(const std::string& name) override { return nb::cast<std::string>(attribute(name)); }
+
+ private:
+  nb::object attribute(const std::string& name) const { return object_.attr(name.c_str()); }
+  nb::handle held(nb::object object) { return held_.emplace_back(std::move(object)); }
+
+  template <class T>
+  const T* copied(const std::string& name, std::vector<int>& shape) {
+    const nb::object array = attribute(name);
+    const T* values = view<T>(array, name, shape);
+    std::size_t count = 1;
+    for (int size : shape) count *= std::size_t(size);
+    return arena_.copy(values, count);
+  }
+
+  nb::handle object_;
+  Arena& arena_;
+  std::vector<nb::object>& held_;
+};
+
+// What was read from Python objects, for as long as it lives. It must be destroyed under the interpreter's lock.
+class PythonReader {
+ public:
+  BoundGarment bound_garment(nb::handle object) {
+    PythonFields fields(object, arena_, held_);
+    return read_bound_garment(fields);
+  }
+  SkinningData skinning_data(nb::handle object) {
+    PythonFields fields(object, arena_, held_);
+    return read_skinning_data(fields);
+  }
+
+ private:
+  Arena arena_;
+  std::vector<nb::object> held_;
+};
 
 DenseWeights named_layer(const nb::dict& network, const std::string& name) {
   const std::string weight = name + ".weight", bias = name + ".bias";
   std::vector<int> shape{-1, -1};
-  DenseWeights layer;
-  layer.matrix = view<float>(network[weight.c_str()], weight, shape);
-  layer.outputs = shape[0];
-  layer.inputs = shape[1];
-  shape = {layer.outputs};
-  layer.bias = view<float>(network[bias.c_str()], bias, shape);
-  return layer;
+  const float* matrix = view<float>(network[weight.c_str()], weight, shape);
+  std::vector<int> outputs{shape[0]};
+  return {shape[0], shape[1], matrix, view<float>(network[bias.c_str()], bias, outputs)};
 }
 
 LayerNorm named_norm(const nb::dict& network, const std::string& name) {
   const std::string weight = name + ".weight", bias = name + ".bias";
   std::vector<int> shape{-1};
-  LayerNorm norm;
-  norm.weight = view<float>(network[weight.c_str()], weight, shape);
-  norm.width = shape[0];
-  norm.bias = view<float>(network[bias.c_str()], bias, shape);
-  return norm;
+  const float* values = view<float>(network[weight.c_str()], weight, shape);
+  return {shape[0], values, view<float>(network[bias.c_str()], bias, shape)};
 }
 
 BodyEncoder body_encoder(const nb::dict& network) {
@@ -155,6 +147,7 @@ BodyEncoder body_encoder(const nb::dict& network) {
   return e;
 }
 
+// Without the interpreter's lock: `network` is the caller's own, nobody else takes arrays out of it.
 void encode(const nb::dict& network, nb::handle points, nb::handle normals,
             const nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>& out,
             const std::optional<std::string>& instruction_set) {
@@ -209,13 +202,51 @@ void raise_if(const Rejection& rejection) {
   if (rejection) throw nb::value_error(rejection.message().c_str());
 }
 
+using TransformArray = nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+
+void check_transforms(const TransformArray& array, int nodes) {
+  if (int(array.shape(0)) != nodes || array.shape(1) != 3 || array.shape(2) != 4) {
+    throw nb::value_error(("node_transforms must have shape " + shape_text({nodes, 3, 4})).c_str());
+  }
+}
+
+// A garment without its networks.
+class BoundSkinner {
+ public:
+  explicit BoundSkinner(nb::handle skinning_data) : skinner_([&] {
+          PythonReader reader;
+          const SkinningData data = reader.skinning_data(skinning_data);
+          const Kernels& kernels = select_kernels();
+          const nb::gil_scoped_release release;
+          validate(data);
+          return Skinner(data, kernels, arena_);
+        }()) {}
+
+  void skin(const TransformArray& node_transforms, const OutputArray& out) {
+    check_transforms(node_transforms, skinner_.nodes());
+    const VertexRows rows = vertex_rows(out, skinner_.vertex_count());
+    raise_if(skinner_.check(node_transforms.data()));
+    skinner_.skin(node_transforms.data(), rows);
+  }
+
+ private:
+  Arena arena_;
+  Skinner skinner_;
+};
+
 // The evaluator with room for its converted inputs.
 class BoundEvaluator {
  public:
   BoundEvaluator(nb::handle garment, const std::optional<std::string>& instruction_set,
                  const std::optional<std::string>& precision, const std::string& normals)
-      : evaluator_(bound_garment(garment), select_kernels(instruction_set.value_or("")),
-                   {select_precision(precision.value_or("")), select_normals(normals)}),
+      : evaluator_([&] {
+          PythonReader reader;
+          const BoundGarment bound = reader.bound_garment(garment);
+          const Kernels& kernels = select_kernels(instruction_set.value_or(""));
+          const EvaluatorOptions options{select_precision(precision.value_or("")), select_normals(normals)};
+          const nb::gil_scoped_release release;
+          return Evaluator(bound, kernels, options);
+        }()),
         joint_positions_(evaluator_.dofs()) {}
 
   void evaluate(const AnyArray& joint_positions, const AnyArray& gravity, const OutputArray& out) {
@@ -224,13 +255,8 @@ class BoundEvaluator {
     raise_if(evaluator_.step(joint_positions_.data(), gravity_, vertex_rows(out, evaluator_.vertex_count())));
   }
 
-  void skin(const nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>& node_transforms,
-            const OutputArray& out) {
-    if (int(node_transforms.shape(0)) != evaluator_.nodes() || node_transforms.shape(1) != 3 ||
-        node_transforms.shape(2) != 4) {
-      const std::string shape = shape_text({evaluator_.nodes(), 3, 4});
-      throw nb::value_error(("node_transforms must have shape " + shape).c_str());
-    }
+  void skin(const TransformArray& node_transforms, const OutputArray& out) {
+    check_transforms(node_transforms, evaluator_.nodes());
     raise_if(evaluator_.skin(node_transforms.data(), vertex_rows(out, evaluator_.vertex_count())));
   }
 
@@ -288,8 +314,15 @@ class BoundBatch {
 
   BoundBatch(const nb::list& garments, const std::optional<std::string>& instruction_set,
              const std::optional<std::string>& precision, const std::string& normals)
-      : batch_(bound_garments(garments), select_kernels(instruction_set.value_or("")),
-               {select_precision(precision.value_or("")), select_normals(normals)}),
+      : batch_([&] {
+          PythonReader reader;
+          std::vector<BoundGarment> bound;
+          for (nb::handle garment : garments) bound.push_back(reader.bound_garment(garment));
+          const Kernels& kernels = select_kernels(instruction_set.value_or(""));
+          const EvaluatorOptions options{select_precision(precision.value_or("")), select_normals(normals)};
+          const nb::gil_scoped_release release;
+          return EvaluatorBatch(bound, kernels, options);
+        }()),
         rows_(std::size_t(batch_.count())) {}
 
   void bind(InputArray joint_positions, InputArray gravity, OutputArrays out) {
@@ -330,11 +363,6 @@ class BoundBatch {
   const EvaluatorBatch& batch() const { return batch_; }
 
  private:
-  static std::vector<BoundGarment> bound_garments(const nb::list& sources) {
-    std::vector<BoundGarment> garments;
-    for (nb::handle source : sources) garments.push_back(bound_garment(source));
-    return garments;
-  }
   void check_shape(const InputArray& array, const char* name, int width) const {
     if (array.shape(0) != std::size_t(batch_.count()) || array.shape(1) != std::size_t(width)) {
       throw nb::value_error((std::string(name) + " must have shape " + shape_text({batch_.count(), width})).c_str());
@@ -359,6 +387,7 @@ nb::ndarray<nb::numpy, const float, nb::shape<-1, -1>> corrections(const BoundEv
 NB_MODULE(_native, module) {
   using physkin::BoundBatch;
   using physkin::BoundEvaluator;
+  using physkin::BoundSkinner;
   using physkin::BoundStep;
   using physkin::MachineProbe;
   nb::class_<BoundEvaluator>(module, "Evaluator")
@@ -378,17 +407,10 @@ NB_MODULE(_native, module) {
       .def_prop_ro("corrections", physkin::corrections)
       .def_prop_ro("instruction_set", [](const BoundEvaluator& self) { return self.evaluator().instruction_set(); })
       .def_prop_ro("precision", [](const BoundEvaluator& self) { return precision_name(self.evaluator().precision()); })
-      .def_prop_ro("skips_zeros",
-                   [](const BoundEvaluator& self) {
-                     return nb::make_tuple(self.evaluator().pose_modulator_reading().skip_zeros,
-                                           self.evaluator().node_deformer_reading().skip_zeros);
-                   })
-      .def_prop_ro("fetches_ahead",
-                   [](const BoundEvaluator& self) {
-                     return nb::make_tuple(self.evaluator().pose_modulator_reading().fetch_ahead,
-                                           self.evaluator().node_deformer_reading().fetch_ahead);
-                   })
       .def_prop_ro("skinning_terms", [](const BoundEvaluator& self) { return self.evaluator().skinning_terms(); });
+  nb::class_<BoundSkinner>(module, "Skinner")
+      .def(nb::init<nb::handle>(), "skinning_data"_a)
+      .def("skin", &BoundSkinner::skin, "node_transforms"_a.noconvert(), "out"_a.noconvert());
   nb::class_<BoundStep>(module, "Step")
       .def(nb::init<nb::handle, BoundStep::InputArray, BoundStep::InputArray, physkin::OutputArray>(), "evaluator"_a,
            "joint_positions"_a.noconvert(), "gravity"_a.noconvert(), "out"_a.noconvert())
@@ -409,6 +431,7 @@ NB_MODULE(_native, module) {
       .def_prop_ro("precision", [](const BoundBatch& self) { return precision_name(self.batch()[0].precision()); });
   module.def("encode_body", &physkin::encode, "network"_a, "points"_a, "normals"_a, "out"_a.noconvert(),
              "instruction_set"_a = nb::none());
+  module.def("bound_garment_fields", physkin::bound_garment_fields);
   module.def("supported_instruction_sets", physkin::supported_instruction_sets);
   nb::class_<MachineProbe>(module, "MachineProbe")
       .def("__init__",

@@ -1,5 +1,6 @@
 // The plain C interface of include/physkin.h.
 #include <algorithm>
+#include <cstddef>
 #include <cstdio>
 #include <cstring>
 #include <fstream>
@@ -7,11 +8,11 @@
 #include <new>
 #include <sstream>
 
-#include "bound_file.hpp"
-#include "dispatch.hpp"
-#include "evaluator.hpp"
+#include "evaluator/evaluator.hpp"
+#include "file_format/bound_file.hpp"
+#include "file_format/tensor_file.hpp"
+#include "kernels/dispatch.hpp"
 #include "physkin.h"
-#include "tensor_file.hpp"
 
 struct physkin_garment {
   physkin_garment(const physkin::BoundFile& file, const physkin::Kernels& kernels,
@@ -71,10 +72,17 @@ struct Wanted {
 Wanted wanted(const physkin_options* given) {
   physkin_options options{};
   if (given != nullptr) {
-    if (given->size < sizeof options) {
+    // A host built against an older header has a shorter structure: members that it lacks stay at their defaults.
+    constexpr std::size_t kEnds[] = {offsetof(physkin_options, normals_from_faces), offsetof(physkin_options, precision),
+                                     offsetof(physkin_options, instruction_set), sizeof options};
+    std::size_t known = 0;
+    for (const std::size_t end : kEnds) {
+      if (given->size >= end) known = end;
+    }
+    if (known == 0) {
       throw std::invalid_argument("options.size is " + std::to_string(given->size) + "; set it to sizeof(physkin_options)");
     }
-    options = *given;
+    std::memcpy(&options, given, known);
   }
   if (options.normals_from_faces != 0 && options.normals_from_faces != 1) {
     throw std::invalid_argument("options.normals_from_faces is " + std::to_string(options.normals_from_faces) +

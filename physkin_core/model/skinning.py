@@ -5,15 +5,36 @@ Dimensions: `n` vertices, `m` garment nodes, `K` influences a vertex. Metres, ro
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from physkin_core.model.garment_nodes import pose_nodes
-from physkin_core.runtime.bound_garment import BoundGarment
 
-__all__ = ["NORMALS", "cofactors", "plain_skinning", "skin", "skinning_matrices", "unit"]
+if TYPE_CHECKING:
+    from physkin_core.runtime.bound_garment import BoundGarment
+
+__all__ = ["NORMALS", "SkinningData", "cofactors", "plain_skinning", "skin", "skinning_matrices", "unit"]
 
 NORMALS = ("skinned", "faces")
 """Where normals come from: rest normals carried along, or the draped mesh's faces."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkinningData:
+    """A garment as skinning takes it. Float arrays are float32, all C-contiguous; metres.
+
+    node_rest: (m, 3) garment nodes at rest on the garment (translation of chi-bar).
+    vertices: (n, 3) rest garment; normals: (n, 3) unit, what skinning carries to the draped garment's.
+    influence_nodes: (n, K) int32; influence_weights: (n, K), rows sum to 1.
+    """
+
+    node_rest: np.ndarray
+    vertices: np.ndarray
+    normals: np.ndarray
+    influence_nodes: np.ndarray
+    influence_weights: np.ndarray
 
 
 def cofactors(linear: np.ndarray) -> np.ndarray:

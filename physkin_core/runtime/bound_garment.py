@@ -12,13 +12,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from physkin_core.model.mlp import Layer
+from physkin_core.model.skinning import SkinningData
 
 __all__ = ["BoundGarment"]
 
 
-@dataclass(frozen=True)
-class BoundGarment:
-    """Constant arrays of the per-frame path for one (garment model, body) pair.
+@dataclass(frozen=True, kw_only=True)
+class BoundGarment(SkinningData):
+    """Constant arrays of the per-frame path for one (garment model, body) pair, those of `SkinningData` among them.
+
+    native/src/garment/bound_garment.cpp lists the same fields, for the evaluator and the bound garment file.
 
     bone_parents: (b,) int32, parent before child, -1 for the root.
     bone_heads: (b, 3) joint centres of this body at the canonical pose.
@@ -31,9 +34,6 @@ class BoundGarment:
         hidden layer k is activation((1 + scale_k) * (W x + bias) + shift_k), the last layer is linear.
     node_bone: (m,) int32, the bone each garment node follows.
     node_positions: (m, 3) garment nodes at the canonical pose of this body.
-    node_rest: (m, 3) garment nodes at rest on the garment (translation of chi-bar).
-    vertices: (n, 3) rest garment; normals: (n, 3) unit, what skinning carries to the draped garment's.
-    influence_nodes: (n, K) int32; influence_weights: (n, K), rows sum to 1.
     activation: "silu" or "relu".
     pose_modulation: (s,) the body's modulation of the pose modulator, [scale_0, shift_0, scale_1, ...] over its hidden
         layers, where it is not folded into pose_layers; else empty. Bodies of one garment model then share pose_layers.
@@ -52,11 +52,6 @@ class BoundGarment:
     deformer_layers: tuple[Layer, ...]
     node_bone: np.ndarray
     node_positions: np.ndarray
-    node_rest: np.ndarray
-    vertices: np.ndarray
-    normals: np.ndarray
-    influence_nodes: np.ndarray
-    influence_weights: np.ndarray
     activation: str = "silu"
     pose_modulation: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     faces: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.int32))

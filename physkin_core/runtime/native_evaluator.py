@@ -49,9 +49,8 @@ class NativeEvaluator:
     normals: "skinned", rest normals carried along, or "faces", those of the posed mesh's faces around each vertex,
         weighted by area: slower, and right where the cloth ripples.
 
-    Network weights can be fetched ahead of time, and with ReLU networks those of activations that are zero can be
-    skipped, which changes no bit of a frame. Whether that pays is measured here, in tens of milliseconds; the
-    environment variable PHYSKIN_NATIVE_ZEROS ("skip" or "read") decides on skipping without measuring.
+    Building one takes milliseconds, without the interpreter's lock: other threads go on. Network weights must not be
+    changed meanwhile.
 
     Raises ValueError if an array of `bound` has another dtype, shape or layout than its class states, an
     index is out of range, a value is not finite, the instruction set is unknown or not supported by this CPU, the
@@ -77,16 +76,6 @@ class NativeEvaluator:
     def precision(self) -> str:
         """Precision of the network weights."""
         return self._evaluator.precision
-
-    @property
-    def skips_zeros(self) -> tuple[bool, bool]:
-        """Whether pose modulator and node deformer skip network weights of activations that are zero."""
-        return self._evaluator.skips_zeros
-
-    @property
-    def fetches_ahead(self) -> tuple[bool, bool]:
-        """Whether pose modulator and node deformer fetch network weights ahead of time, where all are read."""
-        return self._evaluator.fetches_ahead
 
     @property
     def skinning_terms(self) -> int:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.native_evaluator import NativeEvaluator
+from physkin_core.model.skinning import SkinningData
+from physkin_core.runtime.native_evaluator import _native
 
 __all__ = ["NativeSkinner"]
 
@@ -29,36 +29,15 @@ class NativeSkinner:
         influence_nodes: np.ndarray,
         influence_weights: np.ndarray,
     ) -> None:
-        node_count = len(node_rest)
-
-        def silent(outputs: int, inputs: int) -> tuple[np.ndarray, np.ndarray]:
-            return np.zeros((outputs, inputs), dtype=np.float32), np.zeros(outputs, dtype=np.float32)
-
-        one_bone = dict(
-            bone_parents=np.array([-1], dtype=np.int32),
-            bone_heads=np.zeros((1, 3), dtype=np.float32),
-            dof_bone=np.zeros(1, dtype=np.int32),
-            dof_axis=np.array([[0, 0, 1]], dtype=np.float32),
-            dof_rest=np.zeros(1, dtype=np.float32),
-            dof_lower=np.array([-1], dtype=np.float32),
-            dof_upper=np.array([1], dtype=np.float32),
-            deformer_bones=np.zeros(1, dtype=np.int32),
-            node_bone=np.zeros(node_count, dtype=np.int32),
-        )
-        self.vertex_count, self.node_count = len(vertices), node_count
-        self._evaluator = NativeEvaluator(
-            BoundGarment(
-                **one_bone,
-                pose_layers=(silent(2, 4),),
-                deformer_layers=(silent(1, 12), silent(9 * node_count, 1)),
-                node_positions=node_rest,
+        self.vertex_count, self.node_count = len(vertices), len(node_rest)
+        self._skinner = _native.Skinner(
+            SkinningData(
                 node_rest=node_rest,
                 vertices=vertices,
                 normals=normals,
                 influence_nodes=influence_nodes,
                 influence_weights=influence_weights,
-            ),
-            precision="fp32",
+            )
         )
 
     def skin(self, node_transforms: np.ndarray, out: np.ndarray) -> None:
@@ -66,4 +45,4 @@ class NativeSkinner:
 
         Raises TypeError or ValueError as `NativeEvaluator.skin` does.
         """
-        self._evaluator.skin(node_transforms, out)
+        self._skinner.skin(node_transforms, out)

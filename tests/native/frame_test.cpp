@@ -9,9 +9,9 @@
 #include <random>
 #include <vector>
 
-#include "dispatch.hpp"
-#include "evaluator.hpp"
-#include "evaluator_batch.hpp"
+#include "kernels/dispatch.hpp"
+#include "evaluator/evaluator.hpp"
+#include "evaluator/evaluator_batch.hpp"
 
 static long allocations = 0;
 
@@ -124,6 +124,7 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
   g.nodes = nodes;
   g.vertex_count = vertices;
   g.influences = influences;
+  g.modulation_size = 0;
   g.bone_parents = parents.data();
   g.bone_heads = heads.data();
   g.dof_bone = dof_bone.data();
@@ -167,7 +168,6 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
 int main() {
   using physkin::Activation;
   using physkin::Precision;
-  setenv("PHYSKIN_NATIVE_ZEROS", "skip", 1);
   for (const std::string& name : physkin::supported_instruction_sets()) {
     const physkin::Kernels& kernels = physkin::select_kernels(name);
     for (const Precision precision : {Precision::fp32, Precision::bf16, Precision::int8}) {

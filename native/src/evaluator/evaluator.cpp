@@ -1,0 +1,105 @@
+#include "evaluator/evaluator.hpp"
+
+#include <algorithm>
+#include <cfloat>
+#include <stdexcept>
+
+namespace physkin {
+namespace {
+
+const float* copy_modulation(const BoundGarment& g, Arena& arena) {
+  float* modulation = arena.take<float>(std::size_t(g.modulation_size) + kGroup);
+  std::copy_n(g.pose_modulation, g.modulation_size, modulation);
+  return modulation;
+}
+
+// What reads bone transforms sets large rotations off against large translations: in 8 bits that layer, a thirtieth of
+// the network weights, puts vertices out by three to seven times as much as all others together.
+Precision of_bone_transforms(Precision precision) {
+  return precision == Precision::int8 ? Precision::bf16 : precision;
+}
+
+const BoundGarment& validated(const BoundGarment& garment) {
+  validate(garment);
+  return garment;
+}
+
+}  // namespace
+
+Normals select_normals(const std::string& name) {
+  if (name == "skinned") return Normals::skinned;
+  if (name == "faces") return Normals::faces;
+  throw std::invalid_argument("normals '" + name + "' are unknown; they may be skinned or faces");
+}
+
+Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, const EvaluatorOptions& options,
+                     const Evaluator* shared)
+    : kernels_(kernels),
+      precision_(options.precision),
+      rig_(validated(g), arena_),
+      pose_modulator_(g.pose_layers, g.activation, precision_, precision_, kernels, arena_,
+                      shared == nullptr ? nullptr : &shared->pose_modulator_),
+      node_deformer_(g.deformer_layers, g.activation, of_bone_transforms(precision_), precision_, kernels, arena_,
+                     shared == nullptr ? nullptr : &shared->node_deformer_, 1),
+      garment_nodes_(g, arena_),
+      skinner_(g, kernels, arena_),
+      deformer_bone_count_(g.deformer_bone_count),
+      deformer_bones_(arena_.copy(g.deformer_bones, g.deformer_bone_count)),
+      pose_modulation_(g.modulation_size == 0 ? nullptr : copy_modulation(g, arena_)),
+      pose_(arena_.take<float>(g.dofs + 3)),
+      bone_transforms_(arena_.take<float>(12 * g.bones)),
+      deformer_input_(arena_.take<float>(12 * g.deformer_bone_count)),
+      node_transforms_(arena_.take<float>(12 * g.nodes)),
+      corrections_(arena_.take<float>(g.deformer_layers.back().outputs)) {
+  if (options.normals == Normals::faces) face_normals_.emplace(g, arena_);
+}
+
+Rejection Evaluator::check_inputs(const float* joint_positions, const float* gravity) const noexcept {
+  if (const auto bad = reject_beyond("joint_positions", joint_positions, rig_.dofs(), FLT_MAX)) return bad;
+  return reject_beyond("gravity", gravity, 3, FLT_MAX);
+}
+
+Rejection Evaluator::check_corrections() const noexcept {
+  return reject_beyond("node deformer output", corrections_, node_deformer_.outputs(), kLargestLength);
+}
+
+Rejection Evaluator::step(const float* joint_positions, const float* gravity, const VertexRows& rows) noexcept {
+  if (const auto bad = check_inputs(joint_positions, gravity)) return bad;
+  pose(joint_positions, gravity);
+  run_networks();
+  if (const auto bad = check_corrections()) return bad;
+  compose_nodes(corrections_);
+  if (const auto bad = skinner_.check(node_transforms_)) return bad;
+  skinner_.skin(node_transforms_, rows);
+  compute_normals(rows);
+  return {};
+}
+
+void Evaluator::pose(const float* joint_positions, const float* gravity) noexcept {
+  rig_.compute_bone_transforms(joint_positions, bone_transforms_);
+  rig_.compute_pose_vector(joint_positions, gravity, pose_);
+  for (int k = 0; k < deformer_bone_count_; ++k) {
+    std::copy_n(bone_transforms_ + 12 * deformer_bones_[k], 12, deformer_input_ + 12 * k);
+  }
+}
+
+const float* Evaluator::run_networks() noexcept {
+  return corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, pose_modulation_));
+}
+
+void Evaluator::compose_nodes(const float* corrections) noexcept {
+  garment_nodes_.compose(bone_transforms_, corrections, node_transforms_);
+}
+
+Rejection Evaluator::skin(const float* node_transforms, const VertexRows& rows) noexcept {
+  if (const auto bad = skinner_.check(node_transforms)) return bad;
+  skinner_.skin(node_transforms, rows);
+  compute_normals(rows);
+  return {};
+}
+
+void Evaluator::compute_normals(const VertexRows& rows) noexcept {
+  if (face_normals_ && rows.with_normals) face_normals_->apply(rows);
+}
+
+}  // namespace physkin

@@ -1,0 +1,91 @@
+// The per-frame path: joint positions to garment vertices and normals. Single-threaded; a frame allocates nothing.
+#pragma once
+
+#include <optional>
+#include <string>
+
+#include "evaluator/face_normals.hpp"
+#include "evaluator/garment_nodes.hpp"
+#include "evaluator/mlp.hpp"
+#include "evaluator/rejection.hpp"
+#include "evaluator/rig.hpp"
+#include "evaluator/skinner.hpp"
+#include "garment/bound_garment.hpp"
+#include "kernels/arena.hpp"
+#include "kernels/kernels.hpp"
+
+namespace physkin {
+
+// Where normals come from: rest normals carried by skinning, or the faces of the posed mesh.
+enum class Normals { skinned, faces };
+
+// "skinned" or "faces"; throws std::invalid_argument for another name.
+Normals select_normals(const std::string& name);
+
+struct EvaluatorOptions {
+  Precision precision = Precision::fp32;
+  Normals normals = Normals::skinned;
+};
+
+class Evaluator {
+ public:
+  // Validates and copies the garment; throws std::invalid_argument. `shared`: of a body with the same garment model,
+  // its modulation not folded in either, whose network weights are used; it must live longer.
+  Evaluator(const BoundGarment& garment, const Kernels& kernels, const EvaluatorOptions& options = {},
+            const Evaluator* shared = nullptr);
+  Evaluator(const Evaluator&) = delete;  // its members point into its own arena
+  Evaluator& operator=(const Evaluator&) = delete;
+
+  // One frame. joint_positions (dofs) in radians, gravity (3): unit direction in the root frame. If an input or what
+  // the networks make of it is not finite, says so and leaves the rows and the last frame as they were.
+  Rejection step(const float* joint_positions, const float* gravity, const VertexRows& rows) noexcept;
+
+  // Skinning alone, from the given node_transforms (nodes, 3, 4), which must be finite.
+  Rejection skin(const float* node_transforms, const VertexRows& rows) noexcept;
+
+  // The stages of a frame, in order, each from what the last one left; `step` checks what lies between them.
+  void pose(const float* joint_positions, const float* gravity) noexcept;
+  const float* run_networks() noexcept;  // corrections (nodes, 9 or 12)
+  void compose_nodes(const float* corrections) noexcept;
+  void compute_normals(const VertexRows& rows) noexcept;  // from faces; does nothing if they are skinned
+
+  // (nodes, 3, 4) of the last frame, root frame, metres.
+  const float* node_transforms() const { return node_transforms_; }
+  // What the networks last gave, (nodes, 9 or 12); zeros before the first frame.
+  const float* corrections() const { return corrections_; }
+
+  int dofs() const { return rig_.dofs(); }
+  int nodes() const { return garment_nodes_.count(); }
+  int correction_size() const { return garment_nodes_.correction_size(); }
+  int vertex_count() const { return skinner_.vertex_count(); }
+  int skinning_terms() const { return skinner_.terms(); }
+  const char* instruction_set() const { return kernels_.instruction_set; }
+  Precision precision() const { return precision_; }
+
+ private:
+  friend class EvaluatorBatch;
+
+  Rejection check_inputs(const float* joint_positions, const float* gravity) const noexcept;
+  Rejection check_corrections() const noexcept;
+
+  // Members are built in this order, so that a frame walks the arena from front to back.
+  const Kernels& kernels_;
+  Precision precision_;
+  Arena arena_;
+  Rig rig_;
+  Mlp pose_modulator_;
+  Mlp node_deformer_;
+  GarmentNodes garment_nodes_;
+  Skinner skinner_;
+  int deformer_bone_count_;
+  const std::int32_t* deformer_bones_;
+  const float* pose_modulation_;  // null where it is folded into the pose modulator
+  float* pose_;
+  float* bone_transforms_;
+  float* deformer_input_;
+  float* node_transforms_;
+  const float* corrections_;
+  std::optional<FaceNormals> face_normals_;
+};
+
+}  // namespace physkin

@@ -1,0 +1,26 @@
+// Posing the garment nodes and composing them with the node deformer's corrections.
+#pragma once
+
+#include "garment/bound_garment.hpp"
+#include "kernels/arena.hpp"
+
+namespace physkin {
+
+class GarmentNodes {
+ public:
+  GarmentNodes(const BoundGarment& garment, Arena& arena);
+
+  // From bone_transforms (bones, 3, 4) and the node deformer's output (nodes, 9 or 12), in metres, root frame:
+  // transforms (nodes, 3, 4), chi_i = [R_b | R_b q_i + t_b] * Delta_i with b the bone that garment node i follows.
+  void compose(const float* bone_transforms, const float* corrections, float* transforms) const;
+
+  int count() const { return count_; }
+  int correction_size() const { return correction_size_; }
+
+ private:
+  int count_, correction_size_;
+  const std::int32_t* bone_;
+  const float* positions_;
+};
+
+}  // namespace physkin

@@ -1,0 +1,35 @@
+// Linear blend skinning of one garment from its garment nodes' transforms.
+#pragma once
+
+#include "evaluator/rejection.hpp"
+#include "garment/bound_garment.hpp"
+#include "kernels/arena.hpp"
+#include "kernels/kernels.hpp"
+
+namespace physkin {
+
+class Skinner {
+ public:
+  // The data must be valid; they are copied into the arena.
+  Skinner(const SkinningData& data, const Kernels& kernels, Arena& arena);
+
+  // node_transforms (nodes, 3, 4), root frame, metres: refused where they are not finite.
+  Rejection check(const float* node_transforms) const noexcept;
+
+  // From transforms that were checked. Allocates nothing.
+  void skin(const float* node_transforms, const VertexRows& rows) noexcept;
+
+  int nodes() const { return nodes_; }
+  int vertex_count() const { return blocks_.vertex_count; }
+  // Garment nodes over all blocks of kBlock vertices: each costs 12 multiply-adds a vertex.
+  int terms() const { return blocks_.influence_start[blocks_.block_count]; }
+
+ private:
+  const Kernels& kernels_;
+  int nodes_;
+  SkinningBlocks blocks_;
+  const float* node_rest_;  // (nodes, 3)
+  float* matrices_;         // (nodes, 3, 4): chi_i * inverse of the node's rest transform
+};
+
+}  // namespace physkin

@@ -1,0 +1,68 @@
+#include "file_format/bound_file.hpp"
+
+#include "file_format/tensor_file.hpp"
+
+namespace physkin {
+namespace {
+
+constexpr char kFormat[] = "physkin-bound-garment", kVersion[] = "1";
+
+// The fields of one file, its arrays copied into one arena.
+class FileFields : public FieldSource {
+ public:
+  FileFields(TensorFile& file, Arena& arena) : file_(file), arena_(arena) {}
+
+  const float* floats(const std::string& name, std::vector<int>& shape) override {
+    return file_.floats(name, shape, arena_);
+  }
+  const std::int32_t* integers(const std::string& name, std::vector<int>& shape) override {
+    return file_.integers(name, shape, arena_);
+  }
+  std::vector<DenseWeights> layers(const std::string& name) override {
+    std::vector<DenseWeights> layers;
+    for (std::string at = name + ".0"; file_.contains(at + ".weight"); at = name + "." + std::to_string(layers.size())) {
+      std::vector<int> shape{-1, -1};
+      const float* matrix = floats(at + ".weight", shape);
+      std::vector<int> outputs{shape[0]};
+      layers.push_back({shape[0], shape[1], matrix, floats(at + ".bias", outputs)});
+    }
+    return layers;
+  }
+  std::string text(const std::string& name) override { return file_.metadata(name); }
+
+ private:
+  TensorFile& file_;
+  Arena& arena_;
+};
+
+}  // namespace
+
+BoundFile::BoundFile(const unsigned char* data, std::size_t size) {
+  TensorFile file(data, size);
+  if (file.metadata("format") != kFormat) {
+    throw FileError("the file is of format '" + file.metadata("format") + "'; expected " + kFormat +
+                    ", as `physkin bind` writes it");
+  }
+  if (file.metadata("schema_version") != kVersion) {
+    throw FileError("the file has schema version '" + file.metadata("schema_version") + "'; this library reads " +
+                    kVersion);
+  }
+  if (file.contains("push_out.body_vertices")) {
+    throw FileError("the file holds a push-out (push_out.body_vertices), which was removed; write it anew with "
+                    "`physkin bind`");
+  }
+  FileFields fields(file, arena);
+  try {
+    garment = read_bound_garment(fields);
+  } catch (const std::invalid_argument& error) {
+    throw FileError(error.what());
+  }
+  joint_names = parse_string_list(file.metadata("joint_names"));
+  if (joint_names.size() != std::size_t(garment.dofs)) {
+    throw FileError("the file names " + std::to_string(joint_names.size()) + " joints; expected " +
+                    std::to_string(garment.dofs));
+  }
+  file.refuse_unread();
+}
+
+}  // namespace physkin

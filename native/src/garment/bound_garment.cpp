@@ -1,0 +1,232 @@
+#include "garment/bound_garment.hpp"
+
+#include <initializer_list>
+#include <stdexcept>
+#include <string>
+
+#include "garment/finite.hpp"
+
+namespace physkin {
+namespace {
+
+// --- The one list of fields: reading and checking go by it ---
+
+// One axis of an array: a size of the garment, or a number.
+struct Axis {
+  Axis(int* size) : size(size) {}
+  Axis(int number) : number(number) {}
+  int value() const { return size == nullptr ? number : *size; }
+
+  int* size = nullptr;
+  int number = 0;
+};
+using Shape = std::initializer_list<Axis>;
+
+// Calls visit.floats(name, array, shape), visit.indices(name, array, shape, lowest, limit): values are from `lowest` to
+// below the size `limit`.
+template <class Visitor>
+void visit_skinning_data(SkinningData& d, Visitor&& visit) {
+  visit.floats("node_rest", d.node_rest, {&d.nodes, 3});
+  visit.floats("vertices", d.vertices, {&d.vertex_count, 3});
+  visit.floats("normals", d.normals, {&d.vertex_count, 3});
+  visit.indices("influence_nodes", d.influence_nodes, {&d.vertex_count, &d.influences}, 0, d.nodes);
+  visit.floats("influence_weights", d.influence_weights, {&d.vertex_count, &d.influences});
+}
+
+// The same, visit.layers(name, layers) and visit.activation(name, activation).
+template <class Visitor>
+void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
+  visit.indices("bone_parents", g.bone_parents, {&g.bones}, -1, g.bones);
+  visit.floats("bone_heads", g.bone_heads, {&g.bones, 3});
+  visit.indices("dof_bone", g.dof_bone, {&g.dofs}, 0, g.bones);
+  visit.floats("dof_axis", g.dof_axis, {&g.dofs, 3});
+  visit.floats("dof_rest", g.dof_rest, {&g.dofs});
+  visit.floats("dof_lower", g.dof_lower, {&g.dofs});
+  visit.floats("dof_upper", g.dof_upper, {&g.dofs});
+  visit.activation("activation", g.activation);
+  visit.layers("pose_layers", g.pose_layers);
+  visit.floats("pose_modulation", g.pose_modulation, {&g.modulation_size});
+  visit.indices("deformer_bones", g.deformer_bones, {&g.deformer_bone_count}, 0, g.bones);
+  visit.layers("deformer_layers", g.deformer_layers);
+  visit.indices("node_bone", g.node_bone, {&g.nodes}, 0, g.bones);
+  visit.floats("node_positions", g.node_positions, {&g.nodes, 3});
+  visit_skinning_data(g, visit);
+  visit.indices("faces", g.faces, {&g.face_count, 3}, 0, g.vertex_count);
+}
+
+// --- Reading ---
+
+struct Reader {
+  FieldSource& source;
+
+  // The first array with a size gives it to the garment, the others must have the same.
+  template <class Read>
+  static auto sized(Shape shape, Read read) {
+    std::vector<int> sizes;
+    for (const Axis& axis : shape) sizes.push_back(axis.value());
+    const auto values = read(sizes);
+    std::size_t at = 0;
+    for (const Axis& axis : shape) {
+      if (axis.size != nullptr) *axis.size = sizes[at];
+      ++at;
+    }
+    return values;
+  }
+
+  void floats(const char* name, const float*& values, Shape shape) const {
+    values = sized(shape, [&](std::vector<int>& sizes) { return source.floats(name, sizes); });
+  }
+  void indices(const char* name, const std::int32_t*& values, Shape shape, int, int) const {
+    values = sized(shape, [&](std::vector<int>& sizes) { return source.integers(name, sizes); });
+  }
+  void layers(const char* name, std::vector<DenseWeights>& layers) const { layers = source.layers(name); }
+  void activation(const char* name, Activation& activation) const {
+    const std::string text = source.text(name);
+    if (text != "silu" && text != "relu") {
+      throw std::invalid_argument("activation is '" + text + "'; must be 'silu' or 'relu'");
+    }
+    activation = text == "silu" ? Activation::silu : Activation::relu;
+  }
+};
+
+struct NameList {
+  std::vector<std::string>& names;
+
+  void floats(const char* name, const float*, Shape) const { names.push_back(name); }
+  void indices(const char* name, const std::int32_t*, Shape, int, int) const { names.push_back(name); }
+  void layers(const char* name, const std::vector<DenseWeights>&) const { names.push_back(name); }
+  void activation(const char* name, Activation) const { names.push_back(name); }
+};
+
+// --- Checking ---
+
+// No length, angle or network weight of a garment comes near; what the kernels make of smaller ones stays finite.
+constexpr float kLargest = 1e6f;
+
+[[noreturn]] void fail(const std::string& message) { throw std::invalid_argument(message); }
+
+std::string element(const char* name, std::size_t index) {
+  return std::string(name) + "[" + std::to_string(index) + "]";
+}
+
+void check_finite(const char* name, const float* values, std::size_t count) {
+  const std::size_t bad = first_beyond(values, count, kLargest);
+  if (bad < count) {
+    fail(element(name, bad) + " (flattened) is " + std::to_string(values[bad]) + "; must be finite and within +-1e6");
+  }
+}
+
+void check_layers(const char* name, const std::vector<DenseWeights>& layers, int inputs) {
+  if (layers.empty()) fail(std::string(name) + " is empty; it needs at least the linear output layer");
+  for (std::size_t k = 0; k < layers.size(); ++k) {
+    const DenseWeights& layer = layers[k];
+    if (layer.inputs != inputs) {
+      fail(element(name, k) + " has " + std::to_string(layer.inputs) + " inputs; expected " + std::to_string(inputs));
+    }
+    check_finite(element(name, k).c_str(), layer.matrix, std::size_t(layer.outputs) * layer.inputs);
+    check_finite((element(name, k) + " bias").c_str(), layer.bias, layer.outputs);
+    inputs = layer.outputs;
+  }
+}
+
+int hidden_activations(const std::vector<DenseWeights>& layers) {
+  int hidden = 0;
+  for (std::size_t k = 0; k + 1 < layers.size(); ++k) hidden += layers[k].outputs;
+  return hidden;
+}
+
+struct Check {
+  void floats(const char* name, const float* values, Shape shape) const { check_finite(name, values, count(name, shape)); }
+  void indices(const char* name, const std::int32_t* values, Shape shape, int lowest, int limit) const {
+    const std::size_t size = count(name, shape);
+    for (std::size_t i = 0; i < size; ++i) {
+      if (values[i] < lowest || values[i] >= limit) {
+        fail(element(name, i) + " (flattened) is " + std::to_string(values[i]) + "; must be in [" +
+             std::to_string(lowest) + ", " + std::to_string(limit) + ")");
+      }
+    }
+  }
+  void layers(const char*, const std::vector<DenseWeights>&) const {}  // their sizes depend on each other: see below
+  void activation(const char*, Activation) const {}
+
+  static std::size_t count(const char* name, Shape shape) {
+    std::size_t product = 1;
+    for (const Axis& axis : shape) {
+      if (axis.value() < 0) fail(std::string(name) + " has a size below zero");
+      product *= std::size_t(axis.value());
+    }
+    return product;
+  }
+};
+
+void check_sizes(const SkinningData& d) {
+  if (d.nodes < 1 || d.vertex_count < 1 || d.influences < 1) {
+    fail("a garment needs at least one garment node, vertex and influence");
+  }
+}
+
+}  // namespace
+
+SkinningData read_skinning_data(FieldSource& source) {
+  SkinningData data;
+  visit_skinning_data(data, Reader{source});
+  return data;
+}
+
+BoundGarment read_bound_garment(FieldSource& source) {
+  BoundGarment garment;
+  visit_bound_garment(garment, Reader{source});
+  return garment;
+}
+
+std::vector<std::string> bound_garment_fields() {
+  BoundGarment garment;
+  std::vector<std::string> names;
+  visit_bound_garment(garment, NameList{names});
+  return names;
+}
+
+void validate(const SkinningData& data) {
+  check_sizes(data);
+  SkinningData views = data;
+  visit_skinning_data(views, Check{});
+}
+
+void validate(const BoundGarment& garment) {
+  check_sizes(garment);
+  BoundGarment g = garment;
+  if (g.bones < 1) fail("a bound garment needs at least one bone");
+  visit_bound_garment(g, Check{});
+  for (int j = 0; j < g.bones; ++j) {
+    if (g.bone_parents[j] >= j) {
+      fail(element("bone_parents", j) + " is " + std::to_string(g.bone_parents[j]) +
+           "; must be -1 or the index of an earlier bone");
+    }
+  }
+  for (int k = 0; k < g.dofs; ++k) {
+    if (!(g.dof_lower[k] < g.dof_upper[k])) {
+      fail(element("dof_upper", k) + " is " + std::to_string(g.dof_upper[k]) + "; must be above its lower limit " +
+           std::to_string(g.dof_lower[k]));
+    }
+  }
+
+  check_layers("pose_layers", g.pose_layers, g.dofs + 3);
+  if (g.modulation_size != 0 && g.modulation_size != 2 * hidden_activations(g.pose_layers)) {
+    fail("pose_modulation has " + std::to_string(g.modulation_size) + " values; expected none, or a scale and a shift " +
+         "for " + std::to_string(hidden_activations(g.pose_layers)) + " hidden activations of the pose modulator");
+  }
+  check_layers("deformer_layers", g.deformer_layers, 12 * g.deformer_bone_count);
+  const int hidden = hidden_activations(g.deformer_layers);
+  if (g.pose_layers.back().outputs != 2 * hidden) {
+    fail("pose_layers give " + std::to_string(g.pose_layers.back().outputs) +
+         " values; expected a scale and a shift for " + std::to_string(hidden) +
+         " hidden activations of the node deformer");
+  }
+  const int outputs = g.deformer_layers.back().outputs;
+  if (outputs != 9 * g.nodes && outputs != 12 * g.nodes) {
+    fail("deformer_layers give " + std::to_string(outputs) + " values; expected 9 or 12 for each of " +
+         std::to_string(g.nodes) + " garment nodes");
+  }
+}
+
+}  // namespace physkin

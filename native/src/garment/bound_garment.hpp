@@ -1,0 +1,73 @@
+// A garment model bound to one body: what the evaluator is built from. The fields are those of BoundGarment in
+// physkin_core/runtime/bound_garment.py and mean the same.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "kernels/dense_weights.hpp"
+
+namespace physkin {
+
+// What skinning takes, besides the garment nodes' transforms. Views of the caller's arrays, read during construction
+// only. Sizes are -1 until they are known.
+struct SkinningData {
+  int nodes = -1, vertex_count = -1, influences = -1;
+
+  const float* node_rest = nullptr;               // (nodes, 3) garment at rest
+  const float* vertices = nullptr;                // (vertex_count, 3) garment at rest
+  const float* normals = nullptr;                 // (vertex_count, 3) unit
+  const std::int32_t* influence_nodes = nullptr;  // (vertex_count, influences)
+  const float* influence_weights = nullptr;       // (vertex_count, influences)
+};
+
+// Metres, radians, root frame.
+struct BoundGarment : SkinningData {
+  int bones = -1, dofs = -1, deformer_bone_count = -1, modulation_size = -1, face_count = -1;
+
+  const std::int32_t* bone_parents = nullptr;  // (bones,) parent before child, -1 for the root
+  const float* bone_heads = nullptr;           // (bones, 3) joint centres at the canonical pose
+
+  const std::int32_t* dof_bone = nullptr;  // (dofs,)
+  const float* dof_axis = nullptr;         // (dofs, 3) unit
+  const float* dof_rest = nullptr;         // (dofs,) joint position at which the bone is at its canonical rotation
+  const float* dof_lower = nullptr;        // (dofs,)
+  const float* dof_upper = nullptr;        // (dofs,)
+
+  Activation activation = Activation::silu;
+  std::vector<DenseWeights> pose_layers;
+  const float* pose_modulation = nullptr;  // (modulation_size,) of every hidden activation, or none: it is folded in
+  const std::int32_t* deformer_bones = nullptr;  // (deformer_bone_count,)
+  std::vector<DenseWeights> deformer_layers;
+
+  const std::int32_t* node_bone = nullptr;  // (nodes,)
+  const float* node_positions = nullptr;    // (nodes, 3) canonical pose of this body
+  const std::int32_t* faces = nullptr;      // (face_count, 3), none for a point set
+};
+
+// Where fields are read from, by name. A negative size in `shape` allows any and is filled in; a field that is missing,
+// or of another type or shape, is refused by an exception of the source's own.
+class FieldSource {
+ public:
+  virtual ~FieldSource() = default;
+  virtual const float* floats(const std::string& name, std::vector<int>& shape) = 0;
+  virtual const std::int32_t* integers(const std::string& name, std::vector<int>& shape) = 0;
+  virtual std::vector<DenseWeights> layers(const std::string& name) = 0;
+  virtual std::string text(const std::string& name) = 0;
+};
+
+// Reads every field; what the arrays hold is for `validate` to check, but for the activation's name: throws
+// std::invalid_argument for an unknown one.
+SkinningData read_skinning_data(FieldSource& source);
+BoundGarment read_bound_garment(FieldSource& source);
+
+// Names of all fields.
+std::vector<std::string> bound_garment_fields();
+
+// Throws std::invalid_argument where the evaluator would read out of bounds or divide by zero, or a value is not
+// finite.
+void validate(const SkinningData& data);
+void validate(const BoundGarment& garment);
+
+}  // namespace physkin

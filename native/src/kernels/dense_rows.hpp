@@ -1,0 +1,185 @@
+// Rows of network weights by precision: what a row is multiplied with, its bytes, and the sums it adds to. Included by
+// kernel_unit.cpp only (see simd.hpp).
+#pragma once
+
+#include "kernels/kernels.hpp"
+#include "kernels/simd.hpp"
+#include "kernels/simd_pairs.hpp"
+
+namespace physkin::PHYSKIN_ISA {
+
+struct Fp32Rows {
+  typedef Floats Sum;
+  static constexpr int kRegistersASum = 1;
+  static constexpr int kInputs = 1;  // inputs a row
+  static constexpr int bytes(int outputs) { return 4 * outputs; }
+
+  const float* input;
+
+  void prepare(const PackedLayer&, const DenseCall& call) { input = call.input; }
+
+  typedef Floats Weights;
+  static constexpr int kSumsALoad = 1;
+  static Weights decode(const unsigned char* weights) { return load(reinterpret_cast<const float*>(weights)); }
+  float factor(int row) const { return input[row]; }
+  // sum and, where a load holds network weights of two sums, the one `other` further.
+  static void multiply_add(Weights weights, float x, Sum* sum, int) { *sum += weights * x; }
+
+  Floats value(Sum sum, const PackedLayer& layer, int at) const { return sum + load(layer.bias + at); }
+};
+
+struct Bf16Rows : Fp32Rows {
+  static constexpr int bytes(int outputs) { return 2 * outputs; }
+
+  typedef Ints Weights;
+  static constexpr int kSumsALoad = 2;
+  static Weights decode(const unsigned char* weights) { return load_ints(weights); }
+  static void multiply_add(Weights words, float x, Sum* sum, int other) {
+    sum[0] += (Floats)(words << 16) * x;
+    sum[other] += (Floats)words * x;
+  }
+};
+
+// What the ways to multiply 8-bit network weights share: inputs as integers.
+struct QuantisedInputs {
+  float unit;  // input of 1 in integers; NaN if an input is not finite, as the layer's outputs must be then
+
+  // Calls store(i, integers) for inputs i to i + kLanes, zeros beyond the last.
+  template <class Store>
+  void quantise(const PackedLayer& layer, const float* input, Store store) {
+    // Magnitudes have the order of their bits, above all of them infinity and then NaN.
+    Ints largest = (Ints)(Floats{} + 1e-30f);
+    for_each_vector(input, layer.inputs, [&](int, Floats v) {
+      const Ints magnitude = (Ints)v & 0x7fffffff;
+      largest = magnitude > largest ? magnitude : largest;
+    });
+    const float most = largest_lane(largest);
+    unit = most / layer.input_limit + most * 0.0f;
+    const float scale = layer.input_limit / most;
+    constexpr float kRound = 12582912.0f;  // 1.5 * 2^23: adding it rounds to an integer in the low bits
+    for_each_vector(input, layer.inputs, [&](int i, Floats v) {
+      store(i, (Ints)(v * scale + kRound) - (Ints)(Floats{} + kRound));
+    });
+  }
+
+  // Calls f(i, inputs i to i + kLanes), zeros beyond the last.
+  template <class F>
+  static void for_each_vector(const float* input, int count, F f) {
+    int i = 0;
+    for (; i + kLanes <= count; i += kLanes) f(i, load(input + i));
+    if (i == count) return;
+    Ints lane;
+    for (int k = 0; k < kLanes; ++k) lane[k] = k;
+    f(i, lane + i < count ? load(input + i) : Floats{});
+  }
+
+  // Of floats that are not negative, by their bits.
+  static float largest_lane(Ints v) {
+    std::int32_t lane[kLanes];
+    __builtin_memcpy(lane, &v, sizeof lane);
+    for (int half = kLanes / 2; half > 0; half /= 2) {
+      for (int k = 0; k < half; ++k) lane[k] = lane[k] > lane[k + half] ? lane[k] : lane[k + half];
+    }
+    float largest;
+    __builtin_memcpy(&largest, lane, sizeof largest);
+    return largest;
+  }
+
+  Floats value(Ints sum, const PackedLayer& layer, int at) const {
+    return __builtin_convertvector(sum, Floats) * (load(layer.output_scale + at) * unit) + load(layer.bias + at);
+  }
+};
+
+// The 32 bits at `data`.
+inline std::int32_t word_at(const void* data) {
+  std::int32_t word;
+  __builtin_memcpy(&word, data, sizeof word);
+  return word;
+}
+
+#if defined(__AVX512VNNI__)
+
+// Rows of four inputs. An integer q is 256 high + low with signed bytes (kInt8InputLimit), network weights are stored
+// as w + 128, and one instruction adds the products of four unsigned and four signed bytes: the two sums over
+// (w + 128) high and (w + 128) low make the sum over w q plus 128 times that over q. Exact: all is integer and modulo
+// 2^32, and the sum over w q is within 32 bits.
+struct Int8Rows : QuantisedInputs {
+  struct Sum {
+    Ints high, low;
+  };
+  static constexpr int kRegistersASum = 2;
+  static constexpr Int8Layout kLayout = Int8Layout::quads;
+  static constexpr int kInputs = 4;
+  static constexpr int bytes(int outputs) { return kInputs * outputs; }
+
+  const signed char *high, *low;
+  std::int32_t surplus;  // 128 times the sum of all integers
+
+  void prepare(const PackedLayer& layer, const DenseCall& call) {
+    typedef signed char Bytes __attribute__((vector_size(kLanes), may_alias));
+    signed char* const bytes = reinterpret_cast<signed char*>(call.quantised);
+    const int padded = (layer.inputs + kLanes - 1) / kLanes * kLanes;
+    Ints sum = {};
+    quantise(layer, call.input, [&](int i, Ints rounded) {
+      const Ints upper = wrapping_sum(rounded, Ints{} + 128) >> 8;
+      *reinterpret_cast<Bytes*>(bytes + i) = __builtin_convertvector(upper, Bytes);
+      *reinterpret_cast<Bytes*>(bytes + padded + i) = __builtin_convertvector(rounded, Bytes);
+      sum = wrapping_sum(sum, rounded);
+    });
+    high = bytes;
+    low = bytes + padded;
+    std::uint32_t total = 0;
+    for (int lane = 0; lane < kLanes; ++lane) total += std::uint32_t(sum[lane]);
+    surplus = std::int32_t(128 * total);
+  }
+
+  typedef Ints Weights;
+  static constexpr int kSumsALoad = 1;
+  static Weights decode(const unsigned char* weights) { return load_ints(weights); }
+  struct Factor {
+    Ints high, low;
+  };
+  Factor factor(int row) const {
+    return {Ints{} + word_at(high + kInputs * row), Ints{} + word_at(low + kInputs * row)};
+  }
+  static void multiply_add(Weights weights, Factor quad, Sum* sum, int) {
+    sum->high = add_quad_products(sum->high, weights, quad.high);
+    sum->low = add_quad_products(sum->low, weights, quad.low);
+  }
+
+  Floats value(Sum sum, const PackedLayer& layer, int at) const {
+    const Ints all = wrapping_sum(sum.high << 8, sum.low);
+    return QuantisedInputs::value(wrapping_sum(all, Ints{} - surplus), layer, at);
+  }
+};
+
+#else
+
+struct Int8Rows : QuantisedInputs {
+  typedef Ints Sum;
+  static constexpr int kRegistersASum = 1;
+  static constexpr Int8Layout kLayout = Int8Layout::pairs;
+  static constexpr int kInputs = 2;
+  static constexpr int bytes(int outputs) { return kInputs * outputs; }
+
+  const std::int16_t* quantised;
+
+  void prepare(const PackedLayer& layer, const DenseCall& call) {
+    typedef std::int16_t Shorts __attribute__((vector_size(2 * kLanes), may_alias));
+    quantise(layer, call.input, [&](int i, Ints rounded) {
+      *reinterpret_cast<Shorts*>(call.quantised + i) = __builtin_convertvector(rounded, Shorts);
+    });
+    if (layer.inputs % kInputs != 0) call.quantised[layer.inputs] = 0;
+    quantised = call.quantised;
+  }
+
+  typedef WidePairs Weights;
+  static constexpr int kSumsALoad = 1;
+  static Weights decode(const unsigned char* weights) { return widen_pairs(weights); }
+  Ints factor(int row) const { return Ints{} + word_at(quantised + kInputs * row); }
+  static void multiply_add(Weights weights, Ints both, Sum* sum, int) { *sum = add_pair_products(*sum, weights, both); }
+};
+
+#endif
+
+}  // namespace physkin::PHYSKIN_ISA

@@ -1,0 +1,23 @@
+// Choice of the instruction set at run time.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "kernels/kernels.hpp"
+
+namespace physkin {
+
+// Names of the instruction sets this CPU runs, narrowest first: "baseline", "v3" (AVX2, FMA), "v4" (AVX-512),
+// "v4_vnni" (AVX-512 VNNI).
+std::vector<std::string> supported_instruction_sets();
+
+// Kernels of the named instruction set; an empty name means the environment variable PHYSKIN_NATIVE_ISA, and without
+// that the widest one supported. Throws std::invalid_argument for a name that is unknown or not supported here.
+const Kernels& select_kernels(const std::string& name = "");
+
+// Whether instructions that fetch network weights ahead of time make this processor read them faster: Zen 5 stops at the
+// end of every page without them, while Zen 3 and 4 read from L3 a quarter faster without.
+bool fetches_ahead();
+
+}  // namespace physkin

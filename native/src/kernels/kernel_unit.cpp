@@ -1,0 +1,27 @@
+// Compiled once per instruction set, with PHYSKIN_ISA set to its name and the flags that CMakeLists.txt gives it.
+#include "kernels/dense_kernel.hpp"
+#include "kernels/floor_kernel.hpp"
+#include "kernels/skinning_kernel.hpp"
+#include "kernels/token_kernel.hpp"
+
+#define PHYSKIN_TEXT_OF(name) #name
+#define PHYSKIN_TEXT(name) PHYSKIN_TEXT_OF(name)
+
+namespace physkin::PHYSKIN_ISA {
+
+extern const Kernels kernels;
+const Kernels kernels{
+    PHYSKIN_TEXT(PHYSKIN_ISA),
+    {kPanel, Int8Rows::kLayout},
+    {{dense<Fp32Rows, false>, dense<Fp32Rows, true>},
+     {dense<Bf16Rows, false>, dense<Bf16Rows, true>},
+     {dense<Int8Rows, false>, dense<Int8Rows, true>}},
+    skin,
+    multiply_add,
+    read_memory,
+    token_linear,
+    token_norm,
+    token_attention,
+};
+
+}  // namespace physkin::PHYSKIN_ISA

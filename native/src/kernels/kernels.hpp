@@ -1,0 +1,99 @@
+// The kernels that take the time of a frame and of encoding a body, and the data layouts they work on. Each instruction
+// set has its own compiled copy (kernel_unit.cpp); dispatch.hpp chooses one.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "kernels/dense_weights.hpp"
+#include "kernels/packed_layer.hpp"
+
+namespace physkin {
+
+// Vertices in blocks of kBlock that share most of their garment nodes. Skinning weights are dense over the block's
+// union of garment nodes, so that every lane does the same work on the same broadcast matrix.
+constexpr int kBlock = 16;
+
+struct SkinningBlocks {
+  int vertex_count = 0, block_count = 0;
+  const std::int32_t* influence_start = nullptr;   // (block_count + 1,) into the next two, at least one a block
+  const std::int32_t* influence_matrix = nullptr;  // (influences,) where a garment node's matrix starts
+  const float* influence_weight = nullptr;         // (influences, kBlock), zeros beyond vertex_count
+  const float* rest = nullptr;                     // (block_count, 6, kBlock): x, y, z, normal x, y, z
+  const std::int32_t* vertex = nullptr;            // (block_count, kBlock) index in the caller's order
+};
+
+// Where vertices go: a row of floats each, x y z or x y z nx ny nz, `stride` floats from row to row. Rows need no
+// alignment: a serialised message may place them anywhere.
+struct VertexRows {
+  unsigned char* data = nullptr;
+  std::ptrdiff_t stride = 0;
+  bool with_normals = false;
+};
+
+// The body encoder works on tiles of kTokens tokens, feature by feature: tile[feature][kTokens], 64-byte aligned.
+constexpr int kTokens = 64;
+constexpr float kLayerNormEpsilon = 1e-5f;
+
+struct LayerNorm {
+  int width = 0;
+  const float* weight = nullptr;  // (width,)
+  const float* bias = nullptr;    // (width,)
+};
+
+// One head's keys and values (head_width, kTokens) in every tile, `tile_stride` floats from tile to tile.
+struct TokenAttention {
+  int head_width = 0, count = 0;  // tokens that exist; those that fill up the last tile are no keys
+  float scale = 1.0f;
+  const float* keys = nullptr;
+  const float* values = nullptr;
+  std::ptrdiff_t tile_stride = 0;
+};
+
+constexpr std::size_t attention_scratch(int head_width) { return (std::size_t(head_width) + kTokens + 2) * kTokens; }
+
+// What a dense kernel computes for one body: output = activation((1 + scale) * (W input + bias) + shift). scale and shift
+// may both be null (no modulation). input must be 64-byte aligned and readable to a multiple of 64 bytes. Writes
+// padded_to_group(outputs) floats and reads as many of scale and shift; those beyond outputs are unspecified.
+struct DenseCall {
+  const float* input = nullptr;
+  const float* scale = nullptr;
+  const float* shift = nullptr;
+  // int8: room for the inputs as 16-bit integers, or their high bytes and then the low ones; a value for each input of
+  // the widest layer and kGroup more, 64-byte aligned.
+  std::int16_t* quantised = nullptr;
+  float* output = nullptr;
+};
+
+// Bodies for which network weights are read once: as many as the registers hold sums for.
+constexpr int kBatch = 4;
+
+// One layer for `count` bodies, from 1 to kBatch; how many changes no bit of a body's result.
+using DenseKernel = void (*)(const PackedLayer& layer, Activation activation, const DenseCall* calls, int count);
+
+struct Kernels {
+  const char* instruction_set;
+  PackedLayout layout;
+
+  // By Precision, and whether instructions fetch network weights ahead of time, which changes no bit (dispatch.hpp).
+  DenseKernel dense[kPrecisionCount][2];
+
+  // x' = M x and normal' = normalised cofactors(A) normal, with M = [A | c] = sum_k w_k M_k, M_k in matrices (nodes, 12).
+  // A normal becomes zero where A flattens the cloth to a line.
+  void (*skin)(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows);
+
+  // What bounds the others from below (floor_kernel.hpp).
+  std::int64_t (*multiply_add)(int rounds, float* result);
+  void (*read_memory)(const unsigned char* data, std::int64_t bytes, bool fetch_ahead, float* result);
+
+  // output tile = activation(W tile + bias), for none and relu.
+  void (*token_linear)(const DenseWeights& layer, const float* tile, Activation activation, float* output);
+
+  // tile = layer norm of (tile + added), over the features of each token.
+  void (*token_norm)(const LayerNorm& norm, const float* added, float* tile);
+
+  // Overwrites the queries (head_width, kTokens) of one tile with softmax(scale * query keys) values.
+  void (*token_attention)(const TokenAttention& attention, float* query, float* scratch);
+};
+
+}  // namespace physkin

@@ -1,0 +1,166 @@
+// Linear blend skinning of positions and normals. Included by kernel_unit.cpp only (see simd.hpp).
+#pragma once
+
+#include "kernels/kernels.hpp"
+#include "kernels/simd.hpp"
+
+namespace physkin::PHYSKIN_ISA {
+
+// kLanes skinned vertices, a coordinate each: x y z and, if asked for, nx ny nz.
+struct SkinnedLanes {
+  Floats column[6];
+};
+
+// Sums the matrices of a block's garment nodes, then applies the sum once.
+template <bool kNormals>
+inline SkinnedLanes skin_lanes(const SkinningBlocks& blocks, const float* matrices, int block, int lane) {
+  const std::int32_t start = blocks.influence_start[block];
+  const std::int32_t* at = blocks.influence_matrix + start;
+  const int node_count = blocks.influence_start[block + 1] - start;
+  const float* weights = blocks.influence_weight + std::ptrdiff_t(start) * kBlock + lane;
+  Floats blend[12];
+  for (int e = 0; e < 12; ++e) blend[e] = load(weights) * matrices[at[0] + e];
+  for (int k = 1; k < node_count; ++k) {
+    const float* matrix = matrices + at[k];
+    const Floats weight = load(weights + k * kBlock);
+    for (int e = 0; e < 12; ++e) blend[e] += weight * matrix[e];
+  }
+  const float* rest = blocks.rest + std::ptrdiff_t(block) * 6 * kBlock + lane;
+  const Floats x = load(rest), y = load(rest + kBlock), z = load(rest + 2 * kBlock);
+  SkinnedLanes skinned;
+  for (int r = 0; r < 3; ++r) {
+    const Floats* row = blend + 4 * r;
+    skinned.column[r] = row[0] * x + row[1] * y + row[2] * z + row[3];
+  }
+  if (!kNormals) return skinned;
+  const Floats nx = load(rest + 3 * kBlock), ny = load(rest + 4 * kBlock), nz = load(rest + 5 * kBlock);
+  Floats normal[3];  // by the cofactors of the linear part, as surfaces turn when they are sheared or stretched
+  for (int r = 0; r < 3; ++r) {
+    const Floats* p = blend + 4 * ((r + 1) % 3);
+    const Floats* q = blend + 4 * ((r + 2) % 3);
+    normal[r] = (p[1] * q[2] - p[2] * q[1]) * nx + (p[2] * q[0] - p[0] * q[2]) * ny + (p[0] * q[1] - p[1] * q[0]) * nz;
+  }
+  const Floats square = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2];
+  const Floats inverse = reciprocal_sqrt(at_least(square, 1e-30f));  // a vanished normal stays zero
+  for (int r = 0; r < 3; ++r) skinned.column[3 + r] = normal[r] * inverse;
+  return skinned;
+}
+
+// In every four lanes the same choice of four from a, counted from 0, and b, counted from kLanes.
+template <int k0, int k1, int k2, int k3>
+inline Floats shuffle_fours(Floats a, Floats b) {
+#if defined(__AVX512F__)
+  return __builtin_shufflevector(a, b, k0, k1, k2, k3, k0 + 4, k1 + 4, k2 + 4, k3 + 4, k0 + 8, k1 + 8, k2 + 8, k3 + 8,
+                                 k0 + 12, k1 + 12, k2 + 12, k3 + 12);
+#elif defined(__AVX2__)
+  return __builtin_shufflevector(a, b, k0, k1, k2, k3, k0 + 4, k1 + 4, k2 + 4, k3 + 4);
+#else
+  return __builtin_shufflevector(a, b, k0, k1, k2, k3);
+#endif
+}
+
+inline Floats zip_low(Floats a, Floats b) { return shuffle_fours<0, kLanes, 1, kLanes + 1>(a, b); }
+inline Floats zip_high(Floats a, Floats b) { return shuffle_fours<2, kLanes + 2, 3, kLanes + 3>(a, b); }
+inline Floats halves_low(Floats a, Floats b) { return shuffle_fours<0, 1, kLanes, kLanes + 1>(a, b); }
+inline Floats halves_high(Floats a, Floats b) { return shuffle_fours<2, 3, kLanes + 2, kLanes + 3>(a, b); }
+
+typedef float Quad __attribute__((vector_size(16), may_alias));
+
+template <int kFour>
+inline Quad four_lanes(Floats v) {
+#if defined(__AVX2__)
+  return __builtin_shufflevector(v, v, 4 * kFour, 4 * kFour + 1, 4 * kFour + 2, 4 * kFour + 3);
+#else
+  static_assert(kFour == 0, "the register has four lanes");
+  return v;
+#endif
+}
+
+// Not one copy of 12 bytes: that goes through memory, and waits for it.
+inline void store_three(unsigned char* target, Quad v) {
+  const float z = v[2];
+  __builtin_memcpy(target, &v, 8);
+  __builtin_memcpy(target + 8, &z, 4);
+}
+
+// Vertices 4 kFour to 4 kFour + 3 of the lanes. first[k]: x y z nx of every fourth from k on. second: ny nz, of the
+// even and the odd pair of every four.
+template <bool kNormals, int kFour>
+inline void write_four(const Floats* first, const Floats* second, const std::int32_t* vertex, const VertexRows& rows,
+                       std::ptrdiff_t row_bytes) {
+  unsigned char* row[4];
+  for (int k = 0; k < 4; ++k) row[k] = rows.data + vertex[4 * kFour + k] * row_bytes;
+  if (!kNormals) {
+    for (int k = 0; k < 4; ++k) store_three(row[k], four_lanes<kFour>(first[k]));
+    return;
+  }
+  for (int k = 0; k < 4; ++k) {
+    const Quad v = four_lanes<kFour>(first[k]);
+    __builtin_memcpy(row[k], &v, sizeof v);
+  }
+  for (int k = 0; k < 2; ++k) {
+    const Quad v = four_lanes<kFour>(second[k]), odd = __builtin_shufflevector(v, v, 2, 3, 2, 3);
+    __builtin_memcpy(row[2 * k] + sizeof v, &v, 8);
+    __builtin_memcpy(row[2 * k + 1] + sizeof v, &odd, 8);
+  }
+}
+
+// Writes kLanes vertices: the transpose of their columns, in registers.
+template <bool kNormals>
+inline void write_rows(const SkinnedLanes& skinned, const std::int32_t* vertex, const VertexRows& rows,
+                       std::ptrdiff_t row_bytes) {
+  const Floats* c = skinned.column;
+  const Floats& fourth = kNormals ? c[3] : c[2];
+  const Floats xy_low = zip_low(c[0], c[1]), xy_high = zip_high(c[0], c[1]);
+  const Floats zn_low = zip_low(c[2], fourth), zn_high = zip_high(c[2], fourth);
+  const Floats first[4] = {halves_low(xy_low, zn_low), halves_high(xy_low, zn_low), halves_low(xy_high, zn_high),
+                           halves_high(xy_high, zn_high)};
+  Floats second[2] = {};
+  if (kNormals) second[0] = zip_low(c[4], c[5]), second[1] = zip_high(c[4], c[5]);
+  write_four<kNormals, 0>(first, second, vertex, rows, row_bytes);
+#if defined(__AVX2__)
+  write_four<kNormals, 1>(first, second, vertex, rows, row_bytes);
+#endif
+#if defined(__AVX512F__)
+  write_four<kNormals, 2>(first, second, vertex, rows, row_bytes);
+  write_four<kNormals, 3>(first, second, vertex, rows, row_bytes);
+#endif
+}
+
+// Up to kLanes vertices, of the garment's last block.
+template <bool kNormals>
+inline void write_some(const SkinnedLanes& skinned, const std::int32_t* vertex, int count, const VertexRows& rows,
+                       std::ptrdiff_t row_bytes) {
+  for (int lane = 0; lane < count && lane < kLanes; ++lane) {
+    float row[kNormals ? 6 : 3];
+    for (int c = 0; c < (kNormals ? 6 : 3); ++c) row[c] = skinned.column[c][lane];
+    __builtin_memcpy(rows.data + vertex[lane] * row_bytes, row, sizeof row);
+  }
+}
+
+// The block that may be short comes after the loop: within, choosing between two ways to write would put the columns
+// into memory for the one that is not taken.
+template <bool kNormals>
+inline void skin_blocks(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows) {
+  const std::ptrdiff_t row_bytes = rows.stride * std::ptrdiff_t(sizeof(float));
+  const int full = blocks.vertex_count / kBlock, left = blocks.vertex_count % kBlock;
+  const std::int32_t* vertex = blocks.vertex;
+  for (int block = 0; block < full; ++block) {
+    for (int lane = 0; lane < kBlock; lane += kLanes, vertex += kLanes) {
+      write_rows<kNormals>(skin_lanes<kNormals>(blocks, matrices, block, lane), vertex, rows, row_bytes);
+    }
+  }
+  for (int lane = 0; lane < left; lane += kLanes, vertex += kLanes) {
+    write_some<kNormals>(skin_lanes<kNormals>(blocks, matrices, full, lane), vertex, left - lane, rows, row_bytes);
+  }
+}
+
+inline void skin(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows) {
+  if (rows.with_normals) {
+    skin_blocks<true>(blocks, matrices, rows);
+  } else {
+    skin_blocks<false>(blocks, matrices, rows);
+  }
+}
+
+}  // namespace physkin::PHYSKIN_ISA
