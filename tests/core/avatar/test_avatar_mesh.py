@@ -6,6 +6,7 @@ import logging
 import numpy as np
 import pytest
 
+from physkin_core.avatar import rig_fitting
 from physkin_core.avatar.avatar import AvatarError, AvatarWarning, avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import load_avatar
@@ -143,10 +144,12 @@ def test_glb_without_a_skin_facing_backwards(tmp_path):
     assert "fitted" in avatar.warnings[0] and "faces -X" in avatar.warnings[1]
 
 
-def test_a_shape_that_is_no_person_is_refused(tmp_path):
+def test_a_shape_that_is_no_person_is_refused(tmp_path, monkeypatch):
     """The fit's residual is checked, and the error names it."""
     import trimesh
 
+    monkeypatch.setattr(rig_fitting, "TRIAL_ITERATIONS", 1)
+    monkeypatch.setattr(rig_fitting, "ITERATIONS", 2)
     trimesh.creation.box((0.3, 1.2, 1.7)).export(tmp_path / "box.obj")
     with pytest.raises(AvatarError, match=r"does not fit it: \d+ mm mean distance, allowed 2[56] mm"):
         load_avatar(tmp_path / "box.obj", RIG)
