@@ -16,7 +16,7 @@ from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.rig.bone_naming import OWN_NAMES, match_bones
 from physkin_core.rig.canonical_pose import limb_rotations, smallest_rotation, turned_down_the_chain
-from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
+from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning, strongest_influences
 from physkin_core.rig.rig import Rig
 
 __all__ = ["SkinnedMesh", "check_size", "clean_surface", "place_bones", "retarget", "turn_upright"]
@@ -277,14 +277,10 @@ def _rig_influences(
     target = np.zeros(len(mesh.joint_names), dtype=np.int64)
     for joint, parent in enumerate(mesh.joint_parents):
         target[joint] = joint_bone.get(joint, target[parent] if parent >= 0 else 0)
-    dense = np.zeros((len(mesh.vertices), rig.bone_count))
-    np.add.at(dense, (np.arange(len(dense))[:, None], target[mesh.influence_joints]), mesh.influence_weights)
+    dense = dense_weights(target[mesh.influence_joints], mesh.influence_weights, rig.bone_count)
     for bone in joint_bone.values():
         _spread_along_chain(dense, bone, rig, bone_joint, mesh.vertices, heads, tails)
-    count = min(MAX_INFLUENCES, max(1, int((dense > 0).sum(axis=1).max())))
-    bones = np.argsort(-dense, axis=1, kind="stable")[:, :count]
-    weights = np.take_along_axis(dense, bones, axis=1)
-    weights /= weights.sum(axis=1, keepdims=True)
+    bones, weights = strongest_influences(dense, min(MAX_INFLUENCES, max(1, int((dense > 0).sum(axis=1).max()))))
     return bones.astype(np.int32), weights.astype(np.float32)
 
 

@@ -19,7 +19,7 @@ from physkin_core.avatar.surface_matching import normal_equations, spread_vertic
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, turned_down_the_chain
-from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
+from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning, strongest_influences
 from physkin_core.rig.rig import Rig
 
 __all__ = ["FittedBody", "carry_influences", "fit_body", "template_on_skeleton"]
@@ -65,12 +65,9 @@ def carry_influences(
     distance, nearest = cKDTree(template).query(with_normals(vertices, vertex_normals(vertices, faces)), k=NEIGHBOURS)
     closeness = 1 / np.maximum(distance, 1e-4) ** 2
     weights = (closeness / closeness.sum(axis=1, keepdims=True))[..., None] * body.influence_weights[nearest]
-    dense = np.zeros((len(vertices), body.rig.bone_count))
     bones = body.influence_bones[nearest].reshape(len(vertices), -1)
-    np.add.at(dense, (np.arange(len(vertices))[:, None], bones), weights.reshape(len(vertices), -1))
-    strongest = np.argsort(-dense, axis=1, kind="stable")[:, : body.influence_bones.shape[1]]
-    weights = np.take_along_axis(dense, strongest, axis=1)
-    return strongest, weights / weights.sum(axis=1, keepdims=True)
+    dense = dense_weights(bones, weights.reshape(len(vertices), -1), body.rig.bone_count)
+    return strongest_influences(dense, body.influence_bones.shape[1])
 
 
 def template_on_skeleton(body: BodyModel, heads: np.ndarray) -> np.ndarray:
@@ -163,7 +160,7 @@ def _start(vertices: np.ndarray, body: BodyModel, pose: str, yaw: float) -> _Sta
 
 def _step(state: _State, body: BodyModel, template: np.ndarray, target: np.ndarray, trust: np.ndarray) -> _State:
     """One damped Gauss-Newton step on the pairs template vertex -> target point with normal (6,)."""
-    weights = _dense_weights(body)[template]
+    weights = dense_weights(body.influence_bones[template], body.influence_weights[template], body.rig.bone_count)
     transforms, heads = _bone_transforms(state, body)
     rotation = transforms[..., :3]
     coefficients, shapes = state.coefficients, body.vertex_components[:, template]
@@ -262,13 +259,6 @@ def _limb_owners(rig: Rig) -> np.ndarray:
 def _bone_rotations(rig: Rig, limbs: np.ndarray) -> np.ndarray:
     """Rotations (b, 3, 3) of all bones from those of the limb segments (l, 3, 3); the trunk has none."""
     return np.concatenate([limbs, np.eye(3)[None]])[_limb_owners(rig)]
-
-
-def _dense_weights(body: BodyModel) -> np.ndarray:
-    """(T, b) skinning weights of the body model."""
-    dense = np.zeros((len(body.mean_vertices), body.rig.bone_count), dtype=np.float32)
-    np.add.at(dense, (np.arange(len(dense))[:, None], body.influence_bones), body.influence_weights)
-    return dense
 
 
 def _cross(vectors: np.ndarray) -> np.ndarray:

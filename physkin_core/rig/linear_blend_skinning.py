@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["blended_transforms", "linear_blend_skinning"]
+__all__ = ["blended_transforms", "dense_weights", "linear_blend_skinning", "strongest_influences"]
 
 
 def blended_transforms(transforms: np.ndarray, influences: np.ndarray, influence_weights: np.ndarray) -> np.ndarray:
@@ -21,3 +21,17 @@ def linear_blend_skinning(
     """Vertices (V, 3) moved by their blended transforms. Returns (V, 3)."""
     blended = blended_transforms(transforms, influences, influence_weights)
     return np.einsum("vij,vj->vi", blended[..., :3], vertices) + blended[..., 3]
+
+
+def dense_weights(influences: np.ndarray, influence_weights: np.ndarray, count: int) -> np.ndarray:
+    """(V, count) float64 weights of all transforms; an influence named twice counts twice. influence_*: (V, K)."""
+    dense = np.zeros((len(influences), count))
+    np.add.at(dense, (np.arange(len(dense))[:, None], influences), influence_weights)
+    return dense
+
+
+def strongest_influences(dense: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The `count` largest of dense weights (V, j): indices and weights (V, count), rows summing to 1."""
+    strongest = np.argsort(-dense, axis=1, kind="stable")[:, :count]
+    weights = np.take_along_axis(dense, strongest, axis=1)
+    return strongest, weights / weights.sum(axis=1, keepdims=True)
