@@ -144,10 +144,9 @@ def test_a_joint_that_is_not_finite_is_named(backend, bad):
     np.testing.assert_array_equal(out, before)
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_wrong_number_of_joints_is_refused(backend):
+def test_wrong_number_of_joints_is_refused():
     _, model, avatar = scene(5)
-    draper = Draper(model, avatar, backend=backend)
+    draper = Draper(model, avatar, backend="numpy")
     for shape in ((6,), (8,), (7, 1), (1, 7), ()):
         with pytest.raises(ValueError, match=r"joint positions have shape .*, expected \(7,\)"):
             draper.drape(np.zeros(shape))
