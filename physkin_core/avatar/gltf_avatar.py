@@ -1,7 +1,7 @@
 """Avatars from glTF 2.0: GLB, glTF and VRM (0.x and 1.0) files.
 
 The mesh is taken as the file shows it (node transforms, default morph weights, skinning), with its own joint hierarchy;
-`avatar_retargeting` then puts it into the canonical pose. A file without a skin is a plain mesh.
+`retargeting` then puts it into the canonical pose. A file without a skin is a plain mesh.
 
 Dimensions: `V` vertices, `j` joints (see `_joints`), `g` nodes, `K` influences.
 """

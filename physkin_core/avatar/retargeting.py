@@ -1,6 +1,6 @@
 """Put a skinned mesh into the canonical pose through its own skeleton and bind it to the garment model's rig.
 
-Loaders (`avatar_gltf`, `avatar_mesh`) fill a `SkinnedMesh`; `retarget` makes the `Avatar`.
+Loaders (`gltf_avatar`, `mesh_avatar`) fill a `SkinnedMesh`; `retarget` makes the `Avatar`.
 
 Dimensions: `V` vertices, `f` faces, `j` joints of the avatar's skeleton, `b` bones of the rig, `K` influences. Metres.
 """
