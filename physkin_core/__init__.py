@@ -1,6 +1,6 @@
 """PhySkin run time: drape a trained garment on any avatar, on one CPU core."""
 
-from physkin_core.avatar.avatar import Avatar, AvatarError, avatar_from_body
+from physkin_core.avatar.avatar import Avatar, AvatarError, AvatarWarning, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
 from physkin_core.model.garment import Garment, GarmentError, load_garment
@@ -18,6 +18,7 @@ __all__ = [
     "UPRIGHT_GRAVITY",
     "Avatar",
     "AvatarError",
+    "AvatarWarning",
     "BodyModel",
     "DegreeOfFreedom",
     "Draper",

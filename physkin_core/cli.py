@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from importlib import import_module
@@ -14,8 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from physkin_core.avatar.avatar import AvatarWarning
+
 if TYPE_CHECKING:
-    from physkin_core import Draper
+    from physkin_core import Avatar, Draper, GarmentModel
 
 __all__ = ["main"]
 
@@ -58,9 +61,17 @@ EXTRAS = {
 """Extra of the pip package -> import packages it brings; colcon leaves `physkin_training` out."""
 
 
+PICTURE_SIZE = (800, 1000)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line. Returns the exit status: 0, or 2 after an error that the user can mend, told in one line."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AvatarWarning)  # commands print or log what `Avatar.warnings` holds
+        return _run(list(sys.argv[1:] if argv is None else argv))
+
+
+def _run(arguments: list[str]) -> int:
     from physkin_core.picture import PictureError
 
     try:
@@ -88,21 +99,24 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for name, (_, text) in FORWARDED.items():
         commands.add_parser(name, help=text, add_help=False)
-    drape = commands.add_parser("drape", help="drape one frame of a motion and write a mesh or a picture")
-    drape.add_argument("model", help="garment model file, or the name of a shipped one")
-    drape.add_argument("avatar", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
-    drape.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    worn = argparse.ArgumentParser(add_help=False)
+    worn.add_argument("avatar", metavar="AVATAR", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
+    worn.add_argument("second", nargs="?", help=argparse.SUPPRESS)
+    worn.add_argument(
+        *("-g", "--garment"), metavar="MODEL", default="tshirt", help="a file or a shipped name (default %(default)s)"
+    )
+    worn.add_argument("--model", help=argparse.SUPPRESS)
+    worn.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    worn.add_argument("--fit", type=float, default=0.0, help="0: one size, 1: made to measure (default 0)")
+    drape = commands.add_parser("drape", parents=[worn], help="drape one frame of a motion; write a mesh or a picture")
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
-    drape.add_argument("--fit", type=float, default=0.0, help="0: one size, 1: made to measure (default 0)")
     drape.add_argument("--backend", default="native", help="evaluator: native (default) or numpy")
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garment as .obj, or a .png picture")
     drape.set_defaults(run=_drape)
-    bind = commands.add_parser("bind", help="write a garment on one avatar for hosts without Python (Unity, C, C++)")
-    bind.add_argument("avatar", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
-    bind.add_argument("--model", default="tshirt", help="garment model: a file or a shipped name (default %(default)s)")
-    bind.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
-    bind.add_argument("--fit", type=float, default=0.0, help="0: one size, 1: made to measure (default 0)")
+    bind = commands.add_parser(
+        "bind", parents=[worn], help="write a garment on one avatar for hosts without Python (Unity, C, C++)"
+    )
     bind.add_argument("--push-out", action="store_true", help=argparse.SUPPRESS)  # removed: told so
     bind.add_argument("-o", "--output", type=Path, required=True, help="file to write (docs/c-host.md)")
     bind.set_defaults(run=_bind)
@@ -112,20 +126,29 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _load(options: argparse.Namespace) -> tuple[GarmentModel, Avatar]:
+    from physkin_core import load_avatar, load_garment_model
+
+    if options.second or options.model:
+        raise ValueError("the garment is an option: physkin COMMAND AVATAR --garment MODEL -o FILE")
+    model = load_garment_model(options.garment)
+    avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
+    for warning in avatar.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    return model, avatar
+
+
 def _drape(options: argparse.Namespace) -> int:
-    from physkin_core import Draper, load_avatar, load_garment_model, load_motion
+    from physkin_core import Draper, load_motion
 
     writers: dict[str, Callable] = {".obj": _write_obj, ".png": _write_png}
     write = writers.get(options.output.suffix.lower())
     if write is None:
         raise ValueError(f"cannot write {options.output}: the name must end in {' or '.join(writers)}")
-    model = load_garment_model(options.model)
-    avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
+    model, avatar = _load(options)
     motion = load_motion(options.motion)
     if not 0 <= options.frame < motion.frame_count:
         raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
-    for warning in avatar.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
     draper = Draper(model, avatar, fit=options.fit, backend=options.backend)
     positions = motion.positions_for(model.rig)[options.frame]
     cloth = draper.drape(positions, motion.gravity[options.frame])
@@ -135,15 +158,11 @@ def _drape(options: argparse.Namespace) -> int:
 
 
 def _bind(options: argparse.Namespace) -> int:
-    from physkin_core import Draper, load_avatar, load_garment_model
+    from physkin_core import Draper
 
     if options.push_out:
         raise ValueError("--push-out: push-out was removed; a bound garment is as its model drapes it")
-    model = load_garment_model(options.model)
-    avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
-    for warning in avatar.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
-    Draper(model, avatar, fit=options.fit).save_bound(options.output)
+    Draper(*_load(options), fit=options.fit).save_bound(options.output)
     print(f"wrote {options.output}: {options.output.stat().st_size / 1e6:.1f} MB")
     return 0
 
@@ -163,7 +182,7 @@ def _write_png(path: Path, draper: Draper, body: np.ndarray, cloth: np.ndarray) 
     from physkin_core.picture import CLOTH_COLOUR, Mesh, render, save_png
 
     meshes = [Mesh(body, draper.avatar.faces), Mesh(cloth[:, :3], draper.faces, CLOTH_COLOUR)]
-    save_png(path, render(meshes, size=(800, 1000)))
+    save_png(path, render(meshes, size=PICTURE_SIZE))
 
 
 def _info(options: argparse.Namespace) -> int:

@@ -5,6 +5,7 @@ The floor's brightness is chosen to equal the background's, so that the ground h
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,6 +15,8 @@ from typing import Literal
 import numpy as np
 
 __all__ = ["BODY_COLOUR", "CLOTH_COLOUR", "Mesh", "PictureError", "contact_sheet", "render", "save_png"]
+
+log = logging.getLogger(__name__)
 
 BODY_COLOUR = (0.80, 0.70, 0.63)
 CLOTH_COLOUR = (0.16, 0.42, 0.58)
@@ -30,10 +33,6 @@ UPRIGHT_GAIN = 1.4  # an upright surface gets less light than the floor
 FLOOR_RADIUS = 40.0  # [m]
 BLANK_FROM = 5.0  # times the meshes' own reach
 GUIDE_SAMPLES = 4  # a pixel, for colours, normals and positions
-SMOOTHING_GAPS = (1, 2, 4, 8)  # [pixels]
-COLOUR_TOLERANCE = 0.03
-NORMAL_TOLERANCE = 0.25
-PLANE_TOLERANCE = 0.02  # [m]
 
 
 class PictureError(RuntimeError):
@@ -90,7 +89,7 @@ def render(
     radiance, cover = np.split(_layers(mi, scene, samples, paths), [3], axis=-1)
     guides = {"type": "aov", "aovs": "albedo:albedo,normal:sh_normal,position:position"}
     albedo, normals, positions = np.split(_layers(mi, scene, GUIDE_SAMPLES, guides), 3, axis=-1)
-    picture = _smoothed(radiance, albedo, normals, positions) + (1 - cover)
+    picture = _denoised(radiance, albedo, normals) + (1 - cover)
     reach = np.linalg.norm(points - bounds.mean(axis=0), axis=1).max()
     away = np.linalg.norm(positions - bounds.mean(axis=0), axis=-1, keepdims=True) / reach
     away[~normals.any(axis=-1)] = np.inf  # the sky
@@ -215,29 +214,14 @@ def _layers(mi, scene, samples: int, integrator: dict) -> np.ndarray:
     return np.array(mi.render(scene, integrator=mi.load_dict(integrator), spp=samples), dtype=np.float32)
 
 
-def _smoothed(light: np.ndarray, albedo: np.ndarray, normals: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Take the grain out of `light` (h, w, 3) without blurring over edges of albedo, normals and positions [m].
-
-    Edge-avoiding a-trous wavelets (Dammertz et al. 2010): a 3 x 3 filter with growing gaps, in which a neighbour counts
-    as far as it lies in the pixel's own tangent plane.
-    """
-    height, width, _ = light.shape
-    for gap in SMOOTHING_GAPS:
-        total, weights = np.zeros_like(light), np.zeros((height, width, 1), dtype=np.float32)
-        for down in (-gap, 0, gap):
-            for right in (-gap, 0, gap):
-                rows = np.clip(np.arange(height) + down, 0, height - 1)[:, None]
-                columns = np.clip(np.arange(width) + right, 0, width - 1)
-                bend = np.sum((normals[rows, columns] - normals) ** 2, axis=-1, keepdims=True)
-                step = np.sum((positions[rows, columns] - positions) * normals, axis=-1, keepdims=True)
-                tint = np.sum((albedo[rows, columns] - albedo) ** 2, axis=-1, keepdims=True)
-                unlike = tint / COLOUR_TOLERANCE**2 + bend / NORMAL_TOLERANCE**2 + (step / PLANE_TOLERANCE) ** 2
-                weight = np.exp(-unlike)
-                weight *= (1 if down else 2) * (1 if right else 2)
-                total += weight * light[rows, columns]
-                weights += weight
-        light = total / weights
-    return light
+def _denoised(light: np.ndarray, albedo: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Take the grain out of `light` (h, w, 3) by Open Image Denoise, guided by albedo and normals (h, w, 3)."""
+    try:
+        import pyoidn
+    except ImportError:  # there is none for Linux on ARM
+        log.warning("pictures are grainy without pyoidn: pip install 'physkin[view]'")
+        return light
+    return pyoidn.denoise(light, np.ascontiguousarray(albedo), np.ascontiguousarray(normals), hdr=True)
 
 
 def _to_linear(value: float) -> float:

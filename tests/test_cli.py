@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,7 +25,19 @@ def test_info(model_path, capsys):
 def test_drape_writes_body_and_garment(model_path, garment_model, tmp_path, capsys):
     """The OBJ's second object is what the core gives for that frame, gravity included."""
     path = tmp_path / "out.obj"
-    assert cli.main(["drape", str(model_path), str(AVATAR), "--motion", "walk", "--frame", "9", "-o", str(path)]) == 0
+    arguments = [
+        "drape",
+        str(AVATAR),
+        "--garment",
+        str(model_path),
+        "--motion",
+        "walk",
+        "--frame",
+        "9",
+        "-o",
+        str(path),
+    ]
+    assert cli.main(arguments) == 0
     avatar = load_avatar(AVATAR, garment_model.rig)
     motion = load_motion("walk")
     assert motion.joint_names == garment_model.rig.joint_names
@@ -37,26 +50,40 @@ def test_drape_writes_body_and_garment(model_path, garment_model, tmp_path, caps
     assert sum(line.startswith("v") for line in body) == len(avatar.vertices)
 
 
-def test_drape_draws(model_path, tmp_path):
-    """A picture instead of a mesh."""
+def test_drape_draws(model_path, tmp_path, monkeypatch):
+    """A picture instead of a mesh, here a small one."""
     pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")
+    monkeypatch.setattr(cli, "PICTURE_SIZE", (40, 50))
     path = tmp_path / "out.png"
-    assert cli.main(["drape", str(model_path), str(AVATAR), "-o", str(path)]) == 0
+    assert cli.main(["drape", str(AVATAR), "-g", str(model_path), "-o", str(path)]) == 0
     assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_warnings_about_an_avatar_are_printed_once(model_path, garment_model, tmp_path, capsys, monkeypatch, recwarn):
+    """As one line, without Python's own about where in the source it was."""
+    warned = replace(load_avatar(AVATAR, garment_model.rig), warnings=("it limps",))
+    monkeypatch.setattr("physkin_core.avatar.loading.load_gltf", lambda *_, **__: warned)
+    assert cli.main(["bind", str(AVATAR), "-g", str(model_path), "-o", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().err == "warning: it limps\n" and not recwarn
 
 
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (["drape", "{model}", "{avatar}", "--fit", "1", "-o", "{tmp}/out.obj"], "has not learnt to be made to measure"),
+        (
+            ["drape", "{avatar}", "-g", "{model}", "--fit", "1", "-o", "{tmp}/out.obj"],
+            "has not learnt to be made to measure",
+        ),
         (["info", "nosuch"], "no garment model 'nosuch'"),
         (["info", "{tmp}/nosuch.safetensors"], "cannot read garment model"),
-        (["drape", "{model}", "nosuch.glb", "-o", "out.obj"], "no such file"),
-        (["drape", "{model}", "{avatar}", "--motion", "nosuch", "-o", "out.obj"], "no bundled motion 'nosuch'"),
-        (["drape", "{model}", "{avatar}", "--frame", "-1", "-o", "out.obj"], "has frames 0 to"),
-        (["drape", "{model}", "{avatar}", "-o", "out.fbx"], "must end in .obj or .png"),
-        (["drape", "{model}", "{avatar}", "--backend", "gpu", "-o", "out.obj"], "unknown backend 'gpu'"),
-        (["drape", "{model}", "{avatar}", "-o", "{tmp}/none/out.obj"], "No such file or directory"),
+        (["drape", "nosuch.glb", "-g", "{model}", "-o", "out.obj"], "no such file"),
+        (["drape", "{avatar}", "-g", "{model}", "--motion", "nosuch", "-o", "out.obj"], "no bundled motion 'nosuch'"),
+        (["drape", "{avatar}", "-g", "{model}", "--frame", "-1", "-o", "out.obj"], "has frames 0 to"),
+        (["drape", "{model}", "{avatar}", "-o", "out.obj"], "AVATAR --garment MODEL"),
+        (["bind", "{avatar}", "--model", "dress", "-o", "out"], "AVATAR --garment MODEL"),
+        (["drape", "{avatar}", "-g", "{model}", "-o", "out.fbx"], "must end in .obj or .png"),
+        (["drape", "{avatar}", "-g", "{model}", "--backend", "gpu", "-o", "out.obj"], "unknown backend 'gpu'"),
+        (["drape", "{avatar}", "-g", "{model}", "-o", "{tmp}/none/out.obj"], "No such file or directory"),
         (["bind", "{avatar}", "--push-out", "-o", "{tmp}/x"], "push-out was removed"),
     ],
 )

@@ -11,12 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from physkin_core.avatar.body_model import BodyModel
+from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
 
-__all__ = ["Avatar", "AvatarError", "avatar_from_body"]
+__all__ = ["Avatar", "AvatarError", "AvatarWarning", "avatar_from_body"]
 
 
 class AvatarError(ValueError):
     """An avatar file cannot be read, is malformed, or does not fit the garment model's rig."""
+
+
+class AvatarWarning(UserWarning):
+    """Something of an avatar file was assumed or repaired; what `Avatar.warnings` keeps."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +32,7 @@ class Avatar:
     bone_heads, bone_tails: (b, 3) float32 [m], the bones of the garment model's rig on this body.
     influence_bones: (V, K) int32 into the rig's bones; influence_weights: (V, K) float32, rows sum to 1.
     source: where it came from. warnings: what was assumed or repaired on the way, for the user to read.
+    bone_names: (b,) of the rig it is bound to; where left out, `Draper` can only compare the number of bones.
     """
 
     vertices: np.ndarray
@@ -37,6 +43,7 @@ class Avatar:
     influence_weights: np.ndarray
     source: str
     warnings: tuple[str, ...] = ()
+    bone_names: tuple[str, ...] = ()
 
     def posed_vertices(self, bone_transforms: np.ndarray) -> np.ndarray:
         """Body surface in a pose, by linear blend skinning.
@@ -46,8 +53,7 @@ class Avatar:
         matrices = np.asarray(bone_transforms, dtype=np.float32)
         if matrices.shape != (len(self.bone_heads), 3, 4):
             raise ValueError(f"bone transforms have shape {matrices.shape}, expected ({len(self.bone_heads)}, 3, 4)")
-        blended = np.einsum("vk,vkij->vij", self.influence_weights, matrices[self.influence_bones])
-        return np.einsum("vij,vj->vi", blended[..., :3], self.vertices) + blended[..., 3]
+        return linear_blend_skinning(self.vertices, matrices, self.influence_bones, self.influence_weights)
 
 
 def avatar_from_body(body_model: BodyModel, coefficients: np.ndarray) -> Avatar:
@@ -65,4 +71,5 @@ def avatar_from_body(body_model: BodyModel, coefficients: np.ndarray) -> Avatar:
         influence_bones=body_model.influence_bones,
         influence_weights=body_model.influence_weights,
         source="compact body model",
+        bone_names=body_model.rig.bone_names,
     )

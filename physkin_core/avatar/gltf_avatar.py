@@ -1,7 +1,7 @@
 """Avatars from glTF 2.0: GLB, glTF and VRM (0.x and 1.0) files.
 
 The mesh is taken as the file shows it (node transforms, default morph weights, skinning), with its own joint hierarchy;
-`avatar_retargeting` then puts it into the canonical pose. A file without a skin is a plain mesh.
+`retargeting` then puts it into the canonical pose. A file without a skin is a plain mesh.
 
 Dimensions: `V` vertices, `j` joints (see `_joints`), `g` nodes, `K` influences.
 """
@@ -15,6 +15,7 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.gltf_file import GltfFile
 from physkin_core.avatar.retargeting import SkinnedMesh, clean_surface, retarget
+from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
 from physkin_core.rig.rig import Rig
 
 __all__ = ["load_gltf"]
@@ -73,9 +74,7 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
             joints, weights, unbound = _skin_influences(file, primitive, skin, len(positions), label)
             if unbound:
                 warnings.append(f"{unbound} vertices of {label!r} have no skinning weights: bound to the first joint")
-            transforms = _skin_transforms(file, skin)
-            blended = np.einsum("vk,vkab->vab", weights, transforms[joints])
-            positions = np.einsum("vab,vb->va", blended[..., :3], positions) + blended[..., 3]
+            positions = linear_blend_skinning(positions, _skin_transforms(file, skin), joints, weights)
             joints = np.array([node_joint[joint] for joint in file.document.skins[skin].joints])[joints]
         else:
             carrier = _carrier(file, node, node_joint)

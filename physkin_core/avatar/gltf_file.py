@@ -20,8 +20,6 @@ GLB_MAGIC = b"glTF"
 COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
-LARGEST_ACCESSOR = 10_000_000
-"""Elements an accessor without data of its own may claim; others are bounded by the file's length."""
 LARGEST_BUFFER = 1 << 29
 """[bytes] Of a file beside a .gltf."""
 COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
@@ -52,10 +50,11 @@ class GltfFile:
         accessor = self._item("accessor", self.document.accessors, index)
         width, dtype = COMPONENTS[accessor.type], np.dtype(COMPONENT_TYPES[accessor.componentType])
         if accessor.bufferView is None:
-            if not 0 < accessor.count <= LARGEST_ACCESSOR:
+            largest = sum(map(len, self.buffers))  # others at least have as many bytes
+            if not 0 < accessor.count <= largest:
                 raise AvatarError(
                     f"avatar {self.path}: accessor {index} has {accessor.count} elements without data, allowed "
-                    f"1 to {LARGEST_ACCESSOR}"
+                    f"1 to {largest}"
                 )
             data = np.zeros((accessor.count, width), dtype=dtype)
         else:
@@ -75,7 +74,7 @@ class GltfFile:
     def triangles(self, primitive) -> np.ndarray:
         """(f, 3) vertex indices of a primitive; empty for points and lines."""
         if primitive.indices is None:
-            corners = np.arange(self.document.accessors[primitive.attributes.POSITION].count)
+            corners = np.arange(len(self.accessor(primitive.attributes.POSITION)))
         else:
             corners = self.accessor(primitive.indices)[:, 0]
         mode = TRIANGLES if primitive.mode is None else primitive.mode
@@ -193,16 +192,11 @@ def _parse(path: Path) -> tuple:
 
 def _local_transform(node) -> np.ndarray:
     """(4, 4) from the node to its parent."""
+    from scipy.spatial.transform import Rotation
+
     if node.matrix:
         return np.array(node.matrix, dtype=np.float64).reshape(4, 4).T
-    x, y, z, w = np.array(node.rotation or (0, 0, 0, 1), dtype=np.float64) / np.linalg.norm(node.rotation or 1.0)
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    rotation = Rotation.from_quat(node.rotation or (0, 0, 0, 1)).as_matrix()
     local = np.eye(4)
     local[:3, :3] = rotation * np.array(node.scale or (1, 1, 1), dtype=np.float64)
     local[:3, 3] = node.translation or (0, 0, 0)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
-from physkin_core.avatar.avatar import Avatar, AvatarError
+from physkin_core.avatar.avatar import Avatar, AvatarError, AvatarWarning
 from physkin_core.avatar.gltf_avatar import load_gltf
 from physkin_core.avatar.mesh_avatar import load_mesh
 from physkin_core.rig.rig import Rig, RigError
@@ -24,6 +25,7 @@ def load_avatar(path: str | Path, rig: Rig, *, rig_file: str | Path | None = Non
     path: GLB, glTF or VRM with a skin, or an OBJ, PLY or STL mesh. rig: the garment model's.
     rig_file: skeleton of a plain mesh (layout: `physkin_core.avatar.mesh_avatar`), default `NAME.rig.json` beside
     `NAME.obj` if that exists. A mesh without any skeleton gets the rig fitted to it, and a warning that says so.
+    What was assumed or repaired is kept in `Avatar.warnings` and issued as one AvatarWarning each.
     Raises AvatarError naming what is wrong with the file and what was allowed.
     """
     path = Path(path)
@@ -37,6 +39,9 @@ def load_avatar(path: str | Path, rig: Rig, *, rig_file: str | Path | None = Non
         raise AvatarError(f"avatar {path}: no such file")
     load = load_gltf if suffix in GLTF_SUFFIXES else load_mesh
     try:
-        return load(path, rig, rig_file=rig_file)
+        avatar = load(path, rig, rig_file=rig_file)
     except RigError as error:
         raise AvatarError(str(error)) from error
+    for warning in avatar.warnings:
+        warnings.warn(f"avatar {path}: {warning}", AvatarWarning, stacklevel=2)
+    return avatar

@@ -1,6 +1,6 @@
 """Put a skinned mesh into the canonical pose through its own skeleton and bind it to the garment model's rig.
 
-Loaders (`avatar_gltf`, `avatar_mesh`) fill a `SkinnedMesh`; `retarget` makes the `Avatar`.
+Loaders (`gltf_avatar`, `mesh_avatar`) fill a `SkinnedMesh`; `retarget` makes the `Avatar`.
 
 Dimensions: `V` vertices, `f` faces, `j` joints of the avatar's skeleton, `b` bones of the rig, `K` influences. Metres.
 """
@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import permutations, product
 
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.rig.bone_naming import OWN_NAMES, match_bones
-from physkin_core.rig.canonical_pose import blended, limb_rotations, smallest_rotation, turned_down_the_chain
+from physkin_core.rig.canonical_pose import limb_rotations, smallest_rotation, turned_down_the_chain
+from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning, strongest_influences
 from physkin_core.rig.rig import Rig
 
 __all__ = ["SkinnedMesh", "check_size", "clean_surface", "place_bones", "retarget", "turn_upright"]
@@ -76,6 +76,7 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
         influence_weights=weights,
         source=mesh.source,
         warnings=mesh.warnings,
+        bone_names=rig.bone_names,
     )
 
 
@@ -127,6 +128,8 @@ def check_size(vertices: np.ndarray, source: str) -> None:
 
 def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int]) -> SkinnedMesh:
     """Turn by quarters until the skeleton stands up and looks forward; a warning says when that was needed."""
+    from scipy.spatial.transform import Rotation
+
     ends = [f"{bone}.{side}" for bone in ("upperarm01", "upperleg01") for side in SIDES]
     if any(name not in bone_joint for name in ends):
         return mesh
@@ -139,7 +142,8 @@ def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int]) -> SkinnedMes
         )
     up, left = up / np.linalg.norm(up), left / np.linalg.norm(left)
     axes = np.stack([np.cross(left, up), left, up], axis=1)
-    turn = max(_quarter_turns(), key=lambda candidate: np.trace(candidate @ axes))
+    quarter_turns = np.round(Rotation.create_group("O").as_matrix())  # the 24 that take axes to axes
+    turn = max(quarter_turns, key=lambda candidate: np.trace(candidate @ axes))
     if np.array_equal(turn, np.eye(3)):
         return mesh
     facing, rising = _axis_name(turn[0]), _axis_name(turn[2])
@@ -259,7 +263,7 @@ def _canonical(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> Sk
     transforms, posed = turned_down_the_chain(mesh.joint_heads, mesh.joint_parents, joint_turn)
     return replace(
         mesh,
-        vertices=blended(mesh.vertices, transforms, mesh.influence_joints, mesh.influence_weights),
+        vertices=linear_blend_skinning(mesh.vertices, transforms, mesh.influence_joints, mesh.influence_weights),
         joint_heads=posed,
         joint_tails=np.einsum("jab,jb->ja", transforms[..., :3], mesh.joint_tails) + transforms[..., 3],
     )
@@ -273,14 +277,10 @@ def _rig_influences(
     target = np.zeros(len(mesh.joint_names), dtype=np.int64)
     for joint, parent in enumerate(mesh.joint_parents):
         target[joint] = joint_bone.get(joint, target[parent] if parent >= 0 else 0)
-    dense = np.zeros((len(mesh.vertices), rig.bone_count))
-    np.add.at(dense, (np.arange(len(dense))[:, None], target[mesh.influence_joints]), mesh.influence_weights)
+    dense = dense_weights(target[mesh.influence_joints], mesh.influence_weights, rig.bone_count)
     for bone in joint_bone.values():
         _spread_along_chain(dense, bone, rig, bone_joint, mesh.vertices, heads, tails)
-    count = min(MAX_INFLUENCES, max(1, int((dense > 0).sum(axis=1).max())))
-    bones = np.argsort(-dense, axis=1, kind="stable")[:, :count]
-    weights = np.take_along_axis(dense, bones, axis=1)
-    weights /= weights.sum(axis=1, keepdims=True)
+    bones, weights = strongest_influences(dense, min(MAX_INFLUENCES, max(1, int((dense > 0).sum(axis=1).max()))))
     return bones.astype(np.int32), weights.astype(np.float32)
 
 
@@ -314,14 +314,3 @@ def _outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def _axis_name(direction: np.ndarray) -> str:
     axis = int(np.argmax(np.abs(direction)))
     return ("-" if direction[axis] < 0 else "") + "XYZ"[axis]
-
-
-def _quarter_turns() -> list[np.ndarray]:
-    """The 24 rotations that take axes to axes, the identity first."""
-    turns = []
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            matrix = np.eye(3)[list(order)] * np.array(signs)[:, None]
-            if np.linalg.det(matrix) > 0:
-                turns.append(matrix)
-    return turns

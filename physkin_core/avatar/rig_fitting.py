@@ -15,9 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from physkin_core.avatar.body_model import BodyModel
+from physkin_core.avatar.surface_matching import normal_equations, spread_vertices, with_normals
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.surface_sampling import sample_surface
-from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations
+from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, turned_down_the_chain
+from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning, strongest_influences
 from physkin_core.rig.rig import Rig
 
 __all__ = ["FittedBody", "carry_influences", "fit_body", "template_on_skeleton"]
@@ -27,11 +29,7 @@ log = logging.getLogger(__name__)
 SAMPLES = 2500
 TRIAL_ITERATIONS, ITERATIONS = 6, 18
 RESIDUAL_SAMPLES = 1000
-NORMAL_REACH = 0.05
-"""Length [m] that a unit difference between normals counts for, so that a thigh does not pair with the other one."""
 NEIGHBOURS = 4
-TANGENTIAL = 0.1
-"""Weight of the distance along the surface against the distance off it."""
 EXPECTED_RESIDUAL = 0.005
 """[m] residual that weighs as much as one standard deviation of the priors."""
 LIMB_DEVIATION, TWIST_DEVIATION, SCALE_DEVIATION = 0.5, 0.02, 0.05
@@ -63,29 +61,25 @@ def carry_influences(
     """
     from scipy.spatial import cKDTree
 
-    template = _with_normals(template_vertices, vertex_normals(template_vertices, body.faces))
-    distance, nearest = cKDTree(template).query(_with_normals(vertices, vertex_normals(vertices, faces)), k=NEIGHBOURS)
+    template = with_normals(template_vertices, vertex_normals(template_vertices, body.faces))
+    distance, nearest = cKDTree(template).query(with_normals(vertices, vertex_normals(vertices, faces)), k=NEIGHBOURS)
     closeness = 1 / np.maximum(distance, 1e-4) ** 2
     weights = (closeness / closeness.sum(axis=1, keepdims=True))[..., None] * body.influence_weights[nearest]
-    dense = np.zeros((len(vertices), body.rig.bone_count))
     bones = body.influence_bones[nearest].reshape(len(vertices), -1)
-    np.add.at(dense, (np.arange(len(vertices))[:, None], bones), weights.reshape(len(vertices), -1))
-    strongest = np.argsort(-dense, axis=1, kind="stable")[:, : body.influence_bones.shape[1]]
-    weights = np.take_along_axis(dense, strongest, axis=1)
-    return strongest, weights / weights.sum(axis=1, keepdims=True)
+    dense = dense_weights(bones, weights.reshape(len(vertices), -1), body.rig.bone_count)
+    return strongest_influences(dense, body.influence_bones.shape[1])
 
 
 def template_on_skeleton(body: BodyModel, heads: np.ndarray) -> np.ndarray:
     """The mean body posed and stretched so that its bones lie on other bones. heads: (b, 3). Returns (T, 3)."""
     mean_heads, rig = body.mean_bones[:, 0].astype(np.float64), body.rig
-    rotation = _bone_rotations(rig, limb_rotations(_by_name(rig, mean_heads), _by_name(rig, heads)))
+    turns = limb_rotations(dict(zip(rig.bone_names, mean_heads)), dict(zip(rig.bone_names, heads)))
     parents = rig.parents[1:]
     length = np.linalg.norm(heads[1:] - heads[parents], axis=1).sum()
     scale = length / np.linalg.norm(mean_heads[1:] - mean_heads[parents], axis=1).sum()
-    translation = heads - scale * np.einsum("bij,bj->bi", rotation, mean_heads)
-    weights = _dense_weights(body)
-    blended = np.tensordot(weights, scale * rotation, axes=1)
-    return np.einsum("tij,tj->ti", blended, body.mean_vertices) + weights @ translation
+    turned = scale * _bone_rotations(rig, np.stack([turns[name] for name in LIMB_SEGMENTS]))
+    transforms = np.concatenate([turned, (heads[..., None] - turned @ mean_heads[..., None])], axis=2)
+    return linear_blend_skinning(body.mean_vertices, transforms, body.influence_bones, body.influence_weights)
 
 
 def fit_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> FittedBody:
@@ -94,7 +88,7 @@ def fit_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> Fitted
     vertices: (V, 3) [m], upright, any origin; faces: (f, 3). The best start is refined. Deterministic, seconds.
     """
     log.info("fitting the body model to a mesh of %d vertices without a skeleton: takes seconds", len(vertices))
-    points = _with_normals(*sample_surface(vertices, faces, 8 * SAMPLES))
+    points = with_normals(*sample_surface(vertices, faces, 8 * SAMPLES))
     width = np.ptp(vertices, axis=0)
     trials = []
     for yaw in (0.0, np.pi) if width[1] >= width[0] else (np.pi / 2, -np.pi / 2):
@@ -103,18 +97,20 @@ def fit_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> Fitted
             trials.append((_residual(state, body, points), pose, state))
     _, pose, state = min(trials, key=lambda trial: trial[0])
     state = _improve(state, body, points, ITERATIONS)
-    bones = _place(state, _posed_bones(state, body))
     surface, _ = _posed_surface(state, body)
-    return FittedBody(surface, bones[:, 0], bones[:, 1], _residual(state, body, points), pose)
+    transforms, heads = _bone_transforms(state, body)
+    tails = np.einsum("bij,bj->bi", transforms[..., :3], body.bones(state.coefficients)[1]) + transforms[..., 3]
+    residual = _residual(state, body, points)
+    return FittedBody(surface, _place(state, heads), _place(state, tails), residual, pose)
 
 
 def _improve(state: _State, body: BodyModel, points: np.ndarray, iterations: int) -> _State:
-    """Gauss-Newton on closest points both ways. points: (n, 6) of the mesh, with normals (see `_with_normals`)."""
+    """Gauss-Newton on closest points both ways. points: (n, 6) of the mesh, with normals (see `with_normals`)."""
     from scipy.spatial import cKDTree
 
-    tree, some, chosen = cKDTree(points), points[:: len(points) // SAMPLES], _area_subset(body)
+    tree, some, chosen = cKDTree(points), points[:: len(points) // SAMPLES], spread_vertices(body, SAMPLES)
     for _ in range(iterations):
-        surface = _with_normals(*_posed_surface(state, body))
+        surface = with_normals(*_posed_surface(state, body))
         to_mesh, matched = tree.query(surface[chosen])
         to_body, own = cKDTree(surface).query(some)
         template = np.concatenate([chosen, own])
@@ -146,7 +142,7 @@ class _State:
 
 
 def _start(vertices: np.ndarray, body: BodyModel, pose: str, yaw: float) -> _State:
-    heads = _by_name(body.rig, body.mean_bones[:, 0].astype(np.float64))
+    heads = dict(zip(body.rig.bone_names, body.mean_bones[:, 0].astype(np.float64)))
     limbs = np.tile(np.eye(3), (len(LIMB_SEGMENTS), 1, 1))
     if pose == "T":
         straight = {name: np.zeros(3) for name in heads}
@@ -154,7 +150,7 @@ def _start(vertices: np.ndarray, body: BodyModel, pose: str, yaw: float) -> _Sta
             side = 1.0 if start.endswith("L") else -1.0
             straight[end] = straight[start] + np.array([0, side, 0] if "arm" in start else [0, 0, -1.0])
         limbs = np.stack([*limb_rotations(heads, straight).values()])
-    state = _State(np.zeros(len(body.vertex_components)), limbs, 1.0, _rotation(np.array([0, 0, yaw])), np.zeros(3))
+    state = _State(np.zeros(len(body.vertex_components)), limbs, 1.0, _rotation([0, 0, yaw]), np.zeros(3))
     posed, _ = _posed_surface(state, body)
     state.scale = float(np.ptp(vertices[:, 2]) / np.ptp(posed[:, 2]))
     centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
@@ -164,18 +160,18 @@ def _start(vertices: np.ndarray, body: BodyModel, pose: str, yaw: float) -> _Sta
 
 def _step(state: _State, body: BodyModel, template: np.ndarray, target: np.ndarray, trust: np.ndarray) -> _State:
     """One damped Gauss-Newton step on the pairs template vertex -> target point with normal (6,)."""
-    weights = _dense_weights(body)[template]
-    rotation = _limb_bone_rotations(state, body)
-    blended = np.tensordot(weights, rotation, axes=1)
+    weights = dense_weights(body.influence_bones[template], body.influence_weights[template], body.rig.bone_count)
+    transforms, heads = _bone_transforms(state, body)
+    rotation = transforms[..., :3]
     coefficients, shapes = state.coefficients, body.vertex_components[:, template]
-    rest = body.mean_vertices[template] + np.tensordot(coefficients, shapes, axes=1)
-    heads, _ = np.moveaxis(_posed_bones(state, body), 1, 0)
-    rest_heads = body.bones(coefficients)[0]
-    local = np.einsum("tij,tj->ti", blended, rest) + weights @ (heads - np.einsum("bij,bj->bi", rotation, rest_heads))
-
+    local = linear_blend_skinning(
+        body.mean_vertices[template] + np.tensordot(coefficients, shapes, axes=1),
+        *(transforms, body.influence_bones[template], body.influence_weights[template]),
+    )
     shape_heads = body.bone_components[:, :, 0].astype(np.float64)
     moved = _chain(body.rig, rotation, shape_heads) - np.einsum("bij,cbj->cbi", rotation, shape_heads)
-    by_shape = blended @ shapes.transpose(1, 2, 0) + np.tensordot(weights, moved, axes=(1, 1)).transpose(0, 2, 1)
+    by_shape = np.tensordot(weights, rotation, axes=1) @ shapes.transpose(1, 2, 0)
+    by_shape += np.tensordot(weights, moved, axes=(1, 1)).transpose(0, 2, 1)
     owner = _limb_owners(body.rig)
     by_limb = []
     for limb, name in enumerate(LIMB_SEGMENTS):
@@ -186,15 +182,8 @@ def _step(state: _State, body: BodyModel, template: np.ndarray, target: np.ndarr
     scaled = state.scale * local @ state.turn.T
     outer = np.concatenate([-_cross(scaled), np.tile(np.eye(3), (len(template), 1, 1)), scaled[:, :, None]], axis=2)
     jacobian = np.concatenate([(state.scale * state.turn) @ inner, outer], axis=2)
-    gap = target[:, :3] - (scaled + state.place)
-
-    normals = target[:, 3:] / NORMAL_REACH
-    across, along = (normals[:, None] @ jacobian)[:, 0], TANGENTIAL * jacobian.reshape(-1, jacobian.shape[2])
-    rows = np.concatenate([across, along])
-    values = np.concatenate([np.einsum("ti,ti->t", normals, gap), TANGENTIAL * gap.reshape(-1)])
-    importance = np.concatenate([trust, np.repeat(trust, 3)]) / (trust.sum() * EXPECTED_RESIDUAL**2)
-    system = rows.T @ (importance[:, None] * rows)
-    right = rows.T @ (importance * values)
+    importance = trust / (trust.sum() * EXPECTED_RESIDUAL**2)
+    system, right = normal_equations(jacobian.transpose(2, 0, 1), scaled + state.place, target, importance)
     precision, mean = _prior(state, body, heads)
     system += precision
     right += precision @ mean
@@ -234,21 +223,16 @@ def _moved(state: _State, step: np.ndarray) -> _State:
 
 def _posed_surface(state: _State, body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (T, 3) and unit normals (T, 3) of the body in its present state."""
-    rotation, weights = _limb_bone_rotations(state, body), _dense_weights(body)
-    heads, rest_heads = _posed_bones(state, body)[:, 0], body.bones(state.coefficients)[0]
-    translation = heads - np.einsum("bij,bj->bi", rotation, rest_heads)
-    blended = np.tensordot(weights, rotation, axes=1)
-    local = np.einsum("tij,tj->ti", blended, body.vertices(state.coefficients)) + weights @ translation
-    posed = _place(state, local)
+    vertices = body.vertices(state.coefficients)
+    transforms, _ = _bone_transforms(state, body)
+    posed = _place(state, linear_blend_skinning(vertices, transforms, body.influence_bones, body.influence_weights))
     return posed, vertex_normals(posed, body.faces)
 
 
-def _posed_bones(state: _State, body: BodyModel) -> np.ndarray:
-    """Heads and tails (b, 2, 3) with the limbs turned, before scale, turn and place."""
-    heads, tails = body.bones(state.coefficients)
-    rotation = _limb_bone_rotations(state, body)
-    posed = _chain(body.rig, rotation, heads.astype(np.float64))
-    return np.stack([posed, posed + np.einsum("bij,bj->bi", rotation, tails - heads)], axis=1)
+def _bone_transforms(state: _State, body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
+    """Transforms (b, 3, 4) and heads (b, 3) of the bones with the limbs turned, before scale, turn and place."""
+    turns = dict(enumerate(_bone_rotations(body.rig, state.limbs)))
+    return turned_down_the_chain(body.bones(state.coefficients)[0], body.rig.parents, turns)
 
 
 def _chain(rig: Rig, rotation: np.ndarray, heads: np.ndarray) -> np.ndarray:
@@ -272,42 +256,14 @@ def _limb_owners(rig: Rig) -> np.ndarray:
     return owner
 
 
-def _limb_bone_rotations(state: _State, body: BodyModel) -> np.ndarray:
-    return np.concatenate([state.limbs, np.eye(3)[None]])[_limb_owners(body.rig)]
-
-
-def _bone_rotations(rig: Rig, turns: dict[str, np.ndarray]) -> np.ndarray:
-    return np.concatenate([np.stack([turns[name] for name in LIMB_SEGMENTS]), np.eye(3)[None]])[_limb_owners(rig)]
-
-
-def _dense_weights(body: BodyModel) -> np.ndarray:
-    """(T, b) skinning weights of the body model."""
-    dense = np.zeros((len(body.mean_vertices), body.rig.bone_count), dtype=np.float32)
-    np.add.at(dense, (np.arange(len(dense))[:, None], body.influence_bones), body.influence_weights)
-    return dense
-
-
-def _area_subset(body: BodyModel) -> np.ndarray:
-    """Template vertices spread evenly over the mean body."""
-    from scipy.spatial import cKDTree
-
-    points, _ = sample_surface(body.mean_vertices, body.faces, SAMPLES)
-    return np.unique(cKDTree(body.mean_vertices).query(points)[1])
-
-
-def _with_normals(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    return np.concatenate([points, NORMAL_REACH * normals], axis=1).astype(np.float64)
-
-
-def _by_name(rig: Rig, heads: np.ndarray) -> dict[str, np.ndarray]:
-    return dict(zip(rig.bone_names, heads))
+def _bone_rotations(rig: Rig, limbs: np.ndarray) -> np.ndarray:
+    """Rotations (b, 3, 3) of all bones from those of the limb segments (l, 3, 3); the trunk has none."""
+    return np.concatenate([limbs, np.eye(3)[None]])[_limb_owners(rig)]
 
 
 def _cross(vectors: np.ndarray) -> np.ndarray:
     """(n, 3, 3) matrices of the cross product with each vector (n, 3)."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+    return np.cross(np.eye(3), vectors[:, None])
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import BodyModel
+from physkin_core.avatar.surface_matching import NORMAL_REACH, normal_equations, spread_vertices, with_normals
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.surface_sampling import sample_surface
 
@@ -23,10 +24,6 @@ POINTS = 16384
 MATCHED = 3000
 """Vertices of the body model that are matched with them."""
 ITERATIONS = 10
-NORMAL_REACH = 0.05
-"""Length [m] that a unit difference between normals counts for, so that a thigh does not pair with the other one."""
-TANGENTIAL = 0.1
-"""Weight of the distance along the surface against the distance off it."""
 EXPECTED_RESIDUAL = 0.003
 """[m] mean distance between surfaces that weighs as much as coefficients of one standard deviation."""
 BONE_DEVIATION = 0.01
@@ -64,10 +61,9 @@ class _Matching:
         from scipy.spatial import cKDTree
 
         self._avatar, self._body = avatar, body
-        self._points = _with_normals(*sample_surface(avatar.vertices, avatar.faces, POINTS))
+        self._points = with_normals(*sample_surface(avatar.vertices, avatar.faces, POINTS))
         self._tree = cKDTree(self._points)
-        spread, _ = sample_surface(body.mean_vertices, body.faces, MATCHED)
-        self.chosen = np.unique(cKDTree(body.mean_vertices).query(spread)[1])
+        self.chosen = spread_vertices(body, MATCHED)
 
     def fitted(self) -> np.ndarray:
         """Gauss-Newton on closest points, from the shape that the bones have."""
@@ -80,18 +76,10 @@ class _Matching:
         coefficients = np.linalg.solve(prior, right)
         components = body.vertex_components[:, self.chosen].astype(np.float64)
         for _ in range(ITERATIONS):
-            surface = body.vertices(coefficients).astype(np.float64)
-            target, trust = self._matches(surface)
-            rest = body.mean_vertices[self.chosen]
-            normals, gap = target[:, 3:] / NORMAL_REACH, target[:, :3] - rest
-            across = np.einsum("cki,ki->kc", components, normals)
-            along = TANGENTIAL * components.reshape(c, -1).T
+            target, trust = self._matches(body.vertices(coefficients).astype(np.float64))
             importance = trust / (trust.sum() * EXPECTED_RESIDUAL**2)
-            system = prior + across.T @ (importance[:, None] * across)
-            system += along.T @ (importance.repeat(3)[:, None] * along)
-            values = across.T @ (importance * np.einsum("ki,ki->k", normals, gap))
-            values += TANGENTIAL * along.T @ (importance.repeat(3) * gap.reshape(-1))
-            coefficients = np.linalg.solve(system, right + values)
+            matrix, values = normal_equations(components, body.mean_vertices[self.chosen], target, importance)
+            coefficients = np.linalg.solve(prior + matrix, right + values)
         return coefficients
 
     def gaps(self, surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -103,10 +91,6 @@ class _Matching:
 
     def _matches(self, surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points (k, 6) that the chosen vertices are matched with, and trust in them (k,)."""
-        mine = _with_normals(surface, vertex_normals(surface, self._body.faces))[self.chosen]
+        mine = with_normals(surface, vertex_normals(surface, self._body.faces))[self.chosen]
         distance, match = self._tree.query(mine)
         return self._points[match], 1 / (1 + (distance / OUTLIER) ** 2) ** 2
-
-
-def _with_normals(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    return np.concatenate([points, NORMAL_REACH * normals], axis=1).astype(np.float64)

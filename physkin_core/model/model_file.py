@@ -36,7 +36,7 @@ class ModelFileError(ValueError):
 
 
 def load_garment_model(path: str | Path) -> GarmentModel:
-    """Read and check a garment model; a bare name such as "tshirt" means a shipped one.
+    """Read and check a garment model; the bare name of a shipped one ("tshirt") means that, whatever files there are.
 
     Raises ModelFileError when the file is missing, truncated, altered, of a newer schema version, or holds an array of
     an unknown name, the wrong shape or type, an index out of range or a value that is not finite.
@@ -117,11 +117,10 @@ def shipped_models() -> list[str]:
 
 
 def _resolve(path: str | Path) -> Path:
-    candidate = Path(path)
+    candidate, shipped = Path(path), shipped_models()
+    if str(path) in shipped:
+        return MODELS_PATH / f"{path}.safetensors"
     if candidate.suffix == "" and not candidate.is_file():
-        shipped = shipped_models()
-        if str(path) in shipped:
-            return MODELS_PATH / f"{path}.safetensors"
         raise ModelFileError(f"no garment model {str(path)!r}: give a file, or one of {', '.join(shipped) or 'none'}")
     return candidate
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from physkin_core.model.garment_nodes import pose_nodes
+from physkin_core.rig.linear_blend_skinning import blended_transforms, linear_blend_skinning
 
 if TYPE_CHECKING:
     from physkin_core.runtime.bound_garment import BoundGarment
@@ -69,8 +70,7 @@ def skin(
     nodes: (m, 3, 4). node_rest: (m, 3). vertices, normals: (n, 3). influence_nodes, influence_weights: (n, K).
     Returns positions (n, 3) and normals (n, 3).
     """
-    matrices = skinning_matrices(nodes, node_rest)
-    blended = np.einsum("nk,nkij->nij", influence_weights, matrices[influence_nodes])
+    blended = blended_transforms(skinning_matrices(nodes, node_rest), influence_nodes, influence_weights)
     positions = np.einsum("nij,nj->ni", blended[..., :3], vertices) + blended[..., 3]
     turned = np.einsum("nij,nj->ni", cofactors(blended[..., :3]), normals)
     return positions, unit(turned)
@@ -82,7 +82,5 @@ def plain_skinning(bound: BoundGarment, bone_transforms: np.ndarray) -> np.ndarr
     bone_transforms: (b, 3, 4) of this body, from `Draper.bone_transforms`. Returns (n, 3).
     """
     nodes = pose_nodes(bone_transforms, bound.node_bone, bound.node_positions)
-    blended = np.einsum(
-        "nk,nkij->nij", bound.influence_weights, skinning_matrices(nodes, bound.node_rest)[bound.influence_nodes]
-    )
-    return np.einsum("nij,nj->ni", blended[..., :3], bound.vertices) + blended[..., 3]
+    matrices = skinning_matrices(nodes, bound.node_rest)
+    return linear_blend_skinning(bound.vertices, matrices, bound.influence_nodes, bound.influence_weights)

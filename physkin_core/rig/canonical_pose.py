@@ -4,7 +4,7 @@ The trunk stays as it is; each limb segment is turned by the smallest rotation t
 direction, children following their parents. Applied alike to training bodies and to users' avatars, so that the same
 person encodes alike from a T-pose and from an A-pose.
 
-Dimensions: `V` vertices, `j` joints, `K` influences.
+Dimensions: `j` joints.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-__all__ = ["LIMB_SEGMENTS", "blended", "limb_rotations", "smallest_rotation", "turned_down_the_chain"]
+__all__ = ["LIMB_SEGMENTS", "limb_rotations", "smallest_rotation", "turned_down_the_chain"]
 
 
 def _segments() -> dict[str, tuple[str, str]]:
@@ -84,11 +84,3 @@ def turned_down_the_chain(
         rotation[joint] = turns.get(joint, rotation[joint])
     translation = posed - np.einsum("jab,jb->ja", rotation, heads)
     return np.concatenate([rotation, translation[..., None]], axis=2), posed
-
-
-def blended(
-    vertices: np.ndarray, transforms: np.ndarray, influence_joints: np.ndarray, influence_weights: np.ndarray
-) -> np.ndarray:
-    """Vertices (V, 3) moved by linear blend skinning. transforms: (j, 3, 4). influence_*: (V, K). Returns (V, 3)."""
-    matrices = np.einsum("vk,vkab->vab", influence_weights, transforms[influence_joints])
-    return np.einsum("vab,vb->va", matrices[..., :3], vertices) + matrices[..., 3]

@@ -127,7 +127,7 @@ class Rig:
         """Joint positions (d,) [rad] in this rig's order, from positions by joint name.
 
         start: (d,) positions of the joints that `mapping` leaves out, default their rest.
-        Raises RigError naming an unknown joint and those that are called alike.
+        Raises RigError naming an unknown joint, the few that are called alike, and where all are listed.
         """
         positions = np.array(self.rest if start is None else start, dtype=np.float64)
         if positions.shape != (len(self.dofs),):
@@ -135,8 +135,11 @@ class Rig:
         index = {name: k for k, name in enumerate(self.joint_names)}
         for name, value in mapping.items():
             if name not in index:
-                close = get_close_matches(str(name), self.joint_names) or self.joint_names
-                raise RigError(f"no joint {name!r} in this rig; did you mean one of {', '.join(close)}?")
+                close = ", ".join(get_close_matches(str(name), self.joint_names, cutoff=0.4))
+                raise RigError(
+                    f"no joint {name!r} in this rig{f'; did you mean {close}?' if close else '.'} "
+                    f"`physkin info MODEL` lists its {len(self.dofs)} joints, as does `Draper.joint_names`"
+                )
             positions[index[name]] = value
         return positions
 

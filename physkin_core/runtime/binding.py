@@ -24,6 +24,7 @@ from physkin_core.model.mlp import fold_modulation
 from physkin_core.model.node_deformer import fold_first_layer
 from physkin_core.model.skinning import unit
 from physkin_core.model.surface_sampling import sample_surface
+from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.garment_grading import GarmentGrading
 
@@ -76,6 +77,12 @@ def bind_garment(
         raise ValueError(
             f"avatar {avatar.source} has {len(avatar.bone_heads)} bones, the rig of {model.name!r} has {rig.bone_count}"
         )
+    for own, expected in zip(avatar.bone_names, rig.bone_names):
+        if own != expected:
+            raise ValueError(
+                f"avatar {avatar.source} is bound to another rig than that of {model.name!r}: its bone {own!r} is "
+                f"{expected!r} there; load it with `load_avatar(path, model.rig)`"
+            )
     started = perf_counter()
     modulation = encode_body(model, avatar, fit=fit, backend=backend)
     log.info("encoded body %s for %s in %.0f ms", avatar.source, model.name, 1e3 * (perf_counter() - started))
@@ -222,14 +229,11 @@ def _influences_in_faces(
     model: GarmentModel, corners: np.ndarray, barycentric: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Skinning weights inside faces: the corners' mixed, the K largest kept. corners, barycentric: (n, 3)."""
-    dense = np.zeros((len(corners), len(model.node_rest)))
-    rows = np.arange(len(corners))[:, None]
-    for corner in range(3):
-        share = model.influence_weights[corners[:, corner]] * np.clip(barycentric[:, corner, None], 0, 1)
-        np.add.at(dense, (rows, model.influence_nodes[corners[:, corner]]), share)
-    nodes = np.argsort(-dense, axis=1, kind="stable")[:, : model.influence_nodes.shape[1]]
-    weights = np.take_along_axis(dense, nodes, axis=1)
-    return nodes.astype(np.int32), _float(weights / weights.sum(axis=1, keepdims=True))
+    shares = model.influence_weights[corners] * np.clip(barycentric[..., None], 0, 1)
+    nodes = model.influence_nodes[corners].reshape(len(corners), -1)
+    dense = dense_weights(nodes, shares.reshape(len(corners), -1), len(model.node_rest))
+    nodes, weights = strongest_influences(dense, model.influence_nodes.shape[1])
+    return nodes.astype(np.int32), _float(weights)
 
 
 def _float(array: np.ndarray) -> np.ndarray:

@@ -27,6 +27,7 @@ log = logging.getLogger(__name__)
 BACKENDS = ("native", "numpy")
 UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
 """Gravity direction in the root frame of an upright body."""
+FULL_TURN = 2 * np.pi
 
 
 @dataclass(frozen=True)
@@ -49,8 +50,10 @@ class Draper:
     points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
         space; they have no faces.
     binding: of another draper of the same model, avatar and fit, which saves encoding the body again.
-    Raises ValueError for an unknown backend, precision or kind of normals, a body of another rig, a fit that the model
-    has not learnt, points that are not this garment's, or normals of faces where there are points without any.
+    A joint more than a full turn beyond its limits is probably in degrees: the first such one is logged as a warning.
+    Raises TypeError for anything but a model and an avatar; ValueError for an unknown backend, precision or kind of
+    normals, a body of another rig, a fit that the model has not learnt, points that are not this garment's, or normals
+    of faces where there are points without any.
     """
 
     def __init__(
@@ -66,6 +69,9 @@ class Draper:
         point_normals: np.ndarray | None = None,
         binding: Binding | None = None,
     ) -> None:
+        if not isinstance(model, GarmentModel) or not isinstance(avatar, Avatar):
+            given = f"{type(model).__name__}, {type(avatar).__name__}"
+            raise TypeError(f"Draper takes a garment model, then an avatar: Draper(model, avatar), got Draper({given})")
         if backend not in BACKENDS:
             raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
         if backend == "numpy" and precision not in (None, "fp32"):
@@ -78,6 +84,7 @@ class Draper:
         self.avatar = avatar
         self.backend = backend
         self.bound: BoundGarment = bound
+        self._degrees_told = False
         self._evaluator = _evaluator(backend, bound, precision, normals)
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
 
@@ -128,11 +135,10 @@ class Draper:
         if isinstance(joint_positions, Mapping):
             joint_positions = self.model.rig.joint_positions(joint_positions)
         positions = np.ascontiguousarray(joint_positions, dtype=np.float32)
-        if positions.shape != (len(self.joint_names),):
-            raise ValueError(f"joint positions have shape {positions.shape}, expected ({len(self.joint_names)},)")
-        if not np.isfinite(positions).all():
-            joint = int(np.flatnonzero(~np.isfinite(positions))[0])
-            raise ValueError(f"joint {self.joint_names[joint]!r} is {positions[joint]}; positions must be finite [rad]")
+        if positions.shape != self.bound.dof_bone.shape:
+            raise ValueError(f"joint positions have shape {positions.shape}, expected {self.bound.dof_bone.shape}")
+        if not positions.dot(positions) <= FULL_TURN**2:  # or NaN; the cheapest question that all usual poses pass
+            self._check_unusual(positions)
         down = np.asarray(gravity, dtype=np.float64)
         length = float(np.linalg.norm(down))
         if down.shape != (3,) or not np.isfinite(length) or length < 1e-9:
@@ -143,19 +149,37 @@ class Draper:
         return out
 
     def bind_step(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> Callable[[], None]:
-        """A frame bound to its arrays: `step()` drapes what they hold now into `out`, with nothing to convert or check.
+        """A frame bound to its arrays: `step()` drapes what they hold now into `out`, with nothing to convert.
 
         joint_positions: (d,) [rad] and gravity: (3,) unit direction, C-contiguous float32, to be changed in place.
         out: as for `drape`. Raises TypeError or ValueError for other arrays; `step()` raises ValueError when a value or
         what the networks make of it is not finite (`out` is then unchanged).
         """
         if self.backend == "native":
-            return self._evaluator.bind_step(joint_positions, gravity, out).step
+            native_step = self._evaluator.bind_step(joint_positions, gravity, out).step
 
-        def step() -> None:
-            self.drape(joint_positions, gravity, out=out)
+            def step() -> None:
+                if not joint_positions.dot(joint_positions) <= FULL_TURN**2:
+                    self._check_unusual(joint_positions)
+                native_step()
 
-        return step
+            return step
+        return lambda: self.drape(joint_positions, gravity, out=out)
+
+    def _check_unusual(self, positions: np.ndarray) -> None:
+        """Raise ValueError for joint positions (d,) that are not finite; warn, once, of what looks like degrees."""
+        if not np.isfinite(positions).all():
+            joint = int(np.flatnonzero(~np.isfinite(positions))[0])
+            raise ValueError(f"joint {self.joint_names[joint]!r} is {positions[joint]}; positions must be finite [rad]")
+        rig = self.model.rig
+        beyond = np.maximum(rig.lower - positions, positions - rig.upper)
+        if not self._degrees_told and beyond.max() > FULL_TURN:
+            self._degrees_told = True
+            joint = int(beyond.argmax())
+            log.warning(
+                "joint %r is %g, a full turn beyond its limits of %.2f to %.2f rad: degrees? Positions are in radians",
+                *(self.joint_names[joint], positions[joint], rig.lower[joint], rig.upper[joint]),
+            )
 
     @property
     def binding(self) -> Binding:

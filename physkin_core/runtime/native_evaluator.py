@@ -14,7 +14,7 @@ import numpy as np
 from physkin_core.runtime.bound_garment import BoundGarment
 
 try:
-    from physkin_core import _native
+    import physkin_core._native as _native
 except ImportError as error:
     raise ImportError(
         f"physkin_core in {Path(__file__).parents[1]} has no native module built for this Python ({error}). In a "

@@ -19,6 +19,9 @@ from physkin_core.runtime.bound_garment import BoundGarment
 
 __all__ = ["ReferenceEvaluator"]
 
+LARGEST = 1e6
+"""A number beyond this, or none at all, is refused, as by the native evaluator: no drape comes near."""
+
 
 class ReferenceEvaluator:
     """Evaluates a bound garment one pose at a time.
@@ -48,8 +51,8 @@ class ReferenceEvaluator:
 
         joint_positions: (d,) [rad]. gravity: (3,) unit, root frame. out: (n, 3) or (n, 6) float32, any row stride.
         Raises what the native evaluator raises: TypeError when an array has another dtype or `out` is not a writable
-        2-D one; ValueError when a shape is wrong, rows of `out` overlap or are not contiguous, or an input is not
-        finite. Nothing is written then.
+        2-D one; ValueError when a shape is wrong, rows of `out` overlap or are not contiguous, or an input or what the
+        networks make of it is not finite. Nothing is written then.
         """
         bound = self._bound
         _check_input("joint_positions", joint_positions, len(bound.dof_bone))
@@ -63,8 +66,11 @@ class ReferenceEvaluator:
             bound.pose_layers, pose, bound.pose_modulation if len(bound.pose_modulation) else None, bound.activation
         )
         raw = node_corrections(bound.deformer_layers, bones[bound.deformer_bones], modulation, bound.activation)
+        _check_result("node deformer output", raw)
         posed = pose_nodes(bones, bound.node_bone, bound.node_positions)
-        self._nodes = compose_nodes(posed, delta_transforms(raw, len(bound.node_bone)))
+        nodes = compose_nodes(posed, delta_transforms(raw, len(bound.node_bone)))
+        _check_result("node_transforms", nodes)
+        self._nodes = nodes
         positions, normals = skin(
             self._nodes, bound.node_rest, bound.vertices, bound.normals, bound.influence_nodes, bound.influence_weights
         )
@@ -87,6 +93,13 @@ def _check_input(name: str, values: np.ndarray, count: int) -> None:
     if not np.isfinite(values).all():
         index = int(np.flatnonzero(~np.isfinite(values))[0])
         raise ValueError(f"{name}[{index}] is {values[index]}; values must be finite")
+
+
+def _check_result(name: str, values: np.ndarray) -> None:
+    within = np.abs(values.reshape(-1)) <= LARGEST
+    if not within.all():
+        bad = int(within.argmin())
+        raise ValueError(f"{name}[{bad}] is {values.reshape(-1)[bad]}; every value must be finite and within +-1e6")
 
 
 def _check_out(out: np.ndarray, vertex_count: int) -> None:

@@ -6,6 +6,7 @@ import logging
 import signal
 import sys
 import traceback
+import warnings
 
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
@@ -14,6 +15,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.logging import get_logger
 from rclpy.utilities import remove_ros_args
 
+from physkin_core import AvatarWarning
 from physkin_ros.middleware.transport import use_shipped_profile
 from physkin_ros.node.drape_node import DrapeNode
 from physkin_ros.node.settings import AVATAR_SETTINGS, GARMENT_SETTINGS, NODE_SETTINGS, SettingsError, load_config
@@ -148,6 +150,7 @@ def _forward_log() -> None:
     logger = logging.getLogger("physkin_core")
     logger.setLevel(logging.INFO)
     logger.addHandler(_RosLogHandler())
+    warnings.simplefilter("ignore", AvatarWarning)  # the node logs what `Avatar.warnings` holds
 
 
 class _RosLogHandler(logging.Handler):

@@ -69,11 +69,6 @@ def test_meshes_that_cannot_be_drawn(mesh, message):
     pytest.importorskip("mitsuba")
     with pytest.raises(ValueError, match=message):
         render([mesh], **SMALL)
-
-
-def test_nothing_to_draw():
-    """An empty list is a mistake."""
-    pytest.importorskip("mitsuba")
     with pytest.raises(ValueError, match="nothing to draw"):
         render([])
 

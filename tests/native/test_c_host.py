@@ -71,7 +71,7 @@ def compiled(source, folder):
 def test_the_example_gives_the_python_evaluators_bits(tmp_path):
     """`physkin bind` a shipped garment to the bundled avatar, drape it in C."""
     bound = tmp_path / "tshirt.bound.safetensors"
-    assert main(["bind", str(BUNDLED_AVATAR), "--model", "tshirt", "-o", str(bound)]) == 0
+    assert main(["bind", str(BUNDLED_AVATAR), "--garment", "tshirt", "-o", str(bound)]) == 0
     program = compiled(NATIVE / "examples" / "drape.c", tmp_path)
     pose = {"lowerarm01.L_z": "-1.0", "upperarm01.R_x": "0.4"}
     command = [program, bound, *(word for joint in pose.items() for word in joint)]

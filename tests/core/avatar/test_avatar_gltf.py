@@ -2,6 +2,7 @@
 
 import base64
 import json
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from physkin_training.prepare.gltf_export import skinned_document, write_glb, wr
 BODY = load_body_model()
 RIG = BODY.rig
 PERSON = avatar_from_body(BODY, BODY.held_out_bodies[0])
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, tested with plain meshes
 
 
 def _builder(**changes):
@@ -323,162 +325,135 @@ def test_another_rig_by_its_own_names(tmp_path):
         _load(tmp_path, _builder(joint_names=["base", "leg"], **arguments), rig)
 
 
-def _nan(builder):
+def _attribute(name, make):
+    """Replaces an attribute of the vertices by a row of `make(count)` each."""
+
+    def damage(builder):
+        primitive = _primitive(builder)
+        primitive["attributes"][name] = builder.add_accessor(make(len(PERSON.vertices)))
+
+    return damage
+
+
+def _primitive(builder):
+    return builder.document["meshes"][0]["primitives"][0]
+
+
+def _positions(builder):
+    """The accessor of the vertices."""
+    return builder.document["accessors"][_primitive(builder)["attributes"]["POSITION"]]
+
+
+def _node(builder, bone):
+    return builder.document["nodes"][RIG.bone_index(bone)]
+
+
+def _buffer(**entries):
+    return lambda builder: builder.document["buffers"][0].update(entries)
+
+
+def _child(node, child):
+    return lambda builder: builder.document["nodes"][node].setdefault("children", []).append(child)
+
+
+def _nan(count):
     rows = PERSON.vertices.copy()
     rows[12, 1] = np.nan
-    builder.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = builder.add_accessor(rows)
+    return rows
 
 
 def _index_too_large(builder):
     faces = PERSON.faces.astype(np.uint32).reshape(-1).copy()
     faces[7] = 20000
-    builder.document["meshes"][0]["primitives"][0]["indices"] = builder.add_accessor(faces)
-
-
-def _joint_too_large(builder):
-    joints = np.full((len(PERSON.vertices), 4), 99, dtype=np.uint8)
-    builder.document["meshes"][0]["primitives"][0]["attributes"]["JOINTS_0"] = builder.add_accessor(joints)
-
-
-def _negative_weights(builder):
-    weights = np.full((len(PERSON.vertices), 4), -1, dtype=np.float32)
-    builder.document["meshes"][0]["primitives"][0]["attributes"]["WEIGHTS_0"] = builder.add_accessor(weights)
-
-
-def _short_attributes(builder):
-    weights = np.ones((10, 4), dtype=np.float32)
-    builder.document["meshes"][0]["primitives"][0]["attributes"]["WEIGHTS_0"] = builder.add_accessor(weights)
-
-
-def _no_joints(builder):
-    del builder.document["meshes"][0]["primitives"][0]["attributes"]["JOINTS_0"]
-
-
-def _points_only(builder):
-    builder.document["meshes"][0]["primitives"][0]["mode"] = 0
+    _primitive(builder)["indices"] = builder.add_accessor(faces)
 
 
 def _no_elbows(builder):
     for side in "LR":
-        builder.document["nodes"][RIG.bone_index(f"lowerarm01.{side}")]["name"] = f"twig.{side}"
+        _node(builder, f"lowerarm01.{side}")["name"] = f"twig.{side}"
 
 
 def _loop(builder):
-    builder.document["nodes"][5].setdefault("children", []).append(3)
-
-
-def _true_loop(builder):
     builder.document["scenes"][0]["nodes"] = [len(builder.document["nodes"]) - 1]
-    builder.document["nodes"][5].setdefault("children", []).append(0)
+    _child(5, 0)(builder)
 
 
 def _centimetres(builder):
     builder.document["nodes"].append({"name": "Armature", "scale": [100, 100, 100], "children": [0]})
 
 
-def _compressed(builder):
-    builder.document["extensionsRequired"] = ["KHR_draco_mesh_compression"]
+def _without_data(count):
+    def damage(builder):
+        _positions(builder)["count"] = count
+        del _positions(builder)["bufferView"]
+
+    return damage
 
 
-def _far_buffer(builder):
-    builder.document["buffers"][0]["uri"] = "https://example.org/body.bin"
-
-
-def _missing_buffer(builder):
-    builder.document["buffers"][0]["uri"] = "gone.bin"
-
-
-def _strange_buffer(builder):
-    builder.document["buffers"][0]["uri"] = "../person.glb"
-
-
-def _absolute_buffer(builder):
-    builder.document["buffers"][0]["uri"] = "/etc/passwd"
-
-
-def _linked_buffer(builder):
-    builder.document["buffers"][0]["uri"] = "linked.bin"
-
-
-def _endless_buffer(builder):
-    builder.document["buffers"][0] = {"uri": "person.glb", "byteLength": 2**31}
-
-
-def _short_buffer(builder):
-    builder.document["buffers"][0]["byteLength"] += 1000
-
-
-def _huge_accessor(builder):
-    accessor = builder.document["accessors"][builder.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
-    del accessor["bufferView"]
-    accessor["count"] = 10**12
+def _endless_without_indices(builder):
+    _positions(builder)["count"] = 9_999_999
+    del _primitive(builder)["indices"]
 
 
 def _long_accessor(builder):
-    accessor = builder.document["accessors"][builder.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
-    accessor["count"] += 1
-
-
-def _dangling_accessor(builder):
-    builder.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = 77
+    _positions(builder)["count"] += 1
 
 
 def _negative_view(builder):
-    accessor = builder.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
-    builder.document["accessors"][accessor]["bufferView"] -= len(builder.document["bufferViews"])
-
-
-def _negative_child(builder):
-    builder.document["nodes"][5].setdefault("children", []).append(-1)
-
-
-def _lost_joint(builder):
-    builder.document["nodes"][RIG.bone_index("neck01")]["translation"] = [float("nan"), 0, 0]
+    _positions(builder)["bufferView"] -= len(builder.document["bufferViews"])
 
 
 def _flat_limb(builder):
-    builder.document["nodes"][RIG.bone_index("lowerleg02.L")]["translation"] = [0, 0, 0]
-    builder.document["nodes"][RIG.bone_index("foot.L")]["translation"] = [0, 0, 0]
+    for bone in ("lowerleg02.L", "foot.L"):
+        _node(builder, bone)["translation"] = [0, 0, 0]
 
 
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (_nan, "1 vertices are not finite, the first is 12"),
+        (_attribute("POSITION", _nan), "1 vertices are not finite, the first is 12"),
         (_index_too_large, "face indices span 0 to 20000, allowed 0 to 13717"),
-        (_joint_too_large, "names joint 99, allowed 0 to 35"),
-        (_negative_weights, "finite and not negative"),
-        (_short_attributes, "must agree"),
-        (_no_joints, "a skin but no JOINTS_0"),
-        (_points_only, "no faces"),
+        (_attribute("JOINTS_0", lambda count: np.full((count, 4), 99, np.uint8)), "names joint 99, allowed 0 to 35"),
+        (_attribute("WEIGHTS_0", lambda count: np.full((count, 4), -1, np.float32)), "finite and not negative"),
+        (_attribute("WEIGHTS_0", lambda count: np.ones((10, 4), np.float32)), "must agree"),
+        (lambda builder: _primitive(builder)["attributes"].pop("JOINTS_0"), "a skin but no JOINTS_0"),
+        (lambda builder: _primitive(builder).update(mode=0), "no faces"),
         (_no_elbows, r"no joint for 2 of the 12 .* lowerarm01.L, lowerarm01.R. Joints found: root, pelvis.L"),
-        (_loop, "has two parents"),
-        (_true_loop, "form a loop"),
+        (_child(5, 3), "has two parents"),
+        (_loop, "form a loop"),
         (_centimetres, r"m high, allowed 0.5 to 3.0 m"),
-        (_compressed, "KHR_draco_mesh_compression"),
-        (_far_buffer, "only files beside the avatar are read"),
-        (_missing_buffer, "gone.bin does not exist"),
-        (_strange_buffer, "buffer 0 is '../person.glb', outside the avatar's folder; it must be in it"),
-        (_absolute_buffer, "buffer 0 is '/etc/passwd', outside the avatar's folder"),
-        (_linked_buffer, "buffer 0 is 'linked.bin', outside the avatar's folder"),
-        (_endless_buffer, "buffer 0 has 2147483648 bytes, allowed are 0 to 536870912"),
-        (_short_buffer, "is truncated: buffer 0 has"),
-        (_huge_accessor, "1000000000000 elements without data, allowed 1 to"),
+        (lambda b: b.document.update(extensionsRequired=["KHR_draco_mesh_compression"]), "KHR_draco_mesh_compression"),
+        (_buffer(uri="https://example.org/body.bin"), "only files beside the avatar are read"),
+        (_buffer(uri="gone.bin"), "gone.bin does not exist"),
+        (_buffer(uri="../person.glb"), "buffer 0 is '../person.glb', outside the avatar's folder; it must be in it"),
+        (_buffer(uri="/etc/passwd"), "buffer 0 is '/etc/passwd', outside the avatar's folder"),
+        (_buffer(uri="linked.bin"), "buffer 0 is 'linked.bin', outside the avatar's folder"),
+        (_buffer(uri="person.glb", byteLength=2**31), "buffer 0 has 2147483648 bytes, allowed are 0 to 536870912"),
+        (_buffer(byteLength=2_000_000), "is truncated: buffer 0 has"),
+        (_without_data(10**12), "1000000000000 elements without data, allowed 1 to"),
+        (_without_data(9_999_999), "9999999 elements without data, allowed 1 to"),
+        (_endless_without_indices, "an accessor of 9999999 elements needs bytes"),
         (_long_accessor, "truncated or malformed"),
-        (_dangling_accessor, "is malformed: accessor 77, allowed 0 to"),
+        (lambda builder: _primitive(builder)["attributes"].update(POSITION=77), "is malformed: accessor 77, allowed 0"),
         (_negative_view, "is malformed: buffer view -.*, allowed 0 to"),
-        (_negative_child, "is malformed: node -1, allowed 0 to"),
-        (_lost_joint, "vertices are not finite"),
+        (_child(5, -1), "is malformed: node -1, allowed 0 to"),
+        (lambda builder: _node(builder, "neck01").update(translation=[np.nan, 0, 0]), "vertices are not finite"),
         (_flat_limb, "has no length"),
     ],
 )
 def test_damaged_files_are_refused(tmp_path, damage, message):
-    """Each damage is refused with an AvatarError that says what was found and what is allowed."""
+    """Each damage is refused with an AvatarError that says what was found and what is allowed, before much is
+    allocated."""
     builder = _builder()
     damage(builder)
     (tmp_path / "linked.bin").symlink_to("/etc/passwd")
-    with pytest.raises(AvatarError, match=message):
-        _load(tmp_path, builder)
+    tracemalloc.start()
+    try:
+        with pytest.raises(AvatarError, match=message):
+            _load(tmp_path, builder)
+        assert tracemalloc.get_traced_memory()[1] < 60e6  # bytes
+    finally:
+        tracemalloc.stop()
 
 
 def test_truncated_and_foreign_files_are_refused(tmp_path):

@@ -6,7 +6,8 @@ import logging
 import numpy as np
 import pytest
 
-from physkin_core.avatar.avatar import AvatarError, avatar_from_body
+from physkin_core.avatar import rig_fitting
+from physkin_core.avatar.avatar import AvatarError, AvatarWarning, avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.rig.rig import Rig
@@ -17,6 +18,7 @@ BODY = load_body_model()
 RIG = BODY.rig
 PERSON = avatar_from_body(BODY, BODY.held_out_bodies[0])
 T_VERTICES, T_HEADS, T_TAILS = t_posed_body(BODY, BODY.held_out_bodies[0])
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, where it is not what is tested
 AWAY = np.array([0.3, -0.2, 1.0])
 
 
@@ -115,15 +117,16 @@ def test_ply_and_stl(tmp_path, suffix):
 
 
 def test_obj_without_any_skeleton(tmp_path, caplog):
-    """The rig is fitted from an unknown pose and place; a log line says why that takes its time, the warning how far
-    the fit is off."""
-    with caplog.at_level(logging.INFO):
+    """The rig is fitted from an unknown pose and place; a log line says why that takes its time, the warning, kept and
+    issued, how far the fit is off."""
+    with caplog.at_level(logging.INFO), pytest.warns(AvatarWarning) as issued:
         avatar = load_avatar(_write_person(tmp_path / "person.obj"), RIG)
     assert "fitting the body model to a mesh of" in caplog.text
     distance = _distances(avatar.vertices, PERSON.vertices)
     assert distance.mean() < 6
     heads = _distances(avatar.bone_heads, PERSON.bone_heads)
     assert heads.mean() < 8 and heads.max() < 25
+    assert str(issued[0].message).endswith(avatar.warnings[0])
     assert len(avatar.warnings) == 1 and "was fitted to the mesh (from T-pose, mean distance" in avatar.warnings[0]
 
 
@@ -141,10 +144,12 @@ def test_glb_without_a_skin_facing_backwards(tmp_path):
     assert "fitted" in avatar.warnings[0] and "faces -X" in avatar.warnings[1]
 
 
-def test_a_shape_that_is_no_person_is_refused(tmp_path):
+def test_a_shape_that_is_no_person_is_refused(tmp_path, monkeypatch):
     """The fit's residual is checked, and the error names it."""
     import trimesh
 
+    monkeypatch.setattr(rig_fitting, "TRIAL_ITERATIONS", 1)
+    monkeypatch.setattr(rig_fitting, "ITERATIONS", 2)
     trimesh.creation.box((0.3, 1.2, 1.7)).export(tmp_path / "box.obj")
     with pytest.raises(AvatarError, match=r"does not fit it: \d+ mm mean distance, allowed 2[56] mm"):
         load_avatar(tmp_path / "box.obj", RIG)

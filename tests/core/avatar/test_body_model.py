@@ -77,7 +77,3 @@ def test_weights_follow_the_bones():
     length = np.linalg.norm(BODY.rig.tails - BODY.rig.heads, axis=1)[strongest]
     distance = np.linalg.norm(vertices - middle, axis=1)
     assert np.median(distance) < 0.15 and (distance < length + 0.25).all()
-
-
-def test_loading_twice_gives_the_same_object():
-    assert load_body_model() is BODY

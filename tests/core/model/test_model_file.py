@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -127,30 +128,26 @@ def test_saving_again_writes_the_same_and_replaces_the_file(tmp_path, saved):
     assert {**metadata, "sha256": ""} == {**first_metadata, "sha256": ""}
 
 
-def test_files_are_small(tmp_path):
-    """Half precision and small indices: the paper's sizes with a T-shirt's vertices within 6 MB."""
-    model = random_model(np.random.default_rng(0), **SIZES["paper"] | dict(rings=66, segments=60), width=128)
-    save_garment_model(model, tmp_path / "model.safetensors")
-    assert (tmp_path / "model.safetensors").stat().st_size < 6e6
-
-
 # --- Damage ---
 
 
-@pytest.mark.parametrize("share", [0, 1e-4, 0.01, 0.1, 0.3, 0.5, 0.8, 0.99, 0.9999])
-def test_truncated_file_is_refused(tmp_path, saved, share):
-    data = saved.read_bytes()
-    path = tmp_path / "cut.safetensors"
-    path.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(ModelFileError, match="cannot read garment model .*cut.safetensors"):
-        load_garment_model(path)
-
-
-def test_trailing_bytes_are_refused(tmp_path, saved):
-    path = tmp_path / "long.safetensors"
-    path.write_bytes(saved.read_bytes() + b"\0")
-    with pytest.raises(ModelFileError, match="long.safetensors"):
-        load_garment_model(path)
+def test_cut_and_foreign_files_are_refused(tmp_path, saved):
+    """Cut anywhere, with a byte more, of another kind, a folder, or not there; the message names the file."""
+    data, path = saved.read_bytes(), tmp_path / "other.safetensors"
+    contents = [data[: int(share * len(data))] for share in (0, 1e-4, 0.01, 0.1, 0.3, 0.5, 0.8, 0.99, 0.9999)]
+    contents += [data + b"\0", b"garment", b"\0" * 100, b"\xff" * 100, b"o tshirt\nv 1 2 3\n" * 50]
+    for content in contents:
+        path.write_bytes(content)
+        with pytest.raises(ModelFileError, match="cannot read garment model .*other.safetensors"):
+            load_garment_model(path)
+    for metadata in (None, {"format": "pt"}):
+        path.write_bytes(save({"weight": np.zeros(3)}, metadata=metadata))
+        with pytest.raises(ModelFileError, match="format .* expected 'physkin-garment'"):
+            load_garment_model(path)
+    (tmp_path / "folder.safetensors").mkdir()
+    for name in ("no.safetensors", "folder.safetensors"):
+        with pytest.raises(ModelFileError, match=name):
+            load_garment_model(tmp_path / name)
 
 
 @pytest.mark.parametrize("place", ["anywhere", "header"])
@@ -170,37 +167,16 @@ def test_one_flipped_bit_is_refused(tmp_path, saved, place):
             pytest.fail(f"bit {bit} of byte {position} of {len(data)} went unnoticed")
 
 
-@pytest.mark.parametrize("content", [b"", b"garment", b"\0" * 100, b"\xff" * 100, b"o tshirt\nv 1 2 3\n" * 50])
-def test_other_files_are_refused(tmp_path, content):
-    path = tmp_path / "other.safetensors"
-    path.write_bytes(content)
-    with pytest.raises(ModelFileError, match="cannot read garment model"):
-        load_garment_model(path)
-
-
-def test_safetensors_of_something_else_is_refused(tmp_path):
-    for metadata in (None, {"format": "pt"}):
-        path = tmp_path / "weights.safetensors"
-        path.write_bytes(save({"weight": np.zeros(3)}, metadata=metadata))
-        with pytest.raises(ModelFileError, match="is not a garment model: format .* expected 'physkin-garment'"):
-            load_garment_model(path)
-
-
-def test_missing_file_and_folder_are_refused(tmp_path):
-    with pytest.raises(ModelFileError, match="no.safetensors"):
-        load_garment_model(tmp_path / "no.safetensors")
-    folder = tmp_path / "folder.safetensors"
-    folder.mkdir()
-    with pytest.raises(ModelFileError, match="folder.safetensors"):
-        load_garment_model(folder)
-
-
-def test_a_folder_does_not_hide_a_shipped_model(tmp_path, saved, monkeypatch):
-    """A name that is also a folder in the working directory, where trained models are kept by name."""
+@pytest.mark.parametrize("kind", ["folder", "file"])
+def test_nothing_in_the_working_folder_hides_a_shipped_model(kind, tmp_path, saved, monkeypatch):
+    """A bare name is the shipped model's; with a folder before it the path of a file."""
     monkeypatch.setattr(model_file, "MODELS_PATH", saved.parent)
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "tiny").mkdir()
+    here = tmp_path / "tiny"
+    here.mkdir() if kind == "folder" else save_garment_model(replace(tiny(), name="another"), here)
     assert load_garment_model("tiny").name == "random"
+    if kind == "file":
+        assert load_garment_model("./tiny").name == "another"
 
 
 def test_unknown_name_lists_the_shipped_models():
@@ -213,19 +189,12 @@ def test_unknown_name_lists_the_shipped_models():
 # --- Altered or newer ---
 
 
-@pytest.mark.parametrize("key", ["name", "rig", "material", "training", "scores", "activation", "extra"])
+@pytest.mark.parametrize("key", ["name", "rig", "material", "training", "scores", "activation", "extra", "sha256"])
 def test_altered_metadata_are_refused(tmp_path, saved, key):
     metadata, tensors = contents(saved)
     metadata[key] = metadata.get(key, "") + " "
     with pytest.raises(ModelFileError, match="damaged or was altered"):
         load_garment_model(write(tmp_path / "altered.safetensors", metadata, tensors, seal=False))
-
-
-def test_a_missing_digest_is_refused(tmp_path, saved):
-    metadata, tensors = contents(saved)
-    del metadata["sha256"]
-    with pytest.raises(ModelFileError, match="SHA-256 digest does not match"):
-        load_garment_model(write(tmp_path / "unsealed.safetensors", metadata, tensors, seal=False))
 
 
 @pytest.mark.parametrize("change", ["rename", "swap", "reshape"])
@@ -243,19 +212,11 @@ def test_rearranged_tensors_are_refused(tmp_path, saved, change):
         load_garment_model(write(tmp_path / "altered.safetensors", metadata, tensors, seal=False))
 
 
-def test_future_schema_says_to_update(tmp_path, saved):
-    metadata, tensors = contents(saved)
-    metadata["schema_version"] = str(SCHEMA_VERSION + 1)
-    message = f"schema version {SCHEMA_VERSION + 1}; this release reads up to {SCHEMA_VERSION}.* update"
-    with pytest.raises(ModelFileError, match=message):
-        load_garment_model(write(tmp_path / "future.safetensors", metadata, tensors))
-
-
-@pytest.mark.parametrize("version", ["", "0", "-1", "1.0", "one", "²"])
-def test_schema_version_must_be_a_number_from_one(tmp_path, saved, version):
+@pytest.mark.parametrize("version", [str(SCHEMA_VERSION + 1), "", "0", "-1", "1.0", "one", "²"])
+def test_schema_version_must_be_known(tmp_path, saved, version):
     metadata, tensors = contents(saved)
     metadata["schema_version"] = version
-    with pytest.raises(ModelFileError, match="schema version"):
+    with pytest.raises(ModelFileError, match=f"schema version '?{re.escape(version)}"):
         load_garment_model(write(tmp_path / "model.safetensors", metadata, tensors))
 
 
@@ -281,17 +242,10 @@ def test_every_tensor_is_needed(tmp_path, saved):
             pytest.fail(f"{name} was not missed")
 
 
-@pytest.mark.parametrize("key", ["name", "rig", "material", "training", "scores", "activation"])
-def test_all_metadata_are_needed(tmp_path, saved, key):
-    metadata, tensors = contents(saved)
-    del metadata[key]
-    with pytest.raises(ModelFileError, match=f"lacks '{key}'"):
-        load_garment_model(write(tmp_path / "model.safetensors", metadata, tensors))
-
-
 @pytest.mark.parametrize(
     "key, value",
     [
+        *((key, None) for key in ("name", "rig", "material", "training", "scores", "activation")),
         ("activation", "tanh"),
         ("rig", "{"),
         ("rig", "[]"),
@@ -310,14 +264,9 @@ def test_all_metadata_are_needed(tmp_path, saved, key):
 def test_metadata_that_make_no_sense_are_refused(tmp_path, saved, key, value):
     metadata, tensors = contents(saved)
     metadata[key] = value
-    with pytest.raises(ModelFileError, match="is not valid"):
-        load_garment_model(write(tmp_path / "model.safetensors", metadata, tensors))
-
-
-def test_normals_without_a_length_are_refused(tmp_path, saved):
-    metadata, tensors = contents(saved)
-    tensors["garment.normals"][3] = 0
-    with pytest.raises(ModelFileError, match=r"garment.normals of vertex 3 is 0.0e\+00 long, allowed: 0.001"):
+    if value is None:
+        del metadata[key]
+    with pytest.raises(ModelFileError, match="is not valid" if value is not None else f"lacks '{key}'"):
         load_garment_model(write(tmp_path / "model.safetensors", metadata, tensors))
 
 
@@ -326,31 +275,16 @@ def test_wrong_shapes_are_refused(tmp_path, saved):
     metadata, tensors = contents(saved)
     path = tmp_path / "model.safetensors"
     for name, tensor in tensors.items():
-        if name in ("garment.faces",):  # a face more or less is another valid garment
-            continue
-        for wrong in (np.concatenate([tensor, tensor[:1]]), tensor[:-1], tensor[..., None]):
+        other = [
+            np.concatenate([tensor, tensor[:1]]),
+            tensor[:-1],
+            tensor[..., None],
+            tensor.reshape(-1)[0:1].reshape(()),
+        ]
+        for wrong in other[2 * (name == "garment.faces") :]:  # a face more or less is another valid garment
             with pytest.raises(ModelFileError, match="is not valid"):
                 load_garment_model(write(path, metadata, {**tensors, name: wrong}))
                 pytest.fail(f"{name} was accepted as {wrong.shape} instead of {tensor.shape}")
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "garment.vertices",
-        "garment.faces",
-        "garment_nodes.rest",
-        "skinning.weights",
-        "pose_modulator.0.bias",
-        "hyper_modulator.embed.weight",
-        "hyper_modulator.output.bias",
-    ],
-)
-def test_scalars_in_place_of_arrays_are_refused(tmp_path, saved, name):
-    metadata, tensors = contents(saved)
-    tensors[name] = tensors[name].reshape(-1)[:1].reshape(())
-    with pytest.raises(ModelFileError, match="is not valid"):
-        load_garment_model(write(tmp_path / "model.safetensors", metadata, tensors))
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
@@ -368,31 +302,34 @@ def test_values_that_are_not_finite_are_refused(tmp_path, saved, bad):
             pytest.fail(f"{bad} in {name} went unnoticed")
 
 
-@pytest.mark.parametrize("value", [200, -1, 2**32])
-@pytest.mark.parametrize("name", ["garment.faces", "garment_nodes.bone", "skinning.nodes"])
-def test_index_out_of_range_is_refused(tmp_path, saved, name, value):
+def beyond(value):
+    """The fourth index is `value`, or lies 2**32 too high."""
+
+    def change(tensor):
+        spoilt = tensor.astype(np.int64)
+        spoilt.reshape(-1)[3] = value + (spoilt.reshape(-1)[3] if value == 2**32 else 0)
+        return spoilt
+
+    return change
+
+
+INDICES = ("garment.faces", "garment_nodes.bone", "skinning.nodes")
+
+
+@pytest.mark.parametrize(
+    "name, change, message",
+    [
+        *((name, beyond(value), "index") for name in INDICES for value in (200, -1, 2**32)),
+        *((name, lambda array: array.astype(np.float32), "integer index") for name in INDICES),  # else 1.7 becomes 1
+        *((name, lambda array: np.ones_like(array, dtype=np.int8), "floating point numbers|pool.bias")
+          for name in ("garment_nodes.rest", "pose_modulator.0.weight", "hyper_modulator.pool.bias")),
+        ("garment.normals", lambda array: array * (np.arange(len(array)) != 3)[:, None], "vertex 3 is 0.0e.00 long"),
+    ],
+)  # fmt: skip
+def test_values_of_another_kind_are_refused(tmp_path, saved, name, change, message):
     metadata, tensors = contents(saved)
-    spoilt = tensors[name].astype(np.int64)
-    spoilt.reshape(-1)[3] = value + (spoilt.reshape(-1)[3] if value == 2**32 else 0)
-    with pytest.raises(ModelFileError, match="is not valid: .*index"):
-        load_garment_model(write(tmp_path / "model.safetensors", metadata, {**tensors, name: spoilt}))
-
-
-@pytest.mark.parametrize("name", ["garment.faces", "garment_nodes.bone", "skinning.nodes"])
-def test_indices_must_be_integers(tmp_path, saved, name):
-    """Else 1.7 would become 1."""
-    metadata, tensors = contents(saved)
-    with pytest.raises(ModelFileError, match="is not valid: .* integer index"):
-        spoilt = {**tensors, name: tensors[name].astype(np.float32)}
-        load_garment_model(write(tmp_path / "model.safetensors", metadata, spoilt))
-
-
-@pytest.mark.parametrize("name", ["garment_nodes.rest", "pose_modulator.0.weight", "hyper_modulator.pool.bias"])
-def test_values_must_be_floating_point_numbers(tmp_path, saved, name):
-    metadata, tensors = contents(saved)
-    with pytest.raises(ModelFileError, match="is not valid"):
-        spoilt = {**tensors, name: np.ones_like(tensors[name], dtype=np.int8)}
-        load_garment_model(write(tmp_path / "model.safetensors", metadata, spoilt))
+    with pytest.raises(ModelFileError, match=f"is not valid: .*({message})"):
+        load_garment_model(write(tmp_path / "model.safetensors", metadata, {**tensors, name: change(tensors[name])}))
 
 
 @pytest.mark.parametrize("name", ["pose_modulator.9.weight", "garment.colour"])

@@ -58,7 +58,7 @@ def test_forward_kinematics_is_a_chain_of_matrices(bones, dofs):
 
 
 def test_forward_kinematics_of_a_batch_is_that_of_each():
-    """Leading axes are kept, and each pose is independent of the others."""
+    """Leading axes are kept, and each pose is independent of the others; the last one must have a number a joint."""
     rng = np.random.default_rng(1)
     rig = random_rig(rng)
     q = rng.uniform(-2, 2, size=(2, 3, len(rig.dofs)))
@@ -66,6 +66,8 @@ def test_forward_kinematics_of_a_batch_is_that_of_each():
     assert batch.shape == (2, 3, rig.bone_count, 3, 4)
     for index in np.ndindex(2, 3):
         np.testing.assert_allclose(batch[index], oracle(rig, q[index])[:, :3], atol=1e-10)
+    with pytest.raises(RigError, match=r"\(2, 3, 6\); the last axis must be 7"):
+        rig.bone_transforms(q[..., :6])
 
 
 def test_rotations_of_a_bone_compose_intrinsically_in_listed_order():
@@ -79,22 +81,6 @@ def test_rotations_of_a_bone_compose_intrinsically_in_listed_order():
         first, second = (turn(dof.axis, values[dof.name])[:3, :3] for dof in listed)
         np.testing.assert_allclose(rotation, first @ second, atol=1e-12)
         assert np.abs(rotation - second @ first).max() > 0.1
-
-
-def test_at_rest_nothing_moves_and_joint_centres_stay_attached():
-    rng = np.random.default_rng(2)
-    rig = random_rig(rng, bones=12, dofs=20)
-    np.testing.assert_allclose(rig.bone_transforms(rig.rest), np.tile(np.eye(4)[:3], (12, 1, 1)), atol=1e-12)
-    transforms = rig.bone_transforms(rng.uniform(-2, 2, size=20))
-    for bone in range(1, 12):
-        own, parents = (transforms[k, :, :3] @ rig.heads[bone] + transforms[k, :, 3] for k in (bone, rig.parents[bone]))
-        np.testing.assert_allclose(own, parents, atol=1e-12)
-
-
-def test_wrong_number_of_joint_positions_is_refused():
-    rig = random_rig(np.random.default_rng(3))
-    with pytest.raises(RigError, match=r"shape \(6,\); the last axis must be 7"):
-        rig.bone_transforms(np.zeros(6))
 
 
 def test_pose_vector_spans_minus_one_to_one():
@@ -129,19 +115,6 @@ def test_json_round_trip_is_exact(bones, dofs):
         np.testing.assert_array_equal(getattr(back, name), getattr(rig, name))
 
 
-def test_arrays_are_read_only():
-    rig = random_rig(np.random.default_rng(6))
-    with pytest.raises(ValueError, match="read-only"):
-        rig.heads[0] = 1
-
-
-def test_bone_index_names_the_bones_there_are():
-    rig = random_rig(np.random.default_rng(7), bones=3)
-    assert rig.bone_index("bone2") == 2
-    with pytest.raises(RigError, match="no bone 'tail' in this rig; bones are bone0, bone1, bone2"):
-        rig.bone_index("tail")
-
-
 def two_bones(**changes) -> Rig:
     fields = dict(
         bone_names=("root", "arm"),
@@ -165,17 +138,13 @@ def dof(**changes) -> tuple[DegreeOfFreedom]:
         (dict(dofs=dof() * 2), "degree of freedom 'arm_x' occurs twice"),
         (dict(parents=np.array([-1])), r"parents \(1,\)"),
         (dict(heads=np.zeros((3, 3))), r"heads \(3, 3\)"),
-        (dict(tails=np.zeros((2, 2))), r"tails \(2, 2\)"),
         (dict(heads=np.array([[0, 0, 0], [0, np.nan, 0]])), "finite"),
-        (dict(tails=np.array([[0, 0, 0], [0, np.inf, 0]])), "finite"),
         (dict(parents=np.array([0, 0])), r"bone 0 \('root'\) must be the root with parent -1, got 0"),
         (dict(parents=np.array([-1, -1])), "bone 'arm' has parent -1; a parent must come before"),
-        (dict(parents=np.array([-1, 1])), "bone 'arm' has parent 1"),
         (dict(parents=np.array([-1, 7])), "bone 'arm' has parent 7"),
         (dict(dofs=dof(bone="leg")), "'arm_x' turns unknown bone 'leg'"),
         (dict(dofs=dof(axis=(0.0, 0.0, 0.0))), "'arm_x' has a zero axis"),
         (dict(dofs=dof(axis=(1.0, 0.0))), "'arm_x': axis"),
-        (dict(dofs=dof(axis=(1.0, 0.0, np.nan))), "'arm_x': axis"),
         (dict(dofs=dof(lower=-np.inf)), "'arm_x'.*finite"),
         (dict(dofs=dof(rest=np.nan)), "'arm_x'.*finite"),
         (dict(dofs=dof(lower=1.0, upper=1.0)), "'arm_x': lower 1.0 must be below upper 1.0"),
@@ -198,17 +167,19 @@ def test_joint_positions_by_name():
     start = np.arange(7.0)
     np.testing.assert_array_equal(rig.joint_positions({"joint0": 9}, start=start), [9, 1, 2, 3, 4, 5, 6])
     assert start[0] == 0
-    with pytest.raises(RigError, match=r"no joint 'jiont3' in this rig; did you mean one of .*joint3"):
+    with pytest.raises(RigError, match=r"no joint 'jiont3' .*joint3.*physkin info"):
         rig.joint_positions({"jiont3": 1.0})
+    with pytest.raises(RigError, match=r"no joint 'q'") as caught:
+        rig.joint_positions({"q": 1.0})
+    assert not any(name in str(caught.value) for name in rig.joint_names)  # not all of them
     with pytest.raises(RigError, match=r"start has shape \(6,\), expected \(7,\)"):
         rig.joint_positions({}, start=np.zeros(6))
 
 
 def drop(data, *path):
-    del_from = data
     for key in path[:-1]:
-        del_from = del_from[key]
-    del del_from[path[-1]]
+        data = data[key]
+    del data[path[-1]]
 
 
 def put(data, value, *path):
@@ -235,30 +206,15 @@ def put(data, value, *path):
         lambda d: put(d, [1, 0, 0], "bones", 1, "tial"),
         lambda d: put(d, [], "joints"),
     ],
-    ids=[
-        "no bones",
-        "no dofs",
-        "bone without head",
-        "dof without axis",
-        "bones is a number",
-        "parent is a name",
-        "tail of two numbers",
-        "upper is text",
-        "axis is null",
-        "unknown entry of a dof",
-        "parent beyond int32",
-        "parent is not an integer",
-        "unknown entry of a bone",
-        "unknown table",
-    ],
 )
 def test_malformed_json_is_a_rig_error(spoil):
     """The message names what is wrong where that has a name."""
     data = two_bones().to_json()
     Rig.from_json(data)
     spoil(data)
-    with pytest.raises(RigError):
-        Rig.from_json(data)
+    for spoilt in (data, None, [], {"bones": {"a": 1}, "dofs": []}):
+        with pytest.raises(RigError):
+            Rig.from_json(spoilt)
 
 
 def test_unknown_entries_are_named():
@@ -267,12 +223,6 @@ def test_unknown_entries_are_named():
         Rig.from_json({**data, "joints": []})
     data["bones"][1]["tial"] = [1, 0, 0]
     with pytest.raises(RigError, match="bone 'arm' has unknown entries tial; allowed: name, parent, head, tail"):
-        Rig.from_json(data)
-
-
-@pytest.mark.parametrize("data", [None, [], 3, {"bones": {"a": 1}, "dofs": []}])
-def test_json_of_another_kind_is_a_rig_error(data):
-    with pytest.raises(RigError):
         Rig.from_json(data)
 
 

@@ -16,7 +16,8 @@ import numpy as np
 import torch
 
 from physkin_core.avatar.body_model import BODY_MODEL_PATH
-from physkin_core.rig.canonical_pose import blended, limb_rotations, turned_down_the_chain
+from physkin_core.rig.canonical_pose import limb_rotations, turned_down_the_chain
+from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
 from physkin_core.rig.rig import Rig
 from physkin_training.prepare.default_rig import default_dofs
 
@@ -69,7 +70,7 @@ def prepare_body_model(path: Path, *, train: int = 512, held_out: int = 64, seed
         turns = limb_rotations(dict(zip(names, heads[body], strict=True)), canonical)
         turns = {names.index(name): turn for name, turn in turns.items()}
         transforms, heads[body] = turned_down_the_chain(heads[body], parents, turns)
-        vertices[body] = blended(vertices[body], transforms, influence_bones, influence_weights)
+        vertices[body] = linear_blend_skinning(vertices[body], transforms, influence_bones, influence_weights)
     tails = _tails(names, parents, heads, vertices, influence_bones, influence_weights)
     rig = Rig(names, parents, heads[0], tails[0], default_dofs(canonical))
 

@@ -1,0 +1,37 @@
+"""Linear blend skinning: points that move with weighted means of transforms.
+
+Dimensions: `V` vertices, `j` transforms (of joints, bones or garment nodes), `K` influences a vertex.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["blended_transforms", "dense_weights", "linear_blend_skinning", "strongest_influences"]
+
+
+def blended_transforms(transforms: np.ndarray, influences: np.ndarray, influence_weights: np.ndarray) -> np.ndarray:
+    """(V, 3, 4) every vertex's mean of transforms (j, 3, 4). influences: (V, K) indices; influence_weights: (V, K)."""
+    return np.einsum("vk,vkij->vij", influence_weights, transforms[influences])
+
+
+def linear_blend_skinning(
+    vertices: np.ndarray, transforms: np.ndarray, influences: np.ndarray, influence_weights: np.ndarray
+) -> np.ndarray:
+    """Vertices (V, 3) moved by their blended transforms. Returns (V, 3)."""
+    blended = blended_transforms(transforms, influences, influence_weights)
+    return np.einsum("vij,vj->vi", blended[..., :3], vertices) + blended[..., 3]
+
+
+def dense_weights(influences: np.ndarray, influence_weights: np.ndarray, count: int) -> np.ndarray:
+    """(V, count) float64 weights of all transforms; an influence named twice counts twice. influence_*: (V, K)."""
+    dense = np.zeros((len(influences), count))
+    np.add.at(dense, (np.arange(len(dense))[:, None], influences), influence_weights)
+    return dense
+
+
+def strongest_influences(dense: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The `count` largest of dense weights (V, j): indices and weights (V, count), rows summing to 1."""
+    strongest = np.argsort(-dense, axis=1, kind="stable")[:, :count]
+    weights = np.take_along_axis(dense, strongest, axis=1)
+    return strongest, weights / weights.sum(axis=1, keepdims=True)
