@@ -22,7 +22,6 @@ from physkin_training.networks.draping import Drape
 from physkin_training.physics.full_space_solver import FullSpaceSolver
 from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.wearing import Wearing
-from physkin_training.sampling.fantastical_bodies import BODY_DISTRIBUTIONS
 from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import PosedBodies
 from physkin_training.train.trainer import Trainer
@@ -81,7 +80,7 @@ def simulate_drapes(
     for start in range(0, len(every), batch):
         path = folder / f"drapes_{start:06d}_of_{len(every)}_by_{batch}_{config.optimisation.other_limbs}.safetensors"
         if not path.exists():
-            simulation = simulation or _StagedSimulation(trainer, BODY_DISTRIBUTIONS[config.body_distribution](), batch)
+            simulation = simulation or _StagedSimulation(trainer, trainer.body_model, batch)
             pick = torch.arange(start, start + batch) % len(every)  # a last partial batch is filled up
             pairs = (values[pick].to(device) for values in (positions, gravity, every))
             part = simulation.run(*pairs, tolerance=tolerance, iterations=iterations)

@@ -11,9 +11,9 @@ torch = pytest.importorskip("torch", reason="needs the [training] extra")
 from physkin_core import Draper, load_body_model  # noqa: E402
 from physkin_core.model import garment_nodes, skinning  # noqa: E402
 from physkin_core.runtime.binding import encode_body  # noqa: E402
+from physkin_training.config import NetworkConfig  # noqa: E402
 from physkin_training.networks.draping import Drape, GarmentNodes, compose_nodes, delta_transforms  # noqa: E402
 from physkin_training.networks.export import drape_from_model  # noqa: E402
-from physkin_training.networks.networks import NetworkConfig  # noqa: E402
 from physkin_training.sampling.posed_bodies import BodySet  # noqa: E402
 
 

@@ -16,8 +16,10 @@ from training.small_runs import small_config  # noqa: E402
 
 from physkin_core import Draper, avatar_from_body, load_body_model, load_garment_model, save_garment_model  # noqa: E402
 from physkin_core.runtime.binding import encode_body  # noqa: E402
+from physkin_training.config import NetworkConfig  # noqa: E402
 from physkin_training.evaluate.plain_model import plain_model  # noqa: E402
 from physkin_training.networks.export import agreement, drape_from_model, encode_bodies, model_from_drape  # noqa: E402
+from physkin_training.networks.networks import Networks  # noqa: E402
 from physkin_training.train.trainer import Trainer  # noqa: E402
 
 BODY = load_body_model()
@@ -234,8 +236,6 @@ def test_concatenated_codes_are_modulation_of_the_first_layer(tmp_path):
 
 def test_concatenation_is_a_plain_network_of_the_joined_input():
     """Pose modulator: a multilayer perceptron over (pose vector, body code) with one weight matrix over both."""
-    from physkin_training.networks.networks import NetworkConfig, Networks
-
     torch.manual_seed(3)
     config = NetworkConfig(
         pose_hidden=8, pose_layers=2, deformer_hidden=6, deformer_layers=2, token_width=4, conditioning="concatenation"

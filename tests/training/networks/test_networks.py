@@ -12,8 +12,9 @@ from physkin_core.model.hyper_modulator import at_fit, body_modulation  # noqa: 
 from physkin_core.model.mlp import modulation_size  # noqa: E402
 from physkin_core.model.node_deformer import node_corrections  # noqa: E402
 from physkin_core.model.pose_modulator import pose_modulation  # noqa: E402
+from physkin_training.config import NetworkConfig  # noqa: E402
 from physkin_training.networks.export import drape_from_model  # noqa: E402
-from physkin_training.networks.networks import HyperModulator, NetworkConfig, Networks  # noqa: E402
+from physkin_training.networks.networks import HyperModulator, Networks  # noqa: E402
 
 
 def as_double(*arrays):

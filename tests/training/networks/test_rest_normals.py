@@ -16,10 +16,10 @@ from physkin_core.model.garment import Garment, vertex_normals  # noqa: E402
 from physkin_core.model.model_file import shipped_models  # noqa: E402
 from physkin_core.model.skinning import cofactors  # noqa: E402
 from physkin_core.rig.rig import Rig  # noqa: E402
+from physkin_training.config import NetworkConfig  # noqa: E402
 from physkin_training.networks import rest_normals  # noqa: E402
 from physkin_training.networks.draping import Drape, GarmentNodes  # noqa: E402
 from physkin_training.networks.export import drape_from_model  # noqa: E402
-from physkin_training.networks.networks import NetworkConfig  # noqa: E402
 from physkin_training.networks.rest_normals import (  # noqa: E402
     MEASURED_BODIES,
     MEASURED_FRAMES,

@@ -14,9 +14,9 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment import load_garment
 from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.model_file import save_garment_model
+from physkin_training.config import NetworkConfig
 from physkin_training.networks.draping import Drape, GarmentNodes
 from physkin_training.networks.export import model_from_drape
-from physkin_training.networks.networks import NetworkConfig
 
 __all__ = ["plain_model"]
 

@@ -14,7 +14,8 @@ from torch import nn
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_nodes import closest_bones
 from physkin_core.rig.rig import Rig
-from physkin_training.networks.networks import NetworkConfig, Networks
+from physkin_training.config import NetworkConfig
+from physkin_training.networks.networks import Networks
 from physkin_training.sampling.posed_bodies import BodySet
 
 __all__ = ["Drape", "GarmentNodes", "RestShape", "compose_nodes", "delta_transforms"]

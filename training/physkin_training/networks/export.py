@@ -20,8 +20,9 @@ from physkin_core.model.mlp import Layer
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.draper import Draper
+from physkin_training.config import NetworkConfig
 from physkin_training.networks.draping import Drape, GarmentNodes, RestShape
-from physkin_training.networks.networks import ModulatedMLP, NetworkConfig
+from physkin_training.networks.networks import ModulatedMLP
 from physkin_training.sampling.posed_bodies import BodySet
 
 __all__ = ["Agreement", "agreement", "drape_from_model", "encode_bodies", "model_from_drape"]

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import torch
 
+from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment import load_garment
 from physkin_core.model.model_file import load_garment_model
 from physkin_training.config import TrainingConfig
@@ -27,7 +28,6 @@ from physkin_training.networks.warm_start import take_over_model
 from physkin_training.physics.physics_losses import TERMS, PhysicsLosses
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
-from physkin_training.sampling.fantastical_bodies import BODY_DISTRIBUTIONS
 from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 from physkin_training.train.checkpoint import Progress, load_checkpoint, load_drape, save_checkpoint
@@ -62,10 +62,18 @@ class Trainer:
     `step` counts finished steps; `drape` is the model in training, `averaged` its exponential moving average (the drape
     itself where the configuration averages nothing), `best` the average with the lowest `validation_energy` [J] (the
     last one measured), both None until pose range and influences are final. `started_from`: plain data on the run this
-    one took its networks from, or None. Of several `processes` each makes a trainer and calls the same methods.
+    one took its networks from, or None. `body_model`: whose training bodies it takes, default the shipped adults. Of
+    several `processes` each makes a trainer and calls the same methods.
     """
 
-    def __init__(self, config: TrainingConfig, device: torch.device, *, processes: Processes | None = None) -> None:
+    def __init__(
+        self,
+        config: TrainingConfig,
+        device: torch.device,
+        *,
+        processes: Processes | None = None,
+        body_model: BodyModel | None = None,
+    ) -> None:
         torch.manual_seed(config.seed)
         self.config = config
         self.device = device
@@ -83,7 +91,7 @@ class Trainer:
         self._samples, self._bodies = optimisation.samples // count, optimisation.bodies // count
         if optimisation.made_to_measure and self._bodies < 2:
             raise ValueError('optimisation.fit = "both" needs at least 2 bodies a step for each process')
-        body_model = BODY_DISTRIBUTIONS[config.body_distribution]()
+        self.body_model = body_model = body_model or load_body_model()
         if config.train_bodies > len(body_model.train_bodies):
             raise ValueError(f"train_bodies must be 1 to {len(body_model.train_bodies)}, got {config.train_bodies}")
         self.rig = body_model.rig
