@@ -21,14 +21,13 @@ import torch
 
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_core.rig.rig import Rig
 from physkin_studies.fantastical_bodies import KINDS, fantastical_body_model
 from physkin_studies.supervised import SupervisedTrainer, simulate_drapes
 from physkin_training.config import NetworkConfig, TrainingConfig, load_config
 from physkin_training.devices import resolve_device
 from physkin_training.evaluate.evaluate import Evaluation
-from physkin_training.networks.export import agreement, model_from_drape
+from physkin_training.networks.export import model_from_drape, store_checked
 from physkin_training.train.trainer import Trainer, TrainingDiverged
 
 __all__ = ["BASE", "ROWS", "Row", "RowOptions", "finished_figures", "frame_weights", "model_path", "run_row"]
@@ -41,8 +40,6 @@ CURVE_POINTS, CURVE_SHARE = 24, 0.02
 RELU_WIDER = 2
 """ReLU networks are so many times as wide: four fifths of their activations are zero once trained, and the evaluator
 skips those, so that twice the width takes no more time a frame."""
-EXPORT_TOLERANCE = 5e-3
-"""Largest distance [m] that half precision and pruning may move a vertex of the trained drape."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +212,7 @@ def _train(trainer: Trainer, minutes: float) -> dict:
 
 
 def _exported(trainer: Trainer, path: Path) -> GarmentModel:
-    """The model as it is stored. Raises ValueError when it drapes otherwise than the trained one."""
+    """The model as it is stored. Raises ExportError when it drapes otherwise than the trained one."""
     config, drape = trainer.config, trainer.best_drape()
     model = model_from_drape(
         drape,
@@ -226,12 +223,7 @@ def _exported(trainer: Trainer, path: Path) -> GarmentModel:
         material=config.material,
         training=config.as_plain_data(),
     )
-    save_garment_model(model, path)
-    stored = load_garment_model(path)
-    cost = agreement(stored, drape)
-    if not cost.largest <= EXPORT_TOLERANCE:
-        raise ValueError(f"the exported model drapes {1000 * cost.largest:.2f} mm away from the trained one")
-    return stored
+    return store_checked(model, drape, path)
 
 
 def _measured(
