@@ -1,4 +1,4 @@
-"""Small trainings that several folders share: a run of the command to its end, and where nobody looks at normals."""
+"""What tests of several folders share: quiet, small validation, and a run of the command to its end."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ import pytest
 
 @pytest.fixture(autouse=True, scope="session")
 def quiet():
-    """Warp says nothing of what it compiles."""
+    """Warp says nothing of what it compiles, and the set that models are chosen by is a quarter of its size."""
     try:
         import warp as wp
+
+        from physkin_training.train import validation
     except ImportError:
         return
     wp.config.quiet = True
+    validation.BATCHES = 1
 
 
 @pytest.fixture(scope="session")
