@@ -24,7 +24,8 @@ from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.draper import Draper
 from physkin_training.config import NetworkConfig
-from physkin_training.networks.draping import Drape, GarmentNodes, RestShape
+from physkin_training.networks.draping import Drape, RestShape
+from physkin_training.networks.garment_nodes import GarmentNodeSet
 from physkin_training.networks.networks import ModulatedMLP
 from physkin_training.sampling.posed_bodies import BodySet
 
@@ -95,7 +96,7 @@ def model_from_drape(
 
 def drape_from_model(model: GarmentModel) -> Drape:
     """The torch drape of a garment model (for evaluation, or to train on)."""
-    nodes = GarmentNodes(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
+    nodes = GarmentNodeSet(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
     config, both = network_config(model), model.made_to_measure
     drape = Drape(model.garment, nodes, model.rig, config, made_to_measure=both)
     state = {f"hyper_modulator.{key}": array for key, array in model.hyper_modulator.items()}

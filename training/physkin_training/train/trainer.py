@@ -22,7 +22,8 @@ from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment import load_garment
 from physkin_core.model.model_file import load_garment_model
 from physkin_training.config import TrainingConfig
-from physkin_training.networks.draping import Drape, GarmentNodes
+from physkin_training.networks.draping import Drape
+from physkin_training.networks.garment_nodes import GarmentNodeSet
 from physkin_training.networks.made_to_measure import MadeToMeasure
 from physkin_training.networks.warm_start import take_over_model
 from physkin_training.physics.physics_losses import TERMS, PhysicsLosses
@@ -96,7 +97,7 @@ class Trainer:
             raise ValueError(f"train_bodies must be 1 to {len(body_model.train_bodies)}, got {config.train_bodies}")
         self.rig = body_model.rig
         self.garment = load_garment(config.garment)
-        nodes = GarmentNodes.sample(
+        nodes = GarmentNodeSet.sample(
             self.garment, self.rig, config.garment_nodes.count, config.garment_nodes.initial_influences
         )
         self.nodes = nodes
