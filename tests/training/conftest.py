@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partialmethod
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,14 @@ def finished_run(tmp_path_factory) -> Path:
     assert not list((folder / "out").glob("*.safetensors")), "no model before the run is finished"
     assert main([*common, "--log-every", "4", "--resume", str(folder / "out" / "checkpoint")]) == 0
     return folder
+
+
+@pytest.fixture
+def rough_minima(monkeypatch):
+    """Full-space minima after a few iterations, for tests of what is done with them."""
+    from physkin_training.physics.full_space_solver import FullSpaceSolver
+
+    monkeypatch.setattr(FullSpaceSolver, "minimise", partialmethod(FullSpaceSolver.minimise, iterations=4))
 
 
 @pytest.fixture

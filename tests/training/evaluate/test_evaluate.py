@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 torch = pytest.importorskip("torch", reason="needs the [training] extra")
-wp = pytest.importorskip("warp", reason="needs the [training] extra")
+pytest.importorskip("warp", reason="needs the [training] extra")
 
 from random_models import random_rig  # noqa: E402
 from training.small_runs import waist_band_model  # noqa: E402
@@ -51,7 +51,6 @@ FIGURES = {
 @pytest.fixture(scope="module")
 def model():
     """A band about the waist, tight enough to be inside some bodies in places."""
-    wp.config.quiet = True
     return waist_band_model()
 
 
@@ -195,11 +194,13 @@ def test_every_pair_counts(model, bodies, poses, batch):
     assert expected["pairs"] == bodies * poses
 
 
-@pytest.mark.parametrize("count, expected", [(1, 1), (3, 3), (100, 4)])
-def test_minima_on_fewer_or_more_pairs_than_a_batch(model, count, expected):
+@pytest.mark.parametrize("count, expected", [(1, 1), (100, 4)])
+def test_minima_on_fewer_or_more_pairs_than_a_batch(model, count, expected, rough_minima):
     """Only as many pairs count as were asked for, or as there are."""
-    rows = Evaluation(model, CPU, bodies=2, poses=2, seed=0, batch=2).minima(count=count, steps=2)
+    evaluation = Evaluation(model, CPU, bodies=2, poses=2, seed=0, batch=2)
+    rows = evaluation.minima(count=count, steps=2)
     assert {row["pairs"] for row in rows.values()} == {expected}
+    assert evaluation.minima(count=count, steps=2) == rows, "the same again"
 
 
 def clip(name, frames, *, every=4):
@@ -249,7 +250,7 @@ def test_motion_without_correctives_has_ratio_one_at_any_rate(model):
 
 def test_clips_that_cannot_be_measured_are_refused(model):
     evaluation = Evaluation(model, CPU, bodies=1, poses=1, seed=0)
-    with pytest.raises(ValueError, match="'walk' is too short: jitter needs 3 frames at 60 Hz"):
+    with pytest.raises(ValueError, match="'walk'.* 3 frames"):
         evaluation.motion([clip("walk", 2)])
     still = replace(clip("walk", 5), positions=clip("walk", 5).positions[[0] * 5])
     with pytest.raises(ValueError, match="'walk' stands still"):
@@ -304,11 +305,11 @@ def test_a_garment_that_has_left_the_body_is_warned_of(model):
 
 @pytest.mark.parametrize("bodies", [0, -1, 1000])
 def test_impossible_numbers_of_bodies_are_refused(model, bodies):
-    with pytest.raises(ValueError, match=f"bodies must be 1 to {len(BODY.held_out_bodies)}, got {bodies}"):
+    with pytest.raises(ValueError, match=f"bodies .*got {bodies}"):
         Evaluation(model, CPU, bodies=bodies, poses=2, seed=0)
 
 
-def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsys):
+def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsys, rough_minima):
     """Four rows and the subset's, counts and material; stored in the model, readable again."""
     save_garment_model(model, tmp_path / "band.safetensors")
     arguments = ["--bodies", "1", "--poses", "2", "--seed", "9", "--minimum", "2", "--minimum-steps", "20"]
