@@ -30,13 +30,13 @@ CPU = torch.device("cpu")
 
 
 def test_a_short_run_lowers_the_energy_of_poses_it_has_not_seen(tmp_path):
-    """Plain skinning at the start; after 60 steps less than three quarters of its energy on the validation's poses."""
+    """Plain skinning at the start; after 40 steps less than three quarters of its energy on the validation's poses."""
     config = small_config(
-        tmp_path, steps=60, samples=4, growth=0.0, full_encoding=1.0, prune_at=0.6, learning_rate=5e-3, average=0.0
+        tmp_path, steps=40, samples=4, growth=0.0, full_encoding=1.0, prune_at=0.6, learning_rate=8e-3, average=0.0
     )
     trainer = Trainer(replace(config, train_bodies=2), CPU)
     before = trainer.average_energy()
-    for _ in trainer.run(59):
+    for _ in trainer.run(39):
         assert math.isfinite(trainer.gradient_norm.item())
     assert trainer.average_energy() < 0.75 * before
     weights = trainer.drape.skinning_weights
