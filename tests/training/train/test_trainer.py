@@ -276,6 +276,7 @@ def test_an_export_that_drapes_otherwise_is_refused(finished_run, tmp_path, monk
         (["--log-every", "0"], "0"),
         (["--checkpoint-every", "0"], "0"),
         (["--stop-after", "nan"], "nan"),
+        (["--minutes", "inf"], "inf"),
     ],
 )
 def test_impossible_arguments(config_file, tmp_path, capsys, arguments, named):

@@ -39,7 +39,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--device", default=DEFAULT_DEVICE)
     parser.add_argument(
         "--minutes",
-        type=_minutes,
+        type=_finite_minutes,
         help="choose the number of steps so that the run takes so long on this machine (to resume, give it again)",
     )
     parser.add_argument(
@@ -97,6 +97,13 @@ def _minutes(text: str) -> float:
     value = float(text)
     if not value > 0:
         raise argparse.ArgumentTypeError(f"{text} must be above 0 minutes")
+    return value
+
+
+def _finite_minutes(text: str) -> float:
+    value = _minutes(text)
+    if value == math.inf:
+        raise argparse.ArgumentTypeError(f"{text} must be finite")
     return value
 
 
