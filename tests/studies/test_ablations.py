@@ -28,8 +28,8 @@ from physkin_studies.ablation_rows import (  # noqa: E402
     run_row,
 )
 from physkin_studies.ablations import main, run_rows  # noqa: E402
-from physkin_training.config import TrainingConfig  # noqa: E402
-from physkin_training.networks.networks import NetworkConfig  # noqa: E402
+from physkin_studies.fantastical_bodies import fantastical_body_model  # noqa: E402
+from physkin_training.config import NetworkConfig, TrainingConfig  # noqa: E402
 from physkin_training.train.trainer import Trainer  # noqa: E402
 from physkin_training.train.validation import Validation  # noqa: E402
 
@@ -68,7 +68,7 @@ def test_rows_change_what_they_are_named_after(tmp_path):
     assert ROWS[BASE].change(base) == base == ROWS["supervised"].change(base)
     wider = replace(base.networks, activation="relu", pose_hidden=768, deformer_hidden=512)
     assert ROWS["relu"].change(base).networks == wider
-    assert ROWS["fantastical"].change(base).body_distribution == "fantastical"
+    assert ROWS["fantastical"].bodies is fantastical_body_model
     assert ROWS["fantastical"].change(base).train_bodies == 256
 
 

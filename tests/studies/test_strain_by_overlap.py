@@ -13,8 +13,8 @@ from training.small_runs import waist_band_model  # noqa: E402
 
 from physkin_core.avatar.body_model import load_body_model  # noqa: E402
 from physkin_studies import strain_by_overlap  # noqa: E402
+from physkin_studies.body_overlap import Seats  # noqa: E402
 from physkin_studies.strain_by_overlap import LIMITS, main, measure_strain_by_overlap  # noqa: E402
-from physkin_training.evaluate.body_overlap import Seats  # noqa: E402
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies  # noqa: E402
 
 BODY = load_body_model()

@@ -56,8 +56,8 @@ def test_the_distance_falls(simulated):
     config, _, drapes = simulated
     trainer = SupervisedTrainer(config, CPU, drapes)
     losses = []
-    compute = trainer._loss
-    trainer._loss = lambda *arguments: losses.append(compute(*arguments)) or losses[-1]
+    compute = trainer.objective
+    trainer.objective = lambda *arguments: losses.append(compute(*arguments)) or losses[-1]
     for _ in trainer.run(12):
         pass
     values = [loss.item() for loss in losses]
@@ -69,7 +69,7 @@ def test_a_drape_learnt_by_heart_has_no_loss(simulated):
     """Targets belong to the bodies and poses that were drawn, in order."""
     config, _, drapes = simulated
     trainer = SupervisedTrainer(config, CPU, drapes)
-    chosen, positions, gravity, *_ = trainer._draw()
+    chosen, positions, gravity, *_ = trainer.draw()
     for index, body in enumerate(chosen.repeat_interleave(2)):
         group = int((drapes.body == body).nonzero())
         place = int((drapes.positions[group] == positions[index]).all(dim=1).nonzero())
@@ -95,7 +95,7 @@ def test_training_validation_and_simulation_have_the_configured_contact(tmp_path
     config = small_config(tmp_path, other_limbs=other_limbs)
     trainer = Trainer(config, CPU)
     simulation = supervised._StagedSimulation(trainer, load_body_model(), 2)
-    for losses in (trainer.losses, trainer._validation._losses, simulation._solver.losses):
+    for losses in (trainer.losses, trainer.validation.losses, simulation.solver.losses):
         assert losses._other_limb.numpy().any() == one_way
     simulate_drapes(trainer, 1, tmp_path / "drapes", batch=2, iterations=1)
     assert [other_limbs in path.name for path in (tmp_path / "drapes").iterdir()] == [True]

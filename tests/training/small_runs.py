@@ -19,6 +19,7 @@ from physkin_training.config import (
     OptimisationConfig,
     TrainingConfig,
 )
+from physkin_training.train.trainer import Trainer
 
 SIZES = NetworkConfig(
     pose_hidden=24,
@@ -70,6 +71,12 @@ def small_config(folder: Path, **optimisation) -> TrainingConfig:
         garment_nodes=GarmentNodeConfig(count=12, initial_influences=6, influences=3),
         networks=SIZES,
     )
+
+
+def run(trainer: Trainer, steps: int) -> None:
+    """Up to `steps` more steps."""
+    for _ in trainer.run(steps):
+        pass
 
 
 def as_toml(config: TrainingConfig) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-pytest.importorskip("torch", reason="needs the [training] extra")
+pytest.importorskip("pydantic", reason="needs the [training] extra")
 
 from physkin_core import load_garment_model  # noqa: E402
 from physkin_core.model.garment_model import Material  # noqa: E402
@@ -65,114 +67,95 @@ def test_shipped_models_are_runs_of_their_configurations(name):
 
 
 @pytest.mark.parametrize(
-    "text, message",
+    "text, key, value",
+    [
+        ("colour = 3", "'colour'", "garment, seed"),
+        ("[optimisation]\nstep = 3", "optimisation: .*'step'", "steps, minutes"),
+        ("[networks]\nwidth = 3", "networks: .*'width'", "pose_hidden"),
+        ("[material]\nyoung = 3", "material: .*'young'", "youngs_modulus"),
+        ("[cloth]\nx = 1", "'cloth'", "garment"),
+        ('body_distribution = "adults"', "body_distribution", "adults"),
+        ('seed = "three"', "seed", "'three'"),
+        ("seed = 3.5", "seed", "3.5"),
+        ("seed = true", "seed", "True"),
+        ("seed = -1", "seed", "-1"),
+        ("train_bodies = 0", "train_bodies", "0"),
+        ("optimisation = 3", "optimisation", "3"),
+        ("[optimisation]\nsteps = 1e5", "optimisation.steps", "100000.0"),
+        ("[optimisation]\nsteps = 0", "optimisation.steps", "0"),
+        ("[optimisation]\nsteps = 7\nminutes = 4", "steps", "minutes"),
+        ("[optimisation]\nminutes = -1", "optimisation.minutes", "-1"),
+        ("[optimisation]\nsamples = 7\nbodies = 2", "samples must be a multiple of bodies 2", "7"),
+        ("[optimisation]\nbodies = 0", "optimisation.bodies", "0"),
+        ("[optimisation]\nlearning_rate = true", "optimisation.learning_rate", "True"),
+        ('[optimisation]\nlearning_rate = "1e-3"', "optimisation.learning_rate", "'1e-3'"),
+        ("[optimisation]\nlearning_rate = 0", "optimisation.learning_rate", "0"),
+        ("[optimisation]\nlearning_rate = nan", "optimisation.learning_rate", "nan"),
+        ("[optimisation]\nlearning_rate = inf", "optimisation.learning_rate", "inf"),
+        ("[optimisation]\nskinning_rate = inf", "optimisation.skinning_rate", "inf"),
+        ("[optimisation]\ngrowth = 1.1", "optimisation.growth", "1.1"),
+        ("[optimisation]\naverage = 1.0", "optimisation.average", "1.0"),
+        ("[optimisation]\nheavy_energy = 0.0", "optimisation.heavy_energy", "0.0"),
+        ("[optimisation]\nprune_at = 0.2", "prune_at must be at least prune_from 0.3", "0.2"),
+        ('[optimisation]\nfit = "tight"', "optimisation.fit: .*'template' or 'both'", "'tight'"),
+        ('[optimisation]\nother_limbs = "never"', "optimisation.other_limbs: .*'one_way' or 'both_ways'", "'never'"),
+        ("[garment_nodes]\ncount = 12", "initial_influences must be 1 to count 12", "16"),
+        ("[garment_nodes]\ninfluences = 17", "influences must be 1 to initial_influences 16", "17"),
+        ("[garment_nodes]\ninfluences = 0", "garment_nodes.influences", "0"),
+        ("[poses]\nupright = 1.5", "poses.upright", "1.5"),
+        ("[poses]\nlargest_tilt_degrees = 181", "poses.largest_tilt_degrees", "181"),
+        ('[networks]\nactivation = "gelu"', "networks.activation: .*'silu' or 'relu'", "'gelu'"),
+        ('[networks]\nconditioning = "hope"', "networks.conditioning", "'hope'"),
+        ("[networks]\nnode_outputs = 10", "networks.node_outputs: .*9 or 12", "10"),
+        ("[networks]\ntoken_width = 30", "networks.token_width: .*multiple of 4", "30"),
+        ("[networks]\npose_hidden = 0", "networks.pose_hidden", "0"),
+        ("[material]\npoisson_ratio = 1", "poisson_ratio", "1"),
+        ("[material]\nyoungs_modulus = -60", "youngs_modulus", "-60"),
+        ("[material]\ndensity = true", "density", "True"),
+        ("material = 3", "material", "3"),
+    ],
+)
+def test_refusals_name_key_and_value(tmp_path, text, key, value):
+    with pytest.raises(ConfigError, match=f"run.toml: .*{key}.*{value}"):
+        load(tmp_path, MINIMAL + text)
+
+
+@pytest.mark.parametrize(
+    "text, key",
     [
         ('name = "shirt"', "garment"),
         ('garment = "shirt.obj"', "name"),
-        ("name = 3\ngarment = 'a.obj'", "name must be str, got 3"),
-        ("name = 'a'\ngarment = 3", "garment must be Path, got 3"),
+        ("name = 3\ngarment = 'a.obj'", "name.*3"),
+        ("name = 'a'\ngarment = 3", "garment.*3"),
+        *((f'name = "{name}"\ngarment = "a.obj"', "name") for name in ("", "..", "a/b", "/a", "a\\\\b", ".hidden")),
     ],
 )
-def test_name_and_garment_are_needed(tmp_path, text, message):
-    with pytest.raises(ConfigError, match=message):
+def test_a_plain_name_and_a_garment_are_needed(tmp_path, text, key):
+    with pytest.raises(ConfigError, match=key):
         load(tmp_path, text)
 
 
-@pytest.mark.parametrize(
-    "text, message",
-    [
-        ("colour = 3", "unknown key 'colour'; allowed: name, garment, seed"),
-        ("[optimisation]\nstep = 3", "optimisation: unknown key 'step'; allowed: steps, minutes, samples"),
-        ("[networks]\nwidth = 3", "networks: unknown key 'width'"),
-        ("[material]\nyoung = 3", "material: unknown key 'young'"),
-        ("[cloth]\nx = 1", "unknown key 'cloth'"),
-    ],
-)
-def test_unknown_keys(tmp_path, text, message):
-    with pytest.raises(ConfigError, match=message):
-        load(tmp_path, MINIMAL + text)
-
-
-@pytest.mark.parametrize(
-    "text, message",
-    [
-        ('seed = "three"', "seed must be int, got 'three'"),
-        ("seed = 3.5", "seed must be int, got 3.5"),
-        ("seed = true", "seed must be int, got True"),
-        ("[optimisation]\nsteps = 1e5", "steps must be int, got 100000.0"),
-        ("[optimisation]\nlearning_rate = true", "learning_rate must be float, got True"),
-        ('[optimisation]\nlearning_rate = "1e-3"', "learning_rate must be float"),
-        ("[networks]\nactivation = 1", "activation must be str, got 1"),
-        ("optimisation = 3", "optimisation must be a table, got 3"),
-    ],
-)
-def test_wrong_types(tmp_path, text, message):
-    with pytest.raises(ConfigError, match=message):
-        load(tmp_path, MINIMAL + text)
-
-
-@pytest.mark.parametrize(
-    "text, message",
-    [
-        ("[optimisation]\nsamples = 7\nbodies = 2", "samples must be a multiple of optimisation.bodies 2, got 7"),
-        ("[optimisation]\nbodies = 0", "bodies must be at least 1, got 0"),
-        ("[optimisation]\nsteps = 0", "optimisation.steps must be at least 1, got 0"),
-        ("[optimisation]\nlearning_rate = 0", "optimisation.learning_rate must be finite and above 0, got 0.0"),
-        ("[optimisation]\nlearning_rate = -1e-3", "learning_rate must be"),
-        ("[optimisation]\nencoder_points = 0", "encoder_points must be at least 1"),
-        ('[networks]\nactivation = "gelu"', "activation 'gelu' is not one of silu, relu"),
-        ("[networks]\nnode_outputs = 10", "node_outputs must be 9 .* or 12 .* got 10"),
-        ("[optimisation]\nlearning_rate = nan", "learning_rate"),
-        ("[optimisation]\nsamples = 0", "samples"),
-        ("[optimisation]\nsamples = -12\nbodies = 12", "samples"),
-        ("train_bodies = 0", "train_bodies"),
-        ("train_bodies = -3", "train_bodies"),
-        ("[garment_nodes]\ncount = 0", "count"),
-        ("[garment_nodes]\ninfluences = 0", "influences"),
-        ("[poses]\nupright = 1.5", "upright"),
-        ("[material]\npoisson_ratio = 1", "poisson_ratio"),
-        ("[material]\nyoungs_modulus = -60", "youngs_modulus"),
-        ("seed = -1", "seed must be 0"),
-        ("[optimisation]\nskinning_rate = inf", "optimisation.skinning_rate must be finite and at least 0, got inf"),
-        ("[optimisation]\nminutes = -1", "optimisation.minutes must be finite and at least 0, got -1"),
-        ("[optimisation]\nsteps = 7\nminutes = 4", "both steps and minutes; give one of them"),
-        ('body_distribution = "elves"', "body_distribution must be one of adults, fantastical, got 'elves'"),
-        ('[networks]\nconditioning = "hope"', "conditioning 'hope' is not one of modulation, concatenation"),
-        ("[optimisation]\ngrowth = 1.1", "optimisation.growth must be 0 to 1, got 1.1"),
-        ("[optimisation]\naverage = 1.0", "optimisation.average must be at least 0 and below 1, got 1.0"),
-        ("[optimisation]\nheavy_energy = 0.0", "optimisation.heavy_energy must be above 0, got 0.0"),
-        (
-            "[optimisation]\nprune_at = 0.2",
-            "optimisation.prune_at must be at least optimisation.prune_from 0.3, got 0.2",
-        ),
-        ("[garment_nodes]\ncount = 12", "initial_influences must be 1 to garment_nodes.count 12, got 16"),
-        ("[garment_nodes]\ninfluences = 17", "influences must be 1 to garment_nodes.initial_influences 16, got 17"),
-        ("[poses]\nlargest_tilt_degrees = 181", "poses.largest_tilt_degrees must be 0 to 180, got 181.0"),
-        ("[networks]\ntoken_width = 30", "token_width"),
-        ("[networks]\npose_hidden = 0", "pose_hidden"),
-        (
-            '[optimisation]\nother_limbs = "never"',
-            "optimisation.other_limbs must be one of one_way, both_ways, got 'never'",
-        ),
-        ('[optimisation]\nfit = "tight"', "optimisation.fit must be one of template, both, got 'tight'"),
-    ],
-)
-def test_impossible_values(tmp_path, text, message):
-    with pytest.raises(ConfigError, match=message):
-        load(tmp_path, MINIMAL + text)
-
-
-@pytest.mark.parametrize("name", ["", "..", "a/b", "/a", "a\\\\b", ".hidden"])
-def test_the_name_must_do_as_a_file_name(tmp_path, name):
-    with pytest.raises(ConfigError, match="name must be a plain file name"):
-        load(tmp_path, f'name = "{name}"\ngarment = "shirt.obj"')
+def test_several_mistakes_are_named_at_once(tmp_path):
+    with pytest.raises(ConfigError, match="steps.*0.*final_rate.*nan"):
+        load(tmp_path, MINIMAL + "[optimisation]\nsteps = 0\nfinal_rate = nan")
 
 
 @pytest.mark.parametrize("content", [b"name = ", b"\xff\xfe", b"[a\n"])
 def test_unreadable_files(tmp_path, content):
     path = tmp_path / "run.toml"
     path.write_bytes(content)
-    with pytest.raises(ConfigError, match="cannot read configuration .*run.toml"):
+    with pytest.raises(ConfigError, match="run.toml"):
         load_config(path)
     with pytest.raises(ConfigError, match="nowhere.toml"):
         load_config(tmp_path / "nowhere.toml")
+
+
+def test_reading_needs_no_torch():
+    """In a fresh process; a configuration is data."""
+    path = next(FOLDER.glob("*.toml"))
+    code = (
+        "import sys; from physkin_training.config import load_config; "
+        f"load_config({str(path)!r}); print(sorted({{'torch', 'warp'}} & set(sys.modules)))"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "[]"

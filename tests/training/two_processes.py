@@ -8,15 +8,10 @@ from pathlib import Path
 import torch
 import warp as wp
 from safetensors.torch import save_file
-from training.small_runs import small_config
+from training.small_runs import run, small_config
 
 from physkin_training.train.processes import join, leave
 from physkin_training.train.trainer import Trainer
-
-
-def steps(trainer: Trainer, count: int) -> None:
-    for _ in trainer.run(count):
-        pass
 
 
 def main(folder: Path) -> None:
@@ -30,26 +25,26 @@ def main(folder: Path) -> None:
 
     trainer = Trainer(config, device, processes=processes)
     trainer.save(folder / "start")
-    original, drawn = trainer._draw, []
+    original, drawn = trainer.draw, []
 
     def draw():
         drawn.append(original())
         return drawn[-1]
 
-    trainer._draw = draw
-    steps(trainer, 1)
+    trainer.draw = draw
+    run(trainer, 1)
     report("drawn", {str(index): tensor for index, tensor in enumerate(drawn[0])})
     report("gradient", {name: parameter.grad for name, parameter in trainer.drape.named_parameters()})
     report("energies", {"mean": torch.tensor(list(trainer.mean_energies().values()))})
-    steps(trainer, 5)
+    run(trainer, 5)
     trainer.save(folder / "middle")
-    steps(trainer, 6)
+    run(trainer, 6)
     report("end", trainer.drape.state_dict())
     report("best", trainer.best.parameters | {"step": torch.tensor(trainer.best.step)})
 
     resumed = Trainer(config, device, processes=processes)
     resumed.resume(folder / "middle")
-    steps(resumed, 6)
+    run(resumed, 6)
     report("resumed", resumed.drape.state_dict())
     flags = processes.any(False, processes.rank == 1, True)
     report("flags", {"any": torch.tensor(flags)})

@@ -21,11 +21,11 @@ from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet
 from physkin_core.runtime.native_evaluator import NativeEvaluator
 from physkin_studies.ablation_plots import bars, curves
 from physkin_studies.ablation_rows import BASE, ROWS, finished_figures, model_path
+from physkin_studies.fantastical_bodies import KINDS, fantastical_body_model
 from physkin_studies.other_meshes import carried_to, other_meshes
 from physkin_training.evaluate.contact_sheet import drape_all
 from physkin_training.evaluate.evaluate import Evaluation
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs
-from physkin_training.sampling.fantastical_bodies import KINDS, fantastical_body_model
 
 __all__ = ["frame_times", "measure_other_meshes", "write_report"]
 

@@ -1,7 +1,7 @@
 """The rows of the ablations: each is one change of a base configuration, trained for a time and measured.
 
-Runs where there is a GPU and nothing but torch, Warp, numpy, scipy, safetensors, trimesh and potpourri3d. A row leaves
-a model file and `figures.json`, which is written last: a row that has it is finished.
+Runs where there is a GPU and nothing but torch, Warp, numpy, scipy, safetensors, trimesh, potpourri3d and pydantic. A
+row leaves a model file and `figures.json`, which is written last: a row that has it is finished.
 """
 
 from __future__ import annotations
@@ -21,15 +21,13 @@ import torch
 
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_core.rig.rig import Rig
+from physkin_studies.fantastical_bodies import KINDS, fantastical_body_model
 from physkin_studies.supervised import SupervisedTrainer, simulate_drapes
-from physkin_training.config import TrainingConfig, load_config
+from physkin_training.config import NetworkConfig, TrainingConfig, load_config
 from physkin_training.devices import resolve_device
 from physkin_training.evaluate.evaluate import Evaluation
-from physkin_training.networks.export import agreement, model_from_drape
-from physkin_training.networks.networks import NetworkConfig
-from physkin_training.sampling.fantastical_bodies import KINDS, fantastical_body_model
+from physkin_training.networks.export import model_from_drape, store_checked
 from physkin_training.train.trainer import Trainer, TrainingDiverged
 
 __all__ = ["BASE", "ROWS", "Row", "RowOptions", "finished_figures", "frame_weights", "model_path", "run_row"]
@@ -42,19 +40,18 @@ CURVE_POINTS, CURVE_SHARE = 24, 0.02
 RELU_WIDER = 2
 """ReLU networks are so many times as wide: four fifths of their activations are zero once trained, and the evaluator
 skips those, so that twice the width takes no more time a frame."""
-EXPORT_TOLERANCE = 5e-3
-"""Largest distance [m] that half precision and pruning may move a vertex of the trained drape."""
 
 
 @dataclass(frozen=True)
 class Row:
     """label: in tables and plots. change: what makes its configuration of the base's. supervised: learns simulated
-    drapes. on_fantastical: measured on fantastical bodies too."""
+    drapes. on_fantastical: measured on fantastical bodies too. bodies: whom it is trained on."""
 
     label: str
     change: Callable[[TrainingConfig], TrainingConfig]
     supervised: bool = False
     on_fantastical: bool = False
+    bodies: Callable[[], BodyModel] = load_body_model
 
 
 @dataclass(frozen=True)
@@ -105,7 +102,7 @@ def _concatenation(config: TrainingConfig) -> TrainingConfig:
 
 def _fantastical(config: TrainingConfig) -> TrainingConfig:
     most = len(fantastical_body_model().train_bodies)
-    return replace(config, body_distribution="fantastical", train_bodies=min(config.train_bodies, most))
+    return replace(config, train_bodies=min(config.train_bodies, most))
 
 
 def _seed(seed: int) -> Callable[[TrainingConfig], TrainingConfig]:
@@ -126,7 +123,7 @@ ROWS = {
     "concatenation": Row("concatenation", _concatenation),
     "relu": Row("ReLU", _relu),
     "supervised": Row("supervised", _as_it_is, supervised=True),
-    "fantastical": Row("fantastical", _fantastical, on_fantastical=True),
+    "fantastical": Row("fantastical", _fantastical, on_fantastical=True, bodies=fantastical_body_model),
     "seed1": Row("128 nodes, seed 1", _seed(1)),
     "seed2": Row("128 nodes, seed 2", _seed(2)),
 }
@@ -161,7 +158,7 @@ def run_row(name: str, base: TrainingConfig, folder: Path, device: torch.device,
     row, own = ROWS[name], folder / name
     config = replace(row.change(ROWS[BASE].change(base)), name=name)
     own.mkdir(parents=True, exist_ok=True)
-    trainer = Trainer(config, device)
+    trainer = Trainer(config, device, body_model=row.bodies())
     result: dict = {"row": name, "label": row.label, "budget_minutes": options.minutes, "device": _name_of(device)}
     simulated = own / "drapes"
     if row.supervised:
@@ -215,7 +212,7 @@ def _train(trainer: Trainer, minutes: float) -> dict:
 
 
 def _exported(trainer: Trainer, path: Path) -> GarmentModel:
-    """The model as it is stored. Raises ValueError when it drapes otherwise than the trained one."""
+    """The model as it is stored. Raises ExportError when it drapes otherwise than the trained one."""
     config, drape = trainer.config, trainer.best_drape()
     model = model_from_drape(
         drape,
@@ -226,12 +223,7 @@ def _exported(trainer: Trainer, path: Path) -> GarmentModel:
         material=config.material,
         training=config.as_plain_data(),
     )
-    save_garment_model(model, path)
-    stored = load_garment_model(path)
-    cost = agreement(stored, drape)
-    if not cost.largest <= EXPORT_TOLERANCE:
-        raise ValueError(f"the exported model drapes {1000 * cost.largest:.2f} mm away from the trained one")
-    return stored
+    return store_checked(model, drape, path)
 
 
 def _measured(

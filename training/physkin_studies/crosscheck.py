@@ -210,7 +210,7 @@ def main(argv: list[str] | None = None) -> int:
             garment,
             material,
             start[0],
-            simulation.body.vertices[0],
+            simulation.body.vertices[0].cpu().numpy(),
             avatar.faces,
             poses.gravity[0],
             steps=options.steps,
@@ -238,7 +238,7 @@ def main(argv: list[str] | None = None) -> int:
     )
     if options.output:
         vertices = {name: drape.vertices for name, drape in drapes.items()}
-        body = simulation.body.vertices[0]
+        body = simulation.body.vertices[0].cpu().numpy()
         np.savez_compressed(options.output, faces=garment.faces, body=body, body_faces=avatar.faces, **vertices)
     return 0
 

@@ -19,10 +19,10 @@ from safetensors.torch import load_file, save_file
 from physkin_core.avatar.body_model import BodyModel
 from physkin_training.config import TrainingConfig
 from physkin_training.networks.draping import Drape
-from physkin_training.physics.full_space_solver import FullSpaceSolver
+from physkin_training.physics.full_space_solver import FullSpaceSolver, Solution
 from physkin_training.physics.physics_losses import PhysicsLosses
+from physkin_training.physics.staged_drape import drape_in_stages
 from physkin_training.physics.wearing import Wearing
-from physkin_training.sampling.fantastical_bodies import BODY_DISTRIBUTIONS
 from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import PosedBodies
 from physkin_training.train.trainer import Trainer
@@ -33,8 +33,6 @@ log = logging.getLogger(__name__)
 REACH = 0.3
 """The body is looked for up to this distance [m]."""
 STAGES = 6
-ON_THE_WAY = {"tolerance": 0.1, "iterations": 15}
-"""How well poses on the way from the canonical one are minimised."""
 DISTANCE_UNIT = 0.01
 """Distances are squared in this unit [m]: gradients then have about the size of those of energies."""
 
@@ -81,7 +79,7 @@ def simulate_drapes(
     for start in range(0, len(every), batch):
         path = folder / f"drapes_{start:06d}_of_{len(every)}_by_{batch}_{config.optimisation.other_limbs}.safetensors"
         if not path.exists():
-            simulation = simulation or _StagedSimulation(trainer, BODY_DISTRIBUTIONS[config.body_distribution](), batch)
+            simulation = simulation or _StagedSimulation(trainer, trainer.body_model, batch)
             pick = torch.arange(start, start + batch) % len(every)  # a last partial batch is filled up
             pairs = (values[pick].to(device) for values in (positions, gravity, every))
             part = simulation.run(*pairs, tolerance=tolerance, iterations=iterations)
@@ -108,7 +106,7 @@ class _StagedSimulation:
         self._posed = PosedBodies(body_model, trainer.bodies, samples)
         wearing = Wearing.of(garment, body_model, other_limbs=trainer.config.optimisation.other_limbs)
         losses = PhysicsLosses(garment, trainer.config.material, samples, device, wearing=wearing, reach=REACH)
-        self._solver = FullSpaceSolver(garment, losses, samples, device)
+        self.solver = FullSpaceSolver(garment, losses, samples, device)
 
     @torch.no_grad()
     def run(
@@ -117,31 +115,20 @@ class _StagedSimulation:
         """Minimise at joint positions (B, d), gravity (B, 3) on bodies (B,). Returns the fields of `SimulatedDrapes`
         that are the solver's, each (B, ...)."""
         upright = torch.tensor([0.0, 0.0, -1.0], device=gravity.device)
-        before = None
-        for stage in range(STAGES + 1):
-            share = stage / STAGES
-            there = self._rest + share * (positions - self._rest)
+
+        def skinned_at(share: float) -> tuple[torch.Tensor, torch.Tensor]:
+            nodes = self._drape.posed_nodes(
+                self._posed.pose(self._rest + share * (positions - self._rest), body), self._node_positions[body]
+            )
+            return self._drape.skin(nodes), self._drape.linear_parts(nodes)
+
+        def minimise(start: torch.Tensor, share: float, **options) -> Solution:
             down = torch.nn.functional.normalize(upright + share * (gravity - upright), dim=1)
-            skinned, turned = self._skinned(there, body)
-            place = skinned if before is None else skinned + _carried(*before, turned)
-            options = ON_THE_WAY if stage < STAGES else {"tolerance": tolerance, "iterations": iterations}
-            solution = self._solver.minimise(place, down, self._posed.mesh, self._posed.offset, **options)
-            before = solution.vertices - skinned, turned
+            return self.solver.minimise(start, down, self._posed.mesh, self._posed.offset, **options)
+
+        solution = drape_in_stages(skinned_at, minimise, stages=STAGES, tolerance=tolerance, iterations=iterations)
         names = ("vertices", "gradient_norm", "converged")
         return {name: getattr(solution, name) for name in names}
-
-    def _skinned(self, positions: torch.Tensor, body: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Plain skinning (B, n, 3), and how it turns the cloth about each vertex (B, n, 3, 3)."""
-        nodes = self._drape.posed_nodes(self._posed.pose(positions, body), self._node_positions[body])
-        return self._drape.skin(nodes), self._drape.linear_parts(nodes)
-
-
-def _carried(offset: torch.Tensor, turned: torch.Tensor, now: torch.Tensor) -> torch.Tensor:
-    """Offsets (B, n, 3) from plain skinning, turned with the cloth from how it was to how it is, (B, n, 3, 3) each."""
-    local, _ = torch.linalg.solve_ex(turned, offset[..., None])
-    carried = (now @ local)[..., 0]
-    short = torch.linalg.vector_norm(carried, dim=-1) <= 2 * torch.linalg.vector_norm(offset, dim=-1)
-    return torch.where(short[..., None], carried, offset)  # where blending has all but flattened the cloth
 
 
 class SupervisedTrainer(Trainer):
@@ -157,18 +144,18 @@ class SupervisedTrainer(Trainer):
             raise ValueError(f"drapes must be {self._samples // self._bodies} a body, got {drapes.positions.shape[1]}")
         self._drapes = drapes
 
-    def _draw(self) -> tuple[torch.Tensor, ...]:
+    def draw(self) -> tuple[torch.Tensor, ...]:
         group = torch.randint(len(self._drapes.body), (self._bodies,), device=self.device)
         chosen = self._drapes.body[group]
         positions, gravity, self._targets = (
             values[group].flatten(0, 1)
             for values in (self._drapes.positions, self._drapes.gravity, self._drapes.vertices)
         )
-        return chosen, positions, gravity, *self.bodies.sample_points(chosen, self._encoder_points)
+        return chosen, positions, gravity, *self.bodies.sample_points(chosen, self.schedule.encoder_points)
 
-    def _loss(self, vertices: torch.Tensor, gravity: torch.Tensor) -> torch.Tensor:
+    def objective(self, vertices: torch.Tensor, gravity: torch.Tensor) -> torch.Tensor:
         """Mean squared distance of vertices (B, n, 3) from the simulated ones, in units of `DISTANCE_UNIT`."""
         return ((vertices - self._targets) / DISTANCE_UNIT).square().sum(dim=-1).mean()
 
-    def _validate(self) -> None:
+    def validate(self) -> None:
         """Nothing: the energy is kept out of it."""

@@ -1,38 +1,48 @@
-"""Training configuration: one TOML file, unknown keys refused."""
+"""Training configuration: one TOML file, unknown keys refused. Reading it needs neither torch nor Warp."""
 
 from __future__ import annotations
 
-import math
-import re
 import tomllib
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, field, fields, replace
 from pathlib import Path
-from typing import get_type_hints
+from typing import Annotated, Literal, get_type_hints
+
+from pydantic import BeforeValidator, ConfigDict, Field, InstanceOf, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
 
 from physkin_core.model.garment_model import Material
-from physkin_training.networks.networks import NetworkConfig
-from physkin_training.physics.wearing import OTHER_LIMBS
-from physkin_training.sampling.fantastical_bodies import BODY_DISTRIBUTIONS
+from physkin_core.model.hyper_modulator import HEADS
 
-__all__ = ["ConfigError", "TrainingConfig", "load_config"]
+__all__ = [
+    "ConfigError",
+    "GarmentNodeConfig",
+    "NetworkConfig",
+    "OptimisationConfig",
+    "OtherLimbs",
+    "PoseConfig",
+    "TrainingConfig",
+    "load_config",
+]
 
+Count = Annotated[int, Field(strict=True, ge=1)]
+Real = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0)]
+"""It may be infinite."""
+Share = Annotated[float, Field(strict=True, ge=0, le=1)]
+OtherLimbs = Literal["one_way", "both_ways"]
+"""How a limb that a vertex lies nowhere on presses it: towards its own place on the body alone, or as any part does."""
 
-FITS = ("template", "both")
+STRICT = ConfigDict(extra="forbid")
+
+REMOVED = {"body_distribution": "every run trains on adults (other bodies: physkin_studies/fantastical_bodies.py)"}
+"""Keys of earlier versions, and what to do without them."""
 
 
 class ConfigError(ValueError):
     """A training configuration cannot be used."""
 
 
-def _check(config, table: str, keys: str, allowed: str, holds: Callable) -> None:
-    for key in keys.split():
-        value = getattr(config, key)
-        if not holds(value):
-            raise ConfigError(f"{table}{key} must be {allowed}, got {value!r}")
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class OptimisationConfig:
     """Steps and schedules.
 
@@ -46,52 +56,37 @@ class OptimisationConfig:
     step of the moving average of networks and skinning weights that is exported, 0 for none. `validate_every`: steps
     from one measurement of the average to the next, once range and influences are final; the best one is exported.
     `fit`: "template", one rest shape for all bodies; "both": every second body of a step wears it made to measure.
-    `other_limbs`: those that a vertex lies nowhere on press it "one_way", towards its own place on the body, or
-    "both_ways", as any part does (see `Wearing`).
+    `other_limbs`: see `OtherLimbs` and `Wearing`.
     """
 
-    steps: int = 100000
-    minutes: float = 0.0
-    samples: int = 96
-    bodies: int = 12
-    learning_rate: float = 5e-4
-    skinning_rate: float = 1e-2
-    final_rate: float = 0.005
-    warm_up: float = 0.01
-    growth: float = 0.35
-    initial_contact: float = 0.1
-    late_reach: float = 0.05
-    prune_from: float = 0.3
-    prune_at: float = 0.6
-    full_encoding: float = 0.93
-    encoder_points: int = 1024
-    gradient_clip: float = 10.0
-    contact_linear_beyond: float = 0.01
-    heavy_energy: float = 0.1
-    average: float = 0.999
-    validate_every: int = 500
-    fit: str = "template"
-    other_limbs: str = "one_way"
+    steps: Count = 100000
+    minutes: Real = 0.0
+    samples: Count = 96
+    bodies: Count = 12
+    learning_rate: Annotated[Positive, Field(allow_inf_nan=False)] = 5e-4
+    skinning_rate: Real = 1e-2
+    final_rate: Share = 0.005
+    warm_up: Share = 0.01
+    growth: Share = 0.35
+    initial_contact: Share = 0.1
+    late_reach: Positive = 0.05
+    prune_from: Share = 0.3
+    prune_at: Share = 0.6
+    full_encoding: Share = 0.93
+    encoder_points: Count = 1024
+    gradient_clip: Positive = 10.0
+    contact_linear_beyond: Positive = 0.01
+    heavy_energy: Positive = 0.1
+    average: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.999
+    validate_every: Count = 500
+    fit: Literal["template", "both"] = "template"
+    other_limbs: OtherLimbs = "one_way"
 
     def __post_init__(self) -> None:
-        def check(keys: str, allowed: str, holds: Callable) -> None:
-            _check(self, "optimisation.", keys, allowed, holds)
-
-        check("steps samples bodies encoder_points validate_every", "at least 1", lambda value: value >= 1)
-        check("learning_rate", "finite and above 0", lambda value: 0 < value < math.inf)
-        check("minutes skinning_rate", "finite and at least 0", lambda value: 0 <= value < math.inf)
-        check("gradient_clip contact_linear_beyond heavy_energy late_reach", "above 0", lambda value: value > 0)
-        check(
-            "final_rate warm_up growth initial_contact prune_from prune_at full_encoding",
-            "0 to 1",
-            lambda value: 0 <= value <= 1,
-        )
-        check("average", "at least 0 and below 1", lambda value: 0 <= value < 1)
-        check("prune_at", f"at least optimisation.prune_from {self.prune_from}", lambda value: value >= self.prune_from)
-        multiple = f"a multiple of optimisation.bodies {self.bodies}"
-        check("samples", multiple, lambda value: value % self.bodies == 0)
-        check("fit", "one of " + ", ".join(FITS), lambda value: value in FITS)
-        check("other_limbs", "one of " + ", ".join(OTHER_LIMBS), lambda value: value in OTHER_LIMBS)
+        if self.prune_at < self.prune_from:
+            raise ValueError(f"prune_at must be at least prune_from {self.prune_from}, got {self.prune_at}")
+        if self.samples % self.bodies:
+            raise ValueError(f"samples must be a multiple of bodies {self.bodies}, got {self.samples}")
 
     @property
     def made_to_measure(self) -> bool:
@@ -99,57 +94,77 @@ class OptimisationConfig:
         return self.fit == "both"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class GarmentNodeConfig:
     """Garment nodes and skinning: `count` nodes, `initial_influences` a vertex while training, `influences` shipped."""
 
-    count: int = 128
-    initial_influences: int = 16
-    influences: int = 16
+    count: Count = 128
+    initial_influences: Count = 16
+    influences: Count = 16
 
     def __post_init__(self) -> None:
-        _check(self, "garment_nodes.", "count", "at least 1", lambda value: value >= 1)
-        fewer = f"1 to garment_nodes.count {self.count}"
-        _check(self, "garment_nodes.", "initial_influences", fewer, lambda value: 1 <= value <= self.count)
-        fewer = f"1 to garment_nodes.initial_influences {self.initial_influences}"
-        _check(self, "garment_nodes.", "influences", fewer, lambda value: 1 <= value <= self.initial_influences)
+        if self.initial_influences > self.count:
+            raise ValueError(f"initial_influences must be 1 to count {self.count}, got {self.initial_influences}")
+        if self.influences > self.initial_influences:
+            raise ValueError(
+                f"influences must be 1 to initial_influences {self.initial_influences}, got {self.influences}"
+            )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class PoseConfig:
     """Pose sampling: share of `upright` roots, the others tilted by up to `largest_tilt_degrees`."""
 
-    upright: float = 0.5
-    largest_tilt_degrees: float = 110.0
-
-    def __post_init__(self) -> None:
-        _check(self, "poses.", "upright", "0 to 1", lambda value: 0 <= value <= 1)
-        _check(self, "poses.", "largest_tilt_degrees", "0 to 180", lambda value: 0 <= value <= 180)
+    upright: Share = 0.5
+    largest_tilt_degrees: Annotated[float, Field(strict=True, ge=0, le=180)] = 110.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
+class NetworkConfig:
+    """Sizes of the networks.
+
+    As many network weights a frame as the paper's (a pose modulator of 4 layers of 512, a node deformer of 4 of 128),
+    spent where they do more: a node deformer twice as wide, whose last layer spans twice as many drapes.
+    node_outputs: numbers a garment node, 9 (6-D rotation, translation) or 12 (affine).
+    conditioning: "modulation" as in the paper, scale and shift for every hidden activation; or, to compare with,
+    "concatenation" of the body's code to the pose vector and of the pose's code to the node deformer's input.
+    """
+
+    pose_hidden: Count = 384
+    pose_layers: Count = 3
+    deformer_hidden: Count = 256
+    deformer_layers: Count = 4
+    node_outputs: Literal[9, 12] = 12
+    activation: Literal["silu", "relu"] = "silu"
+    conditioning: Literal["modulation", "concatenation"] = "modulation"
+    token_width: Annotated[Count, Field(multiple_of=HEADS)] = 128
+    feed_forward: Count = 256
+    residual_blocks: Annotated[int, Field(strict=True, ge=0)] = 2
+
+
+def _as_material(data: object) -> object:
+    """A table as a `Material`, which checks its numbers itself."""
+    if not isinstance(data, dict):
+        return data
+    allowed = [entry.name for entry in fields(Material)]
+    if unknown := sorted(set(data) - set(allowed)):
+        raise ValueError(f"unknown key {unknown[0]!r}; allowed: {', '.join(allowed)}")
+    return Material(**data)
+
+
+@dataclass(frozen=True, config=STRICT)
 class TrainingConfig:
-    """All of one training run. name: of the model file. garment: mesh path relative to the configuration file.
-    body_distribution: whom it is trained on, "adults" or "fantastical"
-    (see `physkin_training.sampling.fantastical_bodies`)."""
+    """All of one training run. name: of the model file. garment: mesh path relative to the configuration file."""
 
-    name: str
+    name: Annotated[str, Field(pattern=r"^\w[\w. -]*$")]
     garment: Path
-    seed: int = 0
-    train_bodies: int = 512
-    body_distribution: str = "adults"
+    seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 0
+    train_bodies: Count = 512
     optimisation: OptimisationConfig = field(default_factory=OptimisationConfig)
     garment_nodes: GarmentNodeConfig = field(default_factory=GarmentNodeConfig)
     poses: PoseConfig = field(default_factory=PoseConfig)
     networks: NetworkConfig = field(default_factory=NetworkConfig)
-    material: Material = field(default_factory=Material)
-
-    def __post_init__(self) -> None:
-        _check(self, "", "name", "a plain file name", lambda value: re.fullmatch(r"\w[\w. -]*", value))
-        _check(self, "", "seed", "0 to 2^63 - 1", lambda value: 0 <= value < 2**63)
-        _check(self, "", "train_bodies", "at least 1", lambda value: value >= 1)
-        known = ", ".join(BODY_DISTRIBUTIONS)
-        _check(self, "", "body_distribution", f"one of {known}", lambda value: value in BODY_DISTRIBUTIONS)
+    material: Annotated[InstanceOf[Material], BeforeValidator(_as_material)] = field(default_factory=Material)
 
     def as_plain_data(self) -> dict:
         """Tables, strings and numbers, for checkpoints and the model file; of the garment's path only the file name."""
@@ -163,39 +178,30 @@ def load_config(path: str | Path) -> TrainingConfig:
         data = tomllib.loads(path.read_text())
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"cannot read configuration {path}: {error}") from error
+    for key in REMOVED.keys() & data.keys():
+        raise ConfigError(f"{path}: there is no {key} any more, remove it: {REMOVED[key]}")
     optimisation = data.get("optimisation")
     if isinstance(optimisation, dict) and "steps" in optimisation and optimisation.get("minutes"):
         raise ConfigError(f"{path}: optimisation has both steps and minutes; give one of them")
-    config = build(TrainingConfig, data, where=str(path))
+    try:
+        config = TypeAdapter(TrainingConfig).validate_python(data)
+    except ValidationError as error:
+        raise ConfigError(f"{path}: " + "; ".join(map(_in_words, error.errors()))) from error
     return replace(config, garment=(path.parent / config.garment).resolve())
 
 
-def build(kind: type, data: dict, *, where: str):
-    """Make a configuration dataclass from plain data, refusing unknown keys and wrong types."""
-    hints = get_type_hints(kind)
-    allowed = [f.name for f in fields(kind)]
-    values = {}
-    for key, value in data.items():
-        if key not in allowed:
-            raise ConfigError(f"{where}: unknown key {key!r}; allowed: {', '.join(allowed)}")
-        expected = hints[key]
-        if is_dataclass(expected):
-            if not isinstance(value, dict):
-                raise ConfigError(f"{where}: {key} must be a table, got {value!r}")
-            values[key] = build(expected, value, where=f"{where}: {key}")
-        elif expected is Path and isinstance(value, str):
-            values[key] = Path(value)
-        elif expected is float and isinstance(value, int) and not isinstance(value, bool):
-            values[key] = float(value)
-        elif type(value) is expected:
-            values[key] = value
-        else:
-            raise ConfigError(f"{where}: {key} must be {expected.__name__}, got {value!r}")
-    try:
-        return kind(**values)
-    except TypeError as error:
-        raise ConfigError(f"{where}: {error}") from error
-    except ConfigError:
-        raise
-    except ValueError as error:
-        raise ConfigError(f"{where}: {error}") from error
+def _in_words(error: dict) -> str:
+    """One of pydantic's errors in a sentence: the key, what is allowed, the value."""
+    *tables, key = error["loc"]
+    place = ".".join(map(str, error["loc"]))
+    if error["type"] == "unexpected_keyword_argument":
+        kind = TrainingConfig
+        for table in tables:
+            kind = get_type_hints(kind)[table]
+        where = f"{'.'.join(tables)}: " if tables else ""
+        return f"{where}unknown key {key!r}; allowed: {', '.join(entry.name for entry in fields(kind))}"
+    if error["type"] == "missing":
+        return f"{place} is missing"
+    message = error["msg"].removeprefix("Value error, ")
+    message = message[0].lower() + message[1:]
+    return f"{place}: {message}" + ("" if error["type"] == "value_error" else f", got {error['input']!r}")

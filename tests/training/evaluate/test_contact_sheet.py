@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="needs the [training] extra")
-wp = pytest.importorskip("warp", reason="needs the [training] extra")
+pytest.importorskip("warp", reason="needs the [training] extra")
 
 
 from training.small_runs import waist_band_model  # noqa: E402
@@ -24,7 +26,6 @@ BODY = load_body_model()
 
 @pytest.fixture(scope="module")
 def model():
-    wp.config.quiet = True
     return waist_band_model()
 
 
@@ -58,17 +59,17 @@ def test_poses_are_half_uniform_half_motion_and_seeded():
         chosen_poses(BODY.rig, count=0, seed=0)
 
 
-def test_drapes_are_the_run_times_and_the_minimum_is_lower(model):
-    """Pose by pose, body by body; the surfaces under them are the avatars'. A batch holds four of the six."""
-    bodies = [5, 2, 9]
-    evaluation = Evaluation(model, torch.device("cpu"), bodies=bodies, poses=2, seed=0, batch=4)
+def test_drapes_are_the_run_times_and_the_minimum_is_lower(model, rough_minima):
+    """Pose by pose, body by body; the surfaces under them are the avatars'. A batch holds three of the four."""
+    bodies = [5, 2]
+    evaluation = Evaluation(model, torch.device("cpu"), bodies=bodies, poses=2, seed=0, batch=3)
     poses, _ = chosen_poses(model.rig, count=2, seed=0)
     drapes = drape_all(evaluation, poses, minimum=True)
     assert list(drapes.garments) == ["model", "minimum"]
     for pair in (1, 3):
-        avatar = avatar_from_body(BODY, BODY.held_out_bodies[bodies[pair % 3]])
+        avatar = avatar_from_body(BODY, BODY.held_out_bodies[bodies[pair % 2]])
         draper = Draper(model, avatar, backend="numpy")
-        q, gravity = poses.positions[pair // 3].numpy(), poses.gravity[pair // 3].numpy()
+        q, gravity = poses.positions[pair // 2].numpy(), poses.gravity[pair // 2].numpy()
         np.testing.assert_allclose(drapes.garments["model"][pair], draper.drape(q, gravity)[:, :3], atol=1e-4)
         under = avatar.posed_vertices(draper.bone_transforms(q))
         np.testing.assert_allclose(drapes.bodies[pair], under, atol=1e-4)
@@ -76,7 +77,7 @@ def test_drapes_are_the_run_times_and_the_minimum_is_lower(model):
     assert figures["minimum"]["energy_j"] < figures["model"]["energy_j"]
     for row, vertices in drapes.garments.items():
         strain = quality.edge_strain(model.garment, vertices).mean()
-        assert figures[row]["edge_strain_percent"] == pytest.approx(strain, rel=1e-3) and figures[row]["pairs"] == 6
+        assert figures[row]["edge_strain_percent"] == pytest.approx(strain, rel=1e-3) and figures[row]["pairs"] == 4
     assert list(drape_all(evaluation, poses, minimum=False).garments) == ["model"]
 
 
@@ -120,6 +121,7 @@ def test_the_command_draws_every_cell(model, tmp_path, monkeypatch, capsys):
 
     image = pytest.importorskip("PIL.Image", reason="needs pillow: pip install 'physkin[view]'")
     monkeypatch.setattr(contact_sheet, "render", render)
+    monkeypatch.setattr(Evaluation, "full_space_minimum", lambda _, start, batch: SimpleNamespace(vertices=start))
     save(model, tmp_path / "band.safetensors")
     arguments = ["contact-sheet", str(tmp_path / "band.safetensors"), "-o", str(tmp_path / "sheet.png")]
     options = ["--poses", "2", "--width", "40", "--minimum", "--device", "cpu"]
@@ -136,10 +138,10 @@ def test_the_command_draws_every_cell(model, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        (["-o", "{tmp}/none/sheet.png"], "none/sheet.png: no such directory"),
-        (["-o", "{tmp}/sheet.jpg"], "sheet.jpg: the name must end in .png"),
-        (["-o", "{tmp}/sheet.png", "--width", "0"], "at least 1, got 0"),
-        (["-o", "{tmp}/sheet.png", "--poses", "0"], "poses must be at least 1, got 0"),
+        (["-o", "{tmp}/none/sheet.png"], "none/sheet.png"),
+        (["-o", "{tmp}/sheet.jpg"], "sheet.jpg"),
+        (["-o", "{tmp}/sheet.png", "--width", "0"], "width .* 0"),
+        (["-o", "{tmp}/sheet.png", "--poses", "0"], "poses .* 0"),
     ],
 )
 def test_errors_are_one_line(model, options, reason, tmp_path, capsys):
@@ -147,4 +149,4 @@ def test_errors_are_one_line(model, options, reason, tmp_path, capsys):
     filled = [word.format(tmp=tmp_path) for word in options]
     assert contact_sheet.main([str(tmp_path / "band.safetensors"), *filled, "--device", "cpu"]) == 2
     lines = capsys.readouterr().err.splitlines()
-    assert lines[-1].startswith("error: ") and reason in lines[-1]
+    assert re.search(f"error: .*{reason}", lines[-1])

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 torch = pytest.importorskip("torch", reason="needs the [training] extra")
-wp = pytest.importorskip("warp", reason="needs the [training] extra")
+pytest.importorskip("warp", reason="needs the [training] extra")
 
 from random_models import random_rig  # noqa: E402
 from training.small_runs import waist_band_model  # noqa: E402
@@ -51,8 +51,13 @@ FIGURES = {
 @pytest.fixture(scope="module")
 def model():
     """A band about the waist, tight enough to be inside some bodies in places."""
-    wp.config.quiet = True
     return waist_band_model()
+
+
+def rows_of(text):
+    """Cells of a Markdown table, without head and rule."""
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
 
 
 def signed_distance(points, vertices, faces):
@@ -146,9 +151,9 @@ def test_a_model_made_to_measure_is_measured_both_ways(model):
     assert made["model"]["edge_strain_percent"] != pytest.approx(scores["model"]["edge_strain_percent"], rel=1e-2)
     own = Evaluation(fitted, CPU, bodies=2, poses=2, seed=3, fit=1.0).figures(upright=True, only=["model"])
     assert own["model"] == made["model"]
-    lines = table(scores).splitlines()
-    for label in ("the model, made to measure", "plain skinning, motion, made to measure"):
-        assert sum(line.startswith(f"| {label} |") for line in lines) == 1
+    labels = [row[0] for row in rows_of(table(scores))]
+    assert {"the model, made to measure", "plain skinning, motion, made to measure"} <= set(labels)
+    assert len(labels) == len(set(labels))
 
 
 def test_full_space_minima_are_of_each_bodys_own_rest_shape(model):
@@ -189,11 +194,13 @@ def test_every_pair_counts(model, bodies, poses, batch):
     assert expected["pairs"] == bodies * poses
 
 
-@pytest.mark.parametrize("count, expected", [(1, 1), (3, 3), (100, 4)])
-def test_minima_on_fewer_or_more_pairs_than_a_batch(model, count, expected):
+@pytest.mark.parametrize("count, expected", [(1, 1), (100, 4)])
+def test_minima_on_fewer_or_more_pairs_than_a_batch(model, count, expected, rough_minima):
     """Only as many pairs count as were asked for, or as there are."""
-    rows = Evaluation(model, CPU, bodies=2, poses=2, seed=0, batch=2).minima(count=count, steps=2)
+    evaluation = Evaluation(model, CPU, bodies=2, poses=2, seed=0, batch=2)
+    rows = evaluation.minima(count=count, steps=2)
     assert {row["pairs"] for row in rows.values()} == {expected}
+    assert evaluation.minima(count=count, steps=2) == rows, "the same again"
 
 
 def clip(name, frames, *, every=4):
@@ -243,7 +250,7 @@ def test_motion_without_correctives_has_ratio_one_at_any_rate(model):
 
 def test_clips_that_cannot_be_measured_are_refused(model):
     evaluation = Evaluation(model, CPU, bodies=1, poses=1, seed=0)
-    with pytest.raises(ValueError, match="'walk' is too short: jitter needs 3 frames at 60 Hz"):
+    with pytest.raises(ValueError, match="'walk'.* 3 frames"):
         evaluation.motion([clip("walk", 2)])
     still = replace(clip("walk", 5), positions=clip("walk", 5).positions[[0] * 5])
     with pytest.raises(ValueError, match="'walk' stands still"):
@@ -283,7 +290,7 @@ def test_skinning_to_four_influences_is_that_model(model):
     expected = evaluate_model(four, CPU, bodies=1, poses=2, seed=0, minimum=0, steps=0)
     assert scores["fewer_influences"] == pytest.approx(expected["model"], rel=1e-3)
     assert scores["fewer_influences"]["edge_strain_percent"] != pytest.approx(scores["model"]["edge_strain_percent"])
-    assert "| 6 -> 4 influences |" in table(scores)
+    assert "6 -> 4 influences" in [row[0] for row in rows_of(table(scores))]
 
 
 def test_a_garment_that_has_left_the_body_is_warned_of(model):
@@ -298,11 +305,11 @@ def test_a_garment_that_has_left_the_body_is_warned_of(model):
 
 @pytest.mark.parametrize("bodies", [0, -1, 1000])
 def test_impossible_numbers_of_bodies_are_refused(model, bodies):
-    with pytest.raises(ValueError, match=f"bodies must be 1 to {len(BODY.held_out_bodies)}, got {bodies}"):
+    with pytest.raises(ValueError, match=f"bodies .*got {bodies}"):
         Evaluation(model, CPU, bodies=bodies, poses=2, seed=0)
 
 
-def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsys):
+def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsys, rough_minima):
     """Four rows and the subset's, counts and material; stored in the model, readable again."""
     save_garment_model(model, tmp_path / "band.safetensors")
     arguments = ["--bodies", "1", "--poses", "2", "--seed", "9", "--minimum", "2", "--minimum-steps", "20"]
@@ -324,15 +331,14 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
     assert scores["counts"] == counts and scores["material"] == asdict(model.material)
     ratio = scores["model_on_subset"]["energy_j"] / scores["minimum"]["energy_j"]
     assert scores["energy_ratio"] == pytest.approx(ratio)
-    printed = capsys.readouterr().out
-    assert printed.strip().endswith(table(scores).strip())
-    lines = [line for line in table(scores).splitlines() if line.startswith("|")]
-    assert len(lines) == 2 + len(rows) + 4 and all(line.count("|") == lines[0].count("|") for line in lines)
+    assert table(scores).strip() in capsys.readouterr().out
+    lines = rows_of(table(scores))
+    assert len(lines) == len(rows) + 4
     assert f"model / full-space minimum: {scores['energy_ratio']:.2f} (2 pairs)" in table(scores)
     assert f"{scores['tilted']['edge_strain_percent']:.3f}" in table(scores)
     jump = scores["motion"]["clips"]["jump"]
     ends = [jump["model"]["jitter_mm"], jump["jitter_ratio"], jump["model"]["snaps_percent"]]
-    assert lines[-1].endswith("".join(f"| {value:.3f} " for value in ends) + "|")
+    assert lines[-1][-3:] == [f"{value:.3f}" for value in ends]
     jitter = f"{scores['motion']['jitter_ratio']:.2f} (2 clips, 7 frames at 60 Hz, 1 bodies)"
     assert f"Jitter, model / plain skinning: {jitter}" in table(scores)
     stored = load_garment_model(tmp_path / "scored.safetensors")
@@ -342,4 +348,22 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
 def test_without_minima_their_rows_are_left_out(model):
     scores = evaluate_model(model, CPU, bodies=1, poses=1, seed=0, minimum=0, steps=10)
     assert set(scores) == {"model", "skinning", "tilted", "counts", "material", "weight_n"}
-    assert len(table(scores).splitlines()) == 2 + 3
+    assert len(rows_of(table(scores))) == 3
+
+
+@pytest.mark.parametrize("training", [{}, {"optimisation": {"other_limbs": "one_way"}}])
+def test_energies_are_compared_where_the_contact_is_the_same(model, monkeypatch, training):
+    """A minimum under another contact than the model's own says nothing of it, and the ratio is left out."""
+
+    def minima(evaluation, *, count, steps):
+        model = evaluation.figures(upright=True, only=["model"])["model"]
+        minimum = model | {"energy_j": model["energy_j"] / 2, "converged_percent": 100.0}
+        return {"model": model, "subspace_minimum": model, "minimum": minimum}
+
+    monkeypatch.setattr(Evaluation, "minima", minima)
+    options = dict(bodies=1, poses=1, seed=0, minimum=1, steps=1)
+    scores = evaluate_model(replace(model, training=training), CPU, **options)
+    assert scores["energy_ratio"] == pytest.approx(2) and "2.00 (1 pairs)" in table(scores)
+    other = {"optimisation": {"other_limbs": "both_ways"}}
+    scores = evaluate_model(replace(model, training=other), CPU, **options)
+    assert "energy_ratio" not in scores and "minimum" in scores and "2.00" not in table(scores)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="needs the [training] extra")
-wp = pytest.importorskip("warp", reason="needs the [training] extra")
+pytest.importorskip("warp", reason="needs the [training] extra")
 
 from random_models import random_model, random_rotation, tube  # noqa: E402
 
@@ -20,12 +20,6 @@ from physkin_training.networks.draping import compose_nodes, delta_transforms  #
 from physkin_training.networks.export import drape_from_model  # noqa: E402
 
 CPU = torch.device("cpu")
-
-
-@pytest.fixture(autouse=True, scope="module")
-def quiet():
-    wp.config.quiet = True
-    wp.init()
 
 
 @pytest.mark.parametrize("node_outputs", [9, 12])
@@ -50,9 +44,11 @@ def test_subspace_finds_a_drape_that_the_nodes_can_reach(node_outputs):
     def distance(result, target):
         return (result - target).square().sum(dim=-1).mean().sqrt().item()
 
-    steps = 600 if node_outputs == 9 else 1500  # sheared nodes pull at each other and settle more slowly
+    steps = 200 if node_outputs == 9 else 500  # sheared nodes pull at each other and settle more slowly
     for goal, reachable in ((target, True), (sheared, node_outputs == 12)):
-        result = subspace_minimum(lambda x, goal=goal: (x - goal).square().mean(), drape, posed, start, steps=steps)
+        result = subspace_minimum(
+            lambda x, goal=goal: (x - goal).square().mean(), drape, posed, start, steps=steps, rate=0.02
+        )
         before, after = distance(shape(start), goal), distance(result.vertices, goal)
         assert before > 0.02 and after < before
         assert (after < 1e-3) == reachable
@@ -70,11 +66,9 @@ def test_minima_on_a_clothed_body_are_in_order():
     )
     model = replace(model, node_bone=closest_bones(model.node_rest, body.rig.heads, body.rig.tails))
     evaluation = Evaluation(model, CPU, bodies=1, poses=2, seed=0)
-    rows = evaluation.minima(count=2, steps=300)
+    rows = evaluation.minima(count=2, steps=100)
     assert list(rows) == ["model", "subspace_minimum", "minimum"]
     total = {name: row["energy_j"] + row["gravity_j"] for name, row in rows.items()}
     assert total["minimum"] < total["subspace_minimum"] < total["model"]
     assert rows["minimum"]["edge_strain_percent"] < 0.5 * rows["model"]["edge_strain_percent"]
     assert all(0 < rows[name]["gradient_norm"] < np.inf for name in ("subspace_minimum", "minimum"))
-    again = evaluation.minima(count=2, steps=300)
-    assert again == rows

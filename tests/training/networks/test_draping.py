@@ -11,9 +11,10 @@ torch = pytest.importorskip("torch", reason="needs the [training] extra")
 from physkin_core import Draper, load_body_model  # noqa: E402
 from physkin_core.model import garment_nodes, skinning  # noqa: E402
 from physkin_core.runtime.binding import encode_body  # noqa: E402
-from physkin_training.networks.draping import Drape, GarmentNodes, compose_nodes, delta_transforms  # noqa: E402
+from physkin_training.config import NetworkConfig  # noqa: E402
+from physkin_training.networks.draping import Drape, compose_nodes, delta_transforms  # noqa: E402
 from physkin_training.networks.export import drape_from_model  # noqa: E402
-from physkin_training.networks.networks import NetworkConfig  # noqa: E402
+from physkin_training.networks.garment_nodes import GarmentNodeSet  # noqa: E402
 from physkin_training.sampling.posed_bodies import BodySet  # noqa: E402
 
 
@@ -141,7 +142,7 @@ def test_gradient_through_the_whole_drape():
 
 def test_a_new_drape_has_the_initial_skinning_weights():
     model = random_model(np.random.default_rng(5))
-    nodes = GarmentNodes(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
+    nodes = GarmentNodeSet(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
     drape = Drape(model.garment, nodes, model.rig, NetworkConfig(pose_hidden=8, deformer_hidden=8, token_width=8))
     np.testing.assert_allclose(drape.skinning_weights.detach().numpy(), model.influence_weights, atol=1e-6)
 

@@ -8,16 +8,26 @@ import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="needs the [training] extra")
-wp = pytest.importorskip("warp", reason="needs the [training] extra")
+pytest.importorskip("warp", reason="needs the [training] extra")
 pytest.importorskip("potpourri3d", reason="needs the [training] extra")
 
 from random_models import random_model  # noqa: E402
-from training.small_runs import small_config  # noqa: E402
+from training.small_runs import run, small_config  # noqa: E402
 
 from physkin_core import Draper, avatar_from_body, load_body_model, load_garment_model, save_garment_model  # noqa: E402
 from physkin_core.runtime.binding import encode_body  # noqa: E402
+from physkin_training.config import NetworkConfig  # noqa: E402
 from physkin_training.evaluate.plain_model import plain_model  # noqa: E402
-from physkin_training.networks.export import agreement, drape_from_model, encode_bodies, model_from_drape  # noqa: E402
+from physkin_training.networks import export  # noqa: E402
+from physkin_training.networks.export import (  # noqa: E402
+    ExportError,
+    agreement,
+    drape_from_model,
+    encode_bodies,
+    model_from_drape,
+    store_checked,
+)
+from physkin_training.networks.networks import Networks  # noqa: E402
 from physkin_training.train.trainer import Trainer  # noqa: E402
 
 BODY = load_body_model()
@@ -26,12 +36,10 @@ BODY = load_body_model()
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     """A small run a few steps in, not yet pruned, with networks large enough to matter."""
-    wp.config.quiet = True
     trainer = Trainer(
         small_config(tmp_path_factory.mktemp("run"), prune_at=1.0, full_encoding=1.0), torch.device("cpu")
     )
-    for _ in trainer.run(3):
-        pass
+    run(trainer, 3)
     with torch.no_grad():
         for network in (trainer.drape.networks.pose_modulator, trainer.drape.networks.node_deformer):
             network.layers[-1].weight += 0.05 * torch.randn_like(network.layers[-1].weight)
@@ -104,7 +112,6 @@ def test_agreement_of_small_and_random_models(trained, tmp_path):
 
 def test_a_model_made_to_measure_agrees_both_ways(tmp_path):
     """Its file read again, at the run time and in torch; a fit that only torch has learnt otherwise is seen."""
-    wp.config.quiet = True
     trainer = Trainer(small_config(tmp_path, fit="both", full_encoding=1.0), torch.device("cpu"))
     with torch.no_grad():
         trainer.drape.networks.hyper_modulator.fit.normal_()
@@ -141,6 +148,23 @@ def test_agreement_tells_what_pruning_costs(trained):
     assert 1e-3 < costs[1].largest < costs[2].largest and costs[1].mean < costs[2].mean
     model = exported(trained, 1)
     assert agreement(model, drape_from_model(model), poses=2).largest < 1e-4
+
+
+@pytest.mark.parametrize(
+    "tolerances, other",
+    [((1e-9, 1), "the trained drape"), ((1, 1e-9), "the same model in torch")],
+)
+def test_a_file_that_drapes_otherwise_is_refused(trained, tmp_path, monkeypatch, tolerances, other):
+    """Where it does not, the model comes back as it is stored; else the file stays apart."""
+    path = tmp_path / "band.safetensors"
+    stored = store_checked(exported(trained, 6), trained.drape, path)
+    np.testing.assert_array_equal(stored.node_rest, load_garment_model(path).node_rest)
+    path.unlink()
+    for name, tolerance in zip(("EXPORT_TOLERANCE", "TWIN_TOLERANCE"), tolerances):
+        monkeypatch.setattr(export, name, tolerance)
+    with pytest.raises(ExportError, match=f"{other}.*1e-06 mm"):
+        store_checked(exported(trained, 6), trained.drape, path)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["band.unchecked"]
 
 
 @pytest.mark.parametrize("influences", [1, 3, 6])
@@ -234,8 +258,6 @@ def test_concatenated_codes_are_modulation_of_the_first_layer(tmp_path):
 
 def test_concatenation_is_a_plain_network_of_the_joined_input():
     """Pose modulator: a multilayer perceptron over (pose vector, body code) with one weight matrix over both."""
-    from physkin_training.networks.networks import NetworkConfig, Networks
-
     torch.manual_seed(3)
     config = NetworkConfig(
         pose_hidden=8, pose_layers=2, deformer_hidden=6, deformer_layers=2, token_width=4, conditioning="concatenation"

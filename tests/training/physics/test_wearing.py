@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from random_models import tube
 
-from physkin_core.avatar.body_model import load_body_model
-from physkin_core.model.garment import Garment, load_garment
-from physkin_training.physics.wearing import BAND_WIDTH, WORN_WITHIN, Wearing
+pytest.importorskip("pydantic", reason="needs the [training] extra")
+
+from physkin_core.avatar.body_model import load_body_model  # noqa: E402
+from physkin_core.model.garment import Garment, load_garment  # noqa: E402
+from physkin_training.physics.wearing import BAND_WIDTH, WORN_WITHIN, Wearing  # noqa: E402
 
 GARMENTS = Path(__file__).parents[3] / "training" / "garments"
 BODY = load_body_model()
@@ -81,7 +83,7 @@ def test_limbs_that_pass_by_the_cloth():
     assert not (worn.worn & worn.other_limb).any()
     both_ways = Wearing.of(garment, BODY, other_limbs="both_ways")
     assert not both_ways.other_limb.any() and np.array_equal(both_ways.worn, worn.worn)
-    with pytest.raises(ValueError, match="other_limbs must be one of one_way, both_ways, got 'both-ways'"):
+    with pytest.raises(ValueError, match="'both-ways'"):
         Wearing.of(garment, BODY, other_limbs="both-ways")
     garment, worn = wearing("skirt")
     side = np.linalg.norm(garment.vertices - [0.0, 0.25, -0.15], axis=1).argmin()

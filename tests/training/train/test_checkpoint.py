@@ -9,28 +9,22 @@ from dataclasses import replace
 import pytest
 
 torch = pytest.importorskip("torch", reason="needs the [training] extra")
-wp = pytest.importorskip("warp", reason="needs the [training] extra")
+pytest.importorskip("warp", reason="needs the [training] extra")
 pytest.importorskip("potpourri3d", reason="needs the [training] extra")
 
 from safetensors.torch import load_file, save_file  # noqa: E402
-from training.small_runs import small_config  # noqa: E402
+from training.small_runs import run, small_config  # noqa: E402
 
+from physkin_training.train import checkpoint  # noqa: E402
 from physkin_training.train.checkpoint import CheckpointError  # noqa: E402
-from physkin_training.train.train import checkpoint  # noqa: E402
 from physkin_training.train.trainer import Trainer  # noqa: E402
 
 CPU = torch.device("cpu")
 
 
-def run(trainer, steps):
-    for _ in trainer.run(steps):
-        pass
-
-
 @pytest.fixture(scope="module")
 def straight(tmp_path_factory):
     """The small run to its end without a stop, with checkpoints on the way after 2, 6 and 11 steps."""
-    wp.config.quiet = True
     folder = tmp_path_factory.mktemp("run")
     trainer = Trainer(small_config(folder), CPU)
     for stop in (2, 6, 11):
@@ -138,7 +132,7 @@ def test_a_run_of_the_template_may_be_started_from_to_make_to_measure(straight):
     assert torch.equal(trainer.drape.skinning_logits, saved["skinning_logits"])
     assert not trainer.drape.networks.hyper_modulator.fit.any()
     trainer.save(folder / "both")
-    with pytest.raises(CheckpointError, match="too much or lacks networks.hyper_modulator.fit"):
+    with pytest.raises(CheckpointError, match="networks.hyper_modulator.fit"):
         Trainer(small_config(folder), CPU).start_from(folder / "both")
 
 
@@ -164,21 +158,6 @@ def test_starting_from_other_sizes_is_refused(straight, tmp_path):
             trainer.start_from(path)
 
 
-@pytest.mark.parametrize("entry", ["lower", "upper", "garment_heads", "vertices", "node_rest", "node_bone"])
-@pytest.mark.parametrize("how", ["resume", "start_from"])
-def test_a_checkpoint_of_another_rig_or_garment_is_not_taken_over(straight, copy, how, entry):
-    """Equal sizes, other numbers: joint limits, body or mesh changed since. The exported model holds the run's own rig,
-    so networks must not go on with the checkpoint's."""
-    tensors = load_file(copy / "drape.safetensors")
-    tensors[entry] = tensors[entry] + 1
-    save_file(tensors, copy / "drape.safetensors")
-    trainer = Trainer(small_config(straight[0]), CPU)
-    own = trainer.drape.state_dict()[entry].clone()
-    with pytest.raises(CheckpointError, match=f"is of another garment, body or garment nodes: {entry} differ"):
-        getattr(trainer, how)(copy)
-    assert torch.equal(trainer.drape.state_dict()[entry], own)
-
-
 # --- Refusals ---
 
 
@@ -188,36 +167,61 @@ def copy(straight, tmp_path):
     return shutil.copytree(folder / "step6", tmp_path / "checkpoint")
 
 
+@pytest.fixture(scope="module")
+def other(straight):
+    """A trainer of the same configuration that is never given a good checkpoint."""
+    return Trainer(small_config(straight[0]), CPU)
+
+
 def resume(straight, path, **changes):
     trainer = Trainer(replace(small_config(straight[0]), **changes), CPU)
     trainer.resume(path)
     return trainer
 
 
-@pytest.mark.parametrize(
-    "changes, message",
-    [
-        (dict(seed=6), "seed = 5, the configuration says 6; a new run from its networks is --start-from"),
-        (dict(train_bodies=2), "train_bodies = 3, the configuration says 2"),
-        (dict(name="shirt"), "name = 'band', the configuration says 'shirt'"),
-    ],
-)
-def test_another_configuration_is_refused(straight, copy, changes, message):
-    with pytest.raises(CheckpointError, match=message):
-        resume(straight, copy, **changes)
+@pytest.mark.parametrize("entry", ["lower", "upper", "garment_heads", "vertices", "node_rest", "node_bone"])
+@pytest.mark.parametrize("how", ["resume", "start_from"])
+def test_a_checkpoint_of_another_rig_or_garment_is_not_taken_over(other, copy, how, entry):
+    """Equal sizes, other numbers: joint limits, body or mesh changed since. The exported model holds the run's own rig,
+    so networks must not go on with the checkpoint's."""
+    tensors = load_file(copy / "drape.safetensors")
+    tensors[entry] = tensors[entry] + 1
+    save_file(tensors, copy / "drape.safetensors")
+    own = other.drape.state_dict()[entry].clone()
+    with pytest.raises(CheckpointError, match=entry):
+        getattr(other, how)(copy)
+    assert torch.equal(other.drape.state_dict()[entry], own)
 
 
-def test_another_schedule_or_network_is_refused_by_its_entry(straight, copy):
+def test_another_configuration_is_refused_by_its_entry(straight, copy):
     config = small_config(straight[0])
-    with pytest.raises(CheckpointError, match="learning_rate = 0.002, the configuration says 0.001"):
-        resume(straight, copy, optimisation=replace(config.optimisation, learning_rate=1e-3))
-    with pytest.raises(CheckpointError, match="pose_hidden = 24, the configuration says 32"):
-        resume(straight, copy, networks=replace(config.networks, pose_hidden=32))
+    slower = replace(config.optimisation, learning_rate=1e-3)
+    for changes, named in (
+        (dict(seed=6), "seed = 5.* 6"),
+        (dict(train_bodies=2), "train_bodies = 3.* 2"),
+        (dict(name="shirt"), "name = 'band'.* 'shirt'"),
+        (dict(optimisation=slower), "learning_rate = 0.002.* 0.001"),
+        (dict(networks=replace(config.networks, pose_hidden=32)), "pose_hidden = 24.* 32"),
+    ):
+        with pytest.raises(CheckpointError, match=named):
+            resume(straight, copy, **changes)
 
 
-def test_a_missing_folder_is_refused(straight, tmp_path):
-    with pytest.raises(CheckpointError, match="cannot read checkpoint .*nowhere"):
-        resume(straight, tmp_path / "nowhere")
+def test_entries_that_configurations_had_must_be_what_all_runs_have(straight, other, copy):
+    """Runs of an earlier version on adults go on, those on fantastical bodies do not."""
+    state = json.loads((copy / "state.json").read_text())
+    for bodies in ("fantastical", "adults"):
+        state["config"]["body_distribution"] = bodies
+        (copy / "state.json").write_text(json.dumps(state))
+        if bodies == "fantastical":
+            with pytest.raises(CheckpointError, match="body_distribution = 'fantastical'"):
+                other.resume(copy)
+    assert resume(straight, copy).step == 6
+
+
+def test_a_missing_folder_is_refused(other, tmp_path):
+    with pytest.raises(CheckpointError, match="nowhere"):
+        other.resume(tmp_path / "nowhere")
 
 
 TENSORS = ("drape", "average", "best", "exp_avg", "exp_avg_sq", "random")
@@ -226,7 +230,7 @@ FILES = ("state.json", *(f"{name}.safetensors" for name in TENSORS))
 
 @pytest.mark.parametrize("name", FILES)
 @pytest.mark.parametrize("damage", ["missing", "empty", "half", "garbage"])
-def test_a_damaged_file_is_refused(straight, copy, name, damage):
+def test_a_damaged_file_is_refused(other, copy, name, damage):
     path = copy / name
     data = path.read_bytes()
     if damage == "missing":
@@ -234,46 +238,24 @@ def test_a_damaged_file_is_refused(straight, copy, name, damage):
     else:
         path.write_bytes({"empty": b"", "half": data[: len(data) // 2], "garbage": b"\xff" * len(data)}[damage])
     with pytest.raises(CheckpointError, match="cannot read checkpoint"):
-        resume(straight, copy)
+        other.resume(copy)
 
 
-def test_tensors_of_another_model_are_refused(straight, copy):
-    """Undamaged files that do not belong together: another shape, a name too many."""
-    original = load_file(copy / "drape.safetensors")
-    for spoilt in (
-        {**original, "skinning_logits": original["skinning_logits"][:-1].clone()},
-        {**original, "colour": torch.zeros(1)},
-        {name: tensor for name, tensor in original.items() if name != "node_rest"},
-    ):
-        save_file(spoilt, copy / "drape.safetensors")
-        with pytest.raises(CheckpointError, match="does not fit the model"):
-            resume(straight, copy)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        {},
-        [],
-        {"config": None},
-        "no step",
-        "an odd best",
-    ],
-)
-def test_a_state_without_its_entries_is_refused(straight, copy, content):
-    if content == "no step":
-        content = json.loads((copy / "state.json").read_text())
-        del content["step"]
-    if content == "an odd best":
-        content = json.loads((copy / "state.json").read_text()) | {"best": {"step": 5}}
-    (copy / "state.json").write_text(json.dumps(content))
-    with pytest.raises(CheckpointError):
-        resume(straight, copy)
+def test_a_state_without_its_entries_is_refused(other, copy):
+    good = json.loads((copy / "state.json").read_text())
+    no_step = {key: value for key, value in good.items() if key != "step"}
+    for content in ({}, [], {"config": None}, no_step, good | {"best": {"step": 5}}):
+        (copy / "state.json").write_text(json.dumps(content))
+        with pytest.raises(CheckpointError):
+            other.resume(copy)
 
 
 @pytest.mark.parametrize(
     "file, change",
     [
+        ("drape", lambda t: {**t, "skinning_logits": t["skinning_logits"][:-1].clone()}),
+        ("drape", lambda t: {**t, "colour": torch.zeros(1)}),
+        ("drape", lambda t: {name: tensor for name, tensor in t.items() if name != "node_rest"}),
         ("exp_avg", lambda t: {**t, "skinning_logits": torch.zeros(3)}),
         ("exp_avg_sq", lambda t: {"skinning_logits": t["skinning_logits"]}),
         ("average", lambda t: {"skinning_logits": t["skinning_logits"]}),
@@ -282,13 +264,14 @@ def test_a_state_without_its_entries_is_refused(straight, copy, content):
         ("random", lambda t: {"cpu": t["cpu"][:, :5].clone()}),
     ],
 )
-def test_an_optimiser_state_that_does_not_fit_is_refused(straight, copy, file, change):
+def test_tensors_that_do_not_fit_are_refused(other, copy, file, change):
+    """Undamaged files that do not belong together: another shape, a name too many or too few."""
     save_file(change(load_file(copy / f"{file}.safetensors")), copy / f"{file}.safetensors")
     with pytest.raises(CheckpointError):
-        resume(straight, copy)
+        other.resume(copy)
 
 
-@pytest.mark.parametrize("writes", [0, 2, 4])
+@pytest.mark.parametrize("writes", [0, 4])
 def test_an_interrupted_save_loses_nothing(straight, copy, monkeypatch, writes):
     """The disk fills up in the middle of writing over an older checkpoint: the older one is still there."""
     trainer = resume(straight, copy)
@@ -319,6 +302,6 @@ def test_a_save_killed_while_swapping_loses_nothing(straight, copy):
 
 def test_other_files_are_not_swept_away(straight, copy):
     (copy / "notes.txt").write_text("mine")
-    with pytest.raises(CheckpointError, match=r"holds notes.txt; a checkpoint needs a folder of its own"):
+    with pytest.raises(CheckpointError, match="notes.txt"):
         resume(straight, copy).save(copy)
     assert (copy / "notes.txt").exists()

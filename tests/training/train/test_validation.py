@@ -7,7 +7,7 @@ import math
 import pytest
 
 torch = pytest.importorskip("torch", reason="needs the [training] extra")
-wp = pytest.importorskip("warp", reason="needs the [training] extra")
+pytest.importorskip("warp", reason="needs the [training] extra")
 pytest.importorskip("potpourri3d", reason="needs the [training] extra")
 
 from training.small_runs import as_toml, small_config  # noqa: E402
@@ -28,7 +28,6 @@ BODY = load_body_model()
 
 @pytest.fixture(scope="module")
 def trainer(tmp_path_factory):
-    wp.config.quiet = True
     return Trainer(small_config(tmp_path_factory.mktemp("run")), CPU)
 
 
@@ -38,7 +37,7 @@ def wearing_of(trainer):
 
 def test_the_energy_is_the_mean_over_the_set(trainer):
     """Against each sample by itself, at the material's stiffness and with the body points of the run time."""
-    validation, drape, material = trainer._validation, trainer.averaged, trainer.config.material
+    validation, drape, material = trainer.validation, trainer.averaged, trainer.config.material
     trainer.losses.contact_stiffness.fill_(1.0)  # training's own must not matter
     wearing = wearing_of(trainer)
     posed = PosedBodies(BODY, trainer.bodies, 1, faces=wearing.faces)
@@ -46,19 +45,19 @@ def test_the_energy_is_the_mean_over_the_set(trainer):
     modulations = encode_bodies(drape, trainer.bodies.vertices.numpy(), trainer.bodies.faces.numpy())
     energies = []
     with torch.no_grad():
-        for batch, chosen in enumerate(validation._chosen):
-            for sample, body in enumerate(chosen.repeat_interleave(len(validation._positions[0]) // len(chosen))):
-                q, g = validation._positions[batch, sample, None], validation._gravity[batch, sample, None]
+        for batch, chosen in enumerate(validation.chosen):
+            for sample, body in enumerate(chosen.repeat_interleave(len(validation.positions[0]) // len(chosen))):
+                q, g = validation.positions[batch, sample, None], validation.gravity[batch, sample, None]
                 nodes = drape.posed_nodes(posed.pose(q, body[None]), trainer.node_positions[body[None]])
                 x = drape(modulations[body[None]], q, g, nodes)
                 energies.append(losses(x, g, posed.mesh, posed.offset)[0].item())
-    assert len(energies) == 4 * trainer.config.optimisation.samples
+    assert len(energies) == len(validation.chosen) * trainer.config.optimisation.samples
     expected = sum(energies) / len(energies)
     assert validation.energy(drape, trainer.node_positions) == pytest.approx(expected, rel=1e-3)
 
 
 def test_poses_are_drawn_from_the_full_range(trainer):
-    positions = trainer._validation._positions.flatten(0, 1)
+    positions = trainer.validation.positions.flatten(0, 1)
     share = (positions - trainer.sampler.lower) / (trainer.sampler.upper - trainer.sampler.lower)
     assert share.min() >= 0 and share.max() <= 1
     assert share.min() < 0.05 and share.max() > 0.95
@@ -79,7 +78,7 @@ def test_processes_share_the_set(trainer):
         for rank in range(2)
     ]
     halves = [share.energy(trainer.averaged, trainer.node_positions) for share in shares]
-    whole = trainer._validation.energy(trainer.averaged, trainer.node_positions)
+    whole = trainer.validation.energy(trainer.averaged, trainer.node_positions)
     assert sum(halves) / 2 == pytest.approx(whole, rel=1e-4) and halves[0] != halves[1]
 
 
@@ -127,7 +126,7 @@ def test_without_a_measurement_the_last_average_is_exported(trainer):
     assert trainer.best is None and trainer.best_drape() is trainer.averaged
 
 
-def test_the_export_is_the_best_model(tmp_path, monkeypatch):
+def test_the_export_is_the_best_model(tmp_path, monkeypatch, unfitted_normals):
     """Through the command: two measurements, the first one better."""
     config = small_config(tmp_path, steps=4, growth=0.0, prune_from=0.0, prune_at=0.0, validate_every=2)
     path = tmp_path / "band.toml"

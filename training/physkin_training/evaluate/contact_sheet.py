@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import warp as wp
 
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment_model import GarmentModel
@@ -95,8 +94,7 @@ def drape_all(evaluation: Evaluation, poses: Pairs, *, minimum: bool) -> Drapes:
     strains: dict[str, list] = {row: [] for row in rows}
     bodies = []
     for batch in evaluation.batches(pairs):
-        points = wp.to_torch(evaluation.posed_bodies.mesh.points).view(evaluation.batch, -1, 3)
-        bodies.append((points - evaluation.posed_bodies.offset[:, None])[: batch.count].cpu().numpy())
+        bodies.append(evaluation.posed_bodies.vertices[: batch.count].cpu().numpy())
         with torch.no_grad():
             inputs = (batch.modulation, batch.positions, batch.gravity, batch.posed_nodes, batch.rest)
             drapes = {"model": evaluation.drape(*inputs)}

@@ -44,6 +44,8 @@ __all__ = ["Evaluation", "evaluate_model"]
 
 REACH = 0.3
 """Bodies are looked for up to this distance [m], beyond the deepest penetration."""
+CONTACT = "one_way"
+"""How other limbs press (see `Wearing`), whatever a model was trained with: all energies are of one kind."""
 FEWER_INFLUENCES = 4
 """What skinning to so few influences, which most engines support, would cost is measured too."""
 MOTION_RATE = 60.0
@@ -68,8 +70,7 @@ class Evaluation:
 
     bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, 0 (template) to
     1 (made to measure); strains are against the rest shape at that fit. body_model: whose bodies, default the adults
-    that are shipped. Other limbs press one way (see `Wearing`) whatever the model was trained with, so that energies of
-    all models are of one kind. Raises ValueError when the model is for another rig than the body model's or has not
+    that are shipped. Raises ValueError when the model is for another rig than the body model's or has not
     learnt the fit, or there are not so many bodies.
     """
 
@@ -102,7 +103,7 @@ class Evaluation:
         self.bodies = BodySet(body_model, held_out[list(bodies)], device)
         self.batch = min(batch, len(bodies) * poses)
         self.posed_bodies = PosedBodies(body_model, self.bodies, self.batch)
-        wearing = Wearing.of(model.garment, body_model)
+        wearing = Wearing.of(model.garment, body_model, other_limbs=CONTACT)
         self._fits: MadeToMeasure | None = None
         if fit:
             self._fits = MadeToMeasure(model.garment, self.drape, self.bodies, body_model, fit=fit)
@@ -258,6 +259,11 @@ def _with_jitter_ratio(rows: dict[str, Figures]) -> dict:
     return results | {"jitter_ratio": results["model"]["jitter_mm"] / results["skinning"]["jitter_mm"]}
 
 
+def _trained_contact(model: GarmentModel) -> str:
+    """How other limbs pressed in training; models that do not tell had the only way there was."""
+    return (model.training.get("optimisation") or {}).get("other_limbs", CONTACT)
+
+
 def _difference(rig: Rig, other: Rig) -> str:
     if rig.bone_names != other.bone_names:
         return f"{rig.bone_count} bones, expected {other.bone_count}, or other names"
@@ -278,7 +284,7 @@ def evaluate_model(
     motions: Sequence[Motion] = (),
 ) -> dict:
     """All rows of one model as plain data. minimum: pairs for the minima, 0 to leave them out. motions: clips for the
-    rows on motion.
+    rows on motion. `energy_ratio`, model / full-space minimum, only where both have the same contact.
 
     Raises ValueError for another rig than the body model's, impossible counts and clips that cannot be used.
     """
@@ -306,7 +312,8 @@ def evaluate_model(
         scores |= {"subspace_minimum": subset["subspace_minimum"], "minimum": subset["minimum"]}
         scores["model_on_subset"] = subset["model"]
         scores["counts"] |= {"minimum_pairs": subset["model"]["pairs"], "minimum_steps": steps}
-        scores["energy_ratio"] = subset["model"]["energy_j"] / subset["minimum"]["energy_j"]
+        if _trained_contact(model) == CONTACT:
+            scores["energy_ratio"] = subset["model"]["energy_j"] / subset["minimum"]["energy_j"]
     return scores
 
 

@@ -14,9 +14,10 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment import load_garment
 from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.model_file import save_garment_model
-from physkin_training.networks.draping import Drape, GarmentNodes
+from physkin_training.config import NetworkConfig
+from physkin_training.networks.draping import Drape
 from physkin_training.networks.export import model_from_drape
-from physkin_training.networks.networks import NetworkConfig
+from physkin_training.networks.garment_nodes import GarmentNodeSet
 
 __all__ = ["plain_model"]
 
@@ -25,7 +26,7 @@ def plain_model(garment_path: str | Path, *, nodes: int = 128, influences: int =
     """Garment nodes, heat-method skinning weights and networks that correct nothing."""
     garment, rig = load_garment(garment_path), load_body_model().rig
     config = NetworkConfig(pose_hidden=8, pose_layers=1, deformer_hidden=8, deformer_layers=1, token_width=8)
-    drape = Drape(garment, GarmentNodes.sample(garment, rig, nodes, influences), rig, config)
+    drape = Drape(garment, GarmentNodeSet.sample(garment, rig, nodes, influences), rig, config)
     torch.nn.init.zeros_(drape.networks.node_deformer.layers[-1].weight)
     name = Path(garment_path).stem
     return model_from_drape(drape, garment, rig, name=name, influences=influences, material=Material())

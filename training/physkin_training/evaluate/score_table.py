@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from tabulate import tabulate
+
 __all__ = ["table"]
 
 LARGEST_LIFT = 0.2
@@ -48,14 +50,13 @@ def table(scores: Mapping) -> str:
     made = scores.get("made_to_measure", {})
     made_rows = {label: made[row] for row, label in ROWS.items() if row in made} | _motion_rows(made.get("motion"))
     rows |= {f"{label}, made to measure": figures for label, figures in made_rows.items()}
-    lines = ["| | " + " | ".join(COLUMNS.values()) + " |", "|---|" + "---|" * len(COLUMNS)]
-    for label, figures in rows.items():
-        cells = [f"{figures[column]:.3f}" if column in figures else "" for column in COLUMNS]
-        lines.append(f"| {label} | " + " | ".join(cells) + " |")
-    if "energy_ratio" in scores:
+    cells = [[label, *(figures.get(column) for column in COLUMNS)] for label, figures in rows.items()]
+    lines = [tabulate(cells, ["", *COLUMNS.values()], tablefmt="pipe", floatfmt=".3f")]
+    if "minimum" in scores:
+        ratio = scores.get("energy_ratio")
+        said = f"{ratio:.2f}" if ratio else "not of one kind, the model was trained with another contact"
         pairs = scores["counts"]["minimum_pairs"]
-        ratio = f"{scores['energy_ratio']:.2f}"
-        lines += ["", f"Stretch, bend and contact energy, model / full-space minimum: {ratio} ({pairs} pairs)"]
+        lines += ["", f"Stretch, bend and contact energy, model / full-space minimum: {said} ({pairs} pairs)"]
         lines += [f"Full-space minima converged: {scores['minimum']['converged_percent']:.0f} %"]
     if motion:
         of = "{clips} clips, {frames} frames at {rate_hz:g} Hz, {bodies} bodies".format(**motion["counts"])

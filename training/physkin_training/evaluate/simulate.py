@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from tabulate import tabulate
 
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
@@ -29,17 +30,16 @@ from physkin_core.rig.rig import Rig
 from physkin_core.runtime.draper import UPRIGHT_GRAVITY, Draper
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.evaluate.plain_model import plain_model
-from physkin_training.evaluate.posed_avatar import PosedAvatar
 from physkin_training.physics.full_space_solver import FullSpaceSolver, Progress, Solution
 from physkin_training.physics.physics_losses import PhysicsLosses
+from physkin_training.physics.staged_drape import drape_in_stages
 from physkin_training.physics.wearing import Wearing
+from physkin_training.sampling.posed_bodies import posed_avatar
 
 __all__ = ["DrapeSimulation", "Poses", "load_pose", "main"]
 
 REACH = 0.3
 """The body is looked for up to this distance [m]."""
-ON_THE_WAY = {"tolerance": 0.1, "iterations": 15}
-"""How well poses on the way from the canonical one are minimised."""
 NOT_CONVERGED = 1
 
 
@@ -96,7 +96,7 @@ class DrapeSimulation:
         self.garment, self.avatar, self.device = garment, avatar, device
         self._draper = Draper(start_model, avatar, backend="numpy", points=None if same else garment.vertices)
         self.rig = start_model.rig
-        self.body = PosedAvatar(avatar, self.rig, samples, device)
+        self.body = posed_avatar(avatar, self.rig, samples, device)
         self.losses = PhysicsLosses(garment, material, samples, device, wearing=wearing, reach=REACH)
         self.solver = FullSpaceSolver(garment, self.losses, samples, device)
 
@@ -114,41 +114,34 @@ class DrapeSimulation:
         stages: 0 starts from the drapes of the start model at the poses themselves; otherwise the body is moved there
         from the canonical pose in so many steps, the garment being minimised roughly after each.
         """
-        if stages < 0:
-            raise ValueError(f"stages must be 0 or more, got {stages}")
-        skin, linear = self._start(poses)
-        place = skin
-        if stages:
-            here = self._partly(poses, 0.0)
-            skin, linear = self._start(here)
-            place = self.run_from(skin, here, **ON_THE_WAY).vertices.double().cpu().numpy()
-        for stage in range(1, stages + 1):
-            here = self._partly(poses, stage / stages)
-            next_skin, next_linear = self._start(here)
-            turned = np.linalg.solve(linear, (place - skin)[..., None])
-            place = next_skin + (next_linear @ turned)[..., 0]
-            skin, linear = next_skin, next_linear
-            if stage < stages:
-                place = self.run_from(place, here, **ON_THE_WAY).vertices.double().cpu().numpy()
-        return self.run_from(place, poses, tolerance=tolerance, iterations=iterations, watch=watch)
 
-    def run_from(self, start: np.ndarray, poses: Poses, **options) -> Solution:
+        def minimise(start: torch.Tensor, share: float, **options) -> Solution:
+            return self.run_from(start, self._partly(poses, share), **options)
+
+        options = {"tolerance": tolerance, "iterations": iterations, "watch": watch}
+        return drape_in_stages(
+            lambda share: self._start(self._partly(poses, share)), minimise, stages=stages, **options
+        )
+
+    def run_from(self, start: np.ndarray | torch.Tensor, poses: Poses, **options) -> Solution:
         """Minimise at the poses from vertices (B, n, 3) [m]. options: of `FullSpaceSolver.minimise`."""
-        self.body.pose(poses.positions)
+        self.body.pose(*self._tensors(poses.positions.copy()))
         return self.solver.minimise(*self._tensors(start, poses.gravity), self.body.mesh, self.body.offset, **options)
 
     def energies(self, vertices: np.ndarray, poses: Poses) -> dict[str, torch.Tensor]:
         """Energies (B,) [J] by term of drapes (B, n, 3) at the poses."""
-        self.body.pose(poses.positions)
+        self.body.pose(*self._tensors(poses.positions.copy()))
         return self.losses.evaluate(*self._tensors(vertices, poses.gravity), self.body.mesh, self.body.offset)[0]
 
     def _partly(self, poses: Poses, share: float) -> Poses:
+        if share == 1:
+            return poses
         positions = self.rig.rest + share * (poses.positions - self.rig.rest)
         gravity = UPRIGHT_GRAVITY + share * (poses.gravity - UPRIGHT_GRAVITY)
         length = np.linalg.norm(gravity, axis=1, keepdims=True)
         return Poses(positions, np.where(length > 0.1, gravity / np.maximum(length, 0.1), poses.gravity))
 
-    def _start(self, poses: Poses) -> tuple[np.ndarray, np.ndarray]:
+    def _start(self, poses: Poses) -> tuple[torch.Tensor, torch.Tensor]:
         """Drapes (B, n, 3) of the start model, and how it turns the cloth about each vertex (B, n, 3, 3)."""
         bound = self._draper.bound
         drapes, turns = [], []
@@ -156,7 +149,7 @@ class DrapeSimulation:
             drapes.append(self._draper.drape(positions, gravity)[:, :3].astype(np.float64))
             linear = self._draper.node_transforms()[:, :, :3].astype(np.float64)
             turns.append(np.einsum("vk,vkij->vij", bound.influence_weights, linear[bound.influence_nodes]))
-        return np.stack(drapes), np.stack(turns)
+        return torch.as_tensor(np.stack(drapes)), torch.as_tensor(np.stack(turns))
 
     def _tensors(self, *arrays: np.ndarray) -> tuple[torch.Tensor, ...]:
         return tuple(torch.as_tensor(array, dtype=torch.float32, device=self.device) for array in arrays)
@@ -231,7 +224,7 @@ def _simulate(options: argparse.Namespace) -> int:
     print(f"{seconds:.1f} s; force scale (the garment's weight) {result.force_scale:.3f} N")
     _write(options.output, garment, vertices, result)
     if options.picture:
-        _draw(options.picture, avatar, garment, simulation.body.vertices, vertices)
+        _draw(options.picture, avatar, garment, simulation.body.vertices.cpu().numpy(), vertices)
     if result.converged.all():
         return 0
     print(
@@ -258,17 +251,15 @@ def report(garment: Garment, result: Solution) -> str:
     """Markdown table of a solution, one row a drape."""
     vertices = result.vertices.double().cpu().numpy()
     columns = {
-        "drape": [str(index) for index in range(len(vertices))],
-        "iterations": [str(count) for count in result.iterations.tolist()],
-        "residual / weight": [f"{norm / result.force_scale:.4f}" for norm in result.gradient_norm.tolist()],
+        "drape": range(len(vertices)),
+        "iterations": result.iterations.tolist(),
+        "residual / weight": (result.gradient_norm / result.force_scale).tolist(),
         "converged": ["yes" if flag else "NO" for flag in result.converged.tolist()],
-        "edge %": [f"{value:.3f}" for value in edge_strain(garment, vertices)],
-        "area %": [f"{value:.3f}" for value in area_strain(garment, vertices)],
-        **{f"{name} J": [f"{value:.4f}" for value in values.tolist()] for name, values in result.energies.items()},
+        "edge %": edge_strain(garment, vertices),
+        "area %": area_strain(garment, vertices),
+        **{f"{name} J": values.tolist() for name, values in result.energies.items()},
     }
-    rows = zip(*columns.values(), strict=True)
-    lines = ["| " + " | ".join(columns) + " |", "|---" * len(columns) + "|"]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+    return tabulate(columns, headers="keys", tablefmt="pipe", floatfmt=".4f")
 
 
 def _write(path: Path, garment: Garment, vertices: np.ndarray, result: Solution) -> None:

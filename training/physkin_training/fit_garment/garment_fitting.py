@@ -16,10 +16,10 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material
 from physkin_core.model.garment_nodes import node_positions_on_body
-from physkin_training.evaluate.posed_avatar import PosedAvatar
 from physkin_training.physics.full_space_solver import FullSpaceSolver
 from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.surface_queries import BodySurface
+from physkin_training.sampling.posed_bodies import posed_avatar
 
 __all__ = ["CLEARANCE", "carried", "clear_of"]
 
@@ -57,8 +57,9 @@ def clear_of(garment: Garment, body: Avatar, surface: BodySurface) -> np.ndarray
     device = torch.device("cpu")
     material = replace(Material(), contact_offset=CLEARANCE + SOFT)
     losses = PhysicsLosses(garment, material, 1, device)
-    posed = PosedAvatar(body, load_body_model().rig, 1, device)
-    posed.pose(load_body_model().rig.rest[None])
+    rig = load_body_model().rig
+    posed = posed_avatar(body, rig, 1, device)
+    posed.pose(torch.tensor(rig.rest[None], dtype=torch.float32))
     start = torch.as_tensor(surface.push_out(garment.vertices, CLEARANCE)[None], dtype=torch.float32)
     solver = FullSpaceSolver(garment, losses, 1, device)
     solution = solver.minimise(start, torch.zeros(1, 3), posed.mesh, posed.offset, tolerance=0.05, iterations=60)

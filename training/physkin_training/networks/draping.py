@@ -12,33 +12,13 @@ import torch
 from torch import nn
 
 from physkin_core.model.garment import Garment
-from physkin_core.model.garment_nodes import closest_bones
 from physkin_core.rig.rig import Rig
-from physkin_training.networks.networks import NetworkConfig, Networks
+from physkin_training.config import NetworkConfig
+from physkin_training.networks.garment_nodes import GarmentNodeSet
+from physkin_training.networks.networks import Networks
 from physkin_training.sampling.posed_bodies import BodySet
 
-__all__ = ["Drape", "GarmentNodes", "RestShape", "compose_nodes", "delta_transforms"]
-
-
-@dataclass(frozen=True)
-class GarmentNodes:
-    """Garment nodes of a garment: rest (m, 3) [m], bone (m,) int32, and initial skinning by `influence_nodes`,
-    `influence_weights` (n, K)."""
-
-    rest: np.ndarray
-    bone: np.ndarray
-    influence_nodes: np.ndarray
-    influence_weights: np.ndarray
-
-    @classmethod
-    def sample(cls, garment: Garment, rig: Rig, count: int, influences: int) -> GarmentNodes:
-        """Farthest-point garment nodes with heat-method skinning weights, each bound to its closest bone."""
-        from physkin_training.networks.garment_nodes import initial_skinning_weights, sample_garment_nodes
-
-        vertices, distances = sample_garment_nodes(garment, count)
-        rest = garment.vertices[vertices]
-        nodes, weights = initial_skinning_weights(garment, distances, influences)
-        return cls(rest, closest_bones(rest, rig.heads, rig.tails), nodes, weights)
+__all__ = ["Drape", "RestShape", "compose_nodes", "delta_transforms"]
 
 
 @dataclass(frozen=True)
@@ -59,7 +39,7 @@ class Drape(nn.Module):
     def __init__(
         self,
         garment: Garment,
-        nodes: GarmentNodes,
+        nodes: GarmentNodeSet,
         rig: Rig,
         config: NetworkConfig,
         *,

@@ -5,8 +5,10 @@ Dimensions: `n` garment vertices, `K` influences, `m` garment nodes.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -17,14 +19,36 @@ from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.hyper_modulator import POINT_COUNT
 from physkin_core.model.mlp import Layer
+from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.draper import Draper
-from physkin_training.networks.draping import Drape, GarmentNodes, RestShape
-from physkin_training.networks.networks import ModulatedMLP, NetworkConfig
+from physkin_training.config import NetworkConfig
+from physkin_training.networks.draping import Drape, RestShape
+from physkin_training.networks.garment_nodes import GarmentNodeSet
+from physkin_training.networks.networks import ModulatedMLP
 from physkin_training.sampling.posed_bodies import BodySet
 
-__all__ = ["Agreement", "agreement", "drape_from_model", "encode_bodies", "model_from_drape"]
+__all__ = [
+    "Agreement",
+    "ExportError",
+    "agreement",
+    "drape_from_model",
+    "encode_bodies",
+    "model_from_drape",
+    "network_config",
+    "store_checked",
+]
+
+log = logging.getLogger(__name__)
+EXPORT_TOLERANCE = 5e-3
+"""Largest distance [m] that half precision and pruning may move a vertex of the trained drape."""
+TWIN_TOLERANCE = 1e-3
+"""Largest distance [m] allowed between the stored model's drape at run time and in torch."""
+
+
+class ExportError(ValueError):
+    """A model file drapes otherwise than what it was made of."""
 
 
 def model_from_drape(
@@ -72,7 +96,7 @@ def model_from_drape(
 
 def drape_from_model(model: GarmentModel) -> Drape:
     """The torch drape of a garment model (for evaluation, or to train on)."""
-    nodes = GarmentNodes(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
+    nodes = GarmentNodeSet(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
     config, both = network_config(model), model.made_to_measure
     drape = Drape(model.garment, nodes, model.rig, config, made_to_measure=both)
     state = {f"hyper_modulator.{key}": array for key, array in model.hyper_modulator.items()}
@@ -160,6 +184,31 @@ def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8, seed: int = 
             there = drape(modulation, q, g, drape.posed_nodes(bones, node_positions), rest)[0].cpu().numpy()
             distances.append(np.linalg.norm(draper.drape(positions, gravity)[:, :3] - there, axis=1))
     return Agreement(float(np.max(distances)), float(np.mean(distances)))
+
+
+def store_checked(model: GarmentModel, drape: Drape, path: Path) -> GarmentModel:
+    """Write the model of a trained drape as `path`, and read it again: what is returned.
+
+    Raises ExportError when it drapes otherwise; the file is then left as PATH.unchecked.
+    """
+    unchecked = path.with_suffix(".unchecked")
+    save_garment_model(model, unchecked)
+    stored = load_garment_model(unchecked)
+    cost, twin = agreement(stored, drape), agreement(stored, drape_from_model(stored))
+    moved = "%s %.3f mm at most, %.4f mm on average"
+    log.info(moved, "half precision and pruning move vertices by", 1e3 * cost.largest, 1e3 * cost.mean)
+    log.info(moved, "run time and torch agree to", 1e3 * twin.largest, 1e3 * twin.mean)
+    for difference, allowed, other in (
+        (cost, EXPORT_TOLERANCE, "the trained drape"),
+        (twin, TWIN_TOLERANCE, "the same model in torch"),
+    ):
+        if not difference.largest <= allowed:
+            raise ExportError(
+                f"the exported model drapes {1000 * difference.largest:.2f} mm away from {other}, allowed "
+                f"{1000 * allowed:g} mm; it is left as {unchecked}"
+            )
+    unchecked.replace(path)
+    return stored
 
 
 def _layers(network: ModulatedMLP) -> tuple:

@@ -6,14 +6,36 @@ Paper: Node-based Skinning for Garments. Dimensions: `n` vertices, `m` garment n
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from physkin_core.model.garment import Garment
+from physkin_core.model.garment_nodes import closest_bones
+from physkin_core.rig.rig import Rig
 
-__all__ = ["initial_skinning_weights", "sample_garment_nodes"]
+__all__ = ["GarmentNodeSet", "initial_skinning_weights", "sample_garment_nodes"]
+
+
+@dataclass(frozen=True)
+class GarmentNodeSet:
+    """Garment nodes of a garment: rest (m, 3) [m], bone (m,) int32, and initial skinning by `influence_nodes`,
+    `influence_weights` (n, K)."""
+
+    rest: np.ndarray
+    bone: np.ndarray
+    influence_nodes: np.ndarray
+    influence_weights: np.ndarray
+
+    @classmethod
+    def sample(cls, garment: Garment, rig: Rig, count: int, influences: int) -> GarmentNodeSet:
+        """Farthest-point garment nodes with heat-method skinning weights, each bound to its closest bone."""
+        vertices, distances = sample_garment_nodes(garment, count)
+        rest = garment.vertices[vertices]
+        nodes, weights = initial_skinning_weights(garment, distances, influences)
+        return cls(rest, closest_bones(rest, rig.heads, rig.tails), nodes, weights)
 
 
 def sample_garment_nodes(garment: Garment, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -7,57 +7,16 @@ those of the garment model file. Dimensions: `B` poses, `S` bodies, `N` points, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import nn
 from torch.nn import functional
 
 from physkin_core.model.hyper_modulator import ENCODING_FREQUENCIES, HEADS, token_features
+from physkin_training.config import NetworkConfig
 
-__all__ = ["HyperModulator", "ModulatedMLP", "NetworkConfig", "Networks"]
+__all__ = ["HyperModulator", "ModulatedMLP", "Networks"]
 
 ACTIVATIONS = {"silu": functional.silu, "relu": functional.relu}
-CONDITIONINGS = ("modulation", "concatenation")
-
-
-@dataclass(frozen=True)
-class NetworkConfig:
-    """Sizes of the networks.
-
-    As many network weights a frame as the paper's (a pose modulator of 4 layers of 512, a node deformer of 4 of 128),
-    spent where they do more: a node deformer twice as wide, whose last layer spans twice as many drapes.
-    conditioning: "modulation" as in the paper, scale and shift for every hidden activation; or, to compare with,
-    "concatenation" of the body's code to the pose vector and of the pose's code to the node deformer's input.
-    """
-
-    pose_hidden: int = 384
-    pose_layers: int = 3
-    deformer_hidden: int = 256
-    deformer_layers: int = 4
-    node_outputs: int = 12
-    activation: str = "silu"
-    conditioning: str = "modulation"
-    token_width: int = 128
-    feed_forward: int = 256
-    residual_blocks: int = 2
-
-    def __post_init__(self) -> None:
-        for key in ("pose_hidden", "pose_layers", "deformer_hidden", "deformer_layers", "token_width", "feed_forward"):
-            if getattr(self, key) < 1:
-                raise ValueError(f"networks.{key} must be at least 1, got {getattr(self, key)}")
-        if self.residual_blocks < 0:
-            raise ValueError(f"networks.residual_blocks must be at least 0, got {self.residual_blocks}")
-        if self.token_width % HEADS:
-            raise ValueError(f"networks.token_width must be a multiple of {HEADS}, got {self.token_width}")
-        if self.activation not in ACTIVATIONS:
-            raise ValueError(f"activation {self.activation!r} is not one of {', '.join(ACTIVATIONS)}")
-        if self.conditioning not in CONDITIONINGS:
-            raise ValueError(f"conditioning {self.conditioning!r} is not one of {', '.join(CONDITIONINGS)}")
-        if self.node_outputs not in (9, 12):
-            raise ValueError(
-                f"node_outputs must be 9 (6-D rotation, translation) or 12 (affine), got {self.node_outputs}"
-            )
 
 
 class ModulatedMLP(nn.Module):

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from tabulate import tabulate
 from torch.nn.functional import normalize
 
 from physkin_core.avatar.avatar import avatar_from_body
@@ -131,7 +132,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"error: --store needs model files, got {', '.join(map(str, options.models))}", file=sys.stderr)
         return 2
     takes = (*bundled_motions(), "uniform")
-    print(f"| degrees: median, p99 | {' | '.join(takes)} |\n" + "|---" * (len(takes) + 1) + "|")
+    table: list[list[str]] = []
     for path in options.models:
         try:
             model = load_garment_model(path)
@@ -146,7 +147,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         rows[f"{model.name}, as stored"] = model
         for label, measured in rows.items():
             errors = normal_errors(measured, bodies=MEASURED_BODIES, frames=MEASURED_FRAMES)
-            print(f"| {label} | " + " | ".join(f"{errors[t].median:.1f}, {errors[t].p99:.0f}" for t in takes) + " |")
+            table.append([label, *(f"{errors[take].median:.1f}, {errors[take].p99:.0f}" for take in takes)])
+    print(tabulate(table, ["degrees: median, p99", *takes], tablefmt="pipe"))
     return 0
 
 

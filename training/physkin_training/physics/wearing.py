@@ -7,6 +7,7 @@ Dimensions: `n` garment vertices, `b` bones, `f` contact faces, `k` band vertice
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import get_args
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -17,11 +18,11 @@ from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.rig.rig import Rig
+from physkin_training.config import OtherLimbs
 
 __all__ = ["OTHER_LIMBS", "Wearing"]
 
-OTHER_LIMBS = ("one_way", "both_ways")
-"""How a limb that a vertex lies nowhere on presses it: towards its own place on the body alone, or as any part does."""
+OTHER_LIMBS = get_args(OtherLimbs)
 
 WORN_WITHIN = 0.15
 """A vertex is worn on body parts that come this close [m] at the canonical pose."""

@@ -15,10 +15,11 @@ import numpy as np
 import torch
 import warp as wp
 
+from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.rig.rig import Rig
 
-__all__ = ["BodySet", "PosedBodies"]
+__all__ = ["BodySet", "PosedBodies", "posed_avatar"]
 
 GRID_SPACING = 3.0
 """Distance [m] between neighbouring samples' roots in the shared mesh."""
@@ -121,8 +122,8 @@ class BodySet:
 class PosedBodies:
     """Poses a fixed number of samples, each a body of a `BodySet`, and keeps their joint contact mesh.
 
-    faces: (f, 3) of the body that the contact mesh has, default all. `bone_transforms` (B, b, 3, 4), `offset` (B, 3),
-    `mesh`: valid after `pose`.
+    faces: (f, 3) of the body that the contact mesh has, default all. `offset` (B, 3) [m]: where each sample's root
+    is in `mesh`, which is that of the last `pose`.
     """
 
     def __init__(self, model: BodyModel, bodies: BodySet, samples: int, *, faces: np.ndarray | None = None) -> None:
@@ -160,24 +161,24 @@ class PosedBodies:
         """Pose the set's first body in all of positions (P, d) [rad], as many at once as there are samples; the last
         pose fills up what is left. Yields which ones the first samples have now."""
         samples = len(self.offset)
-        first = torch.zeros(samples, dtype=torch.int64, device=self.offset.device)
         for start in range(0, len(positions), samples):
             rows = np.minimum(np.arange(start, start + samples), len(positions) - 1)
-            self.pose(torch.tensor(positions[rows], dtype=torch.float32, device=self.offset.device), first)
+            self.pose(torch.tensor(positions[rows], dtype=torch.float32, device=self.offset.device))
             yield slice(start, min(start + samples, len(positions)))
 
-    def pose(self, joint_positions: torch.Tensor, body_index: torch.Tensor) -> torch.Tensor:
-        """Pose the samples and refit the contact mesh.
+    @property
+    def vertices(self) -> torch.Tensor:
+        """(B, V, 3) [m] surfaces of the bodies posed last, in their root frames."""
+        return wp.to_torch(self.mesh.points).view(len(self.offset), -1, 3) - self.offset[:, None]
 
-        joint_positions: (B, d) [rad]. body_index: (B,) int64 into the body set. Returns bone transforms (B, b, 3, 4).
-        """
-        samples = len(joint_positions)
+    def bone_transforms(self, joint_positions: torch.Tensor, body_index: torch.Tensor) -> torch.Tensor:
+        """Bone transforms (B, b, 3, 4) at joint_positions (B, d) [rad] of bodies (B,) int64; the mesh stays."""
         heads = self.bodies.heads[body_index]
         rotations = wp.from_torch(self._rotations, dtype=wp.mat33)
         translations = wp.from_torch(self._translations, dtype=wp.vec3)
         wp.launch(
             forward_kinematics_kernel,
-            dim=samples,
+            dim=len(joint_positions),
             inputs=[
                 wp.from_torch(joint_positions.contiguous()),
                 wp.from_torch(heads, dtype=wp.vec3),
@@ -190,20 +191,46 @@ class PosedBodies:
             outputs=[rotations, translations],
             device=self.device,
         )
+        return torch.cat([self._rotations, self._translations[..., None]], dim=-1)
+
+    def pose(self, joint_positions: torch.Tensor, body_index: torch.Tensor | None = None) -> torch.Tensor:
+        """Pose the samples, all of body 0 by default, and refit the contact mesh; otherwise as `bone_transforms`."""
+        if body_index is None:
+            body_index = torch.zeros(len(joint_positions), dtype=torch.int64, device=self.offset.device)
+        transforms = self.bone_transforms(joint_positions, body_index)
         wp.launch(
             pose_body_kernel,
-            dim=(samples, self.bodies.vertices.shape[1]),
+            dim=(len(joint_positions), self.bodies.vertices.shape[1]),
             inputs=[
                 wp.from_torch(self.bodies.vertices, dtype=wp.vec3),
                 wp.from_torch(body_index),
                 self._influence_bones,
                 self._influence_weights,
-                rotations,
-                translations,
+                wp.from_torch(self._rotations, dtype=wp.mat33),
+                wp.from_torch(self._translations, dtype=wp.vec3),
                 wp.from_torch(self.offset, dtype=wp.vec3),
             ],
             outputs=[self.mesh.points],
             device=self.device,
         )
         self.mesh.refit()
-        return torch.cat([self._rotations, self._translations[..., None]], dim=-1)
+        return transforms
+
+
+def posed_avatar(avatar: Avatar, rig: Rig, samples: int, device: torch.device) -> PosedBodies:
+    """One avatar, `samples` times: body 0 of a set of one."""
+    none = np.zeros((1, 0), dtype=np.float32)
+    model = BodyModel(
+        rig=rig,
+        faces=avatar.faces,
+        influence_bones=avatar.influence_bones,
+        influence_weights=avatar.influence_weights,
+        mean_vertices=avatar.vertices,
+        vertex_components=np.zeros((0, *avatar.vertices.shape)),
+        mean_bones=np.stack([avatar.bone_heads, avatar.bone_tails], axis=1),
+        bone_components=np.zeros((0, len(avatar.bone_heads), 2, 3)),
+        garment_body=none[0],
+        train_bodies=none,
+        held_out_bodies=none,
+    )
+    return PosedBodies(model, BodySet(model, none, device), samples)

@@ -29,6 +29,8 @@ OWN_BUFFERS = ("influence_bias", "networks.node_mean", "networks.node_scale")
 """What a run sets for itself, beside what it trains."""
 FIT = "networks.hyper_modulator.fit"
 """What only a run that makes to measure, too, has."""
+FORMERLY = {"body_distribution": "adults"}
+"""Keys of configurations of earlier versions, and what all runs have now."""
 SAME = 1e-6
 """Rest positions [m] and joint limits [rad] that differ by less are the same: another processor rounds differently."""
 
@@ -254,7 +256,7 @@ def _set_random_state(random: Mapping[str, torch.Tensor], processes: Processes, 
 
 def _check_same_config(saved: dict, current: dict) -> None:
     for key in sorted(set(saved) | set(current)):
-        before, now = saved.get(key), current.get(key)
+        before, now = saved.get(key), current.get(key, FORMERLY.get(key))
         if isinstance(before, dict) and isinstance(now, dict):
             _check_same_config(before, now)
         elif before != now:

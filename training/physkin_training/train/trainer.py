@@ -18,16 +18,17 @@ from pathlib import Path
 
 import torch
 
+from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment import load_garment
 from physkin_core.model.model_file import load_garment_model
 from physkin_training.config import TrainingConfig
-from physkin_training.networks.draping import Drape, GarmentNodes
+from physkin_training.networks.draping import Drape
+from physkin_training.networks.garment_nodes import GarmentNodeSet
 from physkin_training.networks.made_to_measure import MadeToMeasure
 from physkin_training.networks.warm_start import take_over_model
 from physkin_training.physics.physics_losses import TERMS, PhysicsLosses
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
-from physkin_training.sampling.fantastical_bodies import BODY_DISTRIBUTIONS
 from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 from physkin_training.train.checkpoint import Progress, load_checkpoint, load_drape, save_checkpoint
@@ -62,10 +63,18 @@ class Trainer:
     `step` counts finished steps; `drape` is the model in training, `averaged` its exponential moving average (the drape
     itself where the configuration averages nothing), `best` the average with the lowest `validation_energy` [J] (the
     last one measured), both None until pose range and influences are final. `started_from`: plain data on the run this
-    one took its networks from, or None. Of several `processes` each makes a trainer and calls the same methods.
+    one took its networks from, or None. `body_model`: whose training bodies it takes, default the shipped adults. Of
+    several `processes` each makes a trainer and calls the same methods.
     """
 
-    def __init__(self, config: TrainingConfig, device: torch.device, *, processes: Processes | None = None) -> None:
+    def __init__(
+        self,
+        config: TrainingConfig,
+        device: torch.device,
+        *,
+        processes: Processes | None = None,
+        body_model: BodyModel | None = None,
+    ) -> None:
         torch.manual_seed(config.seed)
         self.config = config
         self.device = device
@@ -83,12 +92,12 @@ class Trainer:
         self._samples, self._bodies = optimisation.samples // count, optimisation.bodies // count
         if optimisation.made_to_measure and self._bodies < 2:
             raise ValueError('optimisation.fit = "both" needs at least 2 bodies a step for each process')
-        body_model = BODY_DISTRIBUTIONS[config.body_distribution]()
+        self.body_model = body_model = body_model or load_body_model()
         if config.train_bodies > len(body_model.train_bodies):
             raise ValueError(f"train_bodies must be 1 to {len(body_model.train_bodies)}, got {config.train_bodies}")
         self.rig = body_model.rig
         self.garment = load_garment(config.garment)
-        nodes = GarmentNodes.sample(
+        nodes = GarmentNodeSet.sample(
             self.garment, self.rig, config.garment_nodes.count, config.garment_nodes.initial_influences
         )
         self.nodes = nodes
@@ -117,7 +126,7 @@ class Trainer:
             heavy_energy=optimisation.heavy_energy,
             rest=rest,
         )
-        self._validation = Validation(
+        self.validation = Validation(
             config, body_model, self.garment, self.bodies, wearing, self.processes, fits=self.fits, rest=rest
         )
         self.range = torch.zeros((), device=device)
@@ -128,13 +137,13 @@ class Trainer:
         self.gradient_norm = torch.zeros((), device=device)
         self.optimiser = self._make_optimiser()
         self._recorded = RecordedStep(
-            lambda: self._compute_step(),
+            lambda: self.take_step(),
             device,
             clear=lambda: self.optimiser.zero_grad(set_to_none=True),
             in_company=count > 1,
         )
-        self._influences = config.garment_nodes.initial_influences
-        self._encoder_points = optimisation.encoder_points
+        # Nothing is pruned before the first step, whatever its schedule says.
+        self.schedule = replace(Schedule.at(0, config), influences=config.garment_nodes.initial_influences)
         if count > 1:
             self.processes.seed_samples(config.seed, 0)
 
@@ -145,13 +154,13 @@ class Trainer:
             self._set_schedules()
             self._recorded()
             self.step += 1
-            self._validate()
+            self.validate()
             yield self.step
 
     @property
     def validation_energy_made_to_measure(self) -> float | None:
         """The part of the last `validation_energy` [J] of rest shapes made to measure; None where there are none."""
-        return self._validation.made_to_measure
+        return self.validation.made_to_measure
 
     def choose_steps(self, seconds: float) -> float:
         """Set the run's steps so that it takes `seconds` from now on, measuring included. Returns the rate [steps/s].
@@ -209,7 +218,7 @@ class Trainer:
         Raises TrainingDiverged when it is not finite.
         """
         with self._recorded.beside():
-            energy = self._validation.energy(self.averaged, self.node_positions, with_gravity=False)
+            energy = self.validation.energy(self.averaged, self.node_positions, with_gravity=False)
         if not math.isfinite(energy):
             raise TrainingDiverged(f"the averaged drape's energy is {energy} at step {self.step}")
         return energy
@@ -221,7 +230,7 @@ class Trainer:
         states = [{name: tensor.clone() for name, tensor in drape.state_dict().items()} for drape in drapes]
         on_gpu = self.device.type == "cuda"
         random = torch.get_rng_state(), torch.cuda.get_rng_state(self.device) if on_gpu else None
-        before = self._influences, self._encoder_points, self.losses.reach
+        before = self.schedule
         self.config = replace(config, optimisation=replace(config.optimisation, steps=PARTS))
         end = min(config.optimisation.full_encoding, 1 - 1 / PARTS)
         late = self._steady_rate(LATE, seconds)
@@ -229,7 +238,7 @@ class Trainer:
         mean = 1 / (end / late + (1 - end) / last)
         self._recorded.forget()
         self.config, self.step = config, 0
-        self._influences, self._encoder_points, self.losses.reach = before
+        self.schedule = before
         for drape, state in zip(drapes, states):
             drape.load_state_dict(state)
         self.optimiser.zero_grad(set_to_none=True)
@@ -311,7 +320,7 @@ class Trainer:
         for _ in range(math.ceil(NORMALISING_POSES / self._samples)):
             positions, _ = self.sampler.sample(self._samples, 1.0)
             body = torch.randint(len(self.bodies), (self._samples,), device=self.device)
-            bones = self.posed_bodies.pose(positions, body)
+            bones = self.posed_bodies.bone_transforms(positions, body)
             node_positions = self.node_positions[body]
             if self.fits is not None:
                 every_second = torch.arange(self._samples, device=self.device) % 2 == 1
@@ -329,22 +338,22 @@ class Trainer:
         return torch.optim.Adam(groups, capturable=on_gpu, fused=on_gpu)
 
     def _set_schedules(self) -> None:
-        schedule = Schedule.at(self.step, self.config)
+        before, self.schedule = self.schedule, Schedule.at(self.step, self.config)
+        schedule = self.schedule
         self.range.fill_(schedule.pose_range)
         self.losses.contact_stiffness.fill_(self.config.material.contact_stiffness * schedule.contact)
         rates = (schedule.learning_rate, schedule.skinning_rate)
         for group, rate in zip(self.optimiser.param_groups, rates, strict=True):
             group["lr"].fill_(rate)
         self._average_decay.fill_(schedule.average_decay)
-        if schedule.influences < self._influences:
-            self._influences = schedule.influences
+        if schedule.influences < before.influences:
             self.drape.prune_influences(schedule.influences)
             self.averaged.influence_bias.copy_(self.drape.influence_bias)
-        if (schedule.encoder_points, schedule.reach) != (self._encoder_points, self.losses.reach):
-            self._encoder_points, self.losses.reach = schedule.encoder_points, schedule.reach
+        self.losses.reach = schedule.reach
+        if (schedule.encoder_points, schedule.reach) != (before.encoder_points, before.reach):
             self._recorded.forget()
 
-    def _validate(self) -> None:
+    def validate(self) -> None:
         """Measure the average, every so often and at the end, and keep it if it is the best."""
         optimisation = self.config.optimisation
         if self.step % optimisation.validate_every and self.step != optimisation.steps:
@@ -353,21 +362,21 @@ class Trainer:
         if last.pose_range < 1 or last.influences > self.config.garment_nodes.influences:
             return
         with self._recorded.beside():
-            self.validation_energy = self._validation.energy(self.averaged, self.node_positions)
+            self.validation_energy = self.validation.energy(self.averaged, self.node_positions)
         if math.isfinite(self.validation_energy) and (self.best is None or self.validation_energy < self.best.energy):
             self.best = BestModel.of(self.averaged, step=self.step, energy=self.validation_energy)
 
-    def _draw(self) -> tuple[torch.Tensor, ...]:
+    def draw(self) -> tuple[torch.Tensor, ...]:
         """Bodies (S,), joint positions (B, d) [rad], gravity (B, 3), surface points and normals (S, N, 3) of a step."""
         chosen = torch.randint(len(self.bodies), (self._bodies,), device=self.device)
         positions, gravity = self.sampler.sample(self._samples, self.range)
-        return chosen, positions, gravity, *self.bodies.sample_points(chosen, self._encoder_points)
+        return chosen, positions, gravity, *self.bodies.sample_points(chosen, self.schedule.encoder_points)
 
-    def _compute_step(self) -> None:
+    def take_step(self) -> None:
         optimisation = self.config.optimisation
         per_body = self._samples // self._bodies
         with torch.no_grad():
-            chosen, positions, gravity, *surface = self._draw()
+            chosen, positions, gravity, *surface = self.draw()
             body_index = chosen.repeat_interleave(per_body)
             bone_transforms = self.posed_bodies.pose(positions, body_index)
             if self.fits is None:
@@ -379,7 +388,7 @@ class Trainer:
             posed_nodes = self.drape.posed_nodes(bone_transforms, node_positions)
         modulation = self.drape.networks.hyper_modulator(*surface, fit)
         vertices = self.drape(modulation.repeat_interleave(per_body, dim=0), positions, gravity, posed_nodes, rest)
-        loss = self._loss(vertices, gravity)
+        loss = self.objective(vertices, gravity)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         self.processes.average([parameter.grad for parameter in self.drape.parameters()])
@@ -388,7 +397,7 @@ class Trainer:
         self._update_average()
         self.gradient_norm.copy_(norm)
 
-    def _loss(self, vertices: torch.Tensor, gravity: torch.Tensor) -> torch.Tensor:
+    def objective(self, vertices: torch.Tensor, gravity: torch.Tensor) -> torch.Tensor:
         """What a step descends, from drapes (B, n, 3): the mean energy [J], which is also summed up for reports."""
         loss, energies = self.losses(vertices, gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
         self._energy_sum += torch.stack([getattr(energies, term).mean() for term in TERMS])

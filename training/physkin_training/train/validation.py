@@ -54,7 +54,8 @@ class Validation:
     All buffers are its own and it draws nothing from torch's random streams, so that neither a recorded step nor the
     samples to come notice it. Of several processes each measures its share of the same set.
     fits, rest: rest shapes of the set, where training has them made to measure, too; then the set is measured both
-    ways. `made_to_measure`: the last mean energy [J] of these, None where there are none.
+    ways. `made_to_measure`: the last mean energy [J] of these, None where there are none. `chosen` (k, S) indices of
+    bodies, `positions` (k, B, d) [rad] and `gravity` (k, B, 3): this process's share of the set.
     """
 
     def __init__(
@@ -81,13 +82,13 @@ class Validation:
         def share(values: torch.Tensor) -> torch.Tensor:
             return values.chunk(processes.count, dim=1)[processes.rank].contiguous().to(device)
 
-        self._positions, self._gravity = (share(torch.stack(part)) for part in zip(*samples))
-        self._chosen = share(chosen)
+        self.positions, self.gravity = (share(torch.stack(part)) for part in zip(*samples))
+        self.chosen = share(chosen)
         self._per_body = optimisation.samples // optimisation.bodies
         self._points, self._normals = self._surfaces(bodies)
-        count = self._positions.shape[1]
+        count = self.positions.shape[1]
         self._posed_bodies = PosedBodies(body_model, bodies, count, faces=wearing.faces)
-        self._losses = PhysicsLosses(
+        self.losses = PhysicsLosses(
             garment,
             config.material,
             count,
@@ -105,8 +106,8 @@ class Validation:
         node_positions: of all bodies of the set at the template (see `Drape.node_positions`). Waits for the device."""
         ways = [False] if self._fits is None else [False, True]
         totals = torch.zeros(len(ways), device=node_positions.device)
-        for batch, chosen in enumerate(self._chosen):
-            positions, gravity = self._positions[batch], self._gravity[batch]
+        for batch, chosen in enumerate(self.chosen):
+            positions, gravity = self.positions[batch], self.gravity[batch]
             body_index = chosen.repeat_interleave(self._per_body)
             bones = self._posed_bodies.pose(positions, body_index)
             for way, made in enumerate(ways):
@@ -114,13 +115,13 @@ class Validation:
                 if made:
                     worn = self._fits.worn(body_index, torch.ones_like(body_index, dtype=torch.bool))
                     placed, fit, rest = worn.node_positions, torch.ones(len(chosen), device=placed.device), worn.rest
-                    self._losses.rest_row.copy_(worn.rows)
+                    self.losses.rest_row.copy_(worn.rows)
                 else:
-                    self._losses.rest_row.zero_()
+                    self.losses.rest_row.zero_()
                 modulation = drape.networks.hyper_modulator(self._points[batch], self._normals[batch], fit)
                 modulation = modulation.repeat_interleave(self._per_body, dim=0)
                 vertices = drape(modulation, positions, gravity, drape.posed_nodes(bones, placed), rest)
-                mean, energies = self._losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
+                mean, energies = self.losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
                 totals[way] += (mean if with_gravity else mean - energies.gravity.mean()) / BATCHES
         self._processes.average([totals])
         means = totals.tolist()
@@ -129,8 +130,8 @@ class Validation:
 
     def _surfaces(self, bodies: BodySet) -> tuple[torch.Tensor, torch.Tensor]:
         """Points and normals (k, S, N, 3) of the chosen bodies, the ones that the run time takes."""
-        vertices, faces = bodies.vertices[self._chosen].cpu().numpy(), bodies.faces.cpu().numpy()
+        vertices, faces = bodies.vertices[self.chosen].cpu().numpy(), bodies.faces.cpu().numpy()
         pairs = [sample_surface(body, faces, POINT_COUNT) for batch in vertices for body in batch]
-        shape = (*self._chosen.shape, POINT_COUNT, 3)
+        shape = (*self.chosen.shape, POINT_COUNT, 3)
         device = bodies.vertices.device
         return tuple(torch.as_tensor(np.stack(part), device=device).view(shape) for part in zip(*pairs))

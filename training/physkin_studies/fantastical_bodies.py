@@ -7,7 +7,6 @@ Dimensions: `V` body vertices, `b` bones, `c` shape coefficients, `s` bodies. Me
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 
-__all__ = ["BODY_DISTRIBUTIONS", "KINDS", "Swelling", "fantastical_body_model"]
+__all__ = ["KINDS", "Swelling", "fantastical_body_model"]
 
 TRAIN_BODIES, HELD_OUT_BODIES = 256, 32
 SEED = 7
@@ -133,10 +132,3 @@ def _swellings(names: tuple[str, ...], bones: np.ndarray, kind: Kind, generator:
         if place.endswith(".L") and generator.random() < MIRRORED:
             found.append(at(place.replace(".L", ".R"), growth))
     return found
-
-
-BODY_DISTRIBUTIONS: dict[str, Callable[[], BodyModel]] = {
-    "adults": load_body_model,
-    "fantastical": fantastical_body_model,
-}
-"""Name in a training configuration -> the body model with its bodies to train on and held-out ones."""

@@ -11,7 +11,7 @@ import warp as wp
 from physkin_training.physics.surface_queries import BodySurface
 from physkin_training.sampling.posed_bodies import PosedBodies
 
-__all__ = ["OFF_SKIN", "Seats", "is_covered", "winding"]
+__all__ = ["Seats"]
 
 OFF_SKIN = 0.0002
 """How far outside [m] a point of the skin is looked at to tell whether it is inside the body."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from physkin_core import load_body_model
-from physkin_training.sampling.fantastical_bodies import KINDS, Swelling, fantastical_body_model
+from physkin_studies.fantastical_bodies import KINDS, Swelling, fantastical_body_model
 
 ADULTS = load_body_model()
 

@@ -1,0 +1,58 @@
+"""What tests of several folders share: quiet, small validation, and a run of the command to its end."""
+
+from __future__ import annotations
+
+from functools import partialmethod
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture(autouse=True, scope="session")
+def quiet():
+    """Warp says nothing of what it compiles, and the set that models are chosen by is a quarter of its size."""
+    try:
+        import warp as wp
+
+        from physkin_training.train import validation
+    except ImportError:
+        return
+    wp.config.quiet = True
+    validation.BATCHES = 1
+
+
+@pytest.fixture(scope="session")
+def finished_run(tmp_path_factory) -> Path:
+    """A folder with `band.toml`, `band.obj`, and the command's `out`: stopped by the clock at step 4, then resumed."""
+    from training.small_runs import as_toml, small_config
+
+    from physkin_training.train.train import main
+
+    folder = tmp_path_factory.mktemp("finished")
+    (folder / "band.toml").write_text(as_toml(small_config(folder)))
+    common = ["--config", str(folder / "band.toml"), "--output", str(folder / "out"), "--device", "cpu"]
+    assert main([*common, "--log-every", "4", "--stop-after", "1e-9"]) == 0
+    assert not list((folder / "out").glob("*.safetensors")), "no model before the run is finished"
+    assert main([*common, "--log-every", "4", "--resume", str(folder / "out" / "checkpoint")]) == 0
+    return folder
+
+
+@pytest.fixture
+def rough_minima(monkeypatch):
+    """Full-space minima after a few iterations, for tests of what is done with them."""
+    from physkin_training.physics.full_space_solver import FullSpaceSolver
+
+    monkeypatch.setattr(FullSpaceSolver, "minimise", partialmethod(FullSpaceSolver.minimise, iterations=4))
+
+
+@pytest.fixture
+def unfitted_normals(monkeypatch):
+    """Export with the mesh's own normals, which saves a second."""
+    from physkin_core.model.garment import vertex_normals
+    from physkin_training.train import train
+
+    def own(drape, garment, rig) -> np.ndarray:
+        return vertex_normals(garment.vertices, garment.faces)
+
+    monkeypatch.setattr(train, "fitted_rest_normals", own)
