@@ -52,7 +52,7 @@ FORWARDED = {
 EXTRAS = {
     "ros": ("rclpy", "sensor_msgs", "diagnostic_msgs", "rcl_interfaces"),
     "replay": ("rosbags", "apsw"),
-    "training": ("torch", "warp", "potpourri3d", "rich", "tensorboard", "physkin_training"),
+    "training": ("torch", "warp", "potpourri3d", "rich", "tensorboard", "matplotlib", "tabulate", "physkin_training"),
     "view": ("mitsuba", "PIL"),
 }
 """Extra of the pip package -> import packages it brings; colcon leaves `physkin_training` out."""
