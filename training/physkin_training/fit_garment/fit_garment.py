@@ -53,7 +53,7 @@ def choose_steps(config: TrainingConfig, device: torch.device, budget: TimeBudge
     began = budget.spent
     trainer = Trainer(config, device)
     set_up = budget.spent - began  # the run itself sets up once more
-    seconds = budget.left - set_up - min(REST * budget.seconds, LONGEST_REST)
+    seconds = _for_training(budget) - set_up
     minutes = f"{budget.seconds / 60:g} minutes in all"
     try:
         rate = trainer.choose_steps(seconds)
@@ -68,6 +68,10 @@ def choose_steps(config: TrainingConfig, device: torch.device, budget: TimeBudge
         )
     log.info("%d steps of %.0f ms in %s, export and report included", steps, 1000 / rate, minutes)
     return steps
+
+
+def _for_training(budget: TimeBudget) -> float:
+    return budget.left - min(REST * budget.seconds, LONGEST_REST)
 
 
 def as_toml(config: TrainingConfig) -> str:
@@ -175,7 +179,10 @@ def _train_and_report(
     (folder / "losses.jsonl").unlink(missing_ok=True)
     began = budget.spent
     arguments = ["--config", str(configuration), "--output", str(folder), "--device", options.device]
-    status = train.main([*arguments, "--log-every", str(max(1, min(200, steps // 200)))])
+    arguments += ["--log-every", str(max(1, min(200, steps // 200)))]
+    if not options.steps:
+        arguments += ["--within", str(max(_for_training(budget), 1.0) / 60)]
+    status = train.main(arguments)
     if status:
         return status
     seconds = budget.spent - began
