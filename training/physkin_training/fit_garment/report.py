@@ -28,6 +28,8 @@ __all__ = ["html_table", "loss_curve", "write_report"]
 
 FIRST_POSES = 2
 """Poses a body that are evaluated first, to see how many there is time for."""
+PICTURE_SECONDS = 20.0
+"""The first pictures, with what they load and compile."""
 SHEET_POSES = 6
 SHEET_WIDTH = 190
 VIEWS = (20, 110, 200)
@@ -97,7 +99,7 @@ def _pictures(
     path: Path, model: GarmentModel, checked: CheckedGarment, template: Avatar, device: torch.device, budget: TimeBudget
 ) -> list[str]:
     late = f"there was no time for {{}}: physkin contact-sheet {path.with_suffix('.safetensors').name} draws drapes"
-    if budget.left <= 0:
+    if budget.left < PICTURE_SECONDS:
         return [_note(late.format("them"))]
     try:
         rest, rate = budget.rate(lambda: _at_rest(checked, template))  # three renderings, larger than a pose's three
