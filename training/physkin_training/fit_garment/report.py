@@ -28,7 +28,7 @@ __all__ = ["html_table", "loss_curve", "write_report"]
 
 FIRST_POSES = 2
 """Poses a body that are evaluated first, to see how many there is time for."""
-PICTURE_SECONDS = 20.0
+PICTURE_SECONDS = 30.0
 """The first pictures, with what they load and compile."""
 SHEET_POSES = 6
 SHEET_WIDTH = 190
