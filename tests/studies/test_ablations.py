@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from dataclasses import replace
 
 import pytest
@@ -169,14 +168,6 @@ def test_other_meshes_are_measured_once(finished, monkeypatch):
 def test_impossible_requests_are_told(tmp_path, capsys, arguments, message):
     assert main(["--output", str(tmp_path), *arguments]) == 2
     assert message in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_rows_need_neither_plots_nor_ray_queries():
-    """The machine with the GPU has no rich, TensorBoard, gpytoolbox, rtree or mitsuba."""
-    blocked = ("rich", "matplotlib", "tensorboard", "gpytoolbox", "rtree", "mitsuba", "PIL", "rclpy")
-    code = f"import sys\nfor name in {blocked!r}: sys.modules[name] = None\nimport physkin_studies.ablations"
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_rows_wear_the_template_whatever_the_configuration(tmp_path):

@@ -10,7 +10,6 @@ pytest.importorskip("potpourri3d", reason="needs the [training] extra")
 
 from training.small_runs import small_config  # noqa: E402
 
-from physkin_core import load_body_model  # noqa: E402
 from physkin_studies import supervised  # noqa: E402
 from physkin_studies.supervised import SimulatedDrapes, SupervisedTrainer, simulate_drapes  # noqa: E402
 from physkin_training.train.trainer import Trainer  # noqa: E402
@@ -107,16 +106,3 @@ def test_drapes_of_another_count_a_body_are_refused(made_up, tmp_path):
     config, _, drapes = made_up
     with pytest.raises(ValueError, match="drapes must be 1 a body, got 2"):
         SupervisedTrainer(small_config(tmp_path), CPU, drapes)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("other_limbs, one_way", [("one_way", True), ("both_ways", False)])
-def test_training_validation_and_simulation_have_the_configured_contact(tmp_path, other_limbs, one_way):
-    """An arm beside a belly band presses it one way or both, in all three; drapes of the other way are not taken."""
-    config = small_config(tmp_path, other_limbs=other_limbs)
-    trainer = Trainer(config, CPU)
-    simulation = supervised._StagedSimulation(trainer, load_body_model(), 2)
-    for losses in (trainer.losses, trainer._validation._losses, simulation._solver.losses):
-        assert losses._other_limb.numpy().any() == one_way
-    simulate_drapes(trainer, 1, tmp_path / "drapes", batch=2, iterations=1)
-    assert [other_limbs in path.name for path in (tmp_path / "drapes").iterdir()] == [True]
