@@ -112,23 +112,6 @@ def test_training_gets_what_the_rest_leaves(monkeypatch):
         fit_garment.choose_steps(few, CPU, TimeBudget(10, clock=watch))
 
 
-@pytest.mark.parametrize(("left", "poses"), [(1e6, 64), (31, 30), (2, 2), (-10, 2)])
-def test_as_many_poses_are_measured_as_there_is_time_for(left, poses, monkeypatch):
-    """Half a second a pose; half of what is left then is for pictures."""
-    watch, done = Watch(), []
-    budget = TimeBudget(1, clock=watch)
-    watch.now = 60.0 - left
-
-    def evaluate(*_, poses, **__):
-        watch.now += 0.5 * poses
-        done.append(poses)
-        return done[-1]
-
-    monkeypatch.setattr(report, "evaluate_model", evaluate)
-    assert report._evaluated(None, CPU, budget, 8, 64) == poses
-    assert budget.left >= min(0.4 * left, left - 1)
-
-
 @pytest.fixture
 def write_vest(garment_model, template, tmp_path, monkeypatch):
     """Writes the report on a small model with tiny pictures; returns the page."""
@@ -139,9 +122,9 @@ def write_vest(garment_model, template, tmp_path, monkeypatch):
     checked = CheckedGarment(garment.vertices, garment.faces, (Verdict("units", "warning", "a < b", "c & d"),))
     model = replace(garment_model, training={"optimisation": {"steps": 5, "samples": 2}})
 
-    def write(budget):
+    def write(budget, poses=1, pictures=True):
         paths = {"path": tmp_path / "vest.html", "losses": tmp_path / "none.jsonl"}
-        numbers = {"seconds": 90.0, "bodies": 1, "poses": 1, "pictures": True}
+        numbers = {"seconds": 90.0, "bodies": 1, "poses": poses, "pictures": pictures}
         report.write_report(
             model=model, checked=checked, template=template, device=CPU, budget=budget, **paths, **numbers
         )
@@ -159,6 +142,25 @@ def test_the_report_embeds_its_pictures(write_vest, tmp_path):
     assert len(images) == 2 and all(image.startswith(b"\x89PNG") for image in images)
     assert images[1] == (tmp_path / "vest.png").read_bytes()
     assert "a &lt; b" in page and "c &amp; d" in page and "trained for 1.5 minutes" in page
+
+
+@pytest.mark.parametrize(("left", "measured"), [(1e6, [2, 64]), (31, [2, 60]), (1.5, [2]), (-10, [2])])
+def test_as_many_poses_are_measured_as_there_is_time_for(left, measured, write_vest, monkeypatch):
+    """Half a second a pose."""
+    watch, done = Watch(), []
+    budget = TimeBudget(1, clock=watch)
+    watch.now = 60.0 - left
+    scores = report.evaluate_model
+
+    def evaluate(*arguments, poses, **options):
+        watch.now += 0.5 * poses
+        done.append(poses)
+        return scores(*arguments, poses=1, **options)
+
+    monkeypatch.setattr(report, "evaluate_model", evaluate)
+    write_vest(budget, poses=64, pictures=False)
+    assert done == measured
+    assert budget.left >= min(0, left - 1)
 
 
 def test_a_late_report_has_no_pictures(write_vest, tmp_path):

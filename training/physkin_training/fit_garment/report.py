@@ -63,7 +63,16 @@ def write_report(
     losses: the training's record. seconds: how long it took. bodies, poses: see `evaluate_model`; there are fewer poses
     and pictures where the budget has no time for all. Without the [view] extra the page has no pictures and says so.
     """
-    scores = _evaluated(model, device, budget, bodies, poses)
+
+    def evaluate(count: int) -> dict:
+        return evaluate_model(model, device, bodies=bodies, poses=count, seed=0, minimum=0, steps=0)
+
+    few = min(FIRST_POSES, poses)
+    scores, taken = budget.timed(lambda: evaluate(few))
+    shown = _pictures(path, model, checked, template, device, budget) if pictures else []
+    more = int(min(poses, few * budget.left / taken))
+    if more > few:
+        scores = evaluate(more)
     optimisation = model.training["optimisation"]
     steps, samples = optimisation["steps"], optimisation["samples"]
     counts = "{bodies} held-out bodies, {poses} poses each".format(**scores["counts"])
@@ -73,7 +82,7 @@ def write_report(
         f"{seconds / 60:.1f} minutes ({steps} steps of {samples} poses) on {html.escape(device.type)}.</p>",
         "<h2>The mesh</h2>",
         _verdicts(checked),
-        *(_pictures(path, model, checked, template, device, budget) if pictures else ()),
+        *shown,
         f"<h2>Figures</h2><p>{counts}.</p>",
         html_table(table(scores)),
         "<h2>Training</h2>",
@@ -83,18 +92,6 @@ def write_report(
     path.write_text(f"{page}<style>{STYLE}</style><body>\n" + "\n".join(parts) + "\n</body></html>\n", encoding="utf-8")
 
 
-def _evaluated(model: GarmentModel, device: torch.device, budget: TimeBudget, bodies: int, poses: int) -> dict:
-    """Scores of as many poses a body as half of what is left has time for, at most `poses`."""
-
-    def evaluate(count: int) -> dict:
-        return evaluate_model(model, device, bodies=bodies, poses=count, seed=0, minimum=0, steps=0)
-
-    few = min(FIRST_POSES, poses)
-    scores, rate = budget.rate(lambda: evaluate(few))
-    more = int(min(poses, few * rate / 2))
-    return evaluate(more) if more > few else scores
-
-
 def _pictures(
     path: Path, model: GarmentModel, checked: CheckedGarment, template: Avatar, device: torch.device, budget: TimeBudget
 ) -> list[str]:
@@ -102,8 +99,8 @@ def _pictures(
     if budget.left < PICTURE_SECONDS:
         return [_note(late.format("them"))]
     try:
-        rest, rate = budget.rate(lambda: _at_rest(checked, template))  # three renderings, larger than a pose's three
-        poses = int(min(SHEET_POSES, rate))
+        rest, taken = budget.timed(lambda: _at_rest(checked, template))  # three renderings, larger than a pose's three
+        poses = int(min(SHEET_POSES, budget.left / 2 / taken))
         parts = ["<p>As it was trained, on the template's body:</p>", _image(rest), "<h2>Drapes</h2>"]
         if poses < 1:
             return [*parts, _note(late.format("a sheet"))]

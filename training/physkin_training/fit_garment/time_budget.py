@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from typing import Any
 
 __all__ = ["TimeBudget"]
 
@@ -29,8 +30,8 @@ class TimeBudget:
         """Seconds, below 0 when the time is up."""
         return self.seconds - self.spent
 
-    def rate(self, work: Callable[[], object]) -> tuple[object, float]:
-        """What the work returns, and how often more it could be done in what is left then (below 0: no time is)."""
+    def timed(self, work: Callable[[], Any]) -> tuple[Any, float]:
+        """What the work returns, and the seconds it took."""
         began = self.spent
         result = work()
-        return result, self.left / max(self.spent - began, LEAST)
+        return result, max(self.spent - began, LEAST)
