@@ -55,7 +55,7 @@ FORWARDED = {
 EXTRAS = {
     "ros": ("rclpy", "sensor_msgs", "diagnostic_msgs", "rcl_interfaces"),
     "replay": ("rosbags", "apsw", "tabulate"),
-    "training": ("torch", "warp", "potpourri3d", "rich", "tensorboard", "physkin_training"),
+    "training": ("torch", "warp", "potpourri3d", "pydantic", "rich", "tensorboard", "physkin_training"),
     "view": ("mitsuba", "PIL", "matplotlib"),
 }
 """Extra of the pip package -> import packages it brings; colcon leaves `physkin_training` out."""

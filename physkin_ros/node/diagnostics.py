@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from physkin_core.runtime.push_out import ContactResidual
 
 from physkin_core import Rig
-from physkin_core.runtime.push_out import ContactResidual
 
 __all__ = ["AvatarStatistics", "GarmentStatistics", "Health", "HealthReporter", "PoseRange", "diagnostic_status"]
 

@@ -34,7 +34,7 @@ def test_a_forearm_through_the_belly_covers_it():
     seats = Seats(surface, BODY.faces, np.concatenate([trunk, head]))
     assert seats.covered(posed).shape == (2, len(trunk) + len(head)) and not seats.covered(posed).any()
     rng = np.random.default_rng(0)
-    poses = torch.tensor(rng.uniform(BODY.rig.lower, BODY.rig.upper, size=(64, len(rest))), dtype=torch.float32)
+    poses = torch.tensor(rng.uniform(BODY.rig.lower, BODY.rig.upper, size=(24, len(rest))), dtype=torch.float32)
     share = np.zeros(len(trunk) + len(head))
     for pose in poses:
         posed.pose(torch.stack([rest, pose]), both)
@@ -61,7 +61,8 @@ def test_rows_part_all_poses(monkeypatch, capsys):
     monkeypatch.setattr(strain_by_overlap, "load_garment_model", lambda path: model)
     assert main(["band", "--bodies", "2", "--poses", "12"]) == 0
     uniform = rows[0]
-    assert f"| **band** | {uniform.edge_strain:.2f} / {uniform.area_strain:.2f} (100 %) |" in capsys.readouterr().out
+    table = " ".join(capsys.readouterr().out.split())
+    assert f"| **band** | {uniform.edge_strain:.2f} / {uniform.area_strain:.2f} (100 %) |" in table
 
 
 @pytest.mark.parametrize("bodies", [0, 65])

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from matplotlib.figure import Figure
+from tabulate import tabulate
 
 from physkin_bench.cases import model_case
 from physkin_bench.timing import time_in_turns
@@ -19,7 +21,6 @@ from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.motion import load_motion
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
 from physkin_core.runtime.native_evaluator import NativeEvaluator
-from physkin_studies.ablation_plots import bars, curves
 from physkin_studies.ablation_rows import BASE, ROWS, finished_figures, model_path
 from physkin_studies.fantastical_bodies import KINDS, fantastical_body_model
 from physkin_studies.other_meshes import carried_to, other_meshes
@@ -138,9 +139,7 @@ def _other_meshes(report: Path, model: GarmentModel, bodies: int, poses: int) ->
 
 
 def _table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    header = list(header)
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(str(cell) for cell in line)} |" for line in lines)
+    return tabulate(rows, list(header), tablefmt="github", disable_numparse=True) if rows else ""
 
 
 def _cells(figures: Mapping[str, float]) -> list[str]:
@@ -148,7 +147,7 @@ def _cells(figures: Mapping[str, float]) -> list[str]:
 
 
 def _node_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
-    header = ["nodes", "skinning weights", *FIGURES, "skinning us", "frame us", "steps", "paper edge / area / inside %"]
+    header = ["nodes", "skinning weights", *FIGURES, "skinning µs", "frame µs", "steps", "paper edge / area / inside %"]
     lines = []
     for name in NODE_ROWS:
         if name in rows:
@@ -165,11 +164,11 @@ def _node_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
                     PAPER.get(name, "-"),
                 ]
             )
-    return _table(header, lines) if lines else ""
+    return _table(header, lines)
 
 
 def _network_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
-    header = ["", *FIGURES, "network weights a frame", "networks us", "frame us", "steps", "training s"]
+    header = ["", *FIGURES, "network weights a frame", "networks µs", "frame µs", "steps", "training s"]
     lines = []
     for name in NETWORK_ROWS:
         if name in rows:
@@ -183,7 +182,7 @@ def _network_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
     if BASE in rows:
         dashes = ["-"] * 5
         lines.append(["plain skinning, with the base's weights", *_cells(rows[BASE]["figures"]["skinning"]), *dashes])
-    return _table(header, lines) if lines else ""
+    return _table(header, lines)
 
 
 def _network_notes(rows: Mapping[str, dict]) -> str:
@@ -243,19 +242,28 @@ def _fantastical_notes() -> str:
 
 
 def _plot(report: Path, rows: Mapping[str, dict]) -> None:
-    lines = {
-        row["label"]: [(point["seconds"] / 60, point["energy_j"]) for point in row["curve"]] for row in rows.values()
-    }
-    (report / "ablations_curves.svg").write_text(
-        curves(lines, title="Averaged model, fixed bodies and poses", x="minutes", y="energy [J] but for gravity")
-    )
-    groups = {
-        row["label"]: {"edge %": model["edge_strain_percent"], "area %": model["area_strain_percent"]}
-        | {"inside, 0.1 %": 10 * model["inside_percent"]}
-        for row in rows.values()
-        for model in [row["figures"]["model"]]
-    }
-    (report / "ablations_figures.svg").write_text(bars(groups, title="Held-out adults, uniform poses"))
+    figure = Figure(figsize=(9, 4.5), layout="tight")
+    axes = figure.subplots()
+    for row in rows.values():
+        points = [(point["seconds"] / 60, point["energy_j"]) for point in row["curve"]]
+        axes.semilogy(*zip(*points), label=row["label"])
+    axes.set(title="Averaged model, fixed bodies and poses", xlabel="minutes", ylabel="energy [J] but for gravity")
+    _save(figure, report / "ablations_curves.svg")
+    figure = Figure(figsize=(9, 3.5), layout="tight")
+    axes = figure.subplots()
+    scaled = {"edge %": ("edge_strain_percent", 1), "area %": ("area_strain_percent", 1)}
+    scaled["inside, 0.1 %"] = ("inside_percent", 10)
+    for index, (label, (key, factor)) in enumerate(scaled.items()):
+        heights = [factor * row["figures"]["model"][key] for row in rows.values()]
+        axes.bar(np.arange(len(rows)) + 0.27 * (index - 1), heights, 0.25, label=label)
+    axes.set_xticks(range(len(rows)), [row["label"] for row in rows.values()], rotation=25, ha="right")
+    axes.set(title="Held-out adults, uniform poses")
+    _save(figure, report / "ablations_figures.svg")
+
+
+def _save(figure: Figure, path: Path) -> None:
+    figure.axes[0].legend(loc="upper left", bbox_to_anchor=(1, 1))
+    figure.savefig(path)
 
 
 def _fantastical_sheet(models: Mapping[str, GarmentModel]) -> np.ndarray:

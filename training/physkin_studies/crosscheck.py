@@ -1,8 +1,8 @@
 """Cross-check of the full-space solver against another project's: cloth of PyPI `newton`, made quasi-static by damping.
 
-`python -m physkin_studies.crosscheck GARMENT` drapes one garment on the body the shipped garments were made on, at one
-pose, with both solvers from the same start. Newton's vertex block descent has other elastic laws; they are given the
-same stiffness at small strain:
+`PYTHONPATH=training python -m physkin_studies.crosscheck GARMENT` drapes one garment on the body the shipped garments
+were made on, at one pose, with both solvers from the same start. Newton's vertex block descent has other elastic laws;
+they are given the same stiffness at small strain:
 
 - membrane: stable neo-Hookean with the Lame parameters of our St. Venant-Kirchhoff membrane (plane stress);
 - bending: 1/2 k l0 (theta - theta0)^2 an edge, with k = 6 B l0 / (A1 + A2) from our B 3 l0^2 / (A1 + A2) (...)^2;
@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from tabulate import tabulate
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
@@ -164,13 +165,13 @@ def table(garment: Garment, drapes: dict[str, Drape]) -> str:
     """Markdown table of drapes by name, one row each; all have the same terms of energy."""
     terms = next(iter(drapes.values())).energies
     head = ["", "seconds", "CPU seconds", "edge %", "area %", *(f"{name} J" for name in terms), "total J"]
-    rows = [head, ["---"] * len(head)]
+    rows = []
     for name, drape in drapes.items():
         strain = [function(garment, drape.vertices) for function in (edge_strain, area_strain)]
         energies = [float(values[0]) for values in drape.energies.values()]
         numbers = [*(f"{value:.1f}" for value in drape.seconds), *(f"{float(value):.3f}" for value in strain)]
         rows.append([name, *numbers, *(f"{value:.4f}" for value in [*energies, sum(energies)])])
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    return tabulate(rows, head, tablefmt="github", disable_numparse=True)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -1,8 +1,8 @@
 """How strain goes with the overlap of the body itself: what is the garment's, and what the pose's.
 
-`python -m physkin_studies.strain_by_overlap [MODEL ...]` prints Markdown tables: held-out bodies, poses uniform in the
-limits and every fourth frame of the bundled motions at 60 Hz; minutes a model. A pose's overlap is the share of the
-skin under the garment, vertex by vertex, that another part of the body covers.
+`PYTHONPATH=training python -m physkin_studies.strain_by_overlap [MODEL ...]` prints Markdown tables: held-out bodies,
+poses uniform in the limits and every fourth frame of the bundled motions at 60 Hz; minutes a model. A pose's overlap is
+the share of the skin under the garment, vertex by vertex, that another part of the body covers.
 
 Dimensions: `P` poses, `d` degrees of freedom, `n` garment vertices.
 """
@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from tabulate import tabulate
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
@@ -109,7 +110,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--bodies", type=int, default=BODIES, help="held-out adults (default %(default)s)")
     parser.add_argument("--poses", type=int, default=POSES, help="uniform poses a body (default %(default)s)")
     options = parser.parse_args(argv)
-    tables: dict[str, list[str]] = {kind: [] for kind in KINDS}
+    tables: dict[str, list[list[str]]] = {kind: [] for kind in KINDS}
     for path in options.models:
         model = load_garment_model(path)
         fits = (0.0, 1.0) if model.made_to_measure else (0.0,)
@@ -122,11 +123,11 @@ def main(argv: Sequence[str] | None = None) -> int:
                     if (row.fit, row.kind) == (fit, kind)
                 ]
                 name = "made to measure" if fit else f"**{Path(path).stem}**"
-                lines.append("| " + " | ".join([name, *cells]) + " |")
+                lines.append([name, *cells])
     between = [f"{low:g} to {high:g} %" for low, high in zip(LIMITS, LIMITS[1:])]
     for kind, lines in tables.items():
         heads = [f"{kind}: edge / area %, all", f"overlap up to {LIMITS[0]:g} %", *between, f"above {LIMITS[-1]:g} %"]
-        print("\n".join(["| " + " | ".join(["", *heads]) + " |", "|---" * (len(heads) + 1) + "|", *lines, ""]))
+        print(tabulate(lines, ["", *heads], tablefmt="github") + "\n")
     return 0
 
 

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from physkin_core.runtime.push_out import ContactResidual
 
 from physkin_core import load_body_model
-from physkin_core.runtime.push_out import ContactResidual
 from physkin_ros.node.diagnostics import AvatarStatistics, GarmentStatistics, HealthReporter, PoseRange
 
 SECOND = 1_000_000_000

@@ -9,6 +9,7 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.motion.retargeting import retarget
 from physkin_training.prepare.motion import FRAME_SIZE, JOINTS, prepare_motion, read_clip
 
+RIG = load_body_model().rig
 STANDING = np.zeros(FRAME_SIZE)
 STANDING[0], STANDING[2] = 1 / 30, 0.9
 for _, _columns in JOINTS.values():
@@ -35,16 +36,16 @@ def clip(path, *frames, loop="none"):
     return path
 
 
-def posed_heads(rig, positions):
+def posed_heads(positions):
     """(T, b, 3) joint centres in the root frame."""
-    transforms = rig.bone_transforms(positions)
-    return np.einsum("tbij,bj->tbi", transforms[..., :3], rig.heads) + transforms[..., 3]
+    transforms = RIG.bone_transforms(positions)
+    return np.einsum("tbij,bj->tbi", transforms[..., :3], RIG.heads) + transforms[..., 3]
 
 
-def limb(rig, positions, start, end):
+def limb(positions, start, end):
     """(T, 3) unit direction between two bones' heads."""
-    heads = posed_heads(rig, positions)
-    direction = heads[:, rig.bone_index(end)] - heads[:, rig.bone_index(start)]
+    heads = posed_heads(positions)
+    direction = heads[:, RIG.bone_index(end)] - heads[:, RIG.bone_index(start)]
     return direction / np.linalg.norm(direction, axis=1, keepdims=True)
 
 
@@ -53,11 +54,15 @@ def angle(first, second):
     return np.degrees(np.arccos(np.clip(np.sum(first * np.asarray(second), axis=-1), -1, 1))).max()
 
 
+def retargeted(tmp_path, changes):
+    """Joint positions (2, d) and the report of a clip that stands still with these changes."""
+    rotations, *_ = read_clip(clip(tmp_path / "a.txt", changes, changes))
+    return retarget(RIG, rotations)
+
+
 def test_standing_lets_arms_and_legs_hang(tmp_path):
     """The source's zero on the rig: all limbs straight down."""
-    rig = load_body_model().rig
-    rotations, *_ = read_clip(clip(tmp_path / "a.txt", [], []))
-    positions, report = retarget(rig, rotations)
+    positions, report = retargeted(tmp_path, [])
     for side in "LR":
         for start, end in (
             ("upperarm01", "lowerarm01"),
@@ -65,7 +70,7 @@ def test_standing_lets_arms_and_legs_hang(tmp_path):
             ("upperleg01", "lowerleg01"),
             ("lowerleg01", "foot"),
         ):
-            assert angle(limb(rig, positions, f"{start}.{side}", f"{end}.{side}"), [0, 0, -1]) < 2
+            assert angle(limb(positions, f"{start}.{side}", f"{end}.{side}"), [0, 0, -1]) < 2
     assert report["spine02"][1] < 1
 
 
@@ -84,55 +89,46 @@ def test_standing_lets_arms_and_legs_hang(tmp_path):
 )
 def test_single_turns(tmp_path, change, start, end, expected):
     """One source joint turned by hand: the rig's limb points where it must, within two degrees."""
-    rig = load_body_model().rig
-    rotations, *_ = read_clip(clip(tmp_path / "a.txt", [change], [change]))
-    positions, _ = retarget(rig, rotations)
-    assert angle(limb(rig, positions, start, end), expected) < 2
+    positions, _ = retargeted(tmp_path, [change])
+    assert angle(limb(positions, start, end), expected) < 2
 
 
 def test_chest_turn_is_shared_by_the_spine(tmp_path):
     """Thirty degrees of bending become about ten at each of three spine bones."""
-    rig = load_body_model().rig
     bend = turn("chest", "z", -30)
-    rotations, *_ = read_clip(clip(tmp_path / "a.txt", [bend], [bend]))
-    positions, report = retarget(rig, rotations)
-    shares = [positions[0, rig.joint_names.index(f"{bone}_y")] for bone in ("spine05", "spine03", "spine02")]
+    positions, report = retargeted(tmp_path, [bend])
+    shares = [positions[0, RIG.joint_names.index(f"{bone}_y")] for bone in ("spine05", "spine03", "spine02")]
     np.testing.assert_allclose(np.degrees(shares), 10, atol=0.5)
     assert report["spine02"][1] < 1
 
 
 def test_limb_twist_is_shared_by_both_halves(tmp_path):
     """An arm held ahead and turned about itself: both upper arm bones twist alike."""
-    rig = load_body_model().rig
     pose = [turn("shoulder.L", "y", 50), (JOINTS["elbow.L"][1], 1.0)]
-    rotations, *_ = read_clip(clip(tmp_path / "a.txt", pose, pose))
-    positions, _ = retarget(rig, rotations)
-    twists = [positions[0, rig.joint_names.index(f"{bone}.L_y")] for bone in ("upperarm01", "upperarm02")]
+    positions, _ = retargeted(tmp_path, pose)
+    twists = [positions[0, RIG.joint_names.index(f"{bone}.L_y")] for bone in ("upperarm01", "upperarm02")]
     assert abs(np.degrees(twists[0])) > 5
     assert abs(np.degrees(twists[0] - twists[1])) < 12
 
 
 def test_limits_hold_and_are_reported(tmp_path):
     """A head turned backwards cannot be followed: limits hold, the report says by how much it is missed."""
-    rig = load_body_model().rig
     turned = turn("neck", "y", 150)
-    rotations, *_ = read_clip(clip(tmp_path / "a.txt", [turned], [turned]))
-    positions, report = retarget(rig, rotations)
-    assert (positions >= rig.lower).all()
-    assert (positions <= rig.upper).all()
+    positions, report = retargeted(tmp_path, [turned])
+    assert (positions >= RIG.lower).all()
+    assert (positions <= RIG.upper).all()
     assert report["head"][0] > 80
     assert report["at_limit"] > 0
 
 
 def test_clip_faces_x_stands_on_the_floor_and_closes(tmp_path):
     """A cycle that starts turned away: its first frame faces X, the lowest vertex is near Z = 0, the ends meet."""
-    rig = load_body_model().rig
     leaning = [turn("root", "y", 90), turn("hip.L", "z", 20)]
     straight = [turn("root", "y", 90)]
     path = clip(
         tmp_path / "a.txt", leaning, straight, straight, [turn("root", "y", 90), turn("hip.L", "z", 25)], loop="wrap"
     )
-    motion, _ = prepare_motion(path, "sway", rig=rig)
+    motion, _ = prepare_motion(path, "sway", rig=RIG)
     assert motion.rate_hz == 60.0
     assert motion.frame_count == 7
     np.testing.assert_allclose(np.abs(motion.root_orientation[0]), [0, 0, 0, 1], atol=1e-5)

@@ -1,7 +1,7 @@
 """`physkin fit-garment`: from a garment mesh of one's own to a trained model, with verdicts on the way and a report.
 
-Checks and repairs the mesh, measures how fast this machine trains, trains for the minutes given with the recipe of
-`TrainingConfig`, exports, and writes a one-page HTML report.
+Checks and repairs the mesh, measures how fast this machine trains, trains with the recipe of `TrainingConfig`, exports,
+and writes a one-page HTML report: all in the minutes given.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ import logging
 import math
 import re
 import sys
-import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -23,68 +22,56 @@ from physkin_core.avatar.loading import load_avatar
 from physkin_core.model.model_file import load_garment_model
 from physkin_training.config import TrainingConfig, load_config
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
-from physkin_training.fit_garment.fit_report import write_report
-from physkin_training.fit_garment.garment_checks import CheckedGarment, check_garment, write_garment
+from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
+from physkin_training.fit_garment.report import write_report
+from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.verdicts import verdict_table
 from physkin_training.train import train
 from physkin_training.train.trainer import Trainer
 
-__all__ = ["StepTime", "as_toml", "main", "measure_step", "steps_in"]
+__all__ = ["as_toml", "choose_steps", "main"]
 
 log = logging.getLogger(__name__)
-DEFAULT_MINUTES = {"cuda": 13.0, "cpu": 480.0}
+DEFAULT_MINUTES = {"cuda": 15.0, "cpu": 480.0}
 """A GPU in minutes, a CPU overnight."""
-MEASURED_SECONDS = 10.0
+REST, LONGEST_REST = 0.25, 150.0
+"""Time kept for what follows training: share of all, and seconds at most. The report draws and measures less where that
+is too little."""
+MEASURING = 0.1
+"""Share of the time in which steps are timed."""
 FEWEST_STEPS = 100
 """Shorter runs do not even get through the warm-up."""
+ADVICE = "give more, or a smaller recipe with --recipe"
 REFUSED = 1
 
 
-@dataclass(frozen=True)
-class StepTime:
-    """Seconds a training step takes: while bodies are encoded from few points, and from all, late in the run."""
-
-    early: float
-    late: float
-
-
-def measure_step(config: TrainingConfig, device: torch.device, *, seconds: float = MEASURED_SECONDS) -> StepTime:
-    """Time real training steps of a configuration on a device, for about `seconds` and two steps at least."""
-    times = []
-    for full_encoding in (1.0, 0.0) if config.optimisation.full_encoding < 1 else (1.0,):
-        schedule = replace(config.optimisation, steps=10**6, full_encoding=full_encoding)
-        steps = Trainer(replace(config, optimisation=schedule), device).run(10**6)
-        next(steps), next(steps)  # compiles, captures
-        _wait(device)
-        began, count = time.perf_counter(), 0
-        while count < 2 or time.perf_counter() - began < seconds / 2:
-            next(steps)
-            count += 1
-            if count % 16 == 0:
-                _wait(device)
-        _wait(device)
-        times.append((time.perf_counter() - began) / count)
-    return StepTime(times[0], times[-1])
-
-
-def _wait(device: torch.device) -> None:
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)
-
-
-def steps_in(minutes: float, step: StepTime, full_encoding: float) -> int:
-    """Training steps that fit into `minutes`; all body points are used from `full_encoding` (0 to 1) of the run on.
+def choose_steps(config: TrainingConfig, device: torch.device, budget: TimeBudget) -> int:
+    """Training steps that leave time in the budget for export and report (see `REST`). Real steps are timed for it.
 
     Raises ValueError when they are too few to learn anything.
     """
-    seconds = full_encoding * step.early + (1 - full_encoding) * step.late
-    steps = int(60 * minutes / seconds)
+    began = budget.spent
+    trainer = Trainer(config, device)
+    set_up = budget.spent - began  # the run itself sets up once more
+    seconds = _for_training(budget) - set_up
+    minutes = f"{budget.seconds / 60:g} minutes in all"
+    try:
+        rate = trainer.choose_steps(seconds)
+    except ValueError as error:
+        raise ValueError(f"{minutes} leave {seconds:.0f} s for training, and {error}: {ADVICE}") from error
+    steps = trainer.config.optimisation.steps
     if steps < FEWEST_STEPS:
+        missing = (FEWEST_STEPS - steps) / rate / (1 - REST - MEASURING)
         raise ValueError(
-            f"{minutes:g} minutes are only {steps} steps of {seconds:.2f} s here, at least {FEWEST_STEPS} are needed: "
-            f"give --minutes {math.ceil(FEWEST_STEPS * seconds / 60)} or more, or a smaller recipe with --recipe"
+            f"{minutes} are only {steps} steps of {1 / rate:.2f} s here, at least {FEWEST_STEPS} are needed: {ADVICE}, "
+            f"of --minutes about {math.ceil((budget.seconds + missing) / 60)}"
         )
+    log.info("%d steps of %.0f ms in %s, export and report included", steps, 1000 / rate, minutes)
     return steps
+
+
+def _for_training(budget: TimeBudget) -> float:
+    return budget.left - min(REST * budget.seconds, LONGEST_REST)
 
 
 def as_toml(config: TrainingConfig) -> str:
@@ -120,8 +107,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="NAME.safetensors")
     parser.add_argument("--check-only", action="store_true", help="print the verdicts, write the repaired mesh, stop")
     length = parser.add_mutually_exclusive_group()
-    length.add_argument("--minutes", type=float, help="of training (default: 13 on a GPU, 480 on a CPU)")
-    length.add_argument("--steps", type=int, help="of training, instead of minutes")
+    length.add_argument(
+        "--minutes", type=float, help="that all takes, report included (default: 15 on a GPU, 480 on a CPU)"
+    )
+    length.add_argument("--steps", type=int, help="of training, instead of minutes; the report comes on top")
     parser.add_argument("--recipe", type=Path, metavar="TOML", help="training configuration to take all else from")
     parser.add_argument("--bodies", type=int, default=8, help="held-out bodies of the report's figures (default 8)")
     parser.add_argument("--poses", type=int, default=64, help="poses a body of the report's figures (default 64)")
@@ -139,6 +128,8 @@ def _fit(options: argparse.Namespace) -> int:
     if options.steps is not None and options.steps < 1:
         raise ValueError(f"--steps {options.steps} must be at least 1")
     device = resolve_device(options.device)
+    minutes = math.inf if options.steps else options.minutes or DEFAULT_MINUTES[device.type]
+    budget = TimeBudget(minutes)
     body_model = load_body_model()
     template = avatar_from_body(body_model, body_model.garment_body)
     avatar = _avatar(options, body_model, template)
@@ -158,7 +149,7 @@ def _fit(options: argparse.Namespace) -> int:
     print(f"wrote {mesh}")
     if options.check_only:
         return 0
-    return _train_and_report(options, checked, mesh, template, device)
+    return _train_and_report(options, checked, mesh, template, device, budget)
 
 
 def _avatar(options: argparse.Namespace, body_model: BodyModel, template: Avatar) -> Avatar:
@@ -171,28 +162,30 @@ def _avatar(options: argparse.Namespace, body_model: BodyModel, template: Avatar
 
 
 def _train_and_report(
-    options: argparse.Namespace, checked: CheckedGarment, mesh: Path, template: Avatar, device: torch.device
+    options: argparse.Namespace,
+    checked: CheckedGarment,
+    mesh: Path,
+    template: Avatar,
+    device: torch.device,
+    budget: TimeBudget,
 ) -> int:
     output, folder = options.output, mesh.parent
     recipe = load_config(options.recipe) if options.recipe else TrainingConfig(output.stem, mesh)
     recipe = replace(recipe, name=output.stem, garment=mesh)
-    steps = options.steps
-    if steps is None:
-        minutes = options.minutes or DEFAULT_MINUTES[device.type]
-        step = measure_step(recipe, device)
-        steps = steps_in(minutes, step, recipe.optimisation.full_encoding)
-        samples = recipe.optimisation.samples
-        log.info("%.0f ms a step of %d poses: %d steps in %g minutes", 1000 * step.early, samples, steps, minutes)
-    config = replace(recipe, optimisation=replace(recipe.optimisation, steps=steps))
+    steps = options.steps or choose_steps(recipe, device, budget)
+    config = replace(recipe, optimisation=replace(recipe.optimisation, steps=steps, minutes=0.0))
     configuration = folder / "config.toml"
     configuration.write_text(as_toml(config))
     (folder / "losses.jsonl").unlink(missing_ok=True)
-    began = time.perf_counter()
+    began = budget.spent
     arguments = ["--config", str(configuration), "--output", str(folder), "--device", options.device]
-    status = train.main([*arguments, "--log-every", str(max(1, min(200, steps // 200)))])
+    arguments += ["--log-every", str(max(1, min(200, steps // 200)))]
+    if not options.steps:
+        arguments += ["--within", str(max(_for_training(budget), 1.0) / 60)]
+    status = train.main(arguments)
     if status:
         return status
-    seconds = time.perf_counter() - began
+    seconds = budget.spent - began
     (folder / f"{config.name}.safetensors").replace(output)
     report = output.with_suffix(".html")
     write_report(
@@ -201,13 +194,14 @@ def _train_and_report(
         checked,
         template,
         device,
+        budget,
         losses=folder / "losses.jsonl",
         seconds=seconds,
         bodies=options.bodies,
         poses=options.poses,
         pictures=not options.no_pictures,
     )
-    print(f"wrote {output} and {report}")
+    print(f"wrote {output} and {report}, {budget.spent / 60:.1f} minutes in all")
     return 0
 
 

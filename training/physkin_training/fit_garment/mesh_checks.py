@@ -6,6 +6,7 @@ Each takes the `Checks` so far, repairs its mesh and adds a verdict. Metres.
 from __future__ import annotations
 
 import numpy as np
+import trimesh
 
 from physkin_training.fit_garment import mesh_repair
 from physkin_training.fit_garment.verdicts import Checks
@@ -86,7 +87,8 @@ def check_pieces(checks: Checks) -> None:
     """Separate pieces and scraps."""
     allowed = f"one piece; those below {100 * SMALL_PIECE:g} % of the area are dropped"
     label = mesh_repair.face_components(checks.faces)
-    share = np.bincount(label, weights=checks.areas) / checks.areas.sum()
+    areas = checks.mesh.area_faces
+    share = np.bincount(label, weights=areas) / areas.sum()
     small = share < SMALL_PIECE
     checks.vertices, checks.faces = mesh_repair.compacted(checks.vertices, checks.faces[~small[label]])
     found = f"{len(share)} connected pieces" if len(share) > 1 else "one piece"
@@ -113,13 +115,12 @@ def check_openings(checks: Checks) -> None:
 def check_edges(checks: Checks) -> None:
     """Edges too long or too short to train."""
     low, high = EDGE_RANGE
-    allowed = (
-        f"mean edge {1000 * low:g} to {1000 * high:g} mm, up to {MOST_VERTICES} vertices; coarser ones are refined"
-    )
-    before = checks.edge_mean
-    while checks.edge_mean > high:
-        checks.vertices, checks.faces = mesh_repair.refined(checks.vertices, checks.faces)
-    mean, count = checks.edge_mean, len(checks.vertices)
+    allowed = f"mean edge {1000 * low:g} to {1000 * high:g} mm, up to {MOST_VERTICES} vertices; coarser: refined"
+    before = mean = checks.mesh.edges_unique_length.mean()
+    while mean > high:
+        checks.vertices, checks.faces = trimesh.remesh.subdivide(checks.vertices, checks.faces)
+        mean = checks.mesh.edges_unique_length.mean()
+    count = len(checks.vertices)
     if mean != before:
         found = f"mean edge {1000 * before:.1f} mm, refined to {1000 * mean:.1f} mm, {count} vertices"
         return checks.say("edge length", "repaired", found, allowed)
@@ -142,5 +143,5 @@ def check_layers(checks: Checks) -> None:
 def check_self_intersection(checks: Checks) -> None:
     """Cloth that goes through itself."""
     allowed = "none; cloth in contact with itself is not trained, so that they stay"
-    count = int(piercing_edges(checks.vertices, checks.faces, checks.edges).sum())
+    count = int(piercing_edges(checks.vertices, checks.faces, checks.mesh.edges_unique).sum())
     return checks.say("self-intersection", "warning" if count else "ok", f"{count} edges go through a face", allowed)

@@ -1,7 +1,4 @@
-"""Verdicts on a garment mesh, and the mesh as the checks have repaired it so far.
-
-Dimensions: `n` vertices, `f` faces, `e` edges.
-"""
+"""Verdicts on a garment mesh, and the mesh as the checks have repaired it so far."""
 
 from __future__ import annotations
 
@@ -9,10 +6,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import trimesh
+from tabulate import tabulate
 
-__all__ = ["Checks", "Outcome", "Verdict", "verdict_table"]
+__all__ = ["COLUMNS", "Checks", "Outcome", "Verdict", "verdict_table"]
 
 Outcome = Literal["ok", "repaired", "warning", "refused"]
+COLUMNS = ("check", "verdict", "found", "allowed")
 
 
 @dataclass(frozen=True)
@@ -37,32 +37,11 @@ class Checks:
         self.verdicts.append(Verdict(check, outcome, found, allowed))
 
     @property
-    def edges(self) -> np.ndarray:
-        """Vertices (e, 2) of every edge."""
-        return np.unique(np.sort(self.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
-
-    @property
-    def edge_mean(self) -> float:
-        """Mean length of the edges."""
-        ends = self.vertices[self.edges]
-        return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())
-
-    @property
-    def areas(self) -> np.ndarray:
-        """(f,)."""
-        return np.linalg.norm(self._cross(), axis=1) / 2
-
-    @property
-    def normals(self) -> np.ndarray:
-        """(f, 3) unit."""
-        return self._cross() / (2 * self.areas[:, None])
-
-    def _cross(self) -> np.ndarray:
-        corners = self.vertices[self.faces]
-        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    def mesh(self) -> trimesh.Trimesh:
+        """What is so far, for its areas, normals and edges."""
+        return trimesh.Trimesh(self.vertices, self.faces, process=False)
 
 
 def verdict_table(verdicts: tuple[Verdict, ...]) -> str:
     """The verdicts as a Markdown table."""
-    lines = ["| check | verdict | found | allowed |", "|---|---|---|---|"]
-    return "\n".join(lines + [f"| {v.check} | {v.outcome} | {v.found} | {v.allowed} |" for v in verdicts])
+    return tabulate([tuple(vars(verdict).values()) for verdict in verdicts], COLUMNS, tablefmt="github")

@@ -12,8 +12,8 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import Garment
 from physkin_training.fit_garment import mesh_repair
-from physkin_training.fit_garment.garment_fitting import CLEARANCE, carried, clear_of
-from physkin_training.fit_garment.garment_placement import UNITS, WORN, best_scale, find_placement
+from physkin_training.fit_garment.fitting import CLEARANCE, carried, clear_of
+from physkin_training.fit_garment.placement import UNITS, WORN, best_scale, find_placement
 from physkin_training.fit_garment.verdicts import Checks
 from physkin_training.physics.surface_queries import BodySurface
 
@@ -66,10 +66,9 @@ def check_winding(checks: Checks, surface: BodySurface) -> None:
     if not possible:
         return checks.say("winding", "refused", "the cloth has only one side (a Moebius strip)", allowed)
     outward = surface.closest(checks.vertices[checks.faces].mean(axis=1)).outward
-    normals = checks.normals
-    label = mesh_repair.face_components(checks.faces)
-    area = checks.areas
-    facing = np.bincount(label, weights=(normals * outward).sum(axis=1) * area) / np.bincount(label, weights=area)
+    mesh, label = checks.mesh, mesh_repair.face_components(checks.faces)
+    towards = (mesh.face_normals * outward).sum(axis=1) * mesh.area_faces
+    facing = np.bincount(label, weights=towards) / np.bincount(label, weights=mesh.area_faces)
     inside_out = facing < 0
     checks.faces = np.where(inside_out[label][:, None], checks.faces[:, ::-1], checks.faces)
     found = f"{turned} faces turned" + (", inside out" if inside_out.any() else "")

@@ -14,7 +14,9 @@ import scipy.sparse
 import scipy.spatial
 import trimesh
 
-__all__ = ["BodySurface", "Shell", "boundary_loops", "clip", "fair", "largest_component", "loft", "offset", "remesh"]
+from physkin_training.fit_garment.mesh_repair import boundary_loops, compacted
+
+__all__ = ["SolidBody", "Shell", "clip", "fair", "largest_component", "loft", "offset", "remesh"]
 
 REMESH_ITERATIONS = 20
 FAIRING_ITERATIONS = 40
@@ -38,12 +40,12 @@ class Shell:
 
     def compacted(self, faces: np.ndarray) -> Shell:
         """Return the shell made of `faces` (f', 3) alone, without the vertices that none of them uses."""
-        used, renumbered = np.unique(faces, return_inverse=True)
-        return Shell(self.vertices[used], renumbered.reshape(faces.shape), self.arm_skinning_weights[used])
+        vertices, renumbered = compacted(self.vertices, faces)
+        return Shell(vertices, renumbered, self.arm_skinning_weights[np.unique(faces)])
 
 
-class BodySurface:
-    """Closed body surface that answers exact signed-distance queries."""
+class SolidBody:
+    """Closed body that answers exact signed-distance queries."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray):
         """Build the search trees for `vertices` (n, 3) [m, root frame] and outward wound `faces` (f, 3)."""
@@ -113,28 +115,6 @@ def largest_component(shell: Shell) -> Shell:
     component = gpytoolbox.connected_components(shell.faces)
     largest = np.bincount(component).argmax()
     return shell.compacted(shell.faces[component[shell.faces[:, 0]] == largest])
-
-
-def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
-    """Return the boundary loops of `faces` (f, 3) as vertex indices (r,), each in the winding order of its triangles.
-
-    Raises ValueError if a vertex lies on two stretches of boundary.
-    """
-    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    known = set(map(tuple, directed.tolist()))
-    boundary = [(start, end) for start, end in known if (end, start) not in known]
-    following = dict(sorted(boundary))
-    if len(following) < len(boundary):
-        raise ValueError(f"{len(boundary) - len(following)} vertices lie on two stretches of boundary; clip elsewhere")
-    loops = []
-    while following:
-        first, current = following.popitem()
-        loop = [first]
-        while current != first:
-            loop.append(current)
-            current = following.pop(current)
-        loops.append(np.array(loop))
-    return loops
 
 
 def offset(shell: Shell, distance: np.ndarray | float, *, smoothing_iterations: int = 6) -> Shell:
@@ -224,8 +204,7 @@ def weld_short_boundary_edges(
             return vertices, faces
         faces = target[faces]
         faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-        used, renumbered = np.unique(faces, return_inverse=True)
-        vertices, faces = vertices[used], renumbered.reshape(faces.shape)
+        vertices, faces = compacted(vertices, faces)
 
 
 def remesh(vertices: np.ndarray, faces: np.ndarray, edge_length: float) -> tuple[np.ndarray, np.ndarray]:

@@ -24,11 +24,11 @@ import gpytoolbox
 import numpy as np
 import trimesh
 
+from physkin_training.fit_garment.mesh_repair import boundary_loops
 from physkin_training.prepare.bodies import GARMENT_BODY, to_root_frame
 from physkin_training.prepare.garment_construction import (
-    BodySurface,
     Shell,
-    boundary_loops,
+    SolidBody,
     clip,
     fair,
     largest_component,
@@ -250,7 +250,7 @@ def prepare_garment(
     shortest, longest = EDGE_LENGTH_RANGE
     if not shortest <= edge_length <= longest:
         raise ValueError(f"edge length {edge_length} m is outside [{shortest}, {longest}] m")
-    surface = BodySurface(body.vertices, body.body_faces)
+    surface = SolidBody(body.vertices, body.body_faces)
     shell = GARMENTS[name].make(body)
     vertices, faces = remesh(surface.push_out(shell.vertices, CLEARANCE), shell.faces, edge_length)
     vertices = surface.push_out(fair(vertices, faces), CLEARANCE)
@@ -258,7 +258,7 @@ def prepare_garment(
     return vertices, faces
 
 
-def check_garment(name: str, vertices: np.ndarray, faces: np.ndarray, surface: BodySurface) -> None:
+def check_garment(name: str, vertices: np.ndarray, faces: np.ndarray, surface: SolidBody) -> None:
     """Raise RuntimeError unless the garment is one manifold sheet with its openings, facing out, clear of the body."""
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     if len(gpytoolbox.non_manifold_edges(faces)) or not mesh.is_winding_consistent:

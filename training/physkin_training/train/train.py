@@ -46,6 +46,13 @@ def main(argv: list[str] | None = None) -> int:
         "--stop-after", type=_minutes, default=math.inf, metavar="MINUTES", help="then write a checkpoint and stop"
     )
     parser.add_argument(
+        "--within",
+        type=_minutes,
+        default=math.inf,
+        metavar="MINUTES",
+        help="leave out steps on the way where the run would take longer (in one process)",
+    )
+    parser.add_argument(
         "--checkpoint-every", type=_minutes, default=5.0, metavar="MINUTES", help="default 5; inf for none on the way"
     )
     parser.add_argument("--log-every", type=_steps, default=200, metavar="STEPS")
@@ -56,6 +63,8 @@ def main(argv: list[str] | None = None) -> int:
         logging.basicConfig(level=logging.INFO if processes.writes else logging.WARNING, format="%(message)s")
         if arguments.minutes:
             config = replace(config, optimisation=replace(config.optimisation, minutes=arguments.minutes))
+        if processes.count > 1 and arguments.within < math.inf:
+            raise ValueError("--within is for a run in one process")
         minutes = config.optimisation.minutes
         if minutes and arguments.resume:
             config = replace(config, optimisation=replace(config.optimisation, steps=saved_steps(arguments.resume)))
@@ -149,6 +158,9 @@ def _train(trainer: Trainer, arguments: argparse.Namespace, checkpoint: Path) ->
                 saved = time.perf_counter()
             if report:
                 reports.report()
+                if step < steps:
+                    on_time = int(steps * reports.seconds / (60 * arguments.within))
+                    trainer.skip_to(max(step, min(on_time, steps - 1)))
             if late:
                 return 0
     return None

@@ -183,6 +183,11 @@ class Trainer:
         self.config = replace(self.config, optimisation=replace(self.config.optimisation, steps=steps))
         return rate
 
+    def skip_to(self, step: int) -> None:
+        """Leave out the steps before `step`, where a run has become slower than it was when they were chosen."""
+        self._summed_from += step - self.step
+        self.step = step
+
     def best_drape(self) -> Drape:
         """The averaged drape to export and evaluate: of the best step, or the latest where none was measured."""
         if self.best is None:

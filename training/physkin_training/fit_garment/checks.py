@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import GarmentError
@@ -79,15 +80,11 @@ def check_mesh(
 
 def write_garment(path: Path, checked: CheckedGarment) -> None:
     """Write the repaired mesh as OBJ: metres, root frame of the template, outward winding."""
-    lines = ["# root frame: X forward, Y left, Z up, metres, origin at the head of the root bone"]
-    lines += [f"v {x:.7f} {y:.7f} {z:.7f}" for x, y, z in checked.vertices.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (checked.faces + 1).tolist()]
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    header = "root frame: X forward, Y left, Z up, metres, origin at the head of the root bone"
+    trimesh.Trimesh(checked.vertices, checked.faces, process=False).export(path, digits=7, header=header)
 
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray, int]:
-    import trimesh
-
     if path.suffix.lower() not in MESH_SUFFIXES:
         allowed = ", ".join(MESH_SUFFIXES)
         raise GarmentError(f"garment {path} has the unknown extension {path.suffix!r}; allowed: {allowed}")

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from matplotlib.figure import Figure
+from tabulate import tabulate
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import load_body_model
@@ -18,10 +20,16 @@ from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet
 from physkin_training.evaluate.contact_sheet import chosen_bodies, chosen_poses, drape_all, draw
 from physkin_training.evaluate.evaluate import Evaluation, evaluate_model
 from physkin_training.evaluate.score_table import table
-from physkin_training.fit_garment.garment_checks import CheckedGarment
+from physkin_training.fit_garment.checks import CheckedGarment
+from physkin_training.fit_garment.time_budget import TimeBudget
+from physkin_training.fit_garment.verdicts import COLUMNS
 
 __all__ = ["html_table", "loss_curve", "write_report"]
 
+FIRST_POSES = 2
+"""Poses a body that are evaluated first, to see how many there is time for."""
+PICTURE_SECONDS = 30.0
+"""The first pictures, with what they load and compile."""
 SHEET_POSES = 6
 SHEET_WIDTH = 190
 VIEWS = (20, 110, 200)
@@ -42,6 +50,7 @@ def write_report(
     checked: CheckedGarment,
     template: Avatar,
     device: torch.device,
+    budget: TimeBudget,
     *,
     losses: Path,
     seconds: float,
@@ -51,63 +60,81 @@ def write_report(
 ) -> None:
     """Evaluate the model on held-out bodies and write the page; the sheet of drapes also as PNG beside it.
 
-    losses: the training's record. seconds: how long it took. bodies, poses: see `evaluate_model`. Without the [view]
-    extra the page has no pictures and says so.
+    losses: the training's record. seconds: how long it took. bodies, poses: see `evaluate_model`; there are fewer poses
+    and pictures where the budget has no time for all. Without the [view] extra the page has no pictures and says so.
     """
-    scores = evaluate_model(model, device, bodies=bodies, poses=poses, seed=0, minimum=0, steps=0)
+
+    def evaluate(count: int) -> dict:
+        return evaluate_model(model, device, bodies=bodies, poses=count, seed=0, minimum=0, steps=0)
+
+    few = min(FIRST_POSES, poses)
+    scores, taken = budget.timed(lambda: evaluate(few))
+    shown = _pictures(path, model, checked, template, device, budget) if pictures else []
+    more = int(min(poses, few * budget.left / taken))
+    if more > few:
+        scores = evaluate(more)
     optimisation = model.training["optimisation"]
     steps, samples = optimisation["steps"], optimisation["samples"]
+    counts = "{bodies} held-out bodies, {poses} poses each".format(**scores["counts"])
     parts = [
         f"<h1>{html.escape(model.name)}</h1>",
         f"<p>{len(model.garment.vertices)} vertices, {len(model.node_rest)} garment nodes; trained for "
         f"{seconds / 60:.1f} minutes ({steps} steps of {samples} poses) on {html.escape(device.type)}.</p>",
         "<h2>The mesh</h2>",
         _verdicts(checked),
+        *shown,
+        f"<h2>Figures</h2><p>{counts}.</p>",
+        html_table(table(scores)),
+        "<h2>Training</h2>",
+        loss_curve(_read_losses(losses)),
     ]
-    shown: list[str] = []
-    if pictures:
-        try:
-            sheet = _sheet(model, device)
-            save_png(path.with_suffix(".png"), sheet)
-            shown = [_image(_at_rest(checked, template)), _image(sheet)]
-        except PictureError as error:
-            parts.append(f'<p class="note">No pictures: {html.escape(str(error))}</p>')
-    if shown:
-        parts += ["<p>As it was trained, on the template's body:</p>", shown[0], "<h2>Drapes</h2>"]
-        parts += [
-            '<p class="note">Bodies that training has not seen; poses uniform in the joint limits and frames of '
-            "motion. Percent: mean edge strain.</p>",
-            shown[1],
-        ]
-    parts += ["<h2>Figures</h2>", html_table(table(scores)), "<h2>Training</h2>", loss_curve(_read_losses(losses))]
     page = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(model.name)}</title>'
     path.write_text(f"{page}<style>{STYLE}</style><body>\n" + "\n".join(parts) + "\n</body></html>\n", encoding="utf-8")
 
 
+def _pictures(
+    path: Path, model: GarmentModel, checked: CheckedGarment, template: Avatar, device: torch.device, budget: TimeBudget
+) -> list[str]:
+    late = f"there was no time for {{}}: physkin contact-sheet {path.with_suffix('.safetensors').name} draws drapes"
+    if budget.left < PICTURE_SECONDS:
+        return [_note(late.format("them"))]
+    try:
+        rest, taken = budget.timed(lambda: _at_rest(checked, template))  # three renderings, larger than a pose's three
+        poses = int(min(SHEET_POSES, budget.left / 2 / taken))
+        parts = ["<p>As it was trained, on the template's body:</p>", _image(rest), "<h2>Drapes</h2>"]
+        if poses < 1:
+            return [*parts, _note(late.format("a sheet"))]
+        sheet = _sheet(model, device, poses)
+    except PictureError as error:
+        return [_note(str(error))]
+    save_png(path.with_suffix(".png"), sheet)
+    said = "Bodies that training has not seen; poses uniform in the joint limits and frames of motion. Percent: mean "
+    return [*parts, f'<p class="note">{said}edge strain.</p>', _image(sheet)]
+
+
+def _note(text: str) -> str:
+    return f'<p class="note">No pictures: {html.escape(text)}</p>'
+
+
 def _verdicts(checked: CheckedGarment) -> str:
-    rows = ["<tr><th>check</th><th>verdict</th><th>found</th><th>allowed</th></tr>"]
+    rows = []
     for verdict in checked.verdicts:
         badge = f'<span class="outcome" style="background:{COLOURS[verdict.outcome]}">{verdict.outcome}</span>'
-        check, found, allowed = map(html.escape, (verdict.check, verdict.found, verdict.allowed))
-        rows.append(f"<tr><td>{check}</td><td>{badge}</td><td>{found}</td><td>{allowed}</td></tr>")
-    return "<table>" + "\n".join(rows) + "</table>"
+        rows.append([html.escape(verdict.check), badge, *map(html.escape, (verdict.found, verdict.allowed))])
+    return tabulate(rows, COLUMNS, tablefmt="unsafehtml")
 
 
 def html_table(markdown: str) -> str:
     """A Markdown table, without columns that are empty, and the lines after it as HTML."""
     lines = markdown.splitlines()
-    after = [line for line in lines if not line.startswith("|")]
-    cells = [line[1:-1].split("|") for line in lines if line.startswith("|") and not line.startswith("|---")]
+    cells = [line[1:-1].split("|") for line in lines if line.startswith("|") and not line.startswith("|-")]
     filled = [column for column in zip(*cells) if any(cell.strip() for cell in column[1:])]
-    rows = []
-    for row in zip(*filled):
-        kind = "td" if rows else "th"
-        rows.append("<tr>" + "".join(f"<{kind}>{html.escape(cell.strip())}</{kind}>" for cell in row) + "</tr>")
-    notes = "".join(f"<p>{html.escape(line)}</p>" for line in after if line)
-    return "<table>" + "\n".join(rows) + "</table>" + notes
+    header, *rows = ([cell.strip() for cell in row] for row in zip(*filled))
+    notes = "".join(f"<p>{html.escape(line)}</p>" for line in lines if line and not line.startswith("|"))
+    return tabulate(rows, header, tablefmt="html", disable_numparse=True) + notes
 
 
-def loss_curve(rows: list[dict], *, width: int = 760, height: int = 220) -> str:
+def loss_curve(rows: list[dict]) -> str:
     """Median stretch and contact energy over the steps as an SVG, logarithmic; a note instead when there is too little.
 
     rows: of the training's `losses.jsonl`.
@@ -116,19 +143,16 @@ def loss_curve(rows: list[dict], *, width: int = 760, height: int = 220) -> str:
     points = [(step, energy) for step, energy in points if energy > 0]
     if len(points) < 2:
         return '<p class="note">Too short a run for a curve.</p>'
-    steps, energies = (np.array(column, dtype=float) for column in zip(*points))
-    logs = np.log10(energies)
-    span = max(float(np.ptp(logs)), 1e-6)
-    x = 60 + (width - 80) * (steps - steps[0]) / (steps[-1] - steps[0])
-    y = 10 + (height - 40) * (logs.max() - logs) / span
-    line = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y))
-    labels = [(energies.max(), 14), (energies.min(), height - 28)]
-    texts = "".join(f'<text x="52" y="{at}" text-anchor="end">{value:.3g} J</text>' for value, at in labels)
-    texts += f'<text x="{width - 20}" y="{height - 8}" text-anchor="end">step {steps[-1]:.0f}</text>'
+    figure = Figure(figsize=(8, 2.6), layout="tight")
+    axes = figure.subplots()
+    axes.semilogy(*zip(*points))
+    axes.set(xlabel="step", ylabel="J")
+    picture = io.StringIO()
+    figure.savefig(picture, format="svg")
+    svg = picture.getvalue()
     return (
         "<p>Stretch and contact energy of the median pose; it rises while the poses' range grows.</p>"
-        f'<svg width="{width}" height="{height}" font-size="11" fill="#5a5f66">{texts}'
-        f'<polyline points="{line}" fill="none" stroke="#1f6fa8" stroke-width="1.5"/></svg>'
+        + svg[svg.index("<svg") :]
     )
 
 
@@ -141,10 +165,10 @@ def _at_rest(checked: CheckedGarment, template: Avatar) -> np.ndarray:
     return contact_sheet([render(meshes, size=(300, 375), azimuth=view) for view in VIEWS], columns=len(VIEWS))
 
 
-def _sheet(model: GarmentModel, device: torch.device) -> np.ndarray:
+def _sheet(model: GarmentModel, device: torch.device, count: int) -> np.ndarray:
     bodies = chosen_bodies(load_body_model())
-    evaluation = Evaluation(model, device, bodies=list(bodies.values()), poses=SHEET_POSES, seed=0)
-    poses, names = chosen_poses(model.rig, count=SHEET_POSES, seed=0)
+    evaluation = Evaluation(model, device, bodies=list(bodies.values()), poses=count, seed=0)
+    poses, names = chosen_poses(model.rig, count=count, seed=0)
     drapes = drape_all(evaluation, poses, minimum=False)
     captions = [f"{name}, {body}" for name in names for body in bodies]
     gravity = poses.gravity.numpy().repeat(len(bodies), axis=0)

@@ -1,0 +1,273 @@
+"""Each defect of a garment mesh, made on purpose, is found; what can be repaired is, and passes afterwards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+pytest.importorskip("torch", reason="needs the [training] extra")
+pytest.importorskip("warp", reason="needs the [training] extra")
+
+from random_models import tube  # noqa: E402
+
+from physkin_core import load_body_model, load_garment  # noqa: E402
+from physkin_core.avatar.avatar import avatar_from_body  # noqa: E402
+from physkin_core.model.garment import GarmentError  # noqa: E402
+from physkin_training.fit_garment.checks import CheckedGarment, check_garment, check_mesh, write_garment  # noqa: E402
+from physkin_training.fit_garment.fitting import CLEARANCE, carried  # noqa: E402
+from physkin_training.fit_garment.verdicts import verdict_table  # noqa: E402
+from physkin_training.physics.surface_queries import BodySurface, piercing_edges  # noqa: E402
+
+GARMENTS = Path(__file__).parents[3] / "training" / "garments"
+Y_UP = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
+CHECKS = [
+    "triangles", "units", "orientation", "position", "duplicates", "manifold", "pieces", "winding", "openings",
+    "scale", "edge length", "one layer", "overlap", "body", "self-intersection",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def shirt():
+    """The shipped T-shirt: vertices (n, 3) and faces (f, 3), fresh copies on every use."""
+    garment = load_garment(GARMENTS / "tshirt.obj")
+    return lambda: (garment.vertices.copy(), garment.faces.copy())
+
+
+def outcomes(checked: CheckedGarment) -> dict[str, str]:
+    """Outcome by check, of those that are not ok."""
+    return {verdict.check: verdict.outcome for verdict in checked.verdicts if verdict.outcome != "ok"}
+
+
+def found(checked: CheckedGarment, check: str) -> str:
+    return next(verdict.found for verdict in checked.verdicts if verdict.check == check)
+
+
+@pytest.mark.parametrize("name", ["tshirt", "longsleeve", "dress", "trousers", "skirt"])
+def test_a_shipped_garment_passes_everything_unchanged(name, template, tmp_path):
+    """Every check has a row in the table; the written mesh is the one that was read."""
+    checked = check_garment(GARMENTS / f"{name}.obj", template, template)
+    assert [verdict.check for verdict in checked.verdicts] == CHECKS and outcomes(checked) == {}
+    rows = [line.split("|")[1:3] for line in verdict_table(checked.verdicts).splitlines()[2:]]
+    assert [(check.strip(), outcome.strip()) for check, outcome in rows] == [(check, "ok") for check in CHECKS]
+    garment = load_garment(GARMENTS / f"{name}.obj")
+    np.testing.assert_array_equal(checked.vertices, garment.vertices)
+    write_garment(tmp_path / "again.obj", checked)
+    again = load_garment(tmp_path / "again.obj")
+    np.testing.assert_allclose(again.vertices, garment.vertices, atol=1e-7)
+    np.testing.assert_array_equal(again.faces, garment.faces)
+
+
+def inches_y_up_wound_at_random(v, f):
+    return v @ Y_UP.T / 0.0254, np.where((np.arange(len(f)) % 3 == 0)[:, None], f[:, ::-1], f)
+
+
+def centimetres_on_the_floor_without_edges(v, f):
+    v = 100 * (v + [0, 0, 0.9141])
+    soup = v[f].reshape(-1, 3), np.arange(f.size).reshape(-1, 3)
+    return soup[0], np.concatenate([soup[1], soup[1][:3], [[5, 5, 9]]])
+
+
+def backwards_inside_out_with_a_fin_and_a_button(v, f):
+    fin, disc = v[f[100, 0]] + [0.0, 0.004, 0.004], v[f[2000]] + 0.008 * np.array([1.0, 0, 0])
+    faces = np.concatenate([f, [[*f[100, :2], len(v)]], len(v) + 1 + np.arange(3)[None]])
+    return np.concatenate([v, fin[None], disc]) * [-1, -1, 1], faces[:, ::-1].copy()
+
+
+def dented(v, f):
+    chest = np.linalg.norm(v - [0.13, 0.0, 0.35], axis=1)
+    return v - 0.04 * np.exp(-((chest / 0.06) ** 2))[:, None] * [1, 0, 0], f
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (inches_y_up_wound_at_random, "units: inches | orientation: Y up, Z forward | winding: 2551 faces turned"),
+        (
+            centimetres_on_the_floor_without_edges,
+            "units: centimetres | position: moved by (0.000, 0.000, -0.914) | "
+            "duplicates: 19037 duplicate vertices, 4 degenerate or repeated",
+        ),
+        (
+            backwards_inside_out_with_a_fin_and_a_button,
+            "orientation: Z up, -X forward | manifold: 1 faces at edges | pieces: 1 scraps | winding: inside out",
+        ),
+        (dented, "overlap: vertices in the body"),
+    ],
+)
+def test_defects_are_found_and_repaired(spoil, words, shirt, template):
+    words = dict(part.split(": ", 1) for part in words.split(" | "))
+    checked = check_mesh(*spoil(*shirt()), template, template)
+    assert outcomes(checked) == dict.fromkeys(words, "repaired")
+    assert all(text in found(checked, check) for check, text in words.items())
+    again = check_mesh(checked.vertices, checked.faces, template, template)
+    assert outcomes(again) == {}
+    vertices, _ = shirt()
+    assert checked.vertices.shape == vertices.shape
+    if spoil is dented:
+        surface = BodySurface(template.vertices, template.faces)
+        assert surface.closest(checked.vertices).distance.min() >= CLEARANCE - 1e-5
+        assert surface.closest(spoil(*shirt())[0]).distance.min() < -0.005, "the test must begin inside the body"
+    else:
+        gap = np.linalg.norm(checked.vertices[:, None] - vertices[::97], axis=-1).min(axis=0)
+        assert gap.max() < 2e-4
+
+
+def test_a_mesh_from_anywhere_is_put_on_the_body(shirt, template):
+    """No usual origin: the place is searched, which is warned of, and found to about a centimetre."""
+    vertices, faces = shirt()
+    checked = check_mesh(1000 * (vertices @ Y_UP.T + [0.3, 0.5, -0.2]), faces, template, template)
+    expected = {"units": "repaired", "orientation": "repaired", "position": "warning", "overlap": "repaired"}
+    assert outcomes(checked) == expected
+    assert "front and height" in found(checked, "position")
+    assert np.abs(checked.vertices - vertices).max() < 0.02
+
+
+def test_coarse_triangles_are_refined_on_the_same_surface(template):
+    band = tube(rings=5, segments=24, radius=1.0, height=0.2)
+    checked = check_mesh(band.vertices * [0.2, 0.24, 1.0] + [0, 0, 0.1], band.faces, template, template)
+    assert outcomes(checked)["edge length"] == "repaired"
+    assert len(checked.faces) == 16 * len(band.faces)
+
+
+def hole(v, f):
+    return v, np.delete(f, 3000, axis=0)
+
+
+def finer(v, f):
+    long = load_garment(GARMENTS / "longsleeve.obj")
+    return trimesh.remesh.subdivide(long.vertices, long.faces)
+
+
+def crossing(v, f):
+    """The end of a sleeve is pushed back through the sleeve."""
+    sleeve = (v[:, 1] > 0.30) & (v[:, 2] > 0.3)
+    return v - 0.06 * sleeve[:, None] * [0.0, 1.0, 0.0], f
+
+
+def too_large(v, f):
+    return 1.18 * (v - v.mean(axis=0)) + v.mean(axis=0), f
+
+
+def pinched_skirt(v, f):
+    """Two halves that hang together at one vertex: they come apart there, and are then two pieces."""
+    garment = load_garment(GARMENTS / "skirt.obj")
+    left, right = ((side * garment.vertices[garment.faces, 1] > 0).all(axis=1) for side in (1, -1))
+    faces = garment.faces[left | right].copy()
+    faces[faces == garment.faces[left][0, 0]] = garment.faces[right][0, 0]
+    return garment.vertices, faces
+
+
+@pytest.mark.parametrize(
+    ("spoil", "check", "words"),
+    [
+        (hole, "openings", "4 openings, 1 holes"),
+        pytest.param(finer, "edge length", "finer than training needs", marks=pytest.mark.slow),
+        (crossing, "self-intersection", "edges go through a face"),
+        (too_large, "scale", "times its size it would lie closer"),
+        (pinched_skirt, "pieces", "2 connected pieces"),
+    ],
+)
+def test_what_may_be_meant_is_warned_of(spoil, check, words, shirt, template):
+    checked = check_mesh(*spoil(*shirt()), template, template)
+    assert outcomes(checked)[check] == "warning"
+    assert words in found(checked, check)
+    assert spoil is not pinched_skirt or "1 vertices that pinch" in found(checked, "manifold")
+
+
+def closed(v, f):
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.22)
+    return ball.vertices * [1, 1.2, 1.5] + [0.02, 0, 0.2], ball.faces
+
+
+def moebius(v, f):
+    """A band about the waist with one half twist."""
+    s = 160
+    angle = np.linspace(0, 2 * np.pi, s, endpoint=False)
+    across = np.linspace(-0.03, 0.03, 5)[:, None]
+    radius = 0.22 + across * np.cos(angle / 2)
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0.1 + across * np.sin(angle / 2)], axis=-1)
+    a, row = np.arange(4 * s), np.arange(4 * s) // s
+    last = a % s == s - 1  # joined to the first column upside down
+    b, c = np.where(last, (4 - row) * s, a + 1), np.where(last, (3 - row) * s, a + s + 1)
+    return points.reshape(-1, 3), np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, a + s], 1)])
+
+
+def book(v, f):
+    """A third sheet along many edges."""
+    third = v[f[::20]].mean(axis=1) + [0.01, 0, 0]
+    return np.concatenate([v, third]), np.concatenate(
+        [f, np.column_stack([f[::20, :2], len(v) + np.arange(len(third))])]
+    )
+
+
+def doubled(v, f):
+    return np.concatenate([v, v + [0.003, 0, 0]]), np.concatenate([f, f[:, ::-1] + len(v)])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "check", "words"),
+    [
+        (closed, "openings", "it is closed"),
+        (moebius, "winding", "only one side"),
+        (lambda v, f: ((v - v.mean(0)) * [0.75, 0.75, 1] + v.mean(0), f), "overlap", "vertices in the body"),
+        (lambda v, f: (1e5 * v, f), "units", "longest extent"),
+        (book, "manifold", "faces at edges of three"),
+        (doubled, "one layer", "export the outer surface only"),
+        (lambda v, f: (np.where(np.arange(len(v))[:, None] == 7, np.nan, v), f), "triangles", "1 vertices have no"),
+        (lambda v, f: (v, f[:0]), "triangles", "no faces"),
+        (lambda v, f: (v, f + 1), "triangles", "vertices that are not there"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_repaired_is_refused(spoil, check, words, shirt, template):
+    checked = check_mesh(*spoil(*shirt()), template, template)
+    assert checked.refused
+    assert checked.verdicts[-1].check == check and checked.verdicts[-1].outcome == "refused"
+    assert words in checked.verdicts[-1].found
+
+
+def test_piercing_edges_are_those_that_cross():
+    """Two triangles that cross have two piercing edges, none once apart; neighbours never count."""
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -0.5], [0.3, 0.2, 0.5], [0.2, 0.3, 0.5]])
+    faces = np.array([[0, 1, 2], [3, 4, 5]])
+    edges = np.array([[0, 1], [1, 2], [2, 0], [3, 4], [4, 5], [5, 3]])
+    np.testing.assert_array_equal(piercing_edges(vertices, faces, edges), [0, 0, 0, 1, 0, 1])
+    assert not piercing_edges(vertices + np.repeat([[0], [2]], 3, axis=0), faces, edges).any()
+
+
+def test_a_garment_of_another_body_is_carried_over(shirt, template):
+    """There and back again is nearly the same; what was made on a tall body fits the template, with a warning."""
+    body_model = load_body_model()
+    tallest = max(body_model.held_out_bodies, key=lambda c: np.ptp(body_model.vertices(c)[:, 2]))
+    tall = avatar_from_body(body_model, tallest)
+    vertices, faces = shirt()
+    there = carried(vertices, template, tall)
+    assert np.linalg.norm(there - vertices, axis=1).max() > 0.02
+    assert np.linalg.norm(carried(there, tall, template) - vertices, axis=1).mean() < 0.005
+    on_tall = BodySurface(tall.vertices, tall.faces).push_out(there, 0.005)
+    checked = check_mesh(on_tall, faces, tall, template)
+    assert not checked.refused
+    assert outcomes(checked)["body"] == "warning" and "another body" in found(checked, "body")
+    assert np.linalg.norm(checked.vertices - vertices, axis=1).mean() < 0.02
+    assert outcomes(check_mesh(checked.vertices, checked.faces, template, template)) == {}
+
+
+def test_quads_are_cut(tmp_path, template):
+    ring = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    points = np.concatenate([np.stack([0.2 * np.cos(ring), 0.24 * np.sin(ring), 0 * ring + h], 1) for h in (0.1, 0.12)])
+    text = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in points.tolist()]
+    text += [f"f {k + 1} {(k + 1) % 64 + 1} {(k + 1) % 64 + 65} {k + 65}" for k in range(64)]
+    (tmp_path / "quads.obj").write_text("\n".join(text))
+    checked = check_garment(tmp_path / "quads.obj", template, template)
+    assert outcomes(checked)["triangles"] == "repaired"
+    assert "128 triangles, 128 vertices, from 64 faces" in found(checked, "triangles")
+
+
+@pytest.mark.parametrize(("name", "content"), [("nosuch.obj", None), ("shirt.fbx", ""), ("empty.obj", "")])
+def test_a_file_without_a_mesh_is_an_error(name, content, tmp_path, template):
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    with pytest.raises(GarmentError, match=name):
+        check_garment(tmp_path / name, template, template)
