@@ -168,7 +168,6 @@ def _parameters(case: Case, options: argparse.Namespace) -> dict[str, object]:
         avatar = f"avatars.a{index}"
         parameters[f"{avatar}.orientation"] = "fixed"
         parameters[f"{avatar}.garments.g.model"] = options.model
-        parameters[f"{avatar}.garments.g.serialised"] = case.publish == "serialised"
         if options.queue is not None:
             parameters[f"qos_overrides./a{index}/joint_states.subscription.depth"] = options.queue
     return parameters
