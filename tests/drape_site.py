@@ -24,7 +24,8 @@ from physkin_ros.messages.conversions import read_cloud
 class Site:
     """A drape node's process and a ROS node to talk to it. garments: "avatar/garment", those to listen to.
 
-    log: file of what the process says. clouds: (garment, stamp) -> points and frame. statuses: garment -> values of the latest diagnostics.
+    log: file of what the process says. clouds: (garment, stamp) -> points and frame. statuses: garment -> values of the
+    latest diagnostics.
     """
 
     def __init__(

@@ -55,8 +55,12 @@ class DrapeNode(LifecycleNode):
         self._failure: Exception | None = None
         self._starting = False
         self._active = False
-        self._changeable = declare_settings(self)
-        self._settings = self._read_settings()
+        try:
+            self._changeable = declare_settings(self)
+            self._settings = self._read_settings()
+        except BaseException:
+            super().destroy_node()
+            raise
         self._roots = AssetRoots(
             self._settings.asset_roots,
             (
