@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import signal
 import time
@@ -22,6 +23,7 @@ def run_main(domain):
     handler = signal.getsignal(signal.SIGINT)
     yield lambda *arguments: main(list(arguments))
     signal.signal(signal.SIGINT, handler)
+    gc.collect()  # a lifecycle node leaves its domain when nothing holds it any more
 
 
 @pytest.mark.parametrize("executor", ["events", "single"])
