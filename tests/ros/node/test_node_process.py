@@ -16,12 +16,13 @@ pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
 
 @pytest.fixture
-def run_main(domain):
-    """Runs the process's `main` here, which is a second faster than a process."""
-    from physkin_ros.node.node_process import main
+def run_main(domain, monkeypatch):
+    """Runs the process's `main` here, which is a second faster than a process. A node that starts ends at once."""
+    from physkin_ros.node import node_process
 
+    monkeypatch.setattr(node_process, "spin", lambda node: None)
     handler = signal.getsignal(signal.SIGINT)
-    yield lambda *arguments: main(list(arguments))
+    yield lambda *arguments: node_process.main(list(arguments))
     signal.signal(signal.SIGINT, handler)
     gc.collect()  # a lifecycle node leaves its domain when nothing holds it any more
 

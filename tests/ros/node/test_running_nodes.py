@@ -181,7 +181,7 @@ def test_interfaces_are_told_from_none(monkeypatch):
     assert "python msg_defs/wheel/build.py --install" in missing_interfaces()
 
 
-def test_a_change_of_mind_counts(peer, running_node, model_path, draper, monkeypatch):
+def test_a_change_of_mind_counts(peer, running_node, model_path, draper, monkeypatch, capfd):
     """A model that is set and set back while it loads is not worn; one that there is not is refused at once."""
     started, released, finished = Event(), Event(), Event()
     load = DraperLoader.load
@@ -206,6 +206,7 @@ def test_a_change_of_mind_counts(peer, running_node, model_path, draper, monkeyp
         peer.spin(0.3)
         assert len(peer.cloud(names, rest, next(STAMPS))) == draper.vertex_count
         assert node.get_parameter("model").value == str(model_path)
+        assert "tshirt with" not in capfd.readouterr().err
         (result,) = node.set_parameters([Parameter("model", value="kilt")])
         assert not result.successful and "'kilt'" in result.reason
         peer.reports.clear()
