@@ -113,6 +113,7 @@ def test_another_type_on_the_topic_is_reported(site, drapes):
 
 
 @pytest.mark.slow
+@pytest.mark.alone
 def test_a_storm_is_reported_and_costs_no_memory(site, drapes, garment_model):
     """Five thousand joint states a second, every other one bad, for three seconds."""
     rig = garment_model.rig
@@ -120,6 +121,7 @@ def test_a_storm_is_reported_and_costs_no_memory(site, drapes, garment_model):
     data = [serialize_message(site.state(rig.joint_names, [*positions[:-1], last])) for last in (0.1, np.nan)]
     publisher = site.publisher(TOPIC)
     drapes()
+    site.until(lambda: TOP in site.statuses, "diagnostics")
     before, rejected = resident(site), int(site.statuses[TOP]["joint states rejected"])
     start = time.monotonic()
     for index in range(15_000):
