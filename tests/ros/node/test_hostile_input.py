@@ -42,6 +42,7 @@ def site(start_site, bodies, model_path):
     avatars = {"alice": {"garments": {"top": {"model": str(model_path)}}}}
     site = start_site({"asset_roots": [str(bodies)], "avatars": avatars}, [TOP])
     site.publisher(TOPIC)
+    site.until(lambda: TOP in site.statuses, "diagnostics")
     return site
 
 
@@ -121,7 +122,6 @@ def test_a_storm_is_reported_and_costs_no_memory(site, drapes, garment_model):
     data = [serialize_message(site.state(rig.joint_names, [*positions[:-1], last])) for last in (0.1, np.nan)]
     publisher = site.publisher(TOPIC)
     drapes()
-    site.until(lambda: TOP in site.statuses, "diagnostics")
     before, rejected = resident(site), int(site.statuses[TOP]["joint states rejected"])
     start = time.monotonic()
     for index in range(15_000):

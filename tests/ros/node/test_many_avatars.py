@@ -56,6 +56,7 @@ def site(start_site, model_path, leaning_model_path, other_body):
     }
     site = start_site(parameters, (TOP, LEGS, BOB))
     site.publisher("/alice/joint_states")
+    site.until(lambda: TOP in site.statuses, "diagnostics")
     return site
 
 
