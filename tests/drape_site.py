@@ -8,6 +8,7 @@ import subprocess
 import time
 from array import array
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 import rclpy
@@ -23,11 +24,14 @@ from physkin_ros.messages.conversions import read_cloud
 class Site:
     """A drape node's process and a ROS node to talk to it. garments: "avatar/garment", those to listen to.
 
-    clouds: (garment, stamp) -> points and frame. statuses: garment -> values of the latest diagnostics.
+    log: file of what the process says. clouds: (garment, stamp) -> points and frame. statuses: garment -> values of the
+    latest diagnostics.
     """
 
-    def __init__(self, domain: int, process: subprocess.Popen, garments: Iterable[str]) -> None:
-        self.process = process
+    def __init__(
+        self, domain: int, process: subprocess.Popen, garments: Iterable[str], log: Path | None = None
+    ) -> None:
+        self.process, self.log = process, log
         self.context = rclpy.Context()
         rclpy.init(context=self.context, args=[], domain_id=domain)
         self.node = rclpy.create_node("site", context=self.context)

@@ -103,13 +103,23 @@ def clean_surface(
             f"{vertices[bad].tolist()}"
         )
     key = np.concatenate([array.reshape(len(vertices), -1).astype(np.float64) for array in (vertices, *attributes)], 1)
-    _, first, inverse = np.unique(key + 0.0, axis=0, return_index=True, return_inverse=True)
-    faces = first[inverse.reshape(-1)][faces]
+    faces = _first_of_its_kind(key + 0.0)[faces]
     distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     used, faces = np.unique(faces[distinct], return_inverse=True)
     if len(used) == 0:
         raise AvatarError(f"avatar {source}: all faces are degenerate; a triangle mesh is needed")
     return vertices[used], faces.reshape(-1, 3), tuple(array[used] for array in attributes)
+
+
+def _first_of_its_kind(rows: np.ndarray) -> np.ndarray:
+    """Index of the first row equal to each row of (n, k), (n,). `np.unique` sorts rows under the interpreter's lock,
+    which would hold up the clouds of a running node; columns are sorted without it."""
+    order = np.lexsort(rows.T[::-1])
+    new = np.ones(len(rows), dtype=bool)
+    new[1:] = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
+    first = np.empty(len(rows), dtype=np.intp)
+    first[order] = order[new][np.cumsum(new) - 1]
+    return first
 
 
 def check_size(vertices: np.ndarray, source: str) -> None:

@@ -12,6 +12,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
+from physkin_ros.joints.nearest_names import nearest_names
+
 __all__ = ["JointMapError", "MappedJoint", "load_joint_map"]
 
 ENTRY_KEYS = ("joint", "scale", "offset")
@@ -62,7 +64,9 @@ def _mapped_joint(entry: object, joint_names: Collection[str]) -> MappedJoint:
     if unknown := sorted(set(entry) - set(ENTRY_KEYS)):
         raise JointMapError(f"unknown key {', '.join(map(repr, unknown))}; allowed: {', '.join(ENTRY_KEYS)}")
     if entry.get("joint") not in joint_names:
-        raise JointMapError(f"the rig has no joint {entry.get('joint')!r}; it has {', '.join(joint_names)}")
+        near = nearest_names(str(entry.get("joint")), joint_names)
+        hint = f"did you mean {near}?" if near else "physkin info tshirt lists the joints of the default rig"
+        raise JointMapError(f"the rig has no joint {entry.get('joint')!r}; {hint}")
     numbers = {key: entry[key] for key in ("scale", "offset") if key in entry}
     for key, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):

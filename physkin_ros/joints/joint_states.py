@@ -18,6 +18,8 @@ from physkin_ros.joints.joint_map import MappedJoint
 __all__ = ["JointNaming", "JointStateError", "JointStateReader", "MappedNames", "NamedJoints", "Selection"]
 
 CACHED_NAME_SETS = 64
+FARTHEST = 3 * np.pi
+"""[rad] No joint turns one and a half times: a position beyond was probably meant in degrees."""
 
 
 class JointStateError(ValueError):
@@ -79,30 +81,44 @@ class Selection:
     offset: np.ndarray
     balls: BallJoints | None
 
-    def apply(self, values: np.ndarray, positions: np.ndarray) -> None:
+    def apply(self, values: np.ndarray, positions: np.ndarray) -> int | None:
         """Write the joints that the message names into `positions` (d,) float32.
 
-        values: float64, one a name. Raises JointStateError, `positions` unchanged, when one is not finite in single
-        precision.
+        values: float64, one a name. Returns the index of a value beyond `FARTHEST`, if there is one. Raises
+        JointStateError, `positions` unchanged, when one is not finite in single precision.
         """
         taken = values[self.source]
         with np.errstate(over="ignore", invalid="ignore"):
             read = (self.scale * taken + self.offset).astype(np.float32)
-        finite = np.isfinite(read)
-        if not finite.all():
-            self._refuse(values, int(self.source[np.flatnonzero(~finite)[0]]))
+            square = np.dot(read, read)
+        far = None
+        if not square <= FARTHEST**2:  # or not finite: looked into only then
+            far = self._farthest(values, read, self.source)
         if self.balls is not None:
             angles = self.balls.gather(values)
-            if not np.isfinite(angles).all():
+            with np.errstate(over="ignore", invalid="ignore"):
+                square = np.dot(angles.ravel(), angles.ravel())
+            if not square <= FARTHEST**2:
                 used = self.balls.sources
-                self._refuse(values, int(used[np.flatnonzero(~np.isfinite(values[used]))[0]]))
+                with np.errstate(over="ignore"):
+                    far = self._farthest(values, values[used].astype(np.float32), used)
             self.balls.solve(angles, positions)
         positions[self.target] = read
+        return far
 
-    def _refuse(self, values: np.ndarray, index: int) -> None:
-        raise JointStateError(
-            f"the position of joint {self.names[index]!r} is {values[index]}; it must be finite [rad]"
-        )
+    def _farthest(self, values: np.ndarray, read: np.ndarray, source: np.ndarray) -> int | None:
+        """Index of the value that is farthest beyond `FARTHEST`, None when there is none.
+
+        read: positions in single precision, of the values with the indices `source`.
+        """
+        finite = np.isfinite(read)
+        if not finite.all():
+            index = int(source[np.flatnonzero(~finite)[0]])
+            raise JointStateError(
+                f"the position of joint {self.names[index]!r} is {values[index]}; it must be finite [rad]"
+            )
+        farthest = int(np.abs(read).argmax())
+        return int(source[farthest]) if abs(read[farthest]) > FARTHEST else None
 
 
 class JointStateReader:
@@ -111,6 +127,7 @@ class JointStateReader:
     joint_names, rest: (d,) names and initial positions [rad]. naming: of the messages, default the rig's own names.
     keep_missing: joints that a message does not name keep their last position; else they go back to `rest`.
     on_unknown: called with the names that mean nothing here, once for each new set of names.
+    on_degrees: called with the name and value of a position beyond `FARTHEST`, which is taken as it is.
     positions: (d,) float32 [rad], the last good state.
     """
 
@@ -122,6 +139,7 @@ class JointStateReader:
         naming: JointNaming | None = None,
         keep_missing: bool = True,
         on_unknown: Callable[[list[str]], None] = lambda names: None,
+        on_degrees: Callable[[str, float], None] = lambda name, value: None,
     ) -> None:
         self.joint_names = tuple(joint_names)
         self.rest = np.array(rest, dtype=np.float32)
@@ -129,7 +147,7 @@ class JointStateReader:
         self._naming = MappedNames(joint_names) if naming is None else naming
         self._keep_missing = keep_missing
         self._index = {name: index for index, name in enumerate(joint_names)}
-        self._on_unknown = on_unknown
+        self._on_unknown, self._on_degrees = on_unknown, on_degrees
         self._selections: dict[tuple[str, ...], Selection] = {}
 
     def read(self, names: Sequence[str], values: Sequence[float]) -> np.ndarray:
@@ -152,7 +170,8 @@ class JointStateReader:
     def read_selected(self, selection: Selection, values: np.ndarray, out: np.ndarray) -> None:
         """Write the joint positions (d,) after a message of a selection's names into `out`. Raises as `read` does."""
         np.copyto(out, self.positions if self._keep_missing else self.rest)
-        selection.apply(values, out)
+        if (far := selection.apply(values, out)) is not None:
+            self._on_degrees(selection.names[far], float(values[far]))
 
     def select(self, names: tuple[str, ...]) -> Selection:
         """What these names select, looked up once for each set of names. Raises JointStateError."""

@@ -11,7 +11,7 @@ from array import array
 import numpy as np
 
 from physkin_core import Draper
-from physkin_ros.messages.serialised import CheckedMessage, SerialisedMessage
+from physkin_ros.messages.serialised import SerialisedMessage
 
 __all__ = [
     "CLOUD_FIELDS",
@@ -32,11 +32,10 @@ CLOTH_COLOUR = (0.36, 0.50, 0.70)
 class GarmentCloud:
     """One `sensor_msgs/PointCloud2`, filled in place and published again and again.
 
-    points: (n, 6) float32 view of its data, x, y, z [m] and unit normal. serialised: kept as the bytes
-    it travels as.
+    points: (n, 6) float32 view of its data, x, y, z [m] and unit normal.
     """
 
-    def __init__(self, point_count: int, frame_id: str, *, serialised: bool = True) -> None:
+    def __init__(self, point_count: int, frame_id: str) -> None:
         from sensor_msgs.msg import PointCloud2, PointField
 
         step = 4 * len(CLOUD_FIELDS)
@@ -53,7 +52,7 @@ class GarmentCloud:
             is_dense=True,  # a frame that is not finite is never published
         )
         message.header.frame_id = frame_id
-        kept = SerialisedMessage(message, marker) if serialised else CheckedMessage(message, marker)
+        kept = SerialisedMessage(message, marker)
         self.points, self.stamped = kept.payload, kept.stamped
 
 

@@ -1,6 +1,6 @@
 """Messages that are kept as the bytes they travel as, and filled in place: a publisher takes bytes as they are.
 
-For a cloud of 6,000 points that takes a third off the time of publishing the message itself.
+A marker's points would be Python objects otherwise, tens of thousands a frame; a cloud costs the same either way.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 
-__all__ = ["CheckedMessage", "SerialisedMessage"]
+__all__ = ["SerialisedMessage"]
 
 STAMP_OFFSET = 4  # after the encapsulation, in any message that begins with a header
 
@@ -41,17 +41,3 @@ class SerialisedMessage:
         """The message as it is now, with this stamp; a copy, to be published."""
         self._stamp.pack_into(self._buffer, STAMP_OFFSET, sec, nanosec)
         return bytes(self._buffer)
-
-
-class CheckedMessage:
-    """The same, but kept as a message, which rclpy checks and serialises each time. Its payload is the field `data`."""
-
-    def __init__(self, message, marker: np.ndarray) -> None:
-        self._message = message
-        self.payload = np.frombuffer(message.data, dtype=marker.dtype).reshape(marker.shape)
-        self.payload.fill(0)
-
-    def stamped(self, sec: int, nanosec: int):
-        """The message itself with this stamp, to be published before it is filled again."""
-        self._message.header.stamp.sec, self._message.header.stamp.nanosec = sec, nanosec
-        return self._message

@@ -8,9 +8,11 @@ import socket
 from collections.abc import MutableMapping
 from pathlib import Path
 
-__all__ = ["FASTDDS_PROFILE", "free_domain_id", "private_environment", "use_shipped_profile"]
+__all__ = ["DOMAINS", "FASTDDS_PROFILE", "free_domain_id", "private_environment", "use_shipped_profile"]
 
 FASTDDS_PROFILE = Path(__file__).parents[1] / "config" / "fastdds.xml"
+DOMAINS = range(1, 102)
+"""ROS domains that `free_domain_id` chooses from; tests that run side by side take some each."""
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """What Fast DDS 2 (ROS 2 Jazzy) and Fast DDS 3 read, in that order."""
 
@@ -24,16 +26,16 @@ def use_shipped_profile(environment: MutableMapping[str, str] = os.environ) -> N
 def free_domain_id() -> int:
     """A ROS domain nobody on this machine is in: the discovery port of its first participant is free.
 
-    Raises RuntimeError when every domain from 1 to 101 is taken.
+    Raises RuntimeError when all of `DOMAINS` are taken.
     """
-    for domain in random.SystemRandom().sample(range(1, 102), 101):
+    for domain in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
                 probe.bind(("", 7400 + 250 * domain + 10))
             except OSError:
                 continue
             return domain
-    raise RuntimeError("every ROS domain from 1 to 101 is in use on this machine")
+    raise RuntimeError(f"every ROS domain from {DOMAINS[0]} to {DOMAINS[-1]} is in use on this machine")
 
 
 def private_environment() -> dict[str, str]:

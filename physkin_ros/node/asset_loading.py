@@ -19,7 +19,8 @@ from time import perf_counter
 from typing import Literal
 
 from physkin_core import BUNDLED_AVATAR, Avatar, Draper, GarmentModel, load_avatar, load_garment_model
-from physkin_core.runtime.draper import Binding
+from physkin_core.model.model_file import MODELS_PATH, shipped_models
+from physkin_ros.joints.nearest_names import nearest_names
 
 __all__ = ["LARGEST_ASSET", "AssetError", "AssetRoots", "DraperLoader", "LoadedDraper", "Outfitting"]
 
@@ -68,12 +69,15 @@ class Outfitting:
     body_rig: str = ""
     precision: str = ""
     fit: float = 0.0
-    push_out: bool = False
     normals: Literal["skinned", "faces"] = "skinned"
 
     def check(self, roots: AssetRoots) -> None:
         """Raises AssetError for a file that may not be used while the node runs."""
-        if Path(self.model).suffix or "/" in self.model:
+        if self.model and self.model not in shipped_models():  # shipped names win over files of the working folder
+            if "/" not in self.model and not Path(self.model).suffix:
+                near = nearest_names(self.model, shipped_models())
+                hint = f"did you mean {near}?" if near else f"allowed: a file, or {', '.join(shipped_models())}"
+                raise AssetError(f"no garment model {self.model!r}; {hint}")
             roots.check(self.model)
         for path in (self.body_mesh, self.body_rig):
             if path and Path(path) != BUNDLED_AVATAR:
@@ -97,15 +101,17 @@ class DraperLoader:
         self._lock = Lock()  # one load at a time: a second core is for draping
         self._models: OrderedDict[str, tuple[GarmentModel, str]] = OrderedDict()
         self._avatars: OrderedDict[tuple[str, ...], Avatar] = OrderedDict()
-        self._bindings: OrderedDict[tuple[object, ...], Binding] = OrderedDict()
+        self._bindings: OrderedDict[tuple[object, ...], object] = OrderedDict()
 
     def load(self, wanted: Outfitting) -> LoadedDraper:
         """Read the files and bind the garment to the body. Raises ValueError or OSError naming what is wrong."""
         with self._lock:
             started = perf_counter()
-            model_key = _digest(wanted.model) if Path(wanted.model).is_file() else wanted.model
+            name = wanted.model
+            source = MODELS_PATH / f"{name}.safetensors" if name in shipped_models() else Path(name)
+            model_key = _digest(source) if source.is_file() else name
             if model_key not in self._models:
-                model = load_garment_model(wanted.model)
+                model = load_garment_model(source if source.is_file() else name)
                 _keep(self._models, model_key, (model, json.dumps(model.rig.to_json())))
             model, rig = self._models[model_key]
             body = Path(wanted.body_mesh or BUNDLED_AVATAR)
@@ -114,7 +120,7 @@ class DraperLoader:
             avatar_key = (*sources, rig)  # in the canonical pose of that rig
             avatar = self._avatars.get(avatar_key) or load_avatar(body, model.rig, rig_file=rig_file)
             _keep(self._avatars, avatar_key, avatar)
-            key = (*sources[1:], model_key, wanted.fit, wanted.push_out)
+            key = (*sources[1:], model_key, wanted.fit)
             known = self._bindings.get(key)
             draper = Draper(
                 model,
@@ -122,7 +128,6 @@ class DraperLoader:
                 backend=self._backend,
                 precision=wanted.precision or None,
                 fit=wanted.fit,
-                push_out=wanted.push_out,
                 normals=wanted.normals,
                 binding=known,
             )

@@ -6,7 +6,7 @@ between two messages. Dimensions: `d` degrees of freedom. Radians, root frame.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import monotonic_ns, perf_counter_ns
 
@@ -18,11 +18,12 @@ from physkin_core import BUNDLED_AVATAR, GarmentModel
 from physkin_ros.joints.joint_naming import load_naming
 from physkin_ros.joints.joint_state_wire import JointStateWire
 from physkin_ros.joints.joint_states import JointNaming, JointStateError, JointStateReader
+from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.node.asset_loading import DraperLoader, LoadedDraper, Outfitting
 from physkin_ros.node.diagnostics import AvatarStatistics, Health, HealthReporter, PoseRange
 from physkin_ros.node.garment_stream import GarmentStream, WornGarment, stream_quality
 from physkin_ros.node.interpolation import PoseInterpolator
-from physkin_ros.node.orientation import OrientationError, gravity_from_tilt
+from physkin_ros.node.orientation import GravityByStamp, OrientationError, gravity_from_tilt
 from physkin_ros.node.orientation_source import OrientationSource
 from physkin_ros.node.settings import AvatarSettings
 
@@ -30,6 +31,8 @@ __all__ = ["AvatarStream", "Outfit"]
 
 WARNING_PERIOD = 1.0  # [s] rejected messages are warned about at most this often
 QUEUE = 50  # joint states that may wait while the machine is busy: worked off in milliseconds, none lost
+MOST_UNKNOWN = 64
+"""Unknown joints are named in the log until there are so many: whoever changes names must not flood it."""
 NANOSECONDS = 1_000_000_000
 JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
 
@@ -50,7 +53,7 @@ class Outfit:
 
 
 class AvatarStream:
-    """Drapes the garments of one avatar, a joint state at a time.
+    """Drapes the garments of one avatar, a joint state at a time. Nothing comes in before `listen`.
 
     active: whether joint states are answered. deadline_ns: from the arrival of a joint state to its last cloud, 0 for
     none. settings: with the body that is worn. Raises ValueError for a joint map that cannot be read.
@@ -60,6 +63,9 @@ class AvatarStream:
         self.settings, self.deadline_ns, self.active = settings, deadline_ns, False
         self.statistics = AvatarStatistics()
         self.gravity = _unit(settings.gravity)
+        self._gravity_by_stamp = GravityByStamp(self.gravity.copy())
+        self._follows = settings.orientation in ("joints", "tf")
+        self._unknown: set[str] = set()
         self._node, self._loader = node, loader
         self._naming: tuple[JointNaming, tuple[str, ...]] | None = None
         self._outfit: Outfit | None = None
@@ -70,13 +76,19 @@ class AvatarStream:
         self.garments = tuple(
             GarmentStream(node, settings, garment, self._topics(garment)) for garment in settings.garments
         )
-        # before the joint states: when both have messages waiting, executors serve the older subscription first
-        self._orientation = OrientationSource(node, settings, self.set_gravity, self._on_bad_orientation)
         topic = settings.joint_states or (f"{settings.id}/joint_states" if settings.id else "joint_states")
+        self.topic = node.resolve_topic_name(topic)
+        self._orientation = self._subscription = self._timer = None
+
+    def listen(self) -> None:
+        """Open the topics that come in. Until something is worn, joint states are counted as `not_ready`."""
+        node, settings = self._node, self.settings
+        # before the joint states: when both have messages waiting, executors serve the older subscription first
+        add = self._gravity_by_stamp.add
+        self._orientation = OrientationSource(node, settings, add, self._on_bad_orientation)
         self._subscription = node.create_subscription(
-            JointState, topic, self._on_joint_state, raw=True, **stream_quality(QUEUE)
+            JointState, self.topic, self._on_joint_state, raw=True, **stream_quality(QUEUE)
         )
-        self._timer = None
         if settings.cloud_rate:
             clock = Clock(clock_type=ClockType.STEADY_TIME)
             self._timer = node.create_timer(1.0 / settings.cloud_rate, self._on_cloud_time, clock=clock)
@@ -91,10 +103,17 @@ class AvatarStream:
 
     # Swapping: these run on any thread.
 
-    def dress(self, *, body: tuple[str, str] | None = None, models: dict[int, str] | None = None) -> list[LoadedDraper]:
+    def dress(
+        self,
+        *,
+        body: tuple[str, str] | None = None,
+        models: dict[int, str] | None = None,
+        wanted: Callable[[], bool] = lambda: True,
+    ) -> list[LoadedDraper]:
         """Put on what the settings say, with another body (mesh and rig file) or other models by garment index.
 
-        What is worn now serves until all is loaded, and stays when this raises ValueError or OSError.
+        What is worn now serves until all is loaded, and stays when this raises ValueError or OSError, or when it is not
+        `wanted` any more by then.
         """
         mesh, rig_file = body or (self.settings.body_mesh, self.settings.body_rig)
         garments = list(self.settings.garments)
@@ -108,20 +127,18 @@ class AvatarStream:
                     body_rig=rig_file,
                     precision=garment.precision,
                     fit=garment.fit,
-                    push_out=garment.push_out,
                     normals=garment.normals,
                 )
             )
             for garment in garments
         ]
         outfit = self._outfit_of([each.draper for each in loaded])
-        if self._closed:  # the body went meanwhile
+        if self._closed or not wanted():  # the body went meanwhile
             return loaded
         if previous := self._outfit:
             _carry_on(previous, outfit)
         self.settings = replace(self.settings, body_mesh=mesh, body_rig=rig_file, garments=tuple(garments))
         self._outfit = outfit  # at once: a message is draped by the old one or by the new one
-        self.statistics.last_error = ""
         known = {worn.stream: worn.revision for worn in previous.garments} if previous else {}
         for worn in outfit.garments:
             if known.get(worn.stream) != worn.revision:
@@ -132,7 +149,7 @@ class AvatarStream:
         for worn in outfit.garments:
             self._log.info(
                 f"{self._label}{worn.draper.model.name} with {worn.draper.vertex_count} vertices on {source}: "
-                f"{self._subscription.topic_name} -> {worn.stream.cloud_publisher.topic_name}"
+                f"{self.topic} -> {worn.stream.cloud_publisher.topic_name}"
             )
         return loaded
 
@@ -149,8 +166,9 @@ class AvatarStream:
             naming=self._naming_for(model),
             keep_missing=self.settings.missing_joints == "last",
             on_unknown=self._warn_unknown,
+            on_degrees=self._warn_degrees,
         )
-        outfit = Outfit(reader, model, self._timer is not None)
+        outfit = Outfit(reader, model, bool(self.settings.cloud_rate))
         worn_now = {worn.stream: worn for worn in self._outfit.garments} if self._outfit else {}
         garments = []
         for stream, draper in zip(self.garments, drapers):
@@ -169,23 +187,23 @@ class AvatarStream:
     # The path of a message.
 
     def _on_joint_state(self, data: bytes) -> None:
-        if not self.active:
-            return
         arrived = perf_counter_ns()
         statistics, outfit = self.statistics, self._outfit
         statistics.received += 1
-        if outfit is None:
+        if outfit is None or not self.active:
             statistics.not_ready += 1
             return
         wire = outfit.wire
         try:
             wire.read(data, outfit.pose)
-            if self.settings.orientation == "joints" or self._orientation.tree is not None:
+            sec, nanosec = wire.stamp
+            if self._follows:
                 self._follow_orientation(wire)
+            else:
+                self.gravity[:] = self._gravity_by_stamp.at(sec * NANOSECONDS + nanosec)
         except ValueError as error:
             self._reject(outfit, error)
             return
-        sec, nanosec = wire.stamp
         if outfit.interpolator is not None:
             np.copyto(outfit.reader.positions, outfit.pose)
             outfit.interpolator.push(outfit.pose, self.gravity, sec * NANOSECONDS + nanosec, monotonic_ns())
@@ -205,10 +223,7 @@ class AvatarStream:
                 return False
             took = perf_counter_ns() - began
             worn.publish(sec, nanosec)
-            counts = worn.stream.statistics
-            counts.draped(took)
-            if (residual := worn.draper.residual) is not None:
-                counts.touched(residual)
+            worn.stream.statistics.draped(took)
         outfit.range.add(outfit.pose)
         self.statistics.last_stamp_ns = sec * NANOSECONDS + nanosec
         return True
@@ -233,8 +248,9 @@ class AvatarStream:
     # Orientation.
 
     def set_gravity(self, down: Sequence[float]) -> None:
-        """Take another direction of gravity (3,), of any length but zero."""
+        """Take another direction of gravity (3,), of any length but zero, as of now."""
         self.gravity[:] = _unit(down)
+        self._gravity_by_stamp.add(self.gravity.copy(), 0)
 
     def _follow_orientation(self, wire: JointStateWire) -> None:
         if self._orientation.tree is not None:
@@ -261,12 +277,22 @@ class AvatarStream:
         self._log.warning(f"{self._label}gravity message ignored: {reason}", throttle_duration_sec=WARNING_PERIOD)
 
     def _warn_unknown(self, names: list[str]) -> None:
-        if self.settings.orientation == "joints":
-            names = [name for name in names if name not in self.settings.orientation_joints]
-        if not names:
+        passed = self._unknown.union(self.settings.orientation_joints if self._follows else ())
+        new = [name for name in names if name not in passed][: MOST_UNKNOWN - len(self._unknown)]
+        if not new:
             return
-        shown = ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
-        self._log.warning(f"{self._label}joints without a counterpart in the rig are ignored: {shown}")
+        self._unknown.update(new)
+        near = nearest_names(new[0], self._outfit.reader.joint_names) if self._outfit is not None else ""
+        self._log.warning(
+            f"{self._label}joints without a counterpart in the rig are ignored: {', '.join(each[:60] for each in new)}"
+            + (f"; did you mean {near}?" if near else "")
+            + ("; further ones will not be named" if len(self._unknown) >= MOST_UNKNOWN else "")
+        )
+
+    def _warn_degrees(self, name: str, value: float) -> None:
+        reason = f"joint {name!r} is {value:g} rad; are these degrees?"
+        self.statistics.doubt(reason)
+        self._log.warning(f"{self._label}{reason} It is draped as it is.", throttle_duration_sec=WARNING_PERIOD)
 
     # Reports.
 
@@ -280,7 +306,7 @@ class AvatarStream:
         return list(zip(worn, self.garments, found))
 
     def _strangers(self) -> str:
-        publishers = self._node.get_publishers_info_by_topic(self._subscription.topic_name)
+        publishers = self._node.get_publishers_info_by_topic(self.topic)
         others = sorted(
             f"{each.topic_type} of {each.node_name}" for each in publishers if each.topic_type != JOINT_STATE_TYPE
         )
@@ -292,8 +318,10 @@ class AvatarStream:
         self._outfit = None
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
-        self._node.destroy_subscription(self._subscription)
-        self._orientation.close()
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+        if self._orientation is not None:
+            self._orientation.close()
         for garment in self.garments:
             garment.close()
 

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from physkin_core.runtime.push_out import ContactResidual
 
 from physkin_core import Rig
 
@@ -58,16 +57,21 @@ class AvatarStatistics:
     """Counts of one avatar since it was configured.
 
     gravity_rejected: messages of a direction that is none; they count as rejections to warn about, but not as joint
-    states. not_ready: joint states before there was anything to drape. last_stamp_ns: of the last joint state that was
-    draped, None before the first. last_error: of a swap. strangers: who publishes something else than joint states on
-    their topic, which DDS does not deliver.
+    states. not_ready: joint states while there was nothing to drape yet, or the node was inactive. implausible: joint
+    states that look like degrees, draped all the same; last_implausible says which joint. last_error: of a swap.
+    last_stamp_ns: of the last joint state that was draped, None
+    before the first. strangers: who publishes something else than joint states on their topic, which DDS does not
+    deliver.
     """
 
     received: int = 0
     rejected: int = 0
     gravity_rejected: int = 0
     not_ready: int = 0
+    implausible: int = 0
+    swaps_failed: int = 0
     deadline_missed: int = 0
+    last_implausible: str = ""
     last_rejection: str = ""
     last_error: str = ""
     strangers: str = ""
@@ -83,17 +87,22 @@ class AvatarStatistics:
         self.gravity_rejected += 1
         self.last_rejection = reason
 
+    def fail_swap(self, reason: str) -> None:
+        """Count a swap that failed, and keep why."""
+        self.swaps_failed += 1
+        self.last_error = reason
+
+    def doubt(self, reason: str) -> None:
+        """Count a joint state that looks like degrees, and keep which joint."""
+        self.implausible += 1
+        self.last_implausible = reason
+
 
 @dataclass
 class GarmentStatistics:
-    """Clouds of one garment since it was configured, and what those of the last period took.
-
-    deepest: [m] and left_inside: a count, of the period's worst frame; None without push-out.
-    """
+    """Clouds of one garment since it was configured, and what those of the last period took."""
 
     published: int = 0
-    deepest: float | None = None
-    left_inside: int | None = None
     evaluation_ns: list[int] = field(default_factory=list)
 
     def draped(self, evaluation_ns: int) -> None:
@@ -103,18 +112,13 @@ class GarmentStatistics:
         if len(self.evaluation_ns) > MOST_TIMES:
             self.evaluation_ns.clear()
 
-    def touched(self, residual: ContactResidual) -> None:
-        """What the push-out left of a frame's contact."""
-        if self.deepest is None or residual.deepest >= self.deepest:
-            self.deepest, self.left_inside = residual.deepest, residual.left_inside
-
 
 @dataclass
 class Health:
     """One garment on one avatar over a period: what both ways of telling are made from.
 
     beyond: joints outside the trained range. period: [s]. evaluation_us: median and 99th percentile, None without
-    frames.
+    frames. new: by name of a count of `AvatarStatistics`, what came in the period.
     """
 
     counts: AvatarStatistics
@@ -123,21 +127,22 @@ class Health:
     received_rate: float
     published_rate: float
     evaluation_us: tuple[float, float] | None
-    new_rejections: int
-    new_misses: int
+    new: dict[str, int]
     beyond: Sequence[str]
-    deepest: float | None
-    left_inside: int | None
 
     def summary(self) -> tuple[bool, str]:
-        """Whether all is well, and a sentence."""
-        counts = self.counts
-        if self.new_rejections:
-            return False, f"{self.new_rejections} messages rejected: {counts.last_rejection}"
-        if counts.last_error:
-            return False, f"swap failed, the old one goes on: {counts.last_error}"
-        if self.new_misses:
-            return False, f"{self.new_misses} joint states missed the deadline"
+        """Whether all is well, and a sentence; troubles of the period, none of which hides another."""
+        counts, new = self.counts, self.new
+        rejected = new["rejected"] + new["gravity_rejected"]
+        troubles = (
+            (rejected, f"{rejected} messages rejected: {counts.last_rejection}"),
+            (new["swaps_failed"], f"swap failed, the old one goes on: {counts.last_error}"),
+            (new["implausible"], f"{new['implausible']} joint states look like degrees: {counts.last_implausible}"),
+            (new["not_ready"], f"{new['not_ready']} joint states came before the garment was ready"),
+            (new["deadline_missed"], f"{new['deadline_missed']} joint states missed the deadline"),
+        )
+        if any(count for count, _ in troubles):
+            return False, "; ".join(text for count, text in troubles if count)
         if self.evaluation_us is not None:
             if self.beyond:
                 return False, f"draping, but the pose is outside the trained range: {self.beyond[0]}"
@@ -151,15 +156,17 @@ class Health:
         counts = self.counts
         age = None if counts.last_stamp_ns is None else (now_ns - counts.last_stamp_ns) / 1e9
         p50, p99 = self.evaluation_us or (None, None)
-        values = {
+        return {
             "joint states received": str(counts.received),
             "joint states [Hz]": _number(self.received_rate, 1),
             "clouds published": str(self.published),
             "clouds [Hz]": _number(self.published_rate, 1),
             "joint states rejected": str(counts.rejected),
             "joint states before a garment was ready": str(counts.not_ready),
+            "joint states that look like degrees": str(counts.implausible),
             "gravity messages rejected": str(counts.gravity_rejected),
             "last rejection": counts.last_rejection or "none",
+            "swaps failed": str(counts.swaps_failed),
             "last error": counts.last_error or "none",
             "publishers of another type": counts.strangers or "none",
             "deadline missed": str(counts.deadline_missed),
@@ -168,20 +175,15 @@ class Health:
             "last stamp age [s]": _number(age, 3),
             "outside the trained range": "; ".join(self.beyond[:3]) or "none",
         }
-        if self.deepest is not None:
-            values["vertices left inside"] = str(self.left_inside)
-            values["deepest left inside [mm]"] = _number(1e3 * self.deepest, 2)
-        return values
 
     def fill(self, message) -> None:
         """Set the numbers of a `physkin_msgs/GarmentStatistics`."""
         counts = self.counts
-        for name in ("received", "rejected", "not_ready", "deadline_missed"):
+        for name in ("received", "rejected", "not_ready", "implausible", "deadline_missed"):
             setattr(message, name, getattr(counts, name))
         message.published = self.published
         message.received_rate, message.published_rate = self.received_rate, self.published_rate
         message.evaluation_p50, message.evaluation_p99 = self.evaluation_us or (math.nan, math.nan)
-        message.deepest_inside = math.nan if self.deepest is None else self.deepest
 
 
 class HealthReporter:
@@ -197,9 +199,7 @@ class HealthReporter:
         """Health of each garment since the last call. now_ns: monotonic time."""
         period = 1.0 if self._last_ns is None else max(1e-3, (now_ns - self._last_ns) / 1e9)
         self._last_ns = now_ns
-        received = self._since("received", counts.received)
-        rejected = self._since("rejected", counts.rejected + counts.gravity_rejected)
-        missed = self._since("missed", counts.deadline_missed)
+        new = {name: self._since(name, count) for name, count in vars(counts).items() if isinstance(count, int)}
         found = []
         for index, garment in enumerate(garments):
             times, garment.evaluation_ns = garment.evaluation_ns, []
@@ -209,18 +209,13 @@ class HealthReporter:
                     counts=counts,
                     published=garment.published,
                     period=period,
-                    received_rate=received / period,
+                    received_rate=new["received"] / period,
                     published_rate=self._since(f"published {index}", garment.published) / period,
                     evaluation_us=(float(p50), float(p99)) if times else None,
-                    new_rejections=rejected,
-                    new_misses=missed,
+                    new=new,
                     beyond=beyond,
-                    deepest=garment.deepest,
-                    left_inside=garment.left_inside,
                 )
             )
-            if times:
-                garment.deepest = garment.left_inside = None
         return found
 
     def _since(self, name: str, count: int) -> int:

@@ -11,37 +11,27 @@ import traceback
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from time import monotonic_ns
 
-from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 
+from physkin_core.model.model_file import shipped_models
 from physkin_ros.joints.ros4hri import ROS4HRI
+from physkin_ros.messages.interfaces import missing_interfaces
 from physkin_ros.middleware.shared_memory import leftovers, remove_shared_memory
 from physkin_ros.node.asset_loading import AssetRoots, DraperLoader, Outfitting
 from physkin_ros.node.avatar_stream import AvatarStream
 from physkin_ros.node.body_discovery import BodyDiscovery, body_publishers
-from physkin_ros.node.diagnostics import diagnostic_status
+from physkin_ros.node.parameters import declare_settings
+from physkin_ros.node.reports import Reports
 from physkin_ros.node.settings import (
-    AVATAR_SETTINGS,
-    GARMENT_SETTINGS,
-    NODE_SETTINGS,
     AvatarSettings,
-    Setting,
+    NodeSettings,
     SettingsError,
-    avatar_prefixes,
     check_setting,
     read_settings,
 )
-
-try:  # clouds never depend on our own interfaces
-    from physkin_msgs.msg import DrapeStatistics, GarmentStatistics
-
-    from physkin_ros.node.swap_services import SwapServices
-except ImportError:  # not installed, or of an earlier version
-    DrapeStatistics = GarmentStatistics = SwapServices = None
 
 __all__ = ["DrapeNode"]
 
@@ -61,15 +51,16 @@ class DrapeNode(LifecycleNode):
         super().__init__("drape_node", **arguments)
         self._streams: dict[str, AvatarStream] = {}
         self._templates: list[tuple[AvatarSettings, BodyDiscovery]] = []
-        self._publishers_of_reports: list = []
-        self._timers_of_reports: list = []
-        self._services_of_swaps = None
+        self._reports = self._services_of_swaps = self._body_timer = None
         self._failure: Exception | None = None
         self._starting = False
         self._active = False
-        self._changeable: dict[str, Setting] = {}
-        self._declare_parameters()
-        self._settings = self._read_settings()
+        try:
+            self._changeable = declare_settings(self)
+            self._settings = self._read_settings()
+        except BaseException:
+            super().destroy_node()
+            raise
         self._roots = AssetRoots(
             self._settings.asset_roots,
             (
@@ -78,7 +69,7 @@ class DrapeNode(LifecycleNode):
                 for file in (
                     avatar.body_mesh,
                     avatar.body_rig,
-                    *(garment.model for garment in avatar.garments if "/" in garment.model),
+                    *(each.model for each in avatar.garments if each.model not in shipped_models()),
                 )
             ),
         )
@@ -88,43 +79,14 @@ class DrapeNode(LifecycleNode):
         self.add_post_set_parameters_callback(self._follow_parameters)
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_INTERVAL))
         self._tell_leftovers()
+        if missing := missing_interfaces():
+            self.get_logger().warning(missing)
         if self._settings.autostart:
             self._start()
 
     # Parameters.
 
-    def _declare_parameters(self) -> None:
-        given = {name: parameter.value for name, parameter in self._parameter_overrides.items()}
-        avatars = avatar_prefixes(given)
-        levels = [("", NODE_SETTINGS)]
-        for avatar, garments in avatars.items():
-            levels += [(avatar, AVATAR_SETTINGS), *((garment, GARMENT_SETTINGS) for garment in garments)]
-        for prefix, settings in levels:
-            for key, setting in settings.items():
-                self._declare(prefix + key, setting)
-        strange = [name for name in given if not self.has_parameter(name) and not name.startswith("qos_overrides.")]
-        if strange:
-            known = [*NODE_SETTINGS, *("avatars" if "" not in avatars else [*AVATAR_SETTINGS, *GARMENT_SETTINGS])]
-            self.get_logger().warning(f"no such parameter: {', '.join(sorted(strange))}; there are {', '.join(known)}")
-
-    def _declare(self, name: str, setting: Setting) -> None:
-        descriptor = ParameterDescriptor(description=setting.description, read_only=not setting.changes)
-        if setting.choices:
-            descriptor.additional_constraints = f"one of: {', '.join(choice or 'empty' for choice in setting.choices)}"
-        if isinstance(setting.default, float):
-            descriptor.dynamic_typing = True  # 60 on a command line is an integer
-            descriptor.floating_point_range = [
-                FloatingPointRange(from_value=float(setting.low), to_value=float(setting.high))
-            ]
-        elif isinstance(setting.default, int) and not isinstance(setting.default, bool):
-            descriptor.integer_range = [IntegerRange(from_value=int(setting.low), to_value=int(setting.high), step=1)]
-        elif isinstance(setting.default, list) and isinstance(setting.default[0], float):
-            descriptor.dynamic_typing = True  # so is [0, 0, -1]
-        self.declare_parameter(name, setting.default, descriptor)
-        if setting.changes:
-            self._changeable[name] = setting
-
-    def _read_settings(self):
+    def _read_settings(self) -> NodeSettings:
         return read_settings({name: parameter.value for name, parameter in self._parameters.items()})
 
     def _check_parameters(self, parameters: Iterable[Parameter]) -> SetParametersResult:
@@ -156,36 +118,51 @@ class DrapeNode(LifecycleNode):
                 continue
             if avatar.prefix + "gravity" in names:
                 stream.set_gravity(avatar.gravity)
-            worn = stream.settings
-            body = (avatar.body_mesh, avatar.body_rig)
-            models = {
-                index: garment.model
-                for index, (garment, before) in enumerate(zip(avatar.garments, worn.garments))
-                if garment.model != before.model
-            }
-            if body != (worn.body_mesh, worn.body_rig) or models:
-                self._worker.submit(self._swap_for_parameters, stream, body, models)
+            if self._wish(stream) is not None:
+                self._worker.submit(self._grant_wishes, stream)
         self._templates = [
             (next(avatar for avatar in settings.avatars if avatar.prefix == template.prefix), discovery)
             for template, discovery in self._templates
         ]
 
-    def _swap_for_parameters(self, stream: AvatarStream, body: tuple[str, str], models: dict[int, str]) -> None:
-        try:
-            stream.dress(body=body, models=models)
-        except Exception as error:
-            self._report_swap(stream, error)
-            self._show_settings(stream)
+    def _wish(self, stream: AvatarStream) -> tuple[tuple[str, str], dict[int, str]] | None:
+        """Body and models by garment index that the parameters ask of a stream; None when it wears them."""
+        avatars = (each for each in self._settings.avatars if not each.discover)
+        avatar = next((each for each in avatars if self._streams.get(each.id) is stream), None)
+        if avatar is None:
+            return None
+        body, worn = (avatar.body_mesh, avatar.body_rig), stream.settings
+        models = {
+            index: garment.model
+            for index, (garment, before) in enumerate(zip(avatar.garments, worn.garments))
+            if garment.model != before.model
+        }
+        return (body, models) if models or body != (worn.body_mesh, worn.body_rig) else None
 
-    def _show_settings(self, stream: AvatarStream) -> None:
-        """Let the parameters say what is worn."""
+    def _grant_wishes(self, stream: AvatarStream) -> None:
+        """Have a stream wear what the parameters say in the end, though they may change while it loads.
+
+        Runs on the worker. Where that cannot be loaded, the parameters go back to what is worn.
+        """
+        while (wish := self._wish(stream)) is not None:
+            body, models = wish
+            try:
+                stream.dress(body=body, models=models, wanted=lambda wish=wish: self._wish(stream) == wish)
+            except Exception as error:
+                self._report_swap(stream, error)
+                if self._wish(stream) == wish:
+                    self._show_settings(stream)
+                    return
+
+    def _show_settings(self, stream: AvatarStream, only: Iterable[str] = ()) -> None:
+        """Let the parameters say what is worn. only: full names of those that are meant, by default all."""
         worn = stream.settings
         values = {worn.prefix + "body_mesh": worn.body_mesh, worn.prefix + "body_rig": worn.body_rig}
         values |= {garment.prefix + "model": garment.model for garment in worn.garments}
         changed = [
             Parameter(name, value=value)
             for name, value in values.items()
-            if name in self._changeable and self.get_parameter(name).value != value
+            if name in (only or values) and name in self._changeable and self.get_parameter(name).value != value
         ]
         if changed and self._streams.get(worn.id) is stream and not self._is_template(worn.prefix):
             # not through the callbacks: they would start the swap again, or refuse what the node was started with
@@ -266,15 +243,16 @@ class DrapeNode(LifecycleNode):
             if avatar.discover:
                 self._templates.append((avatar, BodyDiscovery(self._settings.most_bodies)))
             else:
-                self._open(avatar).dress()
-        diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._publishers_of_reports = [diagnostics]
-        if SwapServices is not None:
-            self._publishers_of_reports.append(self.create_publisher(DrapeStatistics, "~/statistics", 10))
+                stream = self._open(avatar)
+                stream.dress()
+                stream.listen()  # not before: what is sent in the meantime would be lost without being counted
+        self._reports = Reports(self, lambda: list(self._streams.values()))
+        if not missing_interfaces():
+            from physkin_ros.node.swap_services import SwapServices
+
             self._services_of_swaps = SwapServices(self, self._set_body, self._set_garment)
-        self._timers_of_reports = [self.create_timer(1.0, self._report)]
         if self._templates:
-            self._timers_of_reports.append(self.create_timer(0.5, self._look_for_bodies))
+            self._body_timer = self.create_timer(0.5, self._look_for_bodies)
 
     def _open(self, avatar: AvatarSettings) -> AvatarStream:
         stream = AvatarStream(self, avatar, self._loader, deadline_ns=round(1e9 * self._settings.deadline))
@@ -292,13 +270,14 @@ class DrapeNode(LifecycleNode):
         if self._services_of_swaps is not None:
             self._services_of_swaps.close()
             self._services_of_swaps = None
-        for timer in self._timers_of_reports:
-            self.destroy_timer(timer)
-        for publisher in self._publishers_of_reports:
-            self.destroy_publisher(publisher)
+        if self._reports is not None:
+            self._reports.close()
+            self._reports = None
+        if self._body_timer is not None:
+            self.destroy_timer(self._body_timer)
+            self._body_timer = None
         for stream in self._streams.values():
             stream.close()
-        self._timers_of_reports, self._publishers_of_reports = [], []
         self._streams, self._templates = {}, []
 
     # Bodies that come and go.
@@ -317,6 +296,7 @@ class DrapeNode(LifecycleNode):
                     self.get_logger().warning(f"{body}: a body of this id is dressed already; it is passed over")
                     continue
                 stream = self._open(_settings_for(template, body))
+                stream.listen()
                 self.get_logger().info(f"{body}: a body has come")
                 self._worker.submit(self._dress_body, stream)
             if discovery.waiting - waiting:
@@ -336,7 +316,10 @@ class DrapeNode(LifecycleNode):
     def _set_body(self, request, response):
         def swap(stream: AvatarStream):
             Outfitting(body_mesh=request.body_mesh, body_rig=request.body_rig).check(self._roots)
-            return stream.dress(body=(request.body_mesh, request.body_rig))
+            loaded = stream.dress(body=(request.body_mesh, request.body_rig))
+            prefix = stream.settings.prefix
+            self._show_settings(stream, (f"{prefix}body_mesh", f"{prefix}body_rig"))
+            return loaded
 
         return self._answer(request, response, swap)
 
@@ -347,7 +330,9 @@ class DrapeNode(LifecycleNode):
             if not request.model:
                 raise SettingsError("model must not be empty")
             Outfitting(model=request.model).check(self._roots)
-            return [stream.dress(models={index: request.model})[index]]
+            loaded = stream.dress(models={index: request.model})
+            self._show_settings(stream, (f"{stream.settings.garments[index].prefix}model",))
+            return [loaded[index]]
 
         return self._answer(request, response, swap)
 
@@ -361,7 +346,6 @@ class DrapeNode(LifecycleNode):
         except Exception as error:
             response.success, response.message = False, self._report_swap(stream, error)
             return response
-        self._show_settings(stream)
         response.success = True
         response.message = ", ".join(f"{each.draper.model.name} on {each.draper.avatar.source}" for each in loaded)
         response.seconds = sum(each.seconds for each in loaded)
@@ -373,46 +357,9 @@ class DrapeNode(LifecycleNode):
         known = isinstance(error, (ValueError, OSError))
         reason = str(error) if known else f"{type(error).__name__}: {error}"
         if stream is not None:
-            stream.statistics.last_error = reason
+            stream.statistics.fail_swap(reason)
         self.get_logger().error(f"swap failed, the old one goes on: {reason}")
         return reason
-
-    # Reports.
-
-    def _report(self) -> None:
-        now = self.get_clock().now()
-        monotonic = monotonic_ns()
-        report = DiagnosticArray()
-        report.header.stamp = now.to_msg()
-        numbers = DrapeStatistics(header=report.header) if DrapeStatistics is not None else None
-        for stream in list(self._streams.values()):
-            for worn, garment, health in stream.health(monotonic):
-                values = health.values(now.nanoseconds)
-                well, summary = health.summary()
-                name = model = garment.settings.model
-                source = ""
-                if worn is not None:
-                    draper = worn.draper
-                    name = model = draper.model.name
-                    source = draper.avatar.source
-                    values |= {"backend": draper.backend, "instruction set": draper.instruction_set}
-                    values["precision"] = draper.precision
-                values["model"] = model
-                values["gravity"] = " ".join(f"{value:.3f}" for value in stream.gravity)
-                if not stream.active:
-                    summary = "inactive"
-                elif worn is None:
-                    well, summary = False, "the garment is being loaded"
-                title = f"{self.get_name()}: {garment.name or name}"
-                report.status.append(diagnostic_status(title, source, well, summary, values))
-                if numbers is not None:
-                    entry = GarmentStatistics(avatar=garment.avatar_id, garment=garment.settings.name, model_name=model)
-                    health.fill(entry)
-                    numbers.period = health.period
-                    numbers.garments.append(entry)
-        messages = [report] if numbers is None else [report, numbers]
-        for publisher, message in zip(self._publishers_of_reports, messages):
-            publisher.publish(message)
 
     def _tell_leftovers(self) -> None:
         names = leftovers()

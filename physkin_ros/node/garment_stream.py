@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 import numpy as np
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker
 
 from physkin_core import Draper
 from physkin_ros.messages.conversions import GarmentCloud, NodesMessage, TriangleMarker, garment_mesh
+from physkin_ros.messages.interfaces import missing_interfaces
 from physkin_ros.node.diagnostics import GarmentStatistics
 from physkin_ros.node.settings import AvatarSettings, GarmentSettings
-
-try:  # clouds never depend on our own interfaces
-    from physkin_msgs.msg import GarmentMesh, GarmentNodes
-except ImportError:  # not installed, or of an earlier version
-    GarmentMesh = GarmentNodes = None
 
 __all__ = ["GarmentStream", "WornGarment", "stream_quality"]
 
 
-def stream_quality(depth: int = 5) -> dict[str, object]:
-    """Arguments of a stream's publisher or subscription: reliable, keep last, open to `qos_overrides` parameters."""
+def stream_quality(depth: int = 5, *, reliable: bool = True) -> dict[str, object]:
+    """Arguments of a stream's publisher or subscription: keep last, open to `qos_overrides` parameters.
+
+    reliable: else best effort, as sensor drivers publish; a subscription takes reliable publishers', too.
+    """
     policies = ("HISTORY", "DEPTH", "RELIABILITY", "DURABILITY", "DEADLINE", "LIVELINESS", "LIVELINESS_LEASE_DURATION")
     overrides = QoSOverridingOptions(policy_kinds=[QoSPolicyKind[policy] for policy in policies])
-    return {"qos_profile": QoSProfile(depth=depth), "qos_overriding_options": overrides}
+    reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+    return {"qos_profile": QoSProfile(depth=depth, reliability=reliability), "qos_overriding_options": overrides}
 
 
 class GarmentStream:
@@ -46,7 +46,9 @@ class GarmentStream:
         if settings.marker:
             self.marker_publisher = node.create_publisher(Marker, f"{topics}/marker", **stream_quality())
         self.nodes_publisher = self._mesh_publisher = None
-        if GarmentMesh is not None:
+        if not missing_interfaces():
+            from physkin_msgs.msg import GarmentMesh, GarmentNodes
+
             self.nodes_publisher = node.create_publisher(GarmentNodes, f"{topics}/garment_nodes", **stream_quality())
             latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
             self._mesh_publisher = node.create_publisher(GarmentMesh, f"{topics}/mesh", latched)
@@ -77,7 +79,7 @@ class WornGarment:
     ) -> None:
         self.stream, self.draper = stream, draper
         self.revision = revision
-        self._cloud = GarmentCloud(self.draper.vertex_count, stream.frame_id, serialised=stream.settings.serialised)
+        self._cloud = GarmentCloud(self.draper.vertex_count, stream.frame_id)
         self.step = self.draper.bind_step(pose, gravity, self._cloud.points)
         self._nodes = self._marker = None
         if stream.nodes_publisher is not None:

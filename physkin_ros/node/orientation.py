@@ -6,15 +6,26 @@ Quaternions are x, y, z, w and turn the root frame into an upright one (Z up), a
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 
 import numpy as np
 
 from physkin_ros.messages.conversions import gravity_direction
 
-__all__ = ["OrientationError", "TransformTree", "gravity_from_imu", "gravity_from_quaternion", "gravity_from_tilt"]
+__all__ = [
+    "GravityByStamp",
+    "OrientationError",
+    "TransformTree",
+    "gravity_from_imu",
+    "gravity_from_quaternion",
+    "gravity_from_tilt",
+]
 
 DEEPEST_CHAIN = 64
+MOST_DIRECTIONS = 256
+"""Directions of gravity that are kept: a quarter of a second of a fast IMU."""
+SAME_CLOCK = 1_000_000_000  # [ns] stamps farther apart than this, the wrong way round, are of different clocks
 
 
 class OrientationError(ValueError):
@@ -56,6 +67,46 @@ def gravity_from_tilt(roll: float, pitch: float) -> np.ndarray:
         raise OrientationError(f"roll is {roll} and pitch {pitch}; they must be finite [rad]")
     across = math.cos(pitch)
     return np.array([math.sin(pitch), -across * math.sin(roll), -across * math.cos(roll)])
+
+
+class GravityByStamp:
+    """Pairs directions of gravity with joint states by their stamps [ns].
+
+    A joint state goes with the latest direction stamped no later than itself; where all that are kept are later, with
+    the earliest of them. It never waits. The direction that arrived last counts where the joint state has no stamp
+    (zero), the direction has none, or all directions are more than a second later, so that the clocks do not agree.
+    A direction without stamp, or one stamped more than a second before the latest, ends those before it.
+
+    down: (3,) direction until there is another.
+    """
+
+    def __init__(self, down: np.ndarray) -> None:
+        self._last = down
+        self._stamps: list[int] = []
+        self._directions: list[np.ndarray] = []
+
+    def add(self, down: np.ndarray, stamp_ns: int) -> None:
+        """Take a direction (3,) that has arrived."""
+        stamps, directions = self._stamps, self._directions
+        self._last = down
+        if not stamp_ns or (stamps and stamp_ns < stamps[-1] - SAME_CLOCK):
+            stamps.clear()
+            directions.clear()
+        if stamp_ns:
+            at = bisect_right(stamps, stamp_ns)
+            stamps.insert(at, stamp_ns)
+            directions.insert(at, down)
+            del stamps[:-MOST_DIRECTIONS], directions[:-MOST_DIRECTIONS]
+
+    def at(self, stamp_ns: int) -> np.ndarray:
+        """The direction (3,) that goes with a joint state."""
+        stamps = self._stamps
+        if not stamps or not stamp_ns:
+            return self._last
+        later = bisect_right(stamps, stamp_ns)
+        if later:
+            return self._directions[later - 1]
+        return self._directions[0] if stamps[0] - stamp_ns <= SAME_CLOCK else self._last
 
 
 class TransformTree:

@@ -16,16 +16,18 @@ from physkin_ros.node.settings import AvatarSettings, SettingsError
 
 __all__ = ["OrientationSource"]
 
+SENSOR_QUEUE = 50  # of an IMU, while the machine is busy
+
 
 class OrientationSource:
-    """Calls back with gravity's unit direction (3,), or with why a message gave none.
+    """Calls back with gravity's unit direction (3,) and its stamp [ns], or with why a message gave none.
 
     tree: the TF tree of orientation tf, to be asked for every joint state; else None.
     Raises SettingsError for orientation tf without tf2_msgs.
     """
 
     def __init__(
-        self, node, avatar: AvatarSettings, on_gravity: Callable[[np.ndarray], None], on_bad: Callable[[str], None]
+        self, node, avatar: AvatarSettings, on_gravity: Callable[[np.ndarray, int], None], on_bad: Callable[[str], None]
     ) -> None:
         self.tree: TransformTree | None = None
         self._node, self._on_gravity, self._on_bad = node, on_gravity, on_bad
@@ -39,7 +41,8 @@ class OrientationSource:
             kind, self._read = kinds[avatar.orientation]
             default = f"{avatar.id}/{avatar.orientation}" if avatar.id else avatar.orientation
             topic = avatar.orientation_topic or default
-            self._subscriptions.append(node.create_subscription(kind, topic, self._on_message, **stream_quality()))
+            quality = stream_quality(SENSOR_QUEUE, reliable=False) if kind is Imu else stream_quality()
+            self._subscriptions.append(node.create_subscription(kind, topic, self._on_message, **quality))
         elif avatar.orientation == "tf":
             try:
                 from tf2_msgs.msg import TFMessage
@@ -66,7 +69,8 @@ class OrientationSource:
         except ValueError as error:
             self._on_bad(str(error))
         else:
-            self._on_gravity(down)
+            stamp = message.header.stamp
+            self._on_gravity(down.astype(np.float32), stamp.sec * 1_000_000_000 + stamp.nanosec)
 
 
 def _from_vector(vector) -> np.ndarray:

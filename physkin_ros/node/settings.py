@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 from physkin_core import BACKENDS, NORMALS, UPRIGHT_GRAVITY
 from physkin_core.runtime.native_evaluator import PRECISIONS
+from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.messages.conversions import gravity_direction
 
 __all__ = [
@@ -26,8 +28,8 @@ __all__ = [
     "Setting",
     "SettingsError",
     "avatar_prefixes",
+    "check_names",
     "check_setting",
-    "defaults",
     "flatten",
     "load_config",
     "read_settings",
@@ -54,175 +56,146 @@ class Setting:
     may_be_empty: bool = True
 
 
-NODE_SETTINGS = {
-    "executor": Setting("events", "rclpy executor: events (least overhead) or single", choices=("events", "single")),
-    "backend": Setting("native", "evaluator: native (C++) or numpy (readable reference, slow)", choices=BACKENDS),
-    "autostart": Setting(True, "configure and activate at once; false: wait for lifecycle transitions"),
-    "asset_roots": Setting(
-        [""],
-        "folders that bodies and garments may be swapped for while running; default: those of the files the node "
-        "started with. Shipped garments and the bundled avatar are always allowed",
-    ),
-    "deadline": Setting(
-        0.0,
-        "[s] from a joint state's arrival to its last cloud; what takes longer is counted. 0: none",
-        True,
-        (),
-        0,
-        60,
-    ),
-    "most_bodies": Setting(8, "bodies dressed at a time by an avatar with discover; later ones wait", low=1, high=64),
-    "clear_shared_memory": Setting(
-        False, "at the start, delete what killed Fast DDS processes of this user left in /dev/shm"
-    ),
-}
-AVATAR_SETTINGS = {
-    "joint_states": Setting("", "topic of sensor_msgs/JointState; default: joint_states, with avatars ID/joint_states"),
-    "body_mesh": Setting(
-        "", "avatar to dress: a GLB, glTF, VRM, OBJ, PLY or STL file; empty: the bundled avatar", changes=True
-    ),
-    "body_rig": Setting(
-        "",
-        "rig file of a body_mesh that has no skin of its own; empty: NAME.rig.json beside it, if there",
-        changes=True,
-    ),
-    "joint_map": Setting(
-        "",
-        "JSON file from incoming joint names to those of the rig; ros4hri for bodies of REP-155, vrm for VRM humanoid "
-        "bones (both: default rig only); empty: the names are the rig's",
-    ),
-    "missing_joints": Setting(
-        "last",
-        "joints that a message does not name keep their last position, or go back to the neutral one",
-        choices=("last", "neutral"),
-    ),
-    "frame_id": Setting(
-        "",
-        "TF frame the clouds are given in: the body's root, X forward, Y left, Z up; default base_link, with avatars "
-        "ID, with discover body_ID",
-    ),
-    "gravity": Setting(
-        UPRIGHT_GRAVITY.tolist(),
-        "direction of gravity in the body's root frame until the orientation source gives one",
-        changes=True,
-    ),
-    "orientation": Setting(
-        "gravity",
-        "what tells the direction of gravity: gravity (topic, Vector3Stamped), pose (topic, PoseStamped of the root in "
-        "an upright frame), imu (topic, Imu in the root frame), joints (of the joint states), tf, or fixed",
-        choices=("gravity", "pose", "imu", "joints", "tf", "fixed"),
-    ),
-    "orientation_topic": Setting(
-        "", "topic of orientation gravity, pose or imu; default: its name, with avatars ID/gravity and so on"
-    ),
-    "orientation_joints": Setting(
-        ["root_roll", "root_pitch"], "names of roll and pitch [rad] in the joint states, for orientation joints"
-    ),
-    "world_frame": Setting("world", "upright TF frame, for orientation tf", may_be_empty=False),
-    "cloud_rate": Setting(
-        0.0,
-        "[Hz] clouds interpolated between joint states, one joint state late; 0: one cloud a joint state",
-        low=0,
-        high=1000,
-    ),
-    "discover": Setting(
-        "",
-        "ros4hri: an avatar for every body on /humans/bodies/ID/joint_states, as they come and go",
-        choices=("", "ros4hri"),
-    ),
-}
-GARMENT_SETTINGS = {
-    "model": Setting(
+def _key(default: object, description: str, **more: Any) -> Any:
+    """A parameter, as the field of a settings class that bears its name."""
+    return field(metadata={"setting": Setting(default, description, **more)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class GarmentSettings:
+    """One garment. prefix: of its parameters. name: empty for the only one."""
+
+    prefix: str
+    name: str
+    model: str = _key(
         "tshirt", "garment model: a .safetensors file, or the name of a shipped one", changes=True, may_be_empty=False
-    ),
-    "precision": Setting(
+    )
+    precision: str = _key(
         "",
         "of the network weights: fp32, bf16 or int8, each faster and coarser than the last; default bf16, and with the "
         "numpy backend fp32, the only one it knows",
         choices=("", *PRECISIONS),
-    ),
-    "fit": Setting(
+    )
+    fit: float = _key(
         0.0,
         "0: the garment's one size; 1: made to measure for this body; or between. Above 0 only for models that have "
         "learnt it; takes half a second more to start",
         low=0,
         high=1,
-    ),
-    "push_out": Setting(
-        False,
-        "move vertices that end up inside the body out of it, in microseconds a frame; the node takes seconds more to "
-        "start, and its diagnostics tell what is left inside",
-    ),
-    "normals": Setting(
+    )
+    normals: str = _key(
         "skinned",
         "skinned: carried along with the cloth; faces: of the draped mesh, truer, for some 5 ns a vertex",
         choices=NORMALS,
-    ),
-    "namespace": Setting("", "what the garment's topics are below; default ~, with avatars ~/ID/NAME"),
-    "serialised": Setting(
-        True,
-        "fill clouds in place as the bytes they travel as; false: as messages, which rclpy checks and serialises",
-    ),
-    "marker": Setting(False, "publish a visualization_msgs/Marker TRIANGLE_LIST too, for RViz"),
-}
+    )
+    namespace: str = _key("", "what the garment's topics are below; default ~, with avatars ~/ID/NAME")
+    marker: bool = _key(False, "publish a visualization_msgs/Marker TRIANGLE_LIST too, for RViz")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AvatarSettings:
+    """One avatar. prefix: of its parameters. id: empty for the only one."""
+
+    prefix: str
+    id: str
+    garments: tuple[GarmentSettings, ...]
+    joint_states: str = _key("", "topic of sensor_msgs/JointState; default: joint_states, with avatars ID/joint_states")
+    body_mesh: str = _key(
+        "", "avatar to dress: a GLB, glTF, VRM, OBJ, PLY or STL file; empty: the bundled avatar", changes=True
+    )
+    body_rig: str = _key(
+        "",
+        "rig file of a body_mesh that has no skin of its own; empty: NAME.rig.json beside it, if there",
+        changes=True,
+    )
+    joint_map: str = _key(
+        "",
+        "JSON file from incoming joint names to those of the rig; ros4hri for bodies of REP-155, vrm for VRM humanoid "
+        "bones (both: default rig only); empty: the names are the rig's",
+    )
+    missing_joints: str = _key(
+        "last",
+        "joints that a message does not name keep their last position, or go back to the neutral one",
+        choices=("last", "neutral"),
+    )
+    frame_id: str = _key(
+        "",
+        "TF frame the clouds are given in: the body's root, X forward, Y left, Z up; default base_link, with avatars "
+        "ID, with discover body_ID",
+    )
+    gravity: tuple[float, ...] = _key(
+        UPRIGHT_GRAVITY.tolist(),
+        "direction of gravity in the body's root frame until the orientation source gives one",
+        changes=True,
+    )
+    orientation: str = _key(
+        "gravity",
+        "what tells the direction of gravity: gravity (topic, Vector3Stamped), pose (topic, PoseStamped of the root in "
+        "an upright frame), imu (topic, Imu in the root frame), joints (of the joint states), tf, or fixed",
+        choices=("gravity", "pose", "imu", "joints", "tf", "fixed"),
+    )
+    orientation_topic: str = _key(
+        "", "topic of orientation gravity, pose or imu; default: its name, with avatars ID/gravity and so on"
+    )
+    orientation_joints: tuple[str, ...] = _key(
+        ["root_roll", "root_pitch"], "names of roll and pitch [rad] in the joint states, for orientation joints"
+    )
+    world_frame: str = _key("world", "upright TF frame, for orientation tf", may_be_empty=False)
+    cloud_rate: float = _key(
+        0.0,
+        "[Hz] clouds interpolated between joint states, one joint state late; 0: one cloud a joint state",
+        low=0,
+        high=1000,
+    )
+    discover: str = _key(
+        "",
+        "ros4hri: an avatar for every body on /humans/bodies/ID/joint_states, as they come and go",
+        choices=("", "ros4hri"),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeSettings:
+    """The node and its avatars."""
+
+    avatars: tuple[AvatarSettings, ...]
+    executor: str = _key("events", "rclpy executor: events (least overhead) or single", choices=("events", "single"))
+    backend: str = _key("native", "evaluator: native (C++) or numpy (readable reference, slow)", choices=BACKENDS)
+    autostart: bool = _key(True, "configure and activate at once; false: wait for lifecycle transitions")
+    asset_roots: tuple[str, ...] = _key(
+        [""],
+        "folders that bodies and garments may be swapped for while running; default: those of the files the node "
+        "started with. Shipped garments and the bundled avatar are always allowed",
+    )
+    deadline: float = _key(
+        0.0,
+        "[s] from a joint state's arrival to its last cloud; what takes longer is counted. 0: none",
+        changes=True,
+        low=0,
+        high=60,
+    )
+    most_bodies: int = _key(8, "bodies dressed at a time by an avatar with discover; later ones wait", low=1, high=64)
+    clear_shared_memory: bool = _key(
+        False, "at the start, delete what killed Fast DDS processes of this user left in /dev/shm"
+    )
+
+
+def _settings_of(kind: type) -> dict[str, Setting]:
+    return {each.name: each.metadata["setting"] for each in fields(kind) if each.metadata}
+
+
+NODE_SETTINGS, AVATAR_SETTINGS, GARMENT_SETTINGS = map(_settings_of, (NodeSettings, AvatarSettings, GarmentSettings))
 """Name -> setting. Those whose `changes` is false are fixed once the node is configured."""
 
+REMOVED = {
+    "push_out": "push_out was removed, and garments are draped as without it: delete the key",
+    "serialised": "serialised was removed, clouds are always filled in place as bytes: delete the key",
+}
+"""Keys of earlier versions -> what became of them and what to do."""
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 TOPIC = re.compile(r"(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides", "service_introspection")
 NODE_NAMES = ("drape_node", "/drape_node", "/**", "/**/drape_node", "**")
-
-
-@dataclass(frozen=True)
-class GarmentSettings:
-    """One garment. prefix: of its parameters. name: empty for the only one. The rest: see `GARMENT_SETTINGS`."""
-
-    prefix: str
-    name: str
-    model: str
-    precision: str
-    fit: float
-    push_out: bool
-    normals: str
-    namespace: str
-    serialised: bool
-    marker: bool
-
-
-@dataclass(frozen=True)
-class AvatarSettings:
-    """One avatar. prefix: of its parameters. id: empty for the only one. The rest: see `AVATAR_SETTINGS`."""
-
-    prefix: str
-    id: str
-    joint_states: str
-    body_mesh: str
-    body_rig: str
-    joint_map: str
-    missing_joints: str
-    frame_id: str
-    gravity: tuple[float, ...]
-    orientation: str
-    orientation_topic: str
-    orientation_joints: tuple[str, ...]
-    world_frame: str
-    cloud_rate: float
-    discover: str
-    garments: tuple[GarmentSettings, ...] = field(default=())
-
-
-@dataclass(frozen=True)
-class NodeSettings:
-    """The node and its avatars; see `NODE_SETTINGS`."""
-
-    executor: str
-    backend: str
-    autostart: bool
-    asset_roots: tuple[str, ...]
-    deadline: float
-    most_bodies: int
-    clear_shared_memory: bool
-    avatars: tuple[AvatarSettings, ...]
 
 
 def avatar_prefixes(names: Mapping[str, object]) -> dict[str, tuple[str, ...]]:
@@ -262,16 +235,36 @@ def avatar_prefixes(names: Mapping[str, object]) -> dict[str, tuple[str, ...]]:
                     f"parameter {name}: {kind} {text!r}; allowed: letters, digits and _, a letter first"
                 )
         if key not in known:
-            raise SettingsError(f"parameter {name}: unknown key {key!r}; allowed in {where[:-1]}: {', '.join(known)}")
+            raise _unknown(key, known, name, f" in {where[:-1]}")
     for avatar, garments in avatars.items():
         if not garments:
             raise SettingsError(f"{avatar[:-1]} has no garments; give it one: {avatar}garments.NAME.model")
     return {avatar: tuple(garments) for avatar, garments in avatars.items()} or {"": ("",)}
 
 
-def defaults(prefix: str, settings: Mapping[str, Setting]) -> dict[str, object]:
-    """Parameter name -> default below a prefix of `avatar_prefixes`."""
-    return {prefix + key: setting.default for key, setting in settings.items()}
+def check_names(names: Iterable[str]) -> None:
+    """Raises SettingsError for the first parameter that there is not, naming the nearest that there is.
+
+    names: full names, of which those below `avatars` are left to `avatar_prefixes`.
+    """
+    names = list(names)
+    single = {*AVATAR_SETTINGS, *GARMENT_SETTINGS}
+    many = any(name.startswith("avatars.") for name in names)
+    for name in names:
+        if name in NODE_SETTINGS or name.split(".")[0] in (*BUILT_IN, "avatars") or (name in single and not many):
+            continue
+        if name in single:
+            below = "avatars.ID." if name in AVATAR_SETTINGS else "avatars.ID.garments.NAME."
+            raise SettingsError(f"parameter {name}: beside avatars it is given to each of them, as {below}{name}")
+        raise _unknown(name, [*NODE_SETTINGS, *([] if many else single), "avatars"])
+
+
+def _unknown(name: str, known: Iterable[str], parameter: str = "", where: str = "") -> SettingsError:
+    if name in REMOVED:
+        return SettingsError(f"parameter {parameter or name}: {REMOVED[name]}")
+    near = nearest_names(name, known, most=1)
+    allowed = f"did you mean {near}?" if near else f"allowed{where}: {', '.join(sorted(known))}"
+    return SettingsError(f"parameter {parameter or name}: unknown key {name!r}; {allowed}")
 
 
 def check_setting(name: str, setting: Setting, value: object) -> object:
@@ -313,8 +306,7 @@ def check_setting(name: str, setting: Setting, value: object) -> object:
 def read_settings(given: Mapping[str, object]) -> NodeSettings:
     """The settings that parameters give, by their full names; the others at their defaults.
 
-    Raises SettingsError naming parameter, value and what is allowed; names that are not below `avatars` and unknown are
-    passed over, for a parameter file may hold other nodes' too.
+    Raises SettingsError naming parameter, value and what is allowed. Names: see `check_names`.
     """
 
     def read(prefix: str, settings: Mapping[str, Setting]) -> dict[str, object]:
@@ -372,11 +364,7 @@ def load_config(path: str | Path) -> NodeSettings:
             if not isinstance(part, dict) or not isinstance(part.get("ros__parameters"), dict) or len(part) > 1:
                 raise SettingsError(f"expected {example}; got {part!r:.60}")
             flat |= flatten(part["ros__parameters"])
-        known = {*NODE_SETTINGS, *AVATAR_SETTINGS, *GARMENT_SETTINGS}
-        for name in flat:
-            top = name.split(".")[0]
-            if top not in (*BUILT_IN, "avatars") and name not in known:
-                raise SettingsError(f"unknown key {name!r}; allowed: {', '.join(['avatars', *sorted(known)])}")
+        check_names(flat)
         return read_settings(flat)
     except SettingsError as error:
         raise SettingsError(f"config {path}: {error}") from None

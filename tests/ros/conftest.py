@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -31,15 +32,63 @@ def leaning_model_path(leaning_model, tmp_path_factory):
     return path
 
 
-@pytest.fixture
-def domain(monkeypatch):
-    """A ROS domain of its own for this process and its children, on this machine only."""
+@pytest.fixture(scope="session", autouse=True)
+def domains_of_this_process():
+    """Of processes that run tests side by side, each chooses among other ROS domains."""
+    from physkin_ros.middleware import transport
+
+    index, count = (
+        os.environ.get(f"PYTEST_XDIST_WORKER{end}", default) for end, default in (("", "gw0"), ("_COUNT", "1"))
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(transport, "DOMAINS", transport.DOMAINS[int(index.removeprefix("gw")) :: int(count)])
+        yield
+
+
+@pytest.fixture(scope="module")
+def domain():
+    """A ROS domain of the module's own for this process and its children, on this machine only."""
     from physkin_ros.middleware.transport import private_environment
 
-    for name, value in private_environment().items():
-        if os.environ.get(name) != value:
-            monkeypatch.setenv(name, value)
-    return int(os.environ["ROS_DOMAIN_ID"])
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in private_environment().items():
+            if os.environ.get(name) != value:
+                patch.setenv(name, value)
+        yield int(os.environ["ROS_DOMAIN_ID"])
+
+
+@pytest.fixture(scope="module")
+def start_site(domain, tmp_path_factory):
+    """Starts `physkin node --config` with these parameters, and a ROS node that listens to these garments.
+
+    At the end the node must still be there, end well at SIGINT and have logged no traceback.
+    """
+    sites = []
+
+    def start(parameters: dict, garments):
+        import yaml
+        from drape_site import Site
+
+        folder = tmp_path_factory.mktemp("site")
+        config, log = folder / "avatars.yaml", folder / "log"
+        config.write_text(yaml.safe_dump({"drape_node": {"ros__parameters": parameters}}))
+        command = [sys.executable, "-m", "physkin_core.cli", "node", "--config", str(config)]
+        with open(log, "w") as output:
+            process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
+        sites.append(Site(domain, process, garments, log))
+        return sites[-1]
+
+    yield start
+    try:
+        for site in sites:
+            site.process.send_signal(signal.SIGINT)
+            assert site.process.wait(10) == 0, site.log.read_text()
+            assert "Traceback" not in site.log.read_text()
+    finally:
+        for site in sites:
+            site.process.kill()
+            site.process.wait()
+            site.close()
 
 
 @pytest.fixture
@@ -64,13 +113,21 @@ def start(domain):
         process.stdout.close()
 
 
-@pytest.fixture
-def peer(domain):
-    """A ROS node of the test's own that sends joint states and gravity, and collects what the drape node publishes."""
+@pytest.fixture(scope="module")
+def module_peer(domain):
+    """The peer of all tests of a module."""
     pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
     peer = Peer(domain)
     yield peer
     peer.close()
+
+
+@pytest.fixture
+def peer(module_peer):
+    """A ROS node of the tests' own that sends joint states and gravity, and collects what the drape node publishes."""
+    for collected in (module_peer.clouds, module_peer.frame_ids, module_peer.reports):
+        collected.clear()
+    return module_peer
 
 
 class Peer:
@@ -103,9 +160,10 @@ class Peer:
         message.header.stamp.sec, message.header.stamp.nanosec = stamp
         self._publisher.publish(message)
 
-    def send_gravity(self, direction) -> None:
+    def send_gravity(self, direction, stamp: tuple[int, int] = (0, 0)) -> None:
         """Publish the direction of gravity (3,)."""
         message = self._vector()
+        message.header.stamp.sec, message.header.stamp.nanosec = stamp
         message.vector.x, message.vector.y, message.vector.z = map(float, direction)
         self._gravity_publisher.publish(message)
 
@@ -115,12 +173,20 @@ class Peer:
         self.spin_until(lambda: stamp in self.clouds, f"cloud of {stamp}")
         return self.clouds[stamp]
 
-    def connect(self, *, gravity: bool = True) -> None:
-        """Wait for the drape node. gravity: and for its subscription to that topic."""
+    def connect(self, *, gravity: bool = True, settle: float = 0.5) -> None:
+        """Wait for the drape node. gravity: and for its subscription to that topic. settle: [s] longer."""
         publishers = (self._publisher, self._gravity_publisher) if gravity else (self._publisher,)
         ready = (*(each.get_subscription_count for each in publishers), self._subscription.get_publisher_count)
         self.spin_until(lambda: all(count() for count in ready), "drape node")
-        self.spin(0.5)
+        self.spin(settle)
+
+    def latest(self, key: str) -> str:
+        """A value of the latest diagnostics."""
+        return self.reports[-1][key] if self.reports else ""
+
+    def until_told(self, key: str, text: str) -> None:
+        """Wait until the diagnostics say so."""
+        self.spin_until(lambda: text in self.latest(key), f"{text!r} as {key}; has {self.reports[-1:]}")
 
     def spin_until(self, done, what: str, seconds: float = 30.0) -> None:
         """Serve callbacks until `done()`; fails the test after `seconds`."""
@@ -150,4 +216,5 @@ class Peer:
         self.frame_ids.add(message.header.frame_id)
 
     def _on_diagnostics(self, message) -> None:
-        self.reports += [{value.key: value.value for value in status.values} for status in message.status]
+        for status in message.status:
+            self.reports.append({value.key: value.value for value in status.values} | {"summary": status.message})

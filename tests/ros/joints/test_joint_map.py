@@ -23,7 +23,8 @@ def test_names_and_objects(tmp_path):
     [
         ("{", "cannot read joint map"),
         ("[]", "must be a JSON object"),
-        ('{"a": "elbow"}', "entry 'a': the rig has no joint 'elbow'; it has hip, knee"),
+        ('{"a": "elbow"}', "entry 'a': the rig has no joint 'elbow'"),
+        ('{"a": "Kneee"}', "the rig has no joint 'Kneee'; did you mean 'knee'"),
         ('{"a": 3}', "must be a rig joint name or an object, got 3"),
         ('{"a": {"joint": "hip", "gain": 2}}', "unknown key 'gain'; allowed: joint, scale, offset"),
         ('{"a": {"scale": 2}}', "the rig has no joint None"),

@@ -68,6 +68,19 @@ def test_bad_joint_states_are_refused(names, values, reason):
     np.testing.assert_array_equal(reader.positions, REST.astype(np.float32))
 
 
+@pytest.mark.parametrize(("value", "doubted"), [(9.4, False), (9.5, True), (-97.0, True), (1e25, True)])
+def test_degrees_are_doubted_and_taken(value, doubted):
+    """By the name and value that came in; many joints within a turn are no reason for doubt."""
+    doubts = []
+    reader = JointStateReader(NAMES, REST, on_degrees=lambda *doubt: doubts.append(doubt))
+    np.testing.assert_array_equal(reader.read(["knee", "tail"], [value, 500.0]), positions(0.1, value, 0.3, 0.4))
+    reader.read(NAMES, [6.0] * 4)
+    assert doubts == ([("knee", value)] if doubted else [])
+    scaled = MappedNames(NAMES, {"Knee": MappedJoint("knee", scale=np.pi / 180)})
+    JointStateReader(NAMES, REST, naming=scaled, on_degrees=lambda *doubt: doubts.append(doubt)).read(["Knee"], [97.0])
+    assert len(doubts) == doubted
+
+
 def test_joint_map_renames_and_scales():
     """Mapped names drive the rig's joints; the rig's own names go on working."""
     naming = MappedNames(NAMES, {"Knee_L": MappedJoint("knee", scale=-2.0, offset=0.5)})

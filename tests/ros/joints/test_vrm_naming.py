@@ -100,3 +100,13 @@ def test_bad_names_are_refused(reader):
         reader.read(["leftThumb_x"], [0.0])
     with pytest.raises(JointStateError, match="'leftHand_x' is nan"):
         reader.read(["leftHand_x"], [np.nan])
+
+
+def test_degrees_are_doubted(rig):
+    """Of a ball joint the angles that came in, for the joints found from them never show it."""
+    doubts = []
+    reader = JointStateReader(
+        rig.joint_names, rig.rest, naming=VrmNaming(rig), on_degrees=lambda *doubt: doubts.append(doubt)
+    )
+    reader.read(["leftUpperArm_y", "leftUpperArm_z"], [0.1, 80.0])
+    assert doubts == [("leftUpperArm_z", 80.0)]

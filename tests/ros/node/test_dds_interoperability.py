@@ -23,6 +23,7 @@ LOCAL = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("cyclonedds") is None, reason="needs cyclonedds: pip install cyclonedds")
 def test_another_dds_without_ros(start, domain, garment_model, model_path, tmp_path):
     """Joint states from Cyclone DDS are answered there with the core's clouds, laid out as a PointCloud2."""

@@ -9,6 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from physkin_ros.node.orientation import (
+    MOST_DIRECTIONS,
+    GravityByStamp,
     OrientationError,
     TransformTree,
     gravity_from_imu,
@@ -86,3 +88,30 @@ def test_chain_of_transforms():
     tree.update([transform("root", "map", hips)])
     with pytest.raises(OrientationError, match="go round in a circle"):
         tree.gravity("root", "odom")
+
+
+SECOND = 1_000_000_000
+
+
+def test_directions_pair_by_stamp():
+    """Whatever the order they come in; where no stamps tell, the last that came; a restarted clock starts anew."""
+    gravity = GravityByStamp(np.float32([9, 9, 9]))
+    at = lambda seconds: gravity.at(round(seconds * SECOND))[0]  # noqa: E731
+    assert at(5) == 9
+    for direction, seconds in ((1, 10), (3, 10.2), (2, 10.1)):
+        gravity.add(np.float32([direction, 0, 0]), round(seconds * SECOND))
+    asked = {10: 1, 10.15: 2, 10.2: 3, 99: 3, 9.5: 1, 8: 2, 0: 2}
+    assert {seconds: at(seconds) for seconds in asked} == asked
+    gravity.add(np.float32([4, 0, 0]), 0)
+    assert at(10.05) == 4
+    for direction, seconds in ((5, 2_000_000_000), (6, 20)):
+        gravity.add(np.float32([direction, 0, 0]), seconds * SECOND)
+    assert at(20.01) == at(3e9) == 6
+
+
+def test_only_so_many_directions_are_kept():
+    """The earliest go."""
+    gravity = GravityByStamp(np.zeros(3))
+    for index in range(2 * MOST_DIRECTIONS):
+        gravity.add(np.full(3, index), SECOND + index)
+    assert gravity.at(SECOND + 5)[0] == MOST_DIRECTIONS

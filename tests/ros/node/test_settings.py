@@ -23,7 +23,7 @@ def test_defaults_are_one_garment_on_one_avatar():
     (avatar,) = read_settings({}).avatars
     (garment,) = avatar.garments
     assert (avatar.id, avatar.prefix, avatar.frame_id, avatar.gravity) == ("", "", "base_link", (0.0, 0.0, -1.0))
-    assert (garment.name, garment.model, garment.push_out) == ("", "tshirt", False)
+    assert (garment.name, garment.model, garment.marker) == ("", "tshirt", False)
 
 
 @pytest.mark.parametrize("name", ["avatars.yaml", "one_avatar.yaml"])
@@ -45,7 +45,7 @@ def test_many_avatars(tmp_path):
     deadline: 1
     avatars:
       ann: {cloud_rate: 60, gravity: [0, 1, 0], garments: {top: {model: tshirt}, legs: {model: trousers}}}
-      bob: {frame_id: torso, garments: {top: {push_out: true}}}
+      bob: {frame_id: torso, garments: {top: {marker: true}}}
 """,
     )
     found = load_config(path)
@@ -55,7 +55,7 @@ def test_many_avatars(tmp_path):
         ("top", "avatars.ann.garments.top.", "tshirt"),
         ("legs", "avatars.ann.garments.legs.", "trousers"),
     ]
-    assert bob.frame_id == "torso" and bob.garments[0].push_out and found.deadline == 1.0
+    assert bob.frame_id == "torso" and bob.garments[0].marker and found.deadline == 1.0
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,14 @@ def test_many_avatars(tmp_path):
         ("- 1", "must be a ROS 2 parameter file"),
         ("camera: {ros__parameters: {}}", "names 'camera'; expected drape_node"),
         ("drape_node: {model: tshirt}", "expected drape_node: {ros__parameters"),
-        ("drape_node: {ros__parameters: {modl: tshirt}}", "unknown key 'modl'; allowed: avatars, asset_roots"),
+        ("drape_node: {ros__parameters: {modell: tshirt}}", "unknown key 'modell'; did you mean 'model'"),
+        ("drape_node: {ros__parameters: {qqq: 1}}", "unknown key 'qqq'; allowed: asset_roots, autostart"),
+        ("drape_node: {ros__parameters: {push_out: true}}", "parameter push_out: push_out was removed"),
+        ("{avatars: {ann: {garments: {top: {serialised: true}}}}}", "garments.top.serialised: serialised was removed"),
+        (
+            "drape_node: {ros__parameters: {model: a, avatars: {ann: {garments: {top: {model: a}}}}}}",
+            "parameter model: beside avatars it is given to each of them, as avatars.ID.garments.NAME.model",
+        ),
         ("drape_node: {ros__parameters: {model: }}", "model has no value"),
         ("drape_node: {ros__parameters: {executor: many}}", "executor is 'many'; allowed: events, single"),
         ("drape_node: {ros__parameters: {deadline: 100}}", "deadline is 100; allowed: a number from 0 to 60"),
@@ -84,11 +91,11 @@ def test_many_avatars(tmp_path):
         ),
         (
             "{avatars: {ann: {garmets: {top: {model: a}}}}}",
-            "unknown key 'garmets.top.model'; allowed in avatars.ann: joint_st",
+            "avatars.ann.garmets.top.model: unknown key 'garmets.top.model'",
         ),
         (
             "{avatars: {ann: {garments: {top: {modl: a}}}}}",
-            "unknown key 'modl'; allowed in avatars.ann.garments.top: model",
+            "avatars.ann.garments.top.modl: unknown key 'modl'; did you mean 'model'",
         ),
         ("{avatars: {ann: {garments: {top: tshirt}}}}", "expected avatars.ann.garments.NAME.KEY"),
         ("{avatars: {7: {garments: {top: {model: a}}}}}", "is a int; write it in quotes"),

@@ -1,0 +1,75 @@
+"""What the drape node tells once a second: `/diagnostics`, and `~/statistics` where `physkin_msgs` is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from time import monotonic_ns
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from physkin_ros.messages.interfaces import missing_interfaces
+from physkin_ros.node.avatar_stream import AvatarStream
+from physkin_ros.node.diagnostics import diagnostic_status
+
+__all__ = ["PERIOD", "Reports"]
+
+PERIOD = 1.0  # [s]
+
+
+class Reports:
+    """Publishes until closed. streams: gives the avatars that there are."""
+
+    def __init__(self, node: Node, streams: Callable[[], Iterable[AvatarStream]]) -> None:
+        self._node, self._streams = node, streams
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._statistics = None
+        if not missing_interfaces():
+            from physkin_msgs.msg import DrapeStatistics
+
+            self._statistics = node.create_publisher(DrapeStatistics, "~/statistics", 10)
+        self._timer = node.create_timer(PERIOD, self._report)
+
+    def close(self) -> None:
+        """Take timer and topics down."""
+        self._node.destroy_timer(self._timer)
+        for publisher in (self._diagnostics, self._statistics):
+            if publisher is not None:
+                self._node.destroy_publisher(publisher)
+
+    def _report(self) -> None:
+        now, monotonic = self._node.get_clock().now(), monotonic_ns()
+        health = [(stream, *each) for stream in self._streams() for each in stream.health(monotonic)]
+        report = DiagnosticArray()
+        report.header.stamp = now.to_msg()
+        report.status = [self._status(*each, now.nanoseconds) for each in health]
+        self._diagnostics.publish(report)
+        if self._statistics is not None:
+            from physkin_msgs.msg import DrapeStatistics, GarmentStatistics
+
+            numbers = DrapeStatistics(header=report.header)
+            for _, worn, garment, found in health:
+                model = garment.settings.model if worn is None else worn.draper.model.name
+                entry = GarmentStatistics(avatar=garment.avatar_id, garment=garment.settings.name, model_name=model)
+                found.fill(entry)
+                numbers.period = found.period
+                numbers.garments.append(entry)
+            self._statistics.publish(numbers)
+
+    def _status(self, stream: AvatarStream, worn, garment, found, now_ns: int):
+        values = found.values(now_ns)
+        well, summary = found.summary()
+        model, source = garment.settings.model, ""
+        if worn is not None:
+            draper = worn.draper
+            model, source = draper.model.name, draper.avatar.source
+            values |= {"backend": draper.backend, "instruction set": draper.instruction_set}
+            values["precision"] = draper.precision
+        values["model"] = model
+        values["gravity"] = " ".join(f"{value:.3f}" for value in stream.gravity)
+        if worn is None:
+            error = stream.statistics.last_error
+            well, summary = False, f"nothing to drape: {error}" if error else "the garment is being loaded"
+        elif not stream.active:
+            summary = "inactive"
+        return diagnostic_status(f"{self._node.get_name()}: {garment.name or model}", source, well, summary, values)

@@ -1,0 +1,237 @@
+"""Drape nodes in the tests' own process, each with other parameters, and what changes while they run."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from itertools import count
+from threading import Event
+
+import numpy as np
+import pytest
+
+from physkin_core import Draper, load_garment_model
+from physkin_core.model.model_file import MODELS_PATH
+
+pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
+
+from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import qos_profile_sensor_data  # noqa: E402
+from sensor_msgs.msg import Imu  # noqa: E402
+from visualization_msgs.msg import Marker  # noqa: E402
+
+from physkin_ros.joints.joint_states import JointStateReader  # noqa: E402
+from physkin_ros.joints.ros4hri import Ros4hriNaming  # noqa: E402
+from physkin_ros.messages.interfaces import missing_interfaces  # noqa: E402
+from physkin_ros.node.asset_loading import DraperLoader  # noqa: E402
+
+STAMPS = ((sec, 0) for sec in count(1000))  # one for each joint state whose stamp does not matter
+
+
+def test_gravity_messages(peer, running_node, leaning_model_path, leaning_draper):
+    """A direction of any length goes with the joint states after it; what is no direction leaves the last good one."""
+    draper = leaning_draper
+    names, positions = draper.joint_names, np.linspace(-0.2, 0.2, len(draper.joint_names)).astype(np.float32)
+    with running_node({"model": str(leaning_model_path)}):
+        upright = peer.cloud(names, positions, (1, 0))
+        for index, down in enumerate(np.array([[4.0, -2.0, -5.0], [0, 0, 0.01], [1.0, 0.0, 0.0]])):
+            peer.send_gravity(down)
+            tilted = peer.cloud(names, positions, (2, index))
+            np.testing.assert_allclose(tilted, draper.drape(positions, down), atol=1e-6)
+            assert np.abs(tilted - upright).max() > 1e-3
+        for index, bad in enumerate([(0, 0, 0), (0, np.nan, -1), (np.inf, 0, 0), (1e200, 1e200, 1e200)], start=1):
+            peer.send_gravity(bad)
+            peer.until_told("gravity messages rejected", str(index))
+            np.testing.assert_array_equal(peer.cloud(names, positions, (3, index)), tilted)
+        assert peer.latest("joint states rejected") == "0" and peer.latest("gravity") == "1.000 0.000 0.000"
+        # by their stamps, whatever the order they come in
+        earlier, later = np.array([0.0, 1.0, 0.0]), np.array([0.0, -1.0, 0.0])
+        for down, stamp in ((earlier, (50, 0)), (later, (51, 0))):
+            peer.send_gravity(down, stamp)
+        for down, stamp in ((earlier, (50, 500)), (later, (51, 0)), (earlier, (50, 1))):
+            np.testing.assert_allclose(peer.cloud(names, positions, stamp), draper.drape(positions, down), atol=1e-6)
+
+
+def test_ros4hri_joint_states(peer, running_node, model_path, draper):
+    """With joint_map ros4hri, bodies of REP-155 are understood, id and all."""
+    with running_node({"model": str(model_path), "joint_map": "ros4hri"}):
+        names, angles = ["l_p_shoulder_67dd1", "l_elbow_67dd1", "waist_67dd1"], [1.0, 0.5, 0.3]
+        rig = draper.model.rig
+        state = JointStateReader(rig.joint_names, rig.rest, naming=Ros4hriNaming(rig)).read(names, angles)
+        np.testing.assert_allclose(peer.cloud(names, angles, (1, 0)), draper.drape(state), atol=1e-6)
+
+
+def test_options_of_a_garment(peer, running_node, model_path, draper):
+    """Precision, normals of faces, a marker and a deadline; joints beyond what was trained are named."""
+    options = {"precision": "fp32", "normals": "faces"}
+    expected = Draper(draper.model, draper.avatar, **options)
+    rig = draper.model.rig
+    state = np.random.default_rng(3).uniform(rig.lower, rig.upper).astype(np.float32)
+    state[1] = rig.upper[1] + 1.0
+    markers = []
+    subscription = peer.node.create_subscription(Marker, "drape_node/marker", markers.append, 5)
+    parameters = {"model": str(model_path), "marker": True, "deadline": 1e-9, **options}
+    with running_node(parameters) as node:
+        peer.spin_until(subscription.get_publisher_count, "marker's publisher")
+        cloud = peer.cloud(draper.joint_names, state, (3, 4))
+        np.testing.assert_array_equal(cloud, expected.drape(state))
+        assert np.abs(cloud - draper.drape(state))[:, 3:].max() > 0.1
+        peer.spin_until(lambda: markers, "marker")
+        peer.until_told("deadline missed", "1")
+        assert peer.latest("precision") == "fp32"
+        assert any(rig.joint_names[1] in report["outside the trained range"] for report in peer.reports)
+        (result,) = node.set_parameters([Parameter("precision", value="int8")])
+        assert not result.successful
+    peer.node.destroy_subscription(subscription)
+    corners = np.array([(point.x, point.y, point.z) for point in markers[0].points[:30]])
+    np.testing.assert_array_equal(corners, cloud[draper.faces.ravel()[:30], :3])
+    assert len(markers[0].points) == draper.faces.size and markers[0].header.stamp.nanosec == 4
+
+
+def test_clouds_at_a_rate_of_their_own(peer, running_node, model_path, draper):
+    """Between two joint states clouds come with stamps between theirs, poses on the way, and end at the second."""
+    names, rest = draper.joint_names, draper.model.rig.rest.astype(np.float32)
+    bent = rest.copy()
+    bent[:2] += 0.2
+    with running_node({"model": str(model_path), "cloud_rate": 200.0}):
+        peer.send(names, rest, (10, 0))
+        peer.spin(0.2)
+        peer.send(names, bent, (11, 0))
+        peer.spin_until(lambda: (11, 0) in peer.clouds, "last cloud")
+        peer.spin(0.2)
+    stamps = sorted(peer.clouds)
+    assert stamps[0] == (10, 0) and stamps[-1] == (11, 0) and len(stamps) > 10
+    np.testing.assert_array_equal(peer.clouds[10, 0], draper.drape(rest))
+    np.testing.assert_array_equal(peer.clouds[11, 0], draper.drape(bent))
+    between = stamps[len(stamps) // 2]
+    share = between[1] / 1e9
+    np.testing.assert_allclose(peer.clouds[between], draper.drape(rest + share * (bent - rest)), atol=1e-4)
+
+
+@pytest.mark.parametrize("orientation", ["joints", "imu", "fixed"])
+def test_other_orientations(peer, running_node, leaning_model_path, leaning_draper, orientation):
+    """Roll and pitch among the joints; an IMU, best effort as its drivers are; or none, and no topic is listened to."""
+    names, rest = list(leaning_draper.joint_names), leaning_draper.model.rig.rest
+    tilted = np.array([np.sin(0.6), 0.0, -np.cos(0.6)])  # pitched forward
+    parameters = {"model": str(leaning_model_path), "orientation": orientation}
+    with running_node(parameters, gravity=False):
+        if orientation == "joints":
+            peer.cloud(names, rest, (1, 0))
+            peer.until_told("last rejection", "no joint 'root_roll'")
+            cloud = peer.cloud([*names, "root_roll", "root_pitch"], [*rest, 0.0, 0.6], (2, 0))
+        elif orientation == "imu":
+            message = Imu()
+            message.orientation.y, message.orientation.w = np.sin(0.3), np.cos(0.3)
+            publisher = peer.node.create_publisher(Imu, "imu", qos_profile_sensor_data)
+            peer.spin_until(publisher.get_subscription_count, "subscription to the IMU")
+            publisher.publish(message)
+            peer.spin(0.2)
+            cloud = peer.cloud(names, rest, (2, 0))
+            peer.node.destroy_publisher(publisher)
+        else:
+            assert not peer.node.count_subscribers("gravity")
+            tilted = np.array([0.0, 0.0, -1.0])
+            cloud = peer.cloud(names, rest, (2, 0))
+        np.testing.assert_allclose(cloud, leaning_draper.drape(rest, tilted), atol=1e-5)
+
+
+def test_tf_needs_its_messages(peer, running_node, model_path):
+    """Where they are not installed, the parameter is refused with what would do."""
+    if importlib.util.find_spec("tf2_msgs"):
+        pytest.skip("tf2_msgs is installed")
+    with pytest.raises(ValueError, match="tf2_msgs"):
+        with running_node({"model": str(model_path), "orientation": "tf"}):
+            pass
+
+
+def test_without_autostart_and_interfaces(peer, running_node, model_path, draper, monkeypatch, capfd):
+    """The node waits for its transitions and counts what comes before; without physkin_msgs there are clouds and
+    parameters all the same, and the log says what is missing and how to install it."""
+    missing = "physkin_msgs is not installed: ... build.py --install"
+    for module in ("drape_node", "garment_stream", "reports"):
+        monkeypatch.setattr(f"physkin_ros.node.{module}.missing_interfaces", lambda: missing)
+    names, rest = draper.joint_names, draper.model.rig.rest.astype(np.float32)
+    with running_node({"model": str(model_path), "autostart": False}, connect=False) as node:
+        assert missing in capfd.readouterr().err
+        assert not peer.node.count_publishers("drape_node/garment")
+        assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+        peer.connect(settle=0.1)
+        for _ in range(3):
+            peer.send(names, rest, next(STAMPS))
+        peer.until_told("joint states before a garment was ready", "3")
+        assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+        np.testing.assert_array_equal(peer.cloud(names, rest, next(STAMPS)), draper.drape(rest))
+        assert len(peer.clouds) == 1
+        topics = [topic for topic, _ in peer.node.get_topic_names_and_types()]
+        assert "/drape_node/mesh" not in topics and "/drape_node/statistics" not in topics
+        (result,) = node.set_parameters([Parameter("body_mesh", value="/etc/passwd")])
+        assert not result.successful and "asset_roots" in result.reason
+        (result,) = node.set_parameters([Parameter("model", value="tshirt")])
+        assert result.successful
+        shirt = len(load_garment_model("tshirt").garment.vertices)
+        peer.spin_until(lambda: len(peer.cloud(names, rest, next(STAMPS))) == shirt, "the other garment")
+
+
+def test_interfaces_are_told_from_none(monkeypatch):
+    """Here they are installed, in this version; where they are not, the command that installs them is named."""
+    pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
+    assert missing_interfaces() == ""
+    monkeypatch.setitem(sys.modules, "physkin_msgs.msg", None)
+    assert "python msg_defs/wheel/build.py --install" in missing_interfaces()
+
+
+def test_a_change_of_mind_counts(peer, running_node, model_path, draper, monkeypatch, capfd):
+    """A model that is set and set back while it loads is not worn; one that there is not is refused at once."""
+    started, released, finished = Event(), Event(), Event()
+    load = DraperLoader.load
+
+    def slow(self, wanted):
+        if wanted.model == "tshirt":
+            started.set()
+            assert released.wait(20)
+        loaded = load(self, wanted)
+        if wanted.model == "tshirt":
+            finished.set()
+        return loaded
+
+    names, rest = draper.joint_names, draper.model.rig.rest
+    with running_node({"model": str(model_path)}) as node:
+        monkeypatch.setattr(DraperLoader, "load", slow)
+        for model in ("tshirt", str(model_path)):
+            (result,) = node.set_parameters([Parameter("model", value=model)])
+            assert result.successful and started.wait(20)
+        released.set()
+        peer.spin_until(finished.is_set, "the garment that is not wanted any more")
+        peer.spin(0.3)
+        assert len(peer.cloud(names, rest, next(STAMPS))) == draper.vertex_count
+        assert node.get_parameter("model").value == str(model_path)
+        assert "tshirt with" not in capfd.readouterr().err
+        (result,) = node.set_parameters([Parameter("model", value="kilt")])
+        assert not result.successful and "'kilt'" in result.reason
+        peer.reports.clear()
+        peer.until_told("last error", "none")
+
+
+def test_nothing_comes_in_before_the_garment_is_there(peer, running_node, model_path, monkeypatch):
+    """Or joint states would be lost without being counted."""
+    subscribed = []
+    load = DraperLoader.load
+
+    def watched(self, wanted):
+        subscribed.append(peer.node.count_subscribers("joint_states"))
+        return load(self, wanted)
+
+    monkeypatch.setattr(DraperLoader, "load", watched)
+    with running_node({"model": str(model_path)}):
+        assert subscribed == [0] and peer.node.count_subscribers("joint_states") == 1
+
+
+def test_configuring_fails_with_a_reason(peer, running_node, tmp_path, capfd):
+    """And can be tried again once the file is there."""
+    path = tmp_path / "late.safetensors"
+    with running_node({"model": str(path), "autostart": False}, connect=False) as node:
+        assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
+        assert "cannot configure: cannot read garment model" in capfd.readouterr().err
+        path.write_bytes((MODELS_PATH / "tshirt.safetensors").read_bytes())
+        assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
