@@ -1,6 +1,6 @@
 """Every joint state of a bag draped, the clouds written to another bag and measured. Needs no ROS.
 
-Messages are read as the ROS node reads them: the same joint maps, the latest good gravity, bad messages counted and
+Messages are read as the ROS node reads them: the same joint maps, gravity by its stamp, bad messages counted and
 skipped while the last good state stays. The same bag gives the same clouds and figures; only latencies differ.
 
 Dimensions: `T` clouds, `d` degrees of freedom, `n` garment vertices, `C` clouds measured against the body.
@@ -23,6 +23,7 @@ from physkin_core.quality import area_strain, contact_figures, edge_strain, sign
 from physkin_ros.joints.joint_naming import load_naming
 from physkin_ros.joints.joint_states import JointStateReader
 from physkin_ros.messages.conversions import gravity_direction
+from physkin_ros.node.orientation import GravityByStamp
 from physkin_ros.replay.bags import BagReader, BagWriter, decode
 
 __all__ = ["GARMENT_TOPIC", "Replay", "replay"]
@@ -89,15 +90,16 @@ def replay(
     points = np.zeros((draper.vertex_count, 6), dtype=np.float32)
     for _ in range(WARM_UP):  # the first evaluations pay for cold caches, which is not what a latency means here
         draper.drape(reader.positions, gravity, out=points)
-    messages, clouds, gravity = hashlib.sha256(), hashlib.sha256(), np.array(gravity, dtype=np.float64)
+    messages, clouds, downs = hashlib.sha256(), hashlib.sha256(), GravityByStamp(np.array(gravity, dtype=np.float64))
     for message in bag:
         messages.update(struct.pack("<?qQ", message.kind == "gravity", message.time_ns, len(message.data)))
         messages.update(message.data)
         if message.kind == "gravity":
             found.counts["gravity_messages"] += 1
             try:
-                vector = decode(message).vector
-                gravity = gravity_direction([vector.x, vector.y, vector.z])
+                down = decode(message)
+                vector = down.vector
+                downs.add(gravity_direction([vector.x, vector.y, vector.z]), _nanoseconds(down))
             except ValueError as error:
                 found.reject("gravity_rejected", str(error))
             continue
@@ -105,7 +107,7 @@ def replay(
         found.counts["joint_states"] += 1
         try:
             state = decode(message)
-            positions = reader.read(state.name, state.position)
+            positions, gravity = reader.read(state.name, state.position), downs.at(_nanoseconds(state))
             started = perf_counter_ns()
             draper.drape(positions, gravity, out=points)
             latency_us = (perf_counter_ns() - started) / 1e3
@@ -126,6 +128,10 @@ def replay(
     found.counts["names_unknown"] = len(unknown)
     found.bag_sha256, found.clouds_sha256 = messages.hexdigest(), clouds.hexdigest()
     return found
+
+
+def _nanoseconds(message) -> int:
+    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
 
 
 class _Recent:
