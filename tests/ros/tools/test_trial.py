@@ -19,6 +19,7 @@ from sensor_msgs.msg import JointState, PointCloud2  # noqa: E402
 
 from physkin_ros.messages.conversions import GarmentCloud  # noqa: E402
 from physkin_ros.middleware.spinning import spin_until  # noqa: E402
+from physkin_ros.middleware.transport import private_environment  # noqa: E402
 from physkin_ros.tools.children import ChildFailedError, Children  # noqa: E402
 from physkin_ros.tools.listener import Listener  # noqa: E402
 from physkin_ros.tools.player import play  # noqa: E402
@@ -89,10 +90,10 @@ def test_child_that_fails_is_heard(tmp_path):
             children.wait(lambda: False, "a miracle", seconds=30)
 
 
-def test_killed_child_leaves_no_shared_memory(domain, tmp_path, monkeypatch):
+def test_killed_child_leaves_no_shared_memory(tmp_path, monkeypatch):
     """One that must be killed cannot tidy up, so its parent does."""
     monkeypatch.setattr("physkin_ros.tools.children.STOP_SECONDS", 0.5)
-    with Children(os.environ, tmp_path) as children:
+    with Children(private_environment(), tmp_path) as children:
         children.start(
             "listener", "physkin_ros.tools.listener", tmp_path / "received.npz", 1, "walk", tmp_path / "sent"
         )

@@ -1,0 +1,160 @@
+"""Damaged GLB and glTF files are refused, and the error names what is wrong."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from gltf_person import PERSON, RIG, load_document, person_document, primitive_of
+
+from physkin_core.avatar.avatar import AvatarError
+from physkin_core.avatar.loading import load_avatar
+from physkin_training.prepare.gltf_export import write_glb
+
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, tested with plain meshes
+
+
+def _attribute(name, make):
+    """Replaces an attribute of the vertices by a row of `make(count)` each."""
+
+    def damage(builder):
+        primitive = primitive_of(builder)
+        primitive["attributes"][name] = builder.add_accessor(make(len(PERSON.vertices)))
+
+    return damage
+
+
+def _positions(builder):
+    """The accessor of the vertices."""
+    return builder.document["accessors"][primitive_of(builder)["attributes"]["POSITION"]]
+
+
+def _node(builder, bone):
+    return builder.document["nodes"][RIG.bone_index(bone)]
+
+
+def _buffer(**entries):
+    return lambda builder: builder.document["buffers"][0].update(entries)
+
+
+def _child(node, child):
+    return lambda builder: builder.document["nodes"][node].setdefault("children", []).append(child)
+
+
+def _nan(count):
+    rows = PERSON.vertices.copy()
+    rows[12, 1] = np.nan
+    return rows
+
+
+def _index_too_large(builder):
+    faces = PERSON.faces.astype(np.uint32).reshape(-1).copy()
+    faces[7] = 20000
+    primitive_of(builder)["indices"] = builder.add_accessor(faces)
+
+
+def _no_elbows(builder):
+    for side in "LR":
+        _node(builder, f"lowerarm01.{side}")["name"] = f"twig.{side}"
+
+
+def _loop(builder):
+    builder.document["scenes"][0]["nodes"] = [len(builder.document["nodes"]) - 1]
+    _child(5, 0)(builder)
+
+
+def _centimetres(builder):
+    builder.document["nodes"].append({"name": "Armature", "scale": [100, 100, 100], "children": [0]})
+
+
+def _without_data(count):
+    def damage(builder):
+        _positions(builder)["count"] = count
+        del _positions(builder)["bufferView"]
+
+    return damage
+
+
+def _endless_without_indices(builder):
+    _positions(builder)["count"] = 9_999_999
+    del primitive_of(builder)["indices"]
+
+
+def _long_accessor(builder):
+    _positions(builder)["count"] += 1
+
+
+def _negative_view(builder):
+    _positions(builder)["bufferView"] -= len(builder.document["bufferViews"])
+
+
+def _flat_limb(builder):
+    for bone in ("lowerleg02.L", "foot.L"):
+        _node(builder, bone)["translation"] = [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (_attribute("POSITION", _nan), "1 vertices are not finite, the first is 12"),
+        (_index_too_large, "face indices span 0 to 20000, allowed 0 to 13717"),
+        (_attribute("JOINTS_0", lambda count: np.full((count, 4), 99, np.uint8)), "names joint 99, allowed 0 to 35"),
+        (_attribute("WEIGHTS_0", lambda count: np.full((count, 4), -1, np.float32)), "finite and not negative"),
+        (_attribute("WEIGHTS_0", lambda count: np.ones((10, 4), np.float32)), "must agree"),
+        (lambda builder: primitive_of(builder)["attributes"].pop("JOINTS_0"), "a skin but no JOINTS_0"),
+        (lambda builder: primitive_of(builder).update(mode=0), "no faces"),
+        (_no_elbows, r"no joint for 2 of the 12 .* lowerarm01.L, lowerarm01.R. Joints found: root, pelvis.L"),
+        (_child(5, 3), "has two parents"),
+        (_loop, "form a loop"),
+        (_centimetres, r"m high, allowed 0.5 to 3.0 m"),
+        (lambda b: b.document.update(extensionsRequired=["KHR_draco_mesh_compression"]), "KHR_draco_mesh_compression"),
+        (_buffer(uri="https://example.org/body.bin"), "only files beside the avatar are read"),
+        (_buffer(uri="gone.bin"), "gone.bin does not exist"),
+        (_buffer(uri="../person.glb"), "buffer 0 is '../person.glb', outside the avatar's folder; it must be in it"),
+        (_buffer(uri="/etc/passwd"), "buffer 0 is '/etc/passwd', outside the avatar's folder"),
+        (_buffer(uri="linked.bin"), "buffer 0 is 'linked.bin', outside the avatar's folder"),
+        (_buffer(uri="person.glb", byteLength=2**31), "buffer 0 has 2147483648 bytes, allowed are 0 to 536870912"),
+        (_buffer(byteLength=2_000_000), "is truncated: buffer 0 has"),
+        (_without_data(10**12), "1000000000000 elements without data, allowed 1 to"),
+        (_without_data(9_999_999), "9999999 elements without data, allowed 1 to"),
+        (_endless_without_indices, "an accessor of 9999999 elements needs bytes"),
+        (_long_accessor, "truncated or malformed"),
+        (
+            lambda builder: primitive_of(builder)["attributes"].update(POSITION=77),
+            "is malformed: accessor 77, allowed 0",
+        ),
+        (_negative_view, "is malformed: buffer view -.*, allowed 0 to"),
+        (_child(5, -1), "is malformed: node -1, allowed 0 to"),
+        (lambda builder: _node(builder, "neck01").update(translation=[np.nan, 0, 0]), "vertices are not finite"),
+        (_flat_limb, "has no length"),
+    ],
+)
+def test_damaged_files_are_refused(tmp_path, damage, message):
+    """Each damage is refused with an AvatarError that says what was found and what is allowed, before much is
+    allocated."""
+    builder = person_document()
+    damage(builder)
+    (tmp_path / "linked.bin").symlink_to("/etc/passwd")
+    tracemalloc.start()
+    try:
+        with pytest.raises(AvatarError, match=message):
+            load_document(tmp_path, builder)
+        assert tracemalloc.get_traced_memory()[1] < 60e6  # bytes
+    finally:
+        tracemalloc.stop()
+
+
+def test_truncated_and_foreign_files_are_refused(tmp_path):
+    """Cut anywhere, of another version, or not glTF at all."""
+    write_glb(tmp_path / "whole.glb", person_document())
+    data = (tmp_path / "whole.glb").read_bytes()
+    for length in (0, 3, 10, 19, 100, len(data) // 2, len(data) - 1):
+        (tmp_path / "cut.glb").write_bytes(data[:length])
+        with pytest.raises(AvatarError, match="truncated|not a readable glTF"):
+            load_avatar(tmp_path / "cut.glb", RIG)
+    (tmp_path / "old.glb").write_bytes(data[:4] + b"\1" + data[5:])
+    with pytest.raises(AvatarError, match="version 1, allowed is 2"):
+        load_avatar(tmp_path / "old.glb", RIG)
+    for text in ("solid", "[]", "{}", '{"asset": {"version": "2.0"}, "nodes": 3}'):
+        (tmp_path / "other.gltf").write_text(text)
+        with pytest.raises(AvatarError, match="not a readable glTF|no faces|malformed"):
+            load_avatar(tmp_path / "other.gltf", RIG)

@@ -1,0 +1,36 @@
+"""A held-out body as a glTF document that tests may change before it is written and loaded."""
+
+import numpy as np
+
+from physkin_core.avatar.avatar import avatar_from_body
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.avatar.loading import load_avatar
+from physkin_training.prepare.gltf_export import skinned_document, write_glb
+
+BODY = load_body_model()
+RIG = BODY.rig
+PERSON = avatar_from_body(BODY, BODY.held_out_bodies[0])
+
+
+def person_document(**changes):
+    """The person of held-out body 0 at the canonical pose, as a document that tests may change before writing."""
+    arguments = {
+        "vertices": PERSON.vertices,
+        "faces": PERSON.faces,
+        "joint_names": RIG.bone_names,
+        "joint_parents": RIG.parents,
+        "joint_heads": PERSON.bone_heads.astype(np.float64),
+        "influence_joints": PERSON.influence_bones,
+        "influence_weights": PERSON.influence_weights,
+        **changes,
+    }
+    return skinned_document(**arguments)
+
+
+def load_document(tmp_path, builder, rig=RIG, name="person.glb"):
+    write_glb(tmp_path / name, builder)
+    return load_avatar(tmp_path / name, rig)
+
+
+def primitive_of(builder):
+    return builder.document["meshes"][0]["primitives"][0]
