@@ -7,7 +7,8 @@ from physkin_core.model.garment import Garment, GarmentError, load_garment
 from physkin_core.model.garment_model import GarmentModel, GarmentModelError, Material
 from physkin_core.model.model_file import ModelFileError, load_garment_model, save_garment_model
 from physkin_core.model.skinning import NORMALS
-from physkin_core.motion.motion import Motion, MotionError, bundled_motions, load_motion
+from physkin_core.motion.loading import bundled_motions, load_motion
+from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.rig.rig import DegreeOfFreedom, Rig, RigError
 from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
 

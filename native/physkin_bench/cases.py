@@ -17,7 +17,7 @@ from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
 from physkin_core.model.garment import Garment
 from physkin_core.model.mlp import Layer
 from physkin_core.model.model_file import load_garment_model
-from physkin_core.motion.motion import load_motion
+from physkin_core.motion.loading import load_motion
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
 

@@ -19,9 +19,8 @@ from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.motion.retargeting import leg_length, on_floor, retarget
 from physkin_core.rig.rig import Rig
 
-__all__ = ["AMC_RATE_HZ", "MOCAP_SUFFIXES", "load_mocap"]
+__all__ = ["AMC_RATE_HZ", "load_mocap"]
 
-MOCAP_SUFFIXES = (".bvh", ".amc")
 AMC_RATE_HZ = 120.0
 """An AMC file does not state its rate; this is that of the CMU database."""
 RATE_HZ = 60.0
@@ -36,9 +35,9 @@ LIMB_NAMES = {
     "hip": ("{side}upleg", "{s}femur", "{side}thigh", "{side}hip", "{s}thigh"),
     "knee": ("{side}leg", "{s}tibia", "{side}shin", "{side}knee", "{s}shin"),
     "ankle": ("{side}foot", "{s}foot", "{side}ankle"),
-    "shoulder": ("{side}arm", "{s}humerus", "{side}uparm", "{side}upperarm", "{side}shoulder"),
-    "elbow": ("{side}forearm", "{s}radius", "{side}lowarm", "{side}elbow"),
-    "wrist": ("{side}hand", "{s}wrist", "{side}wrist"),
+    "shoulder": ("{side}arm", "{s}humerus", "{side}uparm", "{side}upperarm", "{s}shldr", "{side}shoulder"),
+    "elbow": ("{side}forearm", "{s}radius", "{side}lowarm", "{s}forearm", "{side}elbow"),
+    "wrist": ("{side}hand", "{s}hand", "{s}wrist", "{side}wrist"),
 }
 HINGE_GUESS = 0.05  # how much a T-pose's elbow and knee axes count beside those seen in the clip
 

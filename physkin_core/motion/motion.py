@@ -1,18 +1,12 @@
-"""Motion clips: joint positions and root placement at a fixed rate, and the file that holds them.
-
-A clip is one safetensors file. It stays in single precision: half precision would move a hand by half a millimetre from
-frame to frame, which is as much as cloth does between two frames.
+"""Motion clips: joint positions and root placement at a fixed rate.
 
 Dimensions: `T` frames, `d` degrees of freedom. Radians, metres, seconds; world and root frame have Z up.
 """
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,9 +14,7 @@ import numpy as np
 if TYPE_CHECKING:
     from physkin_core.rig.rig import Rig
 
-__all__ = ["MOTIONS_DIRECTORY", "Motion", "MotionError", "bundled_motions", "load_motion", "save_motion"]
-
-MOTIONS_DIRECTORY = Path(__file__).parents[1] / "assets" / "motions"
+__all__ = ["Motion", "MotionError"]
 
 CLOSED_POSITION = 0.02  # [rad] a clip whose ends differ by less repeats as a cycle
 CLOSED_GRAVITY = 0.02
@@ -169,52 +161,3 @@ class Motion:
         shift = np.concatenate([np.zeros((1, 3)), shift])
         turn = heading[rounds]
         return (turn * orientation[index]).as_quat(), turn.apply(self.root_position[index]) + shift[rounds]
-
-
-def bundled_motions() -> tuple[str, ...]:
-    """Names of the clips that ship with the package, sorted."""
-    return tuple(sorted(path.stem for path in MOTIONS_DIRECTORY.glob("*.safetensors")))
-
-
-def load_motion(path_or_name: str | Path) -> Motion:
-    """Read a clip: a bundled name (`bundled_motions`) or a path to a file that `save_motion` wrote.
-
-    Raises MotionError for an unknown name, an unreadable file, missing tensors, bad shapes or values not finite.
-    """
-    from safetensors import SafetensorError, safe_open
-
-    path = Path(path_or_name)
-    if path.suffix != ".safetensors":
-        if str(path_or_name) not in bundled_motions():
-            raise MotionError(
-                f"no bundled motion {str(path_or_name)!r}; there are {', '.join(bundled_motions())} "
-                "(a clip of your own: give the path of its .safetensors file)"
-            )
-        path = MOTIONS_DIRECTORY / f"{path_or_name}.safetensors"
-    try:
-        with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a mapping)
-    except (OSError, SafetensorError) as error:
-        raise MotionError(f"cannot read motion file {path}: {error}") from error
-    fields = ("positions", "root_orientation", "root_position")
-    missing = [key for key in fields if key not in tensors]
-    missing += [f"metadata {key!r}" for key in ("joint_names", "rate_hz") if key not in metadata]
-    if missing:
-        raise MotionError(f"motion file {path} lacks {', '.join(missing)}")
-    try:
-        joint_names = tuple(str(name) for name in json.loads(metadata["joint_names"]))
-        rate_hz = float(metadata["rate_hz"])
-    except (ValueError, TypeError) as error:
-        raise MotionError(f"motion file {path}: malformed joint_names or rate_hz: {error}") from error
-    return Motion(joint_names, *(tensors[key] for key in fields), rate_hz, metadata.get("name", path.stem))
-
-
-def save_motion(motion: Motion, path: Path, *, notes: Mapping[str, str] | None = None) -> None:
-    """Write a clip to `path` (.safetensors). notes: further metadata, such as source and licence."""
-    from safetensors.numpy import save_file
-
-    fields = ("positions", "root_orientation", "root_position")
-    described = {"name": motion.name, "rate_hz": repr(motion.rate_hz), "joint_names": json.dumps(motion.joint_names)}
-    tensors = {key: np.ascontiguousarray(getattr(motion, key)) for key in fields}
-    save_file(tensors, path, metadata={**(notes or {}), **described})

@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 
 from physkin_core import Motion, load_body_model, load_motion
-from physkin_core.motion.mocap import AMC_RATE_HZ, MOCAP_SUFFIXES, load_mocap
+from physkin_core.motion.loading import MOCAP_SUFFIXES
+from physkin_core.motion.mocap import AMC_RATE_HZ, load_mocap
 from physkin_ros.replay.bags import STORAGES, BagWriter, write_motion
 
 __all__ = ["main"]

@@ -18,7 +18,7 @@ from physkin_bench.cases import model_case
 from physkin_bench.timing import time_in_turns
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
-from physkin_core.motion.motion import load_motion
+from physkin_core.motion.loading import load_motion
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
 from physkin_core.runtime.native_evaluator import NativeEvaluator
 from physkin_studies.ablation_rows import BASE, ROWS, finished_figures, model_path

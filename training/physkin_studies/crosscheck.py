@@ -34,7 +34,7 @@ from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment import Garment, load_garment
 from physkin_core.model.garment_model import Material
-from physkin_core.motion.motion import load_motion
+from physkin_core.motion.loading import load_motion
 from physkin_core.quality import area_strain, edge_strain
 from physkin_core.runtime.draper import UPRIGHT_GRAVITY
 from physkin_training.evaluate.plain_model import plain_model

@@ -22,7 +22,7 @@ from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model, shipped_models
-from physkin_core.motion.motion import bundled_motions, load_motion
+from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.quality import area_strain, edge_strain
 from physkin_core.runtime.draper import Draper
 from physkin_studies.body_overlap import Seats

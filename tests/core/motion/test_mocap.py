@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from physkin_core import MotionError, load_body_model
+from physkin_core import MotionError, load_body_model, load_motion
 from physkin_core.motion.mocap import load_mocap
 
 # name, parent, offset from the parent (Y up, looks along Z, left is X), arms stretched out sideways
@@ -209,3 +211,17 @@ def test_straight_arm_turns_about_itself(rig, tmp_path):
     along = [0, np.cos(np.radians(80)), -np.sin(np.radians(80))]
     twisted = np.degrees(Rotation.from_matrix(turned[1] @ turned[0].T).as_rotvec()) @ along
     assert twisted == pytest.approx(60, abs=15)
+
+
+def test_daz_names_and_load_motion(tmp_path):
+    """The release of the CMU database named like DAZ figures; `load_motion` takes what mocap has by its suffix."""
+    path = write_bvh(tmp_path / "wave.bvh", [{"LeftForeArm": (40, 0, 0)}] * 4)
+    daz = {"Hips": "hip", "Spine1": "chest", "Head": "head"}
+    limbs = {"UpLeg": "Thigh", "Leg": "Shin", "Foot": "Foot", "ForeArm": "ForeArm", "Arm": "Shldr", "Hand": "Hand"}
+    for side in ("Left", "Right"):
+        daz |= {f"{side}{ours}": side[0].lower() + name for ours, name in limbs.items()}
+    text = re.sub(r"(ROOT|JOINT) (\w+)", lambda found: f"{found[1]} {daz[found[2]]}", path.read_text())
+    (tmp_path / "daz.bvh").write_text(text)
+    one, other = load_motion(path), load_motion(tmp_path / "daz.bvh")
+    np.testing.assert_allclose(one.positions, other.positions, atol=1e-6)
+    assert np.abs(one.positions[0] - load_body_model().rig.rest).max() > 0.3

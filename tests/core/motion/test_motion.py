@@ -6,7 +6,8 @@ from safetensors.numpy import load_file, save_file
 from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.motion.motion import MOTIONS_DIRECTORY, Motion, MotionError, bundled_motions, load_motion, save_motion
+from physkin_core.motion.loading import MOTIONS_DIRECTORY, bundled_motions, load_motion, save_motion
+from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.rig.rig import DegreeOfFreedom, Rig
 
 DOWN = np.array([0.0, 0.0, -1.0])

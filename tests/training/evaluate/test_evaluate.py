@@ -24,7 +24,8 @@ from physkin_core import (  # noqa: E402
     quality,
     save_garment_model,
 )
-from physkin_core.motion.motion import MotionError, save_motion  # noqa: E402
+from physkin_core.motion.loading import save_motion  # noqa: E402
+from physkin_core.motion.motion import MotionError  # noqa: E402
 from physkin_training.evaluate.evaluate import Evaluation, evaluate_model, main  # noqa: E402
 from physkin_training.evaluate.score_table import table  # noqa: E402
 

@@ -19,7 +19,7 @@ import torch
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
-from physkin_core.motion.motion import bundled_motions, load_motion
+from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
 from physkin_core.quality import edge_strain
 from physkin_core.rig.rig import Rig

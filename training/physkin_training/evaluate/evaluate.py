@@ -23,7 +23,8 @@ from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model, save_garment_model
-from physkin_core.motion.motion import Motion, bundled_motions, load_motion
+from physkin_core.motion.loading import bundled_motions, load_motion
+from physkin_core.motion.motion import Motion
 from physkin_core.rig.rig import Rig
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.evaluate.figures import Figures

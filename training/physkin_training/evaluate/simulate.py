@@ -24,7 +24,7 @@ from physkin_core.avatar.loading import load_avatar
 from physkin_core.model.garment import Garment, load_garment
 from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.model_file import load_garment_model
-from physkin_core.motion.motion import load_motion
+from physkin_core.motion.loading import load_motion
 from physkin_core.quality import area_strain, edge_strain
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.draper import UPRIGHT_GRAVITY, Draper

@@ -26,7 +26,7 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model, save_garment_model, shipped_models
-from physkin_core.motion.motion import bundled_motions, load_motion
+from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.draper import Draper
 from physkin_training.networks.draping import Drape

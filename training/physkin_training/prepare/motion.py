@@ -18,7 +18,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.motion.motion import MOTIONS_DIRECTORY, Motion, save_motion
+from physkin_core.motion.loading import MOTIONS_DIRECTORY, save_motion
+from physkin_core.motion.motion import Motion
 from physkin_core.motion.retargeting import leg_length, on_floor, retarget
 from physkin_core.rig.rig import Rig
 

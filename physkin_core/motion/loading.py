@@ -1,0 +1,79 @@
+"""Loading motion: a bundled clip, a clip file, or motion capture.
+
+A clip is one safetensors file. It stays in single precision: half precision would move a hand by half a millimetre from
+frame to frame, which is as much as cloth does between two frames.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.motion.motion import Motion, MotionError
+
+__all__ = ["MOCAP_SUFFIXES", "MOTIONS_DIRECTORY", "bundled_motions", "load_motion", "save_motion"]
+
+MOCAP_SUFFIXES = (".bvh", ".amc")
+MOTIONS_DIRECTORY = Path(__file__).parents[1] / "assets" / "motions"
+
+
+def bundled_motions() -> tuple[str, ...]:
+    """Names of the clips that ship with the package, sorted."""
+    return tuple(sorted(path.stem for path in MOTIONS_DIRECTORY.glob("*.safetensors")))
+
+
+def load_motion(path_or_name: str | Path) -> Motion:
+    """Read a clip: a bundled name (`bundled_motions`), a file that `save_motion` wrote, or motion capture, .bvh or .amc
+    (see `physkin_core.motion.mocap`), as motion of the default rig.
+
+    Raises MotionError for an unknown name, an unreadable file, missing tensors, bad shapes or values not finite.
+    """
+    path = Path(path_or_name)
+    if path.suffix.lower() in MOCAP_SUFFIXES:
+        from physkin_core.motion.mocap import load_mocap
+
+        return load_mocap(path, load_body_model().rig)[0]
+    if path.suffix != ".safetensors":
+        if str(path_or_name) not in bundled_motions():
+            raise MotionError(
+                f"no bundled motion {str(path_or_name)!r}; there are {', '.join(bundled_motions())} "
+                "(a clip of your own: give the path of its .safetensors, .bvh or .amc file)"
+            )
+        path = MOTIONS_DIRECTORY / f"{path_or_name}.safetensors"
+    return _read(path)
+
+
+def _read(path: Path) -> Motion:
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="numpy") as file:
+            metadata = file.metadata() or {}
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a mapping)
+    except (OSError, SafetensorError) as error:
+        raise MotionError(f"cannot read motion file {path}: {error}") from error
+    fields = ("positions", "root_orientation", "root_position")
+    missing = [key for key in fields if key not in tensors]
+    missing += [f"metadata {key!r}" for key in ("joint_names", "rate_hz") if key not in metadata]
+    if missing:
+        raise MotionError(f"motion file {path} lacks {', '.join(missing)}")
+    try:
+        joint_names = tuple(str(name) for name in json.loads(metadata["joint_names"]))
+        rate_hz = float(metadata["rate_hz"])
+    except (ValueError, TypeError) as error:
+        raise MotionError(f"motion file {path}: malformed joint_names or rate_hz: {error}") from error
+    return Motion(joint_names, *(tensors[key] for key in fields), rate_hz, metadata.get("name", path.stem))
+
+
+def save_motion(motion: Motion, path: Path, *, notes: Mapping[str, str] | None = None) -> None:
+    """Write a clip to `path` (.safetensors). notes: further metadata, such as source and licence."""
+    from safetensors.numpy import save_file
+
+    fields = ("positions", "root_orientation", "root_position")
+    described = {"name": motion.name, "rate_hz": repr(motion.rate_hz), "joint_names": json.dumps(motion.joint_names)}
+    tensors = {key: np.ascontiguousarray(getattr(motion, key)) for key in fields}
+    save_file(tensors, path, metadata={**(notes or {}), **described})
