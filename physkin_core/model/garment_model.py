@@ -131,6 +131,11 @@ class GarmentModel:
         """Whether the networks have learnt rest shapes graded to the body (`fit` above 0), too."""
         return "fit" in self.hyper_modulator
 
+    @property
+    def accelerated(self) -> bool:
+        """Whether the networks have learnt effective gravity of any size, as accelerated roots feel it."""
+        return bool((self.training.get("poses") or {}).get("accelerated"))
+
     def checked_fit(self, fit: float) -> float:
         """The fit as a number. Raises ValueError when it is not 0 to 1, or above 0 and this model has not learnt it."""
         if isinstance(fit, bool) or not isinstance(fit, Real) or not 0 <= fit <= 1:

@@ -25,6 +25,10 @@ __all__ = ["BACKENDS", "UPRIGHT_GRAVITY", "Binding", "Draper"]
 log = logging.getLogger(__name__)
 
 BACKENDS = ("native", "numpy")
+STANDARD_GRAVITY = 9.81
+"""[m/s2] what a gravity direction stands for."""
+LARGEST_EFFECTIVE_GRAVITY = 3.0
+"""In units of gravity; training knows no more."""
 UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
 """Gravity direction in the root frame of an upright body."""
 FULL_TURN = 2 * np.pi
@@ -123,13 +127,17 @@ class Draper:
         joint_positions: np.ndarray | Mapping[str, float],
         gravity: np.ndarray = UPRIGHT_GRAVITY,
         *,
+        effective_gravity: np.ndarray | None = None,
         out: np.ndarray | None = None,
     ) -> np.ndarray:
         """Deform the garment for one pose.
 
         joint_positions: (d,) [rad] in the order of `joint_names`, or positions by joint name, the others being at rest.
-        gravity: (3,) direction in the root frame, any length but zero. out: (n, 6) or (n, 3) writable float32 view, any
-        row stride; default a new (n, 6). Returns `out`: x, y, z [m], then the unit normal.
+        gravity: (3,) direction in the root frame, any length but zero, of a root that is not accelerated.
+        effective_gravity: (3,) [m/s2] in the root frame, of one that is: gravity less the root's acceleration, zero in
+        free fall, at most three times gravity; takes the place of `gravity`, for models that have learnt it
+        (`GarmentModel.accelerated`). out: (n, 6) or (n, 3) writable float32 view, any row stride; default a new (n, 6).
+        Returns `out`: x, y, z [m], then the unit normal.
         Raises ValueError on wrong lengths, unknown joints or values that are not finite, naming the joint.
         """
         if isinstance(joint_positions, Mapping):
@@ -139,13 +147,10 @@ class Draper:
             raise ValueError(f"joint positions have shape {positions.shape}, expected {self.bound.dof_bone.shape}")
         if not positions.dot(positions) <= FULL_TURN**2:  # or NaN; the cheapest question that all usual poses pass
             self._check_unusual(positions)
-        down = np.asarray(gravity, dtype=np.float64)
-        length = float(np.linalg.norm(down))
-        if down.shape != (3,) or not np.isfinite(length) or length < 1e-9:
-            raise ValueError(f"gravity must be a finite, non-zero direction (3,), got {down.tolist()}")
+        down = _direction(gravity) if effective_gravity is None else self._felt(effective_gravity)
         if out is None:
             out = np.empty((self.vertex_count, 6), dtype=np.float32)
-        self._evaluator.evaluate(positions, (down / length).astype(np.float32), out)
+        self._evaluator.evaluate(positions, down.astype(np.float32), out)
         return out
 
     def bind_step(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> Callable[[], None]:
@@ -165,6 +170,16 @@ class Draper:
 
             return step
         return lambda: self.drape(joint_positions, gravity, out=out)
+
+    def _felt(self, effective_gravity: np.ndarray) -> np.ndarray:
+        """Effective gravity (3,) [m/s2] in units of gravity, as the networks know it."""
+        felt = np.asarray(effective_gravity, dtype=np.float64) / STANDARD_GRAVITY
+        if felt.shape != (3,) or not np.linalg.norm(felt) <= LARGEST_EFFECTIVE_GRAVITY:
+            allowed = f"(3,), finite, up to {LARGEST_EFFECTIVE_GRAVITY * STANDARD_GRAVITY:.1f} m/s2 long"
+            raise ValueError(f"effective_gravity must be {allowed}, got {np.asarray(effective_gravity).tolist()}")
+        if not self.model.accelerated:
+            raise ValueError(f"garment model {self.model.name!r} was not trained with accelerated roots; give gravity")
+        return felt
 
     def _check_unusual(self, positions: np.ndarray) -> None:
         """Raise ValueError for joint positions (d,) that are not finite; warn, once, of what looks like degrees."""
@@ -209,3 +224,11 @@ def _evaluator(backend: str, bound: BoundGarment, precision: str | None, normals
     from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
 
     return ReferenceEvaluator(bound, normals=normals)
+
+
+def _direction(gravity: np.ndarray) -> np.ndarray:
+    down = np.asarray(gravity, dtype=np.float64)
+    length = float(np.linalg.norm(down))
+    if down.shape != (3,) or not np.isfinite(length) or length < 1e-9:
+        raise ValueError(f"gravity must be a finite, non-zero direction (3,), got {down.tolist()}")
+    return down / length

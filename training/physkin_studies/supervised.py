@@ -77,7 +77,7 @@ def simulate_drapes(
     parts = []
     folder.mkdir(parents=True, exist_ok=True)
     for start in range(0, len(every), batch):
-        path = folder / f"drapes_{start:06d}_of_{len(every)}_by_{batch}_{config.optimisation.other_limbs}.safetensors"
+        path = folder / f"drapes_{start:06d}_of_{len(every)}_by_{batch}.safetensors"
         if not path.exists():
             simulation = simulation or _StagedSimulation(trainer, trainer.body_model, batch)
             pick = torch.arange(start, start + batch) % len(every)  # a last partial batch is filled up
@@ -104,7 +104,7 @@ class _StagedSimulation:
         self._node_positions = trainer.node_positions
         self._rest = torch.as_tensor(trainer.rig.rest.copy(), dtype=torch.float32, device=device)
         self._posed = PosedBodies(body_model, trainer.bodies, samples)
-        wearing = Wearing.of(garment, body_model, other_limbs=trainer.config.optimisation.other_limbs)
+        wearing = Wearing.of(garment, body_model)
         losses = PhysicsLosses(garment, trainer.config.material, samples, device, wearing=wearing, reach=REACH)
         self.solver = FullSpaceSolver(garment, losses, samples, device)
 

@@ -18,7 +18,6 @@ __all__ = [
     "GarmentNodeConfig",
     "NetworkConfig",
     "OptimisationConfig",
-    "OtherLimbs",
     "PoseConfig",
     "TrainingConfig",
     "load_config",
@@ -29,12 +28,13 @@ Real = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0)]
 """It may be infinite."""
 Share = Annotated[float, Field(strict=True, ge=0, le=1)]
-OtherLimbs = Literal["one_way", "both_ways"]
-"""How a limb that a vertex lies nowhere on presses it: towards its own place on the body alone, or as any part does."""
 
 STRICT = ConfigDict(extra="forbid")
 
-REMOVED = {"body_distribution": "every run trains on adults (other bodies: physkin_studies/fantastical_bodies.py)"}
+REMOVED = {
+    "body_distribution": "every run trains on adults (other bodies: physkin_studies/fantastical_bodies.py)",
+    "optimisation.other_limbs": "other limbs press cloth one way, always",
+}
 """Keys of earlier versions, and what to do without them."""
 
 
@@ -56,7 +56,6 @@ class OptimisationConfig:
     step of the moving average of networks and skinning weights that is exported, 0 for none. `validate_every`: steps
     from one measurement of the average to the next, once range and influences are final; the best one is exported.
     `fit`: "template", one rest shape for all bodies; "both": every second body of a step wears it made to measure.
-    `other_limbs`: see `OtherLimbs` and `Wearing`.
     """
 
     steps: Count = 100000
@@ -80,7 +79,6 @@ class OptimisationConfig:
     average: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.999
     validate_every: Count = 500
     fit: Literal["template", "both"] = "template"
-    other_limbs: OtherLimbs = "one_way"
 
     def __post_init__(self) -> None:
         if self.prune_at < self.prune_from:
@@ -113,8 +111,15 @@ class GarmentNodeConfig:
 
 @dataclass(frozen=True, config=STRICT)
 class PoseConfig:
-    """Pose sampling: share of `upright` roots, the others tilted by up to `largest_tilt_degrees`."""
+    """Pose sampling.
 
+    `everyday` of the samples have an everyday pose (see `EverydayPoses`), the others one uniform in the joint limits;
+    of these, `upright` have an upright root, the others' lean by up to `largest_tilt_degrees`. The roots of
+    `accelerated` of all are accelerated (see `PoseSampler`).
+    """
+
+    everyday: Share = 0.6
+    accelerated: Share = 0.3
     upright: Share = 0.5
     largest_tilt_degrees: Annotated[float, Field(strict=True, ge=0, le=180)] = 110.0
 
@@ -154,12 +159,17 @@ def _as_material(data: object) -> object:
 
 @dataclass(frozen=True, config=STRICT)
 class TrainingConfig:
-    """All of one training run. name: of the model file. garment: mesh path relative to the configuration file."""
+    """All of one training run. name: of the model file. garment: mesh path relative to the configuration file.
+
+    swollen: to the `train_bodies`, this share of them is added once more, swollen by up to 15 mm from part to part, as
+    where the garment is worn over another one.
+    """
 
     name: Annotated[str, Field(pattern=r"^\w[\w. -]*$")]
     garment: Path
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 0
     train_bodies: Count = 512
+    swollen: Share = 0.5
     optimisation: OptimisationConfig = field(default_factory=OptimisationConfig)
     garment_nodes: GarmentNodeConfig = field(default_factory=GarmentNodeConfig)
     poses: PoseConfig = field(default_factory=PoseConfig)
@@ -178,10 +188,11 @@ def load_config(path: str | Path) -> TrainingConfig:
         data = tomllib.loads(path.read_text())
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"cannot read configuration {path}: {error}") from error
-    for key in REMOVED.keys() & data.keys():
-        raise ConfigError(f"{path}: there is no {key} any more, remove it: {REMOVED[key]}")
     optimisation = data.get("optimisation")
-    if isinstance(optimisation, dict) and "steps" in optimisation and optimisation.get("minutes"):
+    optimisation = optimisation if isinstance(optimisation, dict) else {}
+    for key in REMOVED.keys() & {*data, *(f"optimisation.{key}" for key in optimisation)}:
+        raise ConfigError(f"{path}: there is no {key} any more, remove it: {REMOVED[key]}")
+    if "steps" in optimisation and optimisation.get("minutes"):
         raise ConfigError(f"{path}: optimisation has both steps and minutes; give one of them")
     try:
         config = TypeAdapter(TrainingConfig).validate_python(data)

@@ -428,3 +428,21 @@ def test_a_fit_that_cannot_be_is_refused(measured):
     _, strange, other = scene(0, made_to_measure=True)
     with pytest.raises(ValueError, match="needs the body model's rig"):
         Draper(strange, other, fit=1.0, backend="numpy")
+
+
+def test_effective_gravity():
+    """At 9.81 m/s2 it is gravity; less, more and none at all drape otherwise; where it was not learnt it is refused."""
+    model = random_model(np.random.default_rng(3), **SIZES["tiny"])
+    learnt = replace(model, training={"poses": {"accelerated": 0.3}})
+    avatar = random_avatar(np.random.default_rng(4), model.rig)
+    draper, pose = Draper(learnt, avatar), random_pose(np.random.default_rng(5), model.rig)[0]
+    down = np.array([0.6, 0.0, -0.8])
+    usual = draper.drape(pose, down)
+    np.testing.assert_allclose(draper.drape(pose, effective_gravity=9.81 * down), usual, atol=1e-6)
+    for size in (0.0, 5.0, 29.0):
+        assert np.abs(draper.drape(pose, effective_gravity=size * down) - usual).max() > 1e-5
+    for wrong in ([0, 0, -30.0], [0, np.nan, 0], [0, 0], -9.81):
+        with pytest.raises(ValueError, match="effective_gravity must be .* up to 29.4 m/s2"):
+            draper.drape(pose, effective_gravity=wrong)
+    with pytest.raises(ValueError, match="was not trained with accelerated roots"):
+        Draper(model, avatar).drape(pose, effective_gravity=9.81 * down)

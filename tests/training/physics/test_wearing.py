@@ -81,10 +81,6 @@ def test_limbs_that_pass_by_the_cloth():
     sleeve = np.linalg.norm(garment.vertices - [0.0, 0.26, 0.45], axis=1).argmin()
     assert worn.worn[sleeve, arm].any() and not worn.other_limb[sleeve, arm].any()
     assert not (worn.worn & worn.other_limb).any()
-    both_ways = Wearing.of(garment, BODY, other_limbs="both_ways")
-    assert not both_ways.other_limb.any() and np.array_equal(both_ways.worn, worn.worn)
-    with pytest.raises(ValueError, match="'both-ways'"):
-        Wearing.of(garment, BODY, other_limbs="both-ways")
     garment, worn = wearing("skirt")
     side = np.linalg.norm(garment.vertices - [0.0, 0.25, -0.15], axis=1).argmin()
     legs = [BONES.index(part) for part in ("upperleg01.L", "upperleg02.L", "upperleg01.R", "upperleg02.R")]

@@ -123,3 +123,19 @@ def test_surface_points_lie_on_the_surface_evenly(bodies):
             assert (at[:, axis] > cut).mean() == pytest.approx(area, abs=0.01)
     another, _ = bodies.sample_points(torch.tensor([1, 0]), 4000)
     assert (another - points).abs().max() > 1e-3
+
+
+def test_a_swollen_body_lies_outside_itself(bodies):
+    """Along the normals, smoothly from part to part; bones stay, and other bodies are as they were."""
+    swelling = np.zeros((3, BODY.rig.bone_count))
+    swelling[1, BODY.rig.bone_index("spine03")] = 0.015
+    swollen = BodySet(BODY, BODY.train_bodies[:3], torch.device("cpu"), swelling=swelling)
+    torch.testing.assert_close(swollen.vertices[[0, 2]], bodies.vertices[[0, 2]], rtol=0, atol=0)
+    torch.testing.assert_close(swollen.heads, bodies.heads, rtol=0, atol=0)
+    moved = (swollen.vertices - bodies.vertices)[1].numpy()
+    body = trimesh.Trimesh(bodies.vertices[1].numpy(), BODY.faces, process=False)
+    distance = np.linalg.norm(moved, axis=1)
+    assert 0.01 < distance.max() < 0.0151 and (distance == 0).mean() > 0.5
+    assert np.ptp(distance[body.edges_unique], axis=1).max() < 0.008
+    outward = (moved * body.vertex_normals).sum(axis=1)
+    assert (outward[distance > 1e-3] > 0.7 * distance[distance > 1e-3]).all()

@@ -104,7 +104,7 @@ class Evaluation:
         self.bodies = BodySet(body_model, held_out[list(bodies)], device)
         self.batch = min(batch, len(bodies) * poses)
         self.posed_bodies = PosedBodies(body_model, self.bodies, self.batch)
-        wearing = Wearing.of(model.garment, body_model, other_limbs=CONTACT)
+        wearing = Wearing.of(model.garment, body_model)
         self._fits: MadeToMeasure | None = None
         if fit:
             self._fits = MadeToMeasure(model.garment, self.drape, self.bodies, body_model, fit=fit)

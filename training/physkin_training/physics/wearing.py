@@ -7,7 +7,6 @@ Dimensions: `n` garment vertices, `b` bones, `f` contact faces, `k` band vertice
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import get_args
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -18,11 +17,8 @@ from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.rig.rig import Rig
-from physkin_training.config import OtherLimbs
 
-__all__ = ["OTHER_LIMBS", "Wearing"]
-
-OTHER_LIMBS = get_args(OtherLimbs)
+__all__ = ["Wearing"]
 
 WORN_WITHIN = 0.15
 """A vertex is worn on body parts that come this close [m] at the canonical pose."""
@@ -43,7 +39,7 @@ class Wearing:
     faces: (f, 3) int32, faces of the body that cloth may be in contact with; face_bone: (f,) int32, the bone that moves
     each most. worn: (n, b) bool, the vertex lies on that bone's part. other_limb: (n, b) bool, it lies on no part of
     that bone's limb, which is beside the cloth or in front of it, as an arm is to the side of a shirt, and presses it
-    one way; none where limbs press both ways. own_face: (n,) int32, of the `faces` of worn parts the one whose centre
+    towards its own place on the body alone. own_face: (n,) int32, of the `faces` of worn parts the one whose centre
     is closest. band: (k,) int32 vertices of the neckband or waistband; band_place: (k,) int32 the body vertex closest
     to each, band_distance: (k,) float32 [m] away.
     """
@@ -58,17 +54,9 @@ class Wearing:
     band_distance: np.ndarray
 
     @classmethod
-    def of(cls, garment: Garment, body_model: BodyModel, *, other_limbs: str = "one_way") -> Wearing:
-        """Read off the garment maker's body. other_limbs: one of `OTHER_LIMBS`.
-
-        Raises ValueError for a garment without an opening, and for other limbs that are none of these.
-        """
-        if other_limbs not in OTHER_LIMBS:
-            raise ValueError(f"other_limbs must be one of {', '.join(OTHER_LIMBS)}, got {other_limbs!r}")
-        wearing = cls.on(garment, avatar_from_body(body_model, body_model.garment_body), body_model.rig)
-        if other_limbs == "both_ways":
-            return replace(wearing, other_limb=np.zeros_like(wearing.other_limb))
-        return wearing
+    def of(cls, garment: Garment, body_model: BodyModel) -> Wearing:
+        """Read off the garment maker's body. Raises ValueError for a garment without an opening."""
+        return cls.on(garment, avatar_from_body(body_model, body_model.garment_body), body_model.rig)
 
     @classmethod
     def on(cls, garment: Garment, avatar: Avatar, rig: Rig) -> Wearing:

@@ -1,5 +1,5 @@
-"""Poses of training and evaluation: uniform in a box around the A-pose that, in training, grows to the joint limits,
-under gravity of tilted roots.
+"""Poses of training and evaluation: everyday ones, and ones uniform in a box around the A-pose that, in training, grows
+to the joint limits; under gravity of tilted and of accelerated roots.
 
 Paper: Training. Dimensions: `B` samples, `d` degrees of freedom.
 """
@@ -8,14 +8,18 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 
 from physkin_core.rig.rig import Rig
 from physkin_training.config import PoseConfig
+from physkin_training.sampling.everyday_poses import EverydayPoses
 
 __all__ = ["PoseSampler", "pose_range"]
 
 FIRST_RANGE = 0.1
+LARGEST_ACCELERATION = 2.0
+"""Of the root, in units of gravity: cloth feels at most three times its weight."""
 
 
 def pose_range(progress: float, growth: float) -> float:
@@ -29,31 +33,52 @@ def pose_range(progress: float, growth: float) -> float:
 
 
 class PoseSampler:
-    """Draws joint positions (B, d) [rad] and gravity directions (B, 3) on a device.
+    """Draws joint positions (B, d) [rad] and effective gravity (B, 3), in units of gravity, on a device.
 
-    upright: share of samples whose root stands upright; the others lean by up to `largest_tilt` [rad] any way.
+    everyday: share of samples that have an everyday pose; the others' is uniform in the limits. Of these, `upright`
+    have an upright root, the others lean by up to `largest_tilt` [rad] any way. accelerated: share of all samples whose
+    root is accelerated, any way, by up to twice gravity; what cloth then feels is gravity less the acceleration.
     """
 
     @classmethod
     def configured(cls, config: PoseConfig, rig: Rig, device: torch.device) -> PoseSampler:
         """The sampler of a training configuration."""
-        return cls(rig, device, upright=config.upright, largest_tilt=math.radians(config.largest_tilt_degrees))
+        return cls(
+            rig,
+            device,
+            everyday=config.everyday,
+            accelerated=config.accelerated,
+            upright=config.upright,
+            largest_tilt=math.radians(config.largest_tilt_degrees),
+        )
 
-    def __init__(self, rig: Rig, device: torch.device, *, upright: float, largest_tilt: float) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        device: torch.device,
+        *,
+        upright: float,
+        largest_tilt: float,
+        everyday: float = 0.0,
+        accelerated: float = 0.0,
+    ) -> None:
         def tensor(values) -> torch.Tensor:
-            return torch.as_tensor(values.copy(), dtype=torch.float32, device=device)
+            return torch.as_tensor(np.array(values), dtype=torch.float32, device=device)
 
         self.lower, self.upper, self.rest = tensor(rig.lower), tensor(rig.upper), tensor(rig.rest)
         self.upright = upright
         self.largest_tilt = largest_tilt
+        self.everyday, self.accelerated = everyday, accelerated
+        self._everyday_poses = EverydayPoses(rig, device) if everyday > 0 else None
+        self._down = tensor([0.0, 0.0, -1.0])
 
     def sample(
         self, count: int, share: torch.Tensor | float, *, generator: torch.Generator | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Joint positions (count, d) and gravity directions (count, 3).
+        """Joint positions (count, d) and effective gravity (count, 3): a direction where the root is not accelerated.
 
-        share: part of the joint limits and of the largest tilt in use, 0 to 1 (a tensor may change). generator: of the
-        sampler's device; default that device's own.
+        share: part of the joint limits, of the way to everyday poses, of the largest tilt and of the largest
+        acceleration in use, 0 to 1 (a tensor may change). generator: of the sampler's device, default its own.
         """
 
         def uniform(*shape: int) -> torch.Tensor:
@@ -66,4 +91,17 @@ class PoseSampler:
         tilt = torch.where(uniform(count) < self.upright, torch.zeros_like(tilt), tilt)
         azimuth = uniform(count) * (2 * torch.pi)
         gravity = torch.stack([tilt.sin() * azimuth.cos(), tilt.sin() * azimuth.sin(), -tilt.cos()], dim=1)
+        if self._everyday_poses is not None:
+            poses, downs = self._everyday_poses.sample(count, generator=generator)
+            chosen = uniform(count, 1) < self.everyday
+            positions = torch.where(chosen, self.rest + share * (poses - self.rest), positions)
+            gravity = torch.where(chosen, _unit(share * downs + (1 - share) * self._down), gravity)
+        if self.accelerated > 0:
+            way = _unit(torch.randn(count, 3, device=self.lower.device, generator=generator))
+            felt = gravity - LARGEST_ACCELERATION * share * uniform(count, 1) * way
+            gravity = torch.where(uniform(count, 1) < self.accelerated, felt, gravity)
         return positions, gravity
+
+
+def _unit(vectors: torch.Tensor) -> torch.Tensor:
+    return torch.nn.functional.normalize(vectors, dim=1)

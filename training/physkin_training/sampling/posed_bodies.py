@@ -17,6 +17,8 @@ import warp as wp
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import BodyModel
+from physkin_core.model.garment import vertex_normals
+from physkin_core.rig.linear_blend_skinning import dense_weights
 from physkin_core.rig.rig import Rig
 
 __all__ = ["BodySet", "PosedBodies", "posed_avatar"]
@@ -82,11 +84,14 @@ def pose_body_kernel(
 class BodySet:
     """Bodies of the compact body model on one device: surfaces, bones and surface points for the hyper modulator.
 
-    coefficients: (S, c) shape coefficients, NumPy. `vertices` (S, V, 3), `heads`, `tails` (S, b, 3) [m], canonical
-    pose.
+    coefficients: (S, c) shape coefficients, NumPy. swelling: (S, b) [m] how far each bone's part of the skin lies
+    outside the body, as where another garment is worn under this one; it changes smoothly from part to part. Default
+    nowhere. `vertices` (S, V, 3), `heads`, `tails` (S, b, 3) [m], canonical pose.
     """
 
-    def __init__(self, model: BodyModel, coefficients: np.ndarray, device: torch.device) -> None:
+    def __init__(
+        self, model: BodyModel, coefficients: np.ndarray, device: torch.device, *, swelling: np.ndarray | None = None
+    ) -> None:
         def tensor(array: np.ndarray) -> torch.Tensor:
             return torch.as_tensor(np.ascontiguousarray(array), device=device, dtype=torch.float32)
 
@@ -95,6 +100,12 @@ class BodySet:
         self.vertices = tensor(model.mean_vertices) + torch.einsum(
             "sc,cvi->svi", shape, tensor(model.vertex_components)
         )
+        if swelling is not None and swelling.any():
+            swollen = np.flatnonzero(swelling.any(axis=1))
+            parts = dense_weights(model.influence_bones, model.influence_weights, model.rig.bone_count)
+            for row in swollen:
+                outward = vertex_normals(self.vertices[row].cpu().numpy(), model.faces)
+                self.vertices[row] += tensor((parts @ swelling[row])[:, None] * outward)
         bones = tensor(model.mean_bones) + torch.einsum("sc,cbhi->sbhi", shape, tensor(model.bone_components))
         self.heads, self.tails = bones[:, :, 0].contiguous(), bones[:, :, 1].contiguous()
         self.faces = torch.as_tensor(model.faces, device=device, dtype=torch.int64)

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from physkin_core.avatar.body_model import BodyModel, load_body_model
@@ -41,6 +42,10 @@ __all__ = ["Trainer", "TrainingDiverged"]
 
 NORMALISING_POSES = 2048
 """Poses from which the node deformer's inputs are scaled."""
+LARGEST_SWELLING = 0.015
+"""[m] how much may be worn under the garment."""
+COVERED_PARTS = 0.7
+"""Share of a swollen body's parts that are."""
 LATE = 0.7
 """Share of a run at which steps are as long as in most of it: full range, influences pruned."""
 MEASURING = 8.0
@@ -103,13 +108,14 @@ class Trainer:
         self.nodes = nodes
         both = optimisation.made_to_measure
         self.drape = Drape(self.garment, nodes, self.rig, config.networks, made_to_measure=both).to(device)
-        self.bodies = BodySet(body_model, body_model.train_bodies[: config.train_bodies], device)
+        bodies, swelling = self._training_bodies()
+        self.bodies = BodySet(body_model, bodies, device, swelling=swelling)
         self.node_positions = self.drape.node_positions(self.bodies)
         self.fits = MadeToMeasure(self.garment, self.drape, self.bodies, body_model) if both else None
         self._made = torch.arange(self._bodies, device=device) % 2 == 1
         rest = RestData(self.garment, config.material, device, shapes=self.fits.shapes if self.fits else None)
         self.sampler = PoseSampler.configured(config.poses, self.rig, device)
-        wearing = Wearing.of(self.garment, body_model, other_limbs=optimisation.other_limbs).worn_faces()
+        wearing = Wearing.of(self.garment, body_model).worn_faces()
         self.posed_bodies = PosedBodies(body_model, self.bodies, self._samples, faces=wearing.faces)
         self._normalise_nodes()
         self.processes.broadcast(list(self.drape.state_dict().values()))
@@ -318,6 +324,15 @@ class Trainer:
         else:
             self.started_from = load_drape(path, self.drape)
         self.averaged.load_state_dict(self.drape.state_dict())
+
+    def _training_bodies(self) -> tuple[np.ndarray, np.ndarray]:
+        """Shape coefficients (S, c) and swelling (S, b) [m]: of the bodies as they are, then of swollen ones."""
+        bodies = self.body_model.train_bodies[: self.config.train_bodies]
+        again = bodies[: round(self.config.swollen * len(bodies))]
+        random = np.random.default_rng(self.config.seed)
+        shape = (len(again), self.rig.bone_count)
+        swelling = LARGEST_SWELLING * random.random(shape) * (random.random(shape) < COVERED_PARTS)
+        return np.concatenate([bodies, again]), np.concatenate([np.zeros((len(bodies), shape[1])), swelling])
 
     def _normalise_nodes(self) -> None:
         """Scale the node deformer's inputs by their spread over poses of the full range."""
