@@ -83,18 +83,10 @@ def test_drape_is_the_unfolded_chain(size, activation, node_outputs, backend):
             q, gravity = random_pose(rng, model.rig)
             nodes, expected = chain(model, avatar, q, gravity)
             assert_agrees(draper.drape(q, gravity), expected)
-            assert np.abs(draper.node_transforms() - nodes).max() <= 1e-5 * max(1, np.abs(nodes).max())
-
-
-@needs_native
-@pytest.mark.parametrize("size", SIZES)
-def test_backends_agree(size):
-    rng, model, avatar = scene(20, **SIZES[size])
-    native, reference = (Draper(model, avatar, backend=backend) for backend in ("native", "numpy"))
-    for _ in range(3):
-        pose = random_pose(rng, model.rig)
-        assert_agrees(native.drape(*pose), reference.drape(*pose))
-        np.testing.assert_allclose(native.node_transforms(), reference.node_transforms(), atol=2e-5)
+            found = draper.node_transforms()
+            assert np.abs(found - nodes).max() <= 1e-5 * max(1, np.abs(nodes).max())
+            found[:] = 0  # a copy
+        assert draper.node_transforms().any()
 
 
 # --- Gravity ---
@@ -144,37 +136,24 @@ def test_a_joint_that_is_not_finite_is_named(backend, bad):
     np.testing.assert_array_equal(out, before)
 
 
-def test_wrong_number_of_joints_is_refused():
-    _, model, avatar = scene(5)
-    draper = Draper(model, avatar, backend="numpy")
-    for shape in ((6,), (8,), (7, 1), (1, 7), ()):
-        with pytest.raises(ValueError, match=r"joint positions have shape .*, expected \(7,\)"):
-            draper.drape(np.zeros(shape))
-    assert draper.joint_names == tuple(f"joint{k}" for k in range(7))
-
-
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_joint_positions_may_be_any_numbers(backend):
-    """A list, float64, a strided view: the same drape."""
-    rng, model, avatar = scene(6)
+def test_joint_positions_may_be_any_numbers_or_names(backend):
+    """A list, float64, a strided view, or some of them by name, the others at rest: the same drape."""
+    _, model, avatar = scene(6)
     draper = Draper(model, avatar, backend=backend)
-    q, _ = random_pose(rng, model.rig)
-    expected = draper.drape(q)
-    for same in (q.tolist(), q.astype(np.float64), np.repeat(q, 2)[::2]):
-        np.testing.assert_array_equal(draper.drape(same), expected)
-
-
-def test_joint_positions_may_be_given_by_name():
-    """The others are at rest; an unknown joint is named."""
-    _, model, avatar = scene(14)
-    draper = Draper(model, avatar, backend="numpy")
-    q = model.rig.rest.copy()
+    assert draper.joint_names == tuple(f"joint{k}" for k in range(7))
+    q = model.rig.rest.astype(np.float32)
     q[3] += 0.4
-    np.testing.assert_array_equal(draper.drape({"joint3": q[3]}), draper.drape(q))
+    expected = draper.drape(q)
+    for same in (q.tolist(), q.astype(np.float64), np.repeat(q, 2)[::2], {"joint3": q[3]}):
+        np.testing.assert_array_equal(draper.drape(same), expected)
     with pytest.raises(ValueError, match="no joint 'elbow'"):
         draper.drape({"elbow": 0.4})
     with pytest.raises(ValueError, match="joint 'joint3' is nan"):
         draper.drape({"joint3": np.nan})
+    for shape in ((6,), (8,), (7, 1), (1, 7), ()):
+        with pytest.raises(ValueError, match=r"joint positions have shape .*, expected \(7,\)"):
+            draper.drape(np.zeros(shape))
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -196,8 +175,7 @@ def test_degrees_are_told_once(backend, way, caplog):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("columns", [3, 6])
-@pytest.mark.parametrize("width", [6, 8, 11])
+@pytest.mark.parametrize("columns, width", [(3, 6), (6, 6), (3, 11), (6, 8)])
 def test_rows_may_be_any_distance_apart(backend, columns, width):
     """A view of an interleaved cloud; what lies between the rows stays."""
     rng, model, avatar = scene(7)
@@ -241,28 +219,6 @@ def test_other_outputs_are_refused_alike(backend, make, error):
     with pytest.raises(error, match="out|contiguous|overlap"):
         draper.drape(*random_pose(rng, model.rig), out=out)
     assert not np.any(out)
-
-
-# --- Transforms ---
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_node_transforms_are_those_of_the_last_drape(backend):
-    """Skinning the rest garment with them gives the drape; zeros before the first; a copy each time."""
-    rng, model, avatar = scene(9)
-    draper = Draper(model, avatar, backend=backend)
-    assert draper.node_transforms().shape == (10, 3, 4) and not draper.node_transforms().any()
-    for _ in range(2):
-        draped = draper.drape(*random_pose(rng, model.rig))
-        bound = draper.bound
-        nodes = draper.node_transforms()
-        assert nodes.dtype == np.float32
-        positions, _ = skin(
-            nodes, bound.node_rest, bound.vertices, bound.normals, bound.influence_nodes, bound.influence_weights
-        )
-        np.testing.assert_allclose(draped[:, :3], positions, atol=1e-5)
-        nodes[:] = 0
-        assert draper.node_transforms().any()
 
 
 # --- Construction ---
