@@ -231,7 +231,7 @@ INDICES = ("garment.faces", "garment_nodes.bone", "skinning.nodes")
 @pytest.mark.parametrize(
     "name, change, message",
     [
-        *((name, lambda array, v=v: spoilt(array.astype(np.int64), v, 3), "index")
+        *((name, lambda array, v=v: spoilt(array.astype(np.int64), v, 3), "index|indices")
           for name in INDICES for v in (200, -1, 2**32 + 1)),
         *((name, lambda array: array.astype(np.float32), "integer index") for name in INDICES),  # else 1.7 becomes 1
         *((name, lambda array: np.ones_like(array, dtype=np.int8), "floating point numbers|pool.bias")
