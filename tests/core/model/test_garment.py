@@ -22,8 +22,6 @@ def test_rest_data_of_a_square():
     assert lengths == pytest.approx({(0, 1): 2, (1, 2): 2, (2, 3): 2, (0, 3): 2, (0, 2): 8**0.5})
     np.testing.assert_allclose(garment.face_areas, [2, 2])
     np.testing.assert_allclose(garment.vertex_areas, [4 / 3, 2 / 3, 4 / 3, 2 / 3])
-    (hinge,) = garment.hinges.tolist()
-    assert set(hinge[:2]) == {0, 2} and set(hinge[2:]) == {1, 3}
 
 
 def test_edges_and_hinges_against_a_loop_over_all_pairs():
@@ -135,10 +133,10 @@ def test_unusable_mesh_is_refused(vertices, faces, message):
         Garment(vertices, faces)
 
 
-@pytest.mark.parametrize("name, content", [("a.obj", "v 1 2"), ("a.ply", "ply"), ("a.stl", ""), ("a.txt", "garment")])
-def test_missing_or_unreadable_file_is_a_garment_error(tmp_path, name, content):
-    with pytest.raises(GarmentError, match=name):
-        load_garment(tmp_path / name)
-    (tmp_path / name).write_text(content)
-    with pytest.raises(GarmentError):
-        load_garment(tmp_path / name)
+def test_missing_or_unreadable_file_is_a_garment_error(tmp_path):
+    for name, content in (("a.obj", "v 1 2"), ("a.ply", "ply"), ("a.stl", ""), ("a.txt", "garment")):
+        with pytest.raises(GarmentError, match=name):
+            load_garment(tmp_path / name)
+        (tmp_path / name).write_text(content)
+        with pytest.raises(GarmentError):
+            load_garment(tmp_path / name)

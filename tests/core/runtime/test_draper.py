@@ -89,7 +89,7 @@ def test_drape_is_the_unfolded_chain(size, activation, node_outputs, backend):
         assert draper.node_transforms().any()
 
 
-# --- Gravity ---
+# --- Gravity and joint positions ---
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -101,34 +101,21 @@ def test_gravity_is_a_direction_of_any_length(backend):
     for length in (1e-6, 9.81, 1e6):
         np.testing.assert_allclose(draper.drape(q, length * gravity.astype(float)), expected, atol=1e-5)
     assert np.abs(draper.drape(q, -gravity) - expected).max() > 1e-3
-    upright = draper.drape(q)
-    np.testing.assert_array_equal(upright, draper.drape(q, UPRIGHT_GRAVITY))
-    np.testing.assert_array_equal(upright, draper.drape(q, [0, 0, -3]))
+    np.testing.assert_array_equal(draper.drape(q), draper.drape(q, UPRIGHT_GRAVITY))
+    for bad in (np.zeros(3), [0, 0], [0, np.nan, 1], [0, 0, np.inf], np.zeros((1, 3)), np.eye(3), 9.81):
+        with pytest.raises(ValueError, match=r"gravity must be a finite, non-zero direction \(3,\)"):
+            draper.drape(q, bad)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize(
-    "gravity", [np.zeros(3), [0, 0], [0, np.nan, 1], [0, 0, np.inf], np.zeros((1, 3)), np.eye(3), 9.81]
-)
-def test_bad_gravity_is_refused(gravity, backend):
-    _, model, avatar = scene(3)
-    with pytest.raises(ValueError, match=r"gravity must be a finite, non-zero direction \(3,\)"):
-        Draper(model, avatar, backend=backend).drape(model.rig.rest, gravity)
-
-
-# --- Joint positions ---
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_joint_that_is_not_finite_is_named(backend, bad):
+def test_a_joint_that_is_not_finite_is_named(backend):
     """And nothing is written."""
     rng, model, avatar = scene(4)
     draper = Draper(model, avatar, backend=backend)
     q, _ = random_pose(rng, model.rig)
     before = draper.drape(q)
     out = before.copy()
-    for joint in range(len(q)):
+    for joint, bad in enumerate([np.nan, np.inf, -np.inf] * 2):
         spoilt = q.copy()
         spoilt[joint] = bad
         with pytest.raises(ValueError, match=rf"joint 'joint{joint}' is {bad}"):
@@ -263,34 +250,6 @@ def test_networks_that_overflow_are_refused(backend):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_drapers_do_not_share_state(backend):
-    """Two bodies in turns: each gives what it gives alone."""
-    rng, model, first_body = scene(13)
-    second_body = random_avatar(rng, model.rig)
-    first, second = (Draper(model, body, backend=backend) for body in (first_body, second_body))
-    poses = [random_pose(rng, model.rig) for _ in range(4)]
-    alone = [Draper(model, first_body, backend=backend).drape(*pose) for pose in poses]
-    for pose, expected in zip(poses, alone):
-        result = first.drape(*pose)
-        assert np.abs(second.drape(*pose) - result).max() > 1e-3
-        np.testing.assert_array_equal(result, expected)
-
-
-@needs_native
-@pytest.mark.parametrize("precision", ["fp32", "bf16", "int8"])
-def test_precision_reaches_the_native_evaluator(precision):
-    """Each gives about the same garment, and not the same numbers."""
-    rng, model, avatar = scene(41, **SIZES["tiny"])
-    q, gravity = random_pose(rng, model.rig)
-    exact = Draper(model, avatar, precision="fp32").drape(q, gravity)
-    draper = Draper(model, avatar, precision=precision)
-    rounded = draper.drape(q, gravity)
-    assert draper.precision == precision
-    assert np.abs(rounded - exact).max() < 0.1
-    assert np.array_equal(rounded, exact) == (precision == "fp32")
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
 def test_bound_step_and_binding(backend, garment_model):
     """A step reads its arrays as they are now; a draper made from another's binding gives the same."""
     avatar = load_avatar(BUNDLED_AVATAR, garment_model.rig)
@@ -307,6 +266,29 @@ def test_bound_step_and_binding(backend, garment_model):
     positions[0] = np.nan
     with pytest.raises(ValueError):
         step()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_drapers_do_not_share_state(backend):
+    """Two bodies in turns: each gives what it gives alone."""
+    rng, model, first_body = scene(13)
+    second_body = random_avatar(rng, model.rig)
+    first, second, alone = (Draper(model, body, backend=backend) for body in (first_body, second_body, first_body))
+    for pose in [random_pose(rng, model.rig) for _ in range(4)]:
+        result = first.drape(*pose)
+        assert np.abs(second.drape(*pose) - result).max() > 1e-3
+        np.testing.assert_array_equal(result, alone.drape(*pose))
+
+
+@needs_native
+def test_precision_reaches_the_native_evaluator():
+    """Each gives about the same garment, and not the same numbers."""
+    rng, model, avatar = scene(41, **SIZES["tiny"])
+    pose = random_pose(rng, model.rig)
+    drapers = [Draper(model, avatar, precision=precision) for precision in ("fp32", "bf16", "int8")]
+    assert [draper.precision for draper in drapers] == ["fp32", "bf16", "int8"]
+    exact, *rounded = [draper.drape(*pose) for draper in drapers]
+    assert all(0 < np.abs(other - exact).max() < 0.1 for other in rounded) and not np.array_equal(*rounded)
 
 
 # --- Made to measure ---
