@@ -34,3 +34,15 @@ def load_document(tmp_path, builder, rig=RIG, name="person.glb"):
 
 def primitive_of(builder):
     return builder.document["meshes"][0]["primitives"][0]
+
+
+def distances(first, second):
+    """Millimetres between corresponding points."""
+    return 1000 * np.linalg.norm(np.asarray(first) - np.asarray(second), axis=-1)
+
+
+def dense_weights(avatar):
+    """Skinning weights (vertices, bones)."""
+    dense = np.zeros((len(avatar.vertices), RIG.bone_count))
+    np.add.at(dense, (np.arange(len(dense))[:, None], avatar.influence_bones), avatar.influence_weights)
+    return dense

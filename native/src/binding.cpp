@@ -6,6 +6,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <cstdlib>
+#include <initializer_list>
 #include <optional>
 #include <string>
 #include <vector>
@@ -34,6 +35,16 @@ std::string shape_text(const std::vector<int>& shape) {
   return "(" + text + (shape.size() == 1 ? ",)" : ")");
 }
 
+// Refuses an array of another shape.
+template <class Array>
+void check_shape(const Array& array, const char* name, std::initializer_list<int> shape) {
+  bool good = array.ndim() == shape.size();
+  for (std::size_t axis = 0; good && axis < shape.size(); ++axis) {
+    good = array.shape(axis) == std::size_t(shape.begin()[axis]);
+  }
+  if (!good) throw nb::value_error((std::string(name) + " must have shape " + shape_text(shape)).c_str());
+}
+
 // Views one array of the garment: dtype T, C-contiguous. A negative size in `shape` allows any and is filled in.
 template <class T>
 const T* view(nb::handle object, const std::string& name, std::vector<int>& shape) {
@@ -54,12 +65,28 @@ const T* view(nb::handle object, const std::string& name, std::vector<int>& shap
   return static_cast<const T*>(array.data());
 }
 
-// The fields of a Python object, to be read under the interpreter's lock and used without it. Network weights are
-// viewed and kept alive. Everything else is copied: an index must not change between its check and its use.
-class PythonFields : public FieldSource {
+// A layer's network weights and bias, named `matrix` and `bias` in errors.
+DenseWeights dense_weights(nb::handle matrix_array, const std::string& matrix, nb::handle bias_array,
+                           const std::string& bias) {
+  std::vector<int> shape{-1, -1};
+  const float* weights = view<float>(matrix_array, matrix, shape);
+  std::vector<int> outputs{shape[0]};
+  return {shape[0], shape[1], weights, view<float>(bias_array, bias, outputs)};
+}
+
+// Reads the fields of Python objects under the interpreter's lock, for as long as it lives; they are used without it.
+// Network weights are viewed and kept alive, so that it must be destroyed under the lock, too. Everything else is
+// copied: an index must not change between its check and its use.
+class PythonReader : public FieldSource {
  public:
-  PythonFields(nb::handle object, Arena& arena, std::vector<nb::object>& held)
-      : object_(object), arena_(arena), held_(held) {}
+  BoundGarment bound_garment(nb::handle object) {
+    object_ = object;
+    return read_bound_garment(*this);
+  }
+  SkinningData skinning_data(nb::handle object) {
+    object_ = object;
+    return read_skinning_data(*this);
+  }
 
   const float* floats(const std::string& name, std::vector<int>& shape) override { return copied<float>(name, shape); }
   const std::int32_t* integers(const std::string& name, std::vector<int>& shape) override {
@@ -69,10 +96,7 @@ class PythonFields : public FieldSource {
     std::vector<DenseWeights> layers;
     for (nb::handle layer : attribute(name)) {
       const std::string at = name + "[" + std::to_string(layers.size()) + "]";
-      std::vector<int> shape{-1, -1};
-      const float* matrix = view<float>(held(layer[0]), at + " network weights", shape);
-      std::vector<int> outputs{shape[0]};
-      layers.push_back({shape[0], shape[1], matrix, view<float>(held(layer[1]), at + " bias", outputs)});
+      layers.push_back(dense_weights(held(layer[0]), at + " network weights", held(layer[1]), at + " bias"));
     }
     return layers;
   }
@@ -92,33 +116,14 @@ class PythonFields : public FieldSource {
   }
 
   nb::handle object_;
-  Arena& arena_;
-  std::vector<nb::object>& held_;
-};
-
-// What was read from Python objects, for as long as it lives. It must be destroyed under the interpreter's lock.
-class PythonReader {
- public:
-  BoundGarment bound_garment(nb::handle object) {
-    PythonFields fields(object, arena_, held_);
-    return read_bound_garment(fields);
-  }
-  SkinningData skinning_data(nb::handle object) {
-    PythonFields fields(object, arena_, held_);
-    return read_skinning_data(fields);
-  }
-
- private:
   Arena arena_;
   std::vector<nb::object> held_;
 };
 
 DenseWeights named_layer(const nb::dict& network, const std::string& name) {
   const std::string weight = name + ".weight", bias = name + ".bias";
-  std::vector<int> shape{-1, -1};
-  const float* matrix = view<float>(network[weight.c_str()], weight, shape);
-  std::vector<int> outputs{shape[0]};
-  return {shape[0], shape[1], matrix, view<float>(network[bias.c_str()], bias, outputs)};
+  const nb::object matrix = network[weight.c_str()], offset = network[bias.c_str()];
+  return dense_weights(matrix, weight, offset, bias);
 }
 
 LayerNorm named_norm(const nb::dict& network, const std::string& name) {
@@ -155,10 +160,7 @@ void encode(const nb::dict& network, nb::handle points, nb::handle normals,
   std::vector<int> shape{-1, 3};
   const float* at = view<float>(points, "points", shape);
   const float* normal = view<float>(normals, "normals", shape);
-  if (out.shape(0) != std::size_t(encoder.output.outputs)) {
-    throw nb::value_error(("out has " + std::to_string(out.shape(0)) + " elements; expected " +
-                           std::to_string(encoder.output.outputs)).c_str());
-  }
+  check_shape(out, "out", {encoder.output.outputs});
   const Kernels& kernels = select_kernels(instruction_set.value_or(""));
   const nb::gil_scoped_release release;
   encode_body(encoder, kernels, at, normal, shape[0], out.data());
@@ -172,9 +174,7 @@ void read_strided(const AnyArray& array, float* target) {
 
 // float32 or float64, any stride, into a buffer of `count`.
 void read_vector(const AnyArray& array, const char* name, int count, float* target) {
-  if (array.ndim() != 1 || array.shape(0) != std::size_t(count)) {
-    throw nb::value_error((std::string(name) + " must have shape (" + std::to_string(count) + ",)").c_str());
-  }
+  check_shape(array, name, {count});
   if (array.dtype() == nb::dtype<float>()) {
     read_strided<float>(array, target);
   } else if (array.dtype() == nb::dtype<double>()) {
@@ -204,10 +204,10 @@ void raise_if(const Rejection& rejection) {
 
 using TransformArray = nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 
-void check_transforms(const TransformArray& array, int nodes) {
-  if (int(array.shape(0)) != nodes || array.shape(1) != 3 || array.shape(2) != 4) {
-    throw nb::value_error(("node_transforms must have shape " + shape_text({nodes, 3, 4})).c_str());
-  }
+using Text = std::optional<std::string>;  // None: from the environment, or the default
+
+EvaluatorOptions evaluator_options(const Text& precision, const std::string& normals) {
+  return {select_precision(precision.value_or("")), select_normals(normals)};
 }
 
 // A garment without its networks.
@@ -223,7 +223,7 @@ class BoundSkinner {
         }()) {}
 
   void skin(const TransformArray& node_transforms, const OutputArray& out) {
-    check_transforms(node_transforms, skinner_.nodes());
+    check_shape(node_transforms, "node_transforms", {skinner_.nodes(), 3, 4});
     const VertexRows rows = vertex_rows(out, skinner_.vertex_count());
     raise_if(skinner_.check(node_transforms.data()));
     skinner_.skin(node_transforms.data(), rows);
@@ -237,13 +237,12 @@ class BoundSkinner {
 // The evaluator with room for its converted inputs.
 class BoundEvaluator {
  public:
-  BoundEvaluator(nb::handle garment, const std::optional<std::string>& instruction_set,
-                 const std::optional<std::string>& precision, const std::string& normals)
+  BoundEvaluator(nb::handle garment, const Text& instruction_set, const Text& precision, const std::string& normals)
       : evaluator_([&] {
           PythonReader reader;
           const BoundGarment bound = reader.bound_garment(garment);
           const Kernels& kernels = select_kernels(instruction_set.value_or(""));
-          const EvaluatorOptions options{select_precision(precision.value_or("")), select_normals(normals)};
+          const EvaluatorOptions options = evaluator_options(precision, normals);
           const nb::gil_scoped_release release;
           return Evaluator(bound, kernels, options);
         }()),
@@ -256,7 +255,7 @@ class BoundEvaluator {
   }
 
   void skin(const TransformArray& node_transforms, const OutputArray& out) {
-    check_transforms(node_transforms, evaluator_.nodes());
+    check_shape(node_transforms, "node_transforms", {evaluator_.nodes(), 3, 4});
     raise_if(evaluator_.skin(node_transforms.data(), vertex_rows(out, evaluator_.vertex_count())));
   }
 
@@ -281,8 +280,8 @@ class BoundStep {
         gravity_(std::move(gravity)),
         out_(std::move(out)),
         rows_(vertex_rows(out_, evaluator_.vertex_count())) {
-    check_length(joint_positions_, "joint_positions", evaluator_.dofs());
-    check_length(gravity_, "gravity", 3);
+    check_shape(joint_positions_, "joint_positions", {evaluator_.dofs()});
+    check_shape(gravity_, "gravity", {3});
   }
 
   void step() { raise_if(evaluator_.step(joint_positions_.data(), gravity_.data(), rows_)); }
@@ -293,12 +292,6 @@ class BoundStep {
   void compute_normals() { evaluator_.compute_normals(rows_); }
 
  private:
-  static void check_length(const InputArray& array, const char* name, int count) {
-    if (array.shape(0) != std::size_t(count)) {
-      throw nb::value_error((std::string(name) + " must have shape (" + std::to_string(count) + ",)").c_str());
-    }
-  }
-
   nb::object owner_;
   Evaluator& evaluator_;
   InputArray joint_positions_, gravity_;
@@ -312,26 +305,22 @@ class BoundBatch {
   using InputArray = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
   using OutputArrays = nb::ndarray<float, nb::ndim<3>, nb::device::cpu>;
 
-  BoundBatch(const nb::list& garments, const std::optional<std::string>& instruction_set,
-             const std::optional<std::string>& precision, const std::string& normals)
+  BoundBatch(const nb::list& garments, const Text& instruction_set, const Text& precision, const std::string& normals)
       : batch_([&] {
           PythonReader reader;
           std::vector<BoundGarment> bound;
           for (nb::handle garment : garments) bound.push_back(reader.bound_garment(garment));
           const Kernels& kernels = select_kernels(instruction_set.value_or(""));
-          const EvaluatorOptions options{select_precision(precision.value_or("")), select_normals(normals)};
+          const EvaluatorOptions options = evaluator_options(precision, normals);
           const nb::gil_scoped_release release;
           return EvaluatorBatch(bound, kernels, options);
         }()),
         rows_(std::size_t(batch_.count())) {}
 
   void bind(InputArray joint_positions, InputArray gravity, OutputArrays out) {
-    check_shape(joint_positions, "joint_positions", batch_[0].dofs());
-    check_shape(gravity, "gravity", 3);
-    if (out.shape(0) != std::size_t(batch_.count())) {
-      throw nb::value_error(("out has " + std::to_string(out.shape(0)) + " bodies; expected " +
-                             std::to_string(batch_.count())).c_str());
-    }
+    check_shape(joint_positions, "joint_positions", {batch_.count(), batch_[0].dofs()});
+    check_shape(gravity, "gravity", {batch_.count(), 3});
+    check_shape(out, "out", {batch_.count(), batch_[0].vertex_count(), out.shape(2) == 3 ? 3 : 6});
     std::vector<VertexRows> rows;
     for (std::size_t k = 0; k < out.shape(0); ++k) {
       const std::size_t shape[2] = {out.shape(1), out.shape(2)};
@@ -363,12 +352,6 @@ class BoundBatch {
   const EvaluatorBatch& batch() const { return batch_; }
 
  private:
-  void check_shape(const InputArray& array, const char* name, int width) const {
-    if (array.shape(0) != std::size_t(batch_.count()) || array.shape(1) != std::size_t(width)) {
-      throw nb::value_error((std::string(name) + " must have shape " + shape_text({batch_.count(), width})).c_str());
-    }
-  }
-
   EvaluatorBatch batch_;
   std::vector<VertexRows> rows_;
   InputArray joint_positions_, gravity_;
@@ -390,11 +373,10 @@ NB_MODULE(_native, module) {
   using physkin::BoundSkinner;
   using physkin::BoundStep;
   using physkin::MachineProbe;
+  using physkin::Text;
   nb::class_<BoundEvaluator>(module, "Evaluator")
-      .def(nb::init<nb::handle, const std::optional<std::string>&, const std::optional<std::string>&,
-                    const std::string&>(),
-           "garment"_a, "instruction_set"_a = nb::none(), "precision"_a = nb::none(),
-           "normals"_a = "skinned")
+      .def(nb::init<nb::handle, const Text&, const Text&, const std::string&>(), "garment"_a,
+           "instruction_set"_a = nb::none(), "precision"_a = nb::none(), "normals"_a = "skinned")
       .def("evaluate", &BoundEvaluator::evaluate, "joint_positions"_a.noconvert(), "gravity"_a.noconvert(),
            "out"_a.noconvert())
       .def("skin", &BoundEvaluator::skin, "node_transforms"_a.noconvert(), "out"_a.noconvert())
@@ -421,10 +403,8 @@ NB_MODULE(_native, module) {
       .def("skin", &BoundStep::skin)
       .def("compute_normals", &BoundStep::compute_normals);
   nb::class_<BoundBatch>(module, "Batch")
-      .def(nb::init<const nb::list&, const std::optional<std::string>&, const std::optional<std::string>&,
-                    const std::string&>(),
-           "garments"_a, "instruction_set"_a = nb::none(), "precision"_a = nb::none(),
-           "normals"_a = "skinned")
+      .def(nb::init<const nb::list&, const Text&, const Text&, const std::string&>(), "garments"_a,
+           "instruction_set"_a = nb::none(), "precision"_a = nb::none(), "normals"_a = "skinned")
       .def("bind", &BoundBatch::bind, "joint_positions"_a.noconvert(), "gravity"_a.noconvert(), "out"_a.noconvert())
       .def("step", &BoundBatch::step, "Computes a frame of every body from what the bound input arrays hold now.")
       .def_prop_ro("instruction_set", [](const BoundBatch& self) { return self.batch()[0].instruction_set(); })
@@ -435,7 +415,7 @@ NB_MODULE(_native, module) {
   module.def("supported_instruction_sets", physkin::supported_instruction_sets);
   nb::class_<MachineProbe>(module, "MachineProbe")
       .def("__init__",
-           [](MachineProbe* self, std::int64_t bytes, const std::optional<std::string>& instruction_set) {
+           [](MachineProbe* self, std::int64_t bytes, const Text& instruction_set) {
              new (self) MachineProbe(physkin::select_kernels(instruction_set.value_or("")), bytes);
            },
            "bytes"_a, "instruction_set"_a = nb::none())

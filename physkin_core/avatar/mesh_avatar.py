@@ -75,17 +75,9 @@ def retarget_plain_mesh(
     if not description.bones:
         return retarget(_fitted(vertices, faces, rig, str(path)), rig)
     bones, weights = attributes or (np.zeros((len(vertices), 1), dtype=np.int64), np.ones((len(vertices), 1)))
-    mesh = SkinnedMesh(
-        vertices=vertices,
-        faces=faces,
-        joint_names=tuple(bone[0] for bone in description.bones),
-        joint_parents=np.array([bone[1] for bone in description.bones]),
-        joint_heads=np.array([bone[2] for bone in description.bones]) @ to_root.T,
-        joint_tails=np.array([bone[3] for bone in description.bones]) @ to_root.T,
-        influence_joints=bones,
-        influence_weights=weights,
-        source=str(path),
-    )
+    names, parents, heads, tails = zip(*description.bones)
+    joints = (names, np.array(parents), np.array(heads) @ to_root.T, np.array(tails) @ to_root.T)
+    mesh = SkinnedMesh(vertices, faces, *joints, bones, weights, str(path))
     return retarget(mesh if attributes else _with_template_weights(mesh, rig), rig)
 
 
@@ -104,7 +96,8 @@ def _fitted(vertices: np.ndarray, faces: np.ndarray, rig: Rig, source: str) -> S
         f"no skeleton in the file: the garment model's rig was fitted to the mesh (from {fit.pose}-pose, mean distance "
         f"{fit.residual * 1000:.1f} mm); a rig file beside the mesh is more exact"
     )
-    return _on_rig(vertices, faces, fit.heads, fit.tails, bones, weights, rig, source, (warning,))
+    joints = (rig.bone_names, rig.parents, fit.heads, fit.tails)
+    return SkinnedMesh(vertices, faces, *joints, bones, weights, source, warnings=(warning,))
 
 
 def _with_template_weights(mesh: SkinnedMesh, rig: Rig) -> SkinnedMesh:
@@ -115,23 +108,9 @@ def _with_template_weights(mesh: SkinnedMesh, rig: Rig) -> SkinnedMesh:
     heads, tails, _ = place_bones(mesh, bone_joint, rig, root_joint=bone_joint.get(rig.bone_names[0]))
     bones, weights = carry_influences(mesh.vertices, mesh.faces, template_on_skeleton(body, heads), body)
     warning = "the rig file has no skinning weights: they come from the template body by closest point"
+    joints = (rig.bone_names, rig.parents, heads, tails)
     warnings = (*mesh.warnings, warning)
-    return _on_rig(mesh.vertices, mesh.faces, heads, tails, bones, weights, rig, mesh.source, warnings)
-
-
-def _on_rig(vertices, faces, heads, tails, bones, weights, rig, source, warnings) -> SkinnedMesh:
-    return SkinnedMesh(
-        vertices=vertices,
-        faces=faces,
-        joint_names=rig.bone_names,
-        joint_parents=rig.parents,
-        joint_heads=heads,
-        joint_tails=tails,
-        influence_joints=bones,
-        influence_weights=weights,
-        source=source,
-        warnings=warnings,
-    )
+    return SkinnedMesh(mesh.vertices, mesh.faces, *joints, bones, weights, mesh.source, warnings=warnings)
 
 
 def _template(rig: Rig, source: str) -> BodyModel:

@@ -14,8 +14,9 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.body_model import load_body_model
+from physkin_core.model.garment import surface_fault
 from physkin_core.rig.bone_naming import OWN_NAMES, match_bones
-from physkin_core.rig.canonical_pose import limb_rotations, smallest_rotation, turned_down_the_chain
+from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, smallest_rotation, turned_down_the_chain
 from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning, strongest_influences
 from physkin_core.rig.rig import Rig
 
@@ -89,19 +90,8 @@ def clean_surface(
     The order of what remains is kept. Raises AvatarError on no faces, NaN or an index out of range.
     """
     vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
-    if faces.size == 0 or len(vertices) == 0:
-        raise AvatarError(f"avatar {source} has {len(vertices)} vertices and no faces; a triangle mesh is needed")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise AvatarError(
-            f"avatar {source}: face indices span {faces.min()} to {faces.max()}, allowed 0 to {len(vertices) - 1}"
-        )
-    finite = np.isfinite(vertices).all(axis=1)
-    if not finite.all():
-        bad = int(np.flatnonzero(~finite)[0])
-        raise AvatarError(
-            f"avatar {source}: {int((~finite).sum())} vertices are not finite, the first is {bad}: "
-            f"{vertices[bad].tolist()}"
-        )
+    if fault := surface_fault(vertices, faces):
+        raise AvatarError(f"avatar {source}: {fault}")
     key = np.concatenate([array.reshape(len(vertices), -1).astype(np.float64) for array in (vertices, *attributes)], 1)
     faces = _first_of_its_kind(key + 0.0)[faces]
     distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
@@ -222,11 +212,7 @@ def _reference_bones(rig: Rig, known: Mapping[str, np.ndarray]) -> tuple[np.ndar
 
 def _leg_ratio(known: Mapping[str, np.ndarray], rig: Rig, reference: np.ndarray) -> float:
     """Leg length of the avatar over that of the reference skeleton; of the whole skeleton on a rig without legs."""
-    legs = [
-        (f"{start}.{side}", f"{end}.{side}")
-        for side in SIDES
-        for start, end in (("upperleg01", "lowerleg01"), ("lowerleg01", "foot"))
-    ]
+    legs = [segment for bone, segment in LIMB_SEGMENTS.items() if "leg" in bone]
     if any(name not in known for leg in legs for name in leg):
         legs = [(rig.bone_names[0], name) for name in known]
     model_heads = dict(zip(rig.bone_names, reference))

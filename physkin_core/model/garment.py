@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["Garment", "GarmentError", "face_areas", "load_garment", "vertex_normals"]
+__all__ = ["Garment", "GarmentError", "face_areas", "load_garment", "surface_fault", "vertex_normals"]
 
 
 class GarmentError(ValueError):
@@ -35,6 +35,22 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.where(length > 1e-20, normals / np.maximum(length, 1e-20), np.array([0.0, 0.0, 1.0]))
 
 
+def surface_fault(vertices: np.ndarray, faces: np.ndarray) -> str | None:
+    """Why these are no vertices (n, 3) and faces (f, 3) of a surface, with what is allowed; None if they are."""
+    if len(faces) == 0:
+        return f"{len(vertices)} vertices and no faces; a triangle mesh is needed"
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+        return f"vertices {vertices.shape} and faces {faces.shape} must be (n, 3) and (f, 3)"
+    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    if len(bad):
+        return f"{len(bad)} vertices are not finite, the first is {bad[0]}: {vertices[bad[0]].tolist()}"
+    if faces.dtype.kind not in "iu":
+        return f"faces are of type {faces.dtype}, expected an integer index of each corner"
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        return f"face indices span {faces.min()} to {faces.max()}, allowed 0 to {len(vertices) - 1}"
+    return None
+
+
 @dataclass(frozen=True)
 class Garment:
     """A triangle mesh in canonical space with rest lengths, areas and hinges.
@@ -56,18 +72,8 @@ class Garment:
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, dtype=np.float64)
         faces = np.asarray(self.faces)
-        if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-            raise GarmentError(f"vertices {vertices.shape} and faces {faces.shape} must be (n, 3) and (f, 3)")
-        if len(faces) == 0:
-            raise GarmentError("the garment mesh has no faces")
-        if not np.isfinite(vertices).all():
-            bad = int(np.argwhere(~np.isfinite(vertices).all(axis=1))[0, 0])
-            raise GarmentError(f"garment vertex {bad} is not finite: {vertices[bad].tolist()}")
-        if faces.dtype.kind not in "iu":
-            raise GarmentError(f"garment faces are of type {faces.dtype}, expected an integer index of each corner")
-        if faces.min() < 0 or faces.max() >= len(vertices):
-            bad = faces.min() if faces.min() < 0 else faces.max()
-            raise GarmentError(f"garment face index {bad} outside 0..{len(vertices) - 1}")
+        if fault := surface_fault(vertices, faces):
+            raise GarmentError(f"garment mesh: {fault}")
         faces = np.array(faces, dtype=np.int32, order="C")
         areas = _checked_areas(vertices, faces)
         edges, hinges = _edges_and_hinges(faces)

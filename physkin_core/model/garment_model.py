@@ -205,25 +205,22 @@ def _expect_hyper_modulator(network: Mapping[str, np.ndarray], outputs: int) -> 
             "pool": (1, width),
             "output": (outputs, width),
         }
-        norms = ["norm_1", "norm_2"]
+        shapes |= dict.fromkeys(("norm_1", "norm_2"), (width,))
         block = 0
         while f"residual.{block}.norm.weight" in network:
             inner = _rows(network[f"residual.{block}.0.weight"])
             shapes |= {f"residual.{block}.0": (inner, width), f"residual.{block}.1": (width, inner)}
-            norms.append(f"residual.{block}.norm")
+            shapes[f"residual.{block}.norm"] = (width,)
             block += 1
         for name, shape in shapes.items():
             _expect(f"hyper_modulator.{name}.weight", network[f"{name}.weight"], shape)
             _expect(f"hyper_modulator.{name}.bias", network[f"{name}.bias"], shape[:1])
-        for name in norms:
-            _expect(f"hyper_modulator.{name}.weight", network[f"{name}.weight"], (width,))
-            _expect(f"hyper_modulator.{name}.bias", network[f"{name}.bias"], (width,))
     except KeyError as error:
         raise GarmentModelError(f"hyper_modulator lacks {error}") from None
     if width % 4:
         raise GarmentModelError(f"hyper_modulator token width {width} is not a multiple of its 4 heads")
     if "fit" in network:
         _expect("hyper_modulator.fit", network["fit"], (width,))
-    known = {f"{name}.{part}" for name in [*shapes, *norms] for part in ("weight", "bias")} | {"fit"}
+    known = {f"{name}.{part}" for name in shapes for part in ("weight", "bias")} | {"fit"}
     if unknown := sorted(set(network) - known):
         raise GarmentModelError(f"hyper_modulator has unknown arrays: {', '.join(unknown)}")

@@ -1,7 +1,7 @@
 """Multi-layer perceptrons with feature-wise modulation: the shared shape of pose modulator and node deformer.
 
 Modulation comes before the activation, as scale and shift: x = activation((1 + scale) * (W x + bias) + shift). With the
-modulation constant for a body it folds into the layer (`fold_modulation`), and with ReLU rows of zeros can be skipped.
+modulation constant for a body it folds into the layer (`fold_modulation`).
 """
 
 from __future__ import annotations
@@ -16,17 +16,7 @@ Layer = tuple[np.ndarray, np.ndarray]
 """Network weight (out, in) and bias (out,)."""
 
 
-def silu(x: np.ndarray) -> np.ndarray:
-    """x * sigmoid(x), elementwise."""
-    return x / (1 + np.exp(-np.clip(x, -80, None)))
-
-
-def relu(x: np.ndarray) -> np.ndarray:
-    """max(x, 0), elementwise."""
-    return np.maximum(x, 0)
-
-
-ACTIVATIONS = {"silu": silu, "relu": relu}
+ACTIVATIONS = {"silu": lambda x: x / (1 + np.exp(-np.clip(x, -80, None))), "relu": lambda x: np.maximum(x, 0)}
 
 
 def modulation_size(layers: Sequence[Layer]) -> int:

@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from physkin_core.model.garment import surface_fault
+
 __all__ = ["sample_surface"]
 
 MORTON_BITS = 10
@@ -30,7 +32,10 @@ def sample_surface(
     """
     vertices = np.asarray(vertices, dtype=np.float64)
     faces = np.asarray(faces)
-    _check(vertices, faces, count)
+    if count < 1:
+        raise ValueError(f"count of surface points must be at least 1, got {count}")
+    if fault := surface_fault(vertices, faces):
+        raise ValueError(fault)
     corners = vertices[faces]
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(doubled, axis=1)
@@ -51,18 +56,6 @@ def sample_surface(
     barycentric = np.stack([1 - root, root * (1 - across), root * across], axis=1)
     points = np.einsum("nc,nci->ni", barycentric, corners[face])
     return points.astype(np.float32), (doubled[face] / length[face, None]).astype(np.float32)
-
-
-def _check(vertices: np.ndarray, faces: np.ndarray, count: int) -> None:
-    if count < 1:
-        raise ValueError(f"count of surface points must be at least 1, got {count}")
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
-        raise ValueError(f"expected vertices (V, 3) and faces (f, 3), f > 0; got {vertices.shape} and {faces.shape}")
-    if not np.isfinite(vertices).all():
-        bad = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
-        raise ValueError(f"vertex {bad} is not finite: {vertices[bad].tolist()}")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError(f"face indices span {faces.min()} to {faces.max()}, allowed 0 to {len(vertices) - 1}")
 
 
 def _morton_codes(points: np.ndarray) -> np.ndarray:

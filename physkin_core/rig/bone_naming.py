@@ -64,11 +64,8 @@ def match_bones(
 @cache
 def _bone_maps() -> dict[str, tuple[str, dict[str, str]]]:
     """Title and rig bone by joint name of every file in `bone_maps/`, by file name."""
-    maps = {}
-    for path in sorted(BONE_MAPS.glob("*.json")):
-        data = json.loads(path.read_text(encoding="utf-8"))
-        maps[path.stem] = (data["naming"], data["bones"])
-    return maps
+    files = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(BONE_MAPS.glob("*.json"))}
+    return {stem: (data["naming"], data["bones"]) for stem, data in files.items()}
 
 
 def _look_up(joints: Mapping[str, int], bones: Mapping[str, str]) -> dict[str, int]:

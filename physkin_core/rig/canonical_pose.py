@@ -16,16 +16,12 @@ import numpy as np
 __all__ = ["LIMB_SEGMENTS", "limb_rotations", "smallest_rotation", "turned_down_the_chain"]
 
 
-def _segments() -> dict[str, tuple[str, str]]:
-    segments = {}
-    for side in ("L", "R"):
-        for chain in (("upperarm01", "lowerarm01", "wrist"), ("upperleg01", "lowerleg01", "foot")):
-            for start, end in zip(chain[:-1], chain[1:], strict=True):
-                segments[f"{start}.{side}"] = (f"{start}.{side}", f"{end}.{side}")
-    return segments
-
-
-LIMB_SEGMENTS = _segments()
+LIMB_SEGMENTS = {
+    f"{start}.{side}": (f"{start}.{side}", f"{end}.{side}")
+    for side in "LR"
+    for chain in (("upperarm01", "lowerarm01", "wrist"), ("upperleg01", "lowerleg01", "foot"))
+    for start, end in zip(chain[:-1], chain[1:], strict=True)
+}
 """Bone that turns -> (bone whose head starts the segment, bone whose head ends it); parents come before children."""
 
 

@@ -168,11 +168,7 @@ class Rig:
             {"name": name, "parent": int(parent), "head": head.tolist(), "tail": tail.tolist()}
             for name, parent, head, tail in zip(self.bone_names, self.parents, self.heads, self.tails, strict=True)
         ]
-        dofs = [
-            {"name": d.name, "bone": d.bone, "axis": list(d.axis), "lower": d.lower, "upper": d.upper, "rest": d.rest}
-            for d in self.dofs
-        ]
-        return {"bones": bones, "dofs": dofs}
+        return {"bones": bones, "dofs": [vars(dof) | {"axis": list(dof.axis)} for dof in self.dofs]}
 
     @classmethod
     def from_json(cls, data: Mapping) -> Rig:
@@ -227,11 +223,9 @@ def axis_rotation(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 def _reject_duplicates(kind: str, names: Sequence[str]) -> None:
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
-            raise RigError(f"{kind} {name!r} occurs twice")
-        seen.add(name)
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if list(names).count(name) > 1)
+        raise RigError(f"{kind} {twice!r} occurs twice")
 
 
 def _reject_unknown(where: str, entries: Mapping, allowed: Sequence[str]) -> None:

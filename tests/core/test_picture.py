@@ -84,14 +84,21 @@ def test_missing_extra_says_what_to_install(monkeypatch, tmp_path):
 
 
 def test_contact_sheet_lays_out_rows():
-    """Three pictures in two columns: two rows, the last cell empty."""
+    """Three pictures in two columns: two rows, the last cell empty. Refused: no pictures, no columns, differing sizes,
+    a caption too few."""
     pictures = [np.full((10, 20, 3), value, dtype=np.uint8) for value in (10, 20, 30)]
     sheet = contact_sheet(pictures, columns=2, gap=4)
     assert sheet.shape == (2 * 14 + 4, 2 * 24 + 4, 3)
-    assert (sheet[4:14, 4:24] == 10).all()
-    assert (sheet[4:14, 28:48] == 20).all()
-    assert (sheet[18:28, 4:24] == 30).all()
-    assert (sheet[18:28, 28:48] == PAPER).all()
+    cells = [sheet[row : row + 10, column : column + 20] for row in (4, 18) for column in (4, 28)]
+    assert all((cell == value).all() for cell, value in zip(cells, (10, 20, 30, PAPER)))
+    for wrong, options, message in (
+        ([], dict(columns=2), "at least one picture"),
+        (pictures, dict(columns=0), "one column, got 3 and 0"),
+        ([pictures[0], pictures[0][:2]], dict(columns=2), "one size"),
+        (pictures, dict(columns=2, captions=["a"]), "3 pictures but 1 captions"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            contact_sheet(wrong, **options)
 
 
 def test_captions_are_written_under_the_pictures(tmp_path):
@@ -104,16 +111,3 @@ def test_captions_are_written_under_the_pictures(tmp_path):
     assert (sheet[:, 86:] == PAPER).all()
     save_png(tmp_path / "sheet.png", sheet)
     np.testing.assert_array_equal(np.asarray(image_module.open(tmp_path / "sheet.png")), sheet)
-
-
-def test_sheets_that_cannot_be_laid_out():
-    """No pictures, no columns, differing sizes, a caption too few."""
-    picture = np.zeros((4, 4, 3), dtype=np.uint8)
-    with pytest.raises(ValueError, match="at least one picture"):
-        contact_sheet([], columns=2)
-    with pytest.raises(ValueError, match="one column, got 1 and 0"):
-        contact_sheet([picture], columns=0)
-    with pytest.raises(ValueError, match="one size"):
-        contact_sheet([picture, picture[:2]], columns=2)
-    with pytest.raises(ValueError, match="2 pictures but 1 captions"):
-        contact_sheet([picture, picture], columns=2, captions=["a"])

@@ -62,17 +62,10 @@ def oracle_signed_distance(point, vertices, faces):
     return -least if (point - closest) @ pseudo_normal < 0 else least
 
 
-def test_signed_distance_of_points_that_all_but_touch():
-    """Micrometres from a corner, where several faces are all but equally near."""
-    box, rng = trimesh.creation.box(), np.random.default_rng(1)
-    points = 0.5 + rng.uniform(-5e-5, 5e-5, size=(100, 3))
-    expected = [oracle_signed_distance(point, np.asarray(box.vertices), box.faces) for point in points]
-    np.testing.assert_allclose(signed_distance(points, box.vertices, box.faces), expected, atol=1e-7)
-
-
 @pytest.mark.parametrize("shape", ["box", "spike", "overlapping balls"])
 def test_signed_distance_against_every_face(shape):
-    """Points anywhere, above edges and above corners; where balls overlap, the nearer skin says what is inside."""
+    """Points anywhere, above edges, above corners, and micrometres from one, where several faces are all but equally
+    near; where balls overlap, the nearer skin says what is inside."""
     rng = np.random.default_rng(0)
     if shape == "overlapping balls":
         ball = trimesh.creation.icosphere(subdivisions=1)
@@ -86,6 +79,7 @@ def test_signed_distance_against_every_face(shape):
     points = rng.uniform(1.3 * vertices.min(axis=0), 1.3 * vertices.max(axis=0), size=(25, 3))
     corners = vertices[faces[rng.integers(0, len(faces), 10)]]
     points = np.concatenate([points, 1.1 * corners[:, 0], 0.55 * (corners[:, 0] + corners[:, 1])])
+    points = np.concatenate([points, vertices[0] + rng.uniform(-5e-5, 5e-5, size=(40, 3))])
     expected = [oracle_signed_distance(point, vertices, faces) for point in points]
     np.testing.assert_allclose(signed_distance(points, vertices, faces), expected, atol=1e-7)
 

@@ -1,7 +1,6 @@
 """The plain C interface: a C program on it gives the Python evaluator's bits; what it refuses, and how."""
 
 import ctypes
-import json
 import re
 import subprocess
 from dataclasses import replace
@@ -9,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from model_files import edited_header
 from native_library import NATIVE
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
@@ -175,15 +175,6 @@ def test_bad_options_are_refused(how, message, c, small_bound_file):
     assert message in c.physkin_last_error()
 
 
-def edited(data, change):
-    """The file with its header, as plain data, changed."""
-    size = int.from_bytes(data[:8], "little")
-    header = json.loads(data[8 : 8 + size])
-    change(header)
-    text = json.dumps(header).encode()
-    return len(text).to_bytes(8, "little") + text + data[8 + size :]
-
-
 @pytest.mark.parametrize(
     "change, message",
     [
@@ -212,10 +203,10 @@ def edited(data, change):
 def test_other_files_are_refused(change, message, c, small_bound_file):
     """By what their header says; nothing of such a file is used."""
     data = small_bound_file.read_bytes()
-    status, garment = load(c, edited(data, change))
+    status, garment = load(c, edited_header(data, change))
     assert (status, garment.value) == (BAD_FILE, None)
     assert re.search(message, c.physkin_last_error().decode()), c.physkin_last_error()
-    status, garment = load(c, edited(data, lambda header: None))
+    status, garment = load(c, edited_header(data, lambda header: None))
     assert status == OK  # the change it was
     c.physkin_close(garment)
 
@@ -238,9 +229,6 @@ def test_joint_names_may_hold_any_text(c, make_garment, tmp_path):
     assert status == OK, c.physkin_last_error()
     assert [c.physkin_joint_name(garment, k).decode() for k in range(7)] == names
     c.physkin_close(garment)
-
-
-def test_one_name_a_joint(make_garment, tmp_path):
     with pytest.raises(ValueError, match="1 joint names for 7 degrees of freedom"):
-        save_bound_garment(make_garment(np.random.default_rng(52)), tmp_path / "g", name="g", joint_names=["a"])
-    assert not any(tmp_path.iterdir())
+        save_bound_garment(make_garment(np.random.default_rng(52)), tmp_path / "h", name="h", joint_names=["a"])
+    assert not (tmp_path / "h").exists()

@@ -45,6 +45,12 @@ def test_agrees_with_the_reference(case):
         result = encode(network, points, normals, instruction_set=instruction_set)
         assert result.dtype == np.float32 and result.shape == (outputs,)
         np.testing.assert_allclose(result, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
+    # Network weights as a model file stores them; points as slices of a larger array.
+    network = {name: array.astype(np.float16) for name, array in network.items()}
+    cloud = np.concatenate([points, normals], axis=1)
+    expected = reference(network, points, normals)
+    result = encode(network, cloud[:, :3], cloud[:, 3:])
+    np.testing.assert_allclose(result, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
 
 
 def test_sharp_attention_agrees():
@@ -60,27 +66,6 @@ def test_sharp_attention_agrees():
             np.testing.assert_allclose(result, expected, rtol=0, atol=1e-4 * np.abs(expected).max())
 
 
-def test_accepts_half_precision_and_strided_arrays():
-    """Network weights as a model file stores them; points as slices of a larger array."""
-    rng = np.random.default_rng(6)
-    network = {name: array.astype(np.float16) for name, array in random_hyper_modulator(rng, 9).items()}
-    cloud = np.concatenate(random_points(rng, 70), axis=1)
-    expected = reference(network, cloud[:, :3], cloud[:, 3:])
-    np.testing.assert_allclose(encode(network, cloud[:, :3], cloud[:, 3:]), expected, atol=1e-5)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("name", ["points", "normals", "attention.input.weight", "norm_2.bias", "output.bias"])
-def test_values_that_are_not_finite_are_refused(name, value):
-    """Wherever they come in, and by name."""
-    rng = np.random.default_rng(7)
-    network = random_hyper_modulator(rng, 9)
-    points, normals = random_points(rng, 70)
-    {"points": points, "normals": normals, **network}[name].reshape(-1)[-1] = value
-    with pytest.raises(ValueError, match="finite"):
-        encode(network, points, normals)
-
-
 def test_an_overflow_is_not_swallowed():
     """Finite numbers, allowed one by one, whose attention overflows: refused, as the reference gives no number."""
     rng = np.random.default_rng(8)
@@ -94,23 +79,25 @@ def test_an_overflow_is_not_swallowed():
             encode(network, points, normals, instruction_set=instruction_set)
 
 
-@pytest.mark.parametrize(
-    "name", ["embed.weight", "attention.input.bias", "norm_1.weight", "feed_forward.1.weight", "pool.weight"]
-)
-def test_wrong_shapes_are_refused(name):
-    """One row too few, in an array that the others have to fit."""
-    rng = np.random.default_rng(9)
-    network = random_hyper_modulator(rng, 9)
-    network[name] = network[name][:, :-1] if network[name].ndim == 2 else network[name][:-1]
-    with pytest.raises(ValueError, match=r"shape|features"):
-        encode(network, *random_points(rng, 70))
+@pytest.mark.parametrize("name", ["points", "normals", "attention.input.weight", "norm_2.bias", "output.bias"])
+def test_values_that_are_not_finite_are_refused(name):
+    """Wherever they come in."""
+    for value in (np.nan, np.inf, -np.inf):
+        rng = np.random.default_rng(7)
+        network, (points, normals) = random_hyper_modulator(rng, 9), random_points(rng, 70)
+        {"points": points, "normals": normals, **network}[name].reshape(-1)[-1] = value
+        with pytest.raises(ValueError, match="finite"):
+            encode(network, points, normals)
 
 
-def test_other_mistakes_are_refused():
-    """A missing array, a width that four heads do not divide, no points, normals of another number, an unknown set."""
+def test_mistakes_are_refused():
+    """A row too few in an array that the others have to fit, a missing array, a width that four heads do not divide, no
+    points, normals of another number, an unknown set."""
     rng = np.random.default_rng(10)
-    network = random_hyper_modulator(rng, 9)
-    points, normals = random_points(rng, 70)
+    network, (points, normals) = random_hyper_modulator(rng, 9), random_points(rng, 70)
+    for name in ("embed.weight", "attention.input.bias", "norm_1.weight", "feed_forward.1.weight", "pool.weight"):
+        with pytest.raises(ValueError, match="shape|features"):
+            encode({**network, name: network[name][..., :-1].copy()}, points, normals)
     with pytest.raises(KeyError, match="norm_2"):
         encode({name: array for name, array in network.items() if name != "norm_2.weight"}, points, normals)
     with pytest.raises(ValueError, match="multiple of 4"):

@@ -12,16 +12,7 @@
 namespace physkin {
 namespace {
 
-constexpr float kLargest = 1e6f;  // as for a garment: no network weight or length comes near
 constexpr double kPi = 3.14159265358979323846;
-
-void check_finite(const char* name, const float* values, std::size_t count, float limit = kLargest) {
-  const std::size_t bad = first_beyond(values, count, limit);
-  if (bad < count) {
-    throw std::invalid_argument(std::string(name) + "[" + std::to_string(bad) + "] (flattened) is " +
-                                std::to_string(values[bad]) + "; must be finite and within +-" + std::to_string(limit));
-  }
-}
 
 void check_layer(const char* name, const DenseWeights& layer, int outputs, int inputs) {
   if (layer.outputs != outputs || layer.inputs != inputs) {
@@ -30,7 +21,7 @@ void check_layer(const char* name, const DenseWeights& layer, int outputs, int i
                                 std::to_string(inputs) + ")");
   }
   check_finite(name, layer.matrix, std::size_t(outputs) * inputs);
-  check_finite((std::string(name) + " bias").c_str(), layer.bias, outputs);
+  check_finite(std::string(name) + " bias", layer.bias, outputs);
 }
 
 void check_norm(const char* name, const LayerNorm& norm, int width) {
@@ -39,7 +30,7 @@ void check_norm(const char* name, const LayerNorm& norm, int width) {
                                 std::to_string(width));
   }
   check_finite(name, norm.weight, width);
-  check_finite((std::string(name) + " bias").c_str(), norm.bias, width);
+  check_finite(std::string(name) + " bias", norm.bias, width);
 }
 
 void validate(const BodyEncoder& e) {

@@ -60,7 +60,7 @@ Rejection Evaluator::check_inputs(const float* joint_positions, const float* gra
 }
 
 Rejection Evaluator::check_corrections() const noexcept {
-  return reject_beyond("node deformer output", corrections_, node_deformer_.outputs(), kLargestLength);
+  return reject_beyond("node deformer output", corrections_, node_deformer_.outputs(), kLargest);
 }
 
 Rejection Evaluator::step(const float* joint_positions, const float* gravity, const VertexRows& rows) noexcept {
@@ -69,10 +69,7 @@ Rejection Evaluator::step(const float* joint_positions, const float* gravity, co
   run_networks();
   if (const auto bad = check_corrections()) return bad;
   compose_nodes(corrections_);
-  if (const auto bad = skinner_.check(node_transforms_)) return bad;
-  skinner_.skin(node_transforms_, rows);
-  compute_normals(rows);
-  return {};
+  return skin(node_transforms_, rows);
 }
 
 void Evaluator::pose(const float* joint_positions, const float* gravity) noexcept {

@@ -7,10 +7,10 @@
 #include "evaluator/face_normals.hpp"
 #include "evaluator/garment_nodes.hpp"
 #include "evaluator/mlp.hpp"
-#include "evaluator/rejection.hpp"
 #include "evaluator/rig.hpp"
 #include "evaluator/skinner.hpp"
 #include "garment/bound_garment.hpp"
+#include "garment/finite.hpp"
 #include "kernels/arena.hpp"
 #include "kernels/kernels.hpp"
 

@@ -16,7 +16,6 @@ class Rig {
   // pose (dofs + 3): joint positions scaled to [-1, 1] by their limits and clipped, then the gravity direction.
   void compute_pose_vector(const float* joint_positions, const float* gravity, float* pose) const;
 
-  int bones() const { return bones_; }
   int dofs() const { return dofs_; }
 
  private:

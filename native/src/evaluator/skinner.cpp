@@ -1,7 +1,6 @@
 #include "evaluator/skinner.hpp"
 
 #include "evaluator/affine.hpp"
-#include "evaluator/skinning_blocks.hpp"
 
 namespace physkin {
 
@@ -13,7 +12,7 @@ Skinner::Skinner(const SkinningData& data, const Kernels& kernels, Arena& arena)
       matrices_(arena.take<float>(12 * std::size_t(data.nodes))) {}
 
 Rejection Skinner::check(const float* node_transforms) const noexcept {
-  return reject_beyond("node_transforms", node_transforms, 12 * std::size_t(nodes_), kLargestLength);
+  return reject_beyond("node_transforms", node_transforms, 12 * std::size_t(nodes_), kLargest);
 }
 
 void Skinner::skin(const float* node_transforms, const VertexRows& rows) noexcept {

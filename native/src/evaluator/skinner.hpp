@@ -1,12 +1,15 @@
 // Linear blend skinning of one garment from its garment nodes' transforms.
 #pragma once
 
-#include "evaluator/rejection.hpp"
 #include "garment/bound_garment.hpp"
+#include "garment/finite.hpp"
 #include "kernels/arena.hpp"
 #include "kernels/kernels.hpp"
 
 namespace physkin {
+
+// Packs a garment's vertices for the kernel (skinning_blocks.cpp).
+SkinningBlocks pack_skinning_blocks(const SkinningData& data, Arena& arena);
 
 class Skinner {
  public:

@@ -1,9 +1,10 @@
-#include "evaluator/skinning_blocks.hpp"
-
+// Which vertices the skinning kernel works on together.
 #include <algorithm>
 #include <cstdint>
 #include <numeric>
 #include <vector>
+
+#include "evaluator/skinner.hpp"
 
 namespace physkin {
 namespace {

@@ -1,5 +1,7 @@
 #include "file_format/bound_file.hpp"
 
+#include <cstring>
+
 #include "file_format/tensor_file.hpp"
 
 namespace physkin {
@@ -13,10 +15,10 @@ class FileFields : public FieldSource {
   FileFields(TensorFile& file, Arena& arena) : file_(file), arena_(arena) {}
 
   const float* floats(const std::string& name, std::vector<int>& shape) override {
-    return file_.floats(name, shape, arena_);
+    return copied<float>(name, "F32", shape);
   }
   const std::int32_t* integers(const std::string& name, std::vector<int>& shape) override {
-    return file_.integers(name, shape, arena_);
+    return copied<std::int32_t>(name, "I32", shape);
   }
   std::vector<DenseWeights> layers(const std::string& name) override {
     std::vector<DenseWeights> layers;
@@ -31,6 +33,16 @@ class FileFields : public FieldSource {
   std::string text(const std::string& name) override { return file_.metadata(name); }
 
  private:
+  template <class T>
+  const T* copied(const std::string& name, const char* type, std::vector<int>& shape) {
+    const unsigned char* numbers = file_.numbers(name, type, shape);
+    std::size_t count = 1;
+    for (int size : shape) count *= std::size_t(size);
+    T* copy = arena_.take<T>(count);
+    if (count > 0) std::memcpy(copy, numbers, sizeof(T) * count);
+    return copy;
+  }
+
   TensorFile& file_;
   Arena& arena_;
 };

@@ -124,15 +124,10 @@ class JsonReader {
   const char* end_;
 };
 
-std::string text_of(const std::vector<std::uint64_t>& shape) {
+template <class Size>
+std::string text_of(const std::vector<Size>& shape) {
   std::string text;
-  for (std::uint64_t size : shape) text += (text.empty() ? "" : ", ") + std::to_string(size);
-  return "(" + text + ")";
-}
-
-std::string text_of(const std::vector<int>& shape) {
-  std::string text;
-  for (int size : shape) text += (text.empty() ? "" : ", ") + (size < 0 ? "any" : std::to_string(size));
+  for (Size size : shape) text += (text.empty() ? "" : ", ") + (size == Size(-1) ? "any" : std::to_string(size));
   return "(" + text + ")";
 }
 
@@ -200,7 +195,7 @@ const std::string& TensorFile::metadata(const std::string& name) const {
   return found->second;
 }
 
-const unsigned char* TensorFile::find(const std::string& name, const char* type, std::vector<int>& shape) {
+const unsigned char* TensorFile::numbers(const std::string& name, const char* type, std::vector<int>& shape) {
   const auto found = tensors_.find(name);
   if (found == tensors_.end()) throw FileError("the file lacks " + name);
   Tensor& tensor = found->second;
@@ -226,24 +221,6 @@ const unsigned char* TensorFile::find(const std::string& name, const char* type,
   }
   tensor.read = true;
   return numbers_ + tensor.begin;
-}
-
-template <class T>
-const T* TensorFile::copied(const std::string& name, const char* type, std::vector<int>& shape, Arena& arena) {
-  const unsigned char* source = find(name, type, shape);
-  std::size_t count = 1;
-  for (int size : shape) count *= std::size_t(size);
-  T* copy = arena.take<T>(count);
-  if (count > 0) std::memcpy(copy, source, sizeof(T) * count);
-  return copy;
-}
-
-const float* TensorFile::floats(const std::string& name, std::vector<int>& shape, Arena& arena) {
-  return copied<float>(name, "F32", shape, arena);
-}
-
-const std::int32_t* TensorFile::integers(const std::string& name, std::vector<int>& shape, Arena& arena) {
-  return copied<std::int32_t>(name, "I32", shape, arena);
 }
 
 void TensorFile::refuse_unread() const {

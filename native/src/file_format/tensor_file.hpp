@@ -7,8 +7,6 @@
 #include <string>
 #include <vector>
 
-#include "kernels/arena.hpp"
-
 namespace physkin {
 
 // A file that is damaged, or not what it should be.
@@ -29,10 +27,9 @@ class TensorFile {
   const std::string& metadata(const std::string& name) const;
   bool contains(const std::string& name) const { return tensors_.count(name) != 0; }
 
-  // Copies a tensor, aligned. A negative size in `shape` allows any and is filled in. Throws FileError if there is no
-  // such tensor, or it has another type or shape.
-  const float* floats(const std::string& name, std::vector<int>& shape, Arena& arena);
-  const std::int32_t* integers(const std::string& name, std::vector<int>& shape, Arena& arena);
+  // The numbers of a tensor, four bytes each, at any address. A negative size in `shape` allows any and is filled in.
+  // Throws FileError if there is no such tensor, or it has another type or shape.
+  const unsigned char* numbers(const std::string& name, const char* type, std::vector<int>& shape);
 
   // Throws FileError naming a tensor that was never asked for, if there is one.
   void refuse_unread() const;
@@ -44,9 +41,6 @@ class TensorFile {
     std::uint64_t begin = 0, end = 0;
     bool read = false;
   };
-  template <class T>
-  const T* copied(const std::string& name, const char* type, std::vector<int>& shape, Arena& arena);
-  const unsigned char* find(const std::string& name, const char* type, std::vector<int>& shape);
 
   const unsigned char* numbers_ = nullptr;
   std::map<std::string, std::string> metadata_;

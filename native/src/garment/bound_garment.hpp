@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "kernels/dense_weights.hpp"
+#include "kernels/packed_layer.hpp"
 
 namespace physkin {
 

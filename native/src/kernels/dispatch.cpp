@@ -41,6 +41,20 @@ std::vector<Level> levels() {
   return all;
 }
 
+constexpr const char* kPrecisions[kPrecisionCount] = {"fp32", "bf16", "int8"};
+
+// The name, or without one the environment variable's value, and what to add to an error about it.
+struct Wanted {
+  Wanted(const std::string& given, const char* variable) : name(given) {
+    if (const char* forced = std::getenv(variable); given.empty() && forced != nullptr) {
+      name = forced;
+      origin = std::string(" (from ") + variable + ")";
+    }
+  }
+
+  std::string name, origin;
+};
+
 }  // namespace
 
 std::vector<std::string> supported_instruction_sets() {
@@ -52,19 +66,30 @@ std::vector<std::string> supported_instruction_sets() {
 }
 
 const Kernels& select_kernels(const std::string& name) {
-  const char* forced = std::getenv("PHYSKIN_NATIVE_ISA");
-  const std::string wanted = name.empty() && forced != nullptr ? forced : name;
+  const Wanted wanted(name, "PHYSKIN_NATIVE_ISA");
   const Kernels* widest = nullptr;
   std::string names;
   for (const Level& level : levels()) {
     if (!level.supported) continue;
     widest = level.kernels;
-    if (wanted == widest->instruction_set) return *widest;
+    if (wanted.name == widest->instruction_set) return *widest;
     names += (names.empty() ? "" : ", ") + std::string(widest->instruction_set);
   }
-  if (wanted.empty()) return *widest;
-  throw std::invalid_argument("instruction set '" + wanted + "'" + (name.empty() ? " (from PHYSKIN_NATIVE_ISA)" : "") +
+  if (wanted.name.empty()) return *widest;
+  throw std::invalid_argument("instruction set '" + wanted.name + "'" + wanted.origin +
                               " is unknown or not supported by this CPU; it supports " + names);
+}
+
+const char* precision_name(Precision precision) { return kPrecisions[int(precision)]; }
+
+Precision select_precision(const std::string& name) {
+  const Wanted wanted(name, "PHYSKIN_NATIVE_PRECISION");
+  if (wanted.name.empty()) return Precision::bf16;
+  for (int k = 0; k < kPrecisionCount; ++k) {
+    if (wanted.name == kPrecisions[k]) return Precision(k);
+  }
+  throw std::invalid_argument("precision '" + wanted.name + "'" + wanted.origin +
+                              " is unknown; it may be fp32, bf16 or int8");
 }
 
 bool fetches_ahead() {

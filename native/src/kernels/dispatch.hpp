@@ -1,4 +1,4 @@
-// Choice of the instruction set at run time.
+// Choice of the instruction set and of the precision at run time.
 #pragma once
 
 #include <string>
@@ -15,6 +15,11 @@ std::vector<std::string> supported_instruction_sets();
 // Kernels of the named instruction set; an empty name means the environment variable PHYSKIN_NATIVE_ISA, and without
 // that the widest one supported. Throws std::invalid_argument for a name that is unknown or not supported here.
 const Kernels& select_kernels(const std::string& name = "");
+
+// The named precision; an empty name means the environment variable PHYSKIN_NATIVE_PRECISION, and without that bf16.
+// Throws std::invalid_argument for an unknown name.
+Precision select_precision(const std::string& name = "");
+const char* precision_name(Precision precision);
 
 // Whether instructions that fetch network weights ahead of time make this processor read them faster: Zen 5 stops at
 // the end of every page without them, while Zen 4 reads from L3 a quarter faster without.

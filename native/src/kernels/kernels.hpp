@@ -5,7 +5,6 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "kernels/dense_weights.hpp"
 #include "kernels/packed_layer.hpp"
 
 namespace physkin {

@@ -1,13 +1,25 @@
-// One dense layer as the kernels read it.
+// One dense layer of a network as a garment model holds it, and as the kernels read it.
 #pragma once
 
 #include <cstdint>
 
 #include "kernels/arena.hpp"
-#include "kernels/dense_weights.hpp"
-#include "kernels/precision.hpp"
 
 namespace physkin {
+
+enum class Activation { none, silu, relu };
+
+struct DenseWeights {
+  int outputs = 0, inputs = 0;
+  const float* matrix = nullptr;  // (outputs, inputs)
+  const float* bias = nullptr;    // (outputs,)
+};
+
+// Of network weights. fp32: the reference. bf16: 16-bit floats, widened in registers, activations in fp32. int8: 8-bit
+// integers with one scale an output, activations rounded to 16-bit integers layer by layer; the layer that reads bone
+// transforms in bf16.
+enum class Precision { fp32, bf16, int8 };
+constexpr int kPrecisionCount = 3;
 
 // Outputs are padded to whole groups, and computed in panels of several groups: as many as the registers of an
 // instruction set hold sums for. The last panel of a layer may be narrower.

@@ -5,18 +5,16 @@ import logging
 
 import numpy as np
 import pytest
+import trimesh
+from gltf_person import BODY, PERSON, RIG, dense_weights, distances
 
 from physkin_core.avatar import rig_fitting
-from physkin_core.avatar.avatar import AvatarError, AvatarWarning, avatar_from_body
-from physkin_core.avatar.body_model import load_body_model
+from physkin_core.avatar.avatar import AvatarError, AvatarWarning
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.rig.rig import Rig
 from physkin_training.prepare.avatar import t_posed_body
 from physkin_training.prepare.gltf_export import GltfBuilder, write_glb
 
-BODY = load_body_model()
-RIG = BODY.rig
-PERSON = avatar_from_body(BODY, BODY.held_out_bodies[0])
 T_VERTICES, T_HEADS, T_TAILS = t_posed_body(BODY, BODY.held_out_bodies[0])
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, where it is not what is tested
 AWAY = np.array([0.3, -0.2, 1.0])
@@ -36,15 +34,9 @@ def _write_obj(path, vertices, faces, *, textured=False):
 
 
 def _rig_json(heads, tails, *, weights=True, **extra):
-    bones = [
-        {
-            "name": name,
-            "parent": RIG.bone_names[parent] if parent >= 0 else None,
-            "head": list(head),
-            "tail": list(tail),
-        }
-        for name, parent, head, tail in zip(RIG.bone_names, RIG.parents, heads.tolist(), tails.tolist())
-    ]
+    parents = [RIG.bone_names[parent] if parent >= 0 else None for parent in RIG.parents]
+    rows = zip(RIG.bone_names, parents, heads.tolist(), tails.tolist())
+    bones = [dict(zip(("name", "parent", "head", "tail"), row)) for row in rows]
     if weights:
         extra["influence_bones"] = PERSON.influence_bones.tolist()
         extra["influence_weights"] = PERSON.influence_weights.tolist()
@@ -58,20 +50,15 @@ def _write_person(path, rig_data=None, vertices=T_VERTICES + AWAY, **options):
     return path
 
 
-def _distances(first, second):
-    """Millimetres between corresponding points."""
-    return 1000 * np.linalg.norm(np.asarray(first) - np.asarray(second), axis=-1)
-
-
 @pytest.mark.parametrize("textured", [False, True])
 def test_obj_with_bones_and_weights(tmp_path, textured):
     """A T-posed OBJ with a full rig file is the A-posed person; texture seams and groups keep the vertex order."""
     path = _write_person(tmp_path / "person.obj", _rig_json(T_HEADS + AWAY, T_TAILS + AWAY), textured=textured)
     avatar = load_avatar(path, RIG)
-    distance = _distances(avatar.vertices, PERSON.vertices)
+    distance = distances(avatar.vertices, PERSON.vertices)
     assert distance.mean() < 1.5 and distance.max() < 20
-    assert _distances(avatar.bone_heads, PERSON.bone_heads).max() < 0.1
-    assert _distances(avatar.bone_tails, PERSON.bone_tails).max() < 0.1
+    assert distances(avatar.bone_heads, PERSON.bone_heads).max() < 0.1
+    assert distances(avatar.bone_tails, PERSON.bone_tails).max() < 0.1
     assert avatar.warnings == ()
 
 
@@ -83,29 +70,24 @@ def test_obj_in_centimetres_with_y_up(tmp_path):
     data = _rig_json(T_HEADS @ to_file.T, T_TAILS @ to_file.T, up="Y", forward="Z", scale=0.01)
     rig_file.write_text(json.dumps(data))
     avatar = load_avatar(path, RIG, rig_file=rig_file)
-    assert _distances(avatar.vertices, PERSON.vertices).mean() < 1.5
-    assert _distances(avatar.bone_heads, PERSON.bone_heads).max() < 0.1
+    assert distances(avatar.vertices, PERSON.vertices).mean() < 1.5
+    assert distances(avatar.bone_heads, PERSON.bone_heads).max() < 0.1
 
 
 def test_bones_without_weights(tmp_path):
     """Skinning weights come from the template body, in the mesh's own pose; the warning says so."""
     path = _write_person(tmp_path / "person.obj", _rig_json(T_HEADS + AWAY, T_TAILS + AWAY, weights=False))
     avatar = load_avatar(path, RIG)
-    distance = _distances(avatar.vertices, PERSON.vertices)
+    distance = distances(avatar.vertices, PERSON.vertices)
     assert distance.mean() < 3
-    assert _distances(avatar.bone_heads, PERSON.bone_heads).max() < 0.1
+    assert distances(avatar.bone_heads, PERSON.bone_heads).max() < 0.1
     assert "template body" in avatar.warnings[0]
-    own, expected = (np.zeros((len(a.vertices), RIG.bone_count)) for a in (avatar, PERSON))
-    for dense, a in ((own, avatar), (expected, PERSON)):
-        np.add.at(dense, (np.arange(len(dense))[:, None], a.influence_bones), a.influence_weights)
-    assert np.abs(own - expected).sum(axis=1).mean() / 2 < 0.15
+    assert np.abs(dense_weights(avatar) - dense_weights(PERSON)).sum(axis=1).mean() / 2 < 0.15
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".stl"])
 def test_ply_and_stl(tmp_path, suffix):
     """Both formats read like the OBJ; the triangle soup of an STL is welded again."""
-    import trimesh
-
     trimesh.Trimesh(PERSON.vertices, PERSON.faces, process=False).export(tmp_path / f"person{suffix}")
     data = _rig_json(PERSON.bone_heads, PERSON.bone_tails, weights=False)
     (tmp_path / "person.rig.json").write_text(json.dumps(data))
@@ -122,9 +104,9 @@ def test_obj_without_any_skeleton(tmp_path, caplog):
     with caplog.at_level(logging.INFO), pytest.warns(AvatarWarning) as issued:
         avatar = load_avatar(_write_person(tmp_path / "person.obj"), RIG)
     assert "fitting the body model to a mesh of" in caplog.text
-    distance = _distances(avatar.vertices, PERSON.vertices)
+    distance = distances(avatar.vertices, PERSON.vertices)
     assert distance.mean() < 6
-    heads = _distances(avatar.bone_heads, PERSON.bone_heads)
+    heads = distances(avatar.bone_heads, PERSON.bone_heads)
     assert heads.mean() < 8 and heads.max() < 25
     assert str(issued[0].message).endswith(avatar.warnings[0])
     assert len(avatar.warnings) == 1 and "was fitted to the mesh (from T-pose, mean distance" in avatar.warnings[0]
@@ -139,15 +121,13 @@ def test_glb_without_a_skin_facing_backwards(tmp_path):
     builder.document |= {"nodes": [{"mesh": 0}], "meshes": [{"primitives": [primitive]}], "scenes": [{"nodes": [0]}]}
     write_glb(tmp_path / "person.glb", builder)
     avatar = load_avatar(tmp_path / "person.glb", RIG)
-    assert _distances(avatar.vertices, PERSON.vertices).mean() < 6
-    assert _distances(avatar.bone_heads, PERSON.bone_heads).max() < 25
+    assert distances(avatar.vertices, PERSON.vertices).mean() < 6
+    assert distances(avatar.bone_heads, PERSON.bone_heads).max() < 25
     assert "fitted" in avatar.warnings[0] and "faces -X" in avatar.warnings[1]
 
 
 def test_a_shape_that_is_no_person_is_refused(tmp_path, monkeypatch):
     """The fit's residual is checked, and the error names it."""
-    import trimesh
-
     monkeypatch.setattr(rig_fitting, "TRIAL_ITERATIONS", 1)
     monkeypatch.setattr(rig_fitting, "ITERATIONS", 2)
     trimesh.creation.box((0.3, 1.2, 1.7)).export(tmp_path / "box.obj")
@@ -155,14 +135,22 @@ def test_a_shape_that_is_no_person_is_refused(tmp_path, monkeypatch):
         load_avatar(tmp_path / "box.obj", RIG)
 
 
-def test_meshes_need_weights_on_a_rig_of_another_kind(tmp_path):
-    """The template body knows its own rig only."""
-    rig = Rig(
-        ("base", "arm"), np.array([-1, 0]), np.array([[0, 0, 0], [0, 0, 0.5]]), np.array([[0, 0, 0.5], [0, 0, 1]]), ()
-    )
+def test_what_a_mesh_without_weights_needs(tmp_path):
+    """A rig that the template body knows, a rig file that is there and a JSON object, and bones for every limb: those
+    missing are named, and so are those found."""
     path = _write_person(tmp_path / "person.obj")
+    ends = np.array([[0, 0, 0], [0, 0, 0.5], [0, 0, 1]])
     with pytest.raises(AvatarError, match=r"differs from its own \(base, arm\)"):
-        load_avatar(path, rig)
+        load_avatar(path, Rig(("base", "arm"), np.array([-1, 0]), ends[:2], ends[1:], ()))
+    hoofed = _rig_json(T_HEADS, T_TAILS, weights=False)
+    hoofed["bones"][RIG.bone_index("foot.R")]["name"] = "hoof"
+    lacking = r"no joint for 1 of the 12 rig bones it must have: foot.R\. Joints found: root"
+    cases = [(None, "no such file"), ("{", "is not JSON"), ("[]", "not an object"), (json.dumps(hoofed), lacking)]
+    for text, message in cases:
+        if text is not None:
+            (tmp_path / "other.json").write_text(text)
+        with pytest.raises(AvatarError, match=message):
+            load_avatar(path, RIG, rig_file=tmp_path / "other.json")
 
 
 @pytest.mark.parametrize(
@@ -187,8 +175,6 @@ def test_bad_obj_files(tmp_path, text, message):
 @pytest.mark.parametrize("suffix", [".ply", ".stl"])
 def test_truncated_binary_meshes(tmp_path, suffix):
     """Files cut in the header or in the data."""
-    import trimesh
-
     trimesh.Trimesh(PERSON.vertices, PERSON.faces, process=False).export(tmp_path / f"person{suffix}")
     data = (tmp_path / f"person{suffix}").read_bytes()
     for length in (0, 40, 200, len(data) // 2, len(data) - 3):
@@ -231,26 +217,3 @@ def test_bad_rig_files(tmp_path, change, message):
     path = _write_person(tmp_path / "person.obj", {**_rig_json(T_HEADS, T_TAILS, weights=False), **change})
     with pytest.raises(AvatarError, match=message):
         load_avatar(path, RIG)
-
-
-def test_rig_file_missing_or_not_json(tmp_path):
-    """An explicit rig file must exist and be a JSON object."""
-    path = _write_person(tmp_path / "person.obj")
-    with pytest.raises(AvatarError, match="no such file"):
-        load_avatar(path, RIG, rig_file=tmp_path / "gone.json")
-    (tmp_path / "bad.json").write_text("{")
-    with pytest.raises(AvatarError, match="is not JSON"):
-        load_avatar(path, RIG, rig_file=tmp_path / "bad.json")
-    (tmp_path / "list.json").write_text("[]")
-    with pytest.raises(AvatarError, match="not an object"):
-        load_avatar(path, RIG, rig_file=tmp_path / "list.json")
-
-
-def test_rig_file_without_required_bones(tmp_path):
-    """The missing limb bones are named, and so are those found."""
-    data = _rig_json(T_HEADS, T_TAILS, weights=False)
-    data["bones"][RIG.bone_index("foot.R")]["name"] = "hoof"
-    with pytest.raises(
-        AvatarError, match=r"no joint for 1 of the 12 rig bones it must have: foot.R\. Joints found: root"
-    ):
-        load_avatar(_write_person(tmp_path / "person.obj", data), RIG)

@@ -11,18 +11,6 @@ from physkin_core import load_body_model
 BODY = load_body_model()
 
 
-def test_shapes_and_types():
-    assert BODY.faces.dtype == BODY.influence_bones.dtype == np.int32
-    vertices, bones, coefficients = len(BODY.mean_vertices), BODY.rig.bone_count, len(BODY.vertex_components)
-    assert BODY.vertex_components.shape == (coefficients, vertices, 3)
-    assert BODY.mean_bones.shape == (bones, 2, 3) and BODY.bone_components.shape == (coefficients, bones, 2, 3)
-    assert BODY.influence_bones.shape == BODY.influence_weights.shape
-    assert len(BODY.influence_bones) == vertices
-    assert 0 <= BODY.influence_bones.min() and BODY.influence_bones.max() < bones
-    np.testing.assert_allclose(BODY.influence_weights.sum(axis=1), 1, atol=1e-5)
-    assert BODY.influence_weights.min() >= 0
-
-
 def test_bodies_are_linear_in_their_coefficients():
     """Coefficient by coefficient, vertex by vertex."""
     rng = np.random.default_rng(0)

@@ -22,8 +22,6 @@ def test_rest_data_of_a_square():
     assert lengths == pytest.approx({(0, 1): 2, (1, 2): 2, (2, 3): 2, (0, 3): 2, (0, 2): 8**0.5})
     np.testing.assert_allclose(garment.face_areas, [2, 2])
     np.testing.assert_allclose(garment.vertex_areas, [4 / 3, 2 / 3, 4 / 3, 2 / 3])
-    (hinge,) = garment.hinges.tolist()
-    assert set(hinge[:2]) == {0, 2} and set(hinge[2:]) == {1, 3}
 
 
 def test_edges_and_hinges_against_a_loop_over_all_pairs():
@@ -117,10 +115,10 @@ def test_texture_seams_do_not_cut_the_cloth(tmp_path):
         (SQUARE[:, :2], TWO_FACES, r"vertices \(4, 2\)"),
         (SQUARE, TWO_FACES[:, :2], r"faces \(2, 2\)"),
         (SQUARE, np.zeros((0, 3)), "no faces"),
-        (np.where(np.arange(4)[:, None] == 2, np.nan, SQUARE), TWO_FACES, "vertex 2 is not finite"),
-        (SQUARE, TWO_FACES + 1, r"index 4 outside 0\.\.3"),
-        (SQUARE, TWO_FACES - 1, r"index -1 outside 0\.\.3"),
-        (SQUARE, TWO_FACES + 2**32, r"index 4294967299 outside 0\.\.3"),
+        (np.where(np.arange(4)[:, None] == 2, np.nan, SQUARE), TWO_FACES, "the first is 2: "),
+        (SQUARE, TWO_FACES + 1, "span 1 to 4, allowed 0 to 3"),
+        (SQUARE, TWO_FACES - 1, "span -1 to 2"),
+        (SQUARE, TWO_FACES + 2**32, "to 4294967299, allowed 0 to 3"),
         (SQUARE, TWO_FACES + 0.5, "faces are of type float64, expected an integer index"),
         (SQUARE, np.array([[0, 1, 2], [0, 2, 2]]), "face 1 is degenerate: area 0.00e"),
         (
@@ -135,10 +133,10 @@ def test_unusable_mesh_is_refused(vertices, faces, message):
         Garment(vertices, faces)
 
 
-@pytest.mark.parametrize("name, content", [("a.obj", "v 1 2"), ("a.ply", "ply"), ("a.stl", ""), ("a.txt", "garment")])
-def test_missing_or_unreadable_file_is_a_garment_error(tmp_path, name, content):
-    with pytest.raises(GarmentError, match=name):
-        load_garment(tmp_path / name)
-    (tmp_path / name).write_text(content)
-    with pytest.raises(GarmentError):
-        load_garment(tmp_path / name)
+def test_missing_or_unreadable_file_is_a_garment_error(tmp_path):
+    for name, content in (("a.obj", "v 1 2"), ("a.ply", "ply"), ("a.stl", ""), ("a.txt", "garment")):
+        with pytest.raises(GarmentError, match=name):
+            load_garment(tmp_path / name)
+        (tmp_path / name).write_text(content)
+        with pytest.raises(GarmentError):
+            load_garment(tmp_path / name)

@@ -8,7 +8,7 @@ import numpy as np
 from random_models import unit_rows
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar
-from physkin_core.model.skinning import plain_skinning, skin, skinning_matrices
+from physkin_core.model.skinning import plain_skinning, skin
 
 
 def scene(rng, *, n=20, m=6, influences=3):
@@ -41,34 +41,6 @@ def test_positions_and_normals_vertex_by_vertex():
         np.testing.assert_allclose(positions[v], (total @ [*s["vertices"][v], 1])[:3], atol=1e-12)
         turned = np.linalg.det(total) * np.linalg.inv(total[:3, :3]).T @ s["normals"][v]
         np.testing.assert_allclose(normals[v], turned / np.linalg.norm(turned), atol=1e-12)
-
-
-def test_matrices_keep_leading_axes():
-    rng = np.random.default_rng(1)
-    nodes, rest = rng.normal(size=(2, 4, 6, 3, 4)), rng.normal(size=(6, 3))
-    matrices = skinning_matrices(nodes, rest)
-    for index in np.ndindex(2, 4, 6):
-        expected = at(nodes[index][:, :3], nodes[index][:, 3]) @ np.linalg.inv(at(np.eye(3), rest[index[2]]))
-        np.testing.assert_allclose(matrices[index], expected[:3], atol=1e-12)
-
-
-def test_normals_stay_upright_on_sheared_cloth():
-    """One affine transform of all garment nodes: perpendicular to what it makes of the surface, mirrored or not."""
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        s, linear = scene(rng), rng.normal(size=(3, 3))
-        nodes = np.array([np.c_[linear, linear @ rest] for rest in s["node_rest"]])
-        for u, v, normal, turned in zip(*tangents(s["normals"]), s["normals"], skin(nodes, **s)[1]):
-            np.testing.assert_allclose(np.cross(u, v), normal, atol=1e-12)
-            upright = np.cross(linear @ u, linear @ v)
-            np.testing.assert_allclose(turned, upright / np.linalg.norm(upright), atol=1e-9)
-
-
-def tangents(normals):
-    """Unit u, v with u x v = normal."""
-    u = np.cross(normals, np.roll(normals, 1, axis=1))
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    return u, np.cross(normals, u)
 
 
 def test_normals_that_cancel_out_stay_finite():

@@ -34,24 +34,14 @@ def test_density_follows_area_not_triangles(mesh):
     assert counts.std() < 4 and np.abs(counts - 64).max() < 16
 
 
-def test_moments_have_less_noise_than_independent_draws():
-    """The mean point of 1024 varies at least four times less from seed to seed than that of independent draws."""
-    means = np.array([sample_surface(*_uneven_square(), 1024, seed=seed)[0].mean(axis=0)[:2] for seed in range(20)])
-    assert np.abs(means.mean(axis=0) - 0.5).max() < 0.002
-    assert means.std(axis=0).max() < np.sqrt(1 / 12 / 1024) / 4
-
-
 def test_same_seed_same_points():
-    """Deterministic for a seed; another seed moves the points."""
-    first, again, other = (sample_surface(SQUARE, TWO_FACES, 50, seed=seed)[0] for seed in (3, 3, 4))
-    assert np.array_equal(first, again) and not np.array_equal(first, other)
-
-
-def test_face_order_does_not_matter():
-    """The same faces in another order give the same points."""
+    """Whatever the order of the faces; another seed moves the points."""
     vertices, faces = _uneven_square()
     shuffled = np.random.default_rng(2).permutation(faces)
-    assert np.allclose(sample_surface(vertices, faces, 500)[0], sample_surface(vertices, shuffled, 500)[0], atol=1e-6)
+    first, again, other = (
+        sample_surface(vertices, f, 500, seed=s)[0] for f, s in ((faces, 0), (shuffled, 0), (faces, 1))
+    )
+    assert np.allclose(first, again, atol=1e-6) and not np.allclose(first, other, atol=1e-2)
 
 
 def test_degenerate_faces_get_no_points():
@@ -65,10 +55,10 @@ def test_degenerate_faces_get_no_points():
     ("vertices", "faces", "count", "message"),
     [
         (SQUARE, TWO_FACES, 0, "at least 1, got 0"),
-        (SQUARE * np.nan, TWO_FACES, 8, "vertex 0 is not finite"),
+        (SQUARE * np.nan, TWO_FACES, 8, "the first is 0: "),
         (SQUARE, TWO_FACES + 1, 8, "span 1 to 4, allowed 0 to 3"),
-        (SQUARE, TWO_FACES[:0], 8, "f > 0"),
-        (SQUARE[:, :2], TWO_FACES, 8, "expected vertices"),
+        (SQUARE, TWO_FACES[:0], 8, "no faces"),
+        (SQUARE[:, :2], TWO_FACES, 8, "must be .n, 3."),
         (SQUARE * 0, TWO_FACES, 8, "none of the 2 faces has an area"),
     ],
 )

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from random_models import BACKENDS, SIZES, needs_native, random_avatar, random_model, tube
+from random_models import needs_native, random_avatar, random_model, tube
 
 from physkin_core import Draper, avatar_from_body, load_body_model
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.garment_nodes import closest_bones
 from physkin_core.runtime import binding
-from physkin_core.runtime.binding import bind_garment, bind_points, encode_body
+from physkin_core.runtime.binding import bind_garment, bind_points
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 
@@ -53,19 +53,7 @@ def surface_distance(points, vertices, faces):
     return trimesh.proximity.closest_point(surface, points)[1]
 
 
-def drape_points(model, avatar, points, pose, backend, **kwargs):
-    return Draper(model, avatar, backend=backend, points=points, **kwargs).drape(pose)
-
-
 # --- Another mesh of the same garment ---
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_the_trained_vertices_drape_as_the_trained_garment(model, avatar, poses, backend):
-    points = model.garment.vertices
-    for pose in poses[:1]:
-        own = Draper(model, avatar, backend=backend).drape(pose)
-        np.testing.assert_allclose(drape_points(model, avatar, points, pose, backend), own, atol=2e-5)
 
 
 def finer(garment):
@@ -98,7 +86,7 @@ def test_other_meshes_drape_onto_the_trained_surface(model, avatar, poses, other
     gap = surface_distance(points, model.garment.vertices, model.garment.faces)
     for pose in poses:
         trained = Draper(model, avatar, backend="native").drape(pose)[:, :3]
-        draped = drape_points(model, avatar, points, pose, "native")
+        draped = Draper(model, avatar, backend="native", points=points).drape(pose)
         assert draped.shape == (len(points), 6)
         distance = surface_distance(draped[:, :3], trained, model.garment.faces)
         beyond = distance - gap
@@ -113,7 +101,7 @@ def test_points_off_the_surface_stay_off_it(model, avatar, poses):
     points = garment.vertices + 0.015 * vertex_normals(garment.vertices, garment.faces)
     for pose in poses:
         trained = Draper(model, avatar, backend="native").drape(pose)
-        draped = drape_points(model, avatar, points, pose, "native")
+        draped = Draper(model, avatar, backend="native", points=points).drape(pose)
         offset = draped[:, :3] - trained[:, :3]
         outside = (offset * trained[:, 3:]).sum(axis=1)
         assert np.median(outside) == pytest.approx(0.015, abs=0.002)
@@ -139,20 +127,18 @@ def test_weights_are_interpolated_in_the_face(model):
         np.testing.assert_allclose(found, expected / expected.sum(), atol=1e-5)
 
 
-def test_bound_arrays_and_normals(model):
-    """Types and shapes of `BoundGarment`; normals of the trained surface, or those given, at unit length."""
-    garment = model.garment
-    points = finer(garment)
+def test_normals_are_those_of_the_surface_or_those_given(model, monkeypatch):
+    """At unit length, and the same where points are bound in parts."""
+    points = finer(model.garment)
     bound = bind_points(model, points)
-    assert bound["influence_nodes"].shape == bound["influence_weights"].shape == (len(points), 8)
-    assert bound["influence_nodes"].dtype == np.int32
-    assert all(bound[name].dtype == np.float32 for name in ("vertices", "normals", "influence_weights"))
-    np.testing.assert_allclose(bound["influence_weights"].sum(axis=1), 1, atol=1e-6)
     around = points * [1, 1, 0]
     around /= np.linalg.norm(around, axis=1, keepdims=True)
     assert (bound["normals"] * around).sum(axis=1).min() > 0.99
     given = bind_points(model, points, normals=np.tile([0.0, 3.0, 4.0], (len(points), 1)))["normals"]
     np.testing.assert_allclose(given, np.tile([0, 0.6, 0.8], (len(points), 1)), atol=1e-6)
+    monkeypatch.setattr(binding, "POINTS_AT_ONCE", 1007)
+    for name, array in bind_points(model, points).items():
+        np.testing.assert_array_equal(array, bound[name], err_msg=name)
 
 
 def test_given_normals_turn_as_the_model_s_are_fitted(model):
@@ -169,101 +155,39 @@ def test_given_normals_turn_as_the_model_s_are_fitted(model):
 
 
 @pytest.mark.parametrize(
-    "points", [np.zeros((0, 3)), np.zeros(3), np.zeros((5, 2)), [[0.16, 0, np.nan]], [[np.inf, 0, 0]]]
-)
-def test_points_must_be_finite_and_three_dimensional(model, points):
-    with pytest.raises(ValueError, match=r"finite, non-empty \(n, 3\) array, got shape"):
-        bind_points(model, points)
+    "points, normals, message",
+    [
+        *((points, None, r"must be a finite, non-empty \(n, 3\) array, got shape")
+          for points in (np.zeros((0, 3)), np.zeros(3), np.zeros((5, 2)), [[0.16, 0, np.nan]], [[np.inf, 0, 0]])),
+        *((np.full((20, 3), 0.0), normals, "normals")
+          for normals in (np.ones((7, 3)), np.ones((1, 3)), np.full((20, 3), np.nan),
+                          np.ones((20, 3)) * (np.arange(20) != 5)[:, None])),
+    ],
+)  # fmt: skip
+def test_points_and_normals_must_be_finite_and_three_dimensional(model, points, normals, message):
+    points = points if normals is None else model.garment.vertices[:20]
+    with pytest.raises(ValueError, match=message):
+        bind_points(model, points, normals=normals)
 
 
-def test_far_points_are_refused(model):
-    """5 cm are allowed; the message says which point, how far, and what to look for."""
+def test_far_points_are_refused(model, monkeypatch):
+    """5 cm are allowed; the message says which point, how far, and what to look for. Centimetres are refused by the
+    bounding box, before any closest point is looked for."""
     outwards = model.garment.vertices[100] * [1, 1, 0] / 0.16
     near, far = (model.garment.vertices[100] + distance * outwards for distance in (0.049, 0.052))
     assert len(bind_points(model, [near, near])["vertices"]) == 2
     with pytest.raises(ValueError, match=r"point 1 is 5\.2 cm from garment 'random', at most 5 cm.*in metres\?"):
         bind_points(model, [near, far])
-    with pytest.raises(ValueError, match="canonical space, in metres"):
-        bind_points(model, 100 * model.garment.vertices[::50])
-
-
-def test_centimetres_are_refused_at_once(model, monkeypatch):
-    """By the bounding box, before any closest point is looked for."""
     monkeypatch.setattr(trimesh.proximity, "closest_point", None)
     with pytest.raises(ValueError, match=r"is at least \d+\.\d cm from garment 'random'.* in metres\?"):
         bind_points(model, 100 * model.garment.vertices)
 
 
-def test_points_bound_in_parts_are_bound_alike(model, monkeypatch):
-    points = point_cloud(model.garment)
-    expected = bind_points(model, points)
-    monkeypatch.setattr(binding, "POINTS_AT_ONCE", 7)
-    for name, array in bind_points(model, points).items():
-        np.testing.assert_array_equal(array, expected[name], err_msg=name)
-
-
-@pytest.mark.parametrize(
-    "normals",
-    [np.ones((7, 3)), np.ones((1, 3)), np.full((20, 3), np.nan), np.ones((20, 3)) * (np.arange(20) != 5)[:, None]],
-    ids=["too few", "one for all", "nan", "no length"],
-)
-def test_normals_must_be_finite_and_one_a_point(model, normals):
-    with pytest.raises(ValueError, match="normals"):
-        bind_points(model, model.garment.vertices[:20], normals=normals)
-
-
-# --- A body ---
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_bound_garment_has_the_stated_shapes(size, caplog):
-    """As `BoundGarment` states them: float32 or int32, contiguous."""
-    rng = np.random.default_rng(4)
-    model = random_model(rng, **SIZES[size])
-    avatar = random_avatar(rng, model.rig)
+def test_encoding_a_body_is_logged(model, avatar, caplog):
+    """It takes its time."""
     with caplog.at_level(logging.INFO):
-        bound = bind_garment(model, avatar)
+        bind_garment(model, avatar)
     assert f"encoded body {avatar.source} for random in" in caplog.text
-    b, d, m, n = model.rig.bone_count, len(model.rig.dofs), len(model.node_rest), len(model.garment.vertices)
-    used = len(set(model.node_bone.tolist()))
-    shapes = {
-        "bone_parents": (b,),
-        "bone_heads": (b, 3),
-        "dof_bone": (d,),
-        "dof_axis": (d, 3),
-        "dof_rest": (d,),
-        "dof_lower": (d,),
-        "dof_upper": (d,),
-        "deformer_bones": (used,),
-        "node_bone": (m,),
-        "node_positions": (m, 3),
-        "node_rest": (m, 3),
-        "vertices": (n, 3),
-        "normals": (n, 3),
-        "influence_nodes": (n, SIZES[size]["influences"]),
-        "influence_weights": (n, SIZES[size]["influences"]),
-    }
-    integers = {"bone_parents", "dof_bone", "deformer_bones", "node_bone", "influence_nodes"}
-    for name, shape in shapes.items():
-        array = getattr(bound, name)
-        assert array.shape == shape and array.flags.c_contiguous, name
-        assert array.dtype == (np.int32 if name in integers else np.float32), name
-    np.testing.assert_array_equal(bound.bone_heads, avatar.bone_heads)
-    np.testing.assert_allclose(np.linalg.norm(bound.dof_axis, axis=1), 1, atol=1e-6)
-    assert bound.deformer_layers[0][0].shape[1] == 12 * used
-    for weight, bias in (*bound.pose_layers, *bound.deformer_layers):
-        assert weight.dtype == bias.dtype == np.float32 and weight.flags.c_contiguous and len(weight) == len(bias)
-
-
-def test_only_the_surface_of_the_body_counts_for_its_encoding(model, avatar):
-    """Not its topology: a refined surface encodes alike, another person does not."""
-    encoded = encode_body(model, avatar)
-    refined = trimesh.Trimesh(avatar.vertices, avatar.faces, process=False).subdivide()
-    same = encode_body(
-        model, replace(avatar, vertices=refined.vertices.astype(np.float32), faces=refined.faces.astype(np.int32))
-    )
-    stranger = encode_body(model, avatar_from_body(BODY, BODY.held_out_bodies[2]))
-    assert np.linalg.norm(same - encoded) < 0.25 * np.linalg.norm(stranger - encoded)
 
 
 def test_an_avatar_of_another_rig_is_refused(model, avatar):

@@ -1,0 +1,34 @@
+"""Garment model files taken apart and sealed again, as someone would who knows the format."""
+
+import json
+from pathlib import Path
+
+from safetensors import safe_open
+from safetensors.numpy import save
+
+from physkin_core.model import model_file
+
+
+def contents(path) -> tuple[dict, dict]:
+    """Metadata and tensors of a file."""
+    with safe_open(path, framework="numpy") as file:
+        return dict(file.metadata()), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+
+
+def sealed(metadata, tensors) -> bytes:
+    """The file with a digest that fits."""
+    return save(tensors, metadata={**metadata, "sha256": model_file._digest(metadata, tensors)})
+
+
+def written(path: Path, content: bytes) -> Path:
+    path.write_bytes(content)
+    return path
+
+
+def edited_header(content: bytes, change) -> bytes:
+    """A safetensors file whose header, as plain data, was changed."""
+    size = int.from_bytes(content[:8], "little")
+    header = json.loads(content[8 : 8 + size])
+    change(header)
+    text = json.dumps(header).encode()
+    return len(text).to_bytes(8, "little") + text + content[8 + size :]
