@@ -7,17 +7,14 @@ import subprocess
 from dataclasses import replace
 
 import pytest
+import torch
+import warp as wp
+from training.small_runs import small_config
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-wp = pytest.importorskip("warp", reason="needs the [training] extra")
-pytest.importorskip("potpourri3d", reason="needs the [training] extra")
-
-from training.small_runs import small_config  # noqa: E402
-
-from physkin_core import load_body_model, load_garment_model  # noqa: E402
-from physkin_studies import ablation_report, ablations, supervised  # noqa: E402
-from physkin_studies.ablation_report import write_report  # noqa: E402
-from physkin_studies.ablation_rows import (  # noqa: E402
+from physkin_core import load_body_model, load_garment_model
+from physkin_studies import ablation_report, ablations, supervised
+from physkin_studies.ablation_report import write_report
+from physkin_studies.ablation_rows import (
     BASE,
     ROWS,
     RowOptions,
@@ -26,11 +23,11 @@ from physkin_studies.ablation_rows import (  # noqa: E402
     model_path,
     run_row,
 )
-from physkin_studies.ablations import main, run_rows  # noqa: E402
-from physkin_studies.fantastical_bodies import fantastical_body_model  # noqa: E402
-from physkin_training.config import NetworkConfig, TrainingConfig  # noqa: E402
-from physkin_training.train.trainer import Trainer  # noqa: E402
-from physkin_training.train.validation import Validation  # noqa: E402
+from physkin_studies.ablations import main, run_rows
+from physkin_studies.fantastical_bodies import fantastical_body_model
+from physkin_training.config import NetworkConfig, TrainingConfig
+from physkin_training.train.trainer import Trainer
+from physkin_training.train.validation import Validation
 
 CPU = torch.device("cpu")
 OPTIONS = RowOptions(minutes=0.08, bodies=1, poses=2, drapes=2, drape_batch=2)

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
+import trimesh
+import warp as wp
+from random_models import tube
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-wp = pytest.importorskip("warp", reason="needs the [training] extra")
-trimesh = pytest.importorskip("trimesh")
-
-from random_models import tube  # noqa: E402
-
-from physkin_core import Garment  # noqa: E402
-from physkin_core.model.garment_model import Material  # noqa: E402
-from physkin_core.quality import edge_strain  # noqa: E402
-from physkin_studies.crosscheck import Drape, newton_drape, surface_distance, table  # noqa: E402
-from physkin_training.physics.full_space_solver import FullSpaceSolver  # noqa: E402
-from physkin_training.physics.physics_losses import PhysicsLosses  # noqa: E402
+from physkin_core import Garment
+from physkin_core.model.garment_model import Material
+from physkin_core.quality import edge_strain
+from physkin_studies.crosscheck import Drape, newton_drape, surface_distance, table
+from physkin_training.physics.full_space_solver import FullSpaceSolver
+from physkin_training.physics.physics_losses import PhysicsLosses
 
 CPU = torch.device("cpu")
 

@@ -5,16 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-pytest.importorskip("torch", reason="needs the [training] extra")
-pytest.importorskip("warp", reason="needs the [training] extra")
 pytest.importorskip("gpytoolbox", reason="needs the [data] extra")
 
-from scipy.spatial import cKDTree  # noqa: E402
-from training.small_runs import write_belly_band  # noqa: E402
+from scipy.spatial import cKDTree
+from training.small_runs import write_belly_band
 
-from physkin_core import Draper, avatar_from_body, load_body_model  # noqa: E402
-from physkin_studies.other_meshes import carried_to, cropped, remeshed  # noqa: E402
-from physkin_training.evaluate.plain_model import plain_model  # noqa: E402
+from physkin_core import Draper, avatar_from_body, load_body_model
+from physkin_studies.other_meshes import carried_to, cropped, remeshed
+from physkin_training.evaluate.plain_model import plain_model
 
 
 @pytest.fixture(scope="module")
