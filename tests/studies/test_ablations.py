@@ -130,7 +130,7 @@ def test_a_row_sees_one_device_alone(tmp_path, monkeypatch):
 def test_the_report_holds_what_is_finished(finished, monkeypatch):
     """Tables of the rows there are, plots, and frame times of this machine; the base being absent is no error."""
     monkeypatch.setattr(ablation_report, "ROUNDS", 2)
-    path = write_report(finished, bodies=1, poses=1)
+    path = write_report(finished)
     text = path.read_text()
     figures = finished_figures(finished, "nodes32-fixed")["figures"]["model"]
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
@@ -140,16 +140,6 @@ def test_the_report_holds_what_is_finished(finished, monkeypatch):
     times = json.loads((path.parent / "times.json").read_text())
     assert times["nodes32-fixed"]["frame"] > times["nodes32-fixed"]["skinning"] > 0
     assert all((path.parent / name).is_file() for name in ("ablations_curves.svg", "ablations_figures.svg"))
-
-
-@pytest.mark.slow
-def test_other_meshes_are_measured_once(finished, monkeypatch):
-    """The figures are of the model and counts they were made with."""
-    model, made = load_garment_model(model_path(finished, "nodes32-fixed")), []
-    monkeypatch.setattr(ablation_report, "measure_other_meshes", lambda *_, **kind: made.append(kind) or [])
-    for poses in (1, 1, 2):
-        ablation_report._other_meshes(finished, model, 1, poses)
-    assert [kind["poses"] for kind in made] == [1, 2]
 
 
 @pytest.mark.parametrize(

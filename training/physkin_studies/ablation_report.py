@@ -1,4 +1,4 @@
-"""The report on finished ablations: frame times of this CPU, other meshes, tables, plots and pictures.
+"""The report on finished ablations: frame times of this CPU, tables, plots and pictures.
 
 Dimensions: `n` garment vertices, `V` body vertices.
 """
@@ -23,12 +23,11 @@ from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet
 from physkin_core.runtime.native_evaluator import NativeEvaluator
 from physkin_studies.ablation_rows import BASE, ROWS, finished_figures, model_path
 from physkin_studies.fantastical_bodies import KINDS, fantastical_body_model
-from physkin_studies.other_meshes import carried_to, other_meshes
 from physkin_training.evaluate.contact_sheet import drape_all
 from physkin_training.evaluate.evaluate import Evaluation
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs
 
-__all__ = ["frame_times", "measure_other_meshes", "write_report"]
+__all__ = ["frame_times", "write_report"]
 
 CPU = torch.device("cpu")
 ROUNDS = 60
@@ -53,10 +52,10 @@ FIGURES = {
 PICTURE_SIZE = (230, 300)
 
 
-def write_report(folder: Path, *, bodies: int, poses: int) -> Path:
+def write_report(folder: Path) -> Path:
     """Write `report/ablations.md` with its plots and pictures from the rows finished in `folder`; returns its path.
 
-    bodies, poses: held-out bodies and poses of each for the other meshes. Raises ValueError when no row is finished.
+    Raises ValueError when no row is finished.
     """
     rows = {name: figures for name in ROWS if (figures := finished_figures(folder, name))}
     if not rows:
@@ -81,9 +80,6 @@ def write_report(folder: Path, *, bodies: int, poses: int) -> Path:
     ]
     parts += ["![Energy over training](ablations_curves.svg)", "![Figures](ablations_figures.svg)"]
     _plot(report, rows)
-    if BASE in rows:
-        meshes = _other_meshes(report, load_garment_model(model_path(folder, BASE)), bodies, poses)
-        parts += ["## Other meshes, the same model", _mesh_table(meshes)]
     fantastical = {name: row["fantastical"] for name, row in rows.items() if "fantastical" in row}
     if fantastical:
         parts += ["## Fantastical bodies", _fantastical_table(fantastical), _fantastical_notes()]
@@ -115,27 +111,6 @@ def frame_times(models: Mapping[str, Path]) -> dict[str, dict[str, float]]:
     return {
         name: {stage: timings[f"{name} {stage}"].p50 for stage in ("frame", "networks", "skinning")} for name in models
     }
-
-
-def measure_other_meshes(model: GarmentModel, *, bodies: int, poses: int) -> list[dict]:
-    """The model carried to coarser, finer and cropped meshes: `mesh`, `vertices`, `edge_mm`, and the figures."""
-    measured = []
-    for name, garment in other_meshes(model.garment):
-        evaluation = Evaluation(carried_to(model, garment), CPU, bodies=bodies, poses=poses, seed=0, batch=8)
-        figures = evaluation.figures(upright=True, only=("model", "skinning"))
-        sizes = {"vertices": len(garment.vertices), "edge_mm": 1000 * float(garment.edge_lengths.mean())}
-        measured.append({"mesh": name, **sizes, **figures})
-    return measured
-
-
-def _other_meshes(report: Path, model: GarmentModel, bodies: int, poses: int) -> list[dict]:
-    """Measured, or as measured before on as many pairs of the same training."""
-    path, wanted = report / "meshes.json", {"bodies": bodies, "poses": poses, "training": dict(model.training)}
-    if path.exists() and (stored := json.loads(path.read_text()))["of"] == wanted:
-        return stored["meshes"]
-    meshes = measure_other_meshes(model, bodies=bodies, poses=poses)
-    path.write_text(json.dumps({"of": wanted, "meshes": meshes}, indent=1))
-    return meshes
 
 
 def _table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
@@ -207,17 +182,6 @@ def _network_notes(rows: Mapping[str, dict]) -> str:
             "beside the training time; squared distance of vertices; all else as in the base."
         )
     return "\n".join(notes)
-
-
-def _mesh_table(meshes: list[dict]) -> str:
-    header = ["mesh", "vertices", "mean edge mm", *FIGURES, "plain skinning edge %"]
-    pairs = meshes[0]["model"]["pairs"]
-    lines = [
-        [mesh["mesh"], mesh["vertices"], f"{mesh['edge_mm']:.1f}", *_cells(mesh["model"])]
-        + [f"{mesh['skinning']['edge_strain_percent']:.2f}"]
-        for mesh in meshes
-    ]
-    return _table(header, lines) + f"\n\n{pairs} pairs each; strain against each mesh's own rest shape."
 
 
 def _fantastical_table(fantastical: Mapping[str, dict]) -> str:

@@ -112,7 +112,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--poses", type=int, default=RowOptions.poses, help="uniform poses of each")
     parser.add_argument("--drapes", type=int, default=RowOptions.drapes, help="to simulate for the supervised row")
     parser.add_argument("--drape-batch", type=int, default=RowOptions.drape_batch, help="simulated at once")
-    parser.add_argument("--mesh-poses", type=int, default=8, help="poses a body for the other meshes, on the CPU")
     end = parser.add_mutually_exclusive_group()
     end.add_argument("--report-only", action="store_true", help="train nothing, report on what is finished")
     end.add_argument("--no-report", action="store_true", help="train only")
@@ -126,8 +125,8 @@ def main(argv: list[str] | None = None) -> int:
         )
         if not all(device == "cpu" or device.isdigit() for device in devices):
             raise ValueError(f"devices must be GPU indices with commas between, or cpu, got {arguments.devices!r}")
-        if arguments.rows_per_device < 1 or arguments.mesh_poses < 1:
-            raise ValueError("rows per device and mesh poses must be at least 1")
+        if arguments.rows_per_device < 1:
+            raise ValueError(f"rows per device must be at least 1, got {arguments.rows_per_device}")
         if not config.is_file():
             raise ValueError(f"no training configuration {config}; give one with --config")
         if not arguments.report_only:
@@ -137,7 +136,7 @@ def main(argv: list[str] | None = None) -> int:
         if not arguments.no_report:
             from physkin_studies.ablation_report import write_report
 
-            print(f"wrote {write_report(arguments.output, bodies=arguments.bodies, poses=arguments.mesh_poses)}")
+            print(f"wrote {write_report(arguments.output)}")
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
