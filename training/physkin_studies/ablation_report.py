@@ -76,13 +76,12 @@ def write_report(folder: Path) -> Path:
         "another seed are the base again: differences within theirs mean nothing.",
         "## Conditioning, activation, supervision",
         _network_table(rows, times),
-        _network_notes(rows),
     ]
     parts += ["![Energy over training](ablations_curves.svg)", "![Figures](ablations_figures.svg)"]
     _plot(report, rows)
     fantastical = {name: row["fantastical"] for name, row in rows.items() if "fantastical" in row}
     if fantastical:
-        parts += ["## Fantastical bodies", _fantastical_table(fantastical), _fantastical_notes()]
+        parts += ["## Fantastical bodies", _fantastical_table(fantastical)]
         try:
             models = {ROWS[name].label: load_garment_model(model_path(folder, name)) for name in fantastical}
             save_png(report / "ablations_fantastical.png", _fantastical_sheet(models))
@@ -130,15 +129,9 @@ def _node_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
             trained = "trained" if config["optimisation"]["skinning_rate"] > 0 else "fixed"
             if name not in PAPER:
                 trained += f", seed {config['seed']}"
-            lines.append(
-                [config["garment_nodes"]["count"], trained, *_cells(rows[name]["figures"]["model"])]
-                + [
-                    f"{times[name]['skinning']:.1f}",
-                    f"{times[name]['frame']:.1f}",
-                    rows[name]["steps"],
-                    PAPER.get(name, "-"),
-                ]
-            )
+            spent = [f"{times[name][key]:.1f}" for key in ("skinning", "frame")]
+            cells = [config["garment_nodes"]["count"], trained, *_cells(rows[name]["figures"]["model"])]
+            lines.append([*cells, *spent, rows[name]["steps"], PAPER.get(name, "-")])
     return _table(header, lines)
 
 
@@ -149,39 +142,14 @@ def _network_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
         if name in rows:
             label = "base: modulation, SiLU, self-supervised" if name == BASE else ROWS[name].label
             # Its model file is filled up with zeros to have modulation's form; what those cost is not its cost.
-            own = (
-                ["-", "-"] if name == "concatenation" else [f"{times[name][key]:.1f}" for key in ("networks", "frame")]
-            )
+            timed = [f"{times[name][key]:.1f}" for key in ("networks", "frame")]
+            own = ["-", "-"] if name == "concatenation" else timed
             spent = [rows[name]["steps"], f"{rows[name]['seconds']:.0f}"]
             lines.append([label, *_cells(rows[name]["figures"]["model"]), rows[name]["frame_weights"], *own, *spent])
     if BASE in rows:
         dashes = ["-"] * 5
         lines.append(["plain skinning, with the base's weights", *_cells(rows[BASE]["figures"]["skinning"]), *dashes])
     return _table(header, lines)
-
-
-def _network_notes(rows: Mapping[str, dict]) -> str:
-    notes = []
-    if "concatenation" in rows:
-        networks = rows["concatenation"]["config"]["networks"]
-        notes.append(
-            "- Concatenation: the body's code joins the pose vector, the pose's code the node deformer's input; the "
-            f"node deformer is {networks['deformer_hidden']} wide, so that a frame reads as many network weights."
-        )
-    if "relu" in rows:
-        networks = rows["relu"]["config"]["networks"]
-        notes.append(
-            f"- ReLU: {networks['pose_hidden']} and {networks['deformer_hidden']} wide; the evaluator skips network "
-            "weights of activations that are zero. The times are what that comes to."
-        )
-    if "supervised" in rows:
-        simulated = rows["supervised"]["simulated"]
-        notes.append(
-            f"- Supervised: {simulated['drapes']} full-space drapes of training bodies, "
-            f"{simulated['converged_percent']:.0f} % converged, simulated in {simulated['seconds'] / 60:.1f} minutes "
-            "beside the training time; squared distance of vertices; all else as in the base."
-        )
-    return "\n".join(notes)
 
 
 def _fantastical_table(fantastical: Mapping[str, dict]) -> str:
@@ -192,17 +160,6 @@ def _fantastical_table(fantastical: Mapping[str, dict]) -> str:
             lines.append([kind, trained, *_cells(kinds[kind]["model"])])
         lines.append([kind, "plain skinning", *_cells(next(iter(fantastical.values()))[kind]["skinning"])])
     return _table(["bodies", "trained on", *FIGURES], lines)
-
-
-def _fantastical_notes() -> str:
-    return (
-        "None of these bodies was trained on. Strain is against the one template, made for an adult: on a child the "
-        "garment has to shrink and on a giant to grow, whatever the model. " + " ".join(
-            f"{name.capitalize()}: shape coefficients {kind.shape[0]:g} to {kind.shape[1]:g} times an adult's, scale "
-            f"{kind.scale[0]:g} to {kind.scale[1]:g}, head {kind.head[0]:+g} to {kind.head[1]:+g}, up to "
-            f"{kind.swellings} swellings." for name, kind in KINDS.items()
-        )
-    )  # fmt: skip
 
 
 def _plot(report: Path, rows: Mapping[str, dict]) -> None:
@@ -234,27 +191,19 @@ def _fantastical_sheet(models: Mapping[str, GarmentModel]) -> np.ndarray:
     """Each kind's first held-out body, at the canonical pose and in a walk, in the garment of every model."""
     body_model = fantastical_body_model()
     rig = next(iter(models.values())).rig
-    rest = Pairs(
-        torch.as_tensor(rig.rest.copy(), dtype=torch.float32)[None],
-        torch.tensor([[0.0, 0.0, -1.0]]),
-        torch.zeros(1).long(),
-    )
     walk = motion_pairs(load_motion("walk"), rig, bodies=1)
-    walk = walk[torch.tensor([len(walk) // 3])]
-    poses = Pairs(
-        *(torch.cat([getattr(part, key) for part in (rest, walk)]) for key in ("positions", "gravity", "body"))
-    )
+    middle = len(walk) // 3
+    rest = torch.as_tensor(rig.rest.copy(), dtype=torch.float32)
+    positions = torch.stack([rest, walk.positions[middle]])
+    gravity = torch.stack([torch.tensor([0.0, 0.0, -1.0]), walk.gravity[middle]])
+    poses = Pairs(positions, gravity, torch.zeros(2, dtype=torch.int64))
     pictures, captions = [], []
     for label, model in models.items():
-        evaluation = Evaluation(
-            model, CPU, bodies=list(range(len(KINDS))), poses=len(poses), seed=0, body_model=body_model
-        )
+        bodies = list(range(len(KINDS)))
+        evaluation = Evaluation(model, CPU, bodies=bodies, poses=len(poses), seed=0, body_model=body_model)
         drapes = drape_all(evaluation, poses, minimum=False)
         for pair, cloth in enumerate(drapes.garments["model"]):
-            meshes = [
-                Mesh(drapes.bodies[pair], body_model.faces),
-                Mesh(cloth, model.garment.faces, CLOTH_COLOUR),
-            ]
+            meshes = [Mesh(drapes.bodies[pair], body_model.faces), Mesh(cloth, model.garment.faces, CLOTH_COLOUR)]
             pictures.append(render(meshes, size=PICTURE_SIZE, samples=8))
             captions.append(f"{list(KINDS)[pair % len(KINDS)]}, {label}")
     return contact_sheet(pictures, columns=2 * len(KINDS), captions=captions, gap=4)

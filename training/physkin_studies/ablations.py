@@ -15,9 +15,9 @@ import os
 import queue
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 
@@ -37,33 +37,30 @@ def run_rows(
 
     devices: "cpu", or indices of GPUs as text. Raises ValueError when a finished row had another budget.
     """
-    waiting: queue.SimpleQueue[str] = queue.SimpleQueue()
+    waiting = []
     for name in sorted(names, key=lambda name: name not in FIRST):
         done = finished_figures(folder, name)
         if done is None:
-            waiting.put(name)
+            waiting.append(name)
         elif done["budget_minutes"] != options.minutes:
             raise ValueError(
                 f"row {name} in {folder} was trained for {done['budget_minutes']:g} minutes, not {options.minutes:g}; "
                 "remove its folder, or take another output folder"
             )
-    failed: list[str] = []
+    free: queue.SimpleQueue[str] = queue.SimpleQueue()
+    for device in each * list(devices):
+        free.put(device)
 
-    def work(device: str) -> None:
-        while True:
-            try:
-                name = waiting.get_nowait()
-            except queue.Empty:
-                return
-            if not _run(name, config, folder, options, device):
-                failed.append(name)
+    def finished(name: str) -> bool:
+        device = free.get()
+        try:
+            return _run(name, config, folder, options, device)
+        finally:
+            free.put(device)
 
-    workers = [threading.Thread(target=work, args=(device,)) for device in devices for _ in range(each)]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join()
-    return sorted(failed, key=list(ROWS).index)
+    with ThreadPoolExecutor(each * len(devices)) as pool:
+        good = list(pool.map(finished, waiting))
+    return sorted((name for name, went_well in zip(waiting, good) if not went_well), key=list(ROWS).index)
 
 
 def _run(name: str, config: Path, folder: Path, options: RowOptions, device: str) -> bool:
