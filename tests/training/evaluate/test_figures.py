@@ -77,3 +77,7 @@ def test_snaps_are_those_of_quality_within_takes():
     expected = [quality.snaps(frames[part]) for part in (slice(0, 5), slice(7, 12))]
     assert expected == [pytest.approx(2 / 3), 0]
     assert figures.result()["snaps_percent"] == pytest.approx(100 * 2 / 6)
+    twice = Figures(GARMENT, CPU)
+    for _ in range(2):
+        twice.include(figures)
+    assert twice.result() == pytest.approx(figures.result() | {"pairs": 24}, rel=0.01), "all that the other counted"
