@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -15,6 +16,16 @@ from physkin_core.model.garment_nodes import closest_bones
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background: children would inherit the deafness
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+NEEDED = ("torch", "warp", "pydantic", "potpourri3d")
+MISSING = [name for name in NEEDED if find_spec(name) is None]
+collect_ignore = ["training", "studies"] if MISSING else []
+
+
+def pytest_report_header() -> str | None:
+    """Says what is left out where the [training] extra is not installed."""
+    return f"left out: tests of training and studies, which need {', '.join(MISSING)}" if MISSING else None
 
 
 @pytest.fixture

@@ -17,11 +17,12 @@ from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
 from physkin_core.model.garment import Garment
 from physkin_core.model.mlp import Layer
 from physkin_core.model.model_file import load_garment_model
+from physkin_core.model.skinning import skin, skinning_matrices
 from physkin_core.motion.loading import load_motion
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
 
-__all__ = ["BenchmarkCase", "model_case", "paper_case"]
+__all__ = ["BenchmarkCase", "SkinningCase", "model_case", "paper_case", "skinning_case"]
 
 SEED = 2603
 MOTIONS, POSES_A_MOTION = ("walk", "dance", "crawl"), 20
@@ -48,6 +49,25 @@ class BenchmarkCase:
     gravity: np.ndarray
     bodies: tuple[BoundGarment, ...]
     garment: Garment | None = None
+
+
+@dataclass(frozen=True)
+class SkinningCase:
+    """Skinning alone. matrices: (m, 3, 4) float32, from rest to posed garment. expected: (n, 6) float64."""
+
+    bound: BoundGarment
+    matrices: np.ndarray
+    expected: np.ndarray
+
+
+def skinning_case(bound: BoundGarment, node_transforms: np.ndarray) -> SkinningCase:
+    """The skinning of a bound garment by given garment nodes (m, 3, 4): positions and unit normals."""
+    transforms = node_transforms.astype(np.float64)
+    posed = skin(
+        transforms, bound.node_rest, bound.vertices, bound.normals, bound.influence_nodes, bound.influence_weights
+    )
+    matrices = skinning_matrices(transforms, bound.node_rest).astype(np.float32)
+    return SkinningCase(bound, matrices, np.concatenate(posed, axis=1))
 
 
 def model_case(model: str | Path) -> BenchmarkCase:

@@ -8,11 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from physkin_bench.cases import BenchmarkCase
+from physkin_bench.cases import BenchmarkCase, skinning_case
 from physkin_bench.network_case import network_case
 from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, prepare_peers
 from physkin_bench.timing import time_in_turns
-from physkin_bench.warp_skinning import skinning_case
 from physkin_core import _native
 from physkin_core.quality import edge_strain
 from physkin_core.runtime.native_evaluator import (

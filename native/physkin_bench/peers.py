@@ -1,4 +1,4 @@
-"""Engines that do the same on one thread: LiteRT and ONNX Runtime the networks, Warp skinning.
+"""Engines that do the same on one thread: LiteRT the networks, Warp skinning.
 
 Each is built, its result compared with the float64 reference, and only then timed.
 """
@@ -11,9 +11,9 @@ from functools import partial
 
 import numpy as np
 
-from physkin_bench.engine_models import litert_model, onnx_model
+from physkin_bench.cases import SkinningCase
+from physkin_bench.litert_model import litert_model
 from physkin_bench.network_case import NetworkCase
-from physkin_bench.warp_skinning import warp_skinning
 
 __all__ = ["NETWORK_PEERS", "SKINNING_PEERS", "Peer", "prepare_peers"]
 
@@ -44,27 +44,17 @@ def _litert(case: NetworkCase, *, int8: bool) -> Runner:
     return interpreter.invoke, lambda: interpreter.get_tensor(output)
 
 
-def _onnxruntime(case: NetworkCase) -> Runner:
-    import onnxruntime
+def _warp(case: SkinningCase) -> Runner:
+    from physkin_bench.warp_skinning import warp_skinning
 
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    session = onnxruntime.InferenceSession(onnx_model(case), options, providers=["CPUExecutionProvider"])
-    result = onnxruntime.OrtValue.ortvalue_from_numpy(np.empty(case.expected.shape, dtype=np.float32))
-    binding = session.io_binding()
-    for name in ("pose", "bones"):
-        binding.bind_ortvalue_input(name, onnxruntime.OrtValue.ortvalue_from_numpy(getattr(case, name)))
-    binding.bind_ortvalue_output(session.get_outputs()[0].name, result)
-    return partial(session.run_with_iobinding, binding), result.numpy
+    return warp_skinning(case)
 
 
 NETWORK_PEERS = (
     Peer("litert_fp32", partial(_litert, int8=False)),
     Peer("litert_int8", partial(_litert, int8=True), ROUNDED),
-    Peer("onnxruntime_fp32", _onnxruntime),
 )
-SKINNING_PEERS = (Peer("warp", warp_skinning),)
+SKINNING_PEERS = (Peer("warp", _warp),)
 
 
 def prepare_peers(
@@ -79,9 +69,8 @@ def prepare_peers(
         try:
             run, output = peer.build(case)
             run()
-            error = (
-                np.abs(output().astype(np.float64).reshape(expected.shape) - expected).max() / np.abs(expected).max()
-            )
+            difference = output().astype(np.float64).reshape(expected.shape) - expected
+            error = np.abs(difference).max() / np.abs(expected).max()
         except ImportError as reason:
             missing[peer.name] = f"not installed ({reason}); pip install 'physkin[bench]'"
         except Exception as reason:  # a peer must never end the benchmark, whatever it dislikes

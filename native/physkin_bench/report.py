@@ -13,7 +13,7 @@ from physkin_core.runtime.native_evaluator import PRECISIONS, supported_instruct
 
 __all__ = ["case_tables", "machine_keys"]
 
-PACKAGES = ("physkin", "numpy", "ai-edge-litert", "onnxruntime", "warp-lang")
+PACKAGES = ("physkin", "numpy", "ai-edge-litert", "warp-lang")
 
 
 def machine_keys() -> dict[str, object]:

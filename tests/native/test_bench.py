@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from physkin_bench import measurement
-from physkin_bench.cases import paper_case
+from physkin_bench.cases import paper_case, skinning_case
 from physkin_bench.network_case import network_case
 from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, Peer, prepare_peers
 from physkin_bench.timing import time_in_turns
-from physkin_bench.warp_skinning import skinning_case
 from physkin_core import cli
 from physkin_core.runtime.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
 

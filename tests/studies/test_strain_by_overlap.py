@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from random_models import needs_native
+from training.small_runs import waist_band_model
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-pytest.importorskip("warp", reason="needs the [training] extra")
-
-from training.small_runs import waist_band_model  # noqa: E402
-
-from physkin_core.avatar.body_model import load_body_model  # noqa: E402
-from physkin_studies import strain_by_overlap  # noqa: E402
-from physkin_studies.body_overlap import Seats  # noqa: E402
-from physkin_studies.strain_by_overlap import LIMITS, main, measure_strain_by_overlap  # noqa: E402
-from physkin_training.sampling.posed_bodies import BodySet, PosedBodies  # noqa: E402
+from physkin_core.avatar.body_model import load_body_model
+from physkin_studies import strain_by_overlap
+from physkin_studies.body_overlap import Seats
+from physkin_studies.strain_by_overlap import LIMITS, main, measure_strain_by_overlap
+from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 
 BODY = load_body_model()
 

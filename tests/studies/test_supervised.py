@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import pytest
+import torch
+import warp as wp
+from training.small_runs import small_config
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-wp = pytest.importorskip("warp", reason="needs the [training] extra")
-pytest.importorskip("potpourri3d", reason="needs the [training] extra")
-
-from training.small_runs import small_config  # noqa: E402
-
-from physkin_studies import supervised  # noqa: E402
-from physkin_studies.supervised import SimulatedDrapes, SupervisedTrainer, simulate_drapes  # noqa: E402
-from physkin_training.train.trainer import Trainer  # noqa: E402
+from physkin_studies import supervised
+from physkin_studies.supervised import SimulatedDrapes, SupervisedTrainer, simulate_drapes
+from physkin_training.train.trainer import Trainer
 
 CPU = torch.device("cpu")
 

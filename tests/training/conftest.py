@@ -25,17 +25,26 @@ def quiet():
 @pytest.fixture(scope="session")
 def finished_run(tmp_path_factory) -> Path:
     """A folder with `band.toml`, `band.obj`, and the command's `out`: stopped by the clock at step 4, then resumed."""
-    from training.small_runs import as_toml, small_config
+    from training.small_runs import small_config, train_command
 
+    from physkin_training.fit_garment.fit_garment import as_toml
     from physkin_training.train.train import main
 
     folder = tmp_path_factory.mktemp("finished")
     (folder / "band.toml").write_text(as_toml(small_config(folder)))
-    common = ["--config", str(folder / "band.toml"), "--output", str(folder / "out"), "--device", "cpu"]
-    assert main([*common, "--log-every", "4", "--stop-after", "1e-9"]) == 0
+    assert main(train_command(folder, "--log-every", 4, "--stop-after", 1e-9)) == 0
     assert not list((folder / "out").glob("*.safetensors")), "no model before the run is finished"
-    assert main([*common, "--log-every", "4", "--resume", str(folder / "out" / "checkpoint")]) == 0
+    assert main(train_command(folder, "--log-every", 4, "--resume", folder / "out" / "checkpoint")) == 0
     return folder
+
+
+@pytest.fixture(scope="session")
+def template():
+    """The body that garments are checked and trained on."""
+    from physkin_core import avatar_from_body, load_body_model
+
+    body_model = load_body_model()
+    return avatar_from_body(body_model, body_model.garment_body)
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ A step takes a few hundredths of a second on a CPU, one with all body points hal
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from physkin_training.config import (
     OptimisationConfig,
     TrainingConfig,
 )
+from physkin_training.networks.export import model_from_drape
 from physkin_training.train.trainer import Trainer
 
 SIZES = NetworkConfig(
@@ -73,20 +73,19 @@ def small_config(folder: Path, **optimisation) -> TrainingConfig:
     )
 
 
+def exported(trainer: Trainer, influences: int) -> GarmentModel:
+    """The trained drape (not the average) as a model of so many influences a vertex."""
+    config = trainer.config
+    given = {"name": "band", "influences": influences, "material": config.material, "training": {"seed": config.seed}}
+    return model_from_drape(trainer.drape, trainer.garment, trainer.rig, **given)
+
+
+def train_command(folder: Path, *more: object, config: str = "band.toml", out: str | Path = "out") -> list[str]:
+    """Arguments of a training on the CPU: a configuration in the folder, an output folder in it."""
+    return ["--config", str(folder / config), "--output", str(folder / out), "--device", "cpu", *map(str, more)]
+
+
 def run(trainer: Trainer, steps: int) -> None:
     """Up to `steps` more steps."""
     for _ in trainer.run(steps):
         pass
-
-
-def as_toml(config: TrainingConfig) -> str:
-    """The configuration as a file's text."""
-
-    def lines(table):
-        return [f"{k} = {json.dumps(str(v)) if isinstance(v, str | Path) else repr(v)}" for k, v in table.items()]
-
-    tables = ("optimisation", "garment_nodes", "poses", "networks", "material")
-    result = lines({name: value for name, value in vars(config).items() if name not in tables})
-    for table in tables:
-        result += [f"[{table}]", *lines(vars(getattr(config, table)))]
-    return "\n".join(result) + "\n"

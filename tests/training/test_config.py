@@ -8,12 +8,10 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("pydantic", reason="needs the [training] extra")
-
-from physkin_core import load_garment_model  # noqa: E402
-from physkin_core.model.garment_model import Material  # noqa: E402
-from physkin_core.model.model_file import shipped_models  # noqa: E402
-from physkin_training.config import ConfigError, TrainingConfig, load_config  # noqa: E402
+from physkin_core import load_garment_model
+from physkin_core.model.garment_model import Material
+from physkin_core.model.model_file import shipped_models
+from physkin_training.config import ConfigError, TrainingConfig, load_config
 
 FOLDER = Path(__file__).parents[2] / "training" / "configs"
 MINIMAL = 'name = "shirt"\ngarment = "shirt.obj"\n'

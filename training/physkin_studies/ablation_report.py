@@ -1,4 +1,4 @@
-"""The report on finished ablations: frame times of this CPU, other meshes, tables, plots and pictures.
+"""The report on finished ablations: frame times of this CPU, tables, plots and pictures.
 
 Dimensions: `n` garment vertices, `V` body vertices.
 """
@@ -23,12 +23,11 @@ from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet
 from physkin_core.runtime.native_evaluator import NativeEvaluator
 from physkin_studies.ablation_rows import BASE, ROWS, finished_figures, model_path
 from physkin_studies.fantastical_bodies import KINDS, fantastical_body_model
-from physkin_studies.other_meshes import carried_to, other_meshes
 from physkin_training.evaluate.contact_sheet import drape_all
 from physkin_training.evaluate.evaluate import Evaluation
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs
 
-__all__ = ["frame_times", "measure_other_meshes", "write_report"]
+__all__ = ["frame_times", "write_report"]
 
 CPU = torch.device("cpu")
 ROUNDS = 60
@@ -53,10 +52,10 @@ FIGURES = {
 PICTURE_SIZE = (230, 300)
 
 
-def write_report(folder: Path, *, bodies: int, poses: int) -> Path:
+def write_report(folder: Path) -> Path:
     """Write `report/ablations.md` with its plots and pictures from the rows finished in `folder`; returns its path.
 
-    bodies, poses: held-out bodies and poses of each for the other meshes. Raises ValueError when no row is finished.
+    Raises ValueError when no row is finished.
     """
     rows = {name: figures for name in ROWS if (figures := finished_figures(folder, name))}
     if not rows:
@@ -77,16 +76,12 @@ def write_report(folder: Path, *, bodies: int, poses: int) -> Path:
         "another seed are the base again: differences within theirs mean nothing.",
         "## Conditioning, activation, supervision",
         _network_table(rows, times),
-        _network_notes(rows),
     ]
     parts += ["![Energy over training](ablations_curves.svg)", "![Figures](ablations_figures.svg)"]
     _plot(report, rows)
-    if BASE in rows:
-        meshes = _other_meshes(report, load_garment_model(model_path(folder, BASE)), bodies, poses)
-        parts += ["## Other meshes, the same model", _mesh_table(meshes)]
     fantastical = {name: row["fantastical"] for name, row in rows.items() if "fantastical" in row}
     if fantastical:
-        parts += ["## Fantastical bodies", _fantastical_table(fantastical), _fantastical_notes()]
+        parts += ["## Fantastical bodies", _fantastical_table(fantastical)]
         try:
             models = {ROWS[name].label: load_garment_model(model_path(folder, name)) for name in fantastical}
             save_png(report / "ablations_fantastical.png", _fantastical_sheet(models))
@@ -117,27 +112,6 @@ def frame_times(models: Mapping[str, Path]) -> dict[str, dict[str, float]]:
     }
 
 
-def measure_other_meshes(model: GarmentModel, *, bodies: int, poses: int) -> list[dict]:
-    """The model carried to coarser, finer and cropped meshes: `mesh`, `vertices`, `edge_mm`, and the figures."""
-    measured = []
-    for name, garment in other_meshes(model.garment):
-        evaluation = Evaluation(carried_to(model, garment), CPU, bodies=bodies, poses=poses, seed=0, batch=8)
-        figures = evaluation.figures(upright=True, only=("model", "skinning"))
-        sizes = {"vertices": len(garment.vertices), "edge_mm": 1000 * float(garment.edge_lengths.mean())}
-        measured.append({"mesh": name, **sizes, **figures})
-    return measured
-
-
-def _other_meshes(report: Path, model: GarmentModel, bodies: int, poses: int) -> list[dict]:
-    """Measured, or as measured before on as many pairs of the same training."""
-    path, wanted = report / "meshes.json", {"bodies": bodies, "poses": poses, "training": dict(model.training)}
-    if path.exists() and (stored := json.loads(path.read_text()))["of"] == wanted:
-        return stored["meshes"]
-    meshes = measure_other_meshes(model, bodies=bodies, poses=poses)
-    path.write_text(json.dumps({"of": wanted, "meshes": meshes}, indent=1))
-    return meshes
-
-
 def _table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     return tabulate(rows, list(header), tablefmt="github", disable_numparse=True) if rows else ""
 
@@ -155,15 +129,9 @@ def _node_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
             trained = "trained" if config["optimisation"]["skinning_rate"] > 0 else "fixed"
             if name not in PAPER:
                 trained += f", seed {config['seed']}"
-            lines.append(
-                [config["garment_nodes"]["count"], trained, *_cells(rows[name]["figures"]["model"])]
-                + [
-                    f"{times[name]['skinning']:.1f}",
-                    f"{times[name]['frame']:.1f}",
-                    rows[name]["steps"],
-                    PAPER.get(name, "-"),
-                ]
-            )
+            spent = [f"{times[name][key]:.1f}" for key in ("skinning", "frame")]
+            cells = [config["garment_nodes"]["count"], trained, *_cells(rows[name]["figures"]["model"])]
+            lines.append([*cells, *spent, rows[name]["steps"], PAPER.get(name, "-")])
     return _table(header, lines)
 
 
@@ -174,50 +142,14 @@ def _network_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
         if name in rows:
             label = "base: modulation, SiLU, self-supervised" if name == BASE else ROWS[name].label
             # Its model file is filled up with zeros to have modulation's form; what those cost is not its cost.
-            own = (
-                ["-", "-"] if name == "concatenation" else [f"{times[name][key]:.1f}" for key in ("networks", "frame")]
-            )
+            timed = [f"{times[name][key]:.1f}" for key in ("networks", "frame")]
+            own = ["-", "-"] if name == "concatenation" else timed
             spent = [rows[name]["steps"], f"{rows[name]['seconds']:.0f}"]
             lines.append([label, *_cells(rows[name]["figures"]["model"]), rows[name]["frame_weights"], *own, *spent])
     if BASE in rows:
         dashes = ["-"] * 5
         lines.append(["plain skinning, with the base's weights", *_cells(rows[BASE]["figures"]["skinning"]), *dashes])
     return _table(header, lines)
-
-
-def _network_notes(rows: Mapping[str, dict]) -> str:
-    notes = []
-    if "concatenation" in rows:
-        networks = rows["concatenation"]["config"]["networks"]
-        notes.append(
-            "- Concatenation: the body's code joins the pose vector, the pose's code the node deformer's input; the "
-            f"node deformer is {networks['deformer_hidden']} wide, so that a frame reads as many network weights."
-        )
-    if "relu" in rows:
-        networks = rows["relu"]["config"]["networks"]
-        notes.append(
-            f"- ReLU: {networks['pose_hidden']} and {networks['deformer_hidden']} wide; the evaluator skips network "
-            "weights of activations that are zero. The times are what that comes to."
-        )
-    if "supervised" in rows:
-        simulated = rows["supervised"]["simulated"]
-        notes.append(
-            f"- Supervised: {simulated['drapes']} full-space drapes of training bodies, "
-            f"{simulated['converged_percent']:.0f} % converged, simulated in {simulated['seconds'] / 60:.1f} minutes "
-            "beside the training time; squared distance of vertices; all else as in the base."
-        )
-    return "\n".join(notes)
-
-
-def _mesh_table(meshes: list[dict]) -> str:
-    header = ["mesh", "vertices", "mean edge mm", *FIGURES, "plain skinning edge %"]
-    pairs = meshes[0]["model"]["pairs"]
-    lines = [
-        [mesh["mesh"], mesh["vertices"], f"{mesh['edge_mm']:.1f}", *_cells(mesh["model"])]
-        + [f"{mesh['skinning']['edge_strain_percent']:.2f}"]
-        for mesh in meshes
-    ]
-    return _table(header, lines) + f"\n\n{pairs} pairs each; strain against each mesh's own rest shape."
 
 
 def _fantastical_table(fantastical: Mapping[str, dict]) -> str:
@@ -228,17 +160,6 @@ def _fantastical_table(fantastical: Mapping[str, dict]) -> str:
             lines.append([kind, trained, *_cells(kinds[kind]["model"])])
         lines.append([kind, "plain skinning", *_cells(next(iter(fantastical.values()))[kind]["skinning"])])
     return _table(["bodies", "trained on", *FIGURES], lines)
-
-
-def _fantastical_notes() -> str:
-    return (
-        "None of these bodies was trained on. Strain is against the one template, made for an adult: on a child the "
-        "garment has to shrink and on a giant to grow, whatever the model. " + " ".join(
-            f"{name.capitalize()}: shape coefficients {kind.shape[0]:g} to {kind.shape[1]:g} times an adult's, scale "
-            f"{kind.scale[0]:g} to {kind.scale[1]:g}, head {kind.head[0]:+g} to {kind.head[1]:+g}, up to "
-            f"{kind.swellings} swellings." for name, kind in KINDS.items()
-        )
-    )  # fmt: skip
 
 
 def _plot(report: Path, rows: Mapping[str, dict]) -> None:
@@ -270,27 +191,19 @@ def _fantastical_sheet(models: Mapping[str, GarmentModel]) -> np.ndarray:
     """Each kind's first held-out body, at the canonical pose and in a walk, in the garment of every model."""
     body_model = fantastical_body_model()
     rig = next(iter(models.values())).rig
-    rest = Pairs(
-        torch.as_tensor(rig.rest.copy(), dtype=torch.float32)[None],
-        torch.tensor([[0.0, 0.0, -1.0]]),
-        torch.zeros(1).long(),
-    )
     walk = motion_pairs(load_motion("walk"), rig, bodies=1)
-    walk = walk[torch.tensor([len(walk) // 3])]
-    poses = Pairs(
-        *(torch.cat([getattr(part, key) for part in (rest, walk)]) for key in ("positions", "gravity", "body"))
-    )
+    middle = len(walk) // 3
+    rest = torch.as_tensor(rig.rest.copy(), dtype=torch.float32)
+    positions = torch.stack([rest, walk.positions[middle]])
+    gravity = torch.stack([torch.tensor([0.0, 0.0, -1.0]), walk.gravity[middle]])
+    poses = Pairs(positions, gravity, torch.zeros(2, dtype=torch.int64))
     pictures, captions = [], []
     for label, model in models.items():
-        evaluation = Evaluation(
-            model, CPU, bodies=list(range(len(KINDS))), poses=len(poses), seed=0, body_model=body_model
-        )
+        bodies = list(range(len(KINDS)))
+        evaluation = Evaluation(model, CPU, bodies=bodies, poses=len(poses), seed=0, body_model=body_model)
         drapes = drape_all(evaluation, poses, minimum=False)
         for pair, cloth in enumerate(drapes.garments["model"]):
-            meshes = [
-                Mesh(drapes.bodies[pair], body_model.faces),
-                Mesh(cloth, model.garment.faces, CLOTH_COLOUR),
-            ]
+            meshes = [Mesh(drapes.bodies[pair], body_model.faces), Mesh(cloth, model.garment.faces, CLOTH_COLOUR)]
             pictures.append(render(meshes, size=PICTURE_SIZE, samples=8))
             captions.append(f"{list(KINDS)[pair % len(KINDS)]}, {label}")
     return contact_sheet(pictures, columns=2 * len(KINDS), captions=captions, gap=4)

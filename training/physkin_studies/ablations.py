@@ -15,9 +15,9 @@ import os
 import queue
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 
@@ -37,33 +37,30 @@ def run_rows(
 
     devices: "cpu", or indices of GPUs as text. Raises ValueError when a finished row had another budget.
     """
-    waiting: queue.SimpleQueue[str] = queue.SimpleQueue()
+    waiting = []
     for name in sorted(names, key=lambda name: name not in FIRST):
         done = finished_figures(folder, name)
         if done is None:
-            waiting.put(name)
+            waiting.append(name)
         elif done["budget_minutes"] != options.minutes:
             raise ValueError(
                 f"row {name} in {folder} was trained for {done['budget_minutes']:g} minutes, not {options.minutes:g}; "
                 "remove its folder, or take another output folder"
             )
-    failed: list[str] = []
+    free: queue.SimpleQueue[str] = queue.SimpleQueue()
+    for device in each * list(devices):
+        free.put(device)
 
-    def work(device: str) -> None:
-        while True:
-            try:
-                name = waiting.get_nowait()
-            except queue.Empty:
-                return
-            if not _run(name, config, folder, options, device):
-                failed.append(name)
+    def finished(name: str) -> bool:
+        device = free.get()
+        try:
+            return _run(name, config, folder, options, device)
+        finally:
+            free.put(device)
 
-    workers = [threading.Thread(target=work, args=(device,)) for device in devices for _ in range(each)]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join()
-    return sorted(failed, key=list(ROWS).index)
+    with ThreadPoolExecutor(each * len(devices)) as pool:
+        good = list(pool.map(finished, waiting))
+    return sorted((name for name, went_well in zip(waiting, good) if not went_well), key=list(ROWS).index)
 
 
 def _run(name: str, config: Path, folder: Path, options: RowOptions, device: str) -> bool:
@@ -112,7 +109,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--poses", type=int, default=RowOptions.poses, help="uniform poses of each")
     parser.add_argument("--drapes", type=int, default=RowOptions.drapes, help="to simulate for the supervised row")
     parser.add_argument("--drape-batch", type=int, default=RowOptions.drape_batch, help="simulated at once")
-    parser.add_argument("--mesh-poses", type=int, default=8, help="poses a body for the other meshes, on the CPU")
     end = parser.add_mutually_exclusive_group()
     end.add_argument("--report-only", action="store_true", help="train nothing, report on what is finished")
     end.add_argument("--no-report", action="store_true", help="train only")
@@ -126,8 +122,8 @@ def main(argv: list[str] | None = None) -> int:
         )
         if not all(device == "cpu" or device.isdigit() for device in devices):
             raise ValueError(f"devices must be GPU indices with commas between, or cpu, got {arguments.devices!r}")
-        if arguments.rows_per_device < 1 or arguments.mesh_poses < 1:
-            raise ValueError("rows per device and mesh poses must be at least 1")
+        if arguments.rows_per_device < 1:
+            raise ValueError(f"rows per device must be at least 1, got {arguments.rows_per_device}")
         if not config.is_file():
             raise ValueError(f"no training configuration {config}; give one with --config")
         if not arguments.report_only:
@@ -137,7 +133,7 @@ def main(argv: list[str] | None = None) -> int:
         if not arguments.no_report:
             from physkin_studies.ablation_report import write_report
 
-            print(f"wrote {write_report(arguments.output, bodies=arguments.bodies, poses=arguments.mesh_poses)}")
+            print(f"wrote {write_report(arguments.output)}")
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

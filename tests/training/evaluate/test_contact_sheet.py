@@ -8,18 +8,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
+from training.small_runs import waist_band_model
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-pytest.importorskip("warp", reason="needs the [training] extra")
-
-
-from training.small_runs import waist_band_model  # noqa: E402
-
-from physkin_core import Draper, avatar_from_body, cli, load_body_model, load_motion, quality  # noqa: E402
-from physkin_core import save_garment_model as save  # noqa: E402
-from physkin_training.evaluate import contact_sheet  # noqa: E402
-from physkin_training.evaluate.contact_sheet import chosen_bodies, chosen_poses, drape_all  # noqa: E402
-from physkin_training.evaluate.evaluate import Evaluation  # noqa: E402
+from physkin_core import Draper, avatar_from_body, cli, load_body_model, load_motion, quality
+from physkin_core import save_garment_model as save
+from physkin_training.evaluate import contact_sheet
+from physkin_training.evaluate.contact_sheet import chosen_bodies, chosen_poses, drape_all
+from physkin_training.evaluate.evaluate import Evaluation
 
 BODY = load_body_model()
 

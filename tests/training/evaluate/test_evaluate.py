@@ -7,15 +7,12 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+import torch
 import trimesh
+from random_models import random_rig
+from training.small_runs import waist_band_model
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-pytest.importorskip("warp", reason="needs the [training] extra")
-
-from random_models import random_rig  # noqa: E402
-from training.small_runs import waist_band_model  # noqa: E402
-
-from physkin_core import (  # noqa: E402
+from physkin_core import (
     Draper,
     avatar_from_body,
     load_body_model,
@@ -24,29 +21,17 @@ from physkin_core import (  # noqa: E402
     quality,
     save_garment_model,
 )
-from physkin_core.motion.loading import save_motion  # noqa: E402
-from physkin_core.motion.motion import MotionError  # noqa: E402
-from physkin_training.evaluate.evaluate import Evaluation, evaluate_model, main  # noqa: E402
-from physkin_training.evaluate.score_table import table  # noqa: E402
+from physkin_core.motion.loading import save_motion
+from physkin_core.motion.motion import MotionError
+from physkin_training.evaluate.evaluate import Evaluation, evaluate_model, main
+from physkin_training.evaluate.score_table import table
 
 CPU = torch.device("cpu")
 BODY = load_body_model()
-FIGURES = {
-    "edge_strain_percent",
-    "area_strain_percent",
-    "inside_percent",
-    "inside_worn_percent",
-    "inside_by_vertex_percent",
-    "within_3mm_percent",
-    "stretch_j",
-    "bend_j",
-    "collision_j",
-    "gravity_j",
-    "energy_j",
-    "max_depth_mm",
-    "max_depth_p999_mm",
-    "pairs",
-}
+FIGURES = set(
+    "edge_strain_percent area_strain_percent inside_percent inside_worn_percent inside_by_vertex_percent "
+    "within_3mm_percent stretch_j bend_j collision_j gravity_j energy_j max_depth_mm max_depth_p999_mm pairs".split()
+)
 
 
 @pytest.fixture(scope="module")
@@ -124,8 +109,11 @@ def test_plain_skinning_is_the_model_without_correctives(model):
     """The same bodies and poses; on a model that corrects nothing both rows are equal."""
     weight, bias = model.node_deformer[-1]
     plain = replace(model, node_deformer=(*model.node_deformer[:-1], (0 * weight, 0 * bias)))
-    rows = Evaluation(plain, CPU, bodies=1, poses=2, seed=0).figures(upright=True)
+    evaluation = Evaluation(plain, CPU, bodies=1, poses=2, seed=0)
+    rows = evaluation.figures(upright=True)
     assert rows["model"] == pytest.approx(rows["skinning"])
+    moving = evaluation.motion([replace(clip("walk", 4), rate_hz=30.0)])
+    assert moving["jitter_ratio"] == pytest.approx(1) and moving["counts"]["frames"] == 7, "measured at 60 Hz"
     corrected = Evaluation(model, CPU, bodies=1, poses=2, seed=0).figures(upright=True)
     assert corrected["skinning"] == pytest.approx(rows["skinning"])
     assert corrected["model"]["edge_strain_percent"] != pytest.approx(rows["model"]["edge_strain_percent"], rel=1e-3)
@@ -170,18 +158,6 @@ def test_full_space_minima_are_of_each_bodys_own_rest_shape(model):
     solution = evaluation.full_space_minimum(start, batch)
     assert energies.stretch.max() < 1e-6, "each starts at its own rest shape"
     assert solution.converged.all() and (solution.energy < energies.total).all(), solution
-
-
-def test_batches_hold_their_pairs_and_bodies_take_turns(model):
-    evaluation = Evaluation(model, CPU, bodies=2, poses=3, seed=0, batch=4)
-    pairs = evaluation.uniform(upright=True)
-    first, second = evaluation.batches(pairs)
-    assert (first.count, second.count) == (4, 2)
-    assert torch.equal(torch.cat([first.positions, second.positions[:2]]), pairs.positions)
-    assert torch.equal(second.positions[2:], pairs.positions[:2]), "filled up from the start"
-    assert first.body.tolist() == [0, 1, 0, 1]
-    assert torch.equal(first.modulation[::2], first.modulation[:1].expand(2, -1))
-    assert not torch.equal(first.modulation[0], first.modulation[1])
 
 
 @pytest.mark.parametrize("bodies, poses, batch", [(3, 2, 4), (2, 3, 5)])
@@ -241,15 +217,10 @@ def test_motion_is_measured_on_the_run_times_own_frames(model):
     assert rows["jitter_ratio"] != pytest.approx(1, abs=0.01)
 
 
-def test_motion_without_correctives_has_ratio_one_at_any_rate(model):
-    """A clip recorded at 30 Hz is measured at 60."""
-    weight, bias = model.node_deformer[-1]
-    plain = replace(model, node_deformer=(*model.node_deformer[:-1], (0 * weight, 0 * bias)))
-    rows = Evaluation(plain, CPU, bodies=1, poses=2, seed=0).motion([replace(clip("walk", 4), rate_hz=30.0)])
-    assert rows["counts"]["frames"] == 7 and rows["jitter_ratio"] == pytest.approx(1)
-
-
-def test_clips_that_cannot_be_measured_are_refused(model):
+def test_clips_and_bodies_that_cannot_be_measured_are_refused(model):
+    for bodies in (0, -1, 1000):
+        with pytest.raises(ValueError, match=f"bodies .*got {bodies}"):
+            Evaluation(model, CPU, bodies=bodies, poses=2, seed=0)
     evaluation = Evaluation(model, CPU, bodies=1, poses=1, seed=0)
     with pytest.raises(ValueError, match="'walk'.* 3 frames"):
         evaluation.motion([clip("walk", 2)])
@@ -299,15 +270,11 @@ def test_a_garment_that_has_left_the_body_is_warned_of(model):
     scores = evaluate_model(model, CPU, bodies=1, poses=1, seed=0, minimum=0, steps=0)
     weight = (model.garment.vertex_areas * model.material.density * 9.81).sum()
     assert scores["weight_n"] == pytest.approx(weight)
+    assert set(scores) == {"model", "skinning", "tilted", "counts", "material", "weight_n"}, "no rows of minima"
+    assert len(rows_of(table(scores))) == 3
     for lift, warned in ((0.19, False), (0.21, True)):
         scores["model"]["gravity_j"] = scores["skinning"]["gravity_j"] + lift * weight
         assert ("WARNING: the garment lies 0.21 m higher" in table(scores)) == warned
-
-
-@pytest.mark.parametrize("bodies", [0, -1, 1000])
-def test_impossible_numbers_of_bodies_are_refused(model, bodies):
-    with pytest.raises(ValueError, match=f"bodies .*got {bodies}"):
-        Evaluation(model, CPU, bodies=bodies, poses=2, seed=0)
 
 
 def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsys, rough_minima):
@@ -344,12 +311,6 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
     assert f"Jitter, model / plain skinning: {jitter}" in table(scores)
     stored = load_garment_model(tmp_path / "scored.safetensors")
     assert stored.scores == scores and stored.training == model.training
-
-
-def test_without_minima_their_rows_are_left_out(model):
-    scores = evaluate_model(model, CPU, bodies=1, poses=1, seed=0, minimum=0, steps=10)
-    assert set(scores) == {"model", "skinning", "tilted", "counts", "material", "weight_n"}
-    assert len(rows_of(table(scores))) == 3
 
 
 @pytest.mark.parametrize("training", [{}, {"optimisation": {"other_limbs": "one_way"}}])

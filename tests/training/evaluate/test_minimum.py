@@ -6,18 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
+from random_models import random_model, random_rotation, tube
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-pytest.importorskip("warp", reason="needs the [training] extra")
-
-from random_models import random_model, random_rotation, tube  # noqa: E402
-
-from physkin_core import Garment, load_body_model  # noqa: E402
-from physkin_core.model.garment_nodes import closest_bones  # noqa: E402
-from physkin_training.evaluate.evaluate import Evaluation  # noqa: E402
-from physkin_training.evaluate.minimum import subspace_minimum  # noqa: E402
-from physkin_training.networks.draping import compose_nodes, delta_transforms  # noqa: E402
-from physkin_training.networks.export import drape_from_model  # noqa: E402
+from physkin_core import Garment, load_body_model
+from physkin_core.model.garment_nodes import closest_bones
+from physkin_training.evaluate.evaluate import Evaluation
+from physkin_training.evaluate.minimum import subspace_minimum
+from physkin_training.networks.draping import compose_nodes, delta_transforms
+from physkin_training.networks.export import drape_from_model
 
 CPU = torch.device("cpu")
 

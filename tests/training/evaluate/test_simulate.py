@@ -6,21 +6,18 @@ import json
 
 import numpy as np
 import pytest
+import torch
+import trimesh
+from training.small_runs import write_belly_band
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-pytest.importorskip("warp", reason="needs the [training] extra")
-trimesh = pytest.importorskip("trimesh")
-
-from training.small_runs import write_belly_band  # noqa: E402
-
-from physkin_core import load_body_model, load_garment, load_motion  # noqa: E402
-from physkin_core.avatar.avatar import avatar_from_body  # noqa: E402
-from physkin_core.cli import main  # noqa: E402
-from physkin_core.model.garment_model import Material  # noqa: E402
-from physkin_training.evaluate.plain_model import plain_model  # noqa: E402
-from physkin_training.evaluate.simulate import DrapeSimulation, Poses, load_pose  # noqa: E402
-from physkin_training.physics import staged_drape  # noqa: E402
-from physkin_training.sampling.posed_bodies import BodySet, PosedBodies, posed_avatar  # noqa: E402
+from physkin_core import load_body_model, load_garment, load_motion
+from physkin_core.avatar.avatar import avatar_from_body
+from physkin_core.cli import main
+from physkin_core.model.garment_model import Material
+from physkin_training.evaluate.plain_model import plain_model
+from physkin_training.evaluate.simulate import DrapeSimulation, Poses, load_pose
+from physkin_training.physics import staged_drape
+from physkin_training.sampling.posed_bodies import BodySet, PosedBodies, posed_avatar
 
 CPU = torch.device("cpu")
 

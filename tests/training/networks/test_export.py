@@ -6,20 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
+from random_models import random_model
+from training.small_runs import exported, run, small_config
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-pytest.importorskip("warp", reason="needs the [training] extra")
-pytest.importorskip("potpourri3d", reason="needs the [training] extra")
-
-from random_models import random_model  # noqa: E402
-from training.small_runs import run, small_config  # noqa: E402
-
-from physkin_core import Draper, avatar_from_body, load_body_model, load_garment_model, save_garment_model  # noqa: E402
-from physkin_core.runtime.binding import encode_body  # noqa: E402
-from physkin_training.config import NetworkConfig  # noqa: E402
-from physkin_training.evaluate.plain_model import plain_model  # noqa: E402
-from physkin_training.networks import export  # noqa: E402
-from physkin_training.networks.export import (  # noqa: E402
+from physkin_core import Draper, avatar_from_body, load_body_model, load_garment_model, save_garment_model
+from physkin_core.runtime.binding import encode_body
+from physkin_training.config import NetworkConfig
+from physkin_training.evaluate.plain_model import plain_model
+from physkin_training.networks import export
+from physkin_training.networks.export import (
     ExportError,
     agreement,
     drape_from_model,
@@ -27,8 +23,8 @@ from physkin_training.networks.export import (  # noqa: E402
     model_from_drape,
     store_checked,
 )
-from physkin_training.networks.networks import Networks  # noqa: E402
-from physkin_training.train.trainer import Trainer  # noqa: E402
+from physkin_training.networks.networks import Networks
+from physkin_training.train.trainer import Trainer
 
 BODY = load_body_model()
 
@@ -45,18 +41,6 @@ def trained(tmp_path_factory):
             network.layers[-1].weight += 0.05 * torch.randn_like(network.layers[-1].weight)
         trainer.drape.skinning_logits += torch.randn_like(trainer.drape.skinning_logits)
     return trainer
-
-
-def exported(trainer, influences):
-    return model_from_drape(
-        trainer.drape,
-        trainer.garment,
-        trainer.rig,
-        name="band",
-        influences=influences,
-        material=trainer.config.material,
-        training={"seed": 5},
-    )
 
 
 def poses(count=4):
@@ -95,19 +79,6 @@ def test_the_exported_model_drapes_as_the_trained_one(trained, tmp_path):
     plain = replace(model, node_deformer=(*model.node_deformer[:-1], (0 * weight, 0 * bias)))
     skinned = Draper(plain, avatar, backend="numpy").drape(q[0], gravity[0])[:, :3]
     assert np.linalg.norm(skinned - expected[0], axis=1).max() > 0.02
-
-
-def test_agreement_of_small_and_random_models(trained, tmp_path):
-    """Below 0.1 mm, also for a model of another activation and affine garment nodes."""
-
-    def twins(model):
-        return agreement(model, drape_from_model(model), poses=3).largest
-
-    assert twins(exported(trained, 3)) < 1e-4
-    model = random_model(np.random.default_rng(0), rig=BODY.rig, activation="relu", node_outputs=12)
-    assert twins(model) < 1e-4
-    save_garment_model(model, tmp_path / "random.safetensors")
-    assert twins(load_garment_model(tmp_path / "random.safetensors")) < 1e-4
 
 
 def test_a_model_made_to_measure_agrees_both_ways(tmp_path):
@@ -167,7 +138,7 @@ def test_a_file_that_drapes_otherwise_is_refused(trained, tmp_path, monkeypatch,
     assert [entry.name for entry in tmp_path.iterdir()] == ["band.unchecked"]
 
 
-@pytest.mark.parametrize("influences", [1, 3, 6])
+@pytest.mark.parametrize("influences", [1, 3])
 def test_pruning_keeps_the_strongest_and_renormalises(trained, influences):
     model = exported(trained, influences)
     weights = trained.drape.skinning_weights.detach().numpy()

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from random_models import tube, tube_geodesics
 
-pytest.importorskip("potpourri3d", reason="needs the [training] extra")
-
-from physkin_core import Garment  # noqa: E402
-from physkin_training.networks.garment_nodes import initial_skinning_weights, sample_garment_nodes  # noqa: E402
+from physkin_core import Garment
+from physkin_training.networks.garment_nodes import initial_skinning_weights, sample_garment_nodes
 
 SPACING = 0.01
 
@@ -35,48 +33,13 @@ def test_distances_are_geodesic(cloth):
     assert np.abs(distances[np.arange(30), nodes]).max() < 1e-9
 
 
-def test_farthest_points_are_spread(cloth):
-    """Any two nodes are farther apart than any vertex is from its closest node (the property of the greedy choice)."""
-    _, nodes, _, exact = cloth
-    assert len(set(nodes.tolist())) == 30
-    between = exact[:, nodes] + np.where(np.eye(30, dtype=bool), np.inf, 0)
-    covering = exact.min(axis=0).max()
-    assert between.min() > covering - 0.01
-    area = 2 * math.pi * 0.15 * 0.4
-    assert covering < 1.1 * math.sqrt(area / 30)
-
-
 def test_each_node_is_the_farthest_from_those_before_it(cloth):
-    _, nodes, _, exact = cloth
+    garment, nodes, _, exact = cloth
+    radius = np.linalg.norm(garment.vertices - garment.vertices.mean(axis=0), axis=1)
+    assert radius[nodes[0]] == pytest.approx(radius.max()) and len(set(nodes.tolist())) == 30
     for count in range(1, 30):
         to_others = exact[:count].min(axis=0)
         assert to_others[nodes[count]] > to_others.max() - 0.015
-
-
-def test_the_first_node_is_the_farthest_from_the_centroid(cloth):
-    garment, nodes, _, _ = cloth
-    radius = np.linalg.norm(garment.vertices - garment.vertices.mean(axis=0), axis=1)
-    assert radius[nodes[0]] == pytest.approx(radius.max())
-
-
-def test_sampling_is_deterministic_and_nested(cloth):
-    """The first ten of thirty are the ten of ten."""
-    garment, nodes, distances, _ = cloth
-    fewer, fewer_distances = sample_garment_nodes(garment, 10)
-    np.testing.assert_array_equal(fewer, nodes[:10])
-    np.testing.assert_array_equal(fewer_distances, distances[:10])
-
-
-def test_all_vertices_may_become_nodes():
-    garment = tube(rings=3, segments=5)
-    nodes, distances = sample_garment_nodes(garment, 15)
-    assert sorted(nodes.tolist()) == list(range(15)) and distances.shape == (15, 15)
-
-
-@pytest.mark.parametrize("count", [0, -1, 16])
-def test_impossible_counts_are_refused(count):
-    with pytest.raises(ValueError, match=f"{count} .* 15"):
-        sample_garment_nodes(tube(rings=3, segments=5), count)
 
 
 def two_tubes():
@@ -84,6 +47,11 @@ def two_tubes():
     return Garment(
         np.concatenate([one.vertices, one.vertices + [0, 0, 1]]), np.concatenate([one.faces, one.faces + 144])
     )
+
+
+def with_a_loose_vertex():
+    one = tube(rings=3, segments=5)
+    return Garment(np.vstack([one.vertices, [0, 0, 3]]), one.faces)
 
 
 def test_every_piece_of_a_garment_gets_nodes():
@@ -108,15 +76,17 @@ def test_pieces_are_measured_as_if_alone():
     np.testing.assert_array_equal(distances[0, :144], expected[0])
 
 
-def test_fewer_garment_nodes_than_pieces_are_refused():
-    with pytest.raises(ValueError, match="cannot cover 2 separate pieces of the garment with 1 garment nodes"):
-        sample_garment_nodes(two_tubes(), 1)
-
-
-def test_a_vertex_without_a_face_is_refused():
-    one = tube(rings=3, segments=5)
-    with pytest.raises(ValueError, match="garment vertex 15 belongs to no face"):
-        sample_garment_nodes(Garment(np.vstack([one.vertices, [0, 0, 3]]), one.faces), 3)
+@pytest.mark.parametrize(
+    "garment, count, named",
+    [
+        *((tube(rings=3, segments=5), count, f"{count} .* 15") for count in (0, -1, 16)),
+        (two_tubes(), 1, "cannot cover 2 separate pieces of the garment with 1 garment nodes"),
+        (with_a_loose_vertex(), 3, "garment vertex 15 belongs to no face"),
+    ],
+)
+def test_impossible_nodes_are_refused(garment, count, named):
+    with pytest.raises(ValueError, match=named):
+        sample_garment_nodes(garment, count)
 
 
 def test_skinning_weights_row_by_row(cloth):
@@ -130,15 +100,6 @@ def test_skinning_weights_row_by_row(cloth):
         expected = np.array([math.exp(-distances[node, vertex] / spacing) for node in closest])
         np.testing.assert_allclose(weights[vertex], expected / expected.sum(), rtol=1e-9)
         np.testing.assert_allclose(distances[order[vertex], vertex], distances[closest, vertex])
-
-
-def test_skinning_weights_sum_to_one_and_fall_with_distance(cloth):
-    garment, nodes, distances, _ = cloth
-    order, weights = initial_skinning_weights(garment, distances, 16)
-    np.testing.assert_allclose(weights.sum(axis=1), 1)
-    assert (np.diff(weights, axis=1) <= 0).all() and weights.min() > 0
-    assert (np.diff(np.take_along_axis(distances.T, order, axis=1), axis=1) >= 0).all()
-    np.testing.assert_array_equal(order[nodes, 0], np.arange(30))
 
 
 def test_more_influences_than_nodes_means_all_of_them():

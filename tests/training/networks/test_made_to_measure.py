@@ -6,22 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from training.small_runs import small_config
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-pytest.importorskip("warp", reason="needs the [training] extra")
-pytest.importorskip("potpourri3d", reason="needs the [training] extra")
-
-from training.small_runs import small_config  # noqa: E402
-
-from physkin_core import load_body_model, load_garment  # noqa: E402
-from physkin_core.model.garment import face_areas  # noqa: E402
-from physkin_core.runtime.garment_grading import GarmentGrading  # noqa: E402
-from physkin_training.networks.made_to_measure import MadeToMeasure  # noqa: E402
-from physkin_training.physics.surface_queries import BodySurface  # noqa: E402
-from physkin_training.physics.wearing import Wearing  # noqa: E402
-from physkin_training.train.processes import Processes  # noqa: E402
-from physkin_training.train.trainer import Trainer  # noqa: E402
-from physkin_training.train.validation import Validation  # noqa: E402
+from physkin_core import load_body_model, load_garment
+from physkin_core.model.garment import face_areas
+from physkin_core.runtime.garment_grading import GarmentGrading
+from physkin_training.networks.made_to_measure import MadeToMeasure
+from physkin_training.physics.surface_queries import BodySurface
+from physkin_training.physics.wearing import Wearing
+from physkin_training.train.processes import Processes
+from physkin_training.train.trainer import Trainer
+from physkin_training.train.validation import Validation
 
 CPU = torch.device("cpu")
 BODY = load_body_model()

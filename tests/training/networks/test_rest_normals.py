@@ -7,22 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-pytest.importorskip("warp", reason="needs the [training] extra")
-
-from physkin_core import load_garment_model, save_garment_model  # noqa: E402
-from physkin_core.model.garment import Garment, vertex_normals  # noqa: E402
-from physkin_core.model.model_file import shipped_models  # noqa: E402
-from physkin_core.model.skinning import cofactors  # noqa: E402
-from physkin_core.rig.rig import Rig  # noqa: E402
-from physkin_training.config import NetworkConfig  # noqa: E402
-from physkin_training.networks import rest_normals  # noqa: E402
-from physkin_training.networks.draping import Drape  # noqa: E402
-from physkin_training.networks.export import drape_from_model  # noqa: E402
-from physkin_training.networks.garment_nodes import GarmentNodeSet  # noqa: E402
-from physkin_training.networks.rest_normals import fitted_rest_normals, main, normal_errors  # noqa: E402
-from physkin_training.physics.area_normals import area_normals  # noqa: E402
+from physkin_core import load_garment_model, save_garment_model
+from physkin_core.model.garment import Garment, vertex_normals
+from physkin_core.model.model_file import shipped_models
+from physkin_core.rig.rig import Rig
+from physkin_training.config import NetworkConfig
+from physkin_training.networks.draping import Drape
+from physkin_training.networks.export import drape_from_model
+from physkin_training.networks.garment_nodes import GarmentNodeSet
+from physkin_training.networks.rest_normals import fitted_rest_normals, main, normal_errors
 
 
 @pytest.fixture(scope="module")
@@ -47,19 +42,6 @@ def test_shipped_models_carry_fitted_normals(name):
     assert fitted["uniform"].p99 < share * own["uniform"].p99
 
 
-def test_torch_normals_are_the_run_time_s():
-    """Of sheared frames; a vertex that no face uses has none."""
-    rng = np.random.default_rng(4)
-    faces, linear = rng.integers(0, 30, size=(70, 3)), rng.normal(size=(5, 7, 3, 3))
-    frames = rng.normal(size=(3, 31, 3))
-    np.testing.assert_allclose(rest_normals._cofactors(torch.as_tensor(linear)).numpy(), cofactors(linear), atol=1e-12)
-    sums = area_normals(torch.as_tensor(frames), torch.as_tensor(faces))
-    normals = torch.nn.functional.normalize(sums, dim=2).numpy()
-    for vertices, found in zip(frames, normals):
-        np.testing.assert_allclose(found[:30], vertex_normals(vertices, faces)[:30], atol=1e-9)
-        assert not found[30].any()
-
-
 def test_where_one_node_carries_everything_the_normals_are_the_mesh_s_own(tshirt):
     """A rigid garment needs no correction, whatever the poses."""
     garment = Garment(tshirt.garment.vertices, tshirt.garment.faces)
@@ -72,16 +54,13 @@ def test_where_one_node_carries_everything_the_normals_are_the_mesh_s_own(tshirt
     np.testing.assert_allclose(fitted, vertex_normals(garment.vertices, garment.faces), atol=1e-4)
 
 
-def test_another_rig_is_refused(tshirt):
+@pytest.mark.parametrize("wrong", [{"bodies": 0}, {"bodies": 10**6}, {"poses": 0}])
+def test_impossible_numbers_and_other_rigs_are_refused(tshirt, wrong):
+    with pytest.raises(ValueError, match="allowed"):
+        fitted_rest_normals(drape_from_model(tshirt), tshirt.garment, tshirt.rig, **wrong)
     rig = Rig.from_json(tshirt.rig.to_json() | {"dofs": tshirt.rig.to_json()["dofs"][1:]})
     with pytest.raises(ValueError, match="rig"):
         fitted_rest_normals(drape_from_model(tshirt), tshirt.garment, rig)
-
-
-@pytest.mark.parametrize("wrong", [{"bodies": 0}, {"bodies": 10**6}, {"poses": 0}])
-def test_impossible_numbers_are_refused(tshirt, wrong):
-    with pytest.raises(ValueError, match="allowed"):
-        fitted_rest_normals(drape_from_model(tshirt), tshirt.garment, tshirt.rig, **wrong)
 
 
 def test_store_writes_what_it_fitted(tshirt, tmp_path, monkeypatch, capsys):

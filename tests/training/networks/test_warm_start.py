@@ -6,16 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
+from training.small_runs import exported, small_config
 
-torch = pytest.importorskip("torch")
-pytest.importorskip("warp")
-
-from training.small_runs import small_config  # noqa: E402
-
-from physkin_core.model.model_file import save_garment_model  # noqa: E402
-from physkin_training.networks.export import agreement, drape_from_model, model_from_drape  # noqa: E402
-from physkin_training.networks.warm_start import NEW_INFLUENCE, take_over_model  # noqa: E402
-from physkin_training.train.trainer import Trainer  # noqa: E402
+from physkin_core.model.model_file import save_garment_model
+from physkin_training.networks.export import agreement, drape_from_model
+from physkin_training.networks.warm_start import NEW_INFLUENCE, take_over_model
+from physkin_training.train.trainer import Trainer
 
 CPU = torch.device("cpu")
 
@@ -28,11 +25,7 @@ def trained(tmp_path_factory):
     with torch.no_grad():
         for parameter in trainer.drape.parameters():
             parameter += 0.05 * torch.randn_like(parameter)
-    config = trainer.config
-    model = model_from_drape(
-        trainer.drape, trainer.garment, trainer.rig, name="band", influences=3, material=config.material,
-        training={"seed": 5},
-    )  # fmt: skip
+    model = exported(trainer, 3)
     save_garment_model(model, folder / "band.safetensors")
     return folder, model
 
@@ -81,10 +74,7 @@ def test_other_models_are_refused(trained):
     wider = replace(config, networks=replace(config.networks, pose_hidden=25))
     with pytest.raises(ValueError, match=r"pose_modulator.layers.0.* is \(24, .*expected \(25, "):
         take_over_model(model, Trainer(wider, CPU).drape)
-    both = Trainer(small_config(folder, fit="both"), CPU)
-    learnt = model_from_drape(
-        both.drape, both.garment, both.rig, name="band", influences=3, material=config.material
-    )  # fmt: skip
+    learnt = exported(Trainer(small_config(folder, fit="both"), CPU), 3)
     with pytest.raises(ValueError, match="hyper_modulator.fit is .*expected none"):
         take_over_model(learnt, drape)
     assert drape_from_model(learnt).networks.hyper_modulator.fit.shape == (8,)

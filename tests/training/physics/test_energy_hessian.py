@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
+import warp as wp
+from random_models import tube
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-wp = pytest.importorskip("warp", reason="needs the [training] extra")
-
-from random_models import tube  # noqa: E402
-
-from physkin_core.model.garment_model import Material  # noqa: E402
-from physkin_training.physics.energy_hessian import EnergyHessian  # noqa: E402
-from physkin_training.physics.physics_losses import PhysicsLosses  # noqa: E402
-from physkin_training.physics.rest_data import RestData  # noqa: E402
+from physkin_core.model.garment_model import Material
+from physkin_training.physics.energy_hessian import EnergyHessian
+from physkin_training.physics.physics_losses import PhysicsLosses
+from physkin_training.physics.rest_data import RestData
 
 CPU = torch.device("cpu")
 SAMPLES = 2

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
+import warp as wp
+from random_models import tube
+from scipy.optimize import minimize
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-wp = pytest.importorskip("warp", reason="needs the [training] extra")
-
-from random_models import tube  # noqa: E402
-from scipy.optimize import minimize  # noqa: E402
-
-from physkin_core import Garment, load_body_model  # noqa: E402
-from physkin_core.model.garment_model import Material  # noqa: E402
-from physkin_training.physics.full_space_solver import FullSpaceSolver  # noqa: E402
-from physkin_training.physics.physics_losses import PhysicsLosses  # noqa: E402
-from physkin_training.sampling.posed_bodies import BodySet, PosedBodies  # noqa: E402
-from training import physics_oracle as oracle  # noqa: E402
+from physkin_core import Garment, load_body_model
+from physkin_core.model.garment_model import Material
+from physkin_training.physics.full_space_solver import FullSpaceSolver
+from physkin_training.physics.physics_losses import PhysicsLosses
+from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
+from training import physics_oracle as oracle
 
 CPU = torch.device("cpu")
 FAR_AWAY = np.array([[50.0, 0, 0], [51, 0, 0], [50, 1, 0]])
@@ -71,16 +69,6 @@ def test_a_triangle_hanging_from_two_corners(density):
     assert result.converged.all()
     np.testing.assert_allclose(result.vertices[:, 2].numpy(), [[0, 0, -stretch * height]] * 2, atol=1e-3)
     np.testing.assert_array_equal(result.vertices[:, :2].numpy(), start[:, :2].astype(np.float32))
-
-
-def test_stretched_cloth_returns_to_its_rest_lengths():
-    """Almost without gravity the minimum of the elastic energy is none at all, in whatever place."""
-    garment = tube(rings=4, segments=8)
-    material = Material(density=1e-6)
-    result = solve(garment, material, 1.15 * garment.vertices[None], mesh(FAR_AWAY, [0, 1, 2]), tolerance=10.0)
-    ends = result.vertices[0].numpy()[garment.edges]
-    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    np.testing.assert_allclose(lengths, garment.edge_lengths, rtol=1e-4)
 
 
 def test_a_hanging_tube_reaches_the_minimum_of_the_oracle():

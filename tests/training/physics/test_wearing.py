@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from random_models import tube
 
-pytest.importorskip("pydantic", reason="needs the [training] extra")
-
-from physkin_core.avatar.body_model import load_body_model  # noqa: E402
-from physkin_core.model.garment import Garment, load_garment  # noqa: E402
-from physkin_training.physics.wearing import BAND_WIDTH, WORN_WITHIN, Wearing  # noqa: E402
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.model.garment import Garment, load_garment
+from physkin_training.physics.wearing import BAND_WIDTH, WORN_WITHIN, Wearing
 
 GARMENTS = Path(__file__).parents[3] / "training" / "garments"
 BODY = load_body_model()

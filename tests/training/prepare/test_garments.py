@@ -7,84 +7,33 @@ import pytest
 import trimesh
 from random_models import tube
 
-from physkin_core.avatar.body_model import load_body_model
 from physkin_training.fit_garment.mesh_repair import boundary_loops
 
 GARMENT_FOLDER = Path(__file__).parents[3] / "training" / "garments"
-OPENINGS = {"tshirt": 4, "longsleeve": 4, "dress": 4, "trousers": 3, "skirt": 2}
 VERTEX_COUNTS = {"tshirt": 3930, "longsleeve": 5072, "dress": 6438, "trousers": 4963, "skirt": 2989}
 EDGE_LENGTH = 0.015
-CONTACT_OFFSET = 0.003
-
-each_garment = pytest.mark.parametrize("name", OPENINGS)
+each_garment = pytest.mark.parametrize("name", VERTEX_COUNTS)
 
 
 def load_garment(name: str) -> trimesh.Trimesh:
     return trimesh.load(GARMENT_FOLDER / f"{name}.obj", process=False, maintain_order=True)
 
 
-def edges_with_count(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
-    """Undirected edges (e, 2) and the number of triangles at each (e,)."""
-    return np.unique(np.sort(mesh.edges, axis=1), axis=0, return_counts=True)
-
-
-def opening_loops(mesh: trimesh.Trimesh) -> list[np.ndarray]:
-    edges, count = edges_with_count(mesh)
-    return [np.array(list(loop)) for loop in trimesh.graph.connected_components(edges[count == 1])]
-
-
-def capped(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The garment with every opening closed by a fan around its centre."""
-    vertices, faces = list(mesh.vertices), list(mesh.faces)
-    directed = {tuple(edge) for edge in mesh.edges.tolist()}
-    for loop in opening_loops(mesh):
-        members = set(loop.tolist())
-        vertices.append(mesh.vertices[loop].mean(axis=0))
-        for start, end in directed:
-            if start in members and end in members and (end, start) not in directed:
-                faces.append([end, start, len(vertices) - 1])
-    return trimesh.Trimesh(vertices, faces, process=False)
-
-
-@each_garment
-def test_is_one_manifold_sheet_that_faces_outwards(name):
-    """Every edge has one or two triangles, every vertex one fan of them; all hang together, wound alike."""
-    mesh = load_garment(name)
-    edges, count = edges_with_count(mesh)
-    assert set(count) == {1, 2}
-    boundary_degree = np.bincount(edges[count == 1].ravel(), minlength=len(mesh.vertices))
-    assert set(boundary_degree) == {0, 2}
-    assert mesh.body_count == 1 and len(opening_loops(mesh)) == OPENINGS[name]
-    assert np.array_equal(np.unique(mesh.faces), np.arange(len(mesh.vertices)))
-    closed = capped(mesh)
-    assert mesh.is_winding_consistent and closed.is_watertight and closed.volume > 0.01
-    assert len(mesh.vertices) - len(edges) + len(mesh.faces) == 2 - OPENINGS[name]  # Euler: a sphere with holes
-
-
 @each_garment
 def test_triangles_are_even(name):
-    """Edges keep to the edge length, no triangle is degenerate, and no fold or spike stands out."""
+    """Edges keep to the edge length, no triangle is degenerate, and no fold or spike stands out; left is as right.
+
+    The checks of fit-garment, which all shipped garments pass unchanged, see to the rest.
+    """
     mesh = load_garment(name)
     assert abs(len(mesh.vertices) / VERTEX_COUNTS[name] - 1) < 0.02
     lengths = mesh.edges_unique_length
     assert lengths.mean() == pytest.approx(EDGE_LENGTH, rel=0.03)
     assert lengths.min() > 0.3 * EDGE_LENGTH and lengths.max() < 2.0 * EDGE_LENGTH
     assert mesh.area_faces.min() > 1e-5 and np.degrees(mesh.face_angles.min()) > 10
+    assert mesh.bounds[0, 1] == pytest.approx(-mesh.bounds[1, 1], abs=0.01)
     bend = np.degrees(mesh.face_adjacency_angles)
     assert (bend > 45).mean() < 2e-3 and bend.max() < 135  # armpits and crotch only
-
-
-@each_garment
-def test_is_worn_by_the_shipped_body(name):
-    """Metres, left and right alike, around the root or the chest above it; no vertex is in contact."""
-    mesh, model = load_garment(name), load_body_model()
-    low, high = mesh.bounds
-    assert -0.3 < low[0] < 0 < high[0] < 0.3 and low[1] == pytest.approx(-high[1], abs=0.01)
-    assert (low[2] < -0.05) and (high[2] > 0.04) and (high[2] - low[2] < 1.0)
-    body = trimesh.Trimesh(model.vertices(model.garment_body), model.faces, process=False)
-    closest, distance, triangle = trimesh.proximity.closest_point(body, mesh.vertices)
-    assert distance.min() >= CONTACT_OFFSET
-    assert (np.einsum("nd,nd->n", mesh.vertices - closest, body.face_normals[triangle]) > 0).all()
 
 
 @pytest.fixture(scope="module")
@@ -144,24 +93,15 @@ def test_impossible_requests_are_rejected(prepare_garments, name, edge_length, n
 
 @pytest.mark.parametrize(
     ("spoil", "message"),
-    [
-        (lambda vertices, faces: (vertices, faces[np.arange(len(faces)) != 3000]), "3 openings, 2 wanted"),
-        (lambda vertices, faces: (vertices, faces[:, ::-1]), "triangles facing out"),
-        (lambda vertices, faces: (vertices * [0.1, 0.1, 1], faces), "m clearance"),
-        (lambda vertices, faces: (vertices, np.concatenate([faces, faces[:1]])), "not manifold"),
-        (lambda vertices, faces: (vertices, np.concatenate([faces[:1, ::-1], faces[1:]])), "consistently wound"),
-    ],
-    ids=["hole", "inside out", "in contact", "doubled triangle", "flipped triangle"],
+    [(lambda faces: np.delete(faces, 3000, axis=0), "3 openings, 2 wanted"), (lambda faces: faces[:, ::-1], "winding")],
+    ids=["hole", "inside out"],
 )
-def test_check_garment_rejects(prepare_garments, spoil, message):
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.05)
-    ball.apply_translation([0, 0, -0.1])
-    surface = prepare_garments.SolidBody(ball.vertices, ball.faces)
+def test_a_garment_that_needs_repair_is_not_written(prepare_garments, spoil, message):
     mesh = load_garment("skirt")
     vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
-    prepare_garments.check_garment("skirt", vertices, faces, surface)
+    prepare_garments.check_made("skirt", vertices, faces)
     with pytest.raises(RuntimeError, match=message):
-        prepare_garments.check_garment("skirt", *spoil(vertices, faces), surface)
+        prepare_garments.check_made("skirt", vertices, spoil(faces))
 
 
 @pytest.fixture(scope="module")

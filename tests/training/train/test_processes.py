@@ -9,21 +9,20 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-pytest.importorskip("warp", reason="needs the [training] extra")
-pytest.importorskip("potpourri3d", reason="needs the [training] extra")
 if not torch.distributed.is_available():
     pytest.skip("this torch has no distributed package", allow_module_level=True)
 
-from safetensors.torch import load_file  # noqa: E402
-from training.small_runs import as_toml, small_config  # noqa: E402
+from safetensors.torch import load_file
+from training.small_runs import small_config
 
-from physkin_core import load_garment_model  # noqa: E402
-from physkin_training.train import processes  # noqa: E402
-from physkin_training.train.processes import Processes, join  # noqa: E402
-from physkin_training.train.train import main  # noqa: E402
-from physkin_training.train.trainer import Trainer  # noqa: E402
+from physkin_core import load_garment_model
+from physkin_training.fit_garment.fit_garment import as_toml
+from physkin_training.train import processes
+from physkin_training.train.processes import Processes, join
+from physkin_training.train.train import main
+from physkin_training.train.trainer import Trainer
 
 TESTS = Path(__file__).parents[2]
 CPU = torch.device("cpu")

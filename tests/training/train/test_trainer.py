@@ -9,22 +9,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
+from training.small_runs import run, small_config, train_command
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-pytest.importorskip("warp", reason="needs the [training] extra")
-pytest.importorskip("potpourri3d", reason="needs the [training] extra")
-
-from training.small_runs import as_toml, run, small_config  # noqa: E402
-
-from physkin_core import load_body_model, load_garment, load_garment_model  # noqa: E402
-from physkin_core.model.garment import vertex_normals  # noqa: E402
-from physkin_core.model.hyper_modulator import POINT_COUNT  # noqa: E402
-from physkin_training.config import load_config  # noqa: E402
-from physkin_training.networks.export import drape_from_model  # noqa: E402
-from physkin_training.networks.rest_normals import fitted_rest_normals  # noqa: E402
-from physkin_training.physics.physics_losses import PhysicsLosses  # noqa: E402
-from physkin_training.train.train import main  # noqa: E402
-from physkin_training.train.trainer import TERMS, Trainer  # noqa: E402
+from physkin_core import load_body_model, load_garment, load_garment_model
+from physkin_core.model.garment import vertex_normals
+from physkin_core.model.hyper_modulator import POINT_COUNT
+from physkin_training.config import load_config
+from physkin_training.fit_garment.fit_garment import as_toml
+from physkin_training.networks.export import drape_from_model
+from physkin_training.networks.rest_normals import fitted_rest_normals
+from physkin_training.physics.physics_losses import PhysicsLosses
+from physkin_training.train.train import main
+from physkin_training.train.trainer import TERMS, Trainer
 
 CPU = torch.device("cpu")
 
@@ -62,14 +59,6 @@ def test_skinning_weights_and_all_networks_learn(tmp_path, skinning_rate):
     assert torch.equal(trainer.drape.skinning_weights, weights), "as a resumed run does"
 
 
-def test_the_seed_decides_the_start(tmp_path):
-    config = small_config(tmp_path)
-    first, again, other = (Trainer(replace(config, seed=seed), CPU).drape.networks for seed in (5, 5, 6))
-    weight = first.pose_modulator.layers[0].weight
-    assert torch.equal(weight, again.pose_modulator.layers[0].weight)
-    assert not torch.equal(weight, other.pose_modulator.layers[0].weight)
-
-
 def test_other_bodies_may_be_trained_on(tmp_path):
     body_model = load_body_model()
     others = replace(body_model, train_bodies=body_model.held_out_bodies[:2])
@@ -104,13 +93,9 @@ def test_schedules(tmp_path, monkeypatch):
     assert pruned_at == [(26, 5), (38, 4), (51, 3)], "one by one from 6"
     assert reaches == [0.1] * 50 + [0.04] * 50
     assert points == [64] * 80 + [POINT_COUNT] * 20
-
-
-def test_pruned_from_the_start(tmp_path):
-    """Without growth the first step has the late reach, and the influences of the end."""
     trainer = Trainer(small_config(tmp_path, growth=0.0, prune_from=0.0, prune_at=0.0), CPU)
-    run(trainer, 1)
-    assert trainer.losses.reach == 0.05 and ((trainer.drape.skinning_weights > 0).sum(dim=1) == 3).all()
+    next(trainer.run(1))
+    assert trainer.losses.reach == 0.05, "late at once without growth"
 
 
 def test_reports_are_means_over_the_steps_and_the_median_of_the_last(tmp_path, monkeypatch):
@@ -197,7 +182,7 @@ def test_the_command_writes_model_checkpoint_and_scalars(finished_run):
 
 def test_ctrl_c_saves_an_exact_checkpoint(config_file, finished_run, tmp_path, monkeypatch, unfitted_normals):
     """The step finishes; the run then goes on as if nothing had been."""
-    common = ["--config", str(config_file), "--device", "cpu", "--output", str(tmp_path / "out")]
+    common = train_command(tmp_path)
     with monkeypatch.context() as context:
         context.setattr(Trainer, "take_step", step_then(lambda: signal.raise_signal(signal.SIGINT), at=5))
         assert main(common) == 130
@@ -240,7 +225,7 @@ def test_a_run_that_diverges_keeps_the_good_checkpoint(
     """Checkpoints at every step, or none; the ninth step is no longer finite."""
     original = Trainer.objective
     monkeypatch.setattr(Trainer, "objective", lambda trainer, *given: spoilt(trainer, *given, original, what))
-    common = ["--config", str(config_file), "--device", "cpu", "--output", str(tmp_path / "out")]
+    common = train_command(tmp_path)
     assert main([*common, *arguments]) == 1
     error = capsys.readouterr().err
     assert "not finite at step 9" in error and ("start from it" in error) == bool(kept)
@@ -253,7 +238,7 @@ def test_the_model_file_tells_what_it_was_started_from(finished_run, tmp_path, u
     config = tmp_path / "second.toml"
     config.write_text(as_toml(replace(small_config(tmp_path, steps=2), seed=6)))
     started = ["--start-from", str(finished_run / "out" / "checkpoint")]
-    assert main(["--config", str(config), "--device", "cpu", "--output", str(tmp_path / "out"), *started]) == 0
+    assert main(train_command(tmp_path, *started, config="second.toml")) == 0
     training = load_garment_model(tmp_path / "out" / "band.safetensors").training
     told = load_garment_model(finished_run / "out" / "band.safetensors").training
     assert training["seed"] == 6
@@ -262,9 +247,8 @@ def test_the_model_file_tells_what_it_was_started_from(finished_run, tmp_path, u
 
 def test_an_export_that_drapes_otherwise_is_refused(finished_run, tmp_path, monkeypatch, capsys, unfitted_normals):
     monkeypatch.setattr("physkin_training.networks.export.EXPORT_TOLERANCE", 1e-9)
-    resumed = ["--resume", str(finished_run / "out" / "checkpoint")]
-    command = ["--config", str(finished_run / "band.toml"), "--device", "cpu", "--output", str(tmp_path), *resumed]
-    assert main(command) == 1
+    resumed = "--resume", finished_run / "out" / "checkpoint"
+    assert main(train_command(finished_run, *resumed, out=tmp_path)) == 1
     assert "allowed 1e-06 mm" in capsys.readouterr().err and not list(tmp_path.glob("*.safetensors"))
     assert (tmp_path / "band.unchecked").exists()
 
@@ -281,7 +265,7 @@ def test_an_export_that_drapes_otherwise_is_refused(finished_run, tmp_path, monk
 )
 def test_impossible_arguments(config_file, tmp_path, capsys, arguments, named):
     with pytest.raises(SystemExit):
-        main(["--config", str(config_file), "--output", str(tmp_path / "out"), "--device", "cpu", *arguments])
+        main(train_command(tmp_path, *arguments))
     assert named in capsys.readouterr().err.splitlines()[-1]
 
 
@@ -297,12 +281,10 @@ def test_impossible_arguments(config_file, tmp_path, capsys, arguments, named):
 )
 def test_errors_of_the_command_are_one_line(config_file, tmp_path, capsys, spoil, arguments, named):
     config_file.write_text(spoil(config_file.read_text()))
-    out = tmp_path / "out"
-    common = ["--config", str(config_file), "--output", str(out), "--device", "cpu"]
-    assert main([*common, *arguments]) == 2
+    assert main(train_command(tmp_path, *arguments)) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and named in error and len(error.splitlines()) == 1
-    assert not out.exists()
+    assert not (tmp_path / "out").exists()
 
 
 def test_choosing_the_steps_leaves_the_run_as_it_was(tmp_path):

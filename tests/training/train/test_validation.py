@@ -5,22 +5,19 @@ from __future__ import annotations
 import math
 
 import pytest
+import torch
+from training.small_runs import small_config, train_command
 
-torch = pytest.importorskip("torch", reason="needs the [training] extra")
-pytest.importorskip("warp", reason="needs the [training] extra")
-pytest.importorskip("potpourri3d", reason="needs the [training] extra")
-
-from training.small_runs import as_toml, small_config  # noqa: E402
-
-from physkin_core import load_body_model, load_garment_model  # noqa: E402
-from physkin_training.networks.export import drape_from_model, encode_bodies  # noqa: E402
-from physkin_training.physics.physics_losses import PhysicsLosses  # noqa: E402
-from physkin_training.physics.wearing import Wearing  # noqa: E402
-from physkin_training.sampling.posed_bodies import PosedBodies  # noqa: E402
-from physkin_training.train.processes import Processes  # noqa: E402
-from physkin_training.train.train import main  # noqa: E402
-from physkin_training.train.trainer import Trainer  # noqa: E402
-from physkin_training.train.validation import Validation  # noqa: E402
+from physkin_core import load_body_model, load_garment_model
+from physkin_training.fit_garment.fit_garment import as_toml
+from physkin_training.networks.export import drape_from_model, encode_bodies
+from physkin_training.physics.physics_losses import PhysicsLosses
+from physkin_training.physics.wearing import Wearing
+from physkin_training.sampling.posed_bodies import PosedBodies
+from physkin_training.train.processes import Processes
+from physkin_training.train.train import main
+from physkin_training.train.trainer import Trainer
+from physkin_training.train.validation import Validation
 
 CPU = torch.device("cpu")
 BODY = load_body_model()
@@ -98,7 +95,7 @@ def test_training_does_not_notice(tmp_path):
     seldom = Trainer(small_config(tmp_path, growth=0.0, prune_from=0.0, prune_at=0.0, validate_every=500), CPU)
     list(seldom.run(2))
     assert torch.equal(torch.get_rng_state(), state)
-    assert seldom.best is None
+    assert seldom.best is None and seldom.best_drape() is seldom.averaged
     for (name, left), right in zip(often.drape.named_parameters(), seldom.drape.parameters(), strict=True):
         assert torch.equal(left, right), name
 
@@ -122,15 +119,10 @@ def test_the_lowest_is_kept_once_range_and_influences_are_final(tmp_path, monkey
     assert torch.equal(trainer.averaged.skinning_logits, averages[12])
 
 
-def test_without_a_measurement_the_last_average_is_exported(trainer):
-    assert trainer.best is None and trainer.best_drape() is trainer.averaged
-
-
 def test_the_export_is_the_best_model(tmp_path, monkeypatch, unfitted_normals):
     """Through the command: two measurements, the first one better."""
     config = small_config(tmp_path, steps=4, growth=0.0, prune_from=0.0, prune_at=0.0, validate_every=2)
-    path = tmp_path / "band.toml"
-    path.write_text(as_toml(config))
+    (tmp_path / "band.toml").write_text(as_toml(config))
     averages = []
 
     def energy(_, drape, __):
@@ -138,7 +130,7 @@ def test_the_export_is_the_best_model(tmp_path, monkeypatch, unfitted_normals):
         return float(len(averages))
 
     monkeypatch.setattr(Validation, "energy", energy)
-    assert main(["--config", str(path), "--output", str(tmp_path / "out"), "--device", "cpu"]) == 0
+    assert main(train_command(tmp_path)) == 0
     model = load_garment_model(tmp_path / "out" / "band.safetensors")
     assert model.training["step"] == 2 and model.training["validation_energy_j"] == 1.0
     exported = drape_from_model(model).skinning_weights.detach().sort(dim=1).values

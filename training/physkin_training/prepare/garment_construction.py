@@ -1,4 +1,4 @@
-"""Surface operations that turn a piece of a helper mesh into a garment: clip, offset, loft, remesh, fair, push out.
+"""Surface operations that turn a piece of a helper mesh into a garment: clip, offset, loft, remesh, fair.
 
 Frame: the avatar's root frame, X forward, Y left, Z up, origin at the head of the root bone. Unit: metres.
 Letters: `n` vertices, `f` triangles, `r` vertices of one boundary loop. Outward winding is counter-clockwise outside.
@@ -16,7 +16,7 @@ import trimesh
 
 from physkin_training.fit_garment.mesh_repair import boundary_loops, compacted
 
-__all__ = ["SolidBody", "Shell", "clip", "fair", "largest_component", "loft", "offset", "remesh"]
+__all__ = ["Shell", "clip", "fair", "largest_component", "loft", "offset", "remesh"]
 
 REMESH_ITERATIONS = 20
 FAIRING_ITERATIONS = 40
@@ -42,41 +42,6 @@ class Shell:
         """Return the shell made of `faces` (f', 3) alone, without the vertices that none of them uses."""
         vertices, renumbered = compacted(self.vertices, faces)
         return Shell(vertices, renumbered, self.arm_skinning_weights[np.unique(faces)])
-
-
-class SolidBody:
-    """Closed body that answers exact signed-distance queries."""
-
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray):
-        """Build the search trees for `vertices` (n, 3) [m, root frame] and outward wound `faces` (f, 3)."""
-        self._vertices = np.ascontiguousarray(vertices, dtype=np.float64)
-        self._faces = np.ascontiguousarray(faces, dtype=np.int32)
-        self._distance_tree = gpytoolbox.squared_distance_precompute(self._vertices, self._faces)
-        self._winding_tree = gpytoolbox.fast_winding_number_precompute(self._vertices, self._faces)
-
-    def signed_distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the distance to the exact closest point, and the way out.
-
-        points: (n, 3) [m, root frame].
-        Returns (distance (n,) [m], negative inside; outward (n, 3) unit vectors of its steepest growth).
-        """
-        distance, triangle, barycentric = gpytoolbox.signed_distance(
-            np.ascontiguousarray(points),
-            self._vertices,
-            self._faces,
-            cpp_aabb=self._distance_tree,
-            fwn_bvh=self._winding_tree,
-        )
-        closest = np.einsum("nk,nkd->nd", barycentric, self._vertices[self._faces[triangle]])
-        outward = (points - closest) / np.where(np.abs(distance) > 1e-9, distance, np.inf)[:, None]
-        return distance, outward
-
-    def push_out(self, points: np.ndarray, clearance: float, *, iterations: int = 10, step: float = 0.02) -> np.ndarray:
-        """Return `points` (n, 3) [m], those closer than `clearance` [m] moved out, at most `step` [m] an iteration."""
-        for _ in range(iterations):
-            distance, outward = self.signed_distance(points)
-            points = points + outward * np.clip(clearance - distance, 0.0, step)[:, None]
-        return points
 
 
 def clip(shell: Shell, field: np.ndarray) -> Shell:

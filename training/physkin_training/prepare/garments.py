@@ -20,15 +20,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import gpytoolbox
 import numpy as np
 import trimesh
 
-from physkin_training.fit_garment.mesh_repair import boundary_loops
+from physkin_core.avatar.avatar import avatar_from_body
+from physkin_core.avatar.body_model import load_body_model
+from physkin_training.fit_garment.checks import check_mesh
+from physkin_training.fit_garment.mesh_repair import boundary_loops, compacted
+from physkin_training.physics.surface_queries import BodySurface
 from physkin_training.prepare.bodies import GARMENT_BODY, to_root_frame
 from physkin_training.prepare.garment_construction import (
     Shell,
-    SolidBody,
     clip,
     fair,
     largest_component,
@@ -42,7 +44,6 @@ __all__ = ["GARMENTS", "TemplateBody", "load_template_body", "main", "prepare_ga
 EDGE_LENGTH = 0.015
 EDGE_LENGTH_RANGE = (0.008, 0.03)
 CLEARANCE = 0.004
-SMALLEST_CLEARANCE = 0.003  # the contact offset of training: a garment at rest must not be in contact
 ARM_BONES = ("upperarm", "lowerarm", "wrist", "finger", "metacarpal")
 ARM_SHARE = 0.3  # above this share of the arms' skinning weights a vertex belongs to an arm rather than to the torso
 
@@ -242,42 +243,33 @@ def prepare_garment(
     name: a key of GARMENTS.
     edge_length: mean edge length of the mesh [m].
     Returns (vertices (n, 3) float64, root frame [m]; faces (f, 3) int, outward winding).
-    Raises ValueError for an unknown name or an edge length outside EDGE_LENGTH_RANGE, RuntimeError if the result lacks
-    a property that every garment must have (see check_garment).
+    Raises ValueError for an unknown name or an edge length outside EDGE_LENGTH_RANGE, RuntimeError if the result needs
+    repair or lacks an opening (see check_made).
     """
     if name not in GARMENTS:
         raise ValueError(f"unknown garment {name!r}; known garments: {', '.join(GARMENTS)}")
     shortest, longest = EDGE_LENGTH_RANGE
     if not shortest <= edge_length <= longest:
         raise ValueError(f"edge length {edge_length} m is outside [{shortest}, {longest}] m")
-    surface = SolidBody(body.vertices, body.body_faces)
+    surface = BodySurface(*compacted(body.vertices, body.body_faces))
     shell = GARMENTS[name].make(body)
     vertices, faces = remesh(surface.push_out(shell.vertices, CLEARANCE), shell.faces, edge_length)
     vertices = surface.push_out(fair(vertices, faces), CLEARANCE)
-    check_garment(name, vertices, faces, surface)
+    check_made(name, vertices, faces)
     return vertices, faces
 
 
-def check_garment(name: str, vertices: np.ndarray, faces: np.ndarray, surface: SolidBody) -> None:
-    """Raise RuntimeError unless the garment is one manifold sheet with its openings, facing out, clear of the body."""
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    if len(gpytoolbox.non_manifold_edges(faces)) or not mesh.is_winding_consistent:
-        raise RuntimeError(f"garment {name}: not manifold or not consistently wound; try another edge length")
-    openings, components = len(boundary_loops(faces)), mesh.body_count
-    clearance = surface.signed_distance(vertices)[0].min()
-    facing_out = np.einsum("fd,fd->f", surface.signed_distance(mesh.triangles_center)[1], mesh.face_normals) > 0
-    smallest_area = mesh.area_faces.min()
+def check_made(name: str, vertices: np.ndarray, faces: np.ndarray) -> None:
+    """Raise RuntimeError unless the garment has its openings and passes the checks of fit-garment as it is."""
+    body_model = load_body_model()
+    template = avatar_from_body(body_model, body_model.garment_body)
     failures = [
-        f"{found} {what}, {allowed} wanted"
-        for what, found, allowed, holds in (
-            ("components", components, "1", components == 1),
-            ("openings", openings, GARMENTS[name].openings, openings == GARMENTS[name].openings),
-            ("m clearance", clearance, f"at least {SMALLEST_CLEARANCE}", clearance >= SMALLEST_CLEARANCE),
-            ("of the triangles facing out", facing_out.mean(), "more than 0.9", facing_out.mean() > 0.9),
-            ("m2 smallest triangle", smallest_area, "more than 1e-7", smallest_area > 1e-7),
-        )
-        if not holds
+        f"{verdict.check}: {verdict.found}"
+        for verdict in check_mesh(vertices, faces, template, template).verdicts
+        if verdict.outcome in ("repaired", "refused")
     ]
+    if not failures and (openings := len(boundary_loops(faces))) != GARMENTS[name].openings:
+        failures = [f"{openings} openings, {GARMENTS[name].openings} wanted"]
     if failures:
         raise RuntimeError(f"garment {name}: {'; '.join(failures)}; try another edge length")
 
