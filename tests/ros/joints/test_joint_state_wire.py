@@ -55,20 +55,6 @@ def test_equals_the_reader(reader, order):
             assert wire.stamp == stamp and wire.values.tolist() == values
 
 
-def test_equals_rclpy(reader):
-    """The bytes rclpy makes, velocities and efforts behind the positions."""
-    pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
-    from rclpy.serialization import serialize_message
-    from sensor_msgs.msg import JointState
-
-    message = JointState(name=["neck", "tail", "hip"], position=[4.0, 9.0, 1.0], velocity=[7.0] * 3, effort=[8.0] * 3)
-    message.header.frame_id, message.header.stamp.sec, message.header.stamp.nanosec = "torso", -5, 6
-    wire, out = JointStateWire(reader), np.empty(4, dtype=np.float32)
-    wire.read(serialize_message(message), out)
-    np.testing.assert_array_equal(out, np.float32([1, 0.2, 0.3, 4]))
-    assert wire.stamp == (-5, 6)
-
-
 def test_known_names_are_not_looked_at_again(reader):
     """Whatever the stamp and the positions; two publishers may take turns."""
     wire, out = JointStateWire(reader), np.empty(4, dtype=np.float32)
