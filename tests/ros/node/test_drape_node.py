@@ -68,7 +68,7 @@ def test_bad_joint_states_leave_the_last_good_state(peer, shared_node, draper, c
 
 def test_diagnostics(peer, shared_node, draper):
     """What a person who looks for a fault needs."""
-    peer.spin_until(lambda: peer.reports, "diagnostics")
+    peer.until(lambda: peer.reports, "diagnostics")
     before = int(peer.latest("clouds published"))
     for _ in range(5):
         peer.cloud(draper.joint_names, draper.model.rig.rest, next(STAMPS))

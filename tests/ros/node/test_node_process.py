@@ -64,7 +64,7 @@ def test_sigterm_and_remapping(start, peer, model_path):
     node = start(
         "physkin_core.cli", "node", "--ros-args", "-p", f"model:={model_path}", "-r", "joint_states:=/arm/joints"
     )
-    peer.spin_until(lambda: peer.node.count_subscribers("/arm/joints"), "subscription to the new name")
+    peer.until(lambda: peer.node.count_subscribers("/arm/joints"), "subscription to the new name")
     node.send_signal(signal.SIGTERM)
     assert node.wait(10) == 0
     assert "Traceback" not in node.stdout.read()
