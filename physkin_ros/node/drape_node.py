@@ -36,7 +36,9 @@ from physkin_ros.node.settings import (
 __all__ = ["DrapeNode"]
 
 WARNING_PERIOD = 5.0  # [s]
-SWITCH_INTERVAL = 0.0005  # [s] a load in the background holds the callback up no longer; Python's own is ten times that
+SWITCH_INTERVAL = 0.00002
+"""[s] A load in the background gives the interpreter's lock up so soon after the executor asks for it. A message asks
+for it several times; at Python's own 0.005 s, or at a tenth of that, clouds come late by a multiple of the interval."""
 
 
 class DrapeNode(LifecycleNode):

@@ -46,7 +46,7 @@ def main(argv: list[str] | None = None) -> int:
     print(summary(figures))
     if options.json:
         options.json.write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    worse = regressions(figures, baseline, latency_percent=options.latency_tolerance) if baseline else None
+    worse = regressions(figures, baseline) if baseline else None
     if options.report:
         write_report(options.report, figures, *thumbnails(found, draper, count=options.pictures), worse)
     for line in worse or ():
@@ -104,11 +104,5 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--baseline", type=Path, metavar="FILE", help="an earlier --json of this bag; exit 1 when worse"
-    )
-    parser.add_argument(
-        "--latency-tolerance",
-        type=float,
-        metavar="PERCENT",
-        help="compare latencies with the baseline too (default: not, for they are the machine's)",
     )
     return parser

@@ -36,7 +36,6 @@ TOLERANCES = {
     ("jitter_ratio", "mean"): (0.05, 0.01),
 }
 """Figure -> how much larger than the baseline it may be: this share of it plus this much."""
-LATENCIES = ("p50", "p99")
 SPREAD = ("mean", "p50", "p95", "p99", "max")
 LABELS = {
     "edge_strain_percent": "edge strain [%]",
@@ -132,11 +131,11 @@ def load_baseline(path: Path) -> dict:
     return figures
 
 
-def regressions(figures: Mapping, baseline: Mapping, *, latency_percent: float | None = None) -> list[str]:
+def regressions(figures: Mapping, baseline: Mapping) -> list[str]:
     """What is worse than in the baseline, a sentence each; empty if nothing is.
 
     Figures may grow by `TOLERANCES`, rejected messages and clouds out of range not at all; a figure that only the
-    baseline has counts as worse. latency_percent: by how much latencies may grow; None: they are not compared.
+    baseline has counts as worse. Latencies are the machine's and not compared.
     Raises BaselineError when the baseline is of another bag, or measured contact on other clouds.
     """
     for section, key in (("bag", "sha256"), ("run", "contact_every")):
@@ -149,10 +148,6 @@ def regressions(figures: Mapping, baseline: Mapping, *, latency_percent: float |
         worse += _grown(f"{name} {kind}", new, old, share, margin)
     for name in ("rejected", "gravity_rejected"):
         worse += _grown(name, figures["counts"][name], _number(baseline, "counts", name), 0, 0)
-    if latency_percent is not None:
-        for kind in LATENCIES:
-            old = _number(baseline, "latency_us", kind)
-            worse += _grown(f"latency_us {kind}", figures["latency_us"][kind], old, latency_percent / 100, 0)
     return worse
 
 

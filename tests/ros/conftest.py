@@ -7,9 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
-import numpy as np
 import pytest
 
 from physkin_core import save_garment_model
@@ -117,6 +115,8 @@ def start(domain):
 def module_peer(domain):
     """The peer of all tests of a module."""
     pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
+    from drape_site import Peer
+
     peer = Peer(domain)
     yield peer
     peer.close()
@@ -128,93 +128,3 @@ def peer(module_peer):
     for collected in (module_peer.clouds, module_peer.frame_ids, module_peer.reports):
         collected.clear()
     return module_peer
-
-
-class Peer:
-    """clouds: stamp (sec, nanosec) -> points (n, 6). reports: values of each diagnostics message by name."""
-
-    def __init__(self, domain: int) -> None:
-        import rclpy
-        from diagnostic_msgs.msg import DiagnosticArray
-        from geometry_msgs.msg import Vector3Stamped
-        from rclpy.executors import SingleThreadedExecutor
-        from sensor_msgs.msg import JointState, PointCloud2
-
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context, args=[], domain_id=domain)
-        self.node = rclpy.create_node("peer", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.clouds: dict[tuple[int, int], np.ndarray] = {}
-        self.frame_ids: set[str] = set()
-        self.reports: list[dict[str, str]] = []
-        self._joint_state, self._vector = JointState, Vector3Stamped
-        self._gravity_publisher = self.node.create_publisher(Vector3Stamped, "gravity", 10)
-        self._publisher = self.node.create_publisher(JointState, "joint_states", 10)
-        self._subscription = self.node.create_subscription(PointCloud2, "drape_node/garment", self._on_cloud, 100)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-
-    def send(self, names, positions, stamp: tuple[int, int]) -> None:
-        """Publish a joint state."""
-        message = self._joint_state(name=list(names), position=[float(value) for value in positions])
-        message.header.stamp.sec, message.header.stamp.nanosec = stamp
-        self._publisher.publish(message)
-
-    def send_gravity(self, direction, stamp: tuple[int, int] = (0, 0)) -> None:
-        """Publish the direction of gravity (3,)."""
-        message = self._vector()
-        message.header.stamp.sec, message.header.stamp.nanosec = stamp
-        message.vector.x, message.vector.y, message.vector.z = map(float, direction)
-        self._gravity_publisher.publish(message)
-
-    def cloud(self, names, positions, stamp: tuple[int, int]) -> np.ndarray:
-        """The cloud (n, 6) that a joint state is answered with."""
-        self.send(names, positions, stamp)
-        self.spin_until(lambda: stamp in self.clouds, f"cloud of {stamp}")
-        return self.clouds[stamp]
-
-    def connect(self, *, gravity: bool = True, settle: float = 0.5) -> None:
-        """Wait for the drape node. gravity: and for its subscription to that topic. settle: [s] longer."""
-        publishers = (self._publisher, self._gravity_publisher) if gravity else (self._publisher,)
-        ready = (*(each.get_subscription_count for each in publishers), self._subscription.get_publisher_count)
-        self.spin_until(lambda: all(count() for count in ready), "drape node")
-        self.spin(settle)
-
-    def latest(self, key: str) -> str:
-        """A value of the latest diagnostics."""
-        return self.reports[-1][key] if self.reports else ""
-
-    def until_told(self, key: str, text: str) -> None:
-        """Wait until the diagnostics say so."""
-        self.spin_until(lambda: text in self.latest(key), f"{text!r} as {key}; has {self.reports[-1:]}")
-
-    def spin_until(self, done, what: str, seconds: float = 30.0) -> None:
-        """Serve callbacks until `done()`; fails the test after `seconds`."""
-        deadline = time.monotonic() + seconds
-        while not done():
-            assert time.monotonic() < deadline, f"no {what} within {seconds:.0f} s"
-            self.executor.spin_once(timeout_sec=0.05)
-
-    def spin(self, seconds: float) -> None:
-        """Serve callbacks for a while."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.05)
-
-    def close(self) -> None:
-        """Leave the domain."""
-        import rclpy
-
-        self.executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
-
-    def _on_cloud(self, message) -> None:
-        from physkin_ros.messages.conversions import read_cloud
-
-        self.clouds[message.header.stamp.sec, message.header.stamp.nanosec] = read_cloud(message).copy()
-        self.frame_ids.add(message.header.frame_id)
-
-    def _on_diagnostics(self, message) -> None:
-        for status in message.status:
-            self.reports.append({value.key: value.value for value in status.values} | {"summary": status.message})

@@ -41,9 +41,3 @@ def test_bad_files_are_refused(tmp_path, text, reason):
     with pytest.raises(JointMapError, match=reason) as error:
         load_joint_map(path, JOINTS)
     assert str(path) in str(error.value)
-
-
-def test_missing_file_is_refused(tmp_path):
-    """As any file that cannot be read."""
-    with pytest.raises(JointMapError, match="cannot read joint map"):
-        load_joint_map(tmp_path / "none.json", JOINTS)

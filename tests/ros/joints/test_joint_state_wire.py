@@ -55,20 +55,6 @@ def test_equals_the_reader(reader, order):
             assert wire.stamp == stamp and wire.values.tolist() == values
 
 
-def test_equals_rclpy(reader):
-    """The bytes rclpy makes, velocities and efforts behind the positions."""
-    pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
-    from rclpy.serialization import serialize_message
-    from sensor_msgs.msg import JointState
-
-    message = JointState(name=["neck", "tail", "hip"], position=[4.0, 9.0, 1.0], velocity=[7.0] * 3, effort=[8.0] * 3)
-    message.header.frame_id, message.header.stamp.sec, message.header.stamp.nanosec = "torso", -5, 6
-    wire, out = JointStateWire(reader), np.empty(4, dtype=np.float32)
-    wire.read(serialize_message(message), out)
-    np.testing.assert_array_equal(out, np.float32([1, 0.2, 0.3, 4]))
-    assert wire.stamp == (-5, 6)
-
-
 def test_known_names_are_not_looked_at_again(reader):
     """Whatever the stamp and the positions; two publishers may take turns."""
     wire, out = JointStateWire(reader), np.empty(4, dtype=np.float32)
@@ -84,17 +70,14 @@ def test_known_names_are_not_looked_at_again(reader):
     ("data", "reason"),
     [
         (b"", "no joint state: 0 bytes"),
-        (b"\0\1\0\0" + b"\0" * 4, "no joint state: 8 bytes"),
         (b"\1\2\3\4" * 20, "no joint state: 80 bytes that start with 01 02 03 04"),
         (wire_bytes([], []), "names no joints"),
         (wire_bytes(["hip", "knee"], [1.0]), "2 names but 1 positions"),
-        (wire_bytes(["hip"], [np.nan]), "'hip' is nan"),
         (wire_bytes(["hip", "hip"], [1.0, 2.0]), "are the same joint"),
         (wire_bytes(["hip"], [1.0])[:-12], "cut off"),
         (wire_bytes(["hip"], [1.0], names_count=3), "cut off"),
         (wire_bytes(["hip"], [], names_count=2**32 - 1), f"names {2**32 - 1} joints; at most {MOST_NAMES}"),
         (wire_bytes([f"joint{i}" for i in range(5000)], [0.0] * 5000), "names 5000 joints"),
-        (b"\0\1\0\0" + b"\xff" * 400, "cut off"),
     ],
 )
 def test_bad_bytes_are_refused(reader, data, reason):

@@ -37,20 +37,3 @@ def test_colcon_passes_the_work_folder_by(build, tmp_path, monkeypatch, built):
         with pytest.raises(build.BuildError, match="no generators"):
             build.build_wheel(work)
     assert (work / "COLCON_IGNORE").is_file()
-
-
-def test_other_requirements_make_another_environment(build, tmp_path, monkeypatch):
-    """The generators are installed once for each set of requirements, and those of an earlier set are deleted."""
-    wheel_files = tmp_path / "wheel"
-    wheel_files.mkdir()
-    installed = []
-    monkeypatch.setattr(build, "WHEEL_FILES", wheel_files)
-    monkeypatch.setattr(build, "_run", lambda command, environment: installed.append(command[0]))
-    monkeypatch.setattr(build.venv, "create", lambda folder, **_: folder.mkdir(parents=True))
-    pythons = []
-    for requirements in ("numpy==1", "numpy==1", "numpy==2"):
-        (wheel_files / "requirements.txt").write_text(requirements)
-        pythons.append(build._build_environment(tmp_path / "work"))
-    assert pythons[0] == pythons[1] != pythons[2]
-    assert installed == [str(pythons[0]), str(pythons[2])]
-    assert [path.name for path in (tmp_path / "work").iterdir()] == [pythons[2].parents[1].name]

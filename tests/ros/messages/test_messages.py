@@ -27,7 +27,7 @@ def test_mesh_and_garment_nodes(start, peer, garment_model, model_path):
     peer.node.create_subscription(messages.GarmentMesh, "drape_node/mesh", meshes.append, latched)
     peer.node.create_subscription(messages.GarmentNodes, "drape_node/garment_nodes", frames.append, 10)
     client = GarmentClient(peer.node, lambda frame: skinned.append((frame.header, frame.points.copy(), frame.faces)))
-    peer.spin_until(lambda: meshes, "mesh")
+    peer.until(lambda: meshes, "mesh")
     peer.spin(0.5)
 
     (mesh,) = meshes
@@ -41,7 +41,7 @@ def test_mesh_and_garment_nodes(start, peer, garment_model, model_path):
 
     positions = np.full(len(rig.joint_names), 0.05, dtype=np.float32)
     cloud = peer.cloud(rig.joint_names, positions, (5, 6))
-    peer.spin_until(lambda: frames and skinned, "garment nodes")
+    peer.until(lambda: frames and skinned, "garment nodes")
     assert (frames[0].header.stamp.sec, frames[0].header.stamp.nanosec) == (5, 6) and frames[0].revision == 1
     draper.drape(positions)
     np.testing.assert_allclose(np.reshape(frames[0].transforms, (-1, 3, 4)), draper.node_transforms(), atol=1e-6)

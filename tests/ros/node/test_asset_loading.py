@@ -43,14 +43,6 @@ def test_default_roots_are_the_folders_of_the_start(tmp_path):
         AssetRoots([""], ["", ""]).check(str(tmp_path / "body.glb"))
 
 
-def test_large_files_are_not_opened(tmp_path, monkeypatch):
-    """Their size is refused before anything is read."""
-    monkeypatch.setattr(asset_loading, "LARGEST_ASSET", 10)
-    (tmp_path / "body.glb").write_bytes(b"x" * 11)
-    with pytest.raises(AssetError, match="has 11 bytes; at most 10"):
-        AssetRoots([str(tmp_path)], []).check(str(tmp_path / "body.glb"))
-
-
 def test_shipped_names_win_over_the_working_folder(tmp_path, model_path, monkeypatch):
     """A file of that name there is not opened; nor is one without a folder that lies outside the roots."""
     monkeypatch.chdir(tmp_path)

@@ -19,16 +19,6 @@ def test_come_and_go():
     assert discovery.bodies == ("bob",)
 
 
-def test_only_so_many():
-    """The others wait until one goes."""
-    discovery = BodyDiscovery(most=2)
-    everyone = dict.fromkeys("abcd", 1)
-    assert discovery.look(everyone) == (["a", "b"], []) and discovery.waiting == {"c", "d"}
-    fewer = dict.fromkeys("bcd", 1)
-    looks = [discovery.look(fewer) for _ in range(PATIENCE)]
-    assert looks[-1] == (["c"], ["a"]) and discovery.waiting == {"d"}
-
-
 def test_topics_of_the_graph():
     """Of the right name and type; their publishers are counted."""
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from types import SimpleNamespace
-
 import numpy as np
 
 from physkin_core import load_body_model
@@ -16,13 +13,6 @@ SECOND = 1_000_000_000
 def report(reporter, counts, garment, beyond=(), now=SECOND):
     (health,) = reporter.report(counts, [garment], beyond, now)
     return (*health.summary(), health.values(now_ns=now))
-
-
-def test_before_the_first_joint_state():
-    """Nothing is wrong, there is only nothing to say."""
-    well, summary, values = report(HealthReporter(), AvatarStatistics(), GarmentStatistics())
-    assert well and summary == "waiting for joint states"
-    assert values["evaluation p50 [us]"] == "none" and values["last stamp age [s]"] == "none"
 
 
 def test_counts_rates_times_and_age():
@@ -42,20 +32,6 @@ def test_counts_rates_times_and_age():
     _, summary, values = report(reporter, counts, garment, now=3 * SECOND)
     assert values["clouds published"] == "3" and values["evaluation p50 [us]"] == "none"
     assert summary == "no joint states in the last second" and values["clouds [Hz]"] == "0.0"
-
-
-def test_rejections_warn_until_reported():
-    """The last reason stays readable after the warning has gone; gravity's are counted apart."""
-    reporter, counts, garment = HealthReporter(), AvatarStatistics(), GarmentStatistics()
-    counts.reject("too odd")
-    well, summary, _ = report(reporter, counts, garment)
-    assert not well and summary == "1 messages rejected: too odd"
-    well, _, values = report(reporter, counts, garment)
-    assert well and values["joint states rejected"] == "1" and values["last rejection"] == "too odd"
-    counts.reject_gravity("no direction")
-    well, summary, values = report(reporter, counts, garment)
-    assert not well and summary == "1 messages rejected: no direction"
-    assert (values["gravity messages rejected"], values["joint states rejected"]) == ("1", "1")
 
 
 def test_no_trouble_hides_another():
@@ -89,12 +65,3 @@ def test_poses_outside_the_trained_range():
     garment.draped(1000)
     well, summary, values = report(HealthReporter(), AvatarStatistics(), garment, beyond)
     assert not well and beyond[0] in summary and beyond[1] in values["outside the trained range"]
-
-
-def test_statistics_message_takes_the_numbers():
-    """NaN stands for what there is none of."""
-    counts, garment, message = AvatarStatistics(received=7, rejected=2), GarmentStatistics(), SimpleNamespace()
-    (health,) = HealthReporter().report(counts, [garment], (), SECOND)
-    health.fill(message)
-    assert (message.received, message.rejected, message.published, message.received_rate) == (7, 2, 0, 7.0)
-    assert math.isnan(message.evaluation_p50)

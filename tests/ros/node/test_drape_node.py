@@ -53,12 +53,8 @@ def test_bad_joint_states_leave_the_last_good_state(peer, shared_node, draper, c
     peer.cloud(names, good, (1, 0))
     peer.until_told("joint states rejected", "0")
     bad = [
-        (names, [*good[:-1], np.nan], f"{names[-1]!r} is nan"),
         (names, [np.inf, *good[1:]], f"{names[0]!r} is inf"),
-        (names, good[:-1], f"{len(names)} names but {len(names) - 1} positions"),
         (["tail", "fin"], [0.0, 0.0], "tail, fin"),
-        ([names[0], names[0]], [0.0, 1.0], "are the same joint"),
-        ([], [], "names no joints"),
     ]
     for index, (bad_names, values, reason) in enumerate(bad, start=1):
         peer.send(bad_names, values, (2, index))
@@ -72,7 +68,7 @@ def test_bad_joint_states_leave_the_last_good_state(peer, shared_node, draper, c
 
 def test_diagnostics(peer, shared_node, draper):
     """What a person who looks for a fault needs."""
-    peer.spin_until(lambda: peer.reports, "diagnostics")
+    peer.until(lambda: peer.reports, "diagnostics")
     before = int(peer.latest("clouds published"))
     for _ in range(5):
         peer.cloud(draper.joint_names, draper.model.rig.rest, next(STAMPS))

@@ -155,16 +155,8 @@ def test_hostile_body_files(site, drapes, bodies):
     for name, change, reason in (
         ("faces.glb", lambda document: accessor(document, "indices").update(byteOffset=2**31), "an accessor of"),
         ("count.glb", lambda document: accessor(document, "POSITION").update(count=2**31), "an accessor of"),
-        (
-            "view.glb",
-            lambda document: accessor(document, "POSITION").update(bufferView=-5),
-            "view -5, allowed 0 to",
-        ),
-        (
-            "none.glb",
-            lambda document: accessor(document, "JOINTS_0").update(bufferView=10**9),
-            "view 1000000000,",
-        ),
+        ("view.glb", lambda document: accessor(document, "POSITION").update(bufferView=-5), "view -5, allowed 0 to"),
+        ("none.glb", lambda document: accessor(document, "JOINTS_0").update(bufferView=10**9), "view 1000000000,"),
         ("empty.glb", nothing_but_a_count, "2147483647 elements without data"),
         ("outside.gltf", lambda document: buffer(document, "../secret.bin"), "outside the avatar's folder"),
         ("coded.gltf", lambda document: buffer(document, "%2e%2e/secret.bin"), "outside the avatar's folder"),

@@ -20,15 +20,6 @@ def sample(poses, now):
     return poses.sample(now, pose, gravity), pose, gravity
 
 
-def test_the_first_is_shown_at_once_and_once(poses):
-    """There is nothing to go between."""
-    assert sample(poses, 0)[0] is None
-    poses.push(np.float32([1, 2]), np.float32([0, 0, -1]), 7, 0)
-    stamp, pose, gravity = sample(poses, 5 * MS)
-    assert stamp == 7 and pose.tolist() == [1, 2] and gravity.tolist() == [0, 0, -1]
-    assert sample(poses, 6 * MS)[0] is None
-
-
 def test_between_two(poses):
     """One joint state late, pose, stamp and direction of gravity on the way; then it stops at the last."""
     poses.push(np.float32([0, 0]), np.float32([0, 0, -1]), 1000, 0)

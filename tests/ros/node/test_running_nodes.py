@@ -73,11 +73,11 @@ def test_options_of_a_garment(peer, running_node, model_path, draper):
     subscription = peer.node.create_subscription(Marker, "drape_node/marker", markers.append, 5)
     parameters = {"model": str(model_path), "marker": True, "deadline": 1e-9, **options}
     with running_node(parameters) as node:
-        peer.spin_until(subscription.get_publisher_count, "marker's publisher")
+        peer.until(subscription.get_publisher_count, "marker's publisher")
         cloud = peer.cloud(draper.joint_names, state, (3, 4))
         np.testing.assert_array_equal(cloud, expected.drape(state))
         assert np.abs(cloud - draper.drape(state))[:, 3:].max() > 0.1
-        peer.spin_until(lambda: markers, "marker")
+        peer.until(lambda: markers, "marker")
         peer.until_told("deadline missed", "1")
         assert peer.latest("precision") == "fp32"
         assert any(rig.joint_names[1] in report["outside the trained range"] for report in peer.reports)
@@ -98,7 +98,7 @@ def test_clouds_at_a_rate_of_their_own(peer, running_node, model_path, draper):
         peer.send(names, rest, (10, 0))
         peer.spin(0.2)
         peer.send(names, bent, (11, 0))
-        peer.spin_until(lambda: (11, 0) in peer.clouds, "last cloud")
+        peer.until(lambda: (11, 0) in peer.clouds, "last cloud")
         peer.spin(0.2)
     stamps = sorted(peer.clouds)
     assert stamps[0] == (10, 0) and stamps[-1] == (11, 0) and len(stamps) > 10
@@ -124,7 +124,7 @@ def test_other_orientations(peer, running_node, leaning_model_path, leaning_drap
             message = Imu()
             message.orientation.y, message.orientation.w = np.sin(0.3), np.cos(0.3)
             publisher = peer.node.create_publisher(Imu, "imu", qos_profile_sensor_data)
-            peer.spin_until(publisher.get_subscription_count, "subscription to the IMU")
+            peer.until(publisher.get_subscription_count, "subscription to the IMU")
             publisher.publish(message)
             peer.spin(0.2)
             cloud = peer.cloud(names, rest, (2, 0))
@@ -170,7 +170,7 @@ def test_without_autostart_and_interfaces(peer, running_node, model_path, draper
         (result,) = node.set_parameters([Parameter("model", value="tshirt")])
         assert result.successful
         shirt = len(load_garment_model("tshirt").garment.vertices)
-        peer.spin_until(lambda: len(peer.cloud(names, rest, next(STAMPS))) == shirt, "the other garment")
+        peer.until(lambda: len(peer.cloud(names, rest, next(STAMPS))) == shirt, "the other garment")
 
 
 def test_interfaces_are_told_from_none(monkeypatch):
@@ -202,7 +202,7 @@ def test_a_change_of_mind_counts(peer, running_node, model_path, draper, monkeyp
             (result,) = node.set_parameters([Parameter("model", value=model)])
             assert result.successful and started.wait(20)
         released.set()
-        peer.spin_until(finished.is_set, "the garment that is not wanted any more")
+        peer.until(finished.is_set, "the garment that is not wanted any more")
         peer.spin(0.3)
         assert len(peer.cloud(names, rest, next(STAMPS))) == draper.vertex_count
         assert node.get_parameter("model").value == str(model_path)

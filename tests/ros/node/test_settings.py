@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from physkin_ros.node import settings
-from physkin_ros.node.settings import SettingsError, load_config, read_settings
+from physkin_ros.node.settings import SettingsError, load_config
 
 CONFIG = Path(settings.__file__).parents[1] / "config"
 
@@ -16,14 +16,6 @@ def write(tmp_path, text: str) -> Path:
     path = tmp_path / "avatars.yaml"
     path.write_text(text)
     return path
-
-
-def test_defaults_are_one_garment_on_one_avatar():
-    """As the quick start has it."""
-    (avatar,) = read_settings({}).avatars
-    (garment,) = avatar.garments
-    assert (avatar.id, avatar.prefix, avatar.frame_id, avatar.gravity) == ("", "", "base_link", (0.0, 0.0, -1.0))
-    assert (garment.name, garment.model, garment.marker) == ("", "tshirt", False)
 
 
 @pytest.mark.parametrize("name", ["avatars.yaml", "one_avatar.yaml"])
@@ -62,11 +54,9 @@ def test_many_avatars(tmp_path):
     ("text", "reason"),
     [
         ("[", "cannot read config"),
-        ("- 1", "must be a ROS 2 parameter file"),
         ("camera: {ros__parameters: {}}", "names 'camera'; expected drape_node"),
         ("drape_node: {model: tshirt}", "expected drape_node: {ros__parameters"),
         ("drape_node: {ros__parameters: {modell: tshirt}}", "unknown key 'modell'; did you mean 'model'"),
-        ("drape_node: {ros__parameters: {qqq: 1}}", "unknown key 'qqq'; allowed: asset_roots, autostart"),
         ("drape_node: {ros__parameters: {push_out: true}}", "parameter push_out: push_out was removed"),
         ("{avatars: {ann: {garments: {top: {serialised: true}}}}}", "garments.top.serialised: serialised was removed"),
         (
@@ -79,19 +69,13 @@ def test_many_avatars(tmp_path):
         ("drape_node: {ros__parameters: {autostart: 1}}", "autostart is 1; allowed: true or false"),
         ("drape_node: {ros__parameters: {most_bodies: 2.5}}", "most_bodies is 2.5; allowed: a whole number from 1"),
         ("drape_node: {ros__parameters: {asset_roots: /tmp}}", "asset_roots is '/tmp'; allowed: a list of texts"),
-        ("drape_node: {ros__parameters: {asset_roots: []}}", "asset_roots is []; the items of a list"),
         ("drape_node: {ros__parameters: {gravity: [0.0, 0, -1]}}", "items of a list must be of one type"),
         ("drape_node: {ros__parameters: {gravity: [0.0, 0.0, 0.0]}}", "three finite numbers"),
         ("drape_node: {ros__parameters: {discover: ros4hri}}", "parameter discover is for avatars"),
-        ("{avatars: {ann: {}}}", "avatars.ann is empty"),
         ("{avatars: {ann: tall}}", "avatars.ann is 'tall'; expected avatars.ID.KEY"),
         (
             "{avatars: {ann: {frame_id: a}}}",
             "avatars.ann has no garments; give it one: avatars.ann.garments.NAME.model",
-        ),
-        (
-            "{avatars: {ann: {garmets: {top: {model: a}}}}}",
-            "avatars.ann.garmets.top.model: unknown key 'garmets.top.model'",
         ),
         (
             "{avatars: {ann: {garments: {top: {modl: a}}}}}",
@@ -99,9 +83,7 @@ def test_many_avatars(tmp_path):
         ),
         ("{avatars: {ann: {garments: {top: tshirt}}}}", "expected avatars.ann.garments.NAME.KEY"),
         ("{avatars: {7: {garments: {top: {model: a}}}}}", "is a int; write it in quotes"),
-        ("{avatars: {'7': {garments: {top: {model: a}}}}}", "avatar id '7'; allowed: letters"),
         ("{avatars: {ann: {garments: {a-b: {model: a}}}}}", "garment name 'a-b'; allowed: letters"),
-        ("{avatars: {ann: {garments: {top: {model: 3}}}}}", "garments.top.model is 3; allowed: a text"),
         ("{avatars: {ann: {garments: {top: {model: ''}}}}}", "garments.top.model must not be empty"),
         (
             "{avatars: {ann: {orientation: sun, garments: {top: {model: a}}}}}",
@@ -127,10 +109,3 @@ def test_what_is_wrong_is_named(tmp_path, text, reason):
     with pytest.raises(SettingsError) as error:
         load_config(path)
     assert reason in str(error.value) and str(path) in str(error.value)
-
-
-def test_missing_file(tmp_path):
-    """As any file that cannot be read."""
-    pytest.importorskip("yaml")
-    with pytest.raises(SettingsError, match="cannot read config"):
-        load_config(tmp_path / "none.yaml")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 
 import numpy as np
@@ -13,7 +12,6 @@ pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[repla
 from bag_messages import gravity, joint_state, recorded  # noqa: E402
 
 from physkin_core import cli  # noqa: E402
-from physkin_core.model.garment import vertex_normals  # noqa: E402
 from physkin_core.model.skinning import plain_skinning  # noqa: E402
 from physkin_core.quality import area_strain, edge_strain, jitter, signed_distance  # noqa: E402
 from physkin_ros.messages.conversions import read_cloud  # noqa: E402
@@ -44,14 +42,6 @@ def test_clip_to_bag_to_clouds(storage, suffix, draper, motion, tmp_path):
     for (_, _, state), (_, _, cloud), expected in zip(sent, clouds, expected_clouds(draper, motion)):
         assert cloud.header.stamp == state.header.stamp and cloud.header.frame_id == "base_link" and cloud.is_dense
         np.testing.assert_array_equal(read_cloud(cloud), expected)
-
-
-def test_same_bag_same_result(run, bag, figures):
-    """Clouds and figures agree to the last bit; latencies may not."""
-    _, again = run(bag, contact_every=4)
-    for part in (again, again["series"], figures := copy.deepcopy(figures), figures["series"]):
-        assert part.pop("latency_us")
-    assert again == figures
 
 
 def test_figures_are_those_of_the_core(draper, motion, figures):
@@ -97,10 +87,7 @@ def test_bad_messages_are_counted_and_skipped(draper, tmp_path):
     good = [joint_state([first], [0.1]), joint_state([second, "tail"], [0.2, np.nan])]
     bad = {
         "names no joints": joint_state([], []),
-        "2 names but 1 positions": joint_state([first, second], [0.5]),
-        f"'{first}' is nan": joint_state([first], [np.nan]),
         f"'{second}' is inf": joint_state([first, second], [0.3, np.inf]),
-        "the same joint": joint_state([first, first], [0.3, 0.3]),
         "no joint is known": joint_state(["tail"], [0.3]),
     }
     path, output = tmp_path / "bad.mcap", tmp_path / "out.mcap"
@@ -114,7 +101,7 @@ def test_bad_messages_are_counted_and_skipped(draper, tmp_path):
     with BagReader(path) as bag, BagWriter(output) as writer:
         found = replay(draper, bag, writer)
         figures = describe(found, draper, bag, contact_every=0)
-    assert found.counts["joint_states"] == 13 and found.counts["draped"] == 2 and found.counts["rejected"] == 11
+    assert found.counts["joint_states"] == 10 and found.counts["draped"] == 2 and found.counts["rejected"] == 8
     for reason in bad:
         assert [count for text, count in figures["reasons"].items() if reason in text] == [1], reason
     assert sum(count for text, count in figures["reasons"].items() if "bytes that are no joint state" in text) == 5
@@ -159,14 +146,6 @@ def test_joints_beyond_their_limits_are_named(run, draper, tmp_path):
     assert figures["out_of_range"] == {joint: 2} and figures["counts"]["out_of_range_clouds"] == 2
 
 
-def test_normals_of_faces_when_asked(quick, draper, leaning_model_path, bag, tmp_path):
-    """Those of the draped mesh."""
-    arguments = ["replay", str(bag), "--model", str(leaning_model_path), "--contact-every", "0", "--normals", "faces"]
-    assert cli.main([*arguments, "-o", str(tmp_path / "out")]) == 0
-    cloud = read_cloud(recorded(tmp_path / "out")[0][2])
-    np.testing.assert_allclose(cloud[:, 3:], vertex_normals(cloud[:, :3], draper.faces), atol=1e-3)
-
-
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
@@ -174,23 +153,17 @@ def test_normals_of_faces_when_asked(quick, draper, leaning_model_path, bag, tmp
         (["replay", "{bag}", "--topic", "/clouds"], "topic /clouds is not in it; topics of sensor_msgs/msg/JointState"),
         (["replay", "{bag}", "--topic", "/gravity"], "topic /gravity is geometry_msgs/msg/Vector3Stamped"),
         (["replay", "{bag}", "--gravity-topic", "/up"], "topic /up is not in it"),
-        (["replay", "{bag}", "-o", "{bag}"], "exists already"),
-        (["replay", "{bag}", "-o", "{tmp}/no/out"], "there is no folder"),
-        (["replay", "{bag}", "-o", "{tmp}/a.db3", "--storage", "mcap"], "would be a file of sqlite3, not of mcap"),
-        (["replay", "{bag}", "--gravity", "0", "0", "0"], "must be three finite numbers"),
         (["replay", "{bag}", "--joint-map", "{tmp}/none.json"], "cannot read joint map"),
         (["replay", "{bag}", "--baseline", "{tmp}/none.json"], "cannot read baseline"),
         (["replay", "{tmp}/text.mcap"], "bag "),
         (["replay", "{tmp}/text.db3"], "bag "),
         (["replay", "{tmp}/strange.mcap", "-o", "{tmp}/out"], "none of the 1 joint states on /joint_states"),
         (["convert", "nosuch", "{tmp}/a.mcap"], "no bundled motion 'nosuch'"),
-        (["convert", "{tmp}/none.bvh", "{tmp}/a.mcap"], "cannot read"),
-        (["convert", "{tmp}/text.amc", "{tmp}/a.mcap"], "text.asf"),
     ],
 )
 def test_errors_are_one_line(quick, arguments, reason, bag, model_path, tmp_path, capsys):
     """Exit status 2, a sentence on stderr, and nothing left behind."""
-    for suffix in (".mcap", ".db3", ".amc"):
+    for suffix in (".mcap", ".db3"):
         (tmp_path / f"text{suffix}").write_text("this is no bag" * 100)
     with BagWriter(tmp_path / "strange.mcap") as writer:
         writer.write("/joint_states", JOINT_STATE, joint_state(["tail"], [0.0]), 1)

@@ -39,7 +39,7 @@ def test_every_message_arrives(peer, start, bag):
     )
     node.create_subscription(Vector3Stamped, "/down", directions.append, 100)
     player = start("physkin_core.cli", "replay", str(path), "--live", "--rate", "4", "--gravity-topic", "/down")
-    peer.spin_until(lambda: len(states) == len(directions) == motion.frame_count, "all messages")
+    peer.until(lambda: len(states) == len(directions) == motion.frame_count, "all messages")
     assert player.wait(20) == 0
     assert player.stdout.read().startswith(f"sent {2 * motion.frame_count} messages, late by p50 ")
     np.testing.assert_array_equal([state.position for state in states], motion.positions.astype(np.float64))
