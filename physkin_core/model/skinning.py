@@ -6,17 +6,12 @@ Dimensions: `n` vertices, `m` garment nodes, `K` influences a vertex. Metres, ro
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from physkin_core.model.garment_nodes import pose_nodes
-from physkin_core.rig.linear_blend_skinning import blended_transforms, linear_blend_skinning
+from physkin_core.rig.linear_blend_skinning import blended_transforms
 
-if TYPE_CHECKING:
-    from physkin_core.runtime.bound_garment import BoundGarment
-
-__all__ = ["NORMALS", "SkinningData", "cofactors", "plain_skinning", "skin", "skinning_matrices", "unit"]
+__all__ = ["NORMALS", "SkinningData", "cofactors", "skin", "skinning_matrices", "unit"]
 
 NORMALS = ("skinned", "faces")
 """Where normals come from: rest normals carried along, or the draped mesh's faces."""
@@ -74,13 +69,3 @@ def skin(
     positions = np.einsum("nij,nj->ni", blended[..., :3], vertices) + blended[..., 3]
     turned = np.einsum("nij,nj->ni", cofactors(blended[..., :3]), normals)
     return positions, unit(turned)
-
-
-def plain_skinning(bound: BoundGarment, bone_transforms: np.ndarray) -> np.ndarray:
-    """The garment as its garment nodes carry it without any correction: what a model's drape is compared with.
-
-    bone_transforms: (b, 3, 4) of this body, from `Draper.bone_transforms`. Returns (n, 3).
-    """
-    nodes = pose_nodes(bone_transforms, bound.node_bone, bound.node_positions)
-    matrices = skinning_matrices(nodes, bound.node_rest)
-    return linear_blend_skinning(bound.vertices, matrices, bound.influence_nodes, bound.influence_weights)

@@ -11,10 +11,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from physkin_core.model.garment_nodes import pose_nodes
 from physkin_core.model.mlp import Layer
-from physkin_core.model.skinning import SkinningData
+from physkin_core.model.skinning import SkinningData, skinning_matrices
+from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
 
-__all__ = ["BoundGarment"]
+__all__ = ["BoundGarment", "plain_skinning"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,3 +57,13 @@ class BoundGarment(SkinningData):
     activation: str = "silu"
     pose_modulation: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     faces: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.int32))
+
+
+def plain_skinning(bound: BoundGarment, bone_transforms: np.ndarray) -> np.ndarray:
+    """The garment as its garment nodes carry it without any correction: what a model's drape is compared with.
+
+    bone_transforms: (b, 3, 4) of this body, from `Draper.bone_transforms`. Returns (n, 3).
+    """
+    nodes = pose_nodes(bone_transforms, bound.node_bone, bound.node_positions)
+    matrices = skinning_matrices(nodes, bound.node_rest)
+    return linear_blend_skinning(bound.vertices, matrices, bound.influence_nodes, bound.influence_weights)

@@ -9,8 +9,8 @@ from random_models import needs_native
 from physkin_core import Draper, load_body_model, load_garment_model
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.model.model_file import MODELS_PATH
-from physkin_core.model.skinning import plain_skinning
 from physkin_core.quality import edge_strain
+from physkin_core.runtime.bound_garment import plain_skinning
 
 GARMENTS = ("dress", "longsleeve", "skirt", "trousers", "tshirt")
 

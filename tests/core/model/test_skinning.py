@@ -8,7 +8,8 @@ import numpy as np
 from random_models import unit_rows
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar
-from physkin_core.model.skinning import plain_skinning, skin
+from physkin_core.model.skinning import skin
+from physkin_core.runtime.bound_garment import plain_skinning
 
 
 def scene(rng, *, n=20, m=6, influences=3):

@@ -12,8 +12,8 @@ pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[repla
 from bag_messages import gravity, joint_state, recorded  # noqa: E402
 
 from physkin_core import cli  # noqa: E402
-from physkin_core.model.skinning import plain_skinning  # noqa: E402
 from physkin_core.quality import area_strain, edge_strain, jitter, signed_distance  # noqa: E402
+from physkin_core.runtime.bound_garment import plain_skinning  # noqa: E402
 from physkin_ros.messages.conversions import read_cloud  # noqa: E402
 from physkin_ros.replay.bags import GRAVITY, JOINT_STATE, TYPES, BagReader, BagWriter, write_motion  # noqa: E402
 from physkin_ros.replay.figures import describe  # noqa: E402
