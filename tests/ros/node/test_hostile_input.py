@@ -114,7 +114,6 @@ def test_another_type_on_the_topic_is_reported(site, drapes):
 
 
 @pytest.mark.slow
-@pytest.mark.alone
 def test_a_storm_is_reported_and_costs_no_memory(site, drapes, garment_model):
     """Five thousand joint states a second, every other one bad, for three seconds."""
     rig = garment_model.rig

@@ -22,7 +22,6 @@ ALLOWED = 2e-3  # [s]
 
 
 @pytest.mark.slow
-@pytest.mark.alone
 def test_swaps_do_not_hold_up_clouds(start_site, tmp_path):
     """From a joint state's publication to its cloud's arrival, p99 with one new body loaded after another stays within
     2 ms of that without; rounds take turns, and their medians are compared."""
