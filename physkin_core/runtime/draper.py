@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -20,7 +20,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.runtime.binding import bind_garment, bind_points
 from physkin_core.runtime.bound_garment import BoundGarment
 
-__all__ = ["BACKENDS", "UPRIGHT_GRAVITY", "Binding", "Draper"]
+__all__ = ["BACKENDS", "STANDARD_GRAVITY", "UPRIGHT_GRAVITY", "Draper"]
 
 log = logging.getLogger(__name__)
 
@@ -32,13 +32,6 @@ LARGEST_EFFECTIVE_GRAVITY = 3.0
 UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
 """Gravity direction in the root frame of an upright body."""
 FULL_TURN = 2 * np.pi
-
-
-@dataclass(frozen=True)
-class Binding:
-    """A garment model bound to a body: what a draper works out once and another of the same two can take over."""
-
-    garment: BoundGarment
 
 
 class Draper:
@@ -53,7 +46,7 @@ class Draper:
         truer where the cloth ripples or slides, for some 5 ns a vertex.
     points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
         space; they have no faces.
-    binding: of another draper of the same model, avatar and fit, which saves encoding the body again.
+    binding: `bound` of another draper of the same model, avatar and fit, which saves encoding the body again.
     A joint more than a full turn beyond its limits is probably in degrees: the first such one is logged as a warning.
     Raises TypeError for anything but a model and an avatar; ValueError for an unknown backend, precision or kind of
     normals, a body of another rig, a fit that the model has not learnt, points that are not this garment's, or normals
@@ -71,7 +64,7 @@ class Draper:
         normals: Literal["skinned", "faces"] = "skinned",
         points: np.ndarray | None = None,
         point_normals: np.ndarray | None = None,
-        binding: Binding | None = None,
+        binding: BoundGarment | None = None,
     ) -> None:
         if not isinstance(model, GarmentModel) or not isinstance(avatar, Avatar):
             given = f"{type(model).__name__}, {type(avatar).__name__}"
@@ -80,7 +73,7 @@ class Draper:
             raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
         if backend == "numpy" and precision not in (None, "fp32"):
             raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
-        bound = bind_garment(model, avatar, fit=fit, backend=backend) if binding is None else binding.garment
+        bound = bind_garment(model, avatar, fit=fit, backend=backend) if binding is None else binding
         self._rest = rest = bound.vertices if fit else None
         if points is not None:
             bound = replace(bound, **bind_points(model, points, normals=point_normals, rest=rest))
@@ -195,11 +188,6 @@ class Draper:
                 "joint %r is %g, a full turn beyond its limits of %.2f to %.2f rad: degrees? Positions are in radians",
                 *(self.joint_names[joint], positions[joint], rig.lower[joint], rig.upper[joint]),
             )
-
-    @property
-    def binding(self) -> Binding:
-        """What another draper of the same model and avatar can be made from without encoding the body again."""
-        return Binding(self.bound)
 
     def save_bound(self, path: str | Path) -> None:
         """Write what is bound here for hosts without Python: see native/include/physkin.h."""

@@ -131,7 +131,7 @@ class DraperLoader:
                 normals=wanted.normals,
                 binding=known,
             )
-            _keep(self._bindings, key, draper.binding)
+            _keep(self._bindings, key, draper.bound)
             _return_memory()
             return LoadedDraper(draper, known is not None, perf_counter() - started)
 

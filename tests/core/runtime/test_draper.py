@@ -257,7 +257,7 @@ def test_bound_step_and_binding(backend, garment_model):
     positions, gravity = garment_model.rig.rest.astype(np.float32), np.float32([0, 0, -1])
     out = np.zeros((draper.vertex_count, 6), dtype=np.float32)
     step = draper.bind_step(positions, gravity, out)
-    again = Draper(garment_model, avatar, backend=backend, binding=draper.binding)
+    again = Draper(garment_model, avatar, backend=backend, binding=draper.bound)
     for bend in (0.0, 0.3):
         positions[2] = bend
         gravity[:] = 0, np.sin(bend), -np.cos(bend)

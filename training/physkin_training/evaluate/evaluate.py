@@ -26,6 +26,7 @@ from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion
 from physkin_core.rig.rig import Rig
+from physkin_core.runtime.draper import STANDARD_GRAVITY
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.evaluate.figures import Figures
 from physkin_training.evaluate.inside_by_vertex import inside_by_vertex
@@ -36,7 +37,7 @@ from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.networks.made_to_measure import MadeToMeasure
 from physkin_training.physics.full_space_solver import FullSpaceSolver, Solution
 from physkin_training.physics.physics_losses import Energies, PhysicsLosses
-from physkin_training.physics.rest_data import GRAVITY, RestData
+from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
@@ -305,7 +306,7 @@ def evaluate_model(
         if motions:
             made["motion"] = fitted.motion(motions)
         scores["made_to_measure"] = made
-    scores["weight_n"] = float(model.garment.vertex_areas.sum() * model.material.density * GRAVITY)
+    scores["weight_n"] = float(model.garment.vertex_areas.sum() * model.material.density * STANDARD_GRAVITY)
     if motions:
         scores["motion"] = evaluation.motion(motions)
     if minimum:

@@ -17,9 +17,9 @@ import torch
 import warp as wp
 
 from physkin_core.model.garment import Garment
+from physkin_core.runtime.draper import STANDARD_GRAVITY
 from physkin_training.physics.energy_hessian import EnergyHessian
 from physkin_training.physics.physics_losses import PhysicsLosses
-from physkin_training.physics.rest_data import GRAVITY
 from physkin_training.physics.vertex_secants import Trial, VertexSecants
 
 __all__ = ["FullSpaceSolver", "Progress", "Solution"]
@@ -117,7 +117,7 @@ class FullSpaceSolver:
         held: torch.Tensor | None = None,
     ) -> None:
         self.losses = losses
-        self.force_scale = float(garment.vertex_areas.sum()) * losses.material.density * GRAVITY
+        self.force_scale = float(garment.vertex_areas.sum()) * losses.material.density * STANDARD_GRAVITY
         self._hessian = EnergyHessian(garment, losses, samples, device)
         free = torch.ones(len(garment.vertices), device=device)
         self._free = (free if held is None else free * ~held.to(device))[:, None]

@@ -10,11 +10,9 @@ import torch
 
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material
+from physkin_core.runtime.draper import STANDARD_GRAVITY
 
-__all__ = ["GRAVITY", "RestData", "face_rest_inverse", "hinge_rest"]
-
-GRAVITY = 9.81
-"""Gravitational acceleration [m/s2]."""
+__all__ = ["RestData", "face_rest_inverse", "hinge_rest"]
 
 
 class RestData:
@@ -37,7 +35,7 @@ class RestData:
         self.face_area = table([shape.face_areas for shape in garments])
         self.vertex_area = table([shape.vertex_areas for shape in garments])
         self.edge_length = table([shape.edge_lengths for shape in garments])
-        self.weight = table([shape.vertex_areas * material.density * GRAVITY for shape in garments])
+        self.weight = table([shape.vertex_areas * material.density * STANDARD_GRAVITY for shape in garments])
         hinges = [hinge_rest(shape) for shape in garments]
         self.hinge_angle = table([angle for angle, _ in hinges])
         self.bend_stiffness = table([material.bending * factor for _, factor in hinges])

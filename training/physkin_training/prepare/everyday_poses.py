@@ -60,8 +60,7 @@ def _varied(rig: Rig, positions: np.ndarray, gravity: np.ndarray, random: np.ran
     pick = random.integers(len(positions), size=SAMPLES)
     pose, down = positions[pick], gravity[pick]
     for side in "LR":
-        arm = [name.split(f".{side}_")[0].rstrip("0123456789") in ARM_BONES for name in rig.joint_names]
-        arm = np.array([is_arm and f".{side}_" in name for is_arm, name in zip(arm, rig.joint_names)])
+        arm = np.array([name.startswith(ARM_BONES) and f".{side}_" in name for name in rig.joint_names])
         other = positions[random.integers(len(positions), size=SAMPLES)]
         pose = np.where((random.random((SAMPLES, 1)) < EXCHANGED) & arm, other, pose)
     turned = random.random((SAMPLES, 1)) < MIRRORED
