@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from numbers import Real
 
 import numpy as np
@@ -17,8 +17,10 @@ from physkin_core.model.hyper_modulator import token_features
 from physkin_core.model.mlp import ACTIVATIONS, Layer, modulation_size
 from physkin_core.rig.rig import Rig
 
-__all__ = ["GarmentModel", "GarmentModelError", "Material"]
+__all__ = ["INDEX_ARRAYS", "GarmentModel", "GarmentModelError", "Material"]
 
+INDEX_ARRAYS = ("garment.faces", "garment_nodes.bone", "skinning.nodes", "engine_skinning.nodes")
+"""The arrays of indices; all others hold floating point numbers."""
 SHORTEST_NORMAL = 1e-3
 """Rest normals may have any length from here on."""
 
@@ -63,6 +65,7 @@ class GarmentModel:
 
     garment: mesh the model was trained on. node_rest: (m, 3); node_bone: (m,) int32, index into `rig`.
     influence_nodes: (n, K) int32; influence_weights: (n, K) float32, rows sum to 1. Other integer types are converted.
+    engine_nodes, engine_weights: (n, k), the same with the few influences that engines take, learnt beside; or None.
     rest_normals: (n, 3), 1e-3 long at least, what skinning carries to the draped garment's normals. Default those
     of the mesh; fitted to drapes they come out truer, for cloth does not deform as skinning's linear part says.
     hyper_modulator: arrays by name (see `physkin_core.model.hyper_modulator`), "fit" among them only where made to
@@ -81,6 +84,8 @@ class GarmentModel:
     pose_modulator: tuple[Layer, ...]
     node_deformer: tuple[Layer, ...]
     activation: str = "silu"
+    engine_nodes: np.ndarray | None = None
+    engine_weights: np.ndarray | None = None
     rest_normals: np.ndarray | None = None
     material: Material = field(default_factory=Material)
     training: Mapping = field(default_factory=dict)
@@ -97,23 +102,23 @@ class GarmentModel:
             raise GarmentModelError(f"unknown activation {self.activation!r}; known: {', '.join(ACTIVATIONS)}")
         _expect("garment_nodes.rest", self.node_rest, (m, 3))
         _expect("garment_nodes.bone", self.node_bone, (m,))
-        influences = self.influence_nodes.shape[1] if self.influence_nodes.ndim == 2 else 0
-        _expect("skinning.nodes", self.influence_nodes, (n, influences))
-        _expect("skinning.weights", self.influence_weights, (n, influences))
         if self.rest_normals is None:
             normals = vertex_normals(self.garment.vertices, self.garment.faces)
             object.__setattr__(self, "rest_normals", normals.astype(np.float32))
         _expect("garment.normals", self.rest_normals, (n, 3))
         object.__setattr__(self, "node_bone", _indices("garment_nodes.bone", self.node_bone, self.rig.bone_count))
-        object.__setattr__(self, "influence_nodes", _indices("skinning.nodes", self.influence_nodes, m))
-        sums = self.influence_weights.sum(axis=1)
-        if self.influence_weights.min() < 0 or np.abs(sums - 1).max() > 1e-3:
-            raise GarmentModelError("skinning weights must be non-negative and sum to 1 at every vertex")
+        nodes = _influences("skinning", self.influence_nodes, self.influence_weights, vertices=n, node_count=m)
+        object.__setattr__(self, "influence_nodes", nodes)
+        if (self.engine_nodes is None) != (self.engine_weights is None):
+            raise GarmentModelError("engine_skinning needs both nodes and weights")
+        if self.engine_nodes is not None:
+            nodes = _influences("engine_skinning", self.engine_nodes, self.engine_weights, vertices=n, node_count=m)
+            object.__setattr__(self, "engine_nodes", nodes)
         _expect_chain("pose_modulator", self.pose_modulator, self.rig.pose_size, (modulation_size(self.node_deformer),))
         _expect_chain("node_deformer", self.node_deformer, 12 * m, (9 * m, 12 * m))
         _expect_hyper_modulator(self.hyper_modulator, modulation_size(self.pose_modulator))
         for name, array in self.arrays().items():
-            if name in ("garment.faces", "garment_nodes.bone", "skinning.nodes"):
+            if name in INDEX_ARRAYS:
                 continue
             if array.dtype.kind != "f":
                 raise GarmentModelError(f"{name} is of type {array.dtype}, expected floating point numbers")
@@ -135,6 +140,13 @@ class GarmentModel:
     def accelerated(self) -> bool:
         """Whether the networks have learnt effective gravity of any size, as accelerated roots feel it."""
         return bool((self.training.get("poses") or {}).get("accelerated"))
+
+    def for_engines(self) -> GarmentModel:
+        """The same model skinned by the few influences that engines take. Raises GarmentModelError when it has not
+        learnt them."""
+        if self.engine_nodes is None:
+            raise GarmentModelError(f"garment model {self.name!r} has not learnt skinning weights for engines")
+        return replace(self, influence_nodes=self.engine_nodes, influence_weights=self.engine_weights)
 
     def checked_fit(self, fit: float) -> float:
         """The fit as a number. Raises ValueError when it is not 0 to 1, or above 0 and this model has not learnt it."""
@@ -158,6 +170,8 @@ class GarmentModel:
             "skinning.nodes": self.influence_nodes,
             "skinning.weights": self.influence_weights,
         }
+        if self.engine_nodes is not None:
+            named |= {"engine_skinning.nodes": self.engine_nodes, "engine_skinning.weights": self.engine_weights}
         for network, layers in (("pose_modulator", self.pose_modulator), ("node_deformer", self.node_deformer)):
             for index, (weight, bias) in enumerate(layers):
                 named[f"{network}.{index}.weight"], named[f"{network}.{index}.bias"] = weight, bias
@@ -180,6 +194,16 @@ def _indices(name: str, indices: np.ndarray, count: int) -> np.ndarray:
     if indices.min() < 0 or indices.max() >= count:
         raise GarmentModelError(f"{name} holds index {indices.min()}..{indices.max()}, allowed 0..{count - 1}")
     return indices.astype(np.int32, copy=False)
+
+
+def _influences(name: str, nodes: np.ndarray, weights: np.ndarray, *, vertices: int, node_count: int) -> np.ndarray:
+    """The influences' garment nodes as int32, once they and their skinning weights are known to be right."""
+    count = nodes.shape[1] if nodes.ndim == 2 else 0
+    _expect(f"{name}.nodes", nodes, (vertices, count))
+    _expect(f"{name}.weights", weights, (vertices, count))
+    if weights.min() < 0 or np.abs(weights.sum(axis=1) - 1).max() > 1e-3:
+        raise GarmentModelError("skinning weights must be non-negative and sum to 1 at every vertex")
+    return _indices(f"{name}.nodes", nodes, node_count)
 
 
 def _expect_chain(name: str, layers: tuple[Layer, ...], inputs: int, outputs: tuple[int, ...]) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core.model.garment import Garment, GarmentError
-from physkin_core.model.garment_model import GarmentModel, GarmentModelError, Material
+from physkin_core.model.garment_model import INDEX_ARRAYS, GarmentModel, GarmentModelError, Material
 from physkin_core.model.mlp import Layer
 from physkin_core.rig.rig import Rig, RigError
 
@@ -27,7 +27,6 @@ FORMAT = "physkin-garment"
 SCHEMA_VERSION = 2
 """Files of version 1 lack "garment.normals"; they get those of the mesh."""
 MODELS_PATH = Path(__file__).parents[1] / "assets" / "models"
-INDEX_ARRAYS = ("garment.faces", "garment_nodes.bone", "skinning.nodes")
 GEOMETRY_ARRAYS = ("garment.vertices", "garment.normals", "garment_nodes.rest")
 
 
@@ -57,8 +56,8 @@ def load_garment_model(path: str | Path) -> GarmentModel:
                 name: tensor.astype(np.float32) if tensor.dtype.kind == "f" else tensor
                 for name, tensor in tensors.items()
             }
-            weights = arrays["skinning.weights"]
-            weights = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-6)
+            for name in arrays.keys() & {"skinning.weights", "engine_skinning.weights"}:
+                arrays[name] /= np.maximum(arrays[name].sum(axis=-1, keepdims=True), 1e-6)
         model = GarmentModel(
             name=metadata["name"],
             rig=Rig.from_json(json.loads(metadata["rig"])),
@@ -66,11 +65,13 @@ def load_garment_model(path: str | Path) -> GarmentModel:
             node_rest=arrays["garment_nodes.rest"],
             node_bone=arrays["garment_nodes.bone"],
             influence_nodes=arrays["skinning.nodes"],
-            influence_weights=weights,
+            influence_weights=arrays["skinning.weights"],
             hyper_modulator=_with_prefix(arrays, "hyper_modulator."),
             pose_modulator=_layers(arrays, "pose_modulator."),
             node_deformer=_layers(arrays, "node_deformer."),
             activation=metadata["activation"],
+            engine_nodes=arrays.get("engine_skinning.nodes"),
+            engine_weights=arrays.get("engine_skinning.weights"),
             rest_normals=arrays["garment.normals"] if int(metadata["schema_version"]) > 1 else None,
             material=Material(**json.loads(metadata["material"])),
             training=json.loads(metadata["training"]),

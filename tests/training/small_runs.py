@@ -59,7 +59,7 @@ def small_config(folder: Path, **optimisation) -> TrainingConfig:
     if not path.exists():
         write_belly_band(path)
     schedule = OptimisationConfig(
-        steps=12, samples=2, bodies=2, growth=0.5, warm_up=0.1, prune_from=0.2, prune_at=0.25, full_encoding=0.9,
+        steps=12, samples=4, bodies=2, growth=0.5, warm_up=0.1, prune_from=0.2, prune_at=0.25, full_encoding=0.9,
         encoder_points=64, learning_rate=2e-3, validate_every=4,
     )  # fmt: skip
     return TrainingConfig(
@@ -68,7 +68,7 @@ def small_config(folder: Path, **optimisation) -> TrainingConfig:
         seed=5,
         train_bodies=3,
         optimisation=replace(schedule, **optimisation),
-        garment_nodes=GarmentNodeConfig(count=12, initial_influences=6, influences=3),
+        garment_nodes=GarmentNodeConfig(count=12, initial_influences=6, influences=3, engine_influences=2),
         networks=SIZES,
     )
 

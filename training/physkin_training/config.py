@@ -55,7 +55,8 @@ class OptimisationConfig:
     `encoder_points` of them. `contact_linear_beyond` [m], `heavy_energy` [J]: see `PhysicsLosses`. `average`: decay a
     step of the moving average of networks and skinning weights that is exported, 0 for none. `validate_every`: steps
     from one measurement of the average to the next, once range and influences are final; the best one is exported.
-    `fit`: "template", one rest shape for all bodies; "both": every second body of a step wears it made to measure.
+    `steadiness` [J/m2]: weight of garment nodes that jump between poses beside each other (see `Steadiness`). `fit`:
+    "template", one rest shape for all bodies; "both": every second body of a step wears it made to measure.
     """
 
     steps: Count = 100000
@@ -76,6 +77,7 @@ class OptimisationConfig:
     gradient_clip: Positive = 10.0
     contact_linear_beyond: Positive = 0.01
     heavy_energy: Positive = 0.1
+    steadiness: Real = 50.0
     average: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.999
     validate_every: Count = 500
     fit: Literal["template", "both"] = "template"
@@ -94,11 +96,16 @@ class OptimisationConfig:
 
 @dataclass(frozen=True, config=STRICT)
 class GarmentNodeConfig:
-    """Garment nodes and skinning: `count` nodes, `initial_influences` a vertex while training, `influences` shipped."""
+    """Garment nodes and skinning: `count` nodes, `initial_influences` a vertex while training, `influences` shipped.
+
+    `engine_influences`: of a second set of skinning weights, for engines; every body's last pose of a step is skinned
+    by it. 0 for none.
+    """
 
     count: Count = 128
     initial_influences: Count = 16
     influences: Count = 16
+    engine_influences: Annotated[int, Field(strict=True, ge=0)] = 4
 
     def __post_init__(self) -> None:
         if self.initial_influences > self.count:
@@ -106,6 +113,11 @@ class GarmentNodeConfig:
         if self.influences > self.initial_influences:
             raise ValueError(
                 f"influences must be 1 to initial_influences {self.initial_influences}, got {self.influences}"
+            )
+        if self.engine_influences > self.initial_influences:
+            raise ValueError(
+                f"engine_influences must be 0 to initial_influences {self.initial_influences}, "
+                f"got {self.engine_influences}"
             )
 
 
@@ -175,6 +187,14 @@ class TrainingConfig:
     poses: PoseConfig = field(default_factory=PoseConfig)
     networks: NetworkConfig = field(default_factory=NetworkConfig)
     material: Annotated[InstanceOf[Material], BeforeValidator(_as_material)] = field(default_factory=Material)
+
+    def __post_init__(self) -> None:
+        least = 2 * self.optimisation.bodies
+        if self.garment_nodes.engine_influences and self.optimisation.samples < least:
+            raise ValueError(
+                f"optimisation.samples must be at least {least}, two poses a body, to train skinning weights for "
+                f"engines, got {self.optimisation.samples}; or set garment_nodes.engine_influences = 0"
+            )
 
     def as_plain_data(self) -> dict:
         """Tables, strings and numbers, for checkpoints and the model file; of the garment's path only the file name."""

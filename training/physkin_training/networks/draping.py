@@ -33,7 +33,8 @@ class Drape(nn.Module):
     """Pose, body modulation and bone transforms to deformed vertices; skinning weights are a softmax of logits.
 
     Skinning is one dense product: a vertex's basis is w_vi (x_v - chi-bar_i, 1) over all garment nodes.
-    made_to_measure: the networks learn rest shapes graded to the body, too.
+    made_to_measure: the networks learn rest shapes graded to the body, too. for_engines: the same garment nodes carry
+    the garment by a second set of skinning weights, of fewer influences a vertex, as engines want them.
     """
 
     def __init__(
@@ -44,6 +45,7 @@ class Drape(nn.Module):
         config: NetworkConfig,
         *,
         made_to_measure: bool = False,
+        for_engines: bool = False,
     ) -> None:
         super().__init__()
         self.networks = Networks(
@@ -52,6 +54,9 @@ class Drape(nn.Module):
         self.skinning_logits = nn.Parameter(_tensor(np.log(np.maximum(nodes.influence_weights, 1e-12))))
         self.register_buffer("influence_nodes", _tensor(nodes.influence_nodes, torch.int64))
         self.register_buffer("influence_bias", torch.zeros_like(self.skinning_logits))
+        if for_engines:
+            self.engine_logits = nn.Parameter(self.skinning_logits.detach().clone())
+            self.register_buffer("engine_bias", torch.zeros_like(self.engine_logits))
         self.register_buffer("node_rest", _tensor(nodes.rest))
         self.register_buffer("node_bone", _tensor(nodes.bone, torch.int64))
         self.register_buffer("vertices", _tensor(garment.vertices))
@@ -65,12 +70,23 @@ class Drape(nn.Module):
         """(n, K), rows sum to 1; pruned influences are exactly zero."""
         return torch.softmax(self.skinning_logits + self.influence_bias, dim=1)
 
+    @property
+    def engine_weights(self) -> torch.Tensor:
+        """The second set of skinning weights, like the first."""
+        return torch.softmax(self.engine_logits + self.engine_bias, dim=1)
+
+    @property
+    def for_engines(self) -> bool:
+        """Whether there is a second set of skinning weights."""
+        return hasattr(self, "engine_logits")
+
     def prune_influences(self, keep: int) -> None:
         """Leave only the `keep` strongest influences of every vertex; the others stay zero from here on."""
-        weights = self.skinning_weights.detach()
-        strongest = weights.topk(min(keep, weights.shape[1]), dim=1).indices
-        others = torch.ones_like(weights, dtype=torch.bool).scatter_(1, strongest, False)
-        self.influence_bias.masked_fill_(others, float("-inf"))
+        _prune(self.skinning_weights.detach(), keep, self.influence_bias)
+
+    def prune_engine_influences(self, keep: int) -> None:
+        """The same of the second set."""
+        _prune(self.engine_weights.detach(), keep, self.engine_bias)
 
     def node_positions(self, bodies: BodySet) -> torch.Tensor:
         """Twin of `physkin_core.model.garment_nodes.node_positions_on_body` for all bodies, (S, m, 3) [m]."""
@@ -112,13 +128,13 @@ class Drape(nn.Module):
         raw = self.networks(body_modulation, self.pose_vector(joint_positions, gravity), posed_nodes)
         return compose_nodes(posed_nodes, delta_transforms(raw))
 
-    def skin(self, nodes: torch.Tensor, rest: RestShape | None = None) -> torch.Tensor:
+    def skin(self, nodes: torch.Tensor, rest: RestShape | None = None, *, for_engines: bool = False) -> torch.Tensor:
         """Linear blend skinning of the garment to garment node transforms (B, m, 3, 4). Returns (B, n, 3).
 
-        rest: the samples' rest shapes, default the template for all.
+        rest: the samples' rest shapes, default the template for all. for_engines: by the second set of weights.
         """
         n, m = len(self.vertices), len(self.node_rest)
-        dense = self._dense_skinning_weights(nodes)
+        dense = self._dense(self.engine_weights if for_engines else self.skinning_weights, nodes)
         if rest is not None:
             shift = nodes[..., 3:] - nodes[..., :3] @ rest.nodes[..., None]
             handles = torch.cat([nodes[..., :3], shift], dim=-1).permute(1, 0, 2, 3).reshape(m, -1)
@@ -131,12 +147,19 @@ class Drape(nn.Module):
 
     def linear_parts(self, nodes: torch.Tensor) -> torch.Tensor:
         """The linear parts of garment node transforms (B, m, 3, 4), blended at each vertex: (B, n, 3, 3)."""
-        return torch.einsum("vm,bmij->bvij", self._dense_skinning_weights(nodes), nodes[..., :3])
+        return torch.einsum("vm,bmij->bvij", self._dense(self.skinning_weights, nodes), nodes[..., :3])
 
-    def _dense_skinning_weights(self, nodes: torch.Tensor) -> torch.Tensor:
-        """Skinning weights over all garment nodes (n, m), in the type of `nodes`."""
+    def _dense(self, weights: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
+        """Skinning weights (n, K) over all garment nodes (n, m), in the type of `nodes`."""
         dense = torch.zeros(len(self.vertices), len(self.node_rest), device=nodes.device, dtype=nodes.dtype)
-        return dense.scatter_add(1, self.influence_nodes, self.skinning_weights.to(nodes.dtype))
+        return dense.scatter_add(1, self.influence_nodes, weights.to(nodes.dtype))
+
+
+def _prune(weights: torch.Tensor, keep: int, bias: torch.Tensor) -> None:
+    """Make `bias` (n, K) minus infinity but at the `keep` largest of weights (n, K)."""
+    strongest = weights.topk(min(keep, weights.shape[1]), dim=1).indices
+    others = torch.ones_like(weights, dtype=torch.bool).scatter_(1, strongest, False)
+    bias.masked_fill_(others, float("-inf"))
 
 
 def delta_transforms(raw: torch.Tensor) -> torch.Tensor:

@@ -58,13 +58,14 @@ def model_from_drape(
     *,
     name: str,
     influences: int,
+    engine_influences: int = 0,
     material: Material,
     training: Mapping | None = None,
 ) -> GarmentModel:
-    """The garment model of a trained drape, pruned to the `influences` strongest garment nodes a vertex."""
-    weights = drape.skinning_weights.detach().cpu().numpy()
-    order = np.argsort(-weights, axis=1, kind="stable")[:, :influences]
-    kept = np.take_along_axis(weights, order, axis=1)
+    """The garment model of a trained drape, pruned to the `influences` strongest garment nodes a vertex.
+    engine_influences: those of its skinning weights for engines, 0 where it has none."""
+    nodes, weights = _strongest(drape, drape.skinning_weights, influences)
+    engine = _strongest(drape, drape.engine_weights, engine_influences) if engine_influences else (None, None)
     networks = {key: tensor.detach().cpu().numpy() for key, tensor in drape.networks.state_dict().items()}
     hyper = {
         key.removeprefix("hyper_modulator."): array
@@ -83,8 +84,10 @@ def model_from_drape(
         garment=garment,
         node_rest=drape.node_rest.cpu().numpy(),
         node_bone=drape.node_bone.cpu().numpy().astype(np.int32),
-        influence_nodes=np.take_along_axis(drape.influence_nodes.cpu().numpy(), order, axis=1).astype(np.int32),
-        influence_weights=kept / kept.sum(axis=1, keepdims=True),
+        influence_nodes=nodes,
+        influence_weights=weights,
+        engine_nodes=engine[0],
+        engine_weights=engine[1],
         hyper_modulator=hyper,
         pose_modulator=pose_modulator,
         node_deformer=(_numpy(*drape.networks.folded_first_layer()), *_layers(drape.networks.node_deformer)[1:]),
@@ -209,6 +212,15 @@ def store_checked(model: GarmentModel, drape: Drape, path: Path) -> GarmentModel
             )
     unchecked.replace(path)
     return stored
+
+
+def _strongest(drape: Drape, weights: torch.Tensor, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Garment nodes and skinning weights (n, count) of the `count` strongest influences, of weights (n, K)."""
+    weights = weights.detach().cpu().numpy()
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :count]
+    kept = np.take_along_axis(weights, order, axis=1)
+    nodes = np.take_along_axis(drape.influence_nodes.cpu().numpy(), order, axis=1).astype(np.int32)
+    return nodes, kept / kept.sum(axis=1, keepdims=True)
 
 
 def _layers(network: ModulatedMLP) -> tuple:

@@ -44,8 +44,11 @@ def take_over_model(model: GarmentModel, drape: Drape) -> dict:
                 f"cannot start from model {model.name!r}: {name} is {tuple(tensor.shape)}, expected {expected}"
             )
     drape.networks.load_state_dict(own | state)
+    logits = torch.as_tensor(_logits(model, drape.influence_nodes.cpu().numpy()))
     with torch.no_grad():
-        drape.skinning_logits.copy_(torch.as_tensor(_logits(model, drape.influence_nodes.cpu().numpy())))
+        drape.skinning_logits.copy_(logits)
+        if drape.for_engines:
+            drape.engine_logits.copy_(logits)
     return {"model": model.name} | dict(model.training)
 
 

@@ -1,7 +1,7 @@
 """Checkpoints: a folder of safetensors files and one JSON file, enough to go on exactly where a run stopped.
 
-Networks, their moving average, the best average so far, first moments and second moments lie in files of their own, so
-that none grows large.
+Networks, their moving average, the best average so far, and each kind of the optimiser's state lie in files of their
+own, so that none grows large.
 A checkpoint is written beside the one it replaces and takes its place once complete: an interrupted save loses nothing.
 """
 
@@ -19,13 +19,14 @@ from safetensors.torch import load_file, save_file
 from physkin_training.config import TrainingConfig
 from physkin_training.networks.draping import Drape
 from physkin_training.train.processes import Processes
+from physkin_training.train.soap import SIDES, Soap
 from physkin_training.train.validation import BestModel
 
 __all__ = ["CheckpointError", "Progress", "load_checkpoint", "load_drape", "save_checkpoint", "saved_steps"]
 
-MOMENTS = ("exp_avg", "exp_avg_sq")
-TENSOR_FILES = ("drape", "average", "best", *MOMENTS, "random")
-OWN_BUFFERS = ("influence_bias", "networks.node_mean", "networks.node_scale")
+OPTIMISER_FILES = ("exp_avg", "exp_avg_sq", *(f"{kind}_{side}" for kind in ("covariance", "basis") for side in SIDES))
+TENSOR_FILES = ("drape", "average", "best", *OPTIMISER_FILES, "random")
+OWN_BUFFERS = ("influence_bias", "engine_bias", "networks.node_mean", "networks.node_scale")
 """What a run sets for itself, beside what it trains."""
 FIT = "networks.hyper_modulator.fit"
 """What only a run that makes to measure, too, has."""
@@ -52,7 +53,7 @@ def save_checkpoint(
     folder: Path,
     drape: Drape,
     averaged: Drape,
-    optimiser: torch.optim.Optimizer,
+    optimiser: Soap,
     *,
     progress: Progress,
     config: TrainingConfig,
@@ -72,14 +73,12 @@ def save_checkpoint(
     partial, previous = _sibling(folder, "partial"), _sibling(folder, "previous")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    names = {id(parameter): name for name, parameter in drape.named_parameters()}
     best = progress.best
     _save(drape.state_dict(), partial / "drape.safetensors")
     _save(dict(averaged.named_parameters()), partial / "average.safetensors")
     _save(best.parameters if best else {}, partial / "best.safetensors")
-    for moment in MOMENTS:
-        moments = {names[id(p)]: state[moment] for p, state in optimiser.state.items()}
-        _save(moments, partial / f"{moment}.safetensors")
+    for kind, tensors in _optimiser_tensors(optimiser, drape).items():
+        _save(tensors, partial / f"{kind}.safetensors")
     _save(random, partial / "random.safetensors")
     state = {
         "step": progress.step,
@@ -99,7 +98,7 @@ def load_checkpoint(
     folder: Path,
     drape: Drape,
     averaged: Drape,
-    optimiser: torch.optim.Optimizer,
+    optimiser: Soap,
     *,
     config: TrainingConfig,
     processes: Processes,
@@ -117,17 +116,18 @@ def load_checkpoint(
         _check_same_model(files["drape"], drape)
         _check_fit(files["average"], parameters, "average")
         _check_fit(files["best"], parameters if state["best"] else {}, "best")
-        for moment in MOMENTS:
-            _check_fit(files[moment], parameters if state["step"] > 0 else {}, moment)
+        own = _optimiser_tensors(optimiser, drape)
+        for kind, tensors in own.items():
+            _check_fit(files[kind], tensors, kind)
         _set_random_state(files["random"], processes, seed=config.seed, step=state["step"])
     except CheckpointError as error:
         raise CheckpointError(f"checkpoint {folder} {error}") from error
     drape.load_state_dict(files["drape"])
     averaged.load_state_dict(files["drape"] | files["average"])
-    for name, parameter in parameters.items() if state["step"] > 0 else ():
-        entry = {moment: files[moment][name].to(parameter.device) for moment in MOMENTS}
-        entry["step"] = torch.tensor(float(state["step"]), device=parameter.device)
-        optimiser.state[parameter] = entry
+    for kind, tensors in own.items():
+        for name, tensor in tensors.items():
+            tensor.copy_(files[kind][name])
+    optimiser.steps.fill_(state["step"])
     best = None
     if state["best"]:
         tensors = {name: tensor.to(parameters[name].device) for name, tensor in files["best"].items()}
@@ -164,6 +164,12 @@ def saved_steps(folder: Path) -> int:
     if type(steps) is not int or steps < 1:
         raise CheckpointError(f"cannot read checkpoint {folder}: its configuration has {steps!r} optimisation.steps")
     return steps
+
+
+def _optimiser_tensors(optimiser: Soap, drape: Drape) -> dict[str, dict[str, torch.Tensor]]:
+    """The optimiser's state by kind and name of the parameter."""
+    states = {name: optimiser.state[parameter] for name, parameter in drape.named_parameters()}
+    return {kind: {name: state[kind] for name, state in states.items() if kind in state} for kind in OPTIMISER_FILES}
 
 
 def _sibling(folder: Path, suffix: str) -> Path:

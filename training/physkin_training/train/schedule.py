@@ -21,7 +21,7 @@ class Schedule:
 
     pose_range: share of the joint limits in use. contact: share of the material's contact stiffness. learning_rate: of
     networks, skinning_rate: of skinning weights. average_decay: of the moving average. reach [m]: how far the body is
-    looked for.
+    looked for. influences, engine_influences: of a vertex, in the first and the second set of skinning weights.
     """
 
     pose_range: float
@@ -30,6 +30,7 @@ class Schedule:
     skinning_rate: float
     average_decay: float
     influences: int
+    engine_influences: int
     encoder_points: int
     reach: float
 
@@ -49,15 +50,16 @@ class Schedule:
             skinning_rate=optimisation.skinning_rate * factor,
             # A young average forgets faster, so that it does not hold on to the untrained start.
             average_decay=min(optimisation.average, (1 + step) / (10 + step)),
-            influences=influences_left(progress, config),
+            influences=influences_left(progress, config, config.garment_nodes.influences),
+            engine_influences=influences_left(progress, config, config.garment_nodes.engine_influences),
             encoder_points=POINT_COUNT if progress >= optimisation.full_encoding else optimisation.encoder_points,
             reach=EARLY_REACH if progress < optimisation.growth else optimisation.late_reach,
         )
 
 
-def influences_left(progress: float, config: TrainingConfig) -> int:
+def influences_left(progress: float, config: TrainingConfig, fewest: int) -> int:
     """Influences a vertex at `progress` (0 to 1) of the run: they fall one by one from `prune_from` to `prune_at`."""
-    most, fewest = config.garment_nodes.initial_influences, config.garment_nodes.influences
+    most = config.garment_nodes.initial_influences
     start, end = config.optimisation.prune_from, config.optimisation.prune_at
     if progress < start:
         return most

@@ -181,6 +181,7 @@ def _export(trainer: Trainer, path: Path) -> int:
         trainer.rig,
         name=config.name,
         influences=config.garment_nodes.influences,
+        engine_influences=config.garment_nodes.engine_influences,
         material=config.material,
         training=training,
     )

@@ -10,9 +10,10 @@ Dimensions: `B` samples, `S` bodies of a step, `n` garment vertices.
 from __future__ import annotations
 
 import copy
+import itertools
 import math
-import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment import load_garment
 from physkin_core.model.model_file import load_garment_model
 from physkin_training.config import TrainingConfig
-from physkin_training.networks.draping import Drape
+from physkin_training.networks.draping import Drape, RestShape
 from physkin_training.networks.garment_nodes import GarmentNodeSet
 from physkin_training.networks.made_to_measure import MadeToMeasure
 from physkin_training.networks.warm_start import take_over_model
@@ -36,6 +37,9 @@ from physkin_training.train.checkpoint import Progress, load_checkpoint, load_dr
 from physkin_training.train.processes import Processes
 from physkin_training.train.recorded_step import RecordedStep
 from physkin_training.train.schedule import EARLY_REACH, Schedule
+from physkin_training.train.soap import Soap
+from physkin_training.train.steadiness import Steadiness
+from physkin_training.train.step_rate import steps_within
 from physkin_training.train.validation import BestModel, Validation
 
 __all__ = ["Trainer", "TrainingDiverged"]
@@ -46,16 +50,6 @@ LARGEST_SWELLING = 0.015
 """[m] how much may be worn under the garment."""
 COVERED_PARTS = 0.7
 """Share of a swollen body's parts that are."""
-LATE = 0.7
-"""Share of a run at which steps are as long as in most of it: full range, influences pruned."""
-MEASURING = 8.0
-"""Time [s] over which the rate of steps is measured; at most a thirtieth of the run's."""
-WARM_UP_STEPS, STEPS_A_LOOK = 60, 20
-FEWEST_STEPS = 10
-PARTS = 1000
-"""Steps of the run in which rates are measured."""
-USED = 0.97
-"""Share of the time that steps fill; the rest is for measuring the average, and for rates that were too high."""
 
 
 class TrainingDiverged(RuntimeError):
@@ -107,7 +101,9 @@ class Trainer:
         )
         self.nodes = nodes
         both = optimisation.made_to_measure
-        self.drape = Drape(self.garment, nodes, self.rig, config.networks, made_to_measure=both).to(device)
+        engines = config.garment_nodes.engine_influences > 0
+        drape = Drape(self.garment, nodes, self.rig, config.networks, made_to_measure=both, for_engines=engines)
+        self.drape = drape.to(device)
         bodies, swelling = self._training_bodies()
         self.bodies = BodySet(body_model, bodies, device, swelling=swelling)
         self.node_positions = self.drape.node_positions(self.bodies)
@@ -117,6 +113,7 @@ class Trainer:
         self.sampler = PoseSampler.configured(config.poses, self.rig, device)
         wearing = Wearing.of(self.garment, body_model).worn_faces()
         self.posed_bodies = PosedBodies(body_model, self.bodies, self._samples, faces=wearing.faces)
+        self._steadiness = Steadiness(self.drape, self.posed_bodies, optimisation.steadiness)
         self._normalise_nodes()
         self.processes.broadcast(list(self.drape.state_dict().values()))
         self.averaged = copy.deepcopy(self.drape).requires_grad_(False) if optimisation.average > 0 else self.drape
@@ -141,7 +138,7 @@ class Trainer:
         self._stretch_and_collision = torch.zeros(self._samples, device=device)
         self._summed_from = 0
         self.gradient_norm = torch.zeros((), device=device)
-        self.optimiser = self._make_optimiser()
+        self.optimiser = Soap(self.drape.networks.parameters(), self._logits(), device)
         self._recorded = RecordedStep(
             lambda: self.take_step(),
             device,
@@ -149,7 +146,8 @@ class Trainer:
             in_company=count > 1,
         )
         # Nothing is pruned before the first step, whatever its schedule says.
-        self.schedule = replace(Schedule.at(0, config), influences=config.garment_nodes.initial_influences)
+        every = config.garment_nodes.initial_influences
+        self.schedule = replace(Schedule.at(0, config), influences=every, engine_influences=every)
         if count > 1:
             self.processes.seed_samples(config.seed, 0)
 
@@ -160,6 +158,7 @@ class Trainer:
             self._set_schedules()
             self._recorded()
             self.step += 1
+            self.optimiser.turn_bases(self.step)
             self.validate()
             yield self.step
 
@@ -176,18 +175,29 @@ class Trainer:
         """
         if self.step:
             raise ValueError(f"the number of steps is chosen before the first one, not after {self.step}")
-        began = time.perf_counter()
-        rate = self._mean_rate(min(MEASURING, seconds / 30))
-        left = torch.tensor([rate, seconds - (time.perf_counter() - began)])
-        self.processes.average([left])
-        rate, left = left.tolist()
-        steps = int(rate * left * USED)
-        if steps < FEWEST_STEPS:
-            raise ValueError(
-                f"{seconds / 60:g} minutes are too short for a run of {FEWEST_STEPS} steps at {rate:.1f} a second"
+        with self.undone():
+            steps, rate = steps_within(
+                seconds,
+                self.take_steps,
+                full_encoding=self.config.optimisation.full_encoding,
+                device=self.device,
+                processes=self.processes,
             )
         self.config = replace(self.config, optimisation=replace(self.config.optimisation, steps=steps))
         return rate
+
+    def take_steps(self, progress: float, parts: int) -> Iterator[int]:
+        """Steps without end at `progress` (0 to 1) of a run of `parts` steps, of which nothing is learnt: yields their
+        number. For use within `undone`."""
+        self.config = replace(self.config, optimisation=replace(self.config.optimisation, steps=parts))
+        self.step = math.ceil(progress * parts)
+        self._set_schedules()
+        for group in self.optimiser.param_groups:
+            group["lr"].zero_()
+        for done in itertools.count(1):
+            self._recorded()
+            self.optimiser.turn_bases(done)
+            yield done
 
     def skip_to(self, step: int) -> None:
         """Leave out the steps before `step`, where a run has become slower than it was when they were chosen."""
@@ -234,53 +244,26 @@ class Trainer:
             raise TrainingDiverged(f"the averaged drape's energy is {energy} at step {self.step}")
         return energy
 
-    def _mean_rate(self, seconds: float) -> float:
-        """Steps a second over the run, from those late in it, timed over `seconds`, and those with all body points,
-        timed over a quarter of that. Leaves everything as it was."""
-        config, drapes = self.config, {id(drape): drape for drape in (self.drape, self.averaged)}.values()
+    @contextmanager
+    def undone(self) -> Iterator[None]:
+        """Everything is afterwards as it was before: for steps that are only timed, before the first one."""
+        drapes = {id(drape): drape for drape in (self.drape, self.averaged)}.values()
         states = [{name: tensor.clone() for name, tensor in drape.state_dict().items()} for drape in drapes]
         on_gpu = self.device.type == "cuda"
         random = torch.get_rng_state(), torch.cuda.get_rng_state(self.device) if on_gpu else None
-        before = self.schedule
-        self.config = replace(config, optimisation=replace(config.optimisation, steps=PARTS))
-        end = min(config.optimisation.full_encoding, 1 - 1 / PARTS)
-        late = self._steady_rate(LATE, seconds)
-        last = self._steady_rate(end, seconds / 4)
-        mean = 1 / (end / late + (1 - end) / last)
+        config, step, schedule = self.config, self.step, self.schedule
+        yield
         self._recorded.forget()
-        self.config, self.step = config, 0
-        self.schedule = before
+        self.config, self.step, self.schedule = config, step, schedule
         for drape, state in zip(drapes, states):
             drape.load_state_dict(state)
         self.optimiser.zero_grad(set_to_none=True)
-        self.optimiser.state.clear()
+        self.optimiser.reset()
         for tensor in (self._energy_sum, self._stretch_and_collision, self.gradient_norm):
             tensor.zero_()
         torch.set_rng_state(random[0])
         if on_gpu:
             torch.cuda.set_rng_state(random[1], self.device)
-        return mean
-
-    def _steady_rate(self, progress: float, seconds: float) -> float:
-        """Steps a second at `progress` (0 to 1) of the run, over `seconds` after a warm-up. Nothing is learnt."""
-        self.step = math.ceil(progress * PARTS)
-        self._set_schedules()
-        for group in self.optimiser.param_groups:
-            group["lr"].zero_()
-
-        def rate(most: float) -> float:
-            began, done, late = time.perf_counter(), 0, False
-            while not late and done < most:
-                for _ in range(STEPS_A_LOOK if self.device.type == "cuda" else 1):
-                    self._recorded()
-                    done += 1
-                if self.device.type == "cuda":
-                    torch.cuda.synchronize(self.device)
-                (late,) = self.processes.any(time.perf_counter() - began > seconds)
-            return done / (time.perf_counter() - began)
-
-        rate(WARM_UP_STEPS)
-        return rate(math.inf)
 
     def _finite_sums(self) -> list[float]:
         """Mean over the processes of the summed energies [J]. Raises TrainingDiverged when energies since the last
@@ -348,27 +331,26 @@ class Trainer:
             posed.append(self.drape.posed_nodes(bones, node_positions))
         self.drape.networks.normalise_nodes(torch.cat(posed))
 
-    def _make_optimiser(self) -> torch.optim.Adam:
-        """Adam whose learning rates sit in tensors, which `_set_schedules` fills."""
-        groups = [
-            {"params": list(self.drape.networks.parameters()), "lr": torch.zeros((), device=self.device)},
-            {"params": [self.drape.skinning_logits], "lr": torch.zeros((), device=self.device)},
-        ]
-        on_gpu = self.device.type == "cuda"
-        return torch.optim.Adam(groups, capturable=on_gpu, fused=on_gpu)
+    def _logits(self) -> list[torch.nn.Parameter]:
+        """Of the skinning weights, both sets."""
+        return [self.drape.skinning_logits, *([self.drape.engine_logits] if self.drape.for_engines else [])]
 
     def _set_schedules(self) -> None:
         before, self.schedule = self.schedule, Schedule.at(self.step, self.config)
         schedule = self.schedule
         self.range.fill_(schedule.pose_range)
         self.losses.contact_stiffness.fill_(self.config.material.contact_stiffness * schedule.contact)
-        rates = (schedule.learning_rate, schedule.skinning_rate)
-        for group, rate in zip(self.optimiser.param_groups, rates, strict=True):
-            group["lr"].fill_(rate)
+        *networks, skinning = self.optimiser.param_groups
+        for group in networks:
+            group["lr"].fill_(schedule.learning_rate)
+        skinning["lr"].fill_(schedule.skinning_rate)
         self._average_decay.fill_(schedule.average_decay)
         if schedule.influences < before.influences:
             self.drape.prune_influences(schedule.influences)
             self.averaged.influence_bias.copy_(self.drape.influence_bias)
+        if self.drape.for_engines and schedule.engine_influences < before.engine_influences:
+            self.drape.prune_engine_influences(schedule.engine_influences)
+            self.averaged.engine_bias.copy_(self.drape.engine_bias)
         self.losses.reach = schedule.reach
         if (schedule.encoder_points, schedule.reach) != (before.encoder_points, before.reach):
             self._recorded.forget()
@@ -406,9 +388,19 @@ class Trainer:
                 node_positions, fit, rest = worn.node_positions, self._made.float(), worn.rest
                 self.losses.rest_row.copy_(worn.rows)
             posed_nodes = self.drape.posed_nodes(bone_transforms, node_positions)
-        modulation = self.drape.networks.hyper_modulator(*surface, fit)
-        vertices = self.drape(modulation.repeat_interleave(per_body, dim=0), positions, gravity, posed_nodes, rest)
-        loss = self.objective(vertices, gravity)
+        modulation = self.drape.networks.hyper_modulator(*surface, fit).repeat_interleave(per_body, dim=0)
+        nodes = self.drape.draped_nodes(modulation, positions, gravity, posed_nodes)
+        loss = self.objective(self._skinned(nodes, rest), gravity)
+        if optimisation.steadiness:
+            loss = loss + self._steadiness(
+                nodes,
+                posed_nodes,
+                modulation=modulation,
+                positions=positions,
+                gravity=gravity,
+                node_positions=node_positions,
+                body=body_index,
+            )
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         self.processes.average([parameter.grad for parameter in self.drape.parameters()])
@@ -416,6 +408,21 @@ class Trainer:
         self.optimiser.step()
         self._update_average()
         self.gradient_norm.copy_(norm)
+
+    def _skinned(self, nodes: torch.Tensor, rest: RestShape | None) -> torch.Tensor:
+        """Drapes (B, n, 3) of garment nodes (B, m, 3, 4); each body's last one by the skinning weights for engines."""
+        if not self.drape.for_engines:
+            return self.drape.skin(nodes, rest)
+        parts = []
+        for poses, for_engines in ((slice(None, -1), False), (slice(-1, None), True)):
+
+            def part(values: torch.Tensor, poses: slice = poses) -> torch.Tensor:
+                return values.unflatten(0, (self._bodies, -1))[:, poses].flatten(0, 1)
+
+            own = None if rest is None else RestShape(part(rest.vertices), part(rest.nodes))
+            skinned = self.drape.skin(part(nodes), own, for_engines=for_engines)
+            parts.append(skinned.unflatten(0, (self._bodies, -1)))
+        return torch.cat(parts, dim=1).flatten(0, 1)
 
     def objective(self, vertices: torch.Tensor, gravity: torch.Tensor) -> torch.Tensor:
         """What a step descends, from drapes (B, n, 3): the mean energy [J], which is also summed up for reports."""

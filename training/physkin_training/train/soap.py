@@ -1,0 +1,118 @@
+"""SOAP: Adam in the eigenbases of Shampoo's preconditioner (Vyas et al. 2024, arXiv 2409.11321).
+
+Elastic energies are badly conditioned, and how network weights move them together is what Adam cannot see. Kept
+libraries have SOAP, but none whose step can be recorded as a CUDA graph: here a step decides nothing on the host, and
+the eigenbases are turned between steps. Dimensions: a matrix is (r, c).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import torch
+from torch.nn import Parameter
+
+__all__ = ["SIDES", "Soap"]
+
+BETAS = 0.95, 0.95
+"""Of first and second moments in the eigenbases; outside, Adam's own."""
+ADAM_BETAS = 0.9, 0.999
+COVARIANCE_BETA = 0.98
+EPSILON = 1e-8
+LEAST_SIDE, LARGEST_SIDE = 32, 2048
+"""Matrices with a smaller side are Adam's; larger sides have no eigenbasis."""
+TURN_EVERY, FIRST_TURNS = 100, 10
+"""Steps between two turns of the bases, later and in the first hundred steps."""
+SIDES = ("rows", "columns")
+
+
+class Soap(torch.optim.Optimizer):
+    """Descends networks by SOAP, and what is no matrix of them and `others` by Adam.
+
+    Learning rates are tensors, those of `param_groups`: networks' matrices, networks' vectors, others. All state lies
+    in `state`, by parameter: "exp_avg" and "exp_avg_sq", in the eigenbases where there are any, and for each side that
+    has one "covariance_rows", "basis_rows", "covariance_columns", "basis_columns".
+    """
+
+    def __init__(self, networks: Iterable[Parameter], others: Sequence[Parameter], device: torch.device) -> None:
+        networks = list(networks)
+        matrices = [p for p in networks if p.ndim == 2 and min(p.shape) >= LEAST_SIDE]
+        vectors = [p for p in networks if not any(p is matrix for matrix in matrices)]
+        groups = [(matrices, BETAS), (vectors, ADAM_BETAS), (others, ADAM_BETAS)]
+        self.steps = torch.zeros((), device=device)
+        super().__init__([{"params": list(p), "betas": betas} for p, betas in groups if p], {"lr": 0.0})
+        for group in self.param_groups:
+            group["lr"] = torch.zeros((), device=device)
+        for parameter in networks + list(others):
+            state = {name: torch.zeros_like(parameter) for name in ("exp_avg", "exp_avg_sq")}
+            if any(parameter is matrix for matrix in matrices):
+                for side, size in zip(SIDES, parameter.shape):
+                    if size <= LARGEST_SIDE:
+                        state[f"covariance_{side}"] = torch.zeros(size, size, device=device)
+                        state[f"basis_{side}"] = torch.eye(size, device=device)
+            self.state[parameter] = state
+
+    def reset(self) -> None:
+        """Forget all steps."""
+        self.steps.zero_()
+        for state in self.state.values():
+            for name, tensor in state.items():
+                tensor.zero_()
+                if name.startswith("basis"):
+                    tensor.fill_diagonal_(1.0)
+
+    @torch.no_grad()
+    def step(self) -> None:
+        """One step, of parameters that all have gradients."""
+        self.steps += 1
+        for group in self.param_groups:
+            (beta1, beta2), parameters = group["betas"], group["params"]
+            states = [self.state[parameter] for parameter in parameters]
+            for parameter, state in zip(parameters, states):
+                _update_covariances(parameter.grad, state)
+            gradients = [_into_bases(parameter.grad, state) for parameter, state in zip(parameters, states)]
+            first, second = ([state[name] for state in states] for name in ("exp_avg", "exp_avg_sq"))
+            torch._foreach_lerp_(first, gradients, 1 - beta1)
+            torch._foreach_mul_(second, beta2)
+            torch._foreach_addcmul_(second, gradients, gradients, 1 - beta2)
+            size = torch._foreach_sqrt(second)
+            torch._foreach_add_(size, EPSILON)
+            moves = torch._foreach_div(first, size)
+            torch._foreach_mul_(moves, -group["lr"] * torch.sqrt(1 - beta2**self.steps) / (1 - beta1**self.steps))
+            torch._foreach_add_(parameters, [_out_of_bases(move, state) for move, state in zip(moves, states)])
+
+    def turn_bases(self, step: int) -> None:
+        """After `step` steps: where it is time, bring all bases closer to the covariances' eigenvectors."""
+        if step % (TURN_EVERY if step > TURN_EVERY else FIRST_TURNS) == 0:
+            self._turn()
+
+    @torch.no_grad()
+    def _turn(self) -> None:
+        """One step of orthogonal iteration; first moments turn along."""
+        for state in self.state.values():
+            before = {side: state[f"basis_{side}"].clone() for side in SIDES if f"basis_{side}" in state}
+            for side, basis in before.items():
+                turned, _ = torch.linalg.qr(state[f"covariance_{side}"] @ basis)
+                state[f"basis_{side}"].copy_(turned)
+            if before:
+                moment = _out_of_bases(state["exp_avg"], {f"basis_{side}": basis for side, basis in before.items()})
+                state["exp_avg"].copy_(_into_bases(moment, state))
+
+
+def _update_covariances(gradient: torch.Tensor, state: dict) -> None:
+    if "covariance_rows" in state:
+        state["covariance_rows"].addmm_(gradient, gradient.mT, beta=COVARIANCE_BETA, alpha=1 - COVARIANCE_BETA)
+    if "covariance_columns" in state:
+        state["covariance_columns"].addmm_(gradient.mT, gradient, beta=COVARIANCE_BETA, alpha=1 - COVARIANCE_BETA)
+
+
+def _into_bases(matrix: torch.Tensor, state: dict) -> torch.Tensor:
+    if "basis_rows" in state:
+        matrix = state["basis_rows"].mT @ matrix
+    return matrix @ state["basis_columns"] if "basis_columns" in state else matrix
+
+
+def _out_of_bases(matrix: torch.Tensor, state: dict) -> torch.Tensor:
+    if "basis_rows" in state:
+        matrix = state["basis_rows"] @ matrix
+    return matrix @ state["basis_columns"].mT if "basis_columns" in state else matrix

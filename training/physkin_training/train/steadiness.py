@@ -1,0 +1,55 @@
+"""A penalty on garment nodes that jump: where cloth can lie in two places, networks must not switch from one to the
+other between two poses beside each other.
+
+Dimensions: `B` samples, `m` garment nodes, `d` degrees of freedom.
+"""
+
+from __future__ import annotations
+
+import torch
+
+from physkin_training.networks.draping import Drape
+from physkin_training.sampling.posed_bodies import PosedBodies
+
+__all__ = ["Steadiness"]
+
+BESIDE = 0.03
+"""Standard deviation [rad] of every joint between a pose and the one beside it, about a frame of fast motion."""
+SLACK = 0.015
+"""How much more [m] than its bone a garment node may move between the two at no cost."""
+
+
+class Steadiness:
+    """Compares drapes of poses with drapes of poses drawn beside them. stiffness [J/m2]: of a node's excess motion."""
+
+    def __init__(self, drape: Drape, posed_bodies: PosedBodies, stiffness: float) -> None:
+        self._drape, self._posed_bodies, self._stiffness = drape, posed_bodies, stiffness
+
+    def __call__(
+        self,
+        nodes: torch.Tensor,
+        posed_nodes: torch.Tensor,
+        *,
+        modulation: torch.Tensor,
+        positions: torch.Tensor,
+        gravity: torch.Tensor,
+        node_positions: torch.Tensor,
+        body: torch.Tensor,
+    ) -> torch.Tensor:
+        """Mean energy [J] a sample. nodes, posed_nodes (B, m, 3, 4): draped and plainly posed garment nodes of joint
+        positions (B, d) under gravity (B, 3); modulation (B, s), node_positions (B, m, 3) and body (B,): the samples'
+        own, see `Drape`. The posed bodies' mesh stays."""
+        with torch.no_grad():
+            beside = positions + BESIDE * torch.randn_like(positions)
+            beside = torch.clamp(beside, self._drape.lower, self._drape.upper)
+            bones = self._posed_bodies.bone_transforms(beside, body)
+            posed_beside = self._drape.posed_nodes(bones, node_positions)
+            carried = _moved(posed_nodes, posed_beside)
+        nodes_beside = self._drape.draped_nodes(modulation, beside, gravity, posed_beside)
+        excess = (_moved(nodes, nodes_beside) - carried - SLACK).clamp_min(0.0)
+        return self._stiffness * excess.square().sum(dim=1).mean()
+
+
+def _moved(nodes: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
+    """Distances (B, m) [m] between garment nodes (B, m, 3, 4)."""
+    return torch.linalg.vector_norm(nodes[..., 3] - others[..., 3], dim=-1)
