@@ -25,11 +25,13 @@ from physkin_core.motion.loading import save_motion
 from physkin_core.motion.motion import MotionError
 from physkin_training.evaluate.evaluate import Evaluation, evaluate_model, main
 from physkin_training.evaluate.score_table import table
+from physkin_training.sampling.evaluation_pairs import motion_pairs
 
 CPU = torch.device("cpu")
 BODY = load_body_model()
 FIGURES = set(
     "edge_strain_percent area_strain_percent inside_percent inside_worn_percent inside_by_vertex_percent "
+    "skin_shows_percent skin_in_sight_percent "
     "within_3mm_percent stretch_j bend_j collision_j gravity_j energy_j max_depth_mm max_depth_p999_mm pairs".split()
 )
 
@@ -215,6 +217,24 @@ def test_motion_is_measured_on_the_run_times_own_frames(model):
     assert rows["jitter_ratio"] == pytest.approx(rows["model"]["jitter_mm"] / rows["skinning"]["jitter_mm"])
     assert set(rows["model"]) == set(rows["skinning"]) == FIGURES | {"jitter_mm", "snaps_percent"}
     assert rows["jitter_ratio"] != pytest.approx(1, abs=0.01)
+
+
+def test_the_frame_in_which_most_skin_shows_can_be_found_again(model):
+    """By its body and frame, alone in a batch."""
+    motion = clip("cartwheel", 6)
+    evaluation = Evaluation(model, CPU, bodies=2, poses=2, seed=0)
+    rows = evaluation.motion([motion])["clips"]["cartwheel"]
+    for worst, figure in (("worst_skin", "skin_shows_percent"), ("worst_skin_in_sight", "skin_in_sight_percent")):
+        found = rows[worst]
+        pairs = motion_pairs(motion, model.rig, bodies=2)[torch.tensor([6 * found["body"] + found["frame"]])]
+        alone = evaluation.new_figures()
+        for batch in evaluation.batches(pairs):
+            vertices = evaluation.drape(
+                batch.modulation, batch.positions, batch.gravity, batch.posed_nodes, batch.rest
+            ).detach()
+            evaluation.count_in(alone, vertices, batch)
+        assert alone.result()[figure] == pytest.approx(found["percent"], rel=0.02)
+        assert found["percent"] > rows["model"][figure] > 0
 
 
 def test_clips_and_bodies_that_cannot_be_measured_are_refused(model):

@@ -32,6 +32,7 @@ from physkin_training.evaluate.figures import Figures
 from physkin_training.evaluate.inside_by_vertex import inside_by_vertex
 from physkin_training.evaluate.minimum import subspace_minimum
 from physkin_training.evaluate.score_table import table
+from physkin_training.evaluate.skin_shows import SkinShows
 from physkin_training.networks.draping import Drape, RestShape, compose_nodes, delta_transforms
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.networks.made_to_measure import MadeToMeasure
@@ -64,6 +65,7 @@ class Batch:
     positions: torch.Tensor
     gravity: torch.Tensor
     body: torch.Tensor
+    overlapped_skin: torch.Tensor
     rest: RestShape | None = None
 
 
@@ -114,6 +116,7 @@ class Evaluation:
         self.losses = PhysicsLosses(
             model.garment, model.material, self.batch, device, wearing=wearing, reach=REACH, rest=self.rest
         )
+        self.skin = SkinShows(model.garment, body_model, self.posed_bodies)
         self.modulations = encode_bodies(self.drape, self.bodies.vertices.cpu().numpy(), body_model.faces, fit=fit)
         self.node_positions = self.drape.node_positions(self.bodies)
 
@@ -134,7 +137,8 @@ class Evaluation:
                 positions, rest = worn.node_positions, worn.rest
                 self.losses.rest_row.copy_(worn.rows)
             posed_nodes = self.drape.posed_nodes(bones, positions)
-            yield Batch(min(self.batch, len(pairs) - start), posed_nodes, self.modulations[b], q, g, b, rest)
+            count, overlapped = min(self.batch, len(pairs) - start), self.skin.overlapped()
+            yield Batch(count, posed_nodes, self.modulations[b], q, g, b, overlapped, rest)
 
     def rest_garment(self, body: int) -> Garment:
         """The garment in the rest shape that body `body` of this evaluation wears."""
@@ -154,8 +158,9 @@ class Evaluation:
         with torch.no_grad():
             energies = self.energy(vertices, batch)[1]
             inside = inside_by_vertex(vertices, self.posed_bodies, reach=REACH)
+            skin = self.skin.figures(vertices, batch.overlapped_skin)
         takes = batch.body if motion else None
-        figures.add(vertices, energies, inside, rest_row=self.losses.rest_row, takes=takes, count=batch.count)
+        figures.add(vertices, energies, inside, skin, rest_row=self.losses.rest_row, takes=takes, count=batch.count)
 
     def figures(
         self, *, upright: bool, only: Collection[str] = ("model", "skinning", "fewer_influences")
@@ -167,7 +172,7 @@ class Evaluation:
 
     def motion(self, motions: Sequence[Motion]) -> dict:
         """Model and plain skinning on every frame of clips on every body: `model`, `skinning`, `jitter_ratio`; `clips`
-        by name with the same; `counts`.
+        by name with the same, and `worst_skin`, `worst_skin_in_sight`: the model's frame with most of it; `counts`.
 
         Raises MotionError when a clip moves none of the rig's joints, ValueError when one is too short, stands still or
         comes twice.
@@ -186,7 +191,11 @@ class Evaluation:
             rows = self._rows(motion_pairs(motion, self.model.rig, bodies=len(self.bodies)), total, motion=True)
             for row, figures in rows.items():
                 total[row].include(figures)
-            results["clips"][name] = _with_jitter_ratio(rows)
+            worst = rows["model"].worst_skin
+            results["clips"][name] = _with_jitter_ratio(rows) | {
+                "worst_skin": _frame(*worst["skin_shows_percent"], motion),
+                "worst_skin_in_sight": _frame(*worst["skin_in_sight_percent"], motion),
+            }
         results["counts"] = {
             "clips": len(clips),
             "frames": sum(motion.frame_count for motion in clips.values()),
@@ -259,6 +268,12 @@ class Evaluation:
 def _with_jitter_ratio(rows: dict[str, Figures]) -> dict:
     results: dict = {name: figures.result() for name, figures in rows.items()}
     return results | {"jitter_ratio": results["model"]["jitter_mm"] / results["skinning"]["jitter_mm"]}
+
+
+def _frame(percent: float, sample: int, motion: Motion) -> dict:
+    """Body and frame of a sample of `motion_pairs`."""
+    body, frame = divmod(sample, motion.frame_count)
+    return {"body": body, "frame": frame, "percent": percent}
 
 
 def _trained_contact(model: GarmentModel) -> str:

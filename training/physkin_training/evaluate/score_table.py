@@ -16,6 +16,8 @@ COLUMNS = {
     "area_strain_percent": "area %",
     "inside_percent": "inside %",
     "inside_worn_percent": "inside worn parts %",
+    "skin_shows_percent": "skin shows %",
+    "skin_in_sight_percent": "in sight %",
     "within_3mm_percent": "< 3 mm %",
     "max_depth_p999_mm": "depth p99.9 mm",
     "max_depth_mm": "deepest mm",
