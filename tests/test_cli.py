@@ -108,7 +108,8 @@ def test_errors_are_one_line(arguments, reason, model_path, tmp_path, capsys):
 def test_missing_extra_is_named(command, package, extra, monkeypatch, capsys):
     """One line says what to install."""
     hidden = ("physkin_ros", "physkin_training", package)
-    for name in [name for name in sys.modules if name.split(".")[0] in hidden]:
+    readers = "physkin_core.motion.bag_"
+    for name in [name for name in sys.modules if name.split(".")[0] in hidden or name.startswith(readers)]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)  # makes `import` raise ModuleNotFoundError
     assert cli.main([command]) == 2
