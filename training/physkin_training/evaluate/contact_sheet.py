@@ -80,8 +80,7 @@ def chosen_poses(rig: Rig, *, count: int, seed: int) -> tuple[Pairs, list[str]]:
         clip, frame = frames[index]
         parts.append(motion_pairs(clip, rig, bodies=1)[torch.tensor([frame])])
         names.append(f"{clip.name} {frame}")
-    fields = ([getattr(part, field) for part in parts] for field in ("positions", "gravity", "body"))
-    return Pairs(*(torch.cat(field) for field in fields)), names
+    return Pairs.joined(parts), names
 
 
 def drape_all(evaluation: Evaluation, poses: Pairs, *, minimum: bool) -> Drapes:

@@ -79,4 +79,7 @@ def _motion_rows(motion: Mapping | None) -> dict[str, dict]:
     rows = {"plain skinning, motion": motion["skinning"]}
     for clip, scored in {"motion": motion, **motion["clips"]}.items():
         rows[f"the model, {clip}"] = scored["model"] | {"jitter_ratio": scored["jitter_ratio"]}
+    for row in ("model_on_subset", "subspace_minimum", "minimum"):
+        if row in motion:
+            rows[f"{ROWS[row]} of motion"] = motion[row]
     return rows
