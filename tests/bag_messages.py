@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from rosbags.rosbag2 import Reader
 
-from physkin_ros.replay.bags import TYPES, Header, JointState, Time, Vector3, Vector3Stamped
+from physkin_core.motion.bag_reader import TYPES
+from physkin_ros.replay.bags import Header, JointState, Time, Vector3, Vector3Stamped
 
 
 def recorded(path):

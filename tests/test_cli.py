@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -105,12 +106,13 @@ def test_errors_are_one_line(arguments, reason, model_path, tmp_path, capsys):
         ("train", "physkin_training", "training"),
     ],
 )
-def test_missing_extra_is_named(command, package, extra, monkeypatch, capsys):
+@patch.dict(sys.modules)
+def test_missing_extra_is_named(command, package, extra, capsys):
     """One line says what to install."""
-    hidden = ("physkin_ros", "physkin_training", package)
-    for name in [name for name in sys.modules if name.split(".")[0] in hidden]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, package, None)  # makes `import` raise ModuleNotFoundError
+    hidden, readers = ("physkin_ros", "physkin_training", package), "physkin_core.motion.bag_"
+    for name in [name for name in sys.modules if name.split(".")[0] in hidden or name.startswith(readers)]:
+        del sys.modules[name]
+    sys.modules[package] = None  # makes `import` raise ModuleNotFoundError
     assert cli.main([command]) == 2
     assert f"physkin {command} needs: pip install 'physkin[{extra}]'" in capsys.readouterr().err
 

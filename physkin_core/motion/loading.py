@@ -1,4 +1,4 @@
-"""Loading motion: a bundled clip, a clip file, or motion capture.
+"""Loading motion: a bundled clip, a clip file, motion capture, or a bag.
 
 A clip is one safetensors file. It stays in single precision: half precision would move a hand by half a millimetre from
 frame to frame, which is as much as cloth does between two frames.
@@ -18,6 +18,7 @@ from physkin_core.motion.motion import Motion, MotionError
 __all__ = ["MOCAP_SUFFIXES", "MOTIONS_DIRECTORY", "bundled_motions", "load_motion", "save_motion"]
 
 MOCAP_SUFFIXES = (".bvh", ".amc")
+BAG_SUFFIXES = (".mcap", ".db3")
 MOTIONS_DIRECTORY = Path(__file__).parents[1] / "assets" / "motions"
 
 
@@ -27,8 +28,9 @@ def bundled_motions() -> tuple[str, ...]:
 
 
 def load_motion(path_or_name: str | Path) -> Motion:
-    """Read a clip: a bundled name (`bundled_motions`), a file that `save_motion` wrote, or motion capture, .bvh or .amc
-    (see `physkin_core.motion.mocap`), as motion of the default rig.
+    """Read a clip: a bundled name (`bundled_motions`), a file that `save_motion` wrote, motion capture, .bvh or .amc
+    (see `physkin_core.motion.mocap`), as motion of the default rig, or the joint states of a bag: .mcap, .db3 or a
+    folder with `metadata.yaml` (see `physkin_core.motion.bag_motion`).
 
     Raises MotionError for an unknown name, an unreadable file, missing tensors, bad shapes or values not finite.
     """
@@ -37,14 +39,28 @@ def load_motion(path_or_name: str | Path) -> Motion:
         from physkin_core.motion.mocap import load_mocap
 
         return load_mocap(path, load_body_model().rig)[0]
+    if path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").is_file():
+        return _read_bag(path)
     if path.suffix != ".safetensors":
         if str(path_or_name) not in bundled_motions():
             raise MotionError(
                 f"no bundled motion {str(path_or_name)!r}; there are {', '.join(bundled_motions())} "
-                "(a clip of your own: give the path of its .safetensors, .bvh or .amc file)"
+                "(a clip of your own: give the path of its .safetensors, .bvh, .amc, .mcap or .db3 file, or of a bag's "
+                "folder)"
             )
         path = MOTIONS_DIRECTORY / f"{path_or_name}.safetensors"
     return _read(path)
+
+
+def _read_bag(path: Path) -> Motion:
+    try:
+        from physkin_core.motion.bag_motion import load_bag_motion
+    except ModuleNotFoundError as error:
+        raise MotionError(f"cannot read bag {path}: {error}; bags need: pip install 'physkin[replay]'") from error
+    try:
+        return load_bag_motion(path)
+    except OSError as error:
+        raise MotionError(f"cannot read bag {path}: {error}") from error
 
 
 def _read(path: Path) -> Motion:

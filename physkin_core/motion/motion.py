@@ -14,7 +14,7 @@ import numpy as np
 if TYPE_CHECKING:
     from physkin_core.rig.rig import Rig
 
-__all__ = ["Motion", "MotionError"]
+__all__ = ["Motion", "MotionError", "upright_orientation"]
 
 CLOSED_POSITION = 0.02  # [rad] a clip whose ends differ by less repeats as a cycle
 CLOSED_GRAVITY = 0.02
@@ -161,3 +161,12 @@ class Motion:
         shift = np.concatenate([np.zeros((1, 3)), shift])
         turn = heading[rounds]
         return (turn * orientation[index]).as_quat(), turn.apply(self.root_position[index]) + shift[rounds]
+
+
+def upright_orientation(gravity: np.ndarray) -> np.ndarray:
+    """Unit quaternions (T, 4) x, y, z, w, world <- root: the smallest rotations that turn gravity (T, 3), of any length
+    but zero, to -Z; about X where none is smallest."""
+    x, y, z = (gravity / np.linalg.norm(gravity, axis=-1, keepdims=True)).T
+    quaternion = np.stack([-y, x, np.zeros_like(x), 1 - z], axis=-1)
+    length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    return np.where(length > 1e-6, quaternion / np.maximum(length, 1e-6), [1.0, 0.0, 0.0, 0.0])

@@ -1,25 +1,14 @@
-"""Bags without ROS: joint states and gravity out of rosbag2 bags, clouds and motion clips into them (extra `[replay]`).
-
-A bag is a folder with `metadata.yaml`, or a single .mcap or .db3 file. Times are those of recording [ns].
-"""
+"""Bags written without ROS: clouds and motion clips (extra `[replay]`). `physkin_core.motion.bag_reader` reads them."""
 
 from __future__ import annotations
 
-import itertools
 import shutil
-import struct
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
-import apsw
 import numpy as np
-from rosbags.rosbag2 import Reader, ReaderError, StoragePlugin, Writer, WriterError
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
+from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys.stores.ros2_jazzy import builtin_interfaces__msg__Time as Time
 from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Vector3 as Vector3
 from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Vector3Stamped as Vector3Stamped
@@ -29,87 +18,15 @@ from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__PointField as Po
 from rosbags.typesys.stores.ros2_jazzy import std_msgs__msg__Header as Header
 
 from physkin_core import Motion
+from physkin_core.motion.bag_reader import GRAVITY, JOINT_STATE, TYPES, BagError, bag_errors
 from physkin_ros.messages.conversions import CLOUD_FIELDS, FLOAT32
 
-__all__ = ["STORAGES", "BagError", "BagReader", "BagWriter", "Recorded", "UndecodableError", "write_motion"]
+__all__ = ["STORAGES", "BagWriter", "write_motion"]
 
-JOINT_STATE = "sensor_msgs/msg/JointState"
-GRAVITY = "geometry_msgs/msg/Vector3Stamped"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 STORAGES = ("mcap", "sqlite3")
 SUFFIXES = {".mcap": "mcap", ".db3": "sqlite3"}
 METADATA_VERSION = 9  # of ROS 2 Jazzy
-TYPES = get_typestore(Stores.ROS2_JAZZY)
-
-
-class BagError(ValueError):
-    """A bag cannot be read or written, or lacks what is asked for."""
-
-
-class UndecodableError(ValueError):
-    """The bytes of a message are not a message of its type."""
-
-
-@dataclass(frozen=True)
-class Recorded:
-    """A message as recorded: `kind` is "joint_state" or "gravity", `data` its CDR bytes."""
-
-    kind: str
-    time_ns: int
-    data: bytes
-
-
-class BagReader:
-    """The joint states of a bag and the gravity directions between them.
-
-    topic: of joint states; None: `/joint_states`, or the bag's only topic of that type. gravity_topic: None: `/gravity`
-    if the bag has one. Use in a `with` block.
-    Raises BagError for a bag that cannot be read and for a topic that is missing, ambiguous or of another type.
-    """
-
-    def __init__(self, path: str | Path, *, topic: str | None = None, gravity_topic: str | None = None) -> None:
-        self.path = Path(path)
-        with _bag_errors(self.path):
-            self._reader = Reader(self.path)
-            self._reader.open()
-        try:
-            types = {connection.topic: connection.msgtype for connection in self._reader.connections}
-            self.topic = _topic(self.path, types, topic, JOINT_STATE, "/joint_states", required=True)
-            self.gravity_topic = _topic(self.path, types, gravity_topic, GRAVITY, "/gravity", required=False)
-        except BagError:
-            self._reader.close()
-            raise
-
-    def __enter__(self) -> BagReader:
-        return self
-
-    def __exit__(self, *exception) -> None:
-        self._reader.close()
-
-    @property
-    def joint_state_count(self) -> int:
-        """Number of joint states that the bag says it holds."""
-        return sum(each.msgcount for each in self._reader.connections if each.topic == self.topic)
-
-    def __iter__(self) -> Iterator[Recorded]:
-        """All messages by time of recording; of those recorded at one moment, gravity comes first, as in the node."""
-        chosen = [each for each in self._reader.connections if each.topic in (self.topic, self.gravity_topic)]
-        messages = self._reader.messages(chosen)
-        with _bag_errors(self.path):
-            for _, moment in itertools.groupby(messages, key=lambda message: message[1]):
-                moment = [
-                    Recorded("joint_state" if connection.topic == self.topic else "gravity", time_ns, bytes(data))
-                    for connection, time_ns, data in moment
-                ]
-                yield from sorted(moment, key=lambda message: message.kind != "gravity")
-
-
-def decode(message: Recorded):
-    """The message of `rosbags` that a recorded one is. Raises UndecodableError."""
-    try:
-        return TYPES.deserialize_cdr(message.data, JOINT_STATE if message.kind == "joint_state" else GRAVITY)
-    except (SerdeError, struct.error, ValueError, IndexError, AssertionError, OverflowError, MemoryError) as error:
-        raise UndecodableError(f"{len(message.data)} bytes that are no {message.kind.replace('_', ' ')}") from error
 
 
 class BagWriter:
@@ -140,7 +57,7 @@ class BagWriter:
             self._folder = Path(tempfile.mkdtemp(dir=self.path.parent, prefix=f".{self.path.name}-"))
         except OSError as error:
             raise BagError(f"cannot write {self.path}: {error.strerror}") from error
-        with _bag_errors(self.path):
+        with bag_errors(self.path):
             plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[self._storage]
             bag = self._folder / self.path.name
             self._writer = Writer(bag, version=METADATA_VERSION, storage_plugin=plugin)
@@ -152,7 +69,7 @@ class BagWriter:
             if kind is not None:
                 self._writer.abort()
                 return
-            with _bag_errors(self.path):
+            with bag_errors(self.path):
                 self._writer.close()
                 made = self._folder / self.path.name
                 if self._single:
@@ -167,7 +84,7 @@ class BagWriter:
 
     def write_bytes(self, topic: str, kind: str, data: bytes, time_ns: int) -> None:
         """Write a message that is CDR bytes already, right or wrong."""
-        with _bag_errors(self.path):
+        with bag_errors(self.path):
             if topic not in self._connections:
                 # no quality of service is named: players take their default, reliable
                 self._connections[topic] = self._writer.add_connection(topic, kind, typestore=TYPES)
@@ -201,33 +118,3 @@ def write_motion(
         header = Header(Time(*divmod(time_ns, 1_000_000_000)), frame_id)
         writer.write(gravity_topic, GRAVITY, Vector3Stamped(header, Vector3(*map(float, gravity))), time_ns)
         writer.write(topic, JOINT_STATE, JointState(header, names, positions, nothing, nothing), time_ns)
-
-
-def _topic(
-    path: Path, types: dict[str, str], asked: str | None, kind: str, default: str, *, required: bool
-) -> str | None:
-    """The topic of type `kind` to read."""
-    fitting = sorted(topic for topic, its in types.items() if its == kind)
-    if asked is not None:
-        if types.get(asked) == kind:
-            return asked
-        has = f"is {types[asked]}" if asked in types else "is not in it"
-        raise BagError(f"bag {path}: topic {asked} {has}; topics of {kind}: {', '.join(fitting) or 'none'}")
-    if default in fitting:
-        return default
-    if not required:
-        return None
-    if len(fitting) == 1:
-        return fitting[0]
-    raise BagError(f"bag {path}: which topic? Topics of {kind}: {', '.join(fitting) or 'none'}")
-
-
-@contextmanager
-def _bag_errors(path: Path):
-    """What `rosbags` and its storages raise, as BagError."""
-    try:
-        yield
-    except (BagError, FileNotFoundError):
-        raise
-    except (ReaderError, WriterError, apsw.Error, OSError, struct.error, UnicodeDecodeError, KeyError) as error:
-        raise BagError(f"bag {path}: {error or type(error).__name__}") from error

@@ -9,11 +9,12 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from physkin_core import BACKENDS, BUNDLED_AVATAR, NORMALS, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
+from physkin_core.motion.bag_reader import BagError, BagReader
 from physkin_core.runtime.native_evaluator import PRECISIONS
 from physkin_ros.arguments import file_to_write, whole_number
 from physkin_ros.joints.joint_naming import PRESETS
 from physkin_ros.messages.conversions import gravity_direction
-from physkin_ros.replay.bags import STORAGES, BagError, BagReader, BagWriter
+from physkin_ros.replay.bags import STORAGES, BagWriter
 from physkin_ros.replay.figures import describe, load_baseline, regressions, summary
 from physkin_ros.replay.replay import GARMENT_TOPIC, replay
 from physkin_ros.replay.report import thumbnails, write_report

@@ -16,7 +16,7 @@ import numpy as np
 from tabulate import tabulate
 
 from physkin_core import Draper
-from physkin_ros.replay.bags import BagReader
+from physkin_core.motion.bag_reader import BagReader
 from physkin_ros.replay.replay import Replay
 
 __all__ = ["LABELS", "SCHEMA", "TOLERANCES", "BaselineError", "describe", "load_baseline", "regressions", "summary"]

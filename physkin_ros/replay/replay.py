@@ -18,13 +18,14 @@ from time import perf_counter_ns
 import numpy as np
 
 from physkin_core import UPRIGHT_GRAVITY, Draper
+from physkin_core.motion.bag_reader import BagReader, decode
 from physkin_core.quality import area_strain, contact_figures, edge_strain, signed_distance
 from physkin_core.runtime.bound_garment import plain_skinning
 from physkin_ros.joints.joint_naming import load_naming
 from physkin_ros.joints.joint_states import JointStateReader
 from physkin_ros.messages.conversions import gravity_direction
 from physkin_ros.node.orientation import GravityByStamp
-from physkin_ros.replay.bags import BagReader, BagWriter, decode
+from physkin_ros.replay.bags import BagWriter
 
 __all__ = ["GARMENT_TOPIC", "Replay", "replay"]
 

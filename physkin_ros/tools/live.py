@@ -13,10 +13,10 @@ from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
+from physkin_core.motion.bag_reader import BagError, BagReader
 from physkin_ros.arguments import positive
 from physkin_ros.middleware.subscriber_discovery import wait_for_subscribers
 from physkin_ros.middleware.transport import use_shipped_profile
-from physkin_ros.replay.bags import BagError, BagReader
 
 __all__ = ["main", "play"]
 

@@ -10,8 +10,8 @@ from training.small_runs import waist_band_model
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_studies import strain_by_overlap
-from physkin_studies.body_overlap import Seats
 from physkin_studies.strain_by_overlap import LIMITS, main, measure_strain_by_overlap
+from physkin_training.evaluate.body_overlap import SkinPoints
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 
 BODY = load_body_model()
@@ -28,14 +28,14 @@ def test_a_forearm_through_the_belly_covers_it():
     trunk = surface[np.linalg.norm(surface - [0.12, 0.0, 0.15], axis=1) < 0.15]
     head = surface[surface[:, 2] > surface[:, 2].max() - 0.05]
     posed.pose(rest.expand(2, -1).contiguous(), both)
-    seats = Seats(surface, BODY.faces, np.concatenate([trunk, head]))
-    assert seats.covered(posed).shape == (2, len(trunk) + len(head)) and not seats.covered(posed).any()
+    seats = SkinPoints.under(surface, BODY.faces, np.concatenate([trunk, head]))
+    assert seats.overlapped(posed).shape == (2, len(trunk) + len(head)) and not seats.overlapped(posed).any()
     rng = np.random.default_rng(0)
     poses = torch.tensor(rng.uniform(BODY.rig.lower, BODY.rig.upper, size=(24, len(rest))), dtype=torch.float32)
     share = np.zeros(len(trunk) + len(head))
     for pose in poses:
         posed.pose(torch.stack([rest, pose]), both)
-        covered = seats.covered(posed)
+        covered = seats.overlapped(posed).numpy()
         assert not covered[0].any()
         share += covered[1] / len(poses)
     assert share[: len(trunk)].mean() > 0.01, "arms run through the belly in some poses"

@@ -25,7 +25,7 @@ from physkin_core.model.model_file import load_garment_model, shipped_models
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.quality import area_strain, edge_strain
 from physkin_core.runtime.draper import Draper
-from physkin_studies.body_overlap import Seats
+from physkin_training.evaluate.body_overlap import SkinPoints
 from physkin_training.sampling.evaluation_pairs import uniform_pairs
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 
@@ -67,7 +67,7 @@ def measure_strain_by_overlap(
     body_model = load_body_model()
     if not 1 <= bodies <= len(body_model.held_out_bodies):
         raise ValueError(f"bodies must be 1 to {len(body_model.held_out_bodies)}, got {bodies}")
-    seats = Seats(body_model.vertices(body_model.garment_body), body_model.faces, model.garment.vertices)
+    seats = SkinPoints.under(body_model.vertices(body_model.garment_body), body_model.faces, model.garment.vertices)
     uniform = uniform_pairs(model.rig, bodies=bodies, poses=poses, seed=0, upright=True)
     clips = [load_motion(name).resampled(MOTION_RATE) for name in bundled_motions()]
     every = slice(None, None, MOTION_STRIDE)
@@ -97,10 +97,10 @@ def measure_strain_by_overlap(
     return rows
 
 
-def _overlap(seats: Seats, posed: PosedBodies, positions: np.ndarray) -> np.ndarray:
+def _overlap(seats: SkinPoints, posed: PosedBodies, positions: np.ndarray) -> np.ndarray:
     """Overlap [%] of one body in poses (P, d). Returns (P,)."""
-    shares = [seats.covered(posed)[: rows.stop - rows.start].mean(axis=1) for rows in posed.pose_in_turn(positions)]
-    return 100 * np.concatenate(shares)
+    overlapped = [seats.overlapped(posed)[: rows.stop - rows.start] for rows in posed.pose_in_turn(positions)]
+    return 100 * torch.cat(overlapped).numpy().mean(axis=1)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.motion.loading import MOTIONS_DIRECTORY, bundled_motions, load_motion, save_motion
-from physkin_core.motion.motion import Motion, MotionError
+from physkin_core.motion.motion import Motion, MotionError, upright_orientation
 from physkin_core.rig.rig import DegreeOfFreedom, Rig
 
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -215,3 +215,10 @@ def test_positions_for_a_rig_go_by_name():
     np.testing.assert_array_equal(positions[:, 1], motion.positions[:, 1])
     with pytest.raises(MotionError, match="motion 'spinning' has no joint of the rig: it moves a, b"):
         motion.positions_for(load_body_model().rig)
+
+
+@pytest.mark.parametrize("gravity", [[0, 0, -1], [0, 0, 1], [1, 0, 0], [0.48, -0.6, 0.64]])
+def test_upright_is_the_smallest_turn(gravity):
+    turn = Rotation.from_quat(upright_orientation(np.array([gravity], dtype=float)))[0].as_matrix()
+    np.testing.assert_allclose(turn @ gravity, [0, 0, -1], atol=1e-12)
+    assert np.trace(turn) == pytest.approx(1 - 2 * gravity[2]), "the smallest rotation"

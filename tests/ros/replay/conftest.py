@@ -47,7 +47,7 @@ def bag(motion, tmp_path_factory):
 @pytest.fixture(scope="session")
 def run(draper):
     """Replays a bag: what came of it, and its figures."""
-    from physkin_ros.replay.bags import BagReader
+    from physkin_core.motion.bag_reader import BagReader
     from physkin_ros.replay.figures import describe
     from physkin_ros.replay.replay import replay
 

@@ -17,7 +17,8 @@ from bag_messages import joint_state, recorded  # noqa: E402
 from rosbags.rosbag2 import Reader  # noqa: E402
 
 from physkin_core import cli, load_motion  # noqa: E402
-from physkin_ros.replay.bags import JOINT_STATE, TYPES, BagError, BagReader, BagWriter  # noqa: E402
+from physkin_core.motion.bag_reader import JOINT_STATE, TYPES, BagError, BagReader  # noqa: E402
+from physkin_ros.replay.bags import BagWriter  # noqa: E402
 
 
 def test_output_is_playable(tmp_path):

@@ -18,10 +18,11 @@ pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[repla
 from bag_messages import gravity, joint_state, recorded  # noqa: E402
 
 from physkin_core import cli, save_garment_model  # noqa: E402
+from physkin_core.motion.bag_reader import GRAVITY, JOINT_STATE  # noqa: E402
 from physkin_core.picture import PictureError  # noqa: E402
 from physkin_ros.messages.conversions import read_cloud  # noqa: E402
 from physkin_ros.replay import report  # noqa: E402
-from physkin_ros.replay.bags import GRAVITY, JOINT_STATE, BagWriter  # noqa: E402
+from physkin_ros.replay.bags import BagWriter  # noqa: E402
 from physkin_ros.replay.figures import TOLERANCES, BaselineError, load_baseline, regressions, summary  # noqa: E402
 
 

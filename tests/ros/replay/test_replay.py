@@ -12,10 +12,11 @@ pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[repla
 from bag_messages import gravity, joint_state, recorded  # noqa: E402
 
 from physkin_core import cli  # noqa: E402
+from physkin_core.motion.bag_reader import GRAVITY, JOINT_STATE, TYPES, BagReader  # noqa: E402
 from physkin_core.quality import area_strain, edge_strain, jitter, signed_distance  # noqa: E402
 from physkin_core.runtime.bound_garment import plain_skinning  # noqa: E402
 from physkin_ros.messages.conversions import read_cloud  # noqa: E402
-from physkin_ros.replay.bags import GRAVITY, JOINT_STATE, TYPES, BagReader, BagWriter, write_motion  # noqa: E402
+from physkin_ros.replay.bags import BagWriter, write_motion  # noqa: E402
 from physkin_ros.replay.figures import describe  # noqa: E402
 from physkin_ros.replay.replay import GARMENT_TOPIC, replay  # noqa: E402
 

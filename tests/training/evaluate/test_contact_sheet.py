@@ -98,15 +98,6 @@ def test_made_to_measure_is_drawn_with_its_own_strain(model):
         Evaluation(model, torch.device("cpu"), bodies=[5], poses=1, seed=0, fit=1.0)
 
 
-@pytest.mark.parametrize("gravity", [[0, 0, -1], [0, 0, 1], [1, 0, 0], [0.48, -0.6, 0.64]])
-def test_pictures_stand_the_way_gravity_points(gravity):
-    turn = contact_sheet._to_world(np.array(gravity, dtype=float))
-    np.testing.assert_allclose(turn @ gravity, [0, 0, -1], atol=1e-12)
-    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(turn) == pytest.approx(1)
-    assert np.trace(turn) == pytest.approx(1 - 2 * gravity[2]), "the smallest rotation"
-
-
 def test_the_command_draws_every_cell(model, tmp_path, monkeypatch, capsys):
     """Two poses on three bodies: one row of six pairs of pictures; figures are printed."""
     drawn = []

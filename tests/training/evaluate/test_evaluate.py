@@ -25,11 +25,13 @@ from physkin_core.motion.loading import save_motion
 from physkin_core.motion.motion import MotionError
 from physkin_training.evaluate.evaluate import Evaluation, evaluate_model, main
 from physkin_training.evaluate.score_table import table
+from physkin_training.sampling.evaluation_pairs import motion_pairs
 
 CPU = torch.device("cpu")
 BODY = load_body_model()
 FIGURES = set(
     "edge_strain_percent area_strain_percent inside_percent inside_worn_percent inside_by_vertex_percent "
+    "skin_shows_percent skin_in_sight_percent "
     "within_3mm_percent stretch_j bend_j collision_j gravity_j energy_j max_depth_mm max_depth_p999_mm pairs".split()
 )
 
@@ -175,9 +177,10 @@ def test_every_pair_counts(model, bodies, poses, batch):
 def test_minima_on_fewer_or_more_pairs_than_a_batch(model, count, expected, rough_minima):
     """Only as many pairs count as were asked for, or as there are."""
     evaluation = Evaluation(model, CPU, bodies=2, poses=2, seed=0, batch=2)
-    rows = evaluation.minima(count=count, steps=2)
+    pairs = evaluation.uniform(upright=True).spread(count)
+    rows = evaluation.minima(pairs, steps=2)
     assert {row["pairs"] for row in rows.values()} == {expected}
-    assert evaluation.minima(count=count, steps=2) == rows, "the same again"
+    assert evaluation.minima(pairs, steps=2) == rows, "the same again"
 
 
 def clip(name, frames, *, every=4):
@@ -215,6 +218,24 @@ def test_motion_is_measured_on_the_run_times_own_frames(model):
     assert rows["jitter_ratio"] == pytest.approx(rows["model"]["jitter_mm"] / rows["skinning"]["jitter_mm"])
     assert set(rows["model"]) == set(rows["skinning"]) == FIGURES | {"jitter_mm", "snaps_percent"}
     assert rows["jitter_ratio"] != pytest.approx(1, abs=0.01)
+
+
+def test_the_frame_in_which_most_skin_shows_can_be_found_again(model):
+    """By its body and frame, alone in a batch."""
+    motion = clip("cartwheel", 6)
+    evaluation = Evaluation(model, CPU, bodies=2, poses=2, seed=0)
+    rows = evaluation.motion([motion])["clips"]["cartwheel"]
+    for worst, figure in (("worst_skin", "skin_shows_percent"), ("worst_skin_in_sight", "skin_in_sight_percent")):
+        found = rows[worst]
+        pairs = motion_pairs(motion, model.rig, bodies=2)[torch.tensor([6 * found["body"] + found["frame"]])]
+        alone = evaluation.new_figures()
+        for batch in evaluation.batches(pairs):
+            vertices = evaluation.drape(
+                batch.modulation, batch.positions, batch.gravity, batch.posed_nodes, batch.rest
+            ).detach()
+            evaluation.count_in(alone, vertices, batch)
+        assert alone.result()[figure] == pytest.approx(found["percent"], rel=0.02)
+        assert found["percent"] > rows["model"][figure] > 0
 
 
 def test_clips_and_bodies_that_cannot_be_measured_are_refused(model):
@@ -290,10 +311,14 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
     scores = json.loads((tmp_path / "scores.json").read_text())
     rows = {"model", "skinning", "tilted", "subspace_minimum", "minimum", "model_on_subset"}
     assert set(scores) == rows | {"counts", "material", "energy_ratio", "weight_n", "motion"}
-    for row in rows:
+    on_subset = {"subspace_minimum", "minimum", "model_on_subset"}
+    assert set(scores["motion"]) == {"model", "skinning", "jitter_ratio", "clips", "counts"} | on_subset
+    scored = [(row, scores[row]) for row in rows] + [(row, scores["motion"][row]) for row in on_subset]
+    for row, figures in scored:
         more = {"gradient_norm"} if row.endswith("minimum") else set()
         more |= {"converged_percent"} if row == "minimum" else set()
-        assert set(scores[row]) == FIGURES | more and all(np.isfinite(value) for value in scores[row].values()), row
+        assert set(figures) == FIGURES | more and all(np.isfinite(value) for value in figures.values()), row
+        assert figures["pairs"] == 2
     counts = {"bodies": 1, "poses": 2, "seed": 9, "pairs": 2, "influences": 4, "minimum_pairs": 2}
     counts["minimum_steps"] = 20
     assert scores["counts"] == counts and scores["material"] == asdict(model.material)
@@ -301,12 +326,13 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
     assert scores["energy_ratio"] == pytest.approx(ratio)
     assert table(scores).strip() in capsys.readouterr().out
     lines = rows_of(table(scores))
-    assert len(lines) == len(rows) + 4
+    assert len(lines) == len(rows) + 4 + len(on_subset)
+    assert lines[-1][0] == "full-space minimum, subset of motion"
     assert f"model / full-space minimum: {scores['energy_ratio']:.2f} (2 pairs)" in table(scores)
     assert f"{scores['tilted']['edge_strain_percent']:.3f}" in table(scores)
     jump = scores["motion"]["clips"]["jump"]
     ends = [jump["model"]["jitter_mm"], jump["jitter_ratio"], jump["model"]["snaps_percent"]]
-    assert lines[-1][-3:] == [f"{value:.3f}" for value in ends]
+    assert lines[-4][0] == "the model, jump" and lines[-4][-3:] == [f"{value:.3f}" for value in ends]
     jitter = f"{scores['motion']['jitter_ratio']:.2f} (2 clips, 7 frames at 60 Hz, 1 bodies)"
     assert f"Jitter, model / plain skinning: {jitter}" in table(scores)
     stored = load_garment_model(tmp_path / "scored.safetensors")
@@ -317,10 +343,10 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
 def test_energies_are_compared_where_the_contact_is_the_same(model, monkeypatch, training):
     """A minimum under another contact than the model's own says nothing of it, and the ratio is left out."""
 
-    def minima(evaluation, *, count, steps):
+    def minima(evaluation, pairs, *, steps):
         model = evaluation.figures(upright=True, only=["model"])["model"]
         minimum = model | {"energy_j": model["energy_j"] / 2, "converged_percent": 100.0}
-        return {"model": model, "subspace_minimum": model, "minimum": minimum}
+        return {"model_on_subset": model, "subspace_minimum": model, "minimum": minimum}
 
     monkeypatch.setattr(Evaluation, "minima", minima)
     options = dict(bodies=1, poses=1, seed=0, minimum=1, steps=1)
@@ -329,3 +355,30 @@ def test_energies_are_compared_where_the_contact_is_the_same(model, monkeypatch,
     other = {"optimisation": {"other_limbs": "both_ways"}}
     scores = evaluate_model(replace(model, training=other), CPU, **options)
     assert "energy_ratio" not in scores and "minimum" in scores and "2.00" not in table(scores)
+
+
+def test_minima_of_motion_are_of_frames_spread_over_clips_and_bodies(model, monkeypatch):
+    """From the first frame on the first body to the last one on the last."""
+    given = []
+    monkeypatch.setattr(
+        Evaluation, "minima", lambda self, pairs, *, steps: given.append(pairs) or {"minimum": {"pairs": 2}}
+    )
+    clips = [clip("kick", 4), clip("walk", 4)]
+    foreign = replace(model, training={"optimisation": {"other_limbs": "both_ways"}})
+    evaluate_model(foreign, CPU, bodies=2, poses=1, seed=0, minimum=4, steps=1, motions=clips)
+    uniform, motion = given
+    kick, walk = (torch.as_tensor(motion.positions_for(model.rig)) for motion in clips)
+    assert len(uniform) == 2 and motion.body.tolist() == [0, 1, 0, 1]
+    assert torch.equal(motion.positions, torch.stack([kick[0], kick[1], walk[2], walk[3]]))
+
+
+def test_progress_is_shown_on_a_terminal(model, monkeypatch, capsys):
+    """What is measured and how many pairs of how many; nothing elsewhere."""
+    options = dict(bodies=1, poses=2, seed=0, minimum=0, steps=0, motions=[clip("walk", 4)])
+    evaluate_model(model, CPU, **options)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    evaluate_model(model, CPU, **options)
+    shown = capsys.readouterr()
+    assert all(text in shown.err for text in ("8/8", "pairs", "left", "walk")) and "minima" not in shown.err

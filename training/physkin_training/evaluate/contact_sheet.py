@@ -20,6 +20,7 @@ from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import bundled_motions, load_motion
+from physkin_core.motion.motion import upright_orientation
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
 from physkin_core.quality import edge_strain
 from physkin_core.rig.rig import Rig
@@ -79,8 +80,7 @@ def chosen_poses(rig: Rig, *, count: int, seed: int) -> tuple[Pairs, list[str]]:
         clip, frame = frames[index]
         parts.append(motion_pairs(clip, rig, bodies=1)[torch.tensor([frame])])
         names.append(f"{clip.name} {frame}")
-    fields = ([getattr(part, field) for part in parts] for field in ("positions", "gravity", "body"))
-    return Pairs(*(torch.cat(field) for field in fields)), names
+    return Pairs.joined(parts), names
 
 
 def drape_all(evaluation: Evaluation, poses: Pairs, *, minimum: bool) -> Drapes:
@@ -122,10 +122,12 @@ def draw(
 
     gravity: (P, 3) in the root frame. captions: (P,). width: of one picture [pixels].
     """
+    from scipy.spatial.transform import Rotation
+
     faces, colours = load_body_model().faces, {"model": CLOTH_COLOUR, "minimum": MINIMUM_COLOUR}
     pictures, texts = [], []
-    for pair, caption in enumerate(captions):
-        turn = _to_world(gravity[pair]).T
+    turns = Rotation.from_quat(upright_orientation(gravity)).inv().as_matrix()
+    for pair, (caption, turn) in enumerate(zip(captions, turns, strict=True)):
         body = drapes.bodies[pair] @ turn
         cloths = {row: vertices[pair] @ turn for row, vertices in drapes.garments.items()}
         everything = np.concatenate([body, *cloths.values()])
@@ -139,16 +141,6 @@ def draw(
             pictures.append(picture)
             texts.append(f"{caption if row == 'model' else row} {drapes.strains[row][pair]:.1f} %")
     return contact_sheet(pictures, columns=columns * len(drapes.garments), captions=texts, gap=4)
-
-
-def _to_world(gravity: np.ndarray) -> np.ndarray:
-    """The smallest rotation (3, 3) that turns a gravity direction (3,) to -Z; about X where none is smallest."""
-    from scipy.spatial.transform import Rotation
-
-    axis = np.cross(gravity, [0.0, 0.0, -1.0])
-    length = np.linalg.norm(axis)
-    axis = axis / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
-    return Rotation.from_rotvec(np.arctan2(length, -gravity[2]) * axis).as_matrix()
 
 
 def main(argv: list[str] | None = None) -> int:

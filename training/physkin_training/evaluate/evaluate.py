@@ -31,7 +31,9 @@ from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.evaluate.figures import Figures
 from physkin_training.evaluate.inside_by_vertex import inside_by_vertex
 from physkin_training.evaluate.minimum import subspace_minimum
+from physkin_training.evaluate.progress import MINIMA, Watch, progress
 from physkin_training.evaluate.score_table import table
+from physkin_training.evaluate.skin_shows import SkinShows
 from physkin_training.networks.draping import Drape, RestShape, compose_nodes, delta_transforms
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.networks.made_to_measure import MadeToMeasure
@@ -64,6 +66,7 @@ class Batch:
     positions: torch.Tensor
     gravity: torch.Tensor
     body: torch.Tensor
+    overlapped_skin: torch.Tensor
     rest: RestShape | None = None
 
 
@@ -72,8 +75,8 @@ class Evaluation:
 
     bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, 0 (template) to
     1 (made to measure); strains are against the rest shape at that fit. body_model: whose bodies, default the adults
-    that are shipped. Raises ValueError when the model is for another rig than the body model's or has not
-    learnt the fit, or there are not so many bodies.
+    that are shipped. watch: is told of every batch that was measured. Raises ValueError when the model is for another
+    rig than the body model's or has not learnt the fit, or there are not so many bodies.
     """
 
     def __init__(
@@ -87,6 +90,7 @@ class Evaluation:
         batch: int = 64,
         fit: float = 0.0,
         body_model: BodyModel | None = None,
+        watch: Watch = lambda what, pairs: None,
     ) -> None:
         fit = model.checked_fit(fit)
         body_model = body_model or load_body_model()
@@ -100,7 +104,7 @@ class Evaluation:
         if model.rig.to_json() != body_model.rig.to_json():
             difference = _difference(model.rig, body_model.rig)
             raise ValueError(f"garment model {model.name!r} is for another rig than the body model's: {difference}")
-        self.model, self.device, self.poses, self.seed = model, device, poses, seed
+        self.model, self.device, self.poses, self.seed, self.watch = model, device, poses, seed, watch
         self.drape: Drape = drape_from_model(model).to(device).eval()
         self.bodies = BodySet(body_model, held_out[list(bodies)], device)
         self.batch = min(batch, len(bodies) * poses)
@@ -114,6 +118,7 @@ class Evaluation:
         self.losses = PhysicsLosses(
             model.garment, model.material, self.batch, device, wearing=wearing, reach=REACH, rest=self.rest
         )
+        self.skin = SkinShows(model.garment, body_model, self.posed_bodies)
         self.modulations = encode_bodies(self.drape, self.bodies.vertices.cpu().numpy(), body_model.faces, fit=fit)
         self.node_positions = self.drape.node_positions(self.bodies)
 
@@ -134,7 +139,8 @@ class Evaluation:
                 positions, rest = worn.node_positions, worn.rest
                 self.losses.rest_row.copy_(worn.rows)
             posed_nodes = self.drape.posed_nodes(bones, positions)
-            yield Batch(min(self.batch, len(pairs) - start), posed_nodes, self.modulations[b], q, g, b, rest)
+            count, overlapped = min(self.batch, len(pairs) - start), self.skin.overlapped()
+            yield Batch(count, posed_nodes, self.modulations[b], q, g, b, overlapped, rest)
 
     def rest_garment(self, body: int) -> Garment:
         """The garment in the rest shape that body `body` of this evaluation wears."""
@@ -154,39 +160,41 @@ class Evaluation:
         with torch.no_grad():
             energies = self.energy(vertices, batch)[1]
             inside = inside_by_vertex(vertices, self.posed_bodies, reach=REACH)
+            skin = self.skin.figures(vertices, batch.overlapped_skin)
         takes = batch.body if motion else None
-        figures.add(vertices, energies, inside, rest_row=self.losses.rest_row, takes=takes, count=batch.count)
+        figures.add(vertices, energies, inside, skin, rest_row=self.losses.rest_row, takes=takes, count=batch.count)
 
     def figures(
         self, *, upright: bool, only: Collection[str] = ("model", "skinning", "fewer_influences")
     ) -> dict[str, dict[str, float]]:
         """The model, plain skinning, and the model with only the `FEWER_INFLUENCES` strongest influences a vertex
         (renormalised), over all pairs; of these rows, those named in `only`."""
-        rows = self._rows(self.uniform(upright=upright), only)
+        rows = self._rows(self.uniform(upright=upright), only, "upright" if upright else "tilted")
         return {name: figures.result() for name, figures in rows.items()}
+
+    def frames(self, motion: Motion) -> Pairs:
+        """Every frame of a clip with every body, body by body."""
+        return motion_pairs(motion, self.model.rig, bodies=len(self.bodies))
 
     def motion(self, motions: Sequence[Motion]) -> dict:
         """Model and plain skinning on every frame of clips on every body: `model`, `skinning`, `jitter_ratio`; `clips`
-        by name with the same; `counts`.
+        by name with the same, and `worst_skin`, `worst_skin_in_sight`: the model's frame with most of it; `counts`.
 
         Raises MotionError when a clip moves none of the rig's joints, ValueError when one is too short, stands still or
         comes twice.
         """
-        clips = {motion.name: motion.resampled(MOTION_RATE) for motion in motions}
-        if len(clips) < len(motions):
-            raise ValueError(f"clips must have different names, got {', '.join(motion.name for motion in motions)}")
-        for motion in clips.values():
-            if motion.frame_count < 3:
-                raise ValueError(f"motion {motion.name!r} is too short: jitter needs 3 frames at {MOTION_RATE:g} Hz")
-            if not np.ptp(motion.positions, axis=0).any():
-                raise ValueError(f"motion {motion.name!r} stands still: jitter is measured against plain skinning's")
+        clips = {clip.name: clip for clip in measured_clips(motions)}
         total = {name: self.new_figures() for name in ("model", "skinning")}
         results: dict = {"clips": {}}
         for name, motion in clips.items():
-            rows = self._rows(motion_pairs(motion, self.model.rig, bodies=len(self.bodies)), total, motion=True)
+            rows = self._rows(self.frames(motion), total, name, motion=True)
             for row, figures in rows.items():
                 total[row].include(figures)
-            results["clips"][name] = _with_jitter_ratio(rows)
+            worst = rows["model"].worst_skin
+            results["clips"][name] = _with_jitter_ratio(rows) | {
+                "worst_skin": _frame(*worst["skin_shows_percent"], motion),
+                "worst_skin_in_sight": _frame(*worst["skin_in_sight_percent"], motion),
+            }
         results["counts"] = {
             "clips": len(clips),
             "frames": sum(motion.frame_count for motion in clips.values()),
@@ -195,7 +203,7 @@ class Evaluation:
         }
         return _with_jitter_ratio(total) | results
 
-    def _rows(self, pairs: Pairs, only: Collection[str], *, motion: bool = False) -> dict[str, Figures]:
+    def _rows(self, pairs: Pairs, only: Collection[str], what: str, *, motion: bool = False) -> dict[str, Figures]:
         fewer = copy.deepcopy(self.drape)
         fewer.prune_influences(FEWER_INFLUENCES)
         drapes = {"model": self.drape, "skinning": self.drape, "fewer_influences": fewer}
@@ -208,18 +216,20 @@ class Evaluation:
                     delta = delta_transforms(torch.zeros_like(raw) if name == "skinning" else raw)
                     vertices = drape.skin(compose_nodes(batch.posed_nodes, delta), batch.rest)
                     self.count_in(rows[name], vertices, batch, motion=motion)
+                self.watch(what, batch.count)
         return rows
 
-    def minima(self, *, count: int, steps: int) -> dict[str, dict[str, float]]:
-        """Model, subspace minimum and full-space minimum on `count` upright pairs (at most all of them).
+    def minima(self, pairs: Pairs, *, steps: int) -> dict[str, dict[str, float]]:
+        """The model, subspace minimum and full-space minimum on the pairs: `model_on_subset`, `subspace_minimum`,
+        `minimum`.
 
         The full-space minimum starts from the lower of the other two. Minima also hold the mean `gradient_norm` at the
         end, the full-space one the `converged_percent` of its samples (see `Solution`).
         """
-        rows = {name: self.new_figures() for name in ("model", "subspace_minimum", "minimum")}
+        rows = {name: self.new_figures() for name in ("model_on_subset", "subspace_minimum", "minimum")}
         converged: list[bool] = []
         norms: dict[str, list[float]] = {"subspace_minimum": [], "minimum": []}
-        for batch in self.batches(self.uniform(upright=True).spread(count)):
+        for batch in self.batches(pairs):
 
             def objective(vertices: torch.Tensor, batch: Batch = batch) -> torch.Tensor:
                 return self.energy(vertices, batch)[0]
@@ -235,8 +245,9 @@ class Evaluation:
             converged += minima["minimum"].converged[: batch.count].tolist()
             for name, minimum in minima.items():
                 norms[name] += minimum.gradient_norm[: batch.count].tolist()
-            for name, vertices in {"model": own, **{k: m.vertices for k, m in minima.items()}}.items():
+            for name, vertices in {"model_on_subset": own, **{k: m.vertices for k, m in minima.items()}}.items():
                 self.count_in(rows[name], vertices, batch)
+            self.watch(MINIMA, batch.count)
         results = {name: figures.result() for name, figures in rows.items()}
         for name, values in norms.items():
             results[name]["gradient_norm"] = sum(values) / len(values)
@@ -256,9 +267,28 @@ class Evaluation:
         return self.drape.networks(batch.modulation, vector, batch.posed_nodes)
 
 
+def measured_clips(motions: Sequence[Motion]) -> list[Motion]:
+    """Clips at the rate of measuring. Raises ValueError when one is too short, stands still or comes twice."""
+    if len({motion.name for motion in motions}) < len(motions):
+        raise ValueError(f"clips must have different names, got {', '.join(motion.name for motion in motions)}")
+    clips = [motion if motion.rate_hz == MOTION_RATE else motion.resampled(MOTION_RATE) for motion in motions]
+    for clip in clips:
+        if clip.frame_count < 3:
+            raise ValueError(f"motion {clip.name!r} is too short: jitter needs 3 frames at {MOTION_RATE:g} Hz")
+        if not np.ptp(clip.positions, axis=0).any():
+            raise ValueError(f"motion {clip.name!r} stands still: jitter is measured against plain skinning's")
+    return clips
+
+
 def _with_jitter_ratio(rows: dict[str, Figures]) -> dict:
     results: dict = {name: figures.result() for name, figures in rows.items()}
     return results | {"jitter_ratio": results["model"]["jitter_mm"] / results["skinning"]["jitter_mm"]}
+
+
+def _frame(percent: float, sample: int, motion: Motion) -> dict:
+    """Body and frame of a sample of `motion_pairs`."""
+    body, frame = divmod(sample, motion.frame_count)
+    return {"body": body, "frame": frame, "percent": percent}
 
 
 def _trained_contact(model: GarmentModel) -> str:
@@ -285,37 +315,45 @@ def evaluate_model(
     steps: int,
     motions: Sequence[Motion] = (),
 ) -> dict:
-    """All rows of one model as plain data. minimum: pairs for the minima, 0 to leave them out. motions: clips for the
-    rows on motion. `energy_ratio`, model / full-space minimum, only where both have the same contact.
+    """All rows of one model as plain data; on a terminal, progress is shown meanwhile.
 
+    minimum: pairs for the minima, uniform ones and as many of motion, 0 to leave them out. motions: clips for the rows
+    on motion. `energy_ratio`, model / full-space minimum, only where both have the same contact.
     Raises ValueError for another rig than the body model's, impossible counts and clips that cannot be used.
     """
+    clips = measured_clips(motions)
+    frames = sum(clip.frame_count for clip in clips)
+    measured = (1 + model.made_to_measure) * bodies * (2 * poses + frames)
+    minimised = min(minimum, bodies * poses) + min(minimum, bodies * frames)
     batch = 64 if device.type == "cuda" else min(16, bodies * poses)
-    evaluation = Evaluation(model, device, bodies=bodies, poses=poses, seed=seed, batch=batch)
     influences = model.influence_weights.shape[1]
     rows = ["model", "skinning", *(["fewer_influences"] if influences > FEWER_INFLUENCES else [])]
-    scores: dict = evaluation.figures(upright=True, only=rows)
-    scores["tilted"] = evaluation.figures(upright=False, only=["model"])["model"]
-    scores["counts"] = {"bodies": bodies, "poses": poses, "seed": seed, "pairs": scores["model"]["pairs"]}
-    scores["counts"]["influences"] = influences
-    scores["material"] = asdict(model.material)
-    if model.made_to_measure:
-        fitted = Evaluation(model, device, bodies=bodies, poses=poses, seed=seed, batch=batch, fit=1.0)
-        made: dict = fitted.figures(upright=True, only=["model", "skinning"])
-        made["tilted"] = fitted.figures(upright=False, only=["model"])["model"]
-        if motions:
-            made["motion"] = fitted.motion(motions)
-        scores["made_to_measure"] = made
-    scores["weight_n"] = float(model.garment.vertex_areas.sum() * model.material.density * STANDARD_GRAVITY)
-    if motions:
-        scores["motion"] = evaluation.motion(motions)
-    if minimum:
-        subset = evaluation.minima(count=minimum, steps=steps)
-        scores |= {"subspace_minimum": subset["subspace_minimum"], "minimum": subset["minimum"]}
-        scores["model_on_subset"] = subset["model"]
-        scores["counts"] |= {"minimum_pairs": subset["model"]["pairs"], "minimum_steps": steps}
-        if _trained_contact(model) == CONTACT:
-            scores["energy_ratio"] = subset["model"]["energy_j"] / subset["minimum"]["energy_j"]
+    with progress(measured=measured, minimised=minimised) as watch:
+        given = {"bodies": bodies, "poses": poses, "seed": seed, "batch": batch, "watch": watch}
+        evaluation = Evaluation(model, device, **given)
+        scores: dict = evaluation.figures(upright=True, only=rows)
+        scores["tilted"] = evaluation.figures(upright=False, only=["model"])["model"]
+        scores["counts"] = {"bodies": bodies, "poses": poses, "seed": seed, "pairs": scores["model"]["pairs"]}
+        scores["counts"]["influences"] = influences
+        scores["material"] = asdict(model.material)
+        if model.made_to_measure:
+            fitted = Evaluation(model, device, **given, fit=1.0)
+            made: dict = fitted.figures(upright=True, only=["model", "skinning"])
+            made["tilted"] = fitted.figures(upright=False, only=["model"])["model"]
+            if clips:
+                made["motion"] = fitted.motion(clips)
+            scores["made_to_measure"] = made
+        scores["weight_n"] = float(model.garment.vertex_areas.sum() * model.material.density * STANDARD_GRAVITY)
+        if clips:
+            scores["motion"] = evaluation.motion(clips)
+        if minimum:
+            scores |= evaluation.minima(evaluation.uniform(upright=True).spread(minimum), steps=steps)
+            scores["counts"] |= {"minimum_pairs": scores["minimum"]["pairs"], "minimum_steps": steps}
+            if _trained_contact(model) == CONTACT:
+                scores["energy_ratio"] = scores["model_on_subset"]["energy_j"] / scores["minimum"]["energy_j"]
+        if minimum and clips:
+            every_frame = Pairs.joined([evaluation.frames(clip) for clip in clips])
+            scores["motion"] |= evaluation.minima(every_frame.spread(minimum), steps=steps)
     return scores
 
 
@@ -331,9 +369,11 @@ def main(argv: list[str] | None = None) -> int:
         nargs="*",
         default=bundled_motions(),
         metavar="CLIP",
-        help="shipped clips or motion files to measure on as well (default all shipped ones; none given: none)",
+        help="shipped clips, motion files or bags to measure on as well (default all shipped ones; none given: none)",
     )
-    parser.add_argument("--minimum", type=int, default=0, metavar="PAIRS", help="also minimise that many pairs")
+    parser.add_argument(
+        "--minimum", type=int, default=0, metavar="PAIRS", help="also minimise that many uniform pairs, and of motion"
+    )
     parser.add_argument("--minimum-steps", type=int, default=2000)
     parser.add_argument("--device", default=DEFAULT_DEVICE)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")

@@ -5,6 +5,8 @@ Dimensions: `B` samples of a batch, `n` garment vertices.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 
 from physkin_core.model.garment import Garment
@@ -17,7 +19,7 @@ __all__ = ["Figures"]
 
 class Figures:
     """Accumulates the quality figures over batches. rest: strains are against these rest shapes, default the garment's
-    own."""
+    own. `worst_skin`: by figure of the skin, the largest of a sample [%], and its number in the order of adding."""
 
     def __init__(self, garment: Garment, device: torch.device, *, rest: RestData | None = None) -> None:
         def tensor(array, dtype: torch.dtype) -> torch.Tensor:
@@ -33,6 +35,7 @@ class Figures:
         self.jitter = 0.0
         self.jitter_frames = 0
         self.snaps = 0
+        self.worst_skin: dict[str, tuple[float, int]] = {}
         self._last: tuple[torch.Tensor, torch.Tensor] | None = None
 
     def add(
@@ -40,6 +43,7 @@ class Figures:
         vertices: torch.Tensor,
         energies: Energies,
         inside_by_vertex: torch.Tensor,
+        skin: Mapping[str, torch.Tensor],
         *,
         rest_row: torch.Tensor | None = None,
         takes: torch.Tensor | None = None,
@@ -47,10 +51,10 @@ class Figures:
     ) -> None:
         """Count in the first `count` (default all) of a batch of drapes (B, n, 3) [m].
 
-        inside_by_vertex: (B, n) bool, see the function of that name. rest_row: (B,) integers, which rest shape each
-        has, default the first. takes: (B,) int64, for drapes that are frames of motion, the take that each is of: a
-        take's frames come together and in order, over as many batches as need be, and jitter and snaps are those of
-        `physkin_core.quality` over each take by itself.
+        inside_by_vertex: (B, n) bool, see the function of that name. skin: figures (B,) by name, see
+        `SkinShows`. rest_row: (B,) integers, which rest shape each has, default the first. takes: (B,) int64, for
+        drapes that are frames of motion, the take that each is of: a take's frames come together and in order, over as
+        many batches as need be, and jitter and snaps are those of `physkin_core.quality` over each take by itself.
         """
         vertices = vertices[:count]
         ends = vertices[:, self.edges]
@@ -67,6 +71,7 @@ class Figures:
             "inside_percent": 100 * (distance < 0).float().mean(dim=1),
             "inside_worn_percent": 100 * ((distance < 0) & energies.at_worn_part[:count]).float().mean(dim=1),
             "inside_by_vertex_percent": 100 * inside_by_vertex[:count].float().mean(dim=1),
+            **{name: values[:count] for name, values in skin.items()},
             "within_3mm_percent": 100 * (distance < CLOSE).float().mean(dim=1),
             "stretch_j": energies.stretch[:count],
             "bend_j": energies.bend[:count],
@@ -75,6 +80,10 @@ class Figures:
         }
         for name, values in per_sample.items():
             self.sums[name] = self.sums.get(name, 0.0) + float(values.double().sum())
+        for name in skin:
+            most, sample = per_sample[name].max(dim=0)
+            worst = float(most), self.samples + int(sample)
+            self.worst_skin[name] = max(self.worst_skin.get(name, worst), worst)
         self.depths.append((-distance).amax(dim=1).clamp_min(0))
         self.samples += len(vertices)
         if takes is not None:

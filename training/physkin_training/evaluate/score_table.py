@@ -16,6 +16,8 @@ COLUMNS = {
     "area_strain_percent": "area %",
     "inside_percent": "inside %",
     "inside_worn_percent": "inside worn parts %",
+    "skin_shows_percent": "skin shows %",
+    "skin_in_sight_percent": "in sight %",
     "within_3mm_percent": "< 3 mm %",
     "max_depth_p999_mm": "depth p99.9 mm",
     "max_depth_mm": "deepest mm",
@@ -77,4 +79,7 @@ def _motion_rows(motion: Mapping | None) -> dict[str, dict]:
     rows = {"plain skinning, motion": motion["skinning"]}
     for clip, scored in {"motion": motion, **motion["clips"]}.items():
         rows[f"the model, {clip}"] = scored["model"] | {"jitter_ratio": scored["jitter_ratio"]}
+    for row in ("model_on_subset", "subspace_minimum", "minimum"):
+        if row in motion:
+            rows[f"{ROWS[row]} of motion"] = motion[row]
     return rows

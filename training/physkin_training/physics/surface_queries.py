@@ -12,7 +12,7 @@ import warp as wp
 
 from physkin_core.model.garment import vertex_normals
 
-__all__ = ["BodySurface", "Closest", "layers_near", "piercing_edges"]
+__all__ = ["BodySurface", "Closest", "is_under", "layers_near", "piercing_edges"]
 
 FARTHEST = 10.0
 """The body is looked for up to this distance [m]."""
@@ -86,6 +86,20 @@ def layers_kernel(mesh_id: wp.uint64, reach: wp.float32, start: wp.float32, doub
             doubled[i] = True
 
 
+@wp.kernel
+def under_kernel(
+    mesh_id: wp.uint64,
+    points: wp.array(dtype=wp.vec3),
+    ways: wp.array(dtype=wp.vec3),
+    reach: wp.float32,
+    under: wp.array(dtype=wp.bool),
+):
+    """Whether the first face that a ray meets within `reach` looks away from where it comes."""
+    i = wp.tid()
+    hit = wp.mesh_query_ray(mesh_id, points[i], ways[i], reach)
+    under[i] = hit.result and wp.dot(hit.normal, ways[i]) > 0.0
+
+
 @dataclass(frozen=True)
 class Closest:
     """Where points are: signed distance (n,) [m], negative inside; outward (n, 3) unit vectors of its growth; the
@@ -146,6 +160,19 @@ def layers_near(vertices: np.ndarray, faces: np.ndarray, reach: float) -> np.nda
     doubled = wp.zeros(len(faces), wp.bool, device="cpu")
     wp.launch(layers_kernel, len(faces), [mesh.id, reach, 1e-5], [doubled], device="cpu")
     return doubled.numpy().copy()
+
+
+def is_under(
+    points: np.ndarray, normals: np.ndarray, vertices: np.ndarray, faces: np.ndarray, reach: float
+) -> np.ndarray:
+    """Which points (k, 3) of a body lie under a garment, (k,) bool: from inside, a ray along the body's unit normal
+    (k, 3) meets it within `reach` [m]. An arm beside a shirt meets the shirt from outside, and is not under it."""
+    wp.init()
+    mesh = _mesh(vertices, faces)
+    under = wp.zeros(len(points), wp.bool, device="cpu")
+    rays = [wp.array(array.astype(np.float32), dtype=wp.vec3, device="cpu") for array in (points, normals)]
+    wp.launch(under_kernel, len(points), [mesh.id, *rays, reach], [under], device="cpu")
+    return under.numpy().copy()
 
 
 def _mesh(vertices: np.ndarray, faces: np.ndarray) -> wp.Mesh:

@@ -17,6 +17,7 @@ from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.rig.rig import Rig
+from physkin_training.physics.surface_paths import mesh_edges
 
 __all__ = ["Wearing"]
 
@@ -127,8 +128,7 @@ def _limbs(parents: np.ndarray) -> np.ndarray:
 
 def _uppermost_opening(garment: Garment) -> np.ndarray:
     """Vertices of the boundary loop whose centre is highest."""
-    directed = garment.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    edges, count = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+    edges, count = mesh_edges(garment.faces)
     boundary = edges[count == 1]
     if len(boundary) == 0:
         raise ValueError("the garment has no opening: every edge has two faces")

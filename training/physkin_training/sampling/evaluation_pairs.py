@@ -6,7 +6,8 @@ Dimensions: `P` pairs, `d` degrees of freedom.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import torch
 
@@ -32,6 +33,11 @@ class Pairs:
 
     def __getitem__(self, chosen: torch.Tensor) -> Pairs:
         return Pairs(self.positions[chosen], self.gravity[chosen], self.body[chosen])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Pairs]) -> Pairs:
+        """All pairs of the parts, one part after the other."""
+        return cls(*(torch.cat([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
     def spread(self, count: int) -> Pairs:
         """`count` of the pairs, evenly spread over them (at most all)."""

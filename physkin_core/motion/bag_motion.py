@@ -1,0 +1,110 @@
+"""The joint states of a bag as a motion clip.
+
+Dimensions: `T` frames, `d` joints. Times in ns.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from physkin_core.motion.bag_reader import BagError, BagReader, Recorded, decode
+from physkin_core.motion.motion import Motion, upright_orientation
+
+__all__ = ["load_bag_motion"]
+
+log = logging.getLogger(__name__)
+
+AXES = ("x", "y", "z")
+MOST_FRAMES = 100
+"""A clip has at most this many frames for each joint state: more would be a pause of hours, or stamps of two clocks."""
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """A message: when it was stamped (0: never) and recorded, and its values (k,) by name."""
+
+    stamp_ns: int
+    time_ns: int
+    names: tuple[str, ...]
+    values: np.ndarray
+
+
+def load_bag_motion(path: str | Path) -> Motion:
+    """Read a bag as a clip at the rate of the joint states' median step, with joints linear in time between messages.
+
+    Times are the stamps, or those of recording if a message has no stamp. A joint that a message does not name is
+    interpolated from messages that do. The root stays in one place, tilted as gravity says, or upright without it.
+    Messages that are damaged, or hold values that are not finite, are left out with a warning.
+    Raises BagError for a bag that cannot be read, or has fewer than two joint states at different times.
+    """
+    kept: dict[str, list[_Sample]] = {"joint_state": [], "gravity": []}
+    left_out = 0
+    with BagReader(path) as bag:
+        for message in bag:
+            try:
+                kept[message.kind].append(_sample(message))
+            except ValueError:
+                left_out += 1
+    if left_out:
+        log.warning("bag %s: %d messages that cannot be used were left out", path, left_out)
+    states, downs = kept["joint_state"], kept["gravity"]
+    stamped = all(sample.stamp_ns for sample in (*states, *downs))
+    times = np.unique([sample.stamp_ns if stamped else sample.time_ns for sample in states])
+    if len(times) < 2:
+        raise BagError(f"bag {path}: a clip needs joint states at two times at least, {bag.topic} has {len(times)}")
+    step, length = float(np.median(np.diff(times))), float(times[-1] - times[0])
+    if length / step > MOST_FRAMES * len(times):
+        raise BagError(f"bag {path}: {len(times)} joint states {step / 1e6:.3g} ms apart span {length / 1e9:.3g} s")
+    frames = times[0] + np.linspace(0.0, length, 1 + round(length / step))
+    positions = _tracks(states, frames, stamped=stamped)
+    down = _tracks(downs, frames, stamped=stamped)
+    gravity = np.stack([down[axis] for axis in AXES], axis=1) if downs else np.tile([0.0, 0.0, -1.0], (len(frames), 1))
+    return Motion(
+        tuple(positions),
+        np.stack(list(positions.values()), axis=1),
+        upright_orientation(gravity),
+        np.zeros((len(frames), 3)),
+        1e9 * (len(frames) - 1) / length,
+        Path(path).stem,
+    )
+
+
+def _sample(recorded: Recorded) -> _Sample:
+    """Raises ValueError for a message that cannot be used."""
+    message = decode(recorded)
+    stamp = message.header.stamp
+    if recorded.kind == "gravity":
+        names, values = AXES, np.array([getattr(message.vector, axis) for axis in AXES])
+        length = np.linalg.norm(values)
+        usable = 1e-9 < length < np.inf
+        values /= length if usable else 1.0
+    else:
+        names, values = tuple(message.name), np.asarray(message.position, dtype=np.float64)
+        usable = 0 < len(names) == len(values) and np.isfinite(values).all()
+    if not usable:
+        raise ValueError(f"values {values.tolist()} of {', '.join(names)}")
+    return _Sample(stamp.sec * 10**9 + stamp.nanosec, recorded.time_ns, names, values)
+
+
+def _tracks(samples: Sequence[_Sample], frames: np.ndarray, *, stamped: bool) -> dict[str, np.ndarray]:
+    """Values (T,) at the times `frames` (T,) by name."""
+    alike: dict[tuple[str, ...], list[_Sample]] = defaultdict(list)
+    for sample in samples:
+        alike[sample.names].append(sample)
+    known: dict[str, list[np.ndarray]] = defaultdict(list)
+    for names, group in alike.items():
+        times = np.array([sample.stamp_ns if stamped else sample.time_ns for sample in group], dtype=np.float64)
+        for name, values in zip(names, np.stack([sample.values for sample in group], axis=1), strict=True):
+            known[name].append(np.stack([times, values]))
+    tracks = {}
+    for name, parts in known.items():
+        times, values = np.concatenate(parts, axis=1)
+        order = np.argsort(times, kind="stable")
+        tracks[name] = np.interp(frames, times[order], values[order])
+    return tracks

@@ -1,0 +1,29 @@
+"""Edges of a triangle mesh, and how far it is along them.
+
+Dimensions: `n` vertices, `f` faces, `e` edges. Metres.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+__all__ = ["mesh_edges", "path_lengths"]
+
+
+def mesh_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges (e, 2) of faces (f, 3), each once, and how many faces each has (e,): the boundary's have one."""
+    directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    return np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+
+
+def path_lengths(vertices: np.ndarray, faces: np.ndarray, sources: np.ndarray) -> np.ndarray:
+    """Length (n,) [m] of the shortest path along edges from each vertex to the nearest of the vertices `sources`,
+    infinite where none leads to one."""
+    if len(sources) == 0:
+        return np.full(len(vertices), np.inf)
+    edges, _ = mesh_edges(faces)
+    lengths = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
+    graph = coo_array((lengths, edges.T), shape=(len(vertices), len(vertices))).tocsr()
+    return dijkstra(graph, directed=False, indices=sources, min_only=True)
