@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import pytest
 from safetensors import safe_open
 from safetensors.numpy import save
 
@@ -13,6 +14,13 @@ def contents(path) -> tuple[dict, dict]:
     """Metadata and tensors of a file."""
     with safe_open(path, framework="numpy") as file:
         return dict(file.metadata()), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+
+
+def save_packed(model, path) -> None:
+    """Save a garment model with all its network weights packed, as those of shipped models are, however small."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(model_file, "LEAST_PACKED", 1)
+        model_file.save_garment_model(model, path)
 
 
 def sealed(metadata, tensors) -> bytes:

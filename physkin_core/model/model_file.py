@@ -1,8 +1,9 @@
 """The garment model file: one safetensors file, read and written only here.
 
-Network weights and skinning weights are stored in half precision, indices in the smallest unsigned type, geometry in
-float32. The metadata hold the schema version, the rig, material, training and scores, and a SHA-256 digest over tensors
-and metadata, so that a damaged or altered file is refused.
+Large network weights are stored in ten bits (`packed_weights`), small ones, biases and skinning weights in half
+precision, indices in the smallest unsigned type, geometry in float32. The metadata hold the schema version, the rig,
+material, training and scores, and a SHA-256 digest over tensors and metadata, so that a damaged or altered file is
+refused.
 """
 
 from __future__ import annotations
@@ -19,13 +20,18 @@ import numpy as np
 from physkin_core.model.garment import Garment, GarmentError
 from physkin_core.model.garment_model import INDEX_ARRAYS, GarmentModel, GarmentModelError, Material
 from physkin_core.model.mlp import Layer
+from physkin_core.model.packed_weights import pack_weight, unpack_weights
 from physkin_core.rig.rig import Rig, RigError
 
 __all__ = ["SCHEMA_VERSION", "ModelFileError", "load_garment_model", "save_garment_model", "shipped_models"]
 
 FORMAT = "physkin-garment"
-SCHEMA_VERSION = 2
-"""Files of version 1 lack "garment.normals"; they get those of the mesh."""
+SCHEMA_VERSION = 3
+"""Files of version 1 lack "garment.normals"; they get those of the mesh. Before 3 all network weights are in half
+precision."""
+LEAST_PACKED = 2**15
+"""Network weights of so many numbers or more are packed. Smaller ones take little space; among them is the pose
+modulator's first layer, whose rounding can move single vertices by almost a millimetre."""
 MODELS_PATH = Path(__file__).parents[1] / "assets" / "models"
 GEOMETRY_ARRAYS = ("garment.vertices", "garment.normals", "garment_nodes.rest")
 
@@ -53,8 +59,8 @@ def load_garment_model(path: str | Path) -> GarmentModel:
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused by GarmentModel
             arrays = {
-                name: tensor.astype(np.float32) if tensor.dtype.kind == "f" else tensor
-                for name, tensor in tensors.items()
+                name: tensor.astype(np.float32, copy=False) if tensor.dtype.kind == "f" else tensor
+                for name, tensor in unpack_weights(tensors).items()
             }
             for name in arrays.keys() & {"skinning.weights", "engine_skinning.weights"}:
                 arrays[name] /= np.maximum(arrays[name].sum(axis=-1, keepdims=True), 1e-6)
@@ -93,7 +99,9 @@ def save_garment_model(model: GarmentModel, path: str | Path) -> None:
     """
     from safetensors.numpy import save
 
-    tensors = {name: np.ascontiguousarray(_stored(name, array)) for name, array in model.arrays().items()}
+    tensors = {}
+    for name, array in model.arrays().items():
+        tensors |= {key: np.ascontiguousarray(tensor) for key, tensor in _stored(name, array).items()}
     metadata = {
         "format": FORMAT,
         "schema_version": str(SCHEMA_VERSION),
@@ -151,14 +159,19 @@ def _digest(metadata: Mapping[str, str], tensors: Mapping[str, np.ndarray]) -> s
     return digest.hexdigest()
 
 
-def _stored(name: str, array: np.ndarray) -> np.ndarray:
+def _stored(name: str, array: np.ndarray) -> dict[str, np.ndarray]:
+    """What the file holds of an array, by name."""
     if name in INDEX_ARRAYS:
-        return array.astype(np.min_scalar_type(int(array.max())))
+        return {name: array.astype(np.min_scalar_type(int(array.max())))}
     with np.errstate(over="ignore"):
-        stored = array.astype(np.float32 if name in GEOMETRY_ARRAYS else np.float16)
-    if not np.isfinite(stored).all():
-        largest = np.finfo(stored.dtype).max
-        raise ModelFileError(f"{name} holds {np.abs(array).max():.3g}; {stored.dtype} stores at most {largest:.3g}")
+        if name.endswith(".weight") and array.ndim == 2 and array.size >= LEAST_PACKED:
+            stored = pack_weight(name, array)
+        else:
+            stored = {name: array.astype(np.float32 if name in GEOMETRY_ARRAYS else np.float16)}
+    for tensor in stored.values():
+        if not np.isfinite(tensor).all():
+            largest = np.finfo(tensor.dtype).max
+            raise ModelFileError(f"{name} holds {np.abs(array).max():.3g}; {tensor.dtype} stores at most {largest:.3g}")
     return stored
 
 

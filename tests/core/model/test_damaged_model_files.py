@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from model_files import contents, edited_header, sealed, written
+from model_files import contents, edited_header, save_packed, sealed, written
 from random_models import random_model
 
-from physkin_core import GarmentModel, ModelFileError, load_garment_model, save_garment_model
+from physkin_core import GarmentModel, ModelFileError, load_garment_model
 
 COMMON = dict(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True)
-DTYPES = ("float16", "float32", "float64", "uint8", "uint16", "int32", "int64", "bool")
+DTYPES = ("float16", "float32", "float64", "int8", "uint8", "uint16", "int32", "int64", "bool")
 VALUES = (0, 1, -1, 255, 65535, 2**31 - 1, 1e6, 6e4, float("nan"), float("inf"))
 SIZES = (0, 1, 7, 2**31, 2**53, 2**63 - 1, 2**64 - 1, 2**80, -1)
 
@@ -20,7 +20,7 @@ SIZES = (0, 1, 7, 2**31, 2**53, 2**63 - 1, 2**64 - 1, 2**80, -1)
 @pytest.fixture(scope="module")
 def small_path(tmp_path_factory):
     path = tmp_path_factory.mktemp("models") / "small.safetensors"
-    save_garment_model(random_model(np.random.default_rng(80)), path)
+    save_packed(random_model(np.random.default_rng(80)), path)
     return path
 
 

@@ -63,7 +63,7 @@ def torch_drape(drape, avatar, q, gravity):
 
 
 def test_the_exported_model_drapes_as_the_trained_one(trained, tmp_path):
-    """The run time on the model, its file read again, and torch: within 0.1 mm in memory, 1 mm through half precision;
+    """The run time on the model, its file read again, and torch: within 0.1 mm in memory, 1 mm through the file;
     the correctives that this compares are centimetres."""
     avatar = avatar_from_body(BODY, BODY.held_out_bodies[1])
     q, gravity = poses()

@@ -50,7 +50,7 @@ def test_the_run_drapes_as_the_model_but_for_its_new_influences(trained):
     with torch.no_grad():
         logits = trainer.drape.skinning_logits
         logits[logits <= np.log(NEW_INFLUENCE) + 1e-6] = -30.0
-    # What is left is the half precision of the file.
+    # What is left is the rounding in the file.
     assert agreement(model, trainer.drape, poses=2).largest < 3e-4
 
 

@@ -42,7 +42,7 @@ __all__ = [
 
 log = logging.getLogger(__name__)
 EXPORT_TOLERANCE = 5e-3
-"""Largest distance [m] that half precision and pruning may move a vertex of the trained drape."""
+"""Largest distance [m] that rounding in the file and pruning may move a vertex of the trained drape."""
 TWIN_TOLERANCE = 1e-3
 """Largest distance [m] allowed between the stored model's drape at run time and in torch."""
 
@@ -154,8 +154,8 @@ def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8, seed: int = 
     """How far the run time's NumPy drape of `model` is from the torch `drape`, on random poses of a held-out body; of a
     model that can be made to measure, half of them so, both with the rest shape that the run time finds.
 
-    With the trained drape this is what pruning and half precision cost; with `drape_from_model(model)` it tells whether
-    run time and torch compute the same.
+    With the trained drape this is what pruning and rounding in the file cost; with `drape_from_model(model)` it tells
+    whether run time and torch compute the same.
     """
     body_model = load_body_model()
     avatar = avatar_from_body(body_model, body_model.held_out_bodies[0])
@@ -199,7 +199,7 @@ def store_checked(model: GarmentModel, drape: Drape, path: Path) -> GarmentModel
     stored = load_garment_model(unchecked)
     cost, twin = agreement(stored, drape), agreement(stored, drape_from_model(stored))
     moved = "%s %.3f mm at most, %.4f mm on average"
-    log.info(moved, "half precision and pruning move vertices by", 1e3 * cost.largest, 1e3 * cost.mean)
+    log.info(moved, "rounding in the file and pruning move vertices by", 1e3 * cost.largest, 1e3 * cost.mean)
     log.info(moved, "run time and torch agree to", 1e3 * twin.largest, 1e3 * twin.mean)
     for difference, allowed, other in (
         (cost, EXPORT_TOLERANCE, "the trained drape"),

@@ -1,0 +1,84 @@
+"""Network weights in ten bits: what is kept, what the three tensors say, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from physkin_core.model.packed_weights import pack_weight, unpack_weights
+
+SHAPES = [(1, 1), (3, 4), (5, 7), (16, 42), (8, 1536)]
+
+
+def some_weight(shape):
+    """Columns of very different size, as inputs of different units have; a row of zeros where there are several."""
+    rng = np.random.default_rng(shape)
+    weight = rng.normal(size=shape) * np.resize([0.2, 1e-3, 30.0, 1.0], shape[1])
+    weight[1:2] = 0
+    return weight.astype(np.float32)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_weights_are_kept_to_half_a_step(shape):
+    """Of 511 to the largest of the row's columns that are a multiple of four apart. Packed again, not a bit differs."""
+    weight = some_weight(shape)
+    tensors = pack_weight("a.weight", weight)
+    (name, back), *others = unpack_weights(tensors).items()
+    assert name == "a.weight" and back.dtype == np.float32 and back.flags.c_contiguous and not others
+    for k in range(min(4, shape[1])):
+        columns = slice(k, None, 4)
+        step = np.abs(weight[:, columns]).max(axis=1, keepdims=True) / 511
+        assert (np.abs(back - weight)[:, columns] <= 0.501 * step).all()
+    for key, again in pack_weight("a.weight", back).items():
+        np.testing.assert_array_equal(again, tensors[key], err_msg=key, strict=True)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_three_tensors_are_what_the_format_says(shape):
+    """Read number by number; their bytes are five eighths of half precision's, but for the scales and the last byte."""
+    tensors = pack_weight("a.weight", some_weight(shape))
+    high, low, largest = (tensors[name] for name in ("a.weight", "a.weight.low", "a.weight.largest"))
+    back = unpack_weights(tensors)["a.weight"]
+    for (i, j), value in np.ndenumerate(back):
+        steps = 4 * int(high[i, j]) + (int(low[i, j // 4]) >> 2 * (j % 4)) % 4
+        assert abs(steps) <= 511 and value == pytest.approx(float(largest[i, j % 4]) * steps / 511, rel=1e-6)
+    assert high.nbytes + low.nbytes + largest.nbytes <= (1.25 * shape[1] + 0.75 + 8) * shape[0]
+
+
+def test_other_tensors_are_left_alone():
+    tensors = {"a.weight": np.ones((4, 4), np.float16), "a.bias": np.ones(4, np.int8), "faces": np.ones(3, np.uint8)}
+    unpacked = unpack_weights(tensors)
+    assert unpacked.keys() == tensors.keys() and all(unpacked[name] is tensors[name] for name in tensors)
+
+
+@pytest.mark.parametrize("part", ["low", "largest"])
+def test_a_missing_tensor_is_named(part):
+    tensors = pack_weight("a.weight", some_weight((5, 7)))
+    del tensors[f"a.weight.{part}"]
+    with pytest.raises(KeyError, match=f"a.weight.{part}"):
+        unpack_weights(tensors)
+
+
+@pytest.mark.parametrize(
+    "part, change, message",
+    [
+        ("", lambda high: high[0], r"a.weight has shape \(7,\), expected two dimensions"),
+        ("", lambda high: high[1:], r"a.weight.low is uint8 of shape \(5, 2\), expected uint8 of shape \(4, 2\)"),
+        (".low", lambda low: low[:, 1:], r"a.weight.low is uint8 of shape \(5, 1\), expected uint8 of shape \(5, 2\)"),
+        (".low", lambda low: low.astype(np.int8), r"a.weight.low is int8 of shape .*, expected uint8"),
+        (
+            ".largest",
+            lambda largest: largest[:, 0],
+            r"a.weight.largest is float16 of shape \(5,\), expected .* \(5, 4\)",
+        ),
+        (".largest", lambda largest: largest.astype(np.float32), "a.weight.largest is float32 .*, expected float16"),
+        (".largest", lambda largest: -largest, "a.weight.largest holds -.*, allowed: a finite number, 0 or more"),
+        (".largest", lambda largest: largest * np.float16("nan"), "a.weight.largest holds nan, allowed: a finite"),
+        (".largest", lambda largest: np.full_like(largest, np.inf), "a.weight.largest holds inf, allowed: a finite"),
+    ],
+)
+def test_damaged_tensors_are_refused(part, change, message):
+    tensors = pack_weight("a.weight", some_weight((5, 7)))
+    tensors[f"a.weight{part}"] = change(tensors[f"a.weight{part}"])
+    with pytest.raises(ValueError, match=message):
+        unpack_weights(tensors)
