@@ -61,13 +61,13 @@ class OptimisationConfig:
 
     steps: Count = 100000
     minutes: Real = 0.0
-    samples: Count = 96
+    samples: Count = 192
     bodies: Count = 12
-    learning_rate: Annotated[Positive, Field(allow_inf_nan=False)] = 5e-4
+    learning_rate: Annotated[Positive, Field(allow_inf_nan=False)] = 2e-3
     skinning_rate: Real = 1e-2
     final_rate: Share = 0.005
     warm_up: Share = 0.01
-    growth: Share = 0.35
+    growth: Share = 0.25
     initial_contact: Share = 0.1
     late_reach: Positive = 0.05
     prune_from: Share = 0.3
@@ -77,7 +77,7 @@ class OptimisationConfig:
     gradient_clip: Positive = 10.0
     contact_linear_beyond: Positive = 0.01
     heavy_energy: Positive = 0.1
-    steadiness: Real = 50.0
+    steadiness: Real = 100.0
     average: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.999
     validate_every: Count = 500
     fit: Literal["template", "both"] = "template"
@@ -98,8 +98,8 @@ class OptimisationConfig:
 class GarmentNodeConfig:
     """Garment nodes and skinning: `count` nodes, `initial_influences` a vertex while training, `influences` shipped.
 
-    `engine_influences`: of a second set of skinning weights, for engines; every body's last pose of a step is skinned
-    by it. 0 for none.
+    `engine_influences`: of a second set of skinning weights, for engines; an eighth of the samples is skinned by it. 0
+    for none.
     """
 
     count: Count = 128

@@ -167,8 +167,8 @@ class Evaluation:
     def figures(
         self, *, upright: bool, only: Collection[str] = ("model", "skinning", "fewer_influences")
     ) -> dict[str, dict[str, float]]:
-        """The model, plain skinning, and the model with only the `FEWER_INFLUENCES` strongest influences a vertex
-        (renormalised), over all pairs; of these rows, those named in `only`."""
+        """The model, plain skinning, and the model by the skinning weights it learnt for engines, or where it did not
+        with only the `FEWER_INFLUENCES` strongest influences a vertex, over all pairs; of these, those in `only`."""
         rows = self._rows(self.uniform(upright=upright), only, "upright" if upright else "tilted")
         return {name: figures.result() for name, figures in rows.items()}
 
@@ -177,14 +177,16 @@ class Evaluation:
         return motion_pairs(motion, self.model.rig, bodies=len(self.bodies))
 
     def motion(self, motions: Sequence[Motion]) -> dict:
-        """Model and plain skinning on every frame of clips on every body: `model`, `skinning`, `jitter_ratio`; `clips`
-        by name with the same, and `worst_skin`, `worst_skin_in_sight`: the model's frame with most of it; `counts`.
+        """Model, also by skinning weights learnt for engines, and plain skinning on every frame of clips on every body:
+        `model`, `fewer_influences`, `skinning`, `jitter_ratio`; `clips` by name with the same, and `worst_skin` and
+        `worst_skin_in_sight`, the model's frame with most of it; `counts`.
 
         Raises MotionError when a clip moves none of the rig's joints, ValueError when one is too short, stands still or
         comes twice.
         """
         clips = {clip.name: clip for clip in measured_clips(motions)}
-        total = {name: self.new_figures() for name in ("model", "skinning")}
+        learnt = self.model.engine_nodes is not None
+        total = {name: self.new_figures() for name in ("model", "skinning", *(["fewer_influences"] if learnt else []))}
         results: dict = {"clips": {}}
         for name, motion in clips.items():
             rows = self._rows(self.frames(motion), total, name, motion=True)
@@ -204,10 +206,7 @@ class Evaluation:
         return _with_jitter_ratio(total) | results
 
     def _rows(self, pairs: Pairs, only: Collection[str], what: str, *, motion: bool = False) -> dict[str, Figures]:
-        fewer = copy.deepcopy(self.drape)
-        fewer.prune_influences(FEWER_INFLUENCES)
-        drapes = {"model": self.drape, "skinning": self.drape, "fewer_influences": fewer}
-        drapes = {name: drape for name, drape in drapes.items() if name in only}
+        drapes = {name: self._fewer if name == "fewer_influences" else self.drape for name in only}
         rows = {name: self.new_figures() for name in drapes}
         with torch.no_grad():
             for batch in self.batches(pairs):
@@ -218,6 +217,14 @@ class Evaluation:
                     self.count_in(rows[name], vertices, batch, motion=motion)
                 self.watch(what, batch.count)
         return rows
+
+    @cached_property
+    def _fewer(self) -> Drape:
+        if self.model.engine_nodes is not None:
+            return drape_from_model(self.model.for_engines()).to(self.device).eval()
+        fewer = copy.deepcopy(self.drape)
+        fewer.prune_influences(FEWER_INFLUENCES)
+        return fewer
 
     def minima(self, pairs: Pairs, *, steps: int) -> dict[str, dict[str, float]]:
         """The model, subspace minimum and full-space minimum on the pairs: `model_on_subset`, `subspace_minimum`,
@@ -325,7 +332,7 @@ def evaluate_model(
     frames = sum(clip.frame_count for clip in clips)
     measured = (1 + model.made_to_measure) * bodies * (2 * poses + frames)
     minimised = min(minimum, bodies * poses) + min(minimum, bodies * frames)
-    batch = 64 if device.type == "cuda" else min(16, bodies * poses)
+    batch = 512 if device.type == "cuda" else min(16, bodies * poses)
     influences = model.influence_weights.shape[1]
     rows = ["model", "skinning", *(["fewer_influences"] if influences > FEWER_INFLUENCES else [])]
     with progress(measured=measured, minimised=minimised) as watch:

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 import torch
 from torch.nn import Parameter
 
-__all__ = ["SIDES", "Soap"]
+__all__ = ["SIDES", "TURN_EVERY", "Soap"]
 
 BETAS = 0.95, 0.95
 """Of first and second moments in the eigenbases; outside, Adam's own."""
@@ -21,8 +21,8 @@ COVARIANCE_BETA = 0.98
 EPSILON = 1e-8
 LEAST_SIDE, LARGEST_SIDE = 32, 2048
 """Matrices with a smaller side are Adam's; larger sides have no eigenbasis."""
-TURN_EVERY, FIRST_TURNS = 100, 10
-"""Steps between two turns of the bases, later and in the first hundred steps."""
+TURN_EVERY, FIRST_TURNS = 50, 10
+"""Steps between two turns of the bases, later and while the first are taken."""
 SIDES = ("rows", "columns")
 
 
@@ -97,6 +97,8 @@ class Soap(torch.optim.Optimizer):
             if before:
                 moment = _out_of_bases(state["exp_avg"], {f"basis_{side}": basis for side, basis in before.items()})
                 state["exp_avg"].copy_(_into_bases(moment, state))
+                # A second moment is never below the first one's square; in other bases it may be, and steps are huge.
+                state["exp_avg_sq"].copy_(torch.maximum(state["exp_avg_sq"], state["exp_avg"].square()))
 
 
 def _update_covariances(gradient: torch.Tensor, state: dict) -> None:

@@ -37,7 +37,7 @@ from physkin_training.train.checkpoint import Progress, load_checkpoint, load_dr
 from physkin_training.train.processes import Processes
 from physkin_training.train.recorded_step import RecordedStep
 from physkin_training.train.schedule import EARLY_REACH, Schedule
-from physkin_training.train.soap import Soap
+from physkin_training.train.soap import TURN_EVERY, Soap
 from physkin_training.train.steadiness import Steadiness
 from physkin_training.train.step_rate import steps_within
 from physkin_training.train.validation import BestModel, Validation
@@ -48,6 +48,8 @@ NORMALISING_POSES = 2048
 """Poses from which the node deformer's inputs are scaled."""
 LARGEST_SWELLING = 0.015
 """[m] how much may be worn under the garment."""
+ENGINE_SHARE = 1 / 8
+"""Share of a body's poses that are skinned by the weights for engines; one at least."""
 COVERED_PARTS = 0.7
 """Share of a swollen body's parts that are."""
 
@@ -194,7 +196,7 @@ class Trainer:
         self._set_schedules()
         for group in self.optimiser.param_groups:
             group["lr"].zero_()
-        for done in itertools.count(1):
+        for done in itertools.count(TURN_EVERY + 1):
             self._recorded()
             self.optimiser.turn_bases(done)
             yield done
@@ -410,11 +412,12 @@ class Trainer:
         self.gradient_norm.copy_(norm)
 
     def _skinned(self, nodes: torch.Tensor, rest: RestShape | None) -> torch.Tensor:
-        """Drapes (B, n, 3) of garment nodes (B, m, 3, 4); each body's last one by the skinning weights for engines."""
+        """Drapes (B, n, 3) of garment nodes (B, m, 3, 4); each body's last ones by the skinning weights for engines."""
         if not self.drape.for_engines:
             return self.drape.skin(nodes, rest)
         parts = []
-        for poses, for_engines in ((slice(None, -1), False), (slice(-1, None), True)):
+        last = max(1, round(ENGINE_SHARE * self._samples / self._bodies))
+        for poses, for_engines in ((slice(None, -last), False), (slice(-last, None), True)):
 
             def part(values: torch.Tensor, poses: slice = poses) -> torch.Tensor:
                 return values.unflatten(0, (self._bodies, -1))[:, poses].flatten(0, 1)
