@@ -50,8 +50,8 @@ def waist_band_model() -> GarmentModel:
     return random_model(np.random.default_rng(1), rig=rig, garment=garment, nodes=12, correction=0.02)
 
 
-def small_config(folder: Path, **optimisation) -> TrainingConfig:
-    """Twelve steps of two samples; influences are pruned after the third, all body points used in the twelfth.
+def small_config(folder: Path, *, engine_influences: int = 2, **optimisation) -> TrainingConfig:
+    """Twelve steps of four samples; influences are pruned after the third, all body points used in the twelfth.
 
     The average is measured after the eighth and the twelfth.
     """
@@ -68,7 +68,7 @@ def small_config(folder: Path, **optimisation) -> TrainingConfig:
         seed=5,
         train_bodies=3,
         optimisation=replace(schedule, **optimisation),
-        garment_nodes=GarmentNodeConfig(count=12, initial_influences=6, influences=3, engine_influences=2),
+        garment_nodes=GarmentNodeConfig(count=12, initial_influences=6, influences=3, engine_influences=engine_influences),
         networks=SIZES,
     )
 

@@ -11,6 +11,7 @@ from random_models import random_model
 from training.small_runs import exported, run, small_config
 
 from physkin_core import Draper, avatar_from_body, load_body_model, load_garment_model, save_garment_model
+from physkin_core.model.garment_model import GarmentModelError
 from physkin_core.runtime.binding import encode_body
 from physkin_training.config import NetworkConfig
 from physkin_training.evaluate.plain_model import plain_model
@@ -248,3 +249,22 @@ def test_concatenation_is_a_plain_network_of_the_joined_input():
     features, to_deformer = layers(networks.pose_modulator, pose, output, code)
     hidden, last = layers(networks.node_deformer, nodes.flatten(1), to_deformer, features)
     torch.testing.assert_close(networks(output(code), pose, nodes), last(hidden).unflatten(1, (3, 12)))
+
+
+def test_the_skinning_weights_for_engines_go_along(tmp_path):
+    """Two influences a vertex, read again; the model for engines drapes as the trained drape does by them, and one
+    that has not learnt any says so."""
+    trainer = Trainer(small_config(tmp_path), torch.device("cpu"))
+    run(trainer, 5)
+    path = tmp_path / "band.safetensors"
+    save_garment_model(exported(trainer, 3, engine_influences=2), path)
+    model = load_garment_model(path)
+    assert model.for_engines().influence_weights.shape == (len(model.garment.vertices), 2)
+    nodes = torch.eye(4)[:3] + 0.1 * torch.randn(4, len(model.node_rest), 3, 4)
+    with torch.no_grad():
+        expected = trainer.drape.skin(nodes, for_engines=True)
+        stored = drape_from_model(model.for_engines()).skin(nodes)
+        assert (trainer.drape.skin(nodes) - expected).abs().max() > 1e-3
+    torch.testing.assert_close(stored, expected, atol=1e-3, rtol=0)
+    with pytest.raises(GarmentModelError, match="'band' has not learnt skinning weights for engines"):
+        exported(trainer, 3).for_engines()

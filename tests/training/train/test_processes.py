@@ -57,7 +57,7 @@ def test_processes_draw_different_samples(folder):
     one, other = reports(folder, "drawn")
     for index in ("1", "3"):  # positions and surface points; body and gravity may be the same by chance
         assert one[index].shape == other[index].shape and not torch.equal(one[index], other[index])
-    assert len(one["0"]) == 1 and len(one["1"]) == 1, "half of the configuration's two bodies and two samples"
+    assert len(one["0"]) == 1 and len(one["1"]) == 2, "half of the configuration's two bodies and four samples"
 
 
 @pytest.mark.slow

@@ -50,11 +50,12 @@ def test_skinning_weights_and_all_networks_learn(tmp_path, skinning_rate):
     run(trainer, 5)
     for name, parameter in trainer.drape.named_parameters():
         if not name.endswith("pool.bias"):  # a softmax does not see it
-            stays = name == "skinning_logits" and skinning_rate == 0
+            stays = name in ("skinning_logits", "engine_logits") and skinning_rate == 0
             assert torch.equal(parameter, start[name]) == stays, name
     assert torch.equal(trainer.drape.node_rest, torch.as_tensor(trainer.nodes.rest, dtype=torch.float32))
     weights = trainer.drape.skinning_weights.detach().clone()
     assert ((weights > 0).sum(dim=1) == 3).all()
+    assert ((trainer.drape.engine_weights > 0).sum(dim=1) == 2).all()
     trainer.drape.prune_influences(3)
     assert torch.equal(trainer.drape.skinning_weights, weights), "as a resumed run does"
 
@@ -77,8 +78,9 @@ def test_schedules(tmp_path, monkeypatch):
     monkeypatch.setattr(trainer.drape, "prune_influences", lambda keep: pruned_at.append((trainer.step, keep)))
 
     def record():
-        rates = [float(group["lr"]) for group in trainer.optimiser.param_groups]
-        rows.append((trainer.range.item(), trainer.losses.contact_stiffness.item(), *rates))
+        *networks, skinning = (float(group["lr"]) for group in trainer.optimiser.param_groups)
+        assert len(set(networks)) == 1
+        rows.append((trainer.range.item(), trainer.losses.contact_stiffness.item(), networks[0], skinning))
         points.append(trainer.draw()[3].shape[1])
         reaches.append(trainer.losses.reach)
 
@@ -327,3 +329,19 @@ def test_a_resumed_run_keeps_the_steps_that_were_chosen(tmp_path, capsys, monkey
     assert [row["step"] for row in rows] == list(range(1, 8))
     assert main([*command, "--output", str(tmp_path / "second"), *resumed]) == 2
     assert "minutes = 0.1" in capsys.readouterr().err
+
+
+def test_an_eighth_of_the_samples_is_skinned_for_engines(tmp_path):
+    """Of each body the last poses, one at least; all others as ever, each by its own rest shape."""
+    trainer = Trainer(small_config(tmp_path, samples=32, bodies=2, fit="both"), CPU)
+    run(trainer, 5)  # both sets are pruned by then, to different influences
+    worn = trainer.fits.worn(torch.arange(32) // 16, torch.arange(32) >= 16)
+    nodes = torch.eye(4)[:3] + 0.1 * torch.randn(32, 12, 3, 4)
+    with torch.no_grad():
+        skinned = trainer.skinned(nodes, worn.rest)
+        expected = trainer.drape.skin(nodes, worn.rest)
+        for_engines = trainer.drape.skin(nodes, worn.rest, for_engines=True)
+    few = torch.arange(32) % 16 >= 14
+    torch.testing.assert_close(skinned[~few], expected[~few], atol=1e-6, rtol=0)
+    torch.testing.assert_close(skinned[few], for_engines[few], atol=1e-6, rtol=0)
+    assert (skinned[few] - expected[few]).abs().amax(dim=(1, 2)).min() > 1e-3

@@ -25,7 +25,7 @@ BODY = load_body_model()
 
 @pytest.fixture(scope="module")
 def trainer(tmp_path_factory):
-    return Trainer(small_config(tmp_path_factory.mktemp("run")), CPU)
+    return Trainer(small_config(tmp_path_factory.mktemp("run"), samples=2, engine_influences=0), CPU)
 
 
 def wearing_of(trainer):

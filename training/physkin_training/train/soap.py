@@ -19,7 +19,7 @@ BETAS = 0.95, 0.95
 ADAM_BETAS = 0.9, 0.999
 COVARIANCE_BETA = 0.98
 EPSILON = 1e-8
-LEAST_SIDE, LARGEST_SIDE = 32, 2048
+LEAST_SIDE, LARGEST_SIDE = 8, 2048
 """Matrices with a smaller side are Adam's; larger sides have no eigenbasis."""
 TURN_EVERY, FIRST_TURNS = 50, 10
 """Steps between two turns of the bases, later and while the first are taken."""

@@ -392,7 +392,7 @@ class Trainer:
             posed_nodes = self.drape.posed_nodes(bone_transforms, node_positions)
         modulation = self.drape.networks.hyper_modulator(*surface, fit).repeat_interleave(per_body, dim=0)
         nodes = self.drape.draped_nodes(modulation, positions, gravity, posed_nodes)
-        loss = self.objective(self._skinned(nodes, rest), gravity)
+        loss = self.objective(self.skinned(nodes, rest), gravity)
         if optimisation.steadiness:
             loss = loss + self._steadiness(
                 nodes,
@@ -411,7 +411,7 @@ class Trainer:
         self._update_average()
         self.gradient_norm.copy_(norm)
 
-    def _skinned(self, nodes: torch.Tensor, rest: RestShape | None) -> torch.Tensor:
+    def skinned(self, nodes: torch.Tensor, rest: RestShape | None) -> torch.Tensor:
         """Drapes (B, n, 3) of garment nodes (B, m, 3, 4); each body's last ones by the skinning weights for engines."""
         if not self.drape.for_engines:
             return self.drape.skin(nodes, rest)
