@@ -18,6 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState, PointCloud2
 
+from physkin_core import BUNDLED_AVATAR
 from physkin_ros.messages.conversions import read_cloud
 
 
@@ -190,6 +191,15 @@ class Site(Partner):
             return done()
 
         super().until(done_or_over, what, seconds)
+
+
+def scaled_body(factor: float) -> bytes:
+    """A GLB of the bundled avatar, so many times as large."""
+    document, rest = glb_parts(BUNDLED_AVATAR.read_bytes())
+    scene = document["scenes"][document.get("scene", 0)]
+    document["nodes"].append({"children": scene["nodes"], "scale": [factor] * 3})
+    scene["nodes"] = [len(document["nodes"]) - 1]
+    return glb_joined(document, rest)
 
 
 def glb_parts(glb: bytes) -> tuple[dict, bytes]:

@@ -23,6 +23,9 @@ POINTS = 16384
 """Points sampled on the avatar."""
 MATCHED = 3000
 """Vertices of the body model that are matched with them."""
+AT_ONCE = 80
+"""Matched vertices in one product of matrices: too few for BLAS to share out among threads, which on a busy machine
+wait for each other ten times as long as they compute."""
 ITERATIONS = 10
 EXPECTED_RESIDUAL = 0.003
 """[m] mean distance between surfaces that weighs as much as coefficients of one standard deviation."""
@@ -75,10 +78,13 @@ class _Matching:
         right = precision * by_bone.T @ (bones - body.mean_bones).reshape(-1)
         coefficients = np.linalg.solve(prior, right)
         components = body.vertex_components[:, self.chosen].astype(np.float64)
+        start = body.mean_vertices[self.chosen]
+        blocks = [slice(first, first + AT_ONCE) for first in range(0, len(start), AT_ONCE)]
         for _ in range(ITERATIONS):
             target, trust = self._matches(body.vertices(coefficients).astype(np.float64))
             importance = trust / (trust.sum() * EXPECTED_RESIDUAL**2)
-            matrix, values = normal_equations(components, body.mean_vertices[self.chosen], target, importance)
+            sums = [normal_equations(components[:, k], start[k], target[k], importance[k]) for k in blocks]
+            matrix, values = (sum(parts) for parts in zip(*sums))
             coefficients = np.linalg.solve(prior + matrix, right + values)
         return coefficients
 

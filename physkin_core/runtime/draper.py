@@ -40,8 +40,9 @@ class Draper:
     backend: "native" (C++, the one to use) or "numpy" (readable reference, slow); never switched silently.
     precision: of the native backend's network weights, "fp32", "bf16" or "int8" (see `NativeEvaluator`); None for its
         default, bf16. The NumPy backend knows fp32 only.
-    fit: 0 for the garment's one size, 1 for a garment made to measure, or between; above 0 only for models that have
-        learnt it (`GarmentModel.made_to_measure`). Takes half a second when the body is bound, nothing a frame.
+    fit: 1 for a garment made to measure for this body, 0 for the garment's one size, or between; above 0 only for
+        models that have learnt it (`GarmentModel.made_to_measure`). None, the default: 1 for those, 0 for others. Above
+        0 it takes some tenths of a second more when the body is bound, nothing a frame.
     normals: "skinned", rest normals carried along with their vertices, or "faces", recomputed from the draped mesh:
         truer where the cloth ripples or slides, for some 5 ns a vertex.
     points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
@@ -60,7 +61,7 @@ class Draper:
         *,
         backend: Literal["native", "numpy"] = "native",
         precision: Literal["fp32", "bf16", "int8"] | None = None,
-        fit: float = 0.0,
+        fit: float | None = None,
         normals: Literal["skinned", "faces"] = "skinned",
         points: np.ndarray | None = None,
         point_normals: np.ndarray | None = None,
@@ -73,8 +74,9 @@ class Draper:
             raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
         if backend == "numpy" and precision not in (None, "fp32"):
             raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
-        bound = bind_garment(model, avatar, fit=fit, backend=backend) if binding is None else binding
-        self._rest = rest = bound.vertices if fit else None
+        self.fit = model.checked_fit(fit)
+        bound = bind_garment(model, avatar, fit=self.fit, backend=backend) if binding is None else binding
+        self._rest = rest = bound.vertices if self.fit else None
         if points is not None:
             bound = replace(bound, **bind_points(model, points, normals=point_normals, rest=rest))
         self.model = model

@@ -14,7 +14,7 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 
-from physkin_core import BUNDLED_AVATAR, GarmentModel
+from physkin_core import BUNDLED_AVATAR, Draper, GarmentModel
 from physkin_ros.joints.joint_naming import load_naming
 from physkin_ros.joints.joint_state_wire import JointStateWire
 from physkin_ros.joints.joint_states import JointNaming, JointStateError, JointStateReader
@@ -173,8 +173,7 @@ class AvatarStream:
         garments = []
         for stream, draper in zip(self.garments, drapers):
             before = worn_now.get(stream)
-            same = before is not None and before.draper.model is draper.model
-            revision = before.revision + (not same) if before else 1
+            revision = 1 if before is None else before.revision + (not _same_mesh(before.draper, draper))
             garments.append(WornGarment(stream, draper, revision, outfit.pose, self.gravity))
         outfit.garments = tuple(garments)
         return outfit
@@ -331,6 +330,11 @@ def _carry_on(previous: Outfit, outfit: Outfit) -> None:
     if previous.reader.joint_names == outfit.reader.joint_names:
         np.copyto(outfit.reader.positions, previous.reader.positions)
         np.copyto(outfit.pose, previous.reader.positions)
+
+
+def _same_mesh(before: Draper, draper: Draper) -> bool:
+    """Whether two drapers differ by the body alone. Made to measure, another body means another rest shape."""
+    return before.model is draper.model and np.array_equal(before.bound.vertices, draper.bound.vertices)
 
 
 def _unit(direction: Sequence[float]) -> np.ndarray:

@@ -70,7 +70,7 @@ class GarmentStream:
 class WornGarment:
     """A draper and the messages it fills, bound to the pose (d,) and gravity (3,) arrays of its avatar.
 
-    revision: of the garment's mesh, which a swap of the body alone does not change.
+    revision: of the garment's mesh, which a swap of the body alone does not change in one size.
     step: drapes what those arrays hold now; raises ValueError when the result is not finite.
     """
 

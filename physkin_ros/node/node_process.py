@@ -137,7 +137,7 @@ def _explain_usage(arguments: list[str]) -> int:
     ):
         lines += ["", f"parameters of {title}:"]
         lines += [
-            f"  {name:<19} {setting.description} (default {setting.default!r})" for name, setting in settings.items()
+            f"  {name:<19} {setting.description} (default {setting.declared!r})" for name, setting in settings.items()
         ]
     lines += ["", "topics:", *(f"  {name:<19} {text}" for name, text in TOPICS.items())]
     lines += ["", "Ended by SIGKILL the node leaves shared memory (/dev/shm/fastrtps_*) behind: fastdds shm clean."]

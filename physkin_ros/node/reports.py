@@ -64,7 +64,7 @@ class Reports:
             draper = worn.draper
             model, source = draper.model.name, draper.avatar.source
             values |= {"backend": draper.backend, "instruction set": draper.instruction_set}
-            values["precision"] = draper.precision
+            values |= {"precision": draper.precision, "fit": f"{draper.fit:g}"}
         values["model"] = model
         values["gravity"] = " ".join(f"{value:.3f}" for value in stream.gravity)
         if worn is None:

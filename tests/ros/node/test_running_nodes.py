@@ -10,11 +10,12 @@ from threading import Event
 import numpy as np
 import pytest
 
-from physkin_core import Draper, load_garment_model
+from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.model.model_file import MODELS_PATH
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
+from drape_site import scaled_body  # noqa: E402
 from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import qos_profile_sensor_data  # noqa: E402
@@ -87,6 +88,38 @@ def test_options_of_a_garment(peer, running_node, model_path, draper):
     corners = np.array([(point.x, point.y, point.z) for point in markers[0].points[:30]])
     np.testing.assert_array_equal(corners, cloud[draper.faces.ravel()[:30], :3])
     assert len(markers[0].points) == draper.faces.size and markers[0].header.stamp.nanosec == 4
+
+
+def test_made_to_measure(peer, running_node, measured_model_path, tmp_path):
+    """By default; another body has another rest shape, which readers of garment nodes are told."""
+    GarmentClient = pytest.importorskip("physkin_ros.client", reason="needs physkin_msgs").GarmentClient
+    model, other, skinned = load_garment_model(measured_model_path), tmp_path / "other.glb", []
+    other.write_bytes(scaled_body(1.1))
+    names, pose = model.rig.joint_names, model.rig.rest.astype(np.float32)
+    client = GarmentClient(peer.node, lambda frame: skinned.append(frame.points.copy()))
+
+    def wears(body, fit: float) -> bool:
+        """Whether the next joint state is answered with the garment on this body, garment nodes as the cloud."""
+        expected = Draper(model, load_avatar(body, model.rig), fit=fit).drape(pose)
+        skinned.clear()
+        cloud = peer.cloud(names, pose, next(STAMPS))
+        peer.spin(0.1)
+        return np.array_equal(cloud, expected) and len(skinned) == 1 and np.array_equal(skinned[0], expected)
+
+    parameters = {"model": str(measured_model_path), "asset_roots": [str(tmp_path)]}
+    with running_node(parameters) as node:
+        assert node.get_parameter("fit").value == ""
+        peer.until(lambda: wears(BUNDLED_AVATAR, 1.0), "the garment on the first body")
+        (result,) = node.set_parameters([Parameter("body_mesh", value=str(other))])
+        assert result.successful, result.reason
+        peer.until(lambda: wears(other, 1.0), "the garment on the other body")
+        peer.until_told("fit", "1")
+    with running_node(parameters | {"fit": 0.0}):
+        peer.until(lambda: wears(BUNDLED_AVATAR, 0.0), "the garment in one size")
+        peer.reports.clear()
+        peer.until_told("fit", "0")
+    for subscription in client._subscriptions:
+        peer.node.destroy_subscription(subscription)
 
 
 def test_clouds_at_a_rate_of_their_own(peer, running_node, model_path, draper):

@@ -70,8 +70,8 @@ class Batch:
 class Evaluation:
     """Held-out bodies and seeded poses for one garment model on one device.
 
-    bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, 0 (template) to
-    1 (made to measure); strains are against the rest shape at that fit. body_model: whose bodies, default the adults
+    bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, as in `Draper`;
+    strains are against the rest shape at that fit. body_model: whose bodies, default the adults
     that are shipped. Raises ValueError when the model is for another rig than the body model's or has not
     learnt the fit, or there are not so many bodies.
     """
@@ -85,7 +85,7 @@ class Evaluation:
         poses: int,
         seed: int,
         batch: int = 64,
-        fit: float = 0.0,
+        fit: float | None = None,
         body_model: BodyModel | None = None,
     ) -> None:
         fit = model.checked_fit(fit)
@@ -291,7 +291,7 @@ def evaluate_model(
     Raises ValueError for another rig than the body model's, impossible counts and clips that cannot be used.
     """
     batch = 64 if device.type == "cuda" else min(16, bodies * poses)
-    evaluation = Evaluation(model, device, bodies=bodies, poses=poses, seed=seed, batch=batch)
+    evaluation = Evaluation(model, device, bodies=bodies, poses=poses, seed=seed, batch=batch, fit=0.0)
     influences = model.influence_weights.shape[1]
     rows = ["model", "skinning", *(["fewer_influences"] if influences > FEWER_INFLUENCES else [])]
     scores: dict = evaluation.figures(upright=True, only=rows)
