@@ -25,6 +25,7 @@ from physkin_core.model.pose_modulator import pose_modulation
 from physkin_core.model.skinning import skin
 from physkin_core.runtime import binding
 from physkin_core.runtime.binding import bind_garment, encode_body
+from physkin_core.runtime.draper import in_units_of_gravity
 from physkin_core.runtime.garment_grading import GarmentGrading
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
@@ -393,6 +394,14 @@ def test_effective_gravity():
     np.testing.assert_allclose(draper.drape(pose, effective_gravity=9.81 * down), usual, atol=1e-6)
     for size in (0.0, 5.0, 29.0):
         assert np.abs(draper.drape(pose, effective_gravity=size * down) - usual).max() > 1e-5
+    for backend in ("native", "numpy"):  # bound to arrays, in units of gravity
+        bound, felt = Draper(learnt, avatar, backend=backend), np.zeros(3, dtype=np.float32)
+        out = np.empty((bound.vertex_count, 6), dtype=np.float32)
+        step = bound.bind_step(pose, felt, out)
+        for size in (0.0, 5.0, 29.0):
+            felt[:] = in_units_of_gravity(size * down)
+            step()
+            np.testing.assert_array_equal(out, bound.drape(pose, effective_gravity=size * down))
     for wrong in ([0, 0, -30.0], [0, np.nan, 0], [0, 0], -9.81):
         with pytest.raises(ValueError, match="effective_gravity must be .* up to 29.4 m/s2"):
             draper.drape(pose, effective_gravity=wrong)
