@@ -214,7 +214,9 @@ def in_units_of_gravity(effective_gravity: np.ndarray) -> np.ndarray:
     Raises ValueError unless it is finite and at most three times gravity.
     """
     felt = np.asarray(effective_gravity, dtype=np.float64) / STANDARD_GRAVITY
-    if felt.shape != (3,) or not np.linalg.norm(felt) <= LARGEST_EFFECTIVE_GRAVITY:
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(felt)
+    if felt.shape != (3,) or not length <= LARGEST_EFFECTIVE_GRAVITY:
         allowed = f"(3,), finite, up to {LARGEST_EFFECTIVE_GRAVITY * STANDARD_GRAVITY:.1f} m/s2 long"
         raise ValueError(f"effective_gravity must be {allowed}, got {np.asarray(effective_gravity).tolist()}")
     return felt

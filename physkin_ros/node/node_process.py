@@ -29,6 +29,9 @@ TOPICS = {
     "joint_states": "in, sensor_msgs/JointState: pose of the body",
     "gravity": "in, geometry_msgs/Vector3Stamped: direction of gravity in the body's root frame, any length but zero; "
     "joint states are draped with the latest, so send it before them; or pose, imu: see orientation",
+    "~/effective_gravity": "in, geometry_msgs/Vector3Stamped: what an accelerated root feels, gravity less its "
+    "acceleration [m/s2] in the body's root frame, up to 29.4 long; counts for 0.5 s, in its place; with avatars "
+    "~/ID/effective_gravity",
     "~/garment": "out, sensor_msgs/PointCloud2: points [m] and normals, body's root frame, stamp of the joint state",
     "~/marker": "out, visualization_msgs/Marker: the garment's triangles; with marker",
     "~/mesh": "out, physkin_msgs/GarmentMesh: faces and skinning weights, latched; with physkin_msgs installed",

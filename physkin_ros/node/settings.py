@@ -146,6 +146,11 @@ class AvatarSettings:
     orientation_joints: tuple[str, ...] = _key(
         ["root_roll", "root_pitch"], "names of roll and pitch [rad] in the joint states, for orientation joints"
     )
+    effective_gravity_topic: str = _key(
+        "",
+        "topic of what an accelerated root feels: gravity less the root's acceleration, root frame [m/s2]. While it "
+        "comes it takes the place of the direction; default ~/effective_gravity, with avatars ~/ID/effective_gravity",
+    )
     world_frame: str = _key("world", "upright TF frame, for orientation tf", may_be_empty=False)
     cloud_rate: float = _key(
         0.0,
@@ -333,7 +338,7 @@ def read_settings(given: Mapping[str, object]) -> NodeSettings:
             name = garment_prefix.split(".")[3] if garment_prefix else ""
             _check_topic(f"{garment_prefix}namespace", garment["namespace"])
             garments.append(GarmentSettings(prefix=garment_prefix, name=name, **garment))
-        for key in ("joint_states", "orientation_topic"):
+        for key in ("joint_states", "orientation_topic", "effective_gravity_topic"):
             _check_topic(prefix + key, values[key])
         if len(values["orientation_joints"]) != 2:
             raise SettingsError(

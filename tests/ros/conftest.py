@@ -32,6 +32,15 @@ def leaning_model_path(leaning_model, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def accelerated_model_path(leaning_model, tmp_path_factory):
+    """A file of the garment that heeds gravity, which has learnt effective gravity."""
+    path = tmp_path_factory.mktemp("models") / "accelerated.safetensors"
+    learnt = dataclasses.replace(leaning_model, name="accelerated", training={"poses": {"accelerated": 0.3}})
+    save_garment_model(learnt, path)
+    return path
+
+
+@pytest.fixture(scope="session")
 def measured_model_path(garment_model, tmp_path_factory):
     """A file of the test's garment that has learnt to be made to measure."""
     hyper = {**garment_model.hyper_modulator, "fit": np.linspace(-1, 1, 8, dtype=np.float32)}

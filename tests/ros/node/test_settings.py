@@ -96,6 +96,10 @@ def test_many_avatars(tmp_path):
             "{avatars: {ann: {joint_states: 'a b', garments: {top: {model: a}}}}}",
             "joint_states is 'a b'; allowed: a ROS name",
         ),
+        (
+            "{avatars: {ann: {effective_gravity_topic: a b, garments: {top: {model: a}}}}}",
+            "effective_gravity_topic is 'a b'; allowed: a ROS name",
+        ),
         ("{avatars: {ann: {orientation_joints: [a], garments: {top: {model: a}}}}}", "allowed: two names"),
         (
             "{avatars: {ann: {garments: {a: {namespace: /x}, b: {namespace: /x}}}}}",
