@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from physkin_core.avatar.avatar import AvatarWarning
+from physkin_core.fit_option import add_fit_option
 
 if TYPE_CHECKING:
     from physkin_core import Avatar, Draper, GarmentModel
@@ -107,7 +108,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     worn.add_argument("--model", help=argparse.SUPPRESS)
     worn.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
-    worn.add_argument("--fit", type=float, default=0.0, help="0: one size, 1: made to measure (default 0)")
+    add_fit_option(worn)
     drape = commands.add_parser("drape", parents=[worn], help="drape one frame of a motion; write a mesh or a picture")
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
@@ -199,7 +200,7 @@ def _info(options: argparse.Namespace) -> int:
         "name": model.name,
         "garment": f"{len(garment.vertices)} vertices, {len(garment.faces)} faces, {garment.face_areas.sum():.3f} m2",
         "garment nodes": f"{len(model.node_rest)}, {model.influence_nodes.shape[1]} influences a vertex",
-        "made to measure": "learnt: fit 0 to 1" if model.made_to_measure else "not learnt: fit 0 only",
+        "made to measure": "learnt: fit 0 to 1, by default 1" if model.made_to_measure else "not learnt: fit 0 only",
         "rig": f"{rig.bone_count} bones, {len(rig.dofs)} joints",
         "joints": ", ".join(rig.joint_names),
         **sizes,

@@ -18,6 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState, PointCloud2
 
+from physkin_core import BUNDLED_AVATAR
 from physkin_ros.messages.conversions import read_cloud
 
 
@@ -71,6 +72,7 @@ class Peer(Partner):
         self.frame_ids: set[str] = set()
         self.reports: list[dict[str, str]] = []
         self._gravity_publisher = self.node.create_publisher(Vector3Stamped, "gravity", 10)
+        self._felt_publisher = self.node.create_publisher(Vector3Stamped, "drape_node/effective_gravity", 10)
         self._publisher = self.node.create_publisher(JointState, "joint_states", 10)
         self._subscription = self.node.create_subscription(PointCloud2, "drape_node/garment", self._on_cloud, 100)
 
@@ -82,10 +84,11 @@ class Peer(Partner):
 
     def send_gravity(self, direction, stamp: tuple[int, int] = (0, 0)) -> None:
         """Publish the direction of gravity (3,)."""
-        message = Vector3Stamped()
-        message.header.stamp.sec, message.header.stamp.nanosec = stamp
-        message.vector.x, message.vector.y, message.vector.z = map(float, direction)
-        self._gravity_publisher.publish(message)
+        self._gravity_publisher.publish(_vector(direction, stamp))
+
+    def send_effective_gravity(self, felt, stamp: tuple[int, int] = (0, 0)) -> None:
+        """Publish effective gravity (3,) [m/s2]."""
+        self._felt_publisher.publish(_vector(felt, stamp))
 
     def cloud(self, names, positions, stamp: tuple[int, int]) -> np.ndarray:
         """The cloud (n, 6) that a joint state is answered with."""
@@ -95,7 +98,7 @@ class Peer(Partner):
 
     def connect(self, *, gravity: bool = True, settle: float = 0.5) -> None:
         """Wait for the drape node. gravity: and for its subscription to that topic. settle: [s] longer."""
-        publishers = (self._publisher, self._gravity_publisher) if gravity else (self._publisher,)
+        publishers = [self._publisher, self._felt_publisher, *([self._gravity_publisher] if gravity else [])]
         ready = (*(each.get_subscription_count for each in publishers), self._subscription.get_publisher_count)
         self.until(lambda: all(count() for count in ready), "drape node")
         self.spin(settle)
@@ -114,6 +117,13 @@ class Peer(Partner):
     def _on_cloud(self, message: PointCloud2) -> None:
         self.clouds[message.header.stamp.sec, message.header.stamp.nanosec] = read_cloud(message).copy()
         self.frame_ids.add(message.header.frame_id)
+
+
+def _vector(numbers, stamp: tuple[int, int]) -> Vector3Stamped:
+    message = Vector3Stamped()
+    message.header.stamp.sec, message.header.stamp.nanosec = stamp
+    message.vector.x, message.vector.y, message.vector.z = map(float, numbers)
+    return message
 
 
 class Site(Partner):
@@ -190,6 +200,15 @@ class Site(Partner):
             return done()
 
         super().until(done_or_over, what, seconds)
+
+
+def scaled_body(factor: float) -> bytes:
+    """A GLB of the bundled avatar, so many times as large."""
+    document, rest = glb_parts(BUNDLED_AVATAR.read_bytes())
+    scene = document["scenes"][document.get("scene", 0)]
+    document["nodes"].append({"children": scene["nodes"], "scale": [factor] * 3})
+    scene["nodes"] = [len(document["nodes"]) - 1]
+    return glb_joined(document, rest)
 
 
 def glb_parts(glb: bytes) -> tuple[dict, bytes]:

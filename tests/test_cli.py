@@ -8,6 +8,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from safetensors.numpy import load_file
 
 import physkin_core
 from physkin_core import Draper, cli, load_avatar, load_motion
@@ -21,6 +22,8 @@ def test_info(model_path, capsys):
     output = capsys.readouterr().out
     assert "not learnt: fit 0 only" in output
     assert "vest" in output and "16, 4 influences a vertex" in output and "youngs_modulus" in output
+    assert cli.main(["info", "tshirt"]) == 0
+    assert "learnt: fit 0 to 1, by default 1" in capsys.readouterr().out
 
 
 def test_drape_writes_body_and_garment(model_path, garment_model, tmp_path, capsys):
@@ -49,6 +52,24 @@ def test_drape_writes_body_and_garment(model_path, garment_model, tmp_path, caps
     faces = np.array([line.split()[1:] for line in garment if line.startswith("f")], dtype=int)
     assert faces.min() > len(avatar.vertices) and faces.max() <= len(avatar.vertices) + len(vertices)
     assert sum(line.startswith("v") for line in body) == len(avatar.vertices)
+
+
+@pytest.mark.parametrize("fit", [None, 0.0])
+def test_drape_and_bind_make_to_measure_unless_told_otherwise(fit, tmp_path):
+    """What both write of a shipped garment is what the core gives by default, or at the fit that was asked for."""
+    model = physkin_core.load_garment_model("skirt")
+    told = [str(AVATAR), "-g", "skirt", *(() if fit is None else ("--fit", str(fit)))]
+    assert cli.main(["drape", *told, "-o", str(tmp_path / "out.obj")]) == 0
+    assert cli.main(["bind", *told, "-o", str(tmp_path / "out.safetensors")]) == 0
+    motion, draper = load_motion("walk"), Draper(model, load_avatar(AVATAR, model.rig), fit=fit)
+    assert draper.fit == (1.0 if fit is None else fit)
+    garment = (tmp_path / "out.obj").read_text().split("o garment")[1].splitlines()
+    vertices = np.array([line.split()[1:] for line in garment if line.startswith("v")], dtype=float)
+    expected = draper.drape(motion.positions_for(model.rig)[0], motion.gravity[0])[:, :3]
+    np.testing.assert_allclose(vertices, expected, atol=1e-6)
+    bound = load_file(tmp_path / "out.safetensors")
+    np.testing.assert_array_equal(bound["vertices"], draper.bound.vertices)
+    np.testing.assert_array_equal(bound["node_positions"], draper.bound.node_positions)
 
 
 def test_drape_draws(model_path, tmp_path, monkeypatch):

@@ -33,7 +33,7 @@ typedef enum physkin_status {
   PHYSKIN_OK = 0,
   PHYSKIN_BAD_ARGUMENT = 1, /* null pointer, unknown option, buffer layout */
   PHYSKIN_BAD_FILE = 2,     /* cannot be read, damaged, or another version */
-  PHYSKIN_BAD_POSE = 3,     /* a value, or what the networks make of it, is not finite; out is unchanged */
+  PHYSKIN_BAD_POSE = 3,     /* a value, or what the networks make of it, is not finite or too large; out is unchanged */
   PHYSKIN_OUT_OF_MEMORY = 4,
   PHYSKIN_FAILED = 5 /* anything else */
 } physkin_status;
@@ -72,12 +72,21 @@ PHYSKIN_API physkin_status physkin_joint_range(const physkin_garment* garment, i
  * its axis by the joint position minus rest. */
 PHYSKIN_API physkin_status physkin_joint_axis(const physkin_garment* garment, int32_t joint, float* axis);
 
-/* One frame. Allocates nothing.
- * joint_positions: one a joint. gravity: unit direction in the root frame, (0, 0, -1) for an upright body.
+/* One frame of a root that is not accelerated. Allocates nothing.
+ * joint_positions: one a joint. gravity: unit direction in the root frame, (0, 0, -1) for an upright body; 9.81 m/s2.
  * out: a row a vertex, `stride` floats from row to row: x y z, and with columns = 6 also the unit normal. columns: 3 or
  * 6; stride: columns or more. Buffers need no alignment beyond a float's. */
 PHYSKIN_API physkin_status physkin_step(physkin_garment* garment, const float* joint_positions, const float* gravity,
                                         float* out, int32_t columns, ptrdiff_t stride);
+
+/* The same of a root that is. effective_gravity: gravity less the root's acceleration [m/s2], root frame; zero in free
+ * fall, at most 3 x 9.81 long, else PHYSKIN_BAD_POSE. PHYSKIN_BAD_ARGUMENT for a garment that has not learnt it. */
+PHYSKIN_API physkin_status physkin_step_accelerated(physkin_garment* garment, const float* joint_positions,
+                                                    const float* effective_gravity, float* out, int32_t columns,
+                                                    ptrdiff_t stride);
+
+/* Whether a garment has learnt effective gravity: 1 or 0. */
+PHYSKIN_API int32_t physkin_accelerated(const physkin_garment* garment);
 
 /* Push-out was removed: always PHYSKIN_BAD_ARGUMENT, for hosts that still call it. */
 PHYSKIN_API physkin_status physkin_residual(const physkin_garment* garment, float* deepest, int32_t* left_inside);

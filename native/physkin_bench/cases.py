@@ -40,7 +40,7 @@ class BenchmarkCase:
     """A bound garment and poses for it.
 
     joint_positions: (P, d) float32 [rad]; gravity: (P, 3) float32. bodies: the garment on others, for a batch.
-    garment: for edge strain; None for a random model.
+    garment: in the rest shape that is worn, for edge strain; None for a random model.
     """
 
     name: str
@@ -70,10 +70,10 @@ def skinning_case(bound: BoundGarment, node_transforms: np.ndarray) -> SkinningC
     return SkinningCase(bound, matrices, np.concatenate(posed, axis=1))
 
 
-def model_case(model: str | Path) -> BenchmarkCase:
+def model_case(model: str | Path, *, fit: float | None = None) -> BenchmarkCase:
     """A garment model, by its file or shipped name, on the bundled avatar, in poses of the bundled motions.
 
-    Raises what `load_garment_model` and `load_avatar` raise.
+    fit: as in `Draper`. Raises what `load_garment_model`, `load_avatar` and `bind_garment` raise.
     """
     loaded = load_garment_model(model)
     avatar = load_avatar(BUNDLED_AVATAR, loaded.rig)
@@ -86,13 +86,14 @@ def model_case(model: str | Path) -> BenchmarkCase:
         frames = np.linspace(0, motion.frame_count - 1, POSES_A_MOTION).astype(int)
         positions.append(motion.positions_for(loaded.rig)[frames])
         gravity.append(motion.gravity[frames])
+    bound = bind_garment(loaded, avatar, fit=fit)
     return BenchmarkCase(
         name=loaded.name,
-        bound=bind_garment(loaded, avatar),
+        bound=bound,
         joint_positions=np.concatenate(positions).astype(np.float32),
         gravity=np.concatenate(gravity).astype(np.float32),
-        bodies=tuple(bind_garment(loaded, other, backend="native", fold=False) for other in others),
-        garment=loaded.garment,
+        bodies=tuple(bind_garment(loaded, other, fit=fit, backend="native", fold=False) for other in others),
+        garment=loaded.garment.reshaped(bound.vertices) if loaded.checked_fit(fit) else loaded.garment,
     )
 
 

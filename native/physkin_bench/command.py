@@ -11,6 +11,7 @@ from pathlib import Path
 from physkin_bench.cases import model_case, paper_case
 from physkin_bench.measurement import measure_case
 from physkin_bench.report import case_tables, machine_keys
+from physkin_core.fit_option import add_fit_option
 
 __all__ = ["main"]
 
@@ -22,6 +23,7 @@ def main(argv: Sequence[str]) -> int:
     """
     parser = argparse.ArgumentParser(prog="physkin bench", description="Time the native evaluator and its peers.")
     parser.add_argument("model", nargs="?", default="tshirt", help="garment model (default %(default)s)")
+    add_fit_option(parser)
     parser.add_argument("--rounds", type=int, default=100, metavar="N", help="turns of 5 calls (default %(default)s)")
     parser.add_argument(
         "--cold-rounds", type=int, default=30, metavar="N", help="with cold caches (default %(default)s)"
@@ -34,7 +36,8 @@ def main(argv: Sequence[str]) -> int:
         raise ValueError(f"rounds must be 1 or more, got {options.rounds} and {options.cold_rounds} with cold caches")
     keys = machine_keys()
     print("\n".join(f"{key}: {value}" for key, value in keys.items()) + "\n")
-    cases = [("", lambda: model_case(options.model))] + ([] if options.no_paper else [("paper.", paper_case)])
+    cases = [("", lambda: model_case(options.model, fit=options.fit))]
+    cases += [] if options.no_paper else [("paper.", paper_case)]
     for prefix, make in cases:
         figures = measure_case(
             make(), rounds=options.rounds, cold_rounds=options.cold_rounds, peers=not options.no_peers

@@ -1,5 +1,6 @@
 // The plain C interface of include/physkin.h.
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdio>
 #include <cstring>
@@ -19,6 +20,7 @@ struct physkin_garment {
                   const physkin::EvaluatorOptions& options)
       : evaluator(file.garment, kernels, options),
         joint_names(file.joint_names),
+        accelerated(file.accelerated),
         lower(file.garment.dof_lower, file.garment.dof_lower + file.garment.dofs),
         rest(file.garment.dof_rest, file.garment.dof_rest + file.garment.dofs),
         upper(file.garment.dof_upper, file.garment.dof_upper + file.garment.dofs),
@@ -27,11 +29,15 @@ struct physkin_garment {
 
   physkin::Evaluator evaluator;
   std::vector<std::string> joint_names;
+  bool accelerated;
   std::vector<float> lower, rest, upper, axes;
   std::vector<std::int32_t> faces;
 };
 
 namespace {
+
+constexpr double kStandardGravity = 9.81;       // [m/s2] what a direction of gravity stands for
+constexpr double kLargestEffectiveGravity = 3;  // in units of gravity; training knows no more
 
 // Of fixed size: telling what is wrong allocates nothing either.
 thread_local char last_error[512] = "";
@@ -183,6 +189,32 @@ physkin_status physkin_step(physkin_garment* garment, const float* joint_positio
   }
   return PHYSKIN_OK;
 }
+
+physkin_status physkin_step_accelerated(physkin_garment* garment, const float* joint_positions,
+                                        const float* effective_gravity, float* out, int32_t columns,
+                                        ptrdiff_t stride) {
+  if (garment == nullptr || effective_gravity == nullptr) {
+    return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment or effective_gravity is null");
+  }
+  float felt[3];
+  double square = 0.0;
+  for (int axis = 0; axis < 3; ++axis) {
+    const double share = double(effective_gravity[axis]) / kStandardGravity;
+    felt[axis] = float(share);
+    square += share * share;
+  }
+  if (!(std::sqrt(square) <= kLargestEffectiveGravity)) {
+    return fail(PHYSKIN_BAD_POSE, "effective_gravity is (%g, %g, %g) m/s2; must be finite and at most %.1f long",
+                double(effective_gravity[0]), double(effective_gravity[1]), double(effective_gravity[2]),
+                kLargestEffectiveGravity * kStandardGravity);
+  }
+  if (!garment->accelerated) {
+    return fail(PHYSKIN_BAD_ARGUMENT, "%s", "the garment was not trained with accelerated roots; use physkin_step");
+  }
+  return physkin_step(garment, joint_positions, felt, out, columns, stride);
+}
+
+int32_t physkin_accelerated(const physkin_garment* garment) { return garment->accelerated; }
 
 physkin_status physkin_residual(const physkin_garment*, float*, int32_t*) {
   return fail(PHYSKIN_BAD_ARGUMENT, "%s", "push-out was removed: a garment has no residual any more");

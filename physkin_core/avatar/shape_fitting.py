@@ -23,6 +23,9 @@ POINTS = 16384
 """Points sampled on the avatar."""
 MATCHED = 3000
 """Vertices of the body model that are matched with them."""
+AT_ONCE = 80
+"""Matched vertices in one product of matrices: too few for BLAS to share out among threads. On a busy machine they wait
+for each other ten times as long as they compute, and hold up whoever drapes meanwhile."""
 ITERATIONS = 10
 EXPECTED_RESIDUAL = 0.003
 """[m] mean distance between surfaces that weighs as much as coefficients of one standard deviation."""
@@ -42,7 +45,7 @@ def surface_on_avatar(avatar: Avatar, body: BodyModel) -> np.ndarray:
     from scipy.spatial import cKDTree
 
     matching = _Matching(avatar, body)
-    surface = body.vertices(matching.fitted()).astype(np.float64)
+    surface = matching.surface(matching.fitted())
     gap, trust = matching.gaps(surface)
     distance, near = cKDTree(surface[matching.chosen]).query(surface, k=SMOOTHED_OVER)
     share = trust[near] * np.exp(-((distance / SMOOTHING) ** 2)) + 1e-9
@@ -75,12 +78,22 @@ class _Matching:
         right = precision * by_bone.T @ (bones - body.mean_bones).reshape(-1)
         coefficients = np.linalg.solve(prior, right)
         components = body.vertex_components[:, self.chosen].astype(np.float64)
+        start = body.mean_vertices[self.chosen]
+        blocks = [slice(first, first + AT_ONCE) for first in range(0, len(start), AT_ONCE)]
         for _ in range(ITERATIONS):
-            target, trust = self._matches(body.vertices(coefficients).astype(np.float64))
+            target, trust = self._matches(self.surface(coefficients))
             importance = trust / (trust.sum() * EXPECTED_RESIDUAL**2)
-            matrix, values = normal_equations(components, body.mean_vertices[self.chosen], target, importance)
+            sums = [normal_equations(components[:, k], start[k], target[k], importance[k]) for k in blocks]
+            matrix, values = (sum(parts) for parts in zip(*sums))
             coefficients = np.linalg.solve(prior + matrix, right + values)
         return coefficients
+
+    def surface(self, coefficients: np.ndarray) -> np.ndarray:
+        """(V, 3) float64 [m] of the body model; summed up one by one, as BLAS would use threads (see `AT_ONCE`)."""
+        surface = self._body.mean_vertices.astype(np.float64)
+        for coefficient, component in zip(coefficients, self._body.vertex_components):
+            surface += coefficient * component.astype(np.float64)
+        return surface
 
     def gaps(self, surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What is missing from the chosen vertices to the avatar, off its surface (k, 3) [m], and trust in it (k,)."""

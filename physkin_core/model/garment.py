@@ -29,8 +29,8 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Area-weighted unit vertex normals (n, 3); a vertex no face uses gets +Z."""
     corners = vertices[faces]
     face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros((len(vertices), 3))
-    np.add.at(normals, faces.reshape(-1), np.repeat(face_normals, 3, axis=0))
+    shares = np.broadcast_to(face_normals.T[:, :, None], (3, *faces.shape)).reshape(3, -1)
+    normals = np.stack([np.bincount(faces.reshape(-1), share, len(vertices)) for share in shares], axis=1)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(length > 1e-20, normals / np.maximum(length, 1e-20), np.array([0.0, 0.0, 1.0]))
 

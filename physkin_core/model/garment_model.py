@@ -148,8 +148,13 @@ class GarmentModel:
             raise GarmentModelError(f"garment model {self.name!r} has not learnt skinning weights for engines")
         return replace(self, influence_nodes=self.engine_nodes, influence_weights=self.engine_weights)
 
-    def checked_fit(self, fit: float) -> float:
-        """The fit as a number. Raises ValueError when it is not 0 to 1, or above 0 and this model has not learnt it."""
+    def checked_fit(self, fit: float | None) -> float:
+        """The fit as a number; None is 1 where this model has learnt made to measure, else 0.
+
+        Raises ValueError when it is not 0 to 1, or above 0 and this model has not learnt it.
+        """
+        if fit is None:
+            return float(self.made_to_measure)
         if isinstance(fit, bool) or not isinstance(fit, Real) or not 0 <= fit <= 1:
             raise ValueError(f"fit must be 0 (the template) to 1 (made to measure), got {fit!r}")
         if fit > 0 and not self.made_to_measure:

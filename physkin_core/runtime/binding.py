@@ -39,14 +39,14 @@ POINTS_AT_ONCE = 8192
 
 
 def encode_body(
-    model: GarmentModel, avatar: Avatar, *, fit: float = 0.0, backend: Literal["native", "numpy"] = "numpy"
+    model: GarmentModel, avatar: Avatar, *, fit: float | None = None, backend: Literal["native", "numpy"] = "numpy"
 ) -> np.ndarray:
     """Run the hyper modulator on a body: modulation (s,) float32 of the pose modulator.
 
-    fit: of the garment, 0 (the template) to 1 (made to measure). backend: "native" (C++, an order of magnitude faster
-    on one core) or "numpy" (readable reference).
+    fit: of the garment, as in `bind_garment`. backend: "native" (C++, an order of magnitude faster on one core) or
+    "numpy" (readable reference).
     """
-    network = at_fit(model.hyper_modulator, fit)
+    network = at_fit(model.hyper_modulator, model.checked_fit(fit))
     points, normals = sample_surface(avatar.vertices, avatar.faces, POINT_COUNT)
     if backend == "native":
         from physkin_core.runtime.native_body_encoder import native_body_modulation
@@ -59,15 +59,16 @@ def bind_garment(
     model: GarmentModel,
     avatar: Avatar,
     *,
-    fit: float = 0.0,
+    fit: float | None = None,
     backend: Literal["native", "numpy"] = "numpy",
     fold: bool = True,
 ) -> BoundGarment:
     """Everything of (model, body) that does not change with the pose. Encodes the body; logs how long that took.
 
-    fit: 0 for the template's rest shape, 1 for the one made to measure, between for one between. backend: what encodes
-    the body, as in `encode_body`. fold: fold the body's modulation into the pose modulator, which saves a little time a
-    frame; without, bodies share its network weights (see `NativeEvaluatorBatch`).
+    fit: 0 for the template's rest shape, 1 for the one made to measure, between for one between; None for 1 where the
+    model has learnt it, else 0. backend: what encodes the body, as in `encode_body`. fold: fold the body's modulation
+    into the pose modulator, which saves a little time a frame; without, bodies share its network weights (see
+    `NativeEvaluatorBatch`).
     Raises ValueError when the avatar's bones are not those of the model's rig, for a fit that the model has not learnt,
     or one above 0 with another rig than the body model's.
     """
@@ -128,7 +129,10 @@ def _made_to_measure(
     """
     body = load_body_model()
     if model.rig.to_json() != body.rig.to_json():
-        raise ValueError(f"fit {fit:g} needs the body model's rig; garment model {model.name!r} has another one")
+        raise ValueError(
+            f"fit {fit:g} needs the body model's rig; garment model {model.name!r} has another one, with which only "
+            "fit 0 is allowed"
+        )
     started = perf_counter()
     grading = GarmentGrading(model.garment, body)
     displacement = fit * grading.carried(surface_on_avatar(avatar, body) - grading.template)

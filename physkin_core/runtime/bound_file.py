@@ -28,10 +28,12 @@ def save_bound_garment(
     *,
     name: str,
     joint_names: Sequence[str],
+    accelerated: bool = False,
 ) -> None:
     """Write a bound garment to `path`, replacing what is there in one step.
 
-    joint_names: (d,) in the order of the joint positions.
+    joint_names: (d,) in the order of the joint positions. accelerated: whether the networks have learnt effective
+    gravity.
     Raises ValueError when there is not one name a degree of freedom.
     """
     from safetensors.numpy import save
@@ -52,6 +54,7 @@ def save_bound_garment(
         "name": name,
         "activation": bound.activation,
         "joint_names": json.dumps(list(joint_names)),
+        "accelerated": json.dumps(accelerated),
     }
     path = Path(path)
     partial = path.with_name(path.name + ".partial")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal
 
@@ -20,7 +20,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.runtime.binding import bind_garment, bind_points
 from physkin_core.runtime.bound_garment import BoundGarment
 
-__all__ = ["BACKENDS", "STANDARD_GRAVITY", "UPRIGHT_GRAVITY", "Draper"]
+__all__ = ["BACKENDS", "STANDARD_GRAVITY", "UPRIGHT_GRAVITY", "Draper", "in_units_of_gravity"]
 
 log = logging.getLogger(__name__)
 
@@ -40,8 +40,9 @@ class Draper:
     backend: "native" (C++, the one to use) or "numpy" (readable reference, slow); never switched silently.
     precision: of the native backend's network weights, "fp32", "bf16" or "int8" (see `NativeEvaluator`); None for its
         default, bf16. The NumPy backend knows fp32 only.
-    fit: 0 for the garment's one size, 1 for a garment made to measure, or between; above 0 only for models that have
-        learnt it (`GarmentModel.made_to_measure`). Takes half a second when the body is bound, nothing a frame.
+    fit: 1 for a garment made to measure for this body, 0 for the garment's one size, or between; above 0 only for
+        models that have learnt it (`GarmentModel.made_to_measure`). None, the default: 1 for those, 0 for others. Above
+        0 it takes some tenths of a second more when the body is bound, nothing a frame.
     normals: "skinned", rest normals carried along with their vertices, or "faces", recomputed from the draped mesh:
         truer where the cloth ripples or slides, for some 5 ns a vertex.
     points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
@@ -60,7 +61,7 @@ class Draper:
         *,
         backend: Literal["native", "numpy"] = "native",
         precision: Literal["fp32", "bf16", "int8"] | None = None,
-        fit: float = 0.0,
+        fit: float | None = None,
         normals: Literal["skinned", "faces"] = "skinned",
         points: np.ndarray | None = None,
         point_normals: np.ndarray | None = None,
@@ -73,8 +74,9 @@ class Draper:
             raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
         if backend == "numpy" and precision not in (None, "fp32"):
             raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
-        bound = bind_garment(model, avatar, fit=fit, backend=backend) if binding is None else binding
-        self._rest = rest = bound.vertices if fit else None
+        self.fit = model.checked_fit(fit)
+        bound = bind_garment(model, avatar, fit=self.fit, backend=backend) if binding is None else binding
+        self._rest = rest = bound.vertices if self.fit else None
         if points is not None:
             bound = replace(bound, **bind_points(model, points, normals=point_normals, rest=rest))
         self.model = model
@@ -149,27 +151,26 @@ class Draper:
     def bind_step(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> Callable[[], None]:
         """A frame bound to its arrays: `step()` drapes what they hold now into `out`, with nothing to convert.
 
-        joint_positions: (d,) [rad] and gravity: (3,) unit direction, C-contiguous float32, to be changed in place.
-        out: as for `drape`. Raises TypeError or ValueError for other arrays; `step()` raises ValueError when a value or
-        what the networks make of it is not finite (`out` is then unchanged).
+        joint_positions: (d,) [rad] and gravity: (3,) unit direction, or, for models that have learnt it, effective
+        gravity `in_units_of_gravity`; C-contiguous float32, to be changed in place. out: as for `drape`.
+        Raises TypeError or ValueError for other arrays; `step()` raises ValueError when a value or what the networks
+        make of it is not finite (`out` is then unchanged).
         """
         if self.backend == "native":
-            native_step = self._evaluator.bind_step(joint_positions, gravity, out).step
+            evaluate = self._evaluator.bind_step(joint_positions, gravity, out).step
+        else:
+            evaluate = partial(self._evaluator.evaluate, joint_positions, gravity, out)
 
-            def step() -> None:
-                if not joint_positions.dot(joint_positions) <= FULL_TURN**2:
-                    self._check_unusual(joint_positions)
-                native_step()
+        def step() -> None:
+            if not joint_positions.dot(joint_positions) <= FULL_TURN**2:
+                self._check_unusual(joint_positions)
+            evaluate()
 
-            return step
-        return lambda: self.drape(joint_positions, gravity, out=out)
+        return step
 
     def _felt(self, effective_gravity: np.ndarray) -> np.ndarray:
         """Effective gravity (3,) [m/s2] in units of gravity, as the networks know it."""
-        felt = np.asarray(effective_gravity, dtype=np.float64) / STANDARD_GRAVITY
-        if felt.shape != (3,) or not np.linalg.norm(felt) <= LARGEST_EFFECTIVE_GRAVITY:
-            allowed = f"(3,), finite, up to {LARGEST_EFFECTIVE_GRAVITY * STANDARD_GRAVITY:.1f} m/s2 long"
-            raise ValueError(f"effective_gravity must be {allowed}, got {np.asarray(effective_gravity).tolist()}")
+        felt = in_units_of_gravity(effective_gravity)
         if not self.model.accelerated:
             raise ValueError(f"garment model {self.model.name!r} was not trained with accelerated roots; give gravity")
         return felt
@@ -193,7 +194,10 @@ class Draper:
         """Write what is bound here for hosts without Python: see native/include/physkin.h."""
         from physkin_core.runtime.bound_file import save_bound_garment
 
-        save_bound_garment(self.bound, path, name=self.model.name, joint_names=self.joint_names)
+        model = self.model
+        save_bound_garment(
+            self.bound, path, name=model.name, joint_names=self.joint_names, accelerated=model.accelerated
+        )
 
     def node_transforms(self) -> np.ndarray:
         """Garment node transforms chi (m, 3, 4) of the last `drape`, canonical garment node frame to root frame."""
@@ -202,6 +206,20 @@ class Draper:
     def bone_transforms(self, joint_positions: np.ndarray) -> np.ndarray:
         """(b, 3, 4) canonical-to-posed transforms of this body's bones, for posing the body beside the garment."""
         return self.model.rig.bone_transforms(joint_positions, heads=self.avatar.bone_heads)
+
+
+def in_units_of_gravity(effective_gravity: np.ndarray) -> np.ndarray:
+    """Effective gravity (3,) [m/s2] as (3,) float64, 1 long for a root at rest.
+
+    Raises ValueError unless it is finite and at most three times gravity.
+    """
+    felt = np.asarray(effective_gravity, dtype=np.float64) / STANDARD_GRAVITY
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(felt)
+    if felt.shape != (3,) or not length <= LARGEST_EFFECTIVE_GRAVITY:
+        allowed = f"(3,), finite, up to {LARGEST_EFFECTIVE_GRAVITY * STANDARD_GRAVITY:.1f} m/s2 long"
+        raise ValueError(f"effective_gravity must be {allowed}, got {np.asarray(effective_gravity).tolist()}")
+    return felt
 
 
 def _evaluator(backend: str, bound: BoundGarment, precision: str | None, normals: str):

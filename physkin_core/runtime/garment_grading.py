@@ -33,6 +33,7 @@ class GarmentGrading:
 
     def __init__(self, garment: Garment, body: BodyModel) -> None:
         from scipy.sparse import diags_array
+        from scipy.sparse.csgraph import reverse_cuthill_mckee
         from scipy.sparse.linalg import splu
 
         self.garment, self.body = garment, body
@@ -42,14 +43,20 @@ class GarmentGrading:
         stiffness = _laplacian(garment)
         bending = stiffness @ diags_array(1 / areas) @ stiffness
         self._trust = areas / (1 + (distance / LOOSE) ** 2) ** 2
-        self._system = splu((diags_array(self._trust) + SMOOTHING**4 * bending).tocsc())
+        system = (diags_array(self._trust) + SMOOTHING**4 * bending).tocsc()
+        # ordered here: SuperLU's own orderings hold the interpreter's lock for tens of milliseconds, while clouds wait
+        self._order = reverse_cuthill_mckee(system, symmetric_mode=True)
+        symmetric = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+        self._system = splu(system[self._order][:, self._order].tocsc(), permc_spec="NATURAL", **symmetric)
 
     def carried(self, displacement: np.ndarray) -> np.ndarray:
         """Displacement of the garment (n, 3) or (k, n, 3) [m] for one or k displacements of the garment maker's body
         (V, 3) or (k, V, 3) [m]. Linear."""
         fields = np.moveaxis(displacement.reshape(-1, len(self.template), 3), 0, 1)
         tied = self._trust[:, None] * (self._ties @ fields.reshape(len(fields), -1))
-        smooth = self._system.solve(tied).reshape(len(tied), *fields.shape[1:])
+        smooth = np.empty_like(tied)
+        smooth[self._order] = self._system.solve(tied[self._order])
+        smooth = smooth.reshape(len(tied), *fields.shape[1:])
         return np.moveaxis(smooth, 0, 1).reshape(*displacement.shape[:-2], -1, 3)
 
     def closest_vertices(self, points: np.ndarray) -> np.ndarray:

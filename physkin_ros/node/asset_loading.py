@@ -68,7 +68,7 @@ class Outfitting:
     body_mesh: str = ""
     body_rig: str = ""
     precision: str = ""
-    fit: float = 0.0
+    fit: float | None = None
     normals: Literal["skinned", "faces"] = "skinned"
 
     def check(self, roots: AssetRoots) -> None:
@@ -120,14 +120,15 @@ class DraperLoader:
             avatar_key = (*sources, rig)  # in the canonical pose of that rig
             avatar = self._avatars.get(avatar_key) or load_avatar(body, model.rig, rig_file=rig_file)
             _keep(self._avatars, avatar_key, avatar)
-            key = (*sources[1:], model_key, wanted.fit)
+            fit = model.checked_fit(wanted.fit)
+            key = (*sources[1:], model_key, fit)
             known = self._bindings.get(key)
             draper = Draper(
                 model,
                 avatar,
                 backend=self._backend,
                 precision=wanted.precision or None,
-                fit=wanted.fit,
+                fit=fit,
                 normals=wanted.normals,
                 binding=known,
             )

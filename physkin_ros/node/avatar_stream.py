@@ -14,7 +14,8 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 
-from physkin_core import BUNDLED_AVATAR, GarmentModel
+from physkin_core import BUNDLED_AVATAR, Draper, GarmentModel
+from physkin_core.runtime.draper import STANDARD_GRAVITY
 from physkin_ros.joints.joint_naming import load_naming
 from physkin_ros.joints.joint_state_wire import JointStateWire
 from physkin_ros.joints.joint_states import JointNaming, JointStateError, JointStateReader
@@ -23,7 +24,7 @@ from physkin_ros.node.asset_loading import DraperLoader, LoadedDraper, Outfittin
 from physkin_ros.node.diagnostics import AvatarStatistics, Health, HealthReporter, PoseRange
 from physkin_ros.node.garment_stream import GarmentStream, WornGarment, stream_quality
 from physkin_ros.node.interpolation import PoseInterpolator
-from physkin_ros.node.orientation import GravityByStamp, OrientationError, gravity_from_tilt
+from physkin_ros.node.orientation import EffectiveGravity, GravityByStamp, OrientationError, gravity_from_tilt
 from physkin_ros.node.orientation_source import OrientationSource
 from physkin_ros.node.settings import AvatarSettings
 
@@ -34,6 +35,7 @@ QUEUE = 50  # joint states that may wait while the machine is busy: worked off i
 MOST_UNKNOWN = 64
 """Unknown joints are named in the log until there are so many: whoever changes names must not flood it."""
 NANOSECONDS = 1_000_000_000
+WEIGHTLESS = 1e-3  # of gravity: effective gravity that is smaller has no direction
 JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
 
 
@@ -55,15 +57,20 @@ class Outfit:
 class AvatarStream:
     """Drapes the garments of one avatar, a joint state at a time. Nothing comes in before `listen`.
 
-    active: whether joint states are answered. deadline_ns: from the arrival of a joint state to its last cloud, 0 for
-    none. settings: with the body that is worn. Raises ValueError for a joint map that cannot be read.
+    gravity: (3,) unit direction. felt: (3,) the same, as large as the root feels it, in units of gravity. active:
+    whether joint states are answered. deadline_ns: from the arrival of a joint state to its last cloud, 0 for none.
+    settings: with the body that is worn. Raises ValueError for a joint map that cannot be read.
     """
 
     def __init__(self, node, settings: AvatarSettings, loader: DraperLoader, *, deadline_ns: int = 0) -> None:
         self.settings, self.deadline_ns, self.active = settings, deadline_ns, False
         self.statistics = AvatarStatistics()
         self.gravity = _unit(settings.gravity)
+        self.felt = self.gravity.copy()
+        self._load = np.ones(1, dtype=np.float32)
         self._gravity_by_stamp = GravityByStamp(self.gravity.copy())
+        self._effective_gravity = EffectiveGravity()
+        self._direction_only: set[str] = set()
         self._follows = settings.orientation in ("joints", "tf")
         self._unknown: set[str] = set()
         self._node, self._loader = node, loader
@@ -84,8 +91,8 @@ class AvatarStream:
         """Open the topics that come in. Until something is worn, joint states are counted as `not_ready`."""
         node, settings = self._node, self.settings
         # before the joint states: when both have messages waiting, executors serve the older subscription first
-        add = self._gravity_by_stamp.add
-        self._orientation = OrientationSource(node, settings, add, self._on_bad_orientation)
+        takers = (self._gravity_by_stamp.add, self._on_effective_gravity, self._on_bad_orientation)
+        self._orientation = OrientationSource(node, settings, *takers)
         self._subscription = node.create_subscription(
             JointState, self.topic, self._on_joint_state, raw=True, **stream_quality(QUEUE)
         )
@@ -173,9 +180,9 @@ class AvatarStream:
         garments = []
         for stream, draper in zip(self.garments, drapers):
             before = worn_now.get(stream)
-            same = before is not None and before.draper.model is draper.model
-            revision = before.revision + (not same) if before else 1
-            garments.append(WornGarment(stream, draper, revision, outfit.pose, self.gravity))
+            revision = 1 if before is None else before.revision + (not _same_mesh(before.draper, draper))
+            gravity = self.felt if draper.model.accelerated else self.gravity
+            garments.append(WornGarment(stream, draper, revision, outfit.pose, gravity))
         outfit.garments = tuple(garments)
         return outfit
 
@@ -197,16 +204,14 @@ class AvatarStream:
         try:
             wire.read(data, outfit.pose)
             sec, nanosec = wire.stamp
-            if self._follows:
-                self._follow_orientation(wire)
-            else:
-                self.gravity[:] = self._gravity_by_stamp.at(sec * NANOSECONDS + nanosec)
+            self._feel(wire, sec * NANOSECONDS + nanosec)
         except ValueError as error:
             self._reject(outfit, error)
             return
         if outfit.interpolator is not None:
             np.copyto(outfit.reader.positions, outfit.pose)
-            outfit.interpolator.push(outfit.pose, self.gravity, sec * NANOSECONDS + nanosec, monotonic_ns())
+            stamp_ns = sec * NANOSECONDS + nanosec
+            outfit.interpolator.push(outfit.pose, self.gravity, self._load, stamp_ns, monotonic_ns())
             return
         if self._drape(outfit, sec, nanosec):
             np.copyto(outfit.reader.positions, outfit.pose)
@@ -214,6 +219,7 @@ class AvatarStream:
                 statistics.deadline_missed += 1
 
     def _drape(self, outfit: Outfit, sec: int, nanosec: int) -> bool:
+        np.multiply(self.gravity, self._load, out=self.felt)
         for worn in outfit.garments:
             began = perf_counter_ns()
             try:
@@ -232,13 +238,13 @@ class AvatarStream:
         outfit = self._outfit
         if not self.active or outfit is None or outfit.interpolator is None:
             return
-        gravity = np.empty(3, dtype=np.float32)
-        stamp = outfit.interpolator.sample(monotonic_ns(), outfit.pose, gravity)
+        gravity, load = np.empty(3, dtype=np.float32), np.empty(1, dtype=np.float32)
+        stamp = outfit.interpolator.sample(monotonic_ns(), outfit.pose, gravity, load)
         if stamp is not None:
-            latest = self.gravity.copy()
-            self.gravity[:] = gravity
+            latest = self.gravity.copy(), self._load.copy()
+            self.gravity[:], self._load[:] = gravity, load
             self._drape(outfit, *divmod(stamp, NANOSECONDS))
-            self.gravity[:] = latest
+            self.gravity[:], self._load[:] = latest
 
     def _reject(self, outfit: Outfit, error: Exception) -> None:
         np.copyto(outfit.pose, outfit.reader.positions)
@@ -251,6 +257,35 @@ class AvatarStream:
         """Take another direction of gravity (3,), of any length but zero, as of now."""
         self.gravity[:] = _unit(down)
         self._gravity_by_stamp.add(self.gravity.copy(), 0)
+
+    def effective_gravity(self, now_ns: int) -> np.ndarray | None:
+        """The latest (3,) [m/s2], root frame; None when none is fresh. now_ns: monotonic."""
+        felt = self._effective_gravity.at(0, now_ns)
+        return None if felt is None else STANDARD_GRAVITY * felt
+
+    def _on_effective_gravity(self, felt: np.ndarray, stamp_ns: int) -> None:
+        self._effective_gravity.add(felt, stamp_ns, monotonic_ns())
+        for worn in self._outfit.garments if self._outfit is not None else ():
+            model = worn.draper.model
+            if not model.accelerated and model.name not in self._direction_only:
+                self._direction_only.add(model.name)
+                reason = f"garment model {model.name!r} was not trained with accelerated roots"
+                self.statistics.take_direction_only(reason)
+                self._log.warning(f"{self._label}of effective gravity the direction alone counts: {reason}")
+
+    def _feel(self, wire: JointStateWire, stamp_ns: int) -> None:
+        """Set direction and load of gravity for a joint state."""
+        felt = self._effective_gravity.at(stamp_ns, monotonic_ns())
+        if felt is None:
+            self._load[0] = 1.0
+            if self._follows:
+                self._follow_orientation(wire)
+            else:
+                self.gravity[:] = self._gravity_by_stamp.at(stamp_ns)
+            return
+        self._load[0] = load = float(np.linalg.norm(felt))
+        if load > WEIGHTLESS:  # else the last direction stays
+            self.gravity[:] = felt / load
 
     def _follow_orientation(self, wire: JointStateWire) -> None:
         if self._orientation.tree is not None:
@@ -331,6 +366,11 @@ def _carry_on(previous: Outfit, outfit: Outfit) -> None:
     if previous.reader.joint_names == outfit.reader.joint_names:
         np.copyto(outfit.reader.positions, previous.reader.positions)
         np.copyto(outfit.pose, previous.reader.positions)
+
+
+def _same_mesh(before: Draper, draper: Draper) -> bool:
+    """Whether two drapers differ by the body alone. Made to measure, another body means another rest shape."""
+    return before.model is draper.model and np.array_equal(before.bound.vertices, draper.bound.vertices)
 
 
 def _unit(direction: Sequence[float]) -> np.ndarray:

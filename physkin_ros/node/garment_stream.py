@@ -70,7 +70,8 @@ class GarmentStream:
 class WornGarment:
     """A draper and the messages it fills, bound to the pose (d,) and gravity (3,) arrays of its avatar.
 
-    revision: of the garment's mesh, which a swap of the body alone does not change.
+    gravity: effective gravity in units of gravity for a model that has learnt it, else the unit direction. revision: of
+    the garment's mesh, which a swap of the body alone does not change in one size.
     step: drapes what those arrays hold now; raises ValueError when the result is not finite.
     """
 

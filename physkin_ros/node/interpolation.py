@@ -14,19 +14,20 @@ LONGEST_GAP = 500_000_000  # [ns] joint states farther apart are not joined: the
 
 
 class PoseInterpolator:
-    """Straight lines between the last two poses; gravity is turned along."""
+    """Straight lines between the last two poses; gravity is turned along, and its load, how large it is."""
 
     def __init__(self, joint_count: int) -> None:
         self._pose = np.zeros((2, joint_count), dtype=np.float32)
         self._gravity = np.zeros((2, 3), dtype=np.float32)
+        self._load = np.zeros((2, 1), dtype=np.float32)
         self._arrived = [0, 0]
         self._stamp = [0, 0]
         self._count = 0
         self._shown = True
 
-    def push(self, pose: np.ndarray, gravity: np.ndarray, stamp_ns: int, now_ns: int) -> None:
-        """A joint state's pose (d,) [rad] and gravity (3,) with its stamp, and when it came [ns]."""
-        for kept, new in ((self._pose, pose), (self._gravity, gravity)):
+    def push(self, pose: np.ndarray, gravity: np.ndarray, load: np.ndarray, stamp_ns: int, now_ns: int) -> None:
+        """A joint state's pose (d,) [rad], gravity (3,) and load (1,) with its stamp, and when it came [ns]."""
+        for kept, new in ((self._pose, pose), (self._gravity, gravity), (self._load, load)):
             kept[0] = kept[1]
             kept[1] = new
         self._arrived = [self._arrived[1], now_ns]
@@ -36,8 +37,9 @@ class PoseInterpolator:
             self._count = 1
         self._shown = False
 
-    def sample(self, now_ns: int, pose: np.ndarray, gravity: np.ndarray) -> int | None:
-        """Write the pose (d,) and unit gravity (3,) to show now; returns its stamp [ns], None when nothing is new."""
+    def sample(self, now_ns: int, pose: np.ndarray, gravity: np.ndarray, load: np.ndarray) -> int | None:
+        """Write the pose (d,), unit gravity (3,) and load (1,) to show now; returns its stamp [ns], None when nothing
+        is new."""
         if self._shown:
             return None
         share = 1.0
@@ -46,7 +48,7 @@ class PoseInterpolator:
         if share >= 1.0:
             share, self._shown = 1.0, True
         share = max(share, 0.0)
-        for kept, out in ((self._pose, pose), (self._gravity, gravity)):
+        for kept, out in ((self._pose, pose), (self._gravity, gravity), (self._load, load)):
             np.subtract(kept[1], kept[0], out=out)
             out *= share - 1.0
             out += kept[1]

@@ -29,6 +29,9 @@ TOPICS = {
     "joint_states": "in, sensor_msgs/JointState: pose of the body",
     "gravity": "in, geometry_msgs/Vector3Stamped: direction of gravity in the body's root frame, any length but zero; "
     "joint states are draped with the latest, so send it before them; or pose, imu: see orientation",
+    "~/effective_gravity": "in, geometry_msgs/Vector3Stamped: what an accelerated root feels, gravity less its "
+    "acceleration [m/s2] in the body's root frame, up to 29.4 long; takes gravity's place for 0.5 s; with avatars "
+    "~/ID/effective_gravity",
     "~/garment": "out, sensor_msgs/PointCloud2: points [m] and normals, body's root frame, stamp of the joint state",
     "~/marker": "out, visualization_msgs/Marker: the garment's triangles; with marker",
     "~/mesh": "out, physkin_msgs/GarmentMesh: faces and skinning weights, latched; with physkin_msgs installed",
@@ -137,9 +140,9 @@ def _explain_usage(arguments: list[str]) -> int:
     ):
         lines += ["", f"parameters of {title}:"]
         lines += [
-            f"  {name:<19} {setting.description} (default {setting.default!r})" for name, setting in settings.items()
+            f"  {name:<23} {setting.description} (default {setting.declared!r})" for name, setting in settings.items()
         ]
-    lines += ["", "topics:", *(f"  {name:<19} {text}" for name, text in TOPICS.items())]
+    lines += ["", "topics:", *(f"  {name:<23} {text}" for name, text in TOPICS.items())]
     lines += ["", "Ended by SIGKILL the node leaves shared memory (/dev/shm/fastrtps_*) behind: fastdds shm clean."]
     wanted = bool({"-h", "--help"} & set(arguments))
     print("\n".join(lines), file=sys.stdout if wanted else sys.stderr)

@@ -1,4 +1,4 @@
-"""Where down is, in the body's root frame: from a pose, an IMU, two joints, or TF.
+"""Where down is, in the body's root frame: from a pose, an IMU, two joints, or TF; and what accelerated roots feel.
 
 Quaternions are x, y, z, w and turn the root frame into an upright one (Z up), as ROS gives orientations.
 """
@@ -14,6 +14,7 @@ import numpy as np
 from physkin_ros.messages.conversions import gravity_direction
 
 __all__ = [
+    "EffectiveGravity",
     "GravityByStamp",
     "OrientationError",
     "TransformTree",
@@ -25,6 +26,8 @@ __all__ = [
 DEEPEST_CHAIN = 64
 MOST_DIRECTIONS = 256
 """Directions of gravity that are kept: a quarter of a second of a fast IMU."""
+FRESH = 500_000_000
+"""[ns] Effective gravity counts for so long after it came."""
 SAME_CLOCK = 1_000_000_000  # [ns] stamps farther apart than this, the wrong way round, are of different clocks
 
 
@@ -107,6 +110,28 @@ class GravityByStamp:
         if later:
             return self._directions[later - 1]
         return self._directions[0] if stamps[0] - stamp_ns <= SAME_CLOCK else self._last
+
+
+class EffectiveGravity:
+    """What an accelerated root feels (3,), in units of gravity, paired with joint states as directions are, while it is
+    fresh: when none has come for `FRESH`, there is none. Times of coming [ns] are monotonic."""
+
+    def __init__(self) -> None:
+        self._by_stamp: GravityByStamp | None = None
+        self._came = 0
+
+    def add(self, felt: np.ndarray, stamp_ns: int, now_ns: int) -> None:
+        """Take what has come now."""
+        if self._by_stamp is None or now_ns - self._came > FRESH:
+            self._by_stamp = GravityByStamp(felt)
+        self._by_stamp.add(felt, stamp_ns)
+        self._came = now_ns
+
+    def at(self, stamp_ns: int, now_ns: int) -> np.ndarray | None:
+        """What goes with a joint state that has come now, None when nothing is fresh. stamp_ns 0: the latest."""
+        if self._by_stamp is None or now_ns - self._came > FRESH:
+            return None
+        return self._by_stamp.at(stamp_ns)
 
 
 class TransformTree:

@@ -1,4 +1,4 @@
-"""The subscriptions that tell an avatar where down is."""
+"""The subscriptions that tell an avatar where down is, and what it feels when its root is accelerated."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Imu
 
+from physkin_core.runtime.draper import in_units_of_gravity
 from physkin_ros.messages.conversions import gravity_direction
 from physkin_ros.node.garment_stream import stream_quality
 from physkin_ros.node.orientation import TransformTree, gravity_from_imu, gravity_from_quaternion
@@ -16,33 +17,38 @@ from physkin_ros.node.settings import AvatarSettings, SettingsError
 
 __all__ = ["OrientationSource"]
 
-SENSOR_QUEUE = 50  # of an IMU, while the machine is busy
+SENSOR_QUEUE = 50  # of a sensor, while the machine is busy
+
+Taker = Callable[[np.ndarray, int], None]
+"""Takes what a message says (3,) and its stamp [ns]."""
 
 
 class OrientationSource:
-    """Calls back with gravity's unit direction (3,) and its stamp [ns], or with why a message gave none.
+    """Calls back with what messages say, and their stamps, or with why one says nothing.
 
-    tree: the TF tree of orientation tf, to be asked for every joint state; else None.
+    on_gravity: takes gravity's unit direction. on_felt: takes effective gravity in units of gravity. tree: the TF tree
+    of orientation tf, to be asked for every joint state; else None.
     Raises SettingsError for orientation tf without tf2_msgs.
     """
 
     def __init__(
-        self, node, avatar: AvatarSettings, on_gravity: Callable[[np.ndarray, int], None], on_bad: Callable[[str], None]
+        self, node, avatar: AvatarSettings, on_gravity: Taker, on_felt: Taker, on_bad: Callable[[str], None]
     ) -> None:
         self.tree: TransformTree | None = None
-        self._node, self._on_gravity, self._on_bad = node, on_gravity, on_bad
+        self._node, self._on_bad = node, on_bad
         self._subscriptions = []
+        below = f"~/{avatar.id}" if avatar.id else "~"
+        topic = avatar.effective_gravity_topic or f"{below}/effective_gravity"
+        self._listen(Vector3Stamped, topic, lambda message: _felt(message.vector), on_felt, sensor=True)
         kinds = {
             "gravity": (Vector3Stamped, lambda message: _from_vector(message.vector)),
             "pose": (PoseStamped, lambda message: _from_pose(message.pose.orientation)),
             "imu": (Imu, gravity_from_imu),
         }
         if avatar.orientation in kinds:
-            kind, self._read = kinds[avatar.orientation]
+            kind, read = kinds[avatar.orientation]
             default = f"{avatar.id}/{avatar.orientation}" if avatar.id else avatar.orientation
-            topic = avatar.orientation_topic or default
-            quality = stream_quality(SENSOR_QUEUE, reliable=False) if kind is Imu else stream_quality()
-            self._subscriptions.append(node.create_subscription(kind, topic, self._on_message, **quality))
+            self._listen(kind, avatar.orientation_topic or default, read, on_gravity, sensor=kind is Imu)
         elif avatar.orientation == "tf":
             try:
                 from tf2_msgs.msg import TFMessage
@@ -63,19 +69,29 @@ class OrientationSource:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
-    def _on_message(self, message) -> None:
-        try:
-            down = self._read(message)
-        except ValueError as error:
-            self._on_bad(str(error))
-        else:
-            stamp = message.header.stamp
-            self._on_gravity(down.astype(np.float32), stamp.sec * 1_000_000_000 + stamp.nanosec)
+    def _listen(self, kind: type, topic: str, read: Callable, take: Taker, *, sensor: bool) -> None:
+        """sensor: the topic's publishers may be best effort, as sensor drivers are."""
+
+        def on_message(message) -> None:
+            try:
+                found = read(message)
+            except ValueError as error:
+                self._on_bad(str(error))
+            else:
+                stamp = message.header.stamp
+                take(found.astype(np.float32), stamp.sec * 1_000_000_000 + stamp.nanosec)
+
+        quality = stream_quality(SENSOR_QUEUE, reliable=False) if sensor else stream_quality()
+        self._subscriptions.append(self._node.create_subscription(kind, topic, on_message, **quality))
 
 
 def _from_vector(vector) -> np.ndarray:
     down = gravity_direction([vector.x, vector.y, vector.z])
     return down / np.linalg.norm(down)
+
+
+def _felt(vector) -> np.ndarray:
+    return in_units_of_gravity([vector.x, vector.y, vector.z])
 
 
 def _from_pose(turn) -> np.ndarray:

@@ -30,7 +30,7 @@ def declare_settings(node: Node) -> dict[str, Setting]:
         for garment in garments:
             settings |= {garment + key: setting for key, setting in GARMENT_SETTINGS.items()}
     for name, setting in settings.items():
-        node.declare_parameter(name, setting.default, _descriptor(setting))
+        node.declare_parameter(name, setting.declared, _descriptor(setting))
     return {name: setting for name, setting in settings.items() if setting.changes}
 
 
@@ -39,7 +39,7 @@ def _descriptor(setting: Setting) -> ParameterDescriptor:
     default = setting.default
     if setting.choices:
         descriptor.additional_constraints = f"one of: {', '.join(choice or 'empty' for choice in setting.choices)}"
-    if isinstance(default, float):
+    if default is None or isinstance(default, float):
         descriptor.dynamic_typing = True  # 60 on a command line is an integer
         limits = FloatingPointRange(from_value=float(setting.low), to_value=float(setting.high))
         descriptor.floating_point_range = [limits]

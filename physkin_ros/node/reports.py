@@ -64,12 +64,22 @@ class Reports:
             draper = worn.draper
             model, source = draper.model.name, draper.avatar.source
             values |= {"backend": draper.backend, "instruction set": draper.instruction_set}
-            values["precision"] = draper.precision
+            values |= {"precision": draper.precision, "fit": f"{draper.fit:g}"}
         values["model"] = model
         values["gravity"] = " ".join(f"{value:.3f}" for value in stream.gravity)
+        values["effective gravity [m/s2]"] = _effective_gravity(stream, worn)
         if worn is None:
             error = stream.statistics.last_error
             well, summary = False, f"nothing to drape: {error}" if error else "the garment is being loaded"
         elif not stream.active:
             summary = "inactive"
         return diagnostic_status(f"{self._node.get_name()}: {garment.name or model}", source, well, summary, values)
+
+
+def _effective_gravity(stream: AvatarStream, worn) -> str:
+    felt = stream.effective_gravity(monotonic_ns())
+    if felt is None:
+        return "none"
+    text = " ".join(f"{value:.2f}" for value in felt)
+    learnt = worn is None or worn.draper.model.accelerated
+    return text if learnt else f"{text}, of which the direction alone counts"

@@ -44,7 +44,8 @@ class SettingsError(ValueError):
 class Setting:
     """One parameter: default, what it does, whether it may change while the node runs, and what is allowed.
 
-    choices: allowed texts. low, high: bounds of a number. may_be_empty: of a text.
+    default: None for a number that may be left out, which ROS knows as an empty text. choices: allowed texts. low,
+    high: bounds of a number. may_be_empty: of a text.
     """
 
     default: object
@@ -54,6 +55,11 @@ class Setting:
     low: float = -math.inf
     high: float = math.inf
     may_be_empty: bool = True
+
+    @property
+    def declared(self) -> object:
+        """The default as ROS knows it."""
+        return "" if self.default is None else self.default
 
 
 def _key(default: object, description: str, **more: Any) -> Any:
@@ -76,10 +82,10 @@ class GarmentSettings:
         "numpy backend fp32, the only one it knows",
         choices=("", *PRECISIONS),
     )
-    fit: float = _key(
-        0.0,
-        "0: the garment's one size; 1: made to measure for this body; or between. Above 0 only for models that have "
-        "learnt it; takes half a second more to start",
+    fit: float | None = _key(
+        None,
+        "1: made to measure for this body; 0: the garment's one size; or between. Above 0 only for models that have "
+        "learnt it. Empty: 1 for those, 0 for others",
         low=0,
         high=1,
     )
@@ -139,6 +145,11 @@ class AvatarSettings:
     )
     orientation_joints: tuple[str, ...] = _key(
         ["root_roll", "root_pitch"], "names of roll and pitch [rad] in the joint states, for orientation joints"
+    )
+    effective_gravity_topic: str = _key(
+        "",
+        "topic of what an accelerated root feels: gravity less the root's acceleration, root frame [m/s2]. While it "
+        "comes it takes the place of the direction; default ~/effective_gravity, with avatars ~/ID/effective_gravity",
     )
     world_frame: str = _key("world", "upright TF frame, for orientation tf", may_be_empty=False)
     cloud_rate: float = _key(
@@ -280,15 +291,17 @@ def check_setting(name: str, setting: Setting, value: object) -> object:
             raise SettingsError(f"parameter {name.removesuffix('gravity')}{error}") from None
         return tuple(float(number) for number in value)
     default = setting.default
+    if default is None and value in (None, ""):
+        return None
     if isinstance(default, bool):
         if not isinstance(value, bool):
             raise refuse("true or false")
-    elif isinstance(default, (int, float)):
+    elif default is None or isinstance(default, (int, float)):
         whole = isinstance(default, int)
         kinds = int if whole else (int, float)
         if isinstance(value, bool) or not isinstance(value, kinds) or not setting.low <= value <= setting.high:
             raise refuse(f"{'a whole number' if whole else 'a number'} from {setting.low:g} to {setting.high:g}")
-        return type(default)(value)
+        return int(value) if whole else float(value)
     elif isinstance(default, list):
         if isinstance(value, str) or not all(isinstance(item, str) for item in value):
             raise refuse("a list of texts")
@@ -325,7 +338,7 @@ def read_settings(given: Mapping[str, object]) -> NodeSettings:
             name = garment_prefix.split(".")[3] if garment_prefix else ""
             _check_topic(f"{garment_prefix}namespace", garment["namespace"])
             garments.append(GarmentSettings(prefix=garment_prefix, name=name, **garment))
-        for key in ("joint_states", "orientation_topic"):
+        for key in ("joint_states", "orientation_topic", "effective_gravity_topic"):
             _check_topic(prefix + key, values[key])
         if len(values["orientation_joints"]) != 2:
             raise SettingsError(

@@ -9,6 +9,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from physkin_core import BACKENDS, BUNDLED_AVATAR, NORMALS, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
+from physkin_core.fit_option import add_fit_option
 from physkin_core.motion.bag_reader import BagError, BagReader
 from physkin_core.runtime.native_evaluator import PRECISIONS
 from physkin_ros.arguments import file_to_write, whole_number
@@ -84,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--precision", choices=PRECISIONS, help="of the native backend's network weights (default bf16)"
     )
-    parser.add_argument("--fit", type=float, default=0.0, help="0: one size, 1: made to measure (default 0)")
+    add_fit_option(parser)
     parser.add_argument("--normals", choices=NORMALS, default="skinned", help="carried along, or of the draped mesh")
     parser.add_argument("-o", "--output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3")
     parser.add_argument("--storage", choices=STORAGES, help="of an output folder (default mcap)")

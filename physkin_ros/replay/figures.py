@@ -98,6 +98,7 @@ def describe(found: Replay, draper: Draper, bag: BagReader, *, contact_every: in
             "model": draper.model.name,
             "vertices": draper.vertex_count,
             "avatar": Path(draper.avatar.source).name,
+            "fit": draper.fit,
             "backend": draper.backend,
             "instruction_set": draper.instruction_set,
             "contact_every": contact_every,
@@ -155,7 +156,7 @@ def summary(figures: Mapping) -> str:
     """The figures in a few lines for a terminal."""
     counts, run, latency = figures["counts"], figures["run"], figures["latency_us"]
     rows = {
-        "garment": f"{run['model']}, {run['vertices']} vertices, on {run['avatar']}",
+        "garment": f"{run['model']}, {run['vertices']} vertices, fit {run['fit']:g}, on {run['avatar']}",
         "joint states": f"{counts['joint_states']} in {figures['bag']['duration_s']:.2f} s",
         "draped / rejected": f"{counts['draped']} / {counts['rejected']}",
         "gravity messages / rejected": f"{counts['gravity_messages']} / {counts['gravity_rejected']}",

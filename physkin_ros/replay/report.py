@@ -104,7 +104,8 @@ def _counts_table(figures: Mapping) -> str:
         "draped": f"{counts['draped']}",
         "rejected": f"{counts['rejected']}",
         "gravity": f"{counts['gravity_messages']} messages, {counts['gravity_rejected']} rejected",
-        "evaluator": f"{run['backend']}, {run['instruction_set']}, {run['vertices']} vertices",
+        "garment": f"{run['vertices']} vertices, fit {run['fit']:g} (0: one size, 1: made to measure)",
+        "evaluator": f"{run['backend']}, {run['instruction_set']}",
     }
     if counts["out_of_range_clouds"]:
         joints = ", ".join(f"{name} ({count})" for name, count in list(figures["out_of_range"].items())[:6])

@@ -14,6 +14,7 @@ import tempfile
 from pathlib import Path
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model, load_motion
+from physkin_core.fit_option import add_fit_option
 from physkin_ros.arguments import file_to_write, positive
 from physkin_ros.middleware.transport import private_environment
 from physkin_ros.tools.children import ChildFailedError, Children
@@ -48,7 +49,7 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         _say("interrupted")
         return 130
-    error = largest_error(records, Draper(model, avatar), motion)
+    error = largest_error(records, Draper(model, avatar, fit=options.fit), motion)
     print(table(records, model, error), flush=True)
     if len(records.kept):
         _say(f"drawing {options.output}")
@@ -59,7 +60,7 @@ def main(argv: list[str] | None = None) -> int:
 def _play(options: argparse.Namespace, keep_every: int, folder: Path) -> Records:
     with Children(private_environment(), folder) as children:
         _say(f"starting the drape node with {options.garment}")
-        avatar, garment = {"body_mesh": options.body}, {"model": options.garment}
+        avatar, garment = {"body_mesh": options.body}, {"model": options.garment, "fit": options.fit}
         start_node(children, folder, 1, avatar=avatar, garment=garment, queue=QUEUE, backend=options.backend)
         played = (options.motion, RATE_HZ, options.seconds, "--gravity")
         start_playing(children, folder, 1, *played, keep_every=keep_every)
@@ -72,6 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seconds", type=positive, default=10.0, help="how long to play (default %(default)g)")
     parser.add_argument("--output", type=file_to_write, default=Path("demo.png"), help="picture (default %(default)s)")
     parser.add_argument("--garment", default="tshirt", help="shipped garment or model file (default %(default)s)")
+    add_fit_option(parser)
     parser.add_argument("--body", default="", help="avatar file (default: the bundled avatar)")
     parser.add_argument("--motion", default="dance", help="bundled motion or a motion file (default %(default)s)")
     parser.add_argument("--backend", default="native", choices=("native", "numpy"), help="default %(default)s")

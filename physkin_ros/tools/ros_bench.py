@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core import load_garment_model
+from physkin_core.fit_option import add_fit_option
 from physkin_ros.arguments import file_to_write, positive, whole_number
 from physkin_ros.middleware.transport import private_environment
 from physkin_ros.tools.children import ChildFailedError, Children
@@ -96,7 +97,8 @@ def main(argv: list[str] | None = None) -> int:
 def _measure(case: Case, options: argparse.Namespace, folder: Path) -> Records:
     seconds = options.seconds + WARM_UP_SECONDS
     with Children(private_environment(), folder) as children:
-        settings = {"avatar": {"orientation": "fixed"}, "garment": {"model": options.model}, "queue": options.queue}
+        garment = {"model": options.model, "fit": options.fit}
+        settings = {"avatar": {"orientation": "fixed"}, "garment": garment, "queue": options.queue}
         start_node(children, folder, case.garments, **settings)
         more = ("--warm-up", round(WARM_UP_SECONDS * case.rate_hz), "--watched", children.pid("node"))
         start_playing(children, folder, case.garments, MOTION, case.rate_hz, seconds, *more)
@@ -139,6 +141,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin ros-bench", description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=file_to_write, metavar="OUT", help="write what is printed to a file, too")
     parser.add_argument("--model", default="dress", help="garment: a file or a shipped name (default %(default)s)")
+    add_fit_option(parser)
     parser.add_argument("--seconds", type=positive, default=5.0, help="of each case, after a warm-up (default 5)")
     parser.add_argument(
         "--cases",

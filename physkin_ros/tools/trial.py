@@ -66,14 +66,15 @@ class Records:
 def start_node(
     children: Children, folder: Path, avatars: int, *, avatar: Mapping, garment: Mapping, queue: int | None, **node
 ) -> None:
-    """Start a drape node with avatars a0, a1, ... of these parameters, each with one garment, g.
+    """Start a drape node with avatars a0, a1, ... of these parameters, each with one garment, g. None: its default.
 
     queue: joint states and directions of gravity that may wait; None: the node's own. node: its other parameters.
     """
     parameters = dict(node)
     for k in range(avatars):
         parameters |= {f"avatars.a{k}.{name}": value for name, value in avatar.items()}
-        parameters |= {f"avatars.a{k}.garments.g.{name}": value for name, value in garment.items()}
+        chosen = {name: value for name, value in garment.items() if value is not None}
+        parameters |= {f"avatars.a{k}.garments.g.{name}": value for name, value in chosen.items()}
         for topic in ("joint_states", "gravity") if queue is not None else ():
             parameters[f"qos_overrides./a{k}/{topic}.subscription.depth"] = queue
     config = folder / "avatars.yaml"

@@ -40,7 +40,7 @@ static int older_options_are_taken(const char* path) {
 
 int main(int argc, char** argv) {
   physkin_garment* garment;
-  const float gravity[3] = {0.0f, 0.0f, -1.0f};
+  const float gravity[3] = {0.0f, 0.0f, -1.0f}, crash[3] = {100.0f, 0.0f, -9.81f};
   float* pose;
   float* out;
   long before;
@@ -52,6 +52,8 @@ int main(int argc, char** argv) {
   for (int k = 0; k < 3; ++k) {
     pose[0] = 0.1f;
     if (physkin_step(garment, pose, gravity, out, 6, 6) != PHYSKIN_OK) return 1;
+    if (physkin_step_accelerated(garment, pose, gravity, out, 6, 6) != PHYSKIN_OK) return 1;
+    if (physkin_step_accelerated(garment, pose, crash, out, 6, 6) != PHYSKIN_BAD_POSE) return 1;
     pose[0] = NAN;
     if (physkin_step(garment, pose, gravity, out, 3, 6) != PHYSKIN_BAD_POSE) return 1;
   }

@@ -66,7 +66,7 @@ def small_bound_file(tmp_path_factory):
     faces = rng.integers(0, 50, size=(90, 3)).astype(np.int32)
     garment = replace(random_bound_garment(rng), faces=faces)
     path = tmp_path_factory.mktemp("bound") / "small.bound.safetensors"
-    save_bound_garment(garment, path, name="small", joint_names=[f"joint {k}" for k in range(7)])
+    save_bound_garment(garment, path, name="small", joint_names=[f"joint {k}" for k in range(7)], accelerated=True)
     return path
 
 

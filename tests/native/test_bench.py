@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physkin_bench import measurement
+from physkin_bench import cases, measurement
 from physkin_bench.cases import paper_case, skinning_case
 from physkin_bench.network_case import network_case
 from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, Peer, prepare_peers
 from physkin_bench.timing import time_in_turns
-from physkin_core import cli
+from physkin_core import cli, load_garment_model
 from physkin_core.runtime.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "notebook" / "benchmark.md"
@@ -53,6 +53,16 @@ def test_every_key_is_documented(figures):
     rows = re.findall(r"^\| `([^|]*)` \|", DOCUMENT.read_text(), flags=re.MULTILINE)
     patterns = [re.sub("[A-Z]+", "[a-z0-9_.-]+", re.escape(row)) for row in rows]
     assert [key for key in figures if not any(re.fullmatch(pattern, key) for pattern in patterns)] == []
+
+
+@pytest.mark.parametrize("fit", [None, 0.0])
+def test_strain_is_against_what_is_worn(fit, monkeypatch):
+    """Made to measure by default, on the bundled avatar and on the bodies of the batch."""
+    monkeypatch.setattr(cases, "BODIES", 2)
+    case, template = cases.model_case("skirt", fit=fit), load_garment_model("skirt").garment.vertices
+    np.testing.assert_array_equal(case.garment.vertices.astype(np.float32), case.bound.vertices)
+    changed = [np.abs(bound.vertices - template).max() > 1e-3 for bound in (case.bound, *case.bodies)]
+    assert changed == [fit is None] * 3
 
 
 def test_rounds_below_one_are_refused(capsys):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from model_files import edited_header
 from native_library import NATIVE
+from random_models import random_avatar, random_model, random_pose
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.cli import main
@@ -45,7 +46,9 @@ def c():
     for name in ("vertex_count", "joint_count", "face_count", "precision", "instruction_set"):
         getattr(loaded, f"physkin_{name}").argtypes = [ctypes.c_void_p]
     loaded.physkin_joint_name.argtypes = [ctypes.c_void_p, ctypes.c_int32]
-    loaded.physkin_step.argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int32, ctypes.c_ssize_t]
+    for name in ("physkin_step", "physkin_step_accelerated"):
+        getattr(loaded, name).argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int32, ctypes.c_ssize_t]
+    loaded.physkin_accelerated.argtypes = [ctypes.c_void_p]
     loaded.physkin_open_memory.argtypes = [ctypes.c_char_p, ctypes.c_size_t, ctypes.c_void_p, ctypes.c_void_p]
     return loaded
 
@@ -59,6 +62,10 @@ def load(c, data, how=None):
 
 def step(c, garment, pose, gravity, out, columns=6, stride=6):
     return c.physkin_step(garment, pose.ctypes.data, gravity.ctypes.data, out.ctypes.data, columns, stride)
+
+
+def step_accelerated(c, garment, pose, felt, out):
+    return c.physkin_step_accelerated(garment, pose.ctypes.data, felt.ctypes.data, out.ctypes.data, 6, 6)
 
 
 def compiled(source, folder):
@@ -144,6 +151,45 @@ def test_a_program_in_c(small_bound_file, tmp_path):
     assert subprocess.run([program, small_bound_file], check=True, capture_output=True, text=True).stdout == "0\n"
 
 
+@pytest.mark.parametrize("learnt", [True, False])
+def test_effective_gravity(learnt, c, tmp_path):
+    """Python's bits where the model has learnt it, zero and 9.81 m/s2 among them; what is refused writes nothing."""
+    rng = np.random.default_rng(60)
+    training = {"poses": {"accelerated": 0.3}} if learnt else {}
+    model = replace(random_model(rng), training=training)
+    draper, pose = Draper(model, random_avatar(rng, model.rig)), random_pose(rng, model.rig)[0]
+    draper.save_bound(tmp_path / "g")
+    status, garment = load(c, (tmp_path / "g").read_bytes())
+    assert status == OK, c.physkin_last_error()
+    assert c.physkin_accelerated(garment) == learnt
+    out = np.full((draper.vertex_count, 6), 7, dtype=np.float32)
+    down = np.float32([0.6, 0.1, -0.79])
+    for size in (0.0, 3.0, 9.81, 29.4):
+        felt = np.float32(size) * down / np.linalg.norm(down)
+        status = step_accelerated(c, garment, pose, felt, out)
+        if learnt:
+            assert status == OK, c.physkin_last_error()
+            assert np.array_equal(out, draper.drape(pose, effective_gravity=felt))
+        else:
+            assert status == BAD_ARGUMENT and b"not trained with accelerated roots" in c.physkin_last_error()
+    out[:] = 7
+    for felt in ([0, 0, -29.5], [np.nan, 0, 0], [0, -np.inf, 0], [3e38, 0, 0]):
+        assert step_accelerated(c, garment, pose, np.float32(felt), out) == BAD_POSE
+        assert b"must be finite and at most 29.4 long" in c.physkin_last_error()
+    assert c.physkin_step_accelerated(garment, pose.ctypes.data, None, out.ctypes.data, 6, 6) == BAD_ARGUMENT
+    assert (out == 7).all()
+    c.physkin_close(garment)
+
+
+def test_files_from_before_effective_gravity(c, small_bound_file):
+    """They do not say whether it was learnt, and count as not."""
+    data = small_bound_file.read_bytes()
+    for change, expected in ((lambda h: None, 1), (lambda h: h["__metadata__"].pop("accelerated"), 0)):
+        status, garment = load(c, edited_header(data, change))
+        assert status == OK and c.physkin_accelerated(garment) == expected
+        c.physkin_close(garment)
+
+
 def test_bad_steps_write_nothing_and_say_why(c, small_bound_file):
     _, garment = load(c, small_bound_file.read_bytes())
     pose, gravity = np.zeros(7, np.float32), np.array([0, 0, -1], np.float32)
@@ -181,6 +227,7 @@ def test_bad_options_are_refused(how, message, c, small_bound_file):
         (lambda h: h["__metadata__"].update(format="physkin-garment"), "expected physkin-bound-garment"),
         (lambda h: h["__metadata__"].update(schema_version="2"), "schema version '2'"),
         (lambda h: h["__metadata__"].update(activation="tanh"), "activation is 'tanh'"),
+        (lambda h: h["__metadata__"].update(accelerated="1"), "accelerated is '1'; expected true or false"),
         (lambda h: h["__metadata__"].update(joint_names="[]"), "names 0 joints; expected 7"),
         (lambda h: h["__metadata__"].update(joint_names="{"), "malformed"),
         (lambda h: h["__metadata__"].pop("format"), "no metadata format"),

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from physkin_core import save_garment_model
@@ -27,6 +28,24 @@ def leaning_model_path(leaning_model, tmp_path_factory):
     """A file of it."""
     path = tmp_path_factory.mktemp("models") / "leaning.safetensors"
     save_garment_model(leaning_model, path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def accelerated_model_path(leaning_model, tmp_path_factory):
+    """A file of the garment that heeds gravity, which has learnt effective gravity."""
+    path = tmp_path_factory.mktemp("models") / "accelerated.safetensors"
+    learnt = dataclasses.replace(leaning_model, name="accelerated", training={"poses": {"accelerated": 0.3}})
+    save_garment_model(learnt, path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def measured_model_path(garment_model, tmp_path_factory):
+    """A file of the test's garment that has learnt to be made to measure."""
+    hyper = {**garment_model.hyper_modulator, "fit": np.linspace(-1, 1, 8, dtype=np.float32)}
+    path = tmp_path_factory.mktemp("models") / "measured.safetensors"
+    save_garment_model(dataclasses.replace(garment_model, hyper_modulator=hyper), path)
     return path
 
 

@@ -50,6 +50,9 @@ def waist_band_model() -> GarmentModel:
     return random_model(np.random.default_rng(1), rig=rig, garment=garment, nodes=12, correction=0.02)
 
 
+NODES = GarmentNodeConfig(count=12, initial_influences=6, influences=3)
+
+
 def small_config(folder: Path, *, engine_influences: int = 2, **optimisation) -> TrainingConfig:
     """Twelve steps of four samples; influences are pruned after the third, all body points used in the twelfth.
 
@@ -68,16 +71,16 @@ def small_config(folder: Path, *, engine_influences: int = 2, **optimisation) ->
         seed=5,
         train_bodies=3,
         optimisation=replace(schedule, **optimisation),
-        garment_nodes=GarmentNodeConfig(count=12, initial_influences=6, influences=3, engine_influences=engine_influences),
+        garment_nodes=replace(NODES, engine_influences=engine_influences),
         networks=SIZES,
     )
 
 
-def exported(trainer: Trainer, influences: int) -> GarmentModel:
+def exported(trainer: Trainer, influences: int, *, engine_influences: int = 0) -> GarmentModel:
     """The trained drape (not the average) as a model of so many influences a vertex."""
     config = trainer.config
     given = {"name": "band", "influences": influences, "material": config.material, "training": {"seed": config.seed}}
-    return model_from_drape(trainer.drape, trainer.garment, trainer.rig, **given)
+    return model_from_drape(trainer.drape, trainer.garment, trainer.rig, engine_influences=engine_influences, **given)
 
 
 def train_command(folder: Path, *more: object, config: str = "band.toml", out: str | Path = "out") -> list[str]:

@@ -74,6 +74,9 @@ BoundFile::BoundFile(const unsigned char* data, std::size_t size) {
     throw FileError("the file names " + std::to_string(joint_names.size()) + " joints; expected " +
                     std::to_string(garment.dofs));
   }
+  const std::string learnt = file.metadata("accelerated", "false");
+  if (learnt != "true" && learnt != "false") throw FileError("accelerated is '" + learnt + "'; expected true or false");
+  accelerated = learnt == "true";
   file.refuse_unread();
 }
 

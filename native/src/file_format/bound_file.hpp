@@ -19,6 +19,7 @@ struct BoundFile {
   Arena arena;
   BoundGarment garment;
   std::vector<std::string> joint_names;  // (dofs,)
+  bool accelerated;                      // whether the networks have learnt effective gravity
 };
 
 }  // namespace physkin

@@ -24,7 +24,8 @@ from physkin_core.model.node_deformer import node_corrections
 from physkin_core.model.pose_modulator import pose_modulation
 from physkin_core.model.skinning import skin
 from physkin_core.runtime import binding
-from physkin_core.runtime.binding import encode_body
+from physkin_core.runtime.binding import bind_garment, encode_body
+from physkin_core.runtime.draper import in_units_of_gravity
 from physkin_core.runtime.garment_grading import GarmentGrading
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
@@ -307,7 +308,7 @@ def measured():
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_made_to_measure_without_correctives_rests_on_the_body(measured, backend):
     """Plain skinning at the canonical pose is the graded garment, to the millimetres of finding the body's shape; a fit
-    between is between; 0 is as without."""
+    between is between; 0 is the template."""
     model, avatar = measured
     weight, bias = model.node_deformer[-1]
     plain = replace(model, node_deformer=(*model.node_deformer[:-1], (0 * weight, 0 * bias)))
@@ -315,7 +316,6 @@ def test_made_to_measure_without_correctives_rests_on_the_body(measured, backend
     for fit in (0.0, 0.5, 1.0):
         draper = Draper(plain, avatar, fit=fit, backend=backend)
         drapes[fit], rests[fit] = draper.drape(model.rig.rest), draper.rest_garment.vertices
-    np.testing.assert_array_equal(drapes[0.0], Draper(plain, avatar, backend=backend).drape(model.rig.rest))
     np.testing.assert_allclose(drapes[1.0][:, :3], rests[1.0], atol=1e-5)
     np.testing.assert_allclose(drapes[0.5][:, :3], (drapes[0.0] + drapes[1.0])[:, :3] / 2, atol=1e-5)
     assert rests[0.0] is model.garment.vertices
@@ -323,6 +323,21 @@ def test_made_to_measure_without_correctives_rests_on_the_body(measured, backend
     exact = GarmentGrading(model.garment, body).graded(body.held_out_bodies[3:4])[0]
     assert np.linalg.norm(rests[1.0] - exact, axis=1).max() < 5e-3
     assert np.linalg.norm(exact - model.garment.vertices, axis=1).max() > 0.02
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_made_to_measure_is_the_default_where_it_was_learnt(measured, backend):
+    """Bit for bit fit 1, in the bound garment too; a model that has not learnt it is worn as at fit 0."""
+    model, avatar = measured
+    unlearnt = {name: array for name, array in model.hyper_modulator.items() if name != "fit"}
+    for worn, fit in ((model, 1.0), (replace(model, hyper_modulator=unlearnt), 0.0)):
+        default, told = Draper(worn, avatar, backend=backend), Draper(worn, avatar, backend=backend, fit=fit)
+        assert default.fit == told.fit == fit
+        np.testing.assert_array_equal(default.drape(model.rig.rest), told.drape(model.rig.rest))
+        np.testing.assert_array_equal(default.rest_garment.vertices, told.rest_garment.vertices)
+        bound = bind_garment(worn, avatar, backend=backend)
+        np.testing.assert_array_equal(bound.vertices, told.bound.vertices)
+        assert (default.rest_garment is worn.garment) == (fit == 0)
 
 
 def test_the_fit_reaches_the_networks(measured):
@@ -379,6 +394,14 @@ def test_effective_gravity():
     np.testing.assert_allclose(draper.drape(pose, effective_gravity=9.81 * down), usual, atol=1e-6)
     for size in (0.0, 5.0, 29.0):
         assert np.abs(draper.drape(pose, effective_gravity=size * down) - usual).max() > 1e-5
+    for backend in ("native", "numpy"):  # bound to arrays, in units of gravity
+        bound, felt = Draper(learnt, avatar, backend=backend), np.zeros(3, dtype=np.float32)
+        out = np.empty((bound.vertex_count, 6), dtype=np.float32)
+        step = bound.bind_step(pose, felt, out)
+        for size in (0.0, 5.0, 29.0):
+            felt[:] = in_units_of_gravity(size * down)
+            step()
+            np.testing.assert_array_equal(out, bound.drape(pose, effective_gravity=size * down))
     for wrong in ([0, 0, -30.0], [0, np.nan, 0], [0, 0], -9.81):
         with pytest.raises(ValueError, match="effective_gravity must be .* up to 29.4 m/s2"):
             draper.drape(pose, effective_gravity=wrong)

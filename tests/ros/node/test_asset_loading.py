@@ -73,6 +73,17 @@ def test_encodings_are_kept_by_content(tmp_path, model_path):
     assert not loader.load(wanted).cached
 
 
+def test_fits_are_kept_apart(measured_model_path):
+    """Made to measure is the default, and known as fit 1; one size is another binding."""
+    loader, wanted = DraperLoader("native"), Outfitting(str(measured_model_path))
+    loads = [loader.load(replace(wanted, fit=fit)) for fit in (None, 1.0, 0.0, None)]
+    assert [each.cached for each in loads] == [False, True, False, True]
+    assert [each.draper.fit for each in loads] == [1.0, 1.0, 0.0, 1.0]
+    first, _, one_size, again = (each.draper.rest_garment.vertices for each in loads)
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - one_size).max() > 1e-3
+
+
 def test_only_so_many_are_kept(model_path, monkeypatch):
     """The one that was used longest ago goes first."""
     monkeypatch.setattr(asset_loading, "KEPT", 1)

@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState  # noqa: E402
 
 pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
 
-from drape_site import glb_joined, glb_parts  # noqa: E402
+from drape_site import scaled_body  # noqa: E402
 from physkin_msgs.srv import SetBody, SetGarment  # noqa: E402
 
 TOP, LEGS, BOB = "alice/top", "alice/legs", "bob/top"
@@ -29,11 +29,7 @@ TOP, LEGS, BOB = "alice/top", "alice/legs", "bob/top"
 def other_body(tmp_path_factory):
     """A body a tenth larger than the bundled one, in a folder of its own."""
     path = tmp_path_factory.mktemp("bodies") / "other.glb"
-    document, rest = glb_parts(BUNDLED_AVATAR.read_bytes())
-    roots = document["scenes"][document.get("scene", 0)]["nodes"]
-    document["nodes"].append({"children": roots, "scale": [1.1, 1.1, 1.1]})
-    document["scenes"][document.get("scene", 0)]["nodes"] = [len(document["nodes"]) - 1]
-    path.write_bytes(glb_joined(document, rest))
+    path.write_bytes(scaled_body(1.1))
     return path
 
 

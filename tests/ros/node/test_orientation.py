@@ -9,7 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from physkin_ros.node.orientation import (
+    FRESH,
     MOST_DIRECTIONS,
+    EffectiveGravity,
     GravityByStamp,
     OrientationError,
     TransformTree,
@@ -115,3 +117,16 @@ def test_only_so_many_directions_are_kept():
     for index in range(2 * MOST_DIRECTIONS):
         gravity.add(np.full(3, index), SECOND + index)
     assert gravity.at(SECOND + 5)[0] == MOST_DIRECTIONS
+
+
+def test_effective_gravity_counts_while_it_is_fresh():
+    """By when it came, whatever its stamps; paired by stamps as directions are, but never with what was stale."""
+    felt = EffectiveGravity()
+    assert felt.at(5, 0) is None
+    for size, seconds in ((1, 10), (2, 10.2)):
+        felt.add(np.float32([size, 0, 0]), round(seconds * SECOND), 1000)
+    for stamp, size in ((10.1, 1), (10.2, 2), (0, 2)):
+        assert felt.at(round(stamp * SECOND), 1000 + FRESH)[0] == size
+        assert felt.at(round(stamp * SECOND), 1001 + FRESH) is None
+    felt.add(np.float32([3, 0, 0]), 12 * SECOND, 2000 + FRESH)
+    assert felt.at(round(11.5 * SECOND), 2000 + FRESH)[0] == 3

@@ -37,7 +37,7 @@ def test_many_avatars(tmp_path):
     deadline: 1
     avatars:
       ann: {cloud_rate: 60, gravity: [0, 1, 0], garments: {top: {model: tshirt}, legs: {model: trousers}}}
-      bob: {frame_id: torso, garments: {top: {marker: true}}}
+      bob: {frame_id: torso, garments: {top: {marker: true, fit: 0}, legs: {fit: ""}}}
 """,
     )
     found = load_config(path)
@@ -47,6 +47,7 @@ def test_many_avatars(tmp_path):
         ("top", "avatars.ann.garments.top.", "tshirt"),
         ("legs", "avatars.ann.garments.legs.", "trousers"),
     ]
+    assert [each.fit for avatar in (ann, bob) for each in avatar.garments] == [None, None, 0.0, None]
     assert bob.frame_id == "torso" and bob.garments[0].marker and found.deadline == 1.0
 
 
@@ -66,6 +67,8 @@ def test_many_avatars(tmp_path):
         ("drape_node: {ros__parameters: {model: }}", "model has no value"),
         ("drape_node: {ros__parameters: {executor: many}}", "executor is 'many'; allowed: events, single"),
         ("drape_node: {ros__parameters: {deadline: 100}}", "deadline is 100; allowed: a number from 0 to 60"),
+        ("drape_node: {ros__parameters: {fit: 1.5}}", "fit is 1.5; allowed: a number from 0 to 1"),
+        ("drape_node: {ros__parameters: {fit: tight}}", "fit is 'tight'; allowed: a number from 0 to 1"),
         ("drape_node: {ros__parameters: {autostart: 1}}", "autostart is 1; allowed: true or false"),
         ("drape_node: {ros__parameters: {most_bodies: 2.5}}", "most_bodies is 2.5; allowed: a whole number from 1"),
         ("drape_node: {ros__parameters: {asset_roots: /tmp}}", "asset_roots is '/tmp'; allowed: a list of texts"),
@@ -92,6 +95,10 @@ def test_many_avatars(tmp_path):
         (
             "{avatars: {ann: {joint_states: 'a b', garments: {top: {model: a}}}}}",
             "joint_states is 'a b'; allowed: a ROS name",
+        ),
+        (
+            "{avatars: {ann: {effective_gravity_topic: a b, garments: {top: {model: a}}}}}",
+            "effective_gravity_topic is 'a b'; allowed: a ROS name",
         ),
         ("{avatars: {ann: {orientation_joints: [a], garments: {top: {model: a}}}}}", "allowed: two names"),
         (

@@ -11,13 +11,13 @@ pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[repla
 
 from bag_messages import gravity, joint_state, recorded  # noqa: E402
 
-from physkin_core import cli  # noqa: E402
+from physkin_core import Draper, cli, load_garment_model  # noqa: E402
 from physkin_core.motion.bag_reader import GRAVITY, JOINT_STATE, TYPES, BagReader  # noqa: E402
 from physkin_core.quality import area_strain, edge_strain, jitter, signed_distance  # noqa: E402
 from physkin_core.runtime.bound_garment import plain_skinning  # noqa: E402
 from physkin_ros.messages.conversions import read_cloud  # noqa: E402
 from physkin_ros.replay.bags import BagWriter, write_motion  # noqa: E402
-from physkin_ros.replay.figures import describe  # noqa: E402
+from physkin_ros.replay.figures import describe, summary  # noqa: E402
 from physkin_ros.replay.replay import GARMENT_TOPIC, replay  # noqa: E402
 
 
@@ -61,6 +61,17 @@ def test_figures_are_those_of_the_core(draper, motion, figures):
     assert shown["max_depth_mm"]["max"] == pytest.approx(-1000 * np.min(distances), abs=1e-4)
     assert figures["bag"]["rate_hz"] == pytest.approx(60, rel=1e-6)
     assert figures["counts"]["jitter_clouds"] == 10 and figures["counts"]["contact_clouds"] == 3
+
+
+def test_strain_is_against_the_rest_shape_that_is_worn(measured_model_path, avatar, bag, motion):
+    """Made to measure by default, and told so."""
+    draper = Draper(load_garment_model(measured_model_path), avatar)
+    with BagReader(bag) as source:
+        figures = describe(replay(draper, source), draper, source, contact_every=0)
+    clouds = np.stack([cloud[:, :3] for cloud in expected_clouds(draper, motion)]).astype(np.float64)
+    worn, template = (edge_strain(garment, clouds).mean() for garment in (draper.rest_garment, draper.model.garment))
+    assert figures["figures"]["edge_strain_percent"]["mean"] == pytest.approx(worn) != pytest.approx(template)
+    assert figures["run"]["fit"] == 1.0 and "fit 1, on" in summary(figures)
 
 
 def test_gravity_counts_from_when_it_comes(run, draper, tmp_path):

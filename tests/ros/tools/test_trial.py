@@ -6,6 +6,7 @@ import os
 import signal
 from pathlib import Path
 from threading import Thread
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,10 +21,11 @@ from sensor_msgs.msg import JointState, PointCloud2  # noqa: E402
 from physkin_ros.messages.conversions import GarmentCloud  # noqa: E402
 from physkin_ros.middleware.spinning import spin_until  # noqa: E402
 from physkin_ros.middleware.transport import private_environment  # noqa: E402
+from physkin_ros.node.settings import load_config  # noqa: E402
 from physkin_ros.tools.children import ChildFailedError, Children  # noqa: E402
 from physkin_ros.tools.listener import Listener  # noqa: E402
 from physkin_ros.tools.player import play  # noqa: E402
-from physkin_ros.tools.trial import Records  # noqa: E402
+from physkin_ros.tools.trial import Records, start_node  # noqa: E402
 
 
 class LateGarment:
@@ -41,6 +43,18 @@ class LateGarment:
         self.asked += 1
         if self.asked > self.late:
             self.publisher.publish(self.cloud.stamped(state.header.stamp.sec, state.header.stamp.nanosec))
+
+
+@pytest.mark.parametrize("fit", [None, 0.0])
+def test_the_node_is_started_as_told(fit, tmp_path):
+    """A garment's parameter that is None is left to the node."""
+    children = SimpleNamespace(start=lambda *command: None)
+    start_node(children, tmp_path, 2, avatar={}, garment={"model": "tshirt", "fit": fit}, queue=None)
+    found = load_config(tmp_path / "avatars.yaml").avatars
+    assert [(each.id, each.garments[0].model, each.garments[0].fit) for each in found] == [
+        ("a0", "tshirt", fit),
+        ("a1", "tshirt", fit),
+    ]
 
 
 @pytest.fixture

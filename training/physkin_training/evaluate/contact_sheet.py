@@ -17,6 +17,7 @@ import numpy as np
 import torch
 
 from physkin_core.avatar.body_model import BodyModel, load_body_model
+from physkin_core.fit_option import add_fit_option
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import bundled_motions, load_motion
@@ -150,7 +151,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="PNG")
     parser.add_argument("--poses", type=int, default=12, help="poses on each of the three bodies (default 12)")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--fit", type=float, default=0.0, help="0: one size, 1: made to measure (default 0)")
+    add_fit_option(parser)
     parser.add_argument("--minimum", action="store_true", help="beside the full-space minimum (minutes on a CPU)")
     parser.add_argument("--width", type=int, default=170, help="of one picture, in pixels (default 170)")
     parser.add_argument("--device", default=DEFAULT_DEVICE)

@@ -52,6 +52,8 @@ CONTACT = "one_way"
 """How other limbs press (see `Wearing`), whatever a model was trained with: all energies are of one kind."""
 FEWER_INFLUENCES = 4
 """What skinning to so few influences, which most engines support, would cost is measured too."""
+LARGEST_MEASURED, LARGEST_MINIMISED = 512, 64
+"""Batches on a GPU: of pairs that are measured, and minimised."""
 MOTION_RATE = 60.0
 """Frames a second at which motion is measured; clips of another rate are resampled."""
 
@@ -73,10 +75,10 @@ class Batch:
 class Evaluation:
     """Held-out bodies and seeded poses for one garment model on one device.
 
-    bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, 0 (template) to
-    1 (made to measure); strains are against the rest shape at that fit. body_model: whose bodies, default the adults
-    that are shipped. watch: is told of every batch that was measured. Raises ValueError when the model is for another
-    rig than the body model's or has not learnt the fit, or there are not so many bodies.
+    bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, as in `Draper`;
+    strains are against the rest shape at that fit. body_model: whose bodies, default the adults that are shipped.
+    watch: is told of every batch that was measured. Raises ValueError when the model is for another rig than the body
+    model's or has not learnt the fit, or there are not so many bodies.
     """
 
     def __init__(
@@ -88,7 +90,7 @@ class Evaluation:
         poses: int,
         seed: int,
         batch: int = 64,
-        fit: float = 0.0,
+        fit: float | None = None,
         body_model: BodyModel | None = None,
         watch: Watch = lambda what, pairs: None,
     ) -> None:
@@ -332,12 +334,12 @@ def evaluate_model(
     frames = sum(clip.frame_count for clip in clips)
     measured = (1 + model.made_to_measure) * bodies * (2 * poses + frames)
     minimised = min(minimum, bodies * poses) + min(minimum, bodies * frames)
-    batch = 512 if device.type == "cuda" else min(16, bodies * poses)
+    batch = LARGEST_MEASURED if device.type == "cuda" else min(16, bodies * poses)
     influences = model.influence_weights.shape[1]
     rows = ["model", "skinning", *(["fewer_influences"] if influences > FEWER_INFLUENCES else [])]
     with progress(measured=measured, minimised=minimised) as watch:
         given = {"bodies": bodies, "poses": poses, "seed": seed, "batch": batch, "watch": watch}
-        evaluation = Evaluation(model, device, **given)
+        evaluation = Evaluation(model, device, **given, fit=0.0)
         scores: dict = evaluation.figures(upright=True, only=rows)
         scores["tilted"] = evaluation.figures(upright=False, only=["model"])["model"]
         scores["counts"] = {"bodies": bodies, "poses": poses, "seed": seed, "pairs": scores["model"]["pairs"]}
@@ -354,6 +356,7 @@ def evaluate_model(
         if clips:
             scores["motion"] = evaluation.motion(clips)
         if minimum:
+            evaluation = Evaluation(model, device, **given | {"batch": min(batch, LARGEST_MINIMISED)}, fit=0.0)
             scores |= evaluation.minima(evaluation.uniform(upright=True).spread(minimum), steps=steps)
             scores["counts"] |= {"minimum_pairs": scores["minimum"]["pairs"], "minimum_steps": steps}
             if _trained_contact(model) == CONTACT:

@@ -102,12 +102,12 @@ class NormalErrors:
 
 
 def normal_errors(model: GarmentModel, *, bodies: int, frames: int) -> dict[str, NormalErrors]:
-    """Angles by bundled motion, and for uniform poses, on held-out adults at `frames` frames each."""
+    """Angles by bundled motion, and for uniform poses, on held-out adults in one size, at `frames` frames each."""
     body_model = load_body_model()
     angles: dict[str, list[np.ndarray]] = {}
     takes = _takes(model.rig, frames)
     for coefficients in body_model.held_out_bodies[:bodies]:
-        draper = Draper(model, avatar_from_body(body_model, coefficients), precision="fp32")
+        draper = Draper(model, avatar_from_body(body_model, coefficients), fit=0.0, precision="fp32")
         for name, pairs in takes.items():
             for joints, down in zip(pairs.positions.numpy(), pairs.gravity.numpy()):
                 cloud = draper.drape(joints, down)

@@ -1,0 +1,17 @@
+"""The option `--fit` of every command that binds a garment to a body."""
+
+from __future__ import annotations
+
+import argparse
+
+__all__ = ["add_fit_option"]
+
+
+def add_fit_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--fit`, a number that is left to `GarmentModel.checked_fit`; None where it is not given."""
+    parser.add_argument(
+        "--fit",
+        type=float,
+        metavar="F",
+        help="1: made to measure, 0: one size, or between (default: 1 for models that have learnt it, else 0)",
+    )
