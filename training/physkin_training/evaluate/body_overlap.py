@@ -57,7 +57,7 @@ class SkinPoints:
     face: (k,) int32, place: (k,) barycentric wp.vec2, on one device. Made of NumPy arrays, places (k, 2).
     """
 
-    def __init__(self, face: np.ndarray, place: np.ndarray, device: wp.context.Device | str) -> None:
+    def __init__(self, face: np.ndarray, place: np.ndarray, device: wp.Device | str) -> None:
         self.face = wp.array(face, dtype=wp.int32, device=device)
         self.place = wp.array(np.ascontiguousarray(place, dtype=np.float32), dtype=wp.vec2, device=device)
 
@@ -71,7 +71,7 @@ class SkinPoints:
         return cls(closest.face, closest.barycentric[:, :2], "cpu")
 
     @classmethod
-    def centres(cls, face: np.ndarray, device: wp.context.Device | str) -> SkinPoints:
+    def centres(cls, face: np.ndarray, device: wp.Device | str) -> SkinPoints:
         """The centres of faces (k,) of a body."""
         return cls(face, np.full((len(face), 2), 1 / 3), device)
 
