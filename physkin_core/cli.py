@@ -19,11 +19,12 @@ from physkin_core.avatar.avatar import AvatarWarning
 from physkin_core.fit_option import add_fit_option
 
 if TYPE_CHECKING:
-    from physkin_core import Avatar, Draper, GarmentModel
+    from physkin_core import Draper
 
 __all__ = ["main"]
 
 FORWARDED = {
+    "check": ("physkin_core.check.command", "say how garments sit on an avatar: a verdict, figures, a picture"),
     "node": ("physkin_ros.node.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
     "demo": (
         "physkin_ros.tools.demo",
@@ -68,7 +69,7 @@ PICTURE_SIZE = (800, 1000)
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line. Returns the exit status: 0, or 2 after an error that the user can mend, told in one line."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AvatarWarning)  # commands print or log what `Avatar.warnings` holds
+        warnings.simplefilter("ignore", AvatarWarning)  # commands print or log what `Draper.warnings` holds
         return _run(list(sys.argv[1:] if argv is None else argv))
 
 
@@ -127,43 +128,41 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _load(options: argparse.Namespace) -> tuple[GarmentModel, Avatar]:
-    from physkin_core import load_avatar, load_garment_model
+def _worn(options: argparse.Namespace, **more: object) -> Draper:
+    """The garment on the avatar; prints what was assumed, and how it sits if not well."""
+    from physkin_core import Draper, load_avatar, load_garment_model
 
     if options.second or options.model:
         raise ValueError("the garment is an option: physkin COMMAND AVATAR --garment MODEL -o FILE")
     model = load_garment_model(options.garment)
-    avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
-    for warning in avatar.warnings:
+    draper = Draper(model, load_avatar(options.avatar, model.rig, rig_file=options.rig), fit=options.fit, **more)
+    for warning in draper.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    return model, avatar
+    return draper
 
 
 def _drape(options: argparse.Namespace) -> int:
-    from physkin_core import Draper, load_motion
+    from physkin_core import load_motion
 
     writers: dict[str, Callable] = {".obj": _write_obj, ".png": _write_png}
     write = writers.get(options.output.suffix.lower())
     if write is None:
         raise ValueError(f"cannot write {options.output}: the name must end in {' or '.join(writers)}")
-    model, avatar = _load(options)
     motion = load_motion(options.motion)
     if not 0 <= options.frame < motion.frame_count:
         raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
-    draper = Draper(model, avatar, fit=options.fit, backend=options.backend)
-    positions = motion.positions_for(model.rig)[options.frame]
+    draper = _worn(options, backend=options.backend)
+    positions = motion.positions_for(draper.model.rig)[options.frame]
     cloth = draper.drape(positions, motion.gravity[options.frame])
-    write(options.output, draper, avatar.posed_vertices(draper.bone_transforms(positions)), cloth)
+    write(options.output, draper, draper.avatar.posed_vertices(draper.bone_transforms(positions)), cloth)
     print(f"wrote {options.output}")
     return 0
 
 
 def _bind(options: argparse.Namespace) -> int:
-    from physkin_core import Draper
-
     if options.push_out:
         raise ValueError("--push-out: push-out was removed; a bound garment is as its model drapes it")
-    Draper(*_load(options), fit=options.fit).save_bound(options.output)
+    _worn(options).save_bound(options.output)
     print(f"wrote {options.output}: {options.output.stat().st_size / 1e6:.1f} MB")
     return 0
 

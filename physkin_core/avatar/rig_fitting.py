@@ -123,11 +123,11 @@ def _improve(state: _State, body: BodyModel, points: np.ndarray, iterations: int
 
 def _residual(state: _State, body: BodyModel, points: np.ndarray) -> float:
     """Mean distance [m] from the mesh to the body's surface."""
-    import trimesh
+    from point_cloud_utils import closest_points_on_mesh
 
-    surface = trimesh.Trimesh(_posed_surface(state, body)[0], body.faces, process=False)
-    some = points[:: len(points) // RESIDUAL_SAMPLES, :3]
-    return float(trimesh.proximity.closest_point(surface, some)[1].mean())
+    surface = np.ascontiguousarray(_posed_surface(state, body)[0], dtype=np.float64)
+    some = np.ascontiguousarray(points[:: len(points) // RESIDUAL_SAMPLES, :3], dtype=np.float64)
+    return float(closest_points_on_mesh(some, surface, body.faces.astype(np.int64))[0].mean())
 
 
 @dataclass

@@ -6,6 +6,7 @@ Dimensions: `d` scalar degrees of freedom, `n` garment vertices, `m` garment nod
 from __future__ import annotations
 
 import logging
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property, partial
@@ -14,11 +15,12 @@ from typing import Literal
 
 import numpy as np
 
-from physkin_core.avatar.avatar import Avatar
+from physkin_core.avatar.avatar import Avatar, AvatarWarning
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.runtime.binding import bind_garment, bind_points
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.rest_check import RestCheck, rest_check
 
 __all__ = ["BACKENDS", "STANDARD_GRAVITY", "UPRIGHT_GRAVITY", "Draper", "in_units_of_gravity"]
 
@@ -48,6 +50,8 @@ class Draper:
     points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
         space; they have no faces.
     binding: `bound` of another draper of the same model, avatar and fit, which saves encoding the body again.
+    `warnings`: what was assumed of the avatar, and how the garment sits at rest where cloth is inside the body or skin
+    shows; the latter is also issued as an AvatarWarning.
     A joint more than a full turn beyond its limits is probably in degrees: the first such one is logged as a warning.
     Raises TypeError for anything but a model and an avatar; ValueError for an unknown backend, precision or kind of
     normals, a body of another rig, a fit that the model has not learnt, points that are not this garment's, or normals
@@ -85,6 +89,9 @@ class Draper:
         self.bound: BoundGarment = bound
         self._degrees_told = False
         self._evaluator = _evaluator(backend, bound, precision, normals)
+        self.warnings = avatar.warnings
+        if binding is None and points is None:
+            self._say_how_it_sits()
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
 
     @property
@@ -147,6 +154,19 @@ class Draper:
             out = np.empty((self.vertex_count, 6), dtype=np.float32)
         self._evaluator.evaluate(positions, down.astype(np.float32), out)
         return out
+
+    def rest_check(self) -> RestCheck:
+        """How the garment sits in the canonical pose. For drapers of the model's own mesh, not of `points`."""
+        cloth = self.drape(self.model.rig.rest)[:, :3]
+        return rest_check(self.model.garment, cloth, self.avatar.vertices, self.avatar.faces)
+
+    def _say_how_it_sits(self) -> None:
+        """Add a warning, and issue it, where cloth is inside the body at rest."""
+        found = self.rest_check()
+        if not found.sits_well:
+            warning = f"{self.model.name} on {self.avatar.source}: {found}; look at it, or run physkin check"
+            self.warnings = (*self.warnings, warning)
+            warnings.warn(warning, AvatarWarning, stacklevel=3)
 
     def bind_step(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> Callable[[], None]:
         """A frame bound to its arrays: `step()` drapes what they hold now into `out`, with nothing to convert.

@@ -102,4 +102,4 @@ def test_impossible_counts_are_refused(tmp_path, count, batch):
 def test_drapes_of_another_count_a_body_are_refused(made_up, tmp_path):
     config, _, drapes = made_up
     with pytest.raises(ValueError, match="drapes must be 1 a body, got 2"):
-        SupervisedTrainer(small_config(tmp_path), CPU, drapes)
+        SupervisedTrainer(small_config(tmp_path, samples=2, engine_influences=0), CPU, drapes)

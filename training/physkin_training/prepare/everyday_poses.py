@@ -2,7 +2,8 @@
 
 `python -m physkin_training.prepare.everyday_poses POSES.npz` reads poses of the default rig (arrays `joint_names` (d,),
 `positions` (P, d) [rad], `gravity` (P, 3), `clip` (P,), `clip_names`), leaves the held-out clips out, adds mirrored
-poses and poses whose arms come from other poses, and writes `EVERYDAY_POSES`. Needs the `data` extra.
+poses and poses whose arms come from other poses, and writes `EVERYDAY_POSES`, and twenty poses drawn from there as the
+`CHECK_POSES` of `physkin check`. Needs the `data` extra.
 """
 
 from __future__ import annotations
@@ -11,12 +12,14 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from physkin_core.avatar.body_model import load_body_model
+from physkin_core.check.garment_check import CHECK_POSES
 from physkin_core.rig.rig import Rig
-from physkin_training.sampling.everyday_poses import EVERYDAY_POSES, save_mixture
+from physkin_training.sampling.everyday_poses import EVERYDAY_POSES, EverydayPoses, save_mixture
 
-__all__ = ["HELD_OUT_CLIPS", "mirrored", "main"]
+__all__ = ["HELD_OUT_CLIPS", "main", "mirrored", "save_check_poses"]
 
 HELD_OUT_CLIPS = ("01_01", "02_02", "indian_06", "martial_03", "salsa_01")
 """What evaluation is on: whole clips, one of each kind."""
@@ -51,8 +54,19 @@ def main(argv: list[str] | None = None) -> int:
     spread = np.where(still, UNSEEN_SHARE * (rig.upper - rig.lower) / 2, NOISE)
     covariances = mixture.covariances_ + np.diag(np.concatenate([spread, np.full(3, 0.05)]) ** 2)
     save_mixture(options.output, rig.joint_names, mixture.weights_, mixture.means_, covariances)
+    save_check_poses(CHECK_POSES, rig)
     print(f"{len(positions)} poses of {len(set(bank['clip'][kept]))} clips; wrote {options.output}")
     return 0
+
+
+def save_check_poses(path: Path, rig: Rig, *, count: int = 20) -> None:
+    """Write joint positions (count, d) [rad] and gravity (count, 3), drawn from the mixture, in half precision."""
+    from safetensors.numpy import save_file
+
+    generator = torch.Generator().manual_seed(0)
+    drawn = EverydayPoses(rig, torch.device("cpu")).sample(count, generator=generator)
+    tensors = {name: values.numpy().astype(np.float16) for name, values in zip(("positions", "gravity"), drawn)}
+    save_file(tensors, str(path), metadata={"joint_names": ",".join(rig.joint_names)})
 
 
 def _varied(rig: Rig, positions: np.ndarray, gravity: np.ndarray, random: np.random.Generator) -> np.ndarray:

@@ -1,0 +1,1 @@
+"""How garments sit on an avatar, before anyone has seen them move."""

@@ -1,0 +1,94 @@
+"""How one garment sits on one avatar, at rest and in everyday poses, and a verdict.
+
+Dimensions: `P` poses, `d` degrees of freedom. Metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from physkin_core.quality import edge_strain, signed_distance
+from physkin_core.rig.rig import Rig
+from physkin_core.runtime.draper import Draper
+from physkin_core.runtime.rest_check import RestCheck
+
+__all__ = ["CHECK_POSES", "GarmentCheck", "Verdict", "check_garment", "everyday_poses"]
+
+CHECK_POSES = Path(__file__).parents[1] / "assets" / "check_poses.safetensors"
+GOOD_EVERYDAY = 1.0
+"""Most of the vertices inside the body [%], over the everyday poses, for the verdict "good"."""
+
+Verdict = Literal["good", "usable", "bad"]
+
+
+@dataclass(frozen=True)
+class Everyday:
+    """Over the everyday poses: mean share of the vertices inside the body, the deepest of all, mean edge strain against
+    the rest shape worn."""
+
+    inside_percent: float
+    deepest_mm: float
+    edge_strain_percent: float
+
+
+@dataclass(frozen=True)
+class GarmentCheck:
+    """What was found."""
+
+    rest: RestCheck
+    everyday: Everyday
+
+    @property
+    def verdict(self) -> Verdict:
+        """ "bad" where it sits badly at rest; "good" where it sits well and everyday poses have at most 1 % inside."""
+        if self.rest.sits_badly:
+            return "bad"
+        return "good" if self.rest.sits_well and self.everyday.inside_percent <= GOOD_EVERYDAY else "usable"
+
+    def as_plain_data(self) -> dict:
+        """For JSON: `rest` and `everyday` with their figures, `skin_shows_percent` (at rest) and `verdict`."""
+        rest = asdict(self.rest)
+        shows = rest.pop("skin_shows_percent")
+        return {"rest": rest, "everyday": asdict(self.everyday), "skin_shows_percent": shows, "verdict": self.verdict}
+
+
+def check_garment(draper: Draper) -> GarmentCheck:
+    """Look at a garment on its avatar: a second or two. Raises ValueError for a rig that is not the default one."""
+    distances, strains = [], []
+    for positions, gravity in zip(*everyday_poses(draper.model.rig)):
+        cloth = draper.drape(positions, gravity)[:, :3]
+        body = draper.avatar.posed_vertices(draper.bone_transforms(positions))
+        distances.append(signed_distance(cloth, body, draper.avatar.faces))
+        strains.append(edge_strain(draper.rest_garment, cloth))
+    distance = np.array(distances)
+    everyday = Everyday(
+        inside_percent=float(100 * (distance < 0).mean()),
+        deepest_mm=float(1000 * max(0.0, -distance.min())),
+        edge_strain_percent=float(np.mean(strains)),
+    )
+    return GarmentCheck(draper.rest_check(), everyday)
+
+
+def everyday_poses(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """Twenty poses of people who stand, walk, talk and dance: joint positions (P, d) [rad], gravity directions (P, 3).
+
+    Made by `physkin_training.prepare.everyday_poses`. Raises ValueError for a rig of other joints.
+    """
+    names, positions, gravity = _stored_poses()
+    if names != rig.joint_names:
+        raise ValueError(f"everyday poses are of the default rig; this one's joints are {', '.join(rig.joint_names)}")
+    return positions, gravity
+
+
+@cache
+def _stored_poses() -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+    from safetensors import safe_open
+
+    with safe_open(CHECK_POSES, framework="numpy") as file:
+        names = tuple(file.metadata()["joint_names"].split(","))
+        return names, file.get_tensor("positions").astype(np.float32), file.get_tensor("gravity").astype(np.float64)

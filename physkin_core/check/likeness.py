@@ -1,0 +1,82 @@
+"""How far an avatar is from the bodies that garments were trained on.
+
+Dimensions: `b` bones, `c` shape coefficients, `P` poses. Metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.avatar.shape_fitting import fit_shape
+from physkin_core.model.garment import vertex_normals
+from physkin_core.rig.rig import Rig
+
+__all__ = ["Likeness", "body_overlap", "likeness"]
+
+MEASURED_POINTS = 2000
+"""Skin points whose distance to the closest known body is measured, and that are looked for inside other parts."""
+UNDER_SKIN = 0.004
+"""Depth [m] at which a point is asked how many layers of body it is in."""
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """The avatar against the body of the body model that is most like it.
+
+    shape_deviation: its shape coefficients' root mean square, in those of the training bodies (1 is usual, 2 is rare).
+    skin_distance_mm: mean distance of the skin. longest_ratio, longest_bone: of the bone whose length differs most,
+    avatar over body. pivot_distance_mm, pivot_bone: of the joint that lies farthest from where the body has it.
+    """
+
+    shape_deviation: float
+    skin_distance_mm: float
+    longest_ratio: float
+    longest_bone: str
+    pivot_distance_mm: float
+    pivot_bone: str
+
+
+def likeness(avatar: Avatar, rig: Rig) -> Likeness:
+    """Measure an avatar of the default rig; some tenths of a second."""
+    from point_cloud_utils import closest_points_on_mesh
+
+    body = load_body_model()
+    coefficients = fit_shape(avatar, body)
+    spread = body.train_bodies.std(axis=0)
+    heads, tails = body.bones(coefficients)
+    some = avatar.vertices[:: max(1, len(avatar.vertices) // MEASURED_POINTS)]
+    distance, _, _ = closest_points_on_mesh(
+        some.astype(np.float64), body.vertices(coefficients).astype(np.float64), body.faces.astype(np.int64)
+    )
+    own = np.linalg.norm(avatar.bone_tails - avatar.bone_heads, axis=1)
+    ratio = own / np.maximum(np.linalg.norm(tails - heads, axis=1), 1e-6)
+    longest = int(np.abs(np.log(np.maximum(ratio, 1e-6))).argmax())
+    apart = np.linalg.norm(avatar.bone_heads - heads, axis=1)
+    return Likeness(
+        shape_deviation=float(np.sqrt(np.mean((coefficients / np.maximum(spread, 1e-6)) ** 2))),
+        skin_distance_mm=float(1000 * distance.mean()),
+        longest_ratio=float(ratio[longest]),
+        longest_bone=rig.bone_names[longest],
+        pivot_distance_mm=float(1000 * apart.max()),
+        pivot_bone=rig.bone_names[int(apart.argmax())],
+    )
+
+
+def body_overlap(avatar: Avatar, rig: Rig, poses: np.ndarray) -> float:
+    """Share of the skin [%] that lies inside another part of the body, mean over joint positions (P, d) [rad]: points
+    just under the skin that are inside twice, by winding number. Only a closed surface can tell."""
+    from point_cloud_utils import triangle_soup_fast_winding_number
+
+    chosen = slice(None, None, max(1, len(avatar.vertices) // MEASURED_POINTS))
+    faces = avatar.faces.astype(np.int64)
+    shares = []
+    for positions in poses:
+        posed = avatar.posed_vertices(rig.bone_transforms(positions, heads=avatar.bone_heads)).astype(np.float64)
+        under = posed[chosen] - UNDER_SKIN * vertex_normals(posed, avatar.faces)[chosen]
+        winding = triangle_soup_fast_winding_number(posed, faces, np.ascontiguousarray(under))
+        shares.append(100 * (np.round(winding) >= 2).mean())
+    return float(np.mean(shares))

@@ -1,0 +1,110 @@
+"""How a garment sits at rest, looked at whenever it is bound: cloth inside the body, and skin that shows.
+
+Dimensions: `n` garment vertices, `f` body faces. Metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from physkin_core.model.garment import Garment, face_areas
+from physkin_core.quality import signed_distance
+
+__all__ = ["RestCheck", "rest_check", "skin_shows"]
+
+REACH = 0.1
+"""Skin belongs to the cloth that its normal meets within this distance [m], on either side."""
+FROM_HEM = 0.03
+"""Skin under cloth this close [m] to a hem may show."""
+SKIN_SPACING = 1e-4
+"""Rays start this far [m] off the skin."""
+CLEAR_PERCENT = 0.05
+"""Most of the vertices [%] that may be inside where a garment sits well."""
+BAD_PERCENT, BAD_DEPTH_MM = 2.0, 20.0
+"""More of the vertices inside, or one deeper, is bad."""
+SHOWN_PERCENT = 0.005
+"""Less of the skin than this is none: a face or two."""
+
+
+@dataclass(frozen=True)
+class RestCheck:
+    """inside_percent: of the garment's vertices inside the body. deepest_mm: the deepest of them. skin_shows_percent:
+    see `skin_shows`."""
+
+    inside_percent: float
+    deepest_mm: float
+    skin_shows_percent: float
+
+    @property
+    def sits_well(self) -> bool:
+        """At most 0.05 % inside, and no skin shows."""
+        return self.inside_percent <= CLEAR_PERCENT and self.skin_shows_percent < SHOWN_PERCENT
+
+    @property
+    def sits_badly(self) -> bool:
+        """More than 2 % inside, or deeper than 20 mm."""
+        return self.inside_percent > BAD_PERCENT or self.deepest_mm > BAD_DEPTH_MM
+
+    def __str__(self) -> str:
+        return (
+            f"{self.inside_percent:.2f} % of the cloth is inside the body at rest, {self.deepest_mm:.0f} mm deep, and "
+            f"{self.skin_shows_percent:.2f} % of the skin shows"
+        )
+
+
+def rest_check(garment: Garment, cloth: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray) -> RestCheck:
+    """The garment draped at the canonical pose, cloth (n, 3), on a body (V, 3), (f, 3); some tens of milliseconds."""
+    distance = signed_distance(cloth, body_vertices, body_faces)
+    return RestCheck(
+        inside_percent=float(100 * (distance < 0).mean()),
+        deepest_mm=float(1000 * max(0.0, -distance.min())),
+        skin_shows_percent=skin_shows(garment, cloth, body_vertices, body_faces),
+    )
+
+
+def skin_shows(garment: Garment, cloth: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray) -> float:
+    """Of the skin that has cloth above or beneath it, the share [%] that has none above.
+
+    cloth: (n, 3) [m] the garment's vertices; body_vertices (V, 3), body_faces (f, 3). Skin whose nearest cloth along
+    the normal is within 3 cm of a hem counts as covered.
+    """
+    from point_cloud_utils import ray_mesh_intersection
+
+    cloth = np.ascontiguousarray(cloth, dtype=np.float64)
+    faces = np.ascontiguousarray(garment.faces, dtype=np.int64)
+    corners = np.asarray(body_vertices, dtype=np.float64)[body_faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    centres, areas = corners.mean(axis=1), face_areas(np.asarray(body_vertices, dtype=np.float64), body_faces)
+    cloth_normals = np.cross(cloth[faces[:, 1]] - cloth[faces[:, 0]], cloth[faces[:, 2]] - cloth[faces[:, 0]])
+
+    def meets(way: np.ndarray, start: float) -> np.ndarray:
+        """The garment's face (f,) that a ray meets first, which looks as the skin does; -1 for none."""
+        origins = np.ascontiguousarray(centres + start * normals)
+        hit, _, distance = ray_mesh_intersection(cloth, faces, origins, np.ascontiguousarray(way))
+        found = (hit >= 0) & np.isfinite(distance) & (distance < REACH)
+        alike = (cloth_normals[np.where(found, hit, 0)] * normals).sum(axis=1) > 0
+        return np.where(found & alike, hit, -1)
+
+    above, beneath = meets(normals, SKIN_SPACING), meets(-normals, SKIN_SPACING)
+    near_hem = _near_hem(garment)[faces].any(axis=1)
+    shows = (above < 0) & (beneath >= 0) & ~near_hem[np.maximum(beneath, 0)]
+    belongs = (above >= 0) | shows
+    return float(100 * areas[shows].sum() / max(areas[belongs].sum(), 1e-12))
+
+
+def _near_hem(garment: Garment) -> np.ndarray:
+    """(n,) bool, vertices within `FROM_HEM` of an edge that only one face has, along the mesh at rest."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
+
+    sides = np.sort(garment.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, count = np.unique(sides, axis=0, return_counts=True)
+    n, hem = len(garment.vertices), np.unique(edges[count == 1])
+    if not len(hem):
+        return np.zeros(n, dtype=bool)
+    graph = coo_array((garment.edge_lengths, garment.edges.T), shape=(n, n)).tocsr()
+    distance = dijkstra(graph, directed=False, indices=hem, min_only=True, limit=FROM_HEM)
+    return np.isfinite(distance)

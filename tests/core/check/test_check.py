@@ -1,0 +1,145 @@
+"""Rest check, verdicts and `physkin check`, on the bundled avatar and on one whose flesh is moved before the cloth."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from random_models import needs_native
+
+from physkin_core import BUNDLED_AVATAR, AvatarWarning, Draper, cli, load_avatar, load_body_model, load_garment_model
+from physkin_core.check.command import advice
+from physkin_core.check.garment_check import Everyday, GarmentCheck, everyday_poses
+from physkin_core.check.likeness import Likeness, body_overlap, likeness
+from physkin_core.runtime.rest_check import RestCheck, rest_check
+
+pytestmark = needs_native
+WELL, BADLY = RestCheck(0.0, 0.0, 0.0), RestCheck(3.0, 5.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def tshirt():
+    return load_garment_model("tshirt")
+
+
+@pytest.fixture(scope="module")
+def avatar(tshirt):
+    return load_avatar(BUNDLED_AVATAR, tshirt.rig)
+
+
+def on_back(points, reach=0.12):
+    """How much of a bump 1 high at the upper back each point (n, 3) has."""
+    return np.exp(-np.square((points - [-0.12, 0.0, 0.38]) / reach).sum(axis=1))
+
+
+def test_a_bump_of_skin_through_cloth_is_found_where_it_is(tshirt, avatar):
+    """The back is pushed 6 cm through the cloth of the body as it was: as many vertices are inside as lie under the
+    bump, as deep as it is, and about as much skin shows."""
+    cloth = Draper(tshirt, avatar).drape(tshirt.rig.rest)[:, :3]
+    assert rest_check(tshirt.garment, cloth, avatar.vertices, avatar.faces).sits_well
+    bump = 0.06 * on_back(avatar.vertices)[:, None] * [-1.0, 0.0, 0.0] * (avatar.vertices[:, :1] < 0)
+    found = rest_check(tshirt.garment, cloth, avatar.vertices + bump, avatar.faces)
+    assert found.sits_badly and not found.sits_well
+    assert 20 < found.deepest_mm < 60
+    assert 2 < found.inside_percent < 20 and 2 < found.skin_shows_percent < 20
+    assert f"{found.inside_percent:.2f} % of the cloth" in str(found)
+
+
+def test_skin_near_a_hem_and_bare_skin_do_not_show(tshirt, avatar):
+    """Legs, arms and head are bare; at the hem cloth may be under the skin."""
+    cloth = Draper(tshirt, avatar).drape(tshirt.rig.rest)[:, :3].copy()
+    hem = cloth[:, 2] < cloth[:, 2].min() + 0.012
+    cloth[hem] *= [0.3, 0.3, 1.0]
+    found = rest_check(tshirt.garment, cloth, avatar.vertices, avatar.faces)
+    assert found.inside_percent > 0.5 and found.skin_shows_percent < 0.005
+
+
+def test_binding_says_how_it_sits(tshirt, avatar):
+    """One sentence as a warning and in `warnings`, beside those of the avatar; none where it sits well."""
+    flat = avatar.vertices.copy()
+    flat[(flat[:, 0] < -0.02) & (np.abs(flat[:, 1]) < 0.12), 0] -= 0.15  # a rucksack under the skin
+    rucksack = replace(avatar, vertices=flat, warnings=("assumed something",), source="rucksack.glb")
+    with pytest.warns(
+        AvatarWarning, match=r"tshirt on rucksack.glb: [0-9.]+ % of the cloth is inside the body at rest"
+    ):
+        draper = Draper(tshirt, rucksack, fit=0.0)
+    assert draper.warnings[0] == "assumed something" and "run physkin check" in draper.warnings[1]
+    assert Draper(tshirt, avatar).warnings == avatar.warnings
+
+
+@pytest.mark.parametrize(
+    "rest, everyday_inside, verdict",
+    [
+        (WELL, 0.9, "good"),
+        (WELL, 1.1, "usable"),
+        (RestCheck(0.05, 1.0, 0.0), 0.0, "good"),
+        (RestCheck(0.06, 1.0, 0.0), 0.0, "usable"),
+        (RestCheck(0.0, 0.0, 0.1), 0.0, "usable"),
+        (RestCheck(2.0, 20.0, 5.0), 9.0, "usable"),
+        (RestCheck(2.1, 1.0, 0.0), 0.0, "bad"),
+        (RestCheck(0.1, 20.1, 0.0), 0.0, "bad"),
+    ],
+)
+def test_verdicts(rest, everyday_inside, verdict):
+    assert GarmentCheck(rest, Everyday(everyday_inside, 3.0, 2.0)).verdict == verdict
+
+
+def test_likeness_names_the_pivot_that_is_elsewhere(avatar, tshirt):
+    rig = tshirt.rig
+    usual = likeness(avatar, rig)
+    assert usual.shape_deviation < 2 and usual.skin_distance_mm < 3 and usual.pivot_distance_mm < 15
+    heads = avatar.bone_heads.copy()
+    bone = rig.bone_names.index("upperarm01.L")
+    heads[bone] += [0.0, 0.0, 0.08]
+    odd = likeness(replace(avatar, bone_heads=heads), rig)
+    assert odd.pivot_bone == "upperarm01.L" and 60 < odd.pivot_distance_mm < 90
+    assert "upperarm01.L lies" in advice({"tshirt": GarmentCheck(BADLY, Everyday(3.0, 5.0, 9.0))}, odd, 0.0)
+
+
+def test_overlap_is_that_of_parts_in_each_other(avatar, tshirt):
+    """Thighs pulled up are in the belly; arms and legs apart are in nothing but their own creases."""
+    rig = tshirt.rig
+    thighs = [name.startswith("upperleg01") and name.endswith("_y") for name in rig.joint_names]
+    apart, folded = (body_overlap(avatar, rig, np.where(up, rig.lower, rig.rest)[None]) for up in (False, thighs))
+    assert apart < 0.8 and folded > apart + 1
+
+
+@pytest.mark.parametrize(
+    "known, overlap, said",
+    [
+        (Likeness(0.5, 1.0, 1.0, "neck01", 5.0, "neck01"), 0.0, "Hide the skin"),
+        (Likeness(0.5, 1.0, 1.0, "neck01", 5.0, "neck01"), 20.0, "20 % of the skin is inside the body"),
+        (Likeness(0.5, 1.0, 1.5, "neck01", 5.0, "neck01"), 0.0, "neck01: it is 1.50 times as long"),
+        (Likeness(3.0, 1.0, 1.0, "neck01", 5.0, "neck01"), 0.0, "3.0 standard deviations"),
+    ],
+)
+def test_advice_is_about_what_stands_out(known, overlap, said):
+    checks = {"good": GarmentCheck(WELL, Everyday(0, 0, 1)), "bad": GarmentCheck(BADLY, Everyday(3.0, 5.0, 9.0))}
+    assert said in advice(checks, known, overlap)
+    assert advice({"good": checks["good"]}, known, overlap) == "Wear it."
+
+
+def test_everyday_poses_are_within_the_limits():
+    rig = load_body_model().rig
+    positions, gravity = everyday_poses(rig)
+    assert positions.shape == (20, len(rig.joint_names)) and gravity.shape == (20, 3)
+    assert (positions >= rig.lower - 1e-3).all() and (positions <= rig.upper + 1e-3).all()
+    np.testing.assert_allclose(np.linalg.norm(gravity, axis=1), 1, atol=1e-3)
+    with pytest.raises(ValueError, match="of the default rig"):
+        everyday_poses(replace(rig, dofs=rig.dofs[:-1]))
+
+
+def test_the_command_writes_what_it_says(tmp_path, capsys):
+    """Two garments: the worst of both, and each by name; status 0 for what can be worn, 2 for what cannot be read."""
+    path = tmp_path / "check.json"
+    assert cli.main(["check", str(BUNDLED_AVATAR), "-g", "tshirt", "-g", "skirt", "--json", str(path)]) == 0
+    report = json.loads(path.read_text())
+    assert set(report["garments"]) == {"tshirt", "skirt"}
+    for key in ("inside_percent", "deepest_mm", "edge_strain_percent"):
+        assert report["everyday"][key] == max(garment["everyday"][key] for garment in report["garments"].values())
+    assert report["rest"]["inside_percent"] == report["skin_shows_percent"] == 0
+    assert report["verdict"] in ("good", "usable") and 0.5 < report["everyday"]["edge_strain_percent"] < 6
+    out = capsys.readouterr().out
+    assert "tshirt: " in out and out.splitlines()[-1] == f"{report['verdict']}: {report['advice']}"
+    assert cli.main(["check", str(tmp_path / "nobody.glb")]) == 2
+    assert "nobody.glb" in capsys.readouterr().err
