@@ -82,7 +82,7 @@ def test_drape_draws(model_path, tmp_path, monkeypatch):
 
 
 def test_warnings_about_an_avatar_are_printed_once(model_path, garment_model, tmp_path, capsys, monkeypatch, recwarn):
-    """One line each, of the avatar and of how the garment sits, without Python's own about where in the source it was."""
+    """One line each, of the avatar and of how the garment sits, without Python's own about where it was issued."""
     warned = replace(load_avatar(AVATAR, garment_model.rig), warnings=("it limps",))
     monkeypatch.setattr("physkin_core.avatar.loading.load_gltf", lambda *_, **__: warned)
     assert cli.main(["bind", str(AVATAR), "-g", str(model_path), "-o", str(tmp_path / "out")]) == 0

@@ -240,10 +240,14 @@ def test_points_replace_the_vertices(backend):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_networks_that_overflow_are_refused(backend):
-    """Finite network weights whose result is not: nothing is written, and the node transforms stay."""
+    """Finite network weights whose result is not: said at once, when the garment is bound; in a pose nothing is
+    written, and the node transforms stay."""
     rng, model, avatar = scene(16)
     layers = tuple((np.float32(1e5) * weight, bias) for weight, bias in model.node_deformer)
-    draper = Draper(replace(model, node_deformer=layers), avatar, backend=backend)
+    model = replace(model, node_deformer=layers)
+    with pytest.raises(ValueError, match="node deformer output"):
+        Draper(model, avatar, backend=backend)
+    draper = Draper(model, avatar, backend=backend, binding=bind_garment(model, avatar, backend=backend))
     out = np.full((draper.vertex_count, 6), 7, dtype=np.float32)
     with pytest.raises(ValueError, match="node deformer output"):
         draper.drape(*random_pose(rng, model.rig), out=out)
