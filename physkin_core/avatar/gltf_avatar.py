@@ -122,7 +122,7 @@ def _primitives(file: GltfFile):
         for primitive in mesh.primitives:
             if primitive.attributes.POSITION is None or len(file.triangles(primitive)) == 0:
                 continue
-            positions = file.accessor(primitive.attributes.POSITION).astype(np.float64)
+            positions = file.attribute(primitive, "POSITION").astype(np.float64)
             for weight, target in zip(morph, primitive.targets or []):
                 offset = target.get("POSITION") if isinstance(target, dict) else target.POSITION
                 if weight and offset is not None:
@@ -159,10 +159,9 @@ def _skin_influences(
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Indices into the skin's joints (V, K), weights (V, K) with rows summing to 1, and how many vertices had none."""
     joints, weights, index = [], [], 0
-    attributes = primitive.attributes
-    while getattr(attributes, f"JOINTS_{index}", None) is not None:
-        joints.append(file.accessor(getattr(attributes, f"JOINTS_{index}")))
-        weights.append(file.accessor(getattr(attributes, f"WEIGHTS_{index}")).astype(np.float64))
+    while (named := file.attribute(primitive, f"JOINTS_{index}")) is not None:
+        joints.append(named)
+        weights.append(file.attribute(primitive, f"WEIGHTS_{index}").astype(np.float64))
         index += 1
     if not joints:
         raise AvatarError(f"avatar {file.path}: mesh {label!r} has a skin but no JOINTS_0 and WEIGHTS_0")

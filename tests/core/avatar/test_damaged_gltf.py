@@ -106,7 +106,6 @@ def _flat_limb(builder):
         (_child(5, 3), "has two parents"),
         (_loop, "form a loop"),
         (_centimetres, r"m high, allowed 0.5 to 3.0 m"),
-        (lambda b: b.document.update(extensionsRequired=["KHR_draco_mesh_compression"]), "KHR_draco_mesh_compression"),
         (_buffer(uri="https://example.org/body.bin"), "only files beside the avatar are read"),
         (_buffer(uri="gone.bin"), "gone.bin does not exist"),
         (_buffer(uri="../person.glb"), "buffer 0 is '../person.glb', outside the avatar's folder; it must be in it"),
