@@ -78,7 +78,7 @@ class GltfFile:
         shape = (accessor.count, COMPONENTS[accessor.type])
         if data.shape != shape:
             raise AvatarError(
-                f"avatar {self.path}: {DRACO} has {name} as {data.shape}, accessor {index} says {shape}; these must agree"
+                f"avatar {self.path}: {DRACO} has {name} as {data.shape}, accessor {index} {shape}; these must agree"
             )
         return _numbers(data, np.dtype(COMPONENT_TYPES[accessor.componentType]), accessor.normalized)
 
