@@ -23,11 +23,11 @@ from physkin_core.avatar.skinned_mesh import (
     Surface,
     check_size,
     clean_surface,
+    identify_bones,
     turn_upright,
     unit_scale,
 )
 from physkin_core.model.surface_sampling import sample_surface
-from physkin_core.rig.bone_naming import match_bones
 from physkin_core.rig.rig import Rig
 
 __all__ = ["load_mesh", "retarget_plain_mesh"]
@@ -36,7 +36,7 @@ LARGEST_RESIDUAL = 0.015
 """Mean distance between mesh and fitted body, as a share of the height, beyond which the fit is refused."""
 SYMMETRY_SAMPLES = 2000
 LARGEST_ASYMMETRY = 0.03
-"""Mean distance between a surface and its mirror image, as a share of the size, beyond which it has no left and right."""
+"""Mean distance between a surface and its mirror image, as a share of the size, of what has a left and a right."""
 
 
 def load_mesh(path: Path, rig: Rig, *, rig_file: str | Path | None = None) -> Avatar:
@@ -128,7 +128,7 @@ def _fitted(vertices: np.ndarray, faces: np.ndarray, rig: Rig, source: str, *, w
 def _with_template_weights(mesh: SkinnedMesh, rig: Rig) -> SkinnedMesh:
     """The mesh on the rig's own bones, skinned like the template body posed and stretched onto them."""
     body = _template(rig, mesh.source)
-    bone_joint, _ = match_bones(mesh.joint_names, rig, source=mesh.source)
+    mesh, bone_joint, _ = identify_bones(mesh, rig)
     mesh = turn_upright(mesh, bone_joint)
     heads, tails, _ = place_bones(mesh, bone_joint, rig, root_joint=bone_joint.get(rig.bone_names[0]))
     bones, weights = carry_influences(mesh.vertices, mesh.faces, template_on_skeleton(body, heads), body)

@@ -15,8 +15,8 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.body_parts import take_body
-from physkin_core.avatar.skinned_mesh import SkinnedMesh, check_size, turn_upright
-from physkin_core.rig.bone_naming import OWN_NAMES, match_bones
+from physkin_core.avatar.skinned_mesh import SkinnedMesh, check_size, identify_bones, turn_upright
+from physkin_core.rig.bone_naming import OWN_NAMES
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, smallest_rotation, turned_down_the_chain
 from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning, strongest_influences
 from physkin_core.rig.rig import Rig
@@ -35,10 +35,7 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
 
     Raises AvatarError when required joints are missing, a limb has no length or the height is implausible.
     """
-    bone_joint, naming = match_bones(mesh.joint_names, rig, source=mesh.source, humanoid=mesh.humanoid)
-    astray = [mesh.joint_names[joint] for joint in np.flatnonzero(~np.isfinite(mesh.joint_heads).all(axis=1))]
-    if astray:
-        raise AvatarError(f"avatar {mesh.source}: joints {', '.join(astray)} are not at finite positions")
+    mesh, bone_joint, naming = identify_bones(mesh, rig)
     mesh = turn_upright(mesh, bone_joint)
     mesh = _canonical(mesh, bone_joint, rig)
     check_size(mesh.vertices, mesh.source)

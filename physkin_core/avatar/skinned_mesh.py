@@ -12,8 +12,11 @@ import numpy as np
 
 from physkin_core.avatar.avatar import AvatarError
 from physkin_core.model.garment import surface_fault
+from physkin_core.rig.bone_naming import match_bones, named_bones, required_bones
+from physkin_core.rig.bone_structure import bones_by_structure
+from physkin_core.rig.rig import Rig
 
-__all__ = ["SkinnedMesh", "Surface", "check_size", "clean_surface", "turn_upright", "unit_scale"]
+__all__ = ["SkinnedMesh", "Surface", "check_size", "clean_surface", "identify_bones", "turn_upright", "unit_scale"]
 
 HEIGHT_RANGE = (0.5, 3.0)
 UNITS = {"centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001}
@@ -111,6 +114,26 @@ def check_size(vertices: np.ndarray, source: str) -> None:
             f"{ADULT_SIZES[1]} m in {', '.join(UNITS)}. glTF is in metres by its standard; for a plain mesh say so in "
             'its rig file, such as "scale": 0.01 for centimetres, or "up": "Y", "forward": "Z" if Z is not up'
         )
+
+
+def identify_bones(mesh: SkinnedMesh, rig: Rig) -> tuple[SkinnedMesh, dict[str, int], str]:
+    """Joint by rig bone, and the naming that led there (see `match_bones`).
+
+    Where names fit no naming, the skeleton's shape tells, and the mesh comes back with a warning of what was assumed.
+    Raises RigError when neither does.
+    """
+    astray = [mesh.joint_names[joint] for joint in np.flatnonzero(~np.isfinite(mesh.joint_heads).all(axis=1))]
+    if astray:
+        raise AvatarError(f"avatar {mesh.source}: joints {', '.join(astray)} are not at finite positions")
+    required = required_bones(rig)
+    named, _ = named_bones(mesh.joint_names, rig, humanoid=mesh.humanoid)
+    if 2 * sum(bone in named for bone in required) < len(required):
+        shaped = bones_by_structure(mesh.joint_heads, mesh.joint_parents, rig)
+        if shaped is not None and all(bone in shaped for bone in required):
+            pairs = ", ".join(f"{mesh.joint_names[shaped[bone]]!r} for {bone}" for bone in required)
+            warning = f"no naming fits the joints' names; by the skeleton's shape these were taken: {pairs}"
+            return replace(mesh, warnings=(*mesh.warnings, warning)), shaped, "the skeleton's shape"
+    return mesh, *match_bones(mesh.joint_names, rig, source=mesh.source, humanoid=mesh.humanoid)
 
 
 def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int]) -> SkinnedMesh:
