@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from physkin_ros.joints.ball_joints import BallJoint, BallJoints
+from physkin_core.rig.ball_joints import BallJoint, BallJoints
 from physkin_ros.joints.joint_map import MappedJoint
 
 __all__ = ["JointNaming", "JointStateError", "JointStateReader", "MappedNames", "NamedJoints", "Selection"]
