@@ -9,6 +9,7 @@ from physkin_core.model.model_file import ModelFileError, load_garment_model, sa
 from physkin_core.model.skinning import NORMALS
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion, MotionError
+from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.rig.rig import DegreeOfFreedom, Rig, RigError
 from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
 
@@ -21,6 +22,7 @@ __all__ = [
     "AvatarError",
     "AvatarWarning",
     "BodyModel",
+    "BoneRotations",
     "DegreeOfFreedom",
     "Draper",
     "Garment",

@@ -14,7 +14,8 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.gltf_file import GltfFile
-from physkin_core.avatar.retargeting import SkinnedMesh, clean_surface, retarget
+from physkin_core.avatar.retargeting import retarget
+from physkin_core.avatar.skinned_mesh import SkinnedMesh, Surface, clean_surface, unit_scale
 from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
 from physkin_core.rig.rig import Rig
 
@@ -36,7 +37,7 @@ def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None) -> Av
             mesh = _skinned_mesh(file)
         else:
             mesh = None
-            vertices, faces = _plain_mesh(file)
+            surface = _plain_mesh(file)
     except AvatarError:
         raise
     except (AttributeError, IndexError, KeyError, MemoryError, TypeError, ValueError) as error:
@@ -45,27 +46,29 @@ def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None) -> Av
         return retarget(mesh, rig)
     from physkin_core.avatar.mesh_avatar import retarget_plain_mesh
 
-    return retarget_plain_mesh(vertices, faces, rig, path=path, rig_file=rig_file, up="Y", forward="Z")
+    return retarget_plain_mesh(surface, rig, path=path, rig_file=rig_file, up="Y")
 
 
-def _plain_mesh(file: GltfFile) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) and faces (f, 3) of all meshes of a file without skins, in glTF's frame."""
-    parts, start = [], 0
+def _plain_mesh(file: GltfFile) -> Surface:
+    """All meshes of a file without skins, in glTF's frame."""
+    parts, names, start = [], [], 0
     for node, primitive, positions in _primitives(file):
         world = file.node_worlds[node]
         faces = _faces(file, primitive, positions, mirrored=np.linalg.det(world[:3, :3]) < 0)
         parts.append((positions @ world[:3, :3].T + world[:3, 3], faces + start))
+        names.append(_part_names(file, node, primitive))
         start += len(positions)
     if not parts:
         raise AvatarError(f"avatar {file.path} has no faces; a triangle mesh is needed")
-    return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
+    vertices, faces = (np.concatenate([part[index] for part in parts]) for index in (0, 1))
+    return Surface(vertices, faces, tuple(names), np.repeat(np.arange(len(parts)), [len(part[1]) for part in parts]))
 
 
 def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
     humanoid = _humanoid_nodes(file)
     joint_nodes, node_joint = _joints(file, humanoid or {})
     frame = _frame(file)
-    warnings, parts, start = [], [], 0
+    warnings, parts, names, start = [], [], [], 0
     for node, primitive, positions in _primitives(file):
         label = file.document.nodes[node].name or f"node {node}"
         skin = file.document.nodes[node].skin
@@ -86,6 +89,7 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
             joints, weights = np.full((len(positions), 1), carrier), np.ones((len(positions), 1))
         faces = _faces(file, primitive, positions, mirrored=mirrored)
         parts.append((positions, faces + start, joints, weights))
+        names.append(_part_names(file, node, primitive))
         start += len(positions)
     if not parts:
         raise AvatarError(f"avatar {file.path} has no faces on its skeleton; a triangle mesh is needed")
@@ -95,8 +99,11 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
         np.concatenate([np.pad(part[index], ((0, 0), (0, influences - part[index].shape[1]))) for part in parts])
         for index in (2, 3)
     )
-    vertices, faces, (joints, weights) = clean_surface(vertices, faces, (joints, weights), str(file.path))
+    face_parts = np.repeat(np.arange(len(parts)), [len(part[1]) for part in parts])
+    vertices, faces, (joints, weights), kept = clean_surface(vertices, faces, (joints, weights), str(file.path))
     heads = file.node_worlds[joint_nodes][:, :3, 3]
+    scale, unit_warning = unit_scale(vertices)
+    frame = scale * frame
     return SkinnedMesh(
         vertices=vertices @ frame.T,
         faces=faces,
@@ -108,7 +115,9 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
         influence_weights=weights,
         source=str(file.path),
         humanoid=None if humanoid is None else {name: node_joint[node] for name, node in humanoid.items()},
-        warnings=tuple(dict.fromkeys(warnings)),
+        warnings=(*dict.fromkeys(warnings), *unit_warning),
+        part_names=tuple(names),
+        face_parts=face_parts[kept],
     )
 
 
@@ -122,12 +131,20 @@ def _primitives(file: GltfFile):
         for primitive in mesh.primitives:
             if primitive.attributes.POSITION is None or len(file.triangles(primitive)) == 0:
                 continue
-            positions = file.accessor(primitive.attributes.POSITION).astype(np.float64)
+            positions = file.attribute(primitive, "POSITION").astype(np.float64)
             for weight, target in zip(morph, primitive.targets or []):
                 offset = target.get("POSITION") if isinstance(target, dict) else target.POSITION
                 if weight and offset is not None:
                     positions = positions + weight * file.accessor(offset)
             yield node, primitive, positions
+
+
+def _part_names(file: GltfFile, node: int, primitive) -> tuple[str, ...]:
+    """Names of a primitive's material, mesh and node, those that there are."""
+    document = file.document
+    material = None if primitive.material is None else document.materials[primitive.material].name
+    named = document.nodes[node]
+    return tuple(name for name in (material, document.meshes[named.mesh].name, named.name) if name) or (f"node {node}",)
 
 
 def _faces(file: GltfFile, primitive, positions: np.ndarray, *, mirrored: bool) -> np.ndarray:
@@ -159,10 +176,9 @@ def _skin_influences(
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Indices into the skin's joints (V, K), weights (V, K) with rows summing to 1, and how many vertices had none."""
     joints, weights, index = [], [], 0
-    attributes = primitive.attributes
-    while getattr(attributes, f"JOINTS_{index}", None) is not None:
-        joints.append(file.accessor(getattr(attributes, f"JOINTS_{index}")))
-        weights.append(file.accessor(getattr(attributes, f"WEIGHTS_{index}")).astype(np.float64))
+    while (named := file.attribute(primitive, f"JOINTS_{index}")) is not None:
+        joints.append(named)
+        weights.append(file.attribute(primitive, f"WEIGHTS_{index}").astype(np.float64))
         index += 1
     if not joints:
         raise AvatarError(f"avatar {file.path}: mesh {label!r} has a skin but no JOINTS_0 and WEIGHTS_0")

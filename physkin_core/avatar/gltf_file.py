@@ -13,6 +13,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from physkin_core.avatar.avatar import AvatarError
+from physkin_core.avatar.gltf_compression import DRACO, draco_mesh, meshopt_extension, meshopt_view
 
 __all__ = ["GltfFile"]
 
@@ -22,11 +23,10 @@ COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
 LARGEST_BUFFER = 1 << 29
 """[bytes] Of a file beside a .gltf."""
-COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 
 
 class GltfFile:
-    """An open glTF file. Raises AvatarError where the file is truncated, malformed or compressed.
+    """An open glTF file. Raises AvatarError where the file is truncated, malformed or compressed in an unknown way.
 
     document: pygltflib's `GLTF2`. node_parents: (g,) int, -1 for none. node_order: a parent before its children.
     node_worlds: (g, 4, 4) from node to scene.
@@ -35,9 +35,8 @@ class GltfFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.document, blob = _parse(path)
-        for name in COMPRESSIONS:
-            if name in (self.document.extensionsRequired or []):
-                raise AvatarError(f"avatar {path} is compressed with {name}; save it without mesh compression")
+        self._decoded_views: dict[int, bytes] = {}
+        self._draco_meshes: dict[int, object] = {}
         self.buffers = [self._buffer(index, blob) for index in range(len(self.document.buffers))]
         self.node_parents, self.node_order = self._hierarchy()
         self.node_worlds = np.empty((len(self.document.nodes), 4, 4))
@@ -65,14 +64,28 @@ class GltfFile:
             rows = self._view(at.bufferView, at.byteOffset or 0, accessor.sparse.count, 1, index_type)[:, 0]
             data = data.copy()
             data[rows] = self._view(values.bufferView, values.byteOffset or 0, accessor.sparse.count, width, dtype)
-        if dtype.kind == "f":
-            return data.astype(np.float64)
-        if accessor.normalized:
-            return np.maximum(data.astype(np.float64) / np.iinfo(dtype).max, -1.0)
-        return data.astype(np.int64)
+        return _numbers(data, dtype, accessor.normalized)
+
+    def attribute(self, primitive, name: str) -> np.ndarray | None:
+        """(V, components) a primitive's vertex attribute, as `accessor` gives it; None where there is none."""
+        index = getattr(primitive.attributes, name, None)
+        draco = (primitive.extensions or {}).get(DRACO)
+        if index is None or draco is None or name not in draco["attributes"]:
+            return None if index is None else self.accessor(index)
+        accessor = self._item("accessor", self.document.accessors, index)
+        found = self._draco_mesh(draco["bufferView"]).get_attribute_by_unique_id(draco["attributes"][name])
+        data = np.empty(0) if found is None else found["data"]
+        shape = (accessor.count, COMPONENTS[accessor.type])
+        if data.shape != shape:
+            raise AvatarError(
+                f"avatar {self.path}: {DRACO} has {name} as {data.shape}, accessor {index} {shape}; these must agree"
+            )
+        return _numbers(data, np.dtype(COMPONENT_TYPES[accessor.componentType]), accessor.normalized)
 
     def triangles(self, primitive) -> np.ndarray:
         """(f, 3) vertex indices of a primitive; empty for points and lines."""
+        if draco := (primitive.extensions or {}).get(DRACO):
+            return np.asarray(self._draco_mesh(draco["bufferView"]).faces, dtype=np.int64).reshape(-1, 3)
         if primitive.indices is None:
             corners = np.arange(len(self.accessor(primitive.attributes.POSITION)))
         else:
@@ -106,12 +119,11 @@ class GltfFile:
         return items[index]
 
     def _view(self, index: int, offset: int, count: int, width: int, dtype: np.dtype) -> np.ndarray:
-        view = self._item("buffer view", self.document.bufferViews, index)
-        data = self._item("buffer", self.buffers, view.buffer)
-        start, item = (view.byteOffset or 0) + offset, width * dtype.itemsize
+        view, data, first = self._view_bytes(index)
+        start, item = first + offset, width * dtype.itemsize
         stride = view.byteStride or item
         end = start + stride * (count - 1) + item
-        limit = min((view.byteOffset or 0) + view.byteLength, len(data))
+        limit = min(first + view.byteLength, len(data))
         if count < 1 or start < 0 or end > limit:
             raise AvatarError(
                 f"avatar {self.path}: an accessor of {count} elements needs bytes {start} to {end} of buffer "
@@ -119,11 +131,31 @@ class GltfFile:
             )
         return np.ndarray((count, width), dtype, buffer=data, offset=start, strides=(stride, dtype.itemsize))
 
+    def _view_bytes(self, index: int) -> tuple:
+        """A buffer view, the bytes that hold it and where in them it starts; decompressed where it is compressed."""
+        view = self._item("buffer view", self.document.bufferViews, index)
+        compressed = meshopt_extension(view.extensions)
+        if compressed is None:
+            return view, self._item("buffer", self.buffers, view.buffer), view.byteOffset or 0
+        if index not in self._decoded_views:
+            data = self._item("buffer", self.buffers, compressed["buffer"])
+            self._decoded_views[index] = meshopt_view(compressed, data, str(self.path))
+        return view, self._decoded_views[index], 0
+
+    def _draco_mesh(self, index: int):
+        """DracoPy's mesh in a buffer view."""
+        if index not in self._draco_meshes:
+            view, data, first = self._view_bytes(index)
+            self._draco_meshes[index] = draco_mesh(data[first : first + view.byteLength], str(self.path))
+        return self._draco_meshes[index]
+
     def _buffer(self, index: int, blob: bytes | None) -> bytes:
         buffer = self.document.buffers[index]
-        uri = buffer.uri
+        uri, compressed = buffer.uri, meshopt_extension(buffer.extensions)
         if uri is None:
-            data = blob or b""
+            data = blob or b"" if index == 0 else b""
+            if compressed is not None and compressed.get("fallback"):  # views of it are decompressed from another
+                return data
         elif uri.startswith("data:"):
             data = base64.b64decode(uri.split(",", 1)[1])
         elif "://" in uri:
@@ -188,6 +220,15 @@ def _parse(path: Path) -> tuple:
     except Exception as error:  # whatever the parser trips over, the file is not a readable glTF
         raise AvatarError(f"avatar {path} is not a readable glTF file: {type(error).__name__}: {error}") from error
     return document, document.binary_blob()
+
+
+def _numbers(data: np.ndarray, dtype: np.dtype, normalized: bool | None) -> np.ndarray:
+    """Data stored as `dtype`: floats and normalised integers as float64, integers as int64."""
+    if dtype.kind == "f":
+        return data.astype(np.float64)
+    if normalized:
+        return np.maximum(data.astype(np.float64) / np.iinfo(dtype).max, -1.0)
+    return data.astype(np.int64)
 
 
 def _local_transform(node) -> np.ndarray:

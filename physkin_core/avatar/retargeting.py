@@ -1,6 +1,6 @@
 """Put a skinned mesh into the canonical pose through its own skeleton and bind it to the garment model's rig.
 
-Loaders (`gltf_avatar`, `mesh_avatar`) fill a `SkinnedMesh`; `retarget` makes the `Avatar`.
+Loaders (`gltf_avatar`, `mesh_avatar`) fill a `SkinnedMesh` (`skinned_mesh`); `retarget` makes the `Avatar`.
 
 Dimensions: `V` vertices, `f` faces, `j` joints of the avatar's skeleton, `b` bones of the rig, `K` influences. Metres.
 """
@@ -8,21 +8,21 @@ Dimensions: `V` vertices, `f` faces, `j` joints of the avatar's skeleton, `b` bo
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.model.garment import surface_fault
-from physkin_core.rig.bone_naming import OWN_NAMES, match_bones
+from physkin_core.avatar.body_parts import take_body
+from physkin_core.avatar.skinned_mesh import SkinnedMesh, check_size, identify_bones, turn_upright
+from physkin_core.rig.bone_naming import OWN_NAMES
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, smallest_rotation, turned_down_the_chain
 from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning, strongest_influences
 from physkin_core.rig.rig import Rig
 
-__all__ = ["SkinnedMesh", "check_size", "clean_surface", "place_bones", "retarget", "turn_upright"]
+__all__ = ["place_bones", "retarget"]
 
-HEIGHT_RANGE = (0.5, 3.0)
 MAX_INFLUENCES = 8
 JOINT_DEVIATIONS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 """[m] how far a joint may lie from where the compact body model has it on the same person."""
@@ -30,41 +30,16 @@ LIKELY_COEFFICIENT = 3.0
 SIDES = ("L", "R")
 
 
-@dataclass(frozen=True)
-class SkinnedMesh:
-    """An avatar as its file has it: any pose, any origin; axes of the root frame (X forward, Y left, Z up), metres.
-
-    vertices: (V, 3). faces: (f, 3) integers. joint_names: (j,). joint_parents: (j,), -1 for none, a parent before its
-    children. joint_heads: (j, 3). joint_tails: (j, 3), NaN where the file does not say.
-    influence_joints: (V, K) integers; influence_weights: (V, K), rows sum to 1.
-    humanoid: joint by VRM humanoid bone, for files that state it. warnings: as in `Avatar`.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    joint_names: tuple[str, ...]
-    joint_parents: np.ndarray
-    joint_heads: np.ndarray
-    joint_tails: np.ndarray
-    influence_joints: np.ndarray
-    influence_weights: np.ndarray
-    source: str
-    humanoid: Mapping[str, int] | None = None
-    warnings: tuple[str, ...] = ()
-
-
 def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
     """Canonical pose, root at the origin, bones and influences of `rig`.
 
     Raises AvatarError when required joints are missing, a limb has no length or the height is implausible.
     """
-    bone_joint, naming = match_bones(mesh.joint_names, rig, source=mesh.source, humanoid=mesh.humanoid)
-    astray = [mesh.joint_names[joint] for joint in np.flatnonzero(~np.isfinite(mesh.joint_heads).all(axis=1))]
-    if astray:
-        raise AvatarError(f"avatar {mesh.source}: joints {', '.join(astray)} are not at finite positions")
+    mesh, bone_joint, naming = identify_bones(mesh, rig)
     mesh = turn_upright(mesh, bone_joint)
     mesh = _canonical(mesh, bone_joint, rig)
     check_size(mesh.vertices, mesh.source)
+    mesh = take_body(mesh, _joint_bones(mesh, bone_joint, rig), rig, scale=_skeleton_scale(mesh, bone_joint, rig))
     root_joint = bone_joint.get(rig.bone_names[0]) if naming == OWN_NAMES else None
     heads, tails, root = place_bones(mesh, bone_joint, rig, root_joint=root_joint)
     bones, weights = _rig_influences(mesh, bone_joint, rig, heads, tails)
@@ -78,82 +53,6 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
         source=mesh.source,
         warnings=mesh.warnings,
         bone_names=rig.bone_names,
-    )
-
-
-def clean_surface(
-    vertices: np.ndarray, faces: np.ndarray, attributes: tuple[np.ndarray, ...], source: str
-) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]:
-    """Check a surface, weld equal vertices (texture seams, triangle soups) and drop unused vertices and empty faces.
-
-    vertices: (V, 3). faces: (f, 3). attributes: arrays (V, ...) that must be equal, too, for vertices to be welded.
-    The order of what remains is kept. Raises AvatarError on no faces, NaN or an index out of range.
-    """
-    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
-    if fault := surface_fault(vertices, faces):
-        raise AvatarError(f"avatar {source}: {fault}")
-    key = np.concatenate([array.reshape(len(vertices), -1).astype(np.float64) for array in (vertices, *attributes)], 1)
-    faces = _first_of_its_kind(key + 0.0)[faces]
-    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    used, faces = np.unique(faces[distinct], return_inverse=True)
-    if len(used) == 0:
-        raise AvatarError(f"avatar {source}: all faces are degenerate; a triangle mesh is needed")
-    return vertices[used], faces.reshape(-1, 3), tuple(array[used] for array in attributes)
-
-
-def _first_of_its_kind(rows: np.ndarray) -> np.ndarray:
-    """Index of the first row equal to each row of (n, k), (n,). `np.unique` sorts rows under the interpreter's lock,
-    which would hold up the clouds of a running node; columns are sorted without it."""
-    order = np.lexsort(rows.T[::-1])
-    new = np.ones(len(rows), dtype=bool)
-    new[1:] = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
-    first = np.empty(len(rows), dtype=np.intp)
-    first[order] = order[new][np.cumsum(new) - 1]
-    return first
-
-
-def check_size(vertices: np.ndarray, source: str) -> None:
-    """Raise AvatarError unless the height is that of a person in metres."""
-    height = float(np.ptp(vertices[:, 2]))
-    low, high = HEIGHT_RANGE
-    if low <= height <= high:
-        return
-    scale = next((factor for factor in (0.01, 0.1, 0.0254, 0.001) if 1.2 <= height * factor <= 2.4), None)
-    hint = f'probably "scale": {scale}' if scale else 'such as "scale": 0.01 for centimetres'
-    raise AvatarError(
-        f"avatar {source} is {height:.4g} m high, allowed {low} to {high} m. glTF is in metres by its standard; for a "
-        f'plain mesh say so in its rig file: {hint}, or "up": "Y", "forward": "Z" if Z is not up'
-    )
-
-
-def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int]) -> SkinnedMesh:
-    """Turn by quarters until the skeleton stands up and looks forward; a warning says when that was needed."""
-    from scipy.spatial.transform import Rotation
-
-    ends = [f"{bone}.{side}" for bone in ("upperarm01", "upperleg01") for side in SIDES]
-    if any(name not in bone_joint for name in ends):
-        return mesh
-    left_arm, right_arm, left_leg, right_leg = (mesh.joint_heads[bone_joint[name]] for name in ends)
-    up = (left_arm + right_arm) - (left_leg + right_leg)
-    left = (left_arm - right_arm) + (left_leg - right_leg)
-    if min(np.linalg.norm(up), np.linalg.norm(left), np.linalg.norm(np.cross(left, up))) < 1e-6:
-        raise AvatarError(
-            f"avatar {mesh.source}: shoulders and hips fall together, the skeleton has no upright direction"
-        )
-    up, left = up / np.linalg.norm(up), left / np.linalg.norm(left)
-    axes = np.stack([np.cross(left, up), left, up], axis=1)
-    quarter_turns = np.round(Rotation.create_group("O").as_matrix())  # the 24 that take axes to axes
-    turn = max(quarter_turns, key=lambda candidate: np.trace(candidate @ axes))
-    if np.array_equal(turn, np.eye(3)):
-        return mesh
-    facing, rising = _axis_name(turn[0]), _axis_name(turn[2])
-    warning = f"the skeleton faces {facing} with {rising} up where X and Z were expected: turned"
-    return replace(
-        mesh,
-        vertices=mesh.vertices @ turn.T,
-        joint_heads=mesh.joint_heads @ turn.T,
-        joint_tails=mesh.joint_tails @ turn.T,
-        warnings=(*mesh.warnings, warning),
     )
 
 
@@ -220,6 +119,11 @@ def _leg_ratio(known: Mapping[str, np.ndarray], rig: Rig, reference: np.ndarray)
     return float(own / model) if own > 1e-9 and model > 1e-9 else 1.0
 
 
+def _skeleton_scale(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> float:
+    """Size of the skeleton over that of the rig."""
+    return _leg_ratio({bone: mesh.joint_heads[joint] for bone, joint in bone_joint.items()}, rig, rig.heads)
+
+
 def _between(bone: int, rig: Rig, heads: np.ndarray, known: Mapping, reference: np.ndarray, scale: float) -> np.ndarray:
     above = int(rig.parents[bone])
     while rig.bone_names[above] not in known:
@@ -265,16 +169,22 @@ def _canonical(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> Sk
     )
 
 
-def _rig_influences(
-    mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig, heads: np.ndarray, tails: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Influences over rig bones: each joint's go to its bone, or to its nearest mapped ancestor's."""
+def _joint_bones(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> np.ndarray:
+    """(j,) rig bone of each joint: its own, or its nearest mapped ancestor's."""
     joint_bone = {joint: rig.bone_index(bone) for bone, joint in bone_joint.items()}
     target = np.zeros(len(mesh.joint_names), dtype=np.int64)
     for joint, parent in enumerate(mesh.joint_parents):
         target[joint] = joint_bone.get(joint, target[parent] if parent >= 0 else 0)
+    return target
+
+
+def _rig_influences(
+    mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig, heads: np.ndarray, tails: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Influences over rig bones: each joint's go to its bone, or to its nearest mapped ancestor's."""
+    target = _joint_bones(mesh, bone_joint, rig)
     dense = dense_weights(target[mesh.influence_joints], mesh.influence_weights, rig.bone_count)
-    for bone in joint_bone.values():
+    for bone in map(rig.bone_index, bone_joint):
         _spread_along_chain(dense, bone, rig, bone_joint, mesh.vertices, heads, tails)
     bones, weights = strongest_influences(dense, min(MAX_INFLUENCES, max(1, int((dense > 0).sum(axis=1).max()))))
     return bones.astype(np.int32), weights.astype(np.float32)
@@ -305,8 +215,3 @@ def _outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Faces, all turned over when the enclosed volume is negative (mirrored transforms, inside-out meshes)."""
     a, b, c = np.moveaxis(vertices[faces] - vertices.mean(axis=0), 1, 0)
     return faces if np.einsum("fi,fi->", a, np.cross(b, c)) >= 0 else faces[:, ::-1]
-
-
-def _axis_name(direction: np.ndarray) -> str:
-    axis = int(np.argmax(np.abs(direction)))
-    return ("-" if direction[axis] < 0 else "") + "XYZ"[axis]

@@ -1,7 +1,8 @@
 """Which joint of an avatar's skeleton is which bone of the garment model's rig, by name.
 
-Joints may bear the rig's own names, or those of a file `{"naming": title, "bones": {joint: rig bone}}` in `bone_maps/`.
-Names are compared without case, separators and namespace: `mixamorig:LeftArm`, `leftArm` and `Left_Arm` are one.
+Joints may bear the rig's own names, or those of a file `{"naming": title, "bones": {joint: rig bone}}` in `bone_maps/`,
+of which the first that a skeleton has counts for a bone. Names are compared without case, separators, namespace and
+tools' prefixes, wherever the side stands: `mixamorig:LeftArm`, `leftArm`, `DEF-arm.L` and `L_Arm` are one.
 """
 
 from __future__ import annotations
@@ -15,12 +16,15 @@ from pathlib import Path
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
 from physkin_core.rig.rig import Rig, RigError
 
-__all__ = ["BONE_MAPS", "OWN_NAMES", "match_bones", "required_bones"]
+__all__ = ["BONE_MAPS", "OWN_NAMES", "match_bones", "named_bones", "required_bones"]
 
 BONE_MAPS = Path(__file__).parent / "bone_maps"
 OWN_NAMES = "the rig's own names"
 VRM_MAP = "vrm"
 LISTED_NAMES = 60
+PREFIXES = {"mixamorig", "def", "bip", "cc", "base", "valve", "j", "c", "m", "f", "avg"}
+"""Words that tools put before every joint's name."""
+SIDES = {"l": "l", "left": "l", "r": "r", "right": "r"}
 
 
 def required_bones(rig: Rig) -> tuple[str, ...]:
@@ -37,27 +41,35 @@ def match_bones(
     joint_names: of the avatar. humanoid: joint index by VRM humanoid bone; replaces the names where a file has it.
     Raises RigError listing the required bones that no joint was found for.
     """
-    if humanoid is not None:
-        naming, bones = _bone_maps()[VRM_MAP]
-        candidates = [(naming, {bones[role]: joint for role, joint in humanoid.items() if role in bones})]
-        present = humanoid
-    else:
-        joints: dict[str, int] = {}
-        for joint, name in enumerate(joint_names):
-            joints.setdefault(_plain(name), joint)
-        namings = [(OWN_NAMES, {name: name for name in rig.bone_names}), *_bone_maps().values()]
-        candidates = [(naming, _look_up(joints, bones)) for naming, bones in namings]
-        present = joint_names
+    found, naming = named_bones(joint_names, rig, humanoid=humanoid)
     required = required_bones(rig)
-    naming, found = max(candidates, key=lambda candidate: sum(name in candidate[1] for name in required))
-    missing = [name for name in required if name not in found]
-    if missing:
+    if missing := [name for name in required if name not in found]:
+        present = joint_names if humanoid is None else humanoid
         listed = ", ".join(list(present)[:LISTED_NAMES]) + (", ..." if len(present) > LISTED_NAMES else "")
         raise RigError(
             f"avatar {source}: no joint for {len(missing)} of the {len(required)} rig bones it must have: "
             f"{', '.join(missing)}. Joints found: {listed or 'none'}. "
             f"Allowed namings: {'; '.join([OWN_NAMES, *(title for title, _ in _bone_maps().values())])}"
         )
+    return found, naming
+
+
+def named_bones(
+    joint_names: Sequence[str], rig: Rig, *, humanoid: Mapping[str, int] | None = None
+) -> tuple[dict[str, int], str]:
+    """As `match_bones`, but of the naming that fits best, though required bones may be missing."""
+    if humanoid is not None:
+        naming, bones = _bone_maps()[VRM_MAP]
+        candidates = [(naming, {bones[role]: joint for role, joint in humanoid.items() if role in bones})]
+    else:
+        namings = [(OWN_NAMES, {name: name for name in rig.bone_names}), *_bone_maps().values()]
+        numberless = [re.sub(r"_\d+$", "", name) for name in joint_names]  # exporters number joints
+        tables = [_by_plain_name(names) for names in (joint_names, numberless)]
+        candidates = [(naming, _look_up(joints, bones)) for joints in tables for naming, bones in namings]
+    required = required_bones(rig)
+    naming, found = max(
+        candidates, key=lambda each: (sum(name in each[1] for name in required), len(each[1].keys() & rig.bone_names))
+    )
     return {bone: joint for bone, joint in found.items() if bone in rig.bone_names}, naming
 
 
@@ -76,6 +88,23 @@ def _look_up(joints: Mapping[str, int], bones: Mapping[str, str]) -> dict[str, i
     return found
 
 
+def _by_plain_name(names: Sequence[str]) -> dict[str, int]:
+    joints: dict[str, int] = {}
+    for joint, name in enumerate(names):
+        joints.setdefault(_plain(name), joint)
+    return joints
+
+
+@cache
 def _plain(name: str) -> str:
-    last = re.split(r"[:|/]", name)[-1].lower()
-    return re.sub(r"[^a-z0-9]", "", re.sub(r"^mixamorig\d*", "", last))
+    """A name in one spelling: lower case, without separators, namespace and prefixes, its side at the end."""
+    last = re.sub(r"^(left|right)(?=[a-z])", r"\1 ", re.split(r"[:|/]", name)[-1])
+    words = [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", last)]
+    first = 0
+    while first < len(words) - 1 and (words[first] in PREFIXES or first and words[first].isdigit()):
+        first += 1
+    words = words[first:] or words
+    side = next((word for word in words if word in SIDES), None)
+    if side is not None:
+        words.remove(side)
+    return "".join(words) + f".{SIDES.get(side, '')}"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar, AvatarWarning
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
+from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.runtime.binding import bind_garment, bind_points
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.rest_check import RestCheck, rest_check
@@ -88,6 +89,7 @@ class Draper:
         self.backend = backend
         self.bound: BoundGarment = bound
         self._degrees_told = False
+        self._bone_rotations: dict[str, BoneRotations] = {}
         self._evaluator = _evaluator(backend, bound, precision, normals)
         self.warnings = avatar.warnings
         if binding is None and points is None:
@@ -154,6 +156,24 @@ class Draper:
             out = np.empty((self.vertex_count, 6), dtype=np.float32)
         self._evaluator.evaluate(positions, down.astype(np.float32), out)
         return out
+
+    def drape_rotations(
+        self,
+        rotations: np.ndarray | Mapping[str, Sequence[float]],
+        gravity: np.ndarray = UPRIGHT_GRAVITY,
+        *,
+        skeleton: Literal["rig", "vrm"] = "rig",
+        effective_gravity: np.ndarray | None = None,
+        out: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """As `drape`, of a pose given as rotations of bones: unit quaternions (x, y, z, w) by bone, others at rest.
+
+        rotations, skeleton: see `BoneRotations`. Raises ValueError as `drape` and `BoneRotations.joint_positions` do.
+        """
+        if skeleton not in self._bone_rotations:
+            self._bone_rotations[skeleton] = BoneRotations(self.model.rig, skeleton=skeleton)
+        positions = self._bone_rotations[skeleton].joint_positions(rotations)
+        return self.drape(positions, gravity, effective_gravity=effective_gravity, out=out)
 
     def rest_check(self) -> RestCheck:
         """How the garment sits in the canonical pose. For drapers of the model's own mesh, not of `points`."""

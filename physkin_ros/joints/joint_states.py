@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from physkin_ros.joints.ball_joints import BallJoint, BallJoints
+from physkin_core.rig.ball_joints import BallJoint, BallJoints
 from physkin_ros.joints.joint_map import MappedJoint
 
 __all__ = ["JointNaming", "JointStateError", "JointStateReader", "MappedNames", "NamedJoints", "Selection"]
@@ -150,6 +150,11 @@ class JointStateReader:
         self._on_unknown, self._on_degrees = on_unknown, on_degrees
         self._selections: dict[tuple[str, ...], Selection] = {}
 
+    @property
+    def start(self) -> np.ndarray:
+        """(d,) [rad] what joints have that the next message does not name."""
+        return self.positions if self._keep_missing else self.rest
+
     def read(self, names: Sequence[str], values: Sequence[float]) -> np.ndarray:
         """Joint positions (d,) float32 [rad] after a joint state; assign to `positions` to keep them.
 
@@ -169,7 +174,7 @@ class JointStateReader:
 
     def read_selected(self, selection: Selection, values: np.ndarray, out: np.ndarray) -> None:
         """Write the joint positions (d,) after a message of a selection's names into `out`. Raises as `read` does."""
-        np.copyto(out, self.positions if self._keep_missing else self.rest)
+        np.copyto(out, self.start)
         if (far := selection.apply(values, out)) is not None:
             self._on_degrees(selection.names[far], float(values[far]))
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from physkin_core import Rig
-from physkin_ros.joints.ball_joints import BallJoint
+from physkin_core.rig.ball_joints import BallJoint
 from physkin_ros.joints.joint_states import JointStateError, NamedJoints
 
 __all__ = ["ROS4HRI", "Ros4hriNaming"]

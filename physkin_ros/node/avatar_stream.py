@@ -8,18 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 from time import monotonic_ns, perf_counter_ns
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import JointState, MultiDOFJointState
 
 from physkin_core import BUNDLED_AVATAR, Draper, GarmentModel
 from physkin_core.runtime.draper import STANDARD_GRAVITY
+from physkin_ros.joints.bone_rotation_message import BoneRotationReader
 from physkin_ros.joints.joint_naming import load_naming
 from physkin_ros.joints.joint_state_wire import JointStateWire
 from physkin_ros.joints.joint_states import JointNaming, JointStateError, JointStateReader
 from physkin_ros.joints.nearest_names import nearest_names
+from physkin_ros.joints.vrm_naming import VRM
 from physkin_ros.node.asset_loading import DraperLoader, LoadedDraper, Outfitting
 from physkin_ros.node.diagnostics import AvatarStatistics, Health, HealthReporter, PoseRange
 from physkin_ros.node.garment_stream import GarmentStream, WornGarment, stream_quality
@@ -42,16 +45,23 @@ JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
 class Outfit:
     """What an avatar wears: drapers bound to its pose, and the reader of joint states for their rig.
 
-    pose: (d,) float32 [rad], what the drapers read. garments: in the order of the avatar's streams.
+    pose: (d,) float32 [rad], what the drapers read. garments: in the order of the avatar's streams. bones: further
+    arguments of `BoneRotationReader`.
     """
 
-    def __init__(self, reader: JointStateReader, model: GarmentModel, interpolates: bool) -> None:
+    def __init__(self, reader: JointStateReader, model: GarmentModel, interpolates: bool, **bones) -> None:
         self.reader = reader
         self.wire = JointStateWire(reader)
+        self._rig, self._bones = model.rig, bones
         self.pose = reader.positions.copy()
         self.range = PoseRange(model.rig)
         self.interpolator = PoseInterpolator(len(self.pose)) if interpolates else None
         self.garments: tuple[WornGarment, ...] = ()
+
+    @cached_property
+    def bone_rotations(self) -> BoneRotationReader:
+        """Reads rotations of bones. Raises JointStateError for a rig that these are not for."""
+        return BoneRotationReader(self._rig, self.reader, **self._bones)
 
 
 class AvatarStream:
@@ -83,9 +93,10 @@ class AvatarStream:
         self.garments = tuple(
             GarmentStream(node, settings, garment, self._topics(garment)) for garment in settings.garments
         )
-        topic = settings.joint_states or (f"{settings.id}/joint_states" if settings.id else "joint_states")
-        self.topic = node.resolve_topic_name(topic)
-        self._orientation = self._subscription = self._timer = None
+        self.topic = node.resolve_topic_name(settings.joint_states or self._default_topic("joint_states"))
+        self._bone_topic = settings.bone_rotations or self._default_topic("bone_rotations")
+        self._orientation = self._timer = None
+        self._subscriptions = []
 
     def listen(self) -> None:
         """Open the topics that come in. Until something is worn, joint states are counted as `not_ready`."""
@@ -93,12 +104,18 @@ class AvatarStream:
         # before the joint states: when both have messages waiting, executors serve the older subscription first
         takers = (self._gravity_by_stamp.add, self._on_effective_gravity, self._on_bad_orientation)
         self._orientation = OrientationSource(node, settings, *takers)
-        self._subscription = node.create_subscription(
-            JointState, self.topic, self._on_joint_state, raw=True, **stream_quality(QUEUE)
-        )
+        self._subscriptions = [
+            node.create_subscription(JointState, self.topic, self._on_joint_state, raw=True, **stream_quality(QUEUE)),
+            node.create_subscription(
+                MultiDOFJointState, self._bone_topic, self._on_bone_rotations, **stream_quality(QUEUE)
+            ),
+        ]
         if settings.cloud_rate:
             clock = Clock(clock_type=ClockType.STEADY_TIME)
             self._timer = node.create_timer(1.0 / settings.cloud_rate, self._on_cloud_time, clock=clock)
+
+    def _default_topic(self, name: str) -> str:
+        return f"{self.settings.id}/{name}" if self.settings.id else name
 
     def _topics(self, garment) -> str:
         return garment.namespace or (f"~/{self.settings.id}/{garment.name}" if self.settings.id else "~")
@@ -175,7 +192,9 @@ class AvatarStream:
             on_unknown=self._warn_unknown,
             on_degrees=self._warn_degrees,
         )
-        outfit = Outfit(reader, model, bool(self.settings.cloud_rate))
+        skeleton = "vrm" if self.settings.joint_map == VRM else "rig"
+        bones = {"skeleton": skeleton, "on_unknown": self._warn_unknown}
+        outfit = Outfit(reader, model, bool(self.settings.cloud_rate), **bones)
         worn_now = {worn.stream: worn for worn in self._outfit.garments} if self._outfit else {}
         garments = []
         for stream, draper in zip(self.garments, drapers):
@@ -195,10 +214,7 @@ class AvatarStream:
 
     def _on_joint_state(self, data: bytes) -> None:
         arrived = perf_counter_ns()
-        statistics, outfit = self.statistics, self._outfit
-        statistics.received += 1
-        if outfit is None or not self.active:
-            statistics.not_ready += 1
+        if (outfit := self._receiving()) is None:
             return
         wire = outfit.wire
         try:
@@ -208,6 +224,32 @@ class AvatarStream:
         except ValueError as error:
             self._reject(outfit, error)
             return
+        self._answer(outfit, sec, nanosec, arrived)
+
+    def _on_bone_rotations(self, message: MultiDOFJointState) -> None:
+        arrived = perf_counter_ns()
+        if (outfit := self._receiving()) is None:
+            return
+        turns = [(each.rotation.x, each.rotation.y, each.rotation.z, each.rotation.w) for each in message.transforms]
+        sec, nanosec = message.header.stamp.sec, message.header.stamp.nanosec
+        try:
+            outfit.bone_rotations.read(message.joint_names, turns, outfit.pose)
+            self._feel(None, sec * NANOSECONDS + nanosec)
+        except ValueError as error:
+            self._reject(outfit, error)
+            return
+        self._answer(outfit, sec, nanosec, arrived)
+
+    def _receiving(self) -> Outfit | None:
+        """What is worn, for a message that has come in; None when it cannot be answered yet."""
+        self.statistics.received += 1
+        if self._outfit is None or not self.active:
+            self.statistics.not_ready += 1
+            return None
+        return self._outfit
+
+    def _answer(self, outfit: Outfit, sec: int, nanosec: int, arrived: int) -> None:
+        """Drape the pose that has been read, or keep it for the next cloud between poses. arrived: [ns]."""
         if outfit.interpolator is not None:
             np.copyto(outfit.reader.positions, outfit.pose)
             stamp_ns = sec * NANOSECONDS + nanosec
@@ -216,7 +258,7 @@ class AvatarStream:
         if self._drape(outfit, sec, nanosec):
             np.copyto(outfit.reader.positions, outfit.pose)
             if self.deadline_ns and perf_counter_ns() - arrived > self.deadline_ns:
-                statistics.deadline_missed += 1
+                self.statistics.deadline_missed += 1
 
     def _drape(self, outfit: Outfit, sec: int, nanosec: int) -> bool:
         np.multiply(self.gravity, self._load, out=self.felt)
@@ -273,8 +315,8 @@ class AvatarStream:
                 self.statistics.take_direction_only(reason)
                 self._log.warning(f"{self._label}of effective gravity the direction alone counts: {reason}")
 
-    def _feel(self, wire: JointStateWire, stamp_ns: int) -> None:
-        """Set direction and load of gravity for a joint state."""
+    def _feel(self, wire: JointStateWire | None, stamp_ns: int) -> None:
+        """Set direction and load of gravity for a joint state, or for bone rotations, which have no `wire`."""
         felt = self._effective_gravity.at(stamp_ns, monotonic_ns())
         if felt is None:
             self._load[0] = 1.0
@@ -287,13 +329,15 @@ class AvatarStream:
         if load > WEIGHTLESS:  # else the last direction stays
             self.gravity[:] = felt / load
 
-    def _follow_orientation(self, wire: JointStateWire) -> None:
+    def _follow_orientation(self, wire: JointStateWire | None) -> None:
         if self._orientation.tree is not None:
             try:
                 down = self._orientation.tree.gravity(self.settings.frame_id, self.settings.world_frame)
             except OrientationError as error:
                 self._on_bad_orientation(str(error))
                 return
+        elif wire is None:  # bones have no root tilt: the last one counts
+            return
         else:
             index = wire.selection.index
             roll, pitch = self.settings.orientation_joints
@@ -353,8 +397,8 @@ class AvatarStream:
         self._outfit = None
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
-        if self._subscription is not None:
-            self._node.destroy_subscription(self._subscription)
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
         if self._orientation is not None:
             self._orientation.close()
         for garment in self.garments:

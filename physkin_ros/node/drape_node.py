@@ -384,6 +384,7 @@ def _settings_for(template: AvatarSettings, body: str) -> AvatarSettings:
         template,
         id=body,
         joint_states=f"/humans/bodies/{body}/joint_states",
+        bone_rotations=f"/humans/bodies/{body}/bone_rotations",
         joint_map=template.joint_map or ROS4HRI,
         frame_id=f"body_{body}",
         garments=tuple(

@@ -27,6 +27,7 @@ EXECUTORS = {"events": EventsExecutor, "single": SingleThreadedExecutor}
 NO_PARTICIPANT = "error creating node"  # how rcl says that the middleware refused
 TOPICS = {
     "joint_states": "in, sensor_msgs/JointState: pose of the body",
+    "bone_rotations": "in, sensor_msgs/MultiDOFJointState: pose of the body as rotations of bones, instead",
     "gravity": "in, geometry_msgs/Vector3Stamped: direction of gravity in the body's root frame, any length but zero; "
     "joint states are draped with the latest, so send it before them; or pose, imu: see orientation",
     "~/effective_gravity": "in, geometry_msgs/Vector3Stamped: what an accelerated root feels, gravity less its "

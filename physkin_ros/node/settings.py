@@ -106,6 +106,11 @@ class AvatarSettings:
     id: str
     garments: tuple[GarmentSettings, ...]
     joint_states: str = _key("", "topic of sensor_msgs/JointState; default: joint_states, with avatars ID/joint_states")
+    bone_rotations: str = _key(
+        "",
+        "topic of sensor_msgs/MultiDOFJointState, rotations of bones instead of joint states; default: bone_rotations, "
+        "with avatars ID/bone_rotations",
+    )
     body_mesh: str = _key(
         "", "avatar to dress: a GLB, glTF, VRM, OBJ, PLY or STL file; empty: the bundled avatar", changes=True
     )
@@ -338,7 +343,7 @@ def read_settings(given: Mapping[str, object]) -> NodeSettings:
             name = garment_prefix.split(".")[3] if garment_prefix else ""
             _check_topic(f"{garment_prefix}namespace", garment["namespace"])
             garments.append(GarmentSettings(prefix=garment_prefix, name=name, **garment))
-        for key in ("joint_states", "orientation_topic", "effective_gravity_topic"):
+        for key in ("joint_states", "bone_rotations", "orientation_topic", "effective_gravity_topic"):
             _check_topic(prefix + key, values[key])
         if len(values["orientation_joints"]) != 2:
             raise SettingsError(

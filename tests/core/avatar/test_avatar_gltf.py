@@ -198,7 +198,7 @@ def test_several_primitives_and_nodes_are_one_surface(tmp_path):
     document["meshes"].append({"primitives": [{"attributes": second, "indices": None}]})
     document["meshes"][1]["primitives"][0]["indices"] = builder.add_accessor(faces.reshape(-1).astype(np.uint16))
     primitive["indices"] = builder.add_accessor(PERSON.faces[:half].astype(np.uint16).reshape(-1))
-    document["nodes"].append({"name": "second half", "mesh": 1, "skin": 0, "translation": [9, 9, 9]})  # to be ignored
+    document["nodes"].append({"name": "second part", "mesh": 1, "skin": 0, "translation": [9, 9, 9]})  # to be ignored
     document["scenes"][0]["nodes"].append(len(document["nodes"]) - 1)
     avatar = load_document(tmp_path, builder)
     assert avatar.vertices.shape == PERSON.vertices.shape and avatar.faces.shape == PERSON.faces.shape
@@ -216,16 +216,18 @@ def _add_cube(builder, parent):
 
 
 def test_meshes_without_a_skin(tmp_path):
-    """What hangs on a joint moves with it (a hat); what hangs on none is left out, with a warning."""
-    hat, prop = person_document(), person_document()
-    _add_cube(hat, RIG.bone_index("head"))
+    """What hangs on a joint moves with it (here to be part of the body); what hangs on none is left out, with a
+    warning."""
+    worn, prop = person_document(), person_document()
+    _add_cube(worn, RIG.bone_index("head"))
+    worn.document["nodes"][-1]["name"] = "extra head"
     _add_cube(prop, None)
-    with_hat, without = load_document(tmp_path, hat), load_document(tmp_path, prop)
-    assert len(with_hat.vertices) == len(PERSON.vertices) + 8 and with_hat.warnings == ()
+    with_cube, without = load_document(tmp_path, worn), load_document(tmp_path, prop)
+    assert len(with_cube.vertices) == len(PERSON.vertices) + 8 and with_cube.warnings == ()
     head = RIG.bone_index("head")
-    added = np.setdiff1d(np.arange(len(with_hat.vertices)), np.arange(len(PERSON.vertices)))
-    assert np.allclose(dense_weights(with_hat)[added, head], 1)
-    assert np.allclose(with_hat.vertices[added].min(axis=0), PERSON.bone_heads[head], atol=1e-4)
+    added = np.setdiff1d(np.arange(len(with_cube.vertices)), np.arange(len(PERSON.vertices)))
+    assert np.allclose(dense_weights(with_cube)[added, head], 1)
+    assert np.allclose(with_cube.vertices[added].min(axis=0), PERSON.bone_heads[head], atol=1e-4)
     assert len(without.vertices) == len(PERSON.vertices)
     assert "'box' has no skin" in without.warnings[0]
 

@@ -11,6 +11,7 @@ from gltf_person import BODY, PERSON, RIG, dense_weights, distances
 from physkin_core.avatar import rig_fitting
 from physkin_core.avatar.avatar import AvatarError, AvatarWarning
 from physkin_core.avatar.loading import load_avatar
+from physkin_core.avatar.mesh_avatar import _upright_axis
 from physkin_core.rig.rig import Rig
 from physkin_training.prepare.avatar import t_posed_body
 from physkin_training.prepare.gltf_export import GltfBuilder, write_glb
@@ -142,7 +143,7 @@ def test_what_a_mesh_without_weights_needs(tmp_path):
     ends = np.array([[0, 0, 0], [0, 0, 0.5], [0, 0, 1]])
     with pytest.raises(AvatarError, match=r"differs from its own \(base, arm\)"):
         load_avatar(path, Rig(("base", "arm"), np.array([-1, 0]), ends[:2], ends[1:], ()))
-    hoofed = _rig_json(T_HEADS, T_TAILS, weights=False)
+    hoofed = _rig_json(T_HEADS + AWAY, T_TAILS + AWAY, weights=False)
     hoofed["bones"][RIG.bone_index("foot.R")]["name"] = "hoof"
     lacking = r"no joint for 1 of the 12 rig bones it must have: foot.R\. Joints found: root"
     cases = [(None, "no such file"), ("{", "is not JSON"), ("[]", "not an object"), (json.dumps(hoofed), lacking)]
@@ -184,21 +185,70 @@ def test_truncated_binary_meshes(tmp_path, suffix):
 
 
 @pytest.mark.parametrize(
-    ("factor", "hint"), [(100, '"scale": 0.01'), (1000, '"scale": 0.001'), (0.1, "allowed 0.5 to 3.0 m")]
+    ("factor", "unit"), [(100, "in centimetres, 1.4"), (1 / 0.0254, "in inches, 1.4"), (1000, "in millimetres, 1.4")]
 )
-def test_implausible_sizes(tmp_path, factor, hint):
-    """The height found, the range allowed and a scale that would do."""
-    with pytest.raises(AvatarError, match=hint) as caught:
+def test_units(tmp_path, factor, unit):
+    """A rig file that does not say the unit: it is guessed from the size, and a warning says so."""
+    heads, tails = factor * (T_HEADS + AWAY), factor * (T_TAILS + AWAY)
+    path = _write_person(tmp_path / "person.obj", _rig_json(heads, tails), vertices=factor * (T_VERTICES + AWAY))
+    avatar = load_avatar(path, RIG)
+    assert distances(avatar.vertices, PERSON.vertices).mean() < 1.5
+    assert distances(avatar.bone_heads, PERSON.bone_heads).max() < 0.1
+    assert len(avatar.warnings) == 1 and unit in avatar.warnings[0]
+
+
+@pytest.mark.parametrize("factor", [10, 0.1])
+def test_implausible_sizes(tmp_path, factor):
+    """The height found, the range allowed and what to write."""
+    with pytest.raises(AvatarError, match='allowed 0.5 to 3.0 m, or 1.2 to 2.4 m in centimetres.*"scale"') as caught:
         load_avatar(_write_person(tmp_path / "person.obj", vertices=T_VERTICES * factor), RIG)
     assert f"is {np.ptp(T_VERTICES[:, 2]) * factor:.4g} m high" in str(caught.value)
+
+
+def test_a_stated_scale_is_not_guessed_again(tmp_path):
+    """A scale that makes a giant is refused."""
+    path = _write_person(tmp_path / "person.obj", {"scale": 100})
+    with pytest.raises(AvatarError, match=r"is 14\d.\d m high"):
+        load_avatar(path, RIG)
+
+
+def test_bones_that_lie_elsewhere(tmp_path):
+    """Bones in another unit than the mesh are noticed, and both sizes named."""
+    path = _write_person(tmp_path / "person.obj", _rig_json(100 * T_HEADS, 100 * T_TAILS), vertices=T_VERTICES)
+    with pytest.raises(AvatarError, match=r"does not fit .*3\d of 36 bones lie outside of the mesh. Bones span \["):
+        load_avatar(path, RIG)
+
+
+@pytest.mark.parametrize(("columns", "up"), [([1, 2, 0], "Y"), ([0, 1, 2], "Z"), ([2, 0, 1], "X")])
+@pytest.mark.parametrize("vertices", [T_VERTICES, PERSON.vertices])
+def test_up_is_guessed(vertices, columns, up):
+    """From symmetry and height, in A- and T-pose."""
+    assert _upright_axis(np.asarray(vertices)[:, columns], PERSON.faces, "Z") == up
+
+
+def test_obj_in_inches_with_y_up_and_hair(tmp_path):
+    """Nothing but the mesh, as a modelling tool wrote it, hair an object of its own: all is said in warnings."""
+    hair = trimesh.creation.icosphere(3, 0.2)
+    hair.apply_translation(PERSON.vertices[PERSON.vertices[:, 2].argmax()])
+    vertices = np.concatenate([PERSON.vertices, hair.vertices])[:, [1, 2, 0]] / 0.0254
+    path = tmp_path / "person.obj"
+    _write_obj(path, vertices, PERSON.faces)
+    with path.open("a") as file:
+        file.write("o Hair_01\n" + "".join("f {} {} {}\n".format(*(face + 13719)) for face in hair.faces))
+    avatar = load_avatar(path, RIG)
+    assert len(avatar.vertices) == len(PERSON.vertices)
+    assert distances(avatar.bone_heads, PERSON.bone_heads).mean() < 10
+    for text in ("in inches", "Y is taken to be up, not Z", "left out: 'Hair_01'", "was fitted"):
+        assert any(text in warning for warning in avatar.warnings)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"colour": "red"}, "unknown keys colour; allowed: bones"),
-        ({"up": "W"}, "up 'W' and forward 'X'; allowed are two different axes"),
-        ({"up": "X"}, "two different axes"),
+        ({"up": "W"}, "up 'W' and forward None; allowed are two different axes"),
+        ({"up": "X", "forward": "-X"}, "two different axes"),
+        ({"forward": "X"}, "not what is up"),
         ({"scale": 0}, "scale is 0.0"),
         ({"scale": "big"}, "malformed: ValueError"),
         ({"bones": [{"name": "root"}]}, "malformed: KeyError: 'parent'"),

@@ -1,8 +1,8 @@
-"""Ball joints: three angles of another skeleton's joint to the degrees of freedom that the rig has there.
+"""Ball joints: a rotation to the degrees of freedom that the rig has there, or three angles that compose to one.
 
-The incoming angles compose to a rotation. Seen in the rig's own axes it is taken apart anew, into rotations about those
-axes in the rig's order; where the rig shares a limb's twist among two bones, the second gets half. All ball joints of a
-message are computed at once. Dimensions: `L` ball joints. Radians.
+Seen in the rig's own axes the rotation is taken apart, into rotations about those axes in the rig's order; where the
+rig shares a limb's twist among two bones, the second gets half. What the rig has no joint for is left out. All ball
+joints of a message are computed at once. Dimensions: `L` ball joints. Radians.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["BallJoint", "BallJoints"]
+__all__ = ["BallJoint", "BallJoints", "BallRotations"]
 
 UPRIGHT = 1e-7  # cosine of the middle angle below which the outer two are one
 
@@ -21,7 +21,8 @@ UPRIGHT = 1e-7  # cosine of the middle angle below which the outer two are one
 class BallJoint:
     """One ball joint.
 
-    axes: (3, 3) rows are the unit axes the incoming angles turn about, outermost first, root frame.
+    axes: (3, 3) rows are the unit axes the incoming angles turn about, outermost first, root frame. Of no account where
+        rotations come in.
     before, after: (3, 3) rotations; the rig's bone turns by before @ (incoming rotation) @ after from its canonical
         pose, as seen from its parent.
     frame: (3, 3) columns are the rig's axes in the order it turns about them; they may be left-handed.
@@ -35,6 +36,35 @@ class BallJoint:
     frame: np.ndarray
     joints: tuple[str, ...]
     twist: int | None = None
+
+
+class BallRotations:
+    """Rotations of ball joints to joint positions of the rig. index: of each rig joint."""
+
+    def __init__(self, balls: Sequence[BallJoint], index: Mapping[str, int]) -> None:
+        self._before = np.array([ball.frame.T @ ball.before for ball in balls])
+        self._after = np.array([ball.after @ ball.frame for ball in balls])
+        signs = np.array([np.sign(np.linalg.det(ball.frame)) for ball in balls])
+        twist = np.zeros((len(balls), 3))
+        for row, ball in enumerate(balls):
+            if ball.twist is not None:
+                twist[row, ball.twist] = 0.5
+        self._twist = twist if twist.any() else None
+        self._twist_axis = _Axes(np.array([_cross(2 * row) for row in twist]))
+        slots = [(row, slot, joint) for row, ball in enumerate(balls) for slot, joint in enumerate(ball.joints)]
+        slots = [(4 * row + slot, index[joint], signs[row], row) for row, slot, joint in slots if joint]
+        self._slot, self.targets, self._sign, self.owners = (np.array(column) for column in zip(*slots))
+
+    def solve(self, rotations: np.ndarray, positions: np.ndarray) -> None:
+        """Write the rig's joints `targets` into `positions` (d,), each from the row `owners` of rotations (L, 3, 3)."""
+        turn = self._before @ rotations @ self._after
+        found = np.zeros((len(turn), 4))
+        _three_angles(turn, found)
+        if self._twist is not None:
+            half = (found[:, :3] * self._twist).sum(axis=1)
+            _three_angles(turn @ self._twist_axis.turn(-half[:, None, None]), found)
+            found[:, 3] = half
+        positions[self.targets] = self._sign * found.ravel()[self._slot]
 
 
 class BallJoints:
@@ -51,20 +81,7 @@ class BallJoints:
         self._given = (named.T >= 0)[:, :, None, None].astype(np.float64)
         self._all_given = bool(self._given.all())
         self._axes = _Axes(np.array([[_cross(axis) for axis in ball.axes] for ball, _ in balls]).transpose(1, 0, 2, 3))
-        self._before = np.array([ball.frame.T @ ball.before for ball, _ in balls])
-        self._after = np.array([ball.after @ ball.frame for ball, _ in balls])
-        signs = np.array([np.sign(np.linalg.det(ball.frame)) for ball, _ in balls])
-        twist = np.zeros((len(balls), 3))
-        for row, (ball, _) in enumerate(balls):
-            if ball.twist is not None:
-                twist[row, ball.twist] = 0.5
-        self._twist = twist if twist.any() else None
-        self._twist_axis = _Axes(np.array([_cross(2 * row) for row in twist]))
-        slots = [(row, slot, joint) for row, (ball, _) in enumerate(balls) for slot, joint in enumerate(ball.joints)]
-        slots = [(4 * row + slot, index[joint], signs[row]) for row, slot, joint in slots if joint]
-        self._slot = np.array([slot for slot, _, _ in slots])
-        self._target = np.array([target for _, target, _ in slots])
-        self._sign = np.array([sign for _, _, sign in slots])
+        self._rotations = BallRotations([ball for ball, _ in balls], index)
 
     def gather(self, values: np.ndarray) -> np.ndarray:
         """The incoming angles (3, L, 1, 1)."""
@@ -74,14 +91,7 @@ class BallJoints:
     def solve(self, angles: np.ndarray, positions: np.ndarray) -> None:
         """Write the rig's joints into `positions` (d,)."""
         first, second, third = self._axes.turn(angles)
-        turn = self._before @ first @ second @ third @ self._after
-        found = np.zeros((len(turn), 4))
-        _three_angles(turn, found)
-        if self._twist is not None:
-            half = (found[:, :3] * self._twist).sum(axis=1)
-            _three_angles(turn @ self._twist_axis.turn(-half[:, None, None]), found)
-            found[:, 3] = half
-        positions[self._target] = self._sign * found.ravel()[self._slot]
+        self._rotations.solve(first @ second @ third, positions)
 
 
 class _Axes:

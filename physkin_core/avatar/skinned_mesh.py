@@ -1,0 +1,172 @@
+"""A skinned mesh as a file has it, and what every loader does with it: clean it, know its unit, turn it upright.
+
+Dimensions: `V` vertices, `f` faces, `j` joints of the avatar's skeleton, `K` influences. Metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from physkin_core.avatar.avatar import AvatarError
+from physkin_core.model.garment import surface_fault
+from physkin_core.rig.bone_naming import match_bones, named_bones, required_bones
+from physkin_core.rig.bone_structure import bones_by_structure
+from physkin_core.rig.rig import Rig
+
+__all__ = ["SkinnedMesh", "Surface", "check_size", "clean_surface", "identify_bones", "turn_upright", "unit_scale"]
+
+HEIGHT_RANGE = (0.5, 3.0)
+UNITS = {"centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001}
+ADULT_SIZES = (1.2, 2.4)
+"""[m] of the largest extent of a mesh that is taken to be in one of `UNITS`; none of these can be mistaken."""
+SIDES = ("L", "R")
+
+
+@dataclass(frozen=True)
+class SkinnedMesh:
+    """An avatar as its file has it: any pose, any origin; axes of the root frame (X forward, Y left, Z up), metres.
+
+    vertices: (V, 3). faces: (f, 3) integers. joint_names: (j,). joint_parents: (j,), -1 for none, a parent before its
+    children. joint_heads: (j, 3). joint_tails: (j, 3), NaN where the file does not say.
+    influence_joints: (V, K) integers; influence_weights: (V, K), rows sum to 1.
+    humanoid: joint by VRM humanoid bone, for files that state it. warnings: as in `Avatar`.
+    part_names: names of each part of the mesh, the most telling first, and face_parts: (f,) the part of each face; None
+    for a mesh of one part.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    joint_names: tuple[str, ...]
+    joint_parents: np.ndarray
+    joint_heads: np.ndarray
+    joint_tails: np.ndarray
+    influence_joints: np.ndarray
+    influence_weights: np.ndarray
+    source: str
+    humanoid: Mapping[str, int] | None = None
+    warnings: tuple[str, ...] = ()
+    part_names: tuple[tuple[str, ...], ...] = ()
+    face_parts: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A mesh without a skin, in its file's frame and unit. vertices: (V, 3). faces: (f, 3). Parts: `SkinnedMesh`'s."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    part_names: tuple[tuple[str, ...], ...] = ()
+    face_parts: np.ndarray | None = None
+
+
+def clean_surface(
+    vertices: np.ndarray, faces: np.ndarray, attributes: tuple[np.ndarray, ...], source: str
+) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...], np.ndarray]:
+    """Check a surface, weld equal vertices (texture seams, triangle soups) and drop unused vertices and empty faces.
+
+    vertices: (V, 3). faces: (f, 3). attributes: arrays (V, ...) that must be equal, too, for vertices to be welded.
+    The order of what remains is kept; the last result tells which faces (f,) do.
+    Raises AvatarError on no faces, NaN or an index out of range.
+    """
+    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    if fault := surface_fault(vertices, faces):
+        raise AvatarError(f"avatar {source}: {fault}")
+    key = np.concatenate([array.reshape(len(vertices), -1).astype(np.float64) for array in (vertices, *attributes)], 1)
+    faces = _first_of_its_kind(key + 0.0)[faces]
+    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    used, faces = np.unique(faces[distinct], return_inverse=True)
+    if len(used) == 0:
+        raise AvatarError(f"avatar {source}: all faces are degenerate; a triangle mesh is needed")
+    return vertices[used], faces.reshape(-1, 3), tuple(array[used] for array in attributes), distinct
+
+
+def _first_of_its_kind(rows: np.ndarray) -> np.ndarray:
+    """Index of the first row equal to each row of (n, k), (n,). `np.unique` sorts rows under the interpreter's lock,
+    which would hold up the clouds of a running node; columns are sorted without it."""
+    order = np.lexsort(rows.T[::-1])
+    new = np.ones(len(rows), dtype=bool)
+    new[1:] = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
+    first = np.empty(len(rows), dtype=np.intp)
+    first[order] = order[new][np.cumsum(new) - 1]
+    return first
+
+
+def unit_scale(vertices: np.ndarray) -> tuple[float, tuple[str, ...]]:
+    """Metres per unit of a person's vertices (V, 3), guessed from the size, and a warning unless they are in metres."""
+    size = float(np.ptp(vertices, axis=0).max())
+    low, high = ADULT_SIZES
+    for unit, scale in UNITS.items():
+        if size > HEIGHT_RANGE[1] and low <= size * scale <= high:
+            return scale, (f"{size:.4g} units in size: taken to be in {unit}, {size * scale:.2f} m",)
+    return 1.0, ()
+
+
+def check_size(vertices: np.ndarray, source: str) -> None:
+    """Raise AvatarError unless the height is that of a person in metres."""
+    height = float(np.ptp(vertices[:, 2]))
+    low, high = HEIGHT_RANGE
+    if not low <= height <= high:
+        raise AvatarError(
+            f"avatar {source} is {height:.4g} m high, allowed {low} to {high} m, or {ADULT_SIZES[0]} to "
+            f"{ADULT_SIZES[1]} m in {', '.join(UNITS)}. glTF is in metres by its standard; for a plain mesh say so in "
+            'its rig file, such as "scale": 0.01 for centimetres, or "up": "Y", "forward": "Z" if Z is not up'
+        )
+
+
+def identify_bones(mesh: SkinnedMesh, rig: Rig) -> tuple[SkinnedMesh, dict[str, int], str]:
+    """Joint by rig bone, and the naming that led there (see `match_bones`).
+
+    Where names fit no naming, the skeleton's shape tells, and the mesh comes back with a warning of what was assumed.
+    Raises RigError when neither does.
+    """
+    astray = [mesh.joint_names[joint] for joint in np.flatnonzero(~np.isfinite(mesh.joint_heads).all(axis=1))]
+    if astray:
+        raise AvatarError(f"avatar {mesh.source}: joints {', '.join(astray)} are not at finite positions")
+    required = required_bones(rig)
+    named, _ = named_bones(mesh.joint_names, rig, humanoid=mesh.humanoid)
+    if 2 * sum(bone in named for bone in required) < len(required):
+        shaped = bones_by_structure(mesh.joint_heads, mesh.joint_parents, rig)
+        if shaped is not None and all(bone in shaped for bone in required):
+            pairs = ", ".join(f"{mesh.joint_names[shaped[bone]]!r} for {bone}" for bone in required)
+            warning = f"no naming fits the joints' names; by the skeleton's shape these were taken: {pairs}"
+            return replace(mesh, warnings=(*mesh.warnings, warning)), shaped, "the skeleton's shape"
+    return mesh, *match_bones(mesh.joint_names, rig, source=mesh.source, humanoid=mesh.humanoid)
+
+
+def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int]) -> SkinnedMesh:
+    """Turn by quarters until the skeleton stands up and looks forward; a warning says when that was needed."""
+    from scipy.spatial.transform import Rotation
+
+    ends = [f"{bone}.{side}" for bone in ("upperarm01", "upperleg01") for side in SIDES]
+    if any(name not in bone_joint for name in ends):
+        return mesh
+    left_arm, right_arm, left_leg, right_leg = (mesh.joint_heads[bone_joint[name]] for name in ends)
+    up = (left_arm + right_arm) - (left_leg + right_leg)
+    left = (left_arm - right_arm) + (left_leg - right_leg)
+    if min(np.linalg.norm(up), np.linalg.norm(left), np.linalg.norm(np.cross(left, up))) < 1e-6:
+        raise AvatarError(
+            f"avatar {mesh.source}: shoulders and hips fall together, the skeleton has no upright direction"
+        )
+    up, left = up / np.linalg.norm(up), left / np.linalg.norm(left)
+    axes = np.stack([np.cross(left, up), left, up], axis=1)
+    quarter_turns = np.round(Rotation.create_group("O").as_matrix())  # the 24 that take axes to axes
+    turn = max(quarter_turns, key=lambda candidate: np.trace(candidate @ axes))
+    if np.array_equal(turn, np.eye(3)):
+        return mesh
+    facing, rising = _axis_name(turn[0]), _axis_name(turn[2])
+    warning = f"the skeleton faces {facing} with {rising} up where X and Z were expected: turned"
+    return replace(
+        mesh,
+        vertices=mesh.vertices @ turn.T,
+        joint_heads=mesh.joint_heads @ turn.T,
+        joint_tails=mesh.joint_tails @ turn.T,
+        warnings=(*mesh.warnings, warning),
+    )
+
+
+def _axis_name(direction: np.ndarray) -> str:
+    axis = int(np.argmax(np.abs(direction)))
+    return ("-" if direction[axis] < 0 else "") + "XYZ"[axis]

@@ -1,0 +1,118 @@
+"""Joint positions of the rig from rotations of bones, as quaternions.
+
+Dimensions: `d` degrees of freedom, `b` bones of the rig, `k` bones that rotations are given of. Radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+
+import numpy as np
+
+from physkin_core.rig.ball_joints import BallRotations
+from physkin_core.rig.rig import Rig, RigError
+from physkin_core.rig.vrm_bones import VRM_AXES, rig_ball_joint, vrm_ball_joints
+
+__all__ = ["SKELETONS", "BoneRotations"]
+
+SKELETONS = ("rig", "vrm")
+NORM_TOLERANCE = 1e-3
+"""By which a quaternion's length may differ from 1."""
+NEGLIGIBLE = 1e-12  # [rad] an angle of this size is rounding of zero
+
+
+class BoneRotations:
+    """Takes rotations of bones apart into the joint positions of a rig.
+
+    skeleton: whose bones they are. "rig": the rig's own; a bone's rotation is relative to its parent and to the
+        canonical pose, in the axes of the root frame (X forward, Y left, Z up), which every bone has at that pose.
+        "vrm": VRM's humanoid bones, relative to parent and T-pose, in VRM's axes (`vrm_bones`); for the default rig.
+    A rotation becomes rotations about the bone's joints, in their order; what the bone has no joint for is left out.
+    Positions are not held to the rig's limits, as those that are given are not: the networks see them clipped, bones
+    turn by them as they are. Rotations that joint positions within the limits of the default rig give come back as
+    these, to single precision.
+    bone_names: (k,) bones that may be given. Raises RigError for an unknown skeleton, and for a rig whose bones have
+    joints about axes that are not at right angles.
+    """
+
+    def __init__(self, rig: Rig, *, skeleton: str = "rig") -> None:
+        if skeleton not in SKELETONS:
+            raise RigError(f"unknown skeleton {skeleton!r}; allowed: {', '.join(SKELETONS)}")
+        self._rig, self._axes = rig, np.eye(3)
+        if skeleton == "rig":
+            balls = _own_ball_joints(rig)
+            self.bone_names = rig.bone_names
+        else:
+            try:
+                balls = vrm_ball_joints(rig)
+            except ValueError as error:
+                raise RigError(f"bones of VRM are for the default rig: {error}") from error
+            self._axes = VRM_AXES.T  # from VRM's axes to the root frame's
+            self.bone_names = ("hips", *balls)
+        self._row = dict.fromkeys(self.bone_names, -1) | {bone: row for row, bone in enumerate(balls)}
+        self._count = len(balls)
+        index = {name: k for k, name in enumerate(rig.joint_names)}
+        self._solver = BallRotations(list(balls.values()), index)
+
+    def joint_positions(
+        self, rotations: Mapping[str, Sequence[float]] | np.ndarray, *, start: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Joint positions (d,) float64 [rad], in the rig's order.
+
+        rotations: unit quaternions (x, y, z, w) by bone, or (k, 4) in the order of `bone_names`. Bones that are left
+        out are at rest; or, with `start` (d,) [rad], have the positions given there.
+        Raises RigError naming an unknown bone, and a quaternion that is not finite or not of length 1.
+        """
+        if not isinstance(rotations, Mapping):
+            given = np.asarray(rotations, dtype=np.float64)
+            if given.shape != (len(self.bone_names), 4):
+                raise RigError(f"bone rotations have shape {given.shape}, expected ({len(self.bone_names)}, 4)")
+            rotations = dict(zip(self.bone_names, given))
+        if unknown := self.unknown(rotations):
+            close = ", ".join(get_close_matches(str(unknown[0]), self.bone_names, cutoff=0.4))
+            raise RigError(
+                f"no bone {unknown[0]!r}; {f'did you mean {close}?' if close else ', '.join(self.bone_names)}"
+            )
+        rows = np.array([self._row[bone] for bone in rotations], dtype=np.intp)
+        turns = self._axes @ _matrices(rotations) @ self._axes.T
+        every = np.tile(np.eye(3), (self._count, 1, 1))
+        every[rows[rows >= 0]] = turns[rows >= 0]
+        solved = np.zeros(len(self._rig.dofs))
+        self._solver.solve(every, solved)
+        solved[np.abs(solved) < NEGLIGIBLE] = 0.0
+        positions = np.array(self._rig.rest if start is None else start, dtype=np.float64)
+        named = self._solver.targets[np.isin(self._solver.owners, rows)]
+        positions[named] = self._rig.rest[named] + solved[named]
+        return positions
+
+    def unknown(self, names: Sequence[str]) -> list[str]:
+        """Those of the names that are no bones."""
+        return [name for name in names if name not in self._row]
+
+
+def _own_ball_joints(rig: Rig) -> dict:
+    """The ball joint of each bone that has joints."""
+    joints: dict[str, list[str]] = {}
+    for dof in rig.dofs:
+        joints.setdefault(dof.bone, []).append(dof.name)
+    for bone, names in joints.items():
+        axes = rig.dof_axes[[rig.joint_names.index(name) for name in names]]
+        if np.abs(axes @ axes.T - np.eye(len(axes))).max() > 1e-6:
+            raise RigError(f"joints {', '.join(names)} of bone {bone!r} turn about axes that are not at right angles")
+    return {bone: rig_ball_joint(rig, names) for bone, names in joints.items()}
+
+
+def _matrices(rotations: Mapping[str, Sequence[float]]) -> np.ndarray:
+    """(k, 3, 3) of checked quaternions."""
+    from scipy.spatial.transform import Rotation
+
+    for bone, value in rotations.items():
+        quaternion = np.asarray(value, dtype=np.float64)
+        if quaternion.shape != (4,) or not abs(np.linalg.norm(quaternion) - 1) <= NORM_TOLERANCE:
+            raise RigError(
+                f"the rotation of bone {bone!r} is {quaternion.tolist()}; expected a quaternion x, y, z, w of length 1"
+            )
+    if not rotations:
+        return np.empty((0, 3, 3))
+    return Rotation.from_quat(np.array(list(rotations.values()), dtype=np.float64)).as_matrix()

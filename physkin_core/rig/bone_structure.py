@@ -1,0 +1,194 @@
+"""Which joint of a skeleton is which bone of the rig, by its shape, where names say nothing.
+
+A person's skeleton has a plane of symmetry, two pairs of long limbs that leave it, the legs nearer to the tree's root,
+and two long segments in every limb. Dimensions: `j` joints. Any unit.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations, permutations
+
+import numpy as np
+
+from physkin_core.rig.rig import Rig
+
+__all__ = ["bones_by_structure"]
+
+ASYMMETRY = 0.03
+"""Of all following lengths the unit is the skeleton's largest extent. Mean distance of joints from mirror images."""
+MIDLINE = 0.02
+PAIR_GAP = 0.06
+"""Between a limb's first joint and the mirror image of its counterpart."""
+SHORTEST_LIMB = 0.2
+LIMB_OFFSET = {"arm": 0.085, "leg": 0.03}
+"""Least distance of shoulders and hips from the plane of symmetry: collar bones and halves of a pelvis begin nearer."""
+SEGMENT_RATIO = {"arm": 1.12, "leg": 0.9}
+"""Length of the upper over the lower segment; rigs differ in where hips are."""
+RATIO_WEIGHT = 4.0
+ANKLE_WEIGHT = 0.5
+"""Of the turn from shin to foot."""
+BRANCH = 0.4
+"""Share of the longest branch that makes another one a branch: fingers and a thumb, but no twist joint."""
+LIMB_BONES = {
+    "arm": ("upperarm01", "lowerarm01", "wrist", "clavicle"),
+    "leg": ("upperleg01", "lowerleg01", "foot", ""),
+}
+
+
+def bones_by_structure(heads: np.ndarray, parents: np.ndarray, rig: Rig) -> dict[str, int] | None:
+    """Joint by rig bone, or None for a skeleton that is not a person's, standing with its limbs held symmetrically.
+
+    heads: (j, 3), axes of the root frame or quarter turns of them. parents: (j,), -1 for none, a parent before its
+    children. Left is told from the feet's direction; without toes the skeleton is taken to look along X.
+    """
+    size = float(np.ptp(heads, axis=0).max())
+    if not size > 0:
+        return None
+    tree = _Tree(heads / size, parents)
+    axis = int(np.argmin(asymmetry := [tree.asymmetry(axis) for axis in range(3)]))
+    if asymmetry[axis] > ASYMMETRY:
+        return None
+    limbs = _limbs(tree, axis)
+    if limbs is None:
+        return None
+    found: dict[str, int] = {}
+    chosen = {kind: [_joints_of(tree, way, kind, axis) for way in ways] for kind, (_, ways) in limbs.items()}
+    if any(joints is None for both in chosen.values() for joints in both):
+        return None
+    hub, chest = limbs["leg"][0], limbs["arm"][0]
+    sides = "LR" if _first_is_left(tree, axis, chosen, hub, chest) else "RL"
+    for kind, both in chosen.items():
+        for side, joints in zip(sides, both):
+            found |= {f"{bone}.{side}": joint for bone, joint in zip(LIMB_BONES[kind], joints) if bone and joint >= 0}
+    upwards = [joint for joint in tree.children[chest] if all(joint != way[0] for way in limbs["arm"][1])]
+    found |= _trunk(tree, hub, chest, upwards, rig)
+    return {bone: joint for bone, joint in found.items() if bone in rig.bone_names}
+
+
+class _Tree:
+    """Joints of a skeleton of unit size. reach: (j,) length of the longest way down from each."""
+
+    def __init__(self, heads: np.ndarray, parents: np.ndarray) -> None:
+        self.heads = heads - (heads.min(axis=0) + heads.max(axis=0)) / 2
+        self.parents = [int(parent) for parent in parents]
+        self.children: list[list[int]] = [[] for _ in parents]
+        self.edges = np.zeros(len(parents))
+        for joint, parent in enumerate(self.parents):
+            if parent >= 0:
+                self.children[parent].append(joint)
+                self.edges[joint] = np.linalg.norm(heads[joint] - heads[parent])
+        self.reach = np.zeros(len(parents))
+        for joint in reversed(range(len(parents))):
+            self.reach[joint] = max((self.edges[c] + self.reach[c] for c in self.children[joint]), default=0.0)
+
+    def asymmetry(self, axis: int) -> float:
+        """Mean distance of joints from the mirror image of the nearest, those on the plane apart."""
+        mirrored = self.heads * (1 - 2 * np.eye(3)[axis])
+        beside = np.abs(self.heads[:, axis]) > MIDLINE
+        gaps = np.linalg.norm(mirrored[beside, None] - self.heads[None], axis=2).min(axis=1)
+        return float(gaps.mean()) if beside.any() else np.inf
+
+    def ancestors(self, joint: int) -> list[int]:
+        """From the joint itself up to the root."""
+        way = []
+        while joint >= 0:
+            way.append(joint)
+            joint = self.parents[joint]
+        return way
+
+    def straightness(self, before: int, joint: int, after: int) -> float:
+        """Cosine of the turn at a joint; 1 where a neighbour lies at the same place."""
+        come, go = self.heads[joint] - self.heads[before], self.heads[after] - self.heads[joint]
+        length = np.linalg.norm(come) * np.linalg.norm(go)
+        return float(come @ go / length) if length > 1e-9 else 1.0
+
+    def way_down(self, joint: int) -> list[int]:
+        """The longest way down, as far as the first joint with several branches."""
+        way = [joint]
+        while children := self.children[way[-1]]:
+            lengths = sorted((self.edges[child] + self.reach[child] for child in children), reverse=True)
+            if len(lengths) > 1 and lengths[1] > BRANCH * lengths[0]:
+                break
+            way.append(max(children, key=lambda child: self.edges[child] + self.reach[child]))
+        return way
+
+
+def _limbs(tree: _Tree, axis: int) -> dict[str, tuple[int, list[list[int]]]] | None:
+    """Of arms and of legs: the joint where both meet, and the way down from there on either side, the one with the
+    larger coordinate along the axis first."""
+    beside = np.abs(tree.heads[:, axis]) > MIDLINE
+    starts = [j for j, p in enumerate(tree.parents) if p >= 0 and beside[j] and not beside[p]]
+    pairs = []
+    for one in (joint for joint in starts if tree.heads[joint, axis] > 0 and tree.reach[joint] > SHORTEST_LIMB):
+        mirrored = tree.heads[one] * (1 - 2 * np.eye(3)[axis])
+        other = min(starts, key=lambda joint: np.linalg.norm(tree.heads[joint] - mirrored))
+        meeting = [joint for joint in tree.ancestors(one) if joint in tree.ancestors(other)]
+        if meeting and np.linalg.norm(tree.heads[other] - mirrored) < PAIR_GAP and other != one:
+            ways = []
+            for start in (one, other):
+                above = tree.ancestors(start)
+                ways.append([*above[1 : above.index(meeting[0])][::-1], *tree.way_down(start)])
+            pairs.append((tree.reach[one], meeting[0], ways))
+    pairs.sort(key=lambda pair: -pair[0])
+    for (_, hub, legs), (_, chest, arms) in permutations(pairs[:3], 2):
+        if hub != chest and hub in tree.ancestors(chest):
+            return {"leg": (hub, legs), "arm": (chest, arms)}
+    return None
+
+
+def _joints_of(tree: _Tree, way: list[int], kind: str, axis: int) -> tuple[int, int, int, int, int] | None:
+    """Joints at a limb's root, middle and end, before and after these (-1 for none).
+
+    The longest two segments whose lengths are to each other as a person's; the foot turns off at the ankle.
+    """
+    along = np.cumsum([0.0, *tree.edges[way[1:]]])
+    best, joints = -np.inf, None
+    for first, middle, end in combinations(range(len(way)), 3):
+        upper, lower = along[middle] - along[first], along[end] - along[middle]
+        if min(upper, lower) < 1e-6 or abs(tree.heads[way[first], axis]) < LIMB_OFFSET[kind]:
+            continue
+        score = np.log(upper + lower) - RATIO_WEIGHT * np.log(upper / lower / SEGMENT_RATIO[kind]) ** 2
+        after = max(tree.children[way[end]], key=lambda child: tree.edges[child], default=-1)
+        if kind == "leg" and after >= 0:
+            score += ANKLE_WEIGHT * (1 - tree.straightness(way[end - 1], way[end], after))
+        if score > best:
+            best, joints = score, (way[first], way[middle], way[end], way[first - 1] if first else -1, after)
+    return joints
+
+
+def _first_is_left(tree: _Tree, axis: int, limbs: dict, hub: int, chest: int) -> bool:
+    """Whether the larger coordinate along the axis of symmetry is the skeleton's left."""
+    up = tree.heads[chest] - tree.heads[hub]
+    forward = sum((tree.heads[leg[4]] - tree.heads[leg[2]] for leg in limbs["leg"] if leg[4] >= 0), np.zeros(3))
+    left = np.cross(up, forward - up * (forward @ up) / (up @ up))[axis]
+    return bool(left >= 0) if abs(left) > 1e-4 else True
+
+
+def _trunk(tree: _Tree, hub: int, chest: int, upwards: list[int], rig: Rig) -> dict[str, int]:
+    """Root, spine, neck and head. upwards: joints that follow on the chest, arms apart; the longest way is the neck's.
+
+    The joints between legs and arms are spread over the rig's spine.
+    """
+    found = {rig.bone_names[0]: hub}
+    between = tree.ancestors(chest)
+    between = between[: between.index(hub)][::-1]
+    spine = _spine(rig)
+    for place, joint in enumerate(between, start=1):
+        if spine:
+            found[spine[max(round(place / len(between) * len(spine)), 1) - 1]] = joint
+    if upwards:
+        found["neck01"] = neck = max(upwards, key=lambda joint: tree.reach[joint] + tree.edges[joint])
+        if above := tree.children[neck]:
+            found["head"] = max(above, key=lambda joint: tree.reach[joint] + tree.edges[joint])
+    return found
+
+
+def _spine(rig: Rig) -> list[str]:
+    """The rig's bones between its root and its collar bones."""
+    if "clavicle.L" not in rig.bone_names:
+        return []
+    way, bone = [], int(rig.parents[rig.bone_index("clavicle.L")])
+    while bone > 0:
+        way.append(rig.bone_names[bone])
+        bone = int(rig.parents[bone])
+    return way[::-1]

@@ -1,0 +1,163 @@
+"""Skeletons of the namings that tools use, and of none: every bone is found, and the person is the same."""
+
+import json
+
+import numpy as np
+import pytest
+from gltf_person import BODY, PERSON, RIG, distances, load_document, person_document
+
+from physkin_core.avatar.avatar import AvatarError
+from physkin_core.rig.bone_naming import BONE_MAPS
+from physkin_core.rig.bone_structure import bones_by_structure
+from physkin_training.prepare.avatar import t_posed_body
+
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, which `Avatar.warnings` keeps
+LIMB_BONES = ("clavicle", "upperarm01", "lowerarm01", "wrist", "upperleg01", "lowerleg01", "foot")
+
+
+def _sided(pattern, names, left, right):
+    """Limb joints by rig bone: `pattern` with the name of each of LIMB_BONES, and each side."""
+    sides = (("L", left), ("R", right))
+    return {f"{bone}.{s}": pattern.format(name, side) for s, side in sides for bone, name in zip(LIMB_BONES, names)}
+
+
+TRUNK = {"root": "Hips", "spine04": "Spine", "spine02": "Spine1", "spine01": "Spine2", "neck01": "Neck", "head": "Head"}
+MIXAMO = ("Shoulder", "Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot")
+UNREAL = ("clavicle", "upperarm", "lowerarm", "hand", "thigh", "calf", "foot")
+UNREAL_TRUNK = {"root": "pelvis", "spine04": "spine_01", "spine02": "spine_02", "spine01": "spine_03"}
+RIGIFY = ("shoulder", "upper_arm", "forearm", "hand", "thigh", "shin", "foot")
+RIGIFY_TRUNK = {"root": "spine", "spine04": "spine.001", "spine02": "spine.002", "spine01": "spine.003"}
+BIPED = ("Clavicle", "UpperArm", "Forearm", "Hand", "Thigh", "Calf", "Foot")
+SMPL = ("Collar", "Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
+SMPL_TRUNK = {"root": "Pelvis", "spine04": "Spine1", "spine02": "Spine2", "spine01": "Spine3"}
+VRM = ("Shoulder", "UpperArm", "LowerArm", "Hand", "UpperLeg", "LowerLeg", "Foot")
+DAZ = ("Collar", "ShldrBend", "ForearmBend", "Hand", "ThighBend", "Shin", "Foot")
+
+
+def _prefixed(prefix, names):
+    return {bone: prefix + name for bone, name in names.items()}
+
+
+NAMINGS = {
+    "mixamo": _prefixed("mixamorig:", TRUNK | _sided("{1}{0}", MIXAMO, "Left", "Right")),
+    "mixamo numbered": _prefixed("mixamorig7:", TRUNK | _sided("{1}{0}", MIXAMO, "Left", "Right")),
+    "mixamo sanitised": _prefixed("mixamorig", TRUNK | _sided("{1}{0}", MIXAMO, "Left", "Right")),
+    "Ready Player Me": TRUNK | _sided("{1}{0}", MIXAMO, "Left", "Right"),
+    "Unreal": UNREAL_TRUNK | _sided("{}_{}", UNREAL, "l", "r"),
+    "Unreal, numbered by an exporter": {
+        bone: f"{name}_{k:02d}" for k, (bone, name) in enumerate(_sided("{}_{}", UNREAL, "l", "r").items())
+    },
+    "Rigify": _prefixed("DEF-", RIGIFY_TRUNK | _sided("{}.{}", RIGIFY, "L", "R")),
+    "Rigify sanitised": _prefixed("DEF-", RIGIFY_TRUNK | _sided("{}{}", RIGIFY, "L", "R")),
+    "Blender": _sided("{}.{}", VRM, "L", "R"),
+    "Blender words": _sided("{1} {0}", RIGIFY, "left", "right"),
+    "3ds Max Biped": _prefixed("Bip01 ", {"root": "Pelvis", "spine04": "Spine"} | _sided("{1} {0}", BIPED, "L", "R")),
+    "Character Creator": _prefixed("CC_Base_", _sided("{1}_{0}", BIPED, "L", "R")),
+    "DAZ": _sided("{1}{0}", DAZ, "l", "r"),
+    "SMPL": SMPL_TRUNK | _sided("{1}_{0}", SMPL, "L", "R"),
+    "SMPL in FBX": _prefixed("m_avg_", SMPL_TRUNK | _sided("{1}_{0}", SMPL, "L", "R")),
+    "SMPL-X": _sided("{1}_{0}", [name.lower() for name in SMPL], "left", "right"),
+    "VRM names": _sided("{1}{0}", VRM, "left", "right"),
+    "VRoid": _prefixed("J_Bip_", {"root": "C_Hips", "spine04": "C_Spine"} | _sided("{1}_{0}", VRM, "L", "R")),
+}
+
+
+@pytest.mark.parametrize("names", NAMINGS.values(), ids=NAMINGS)
+def test_namings(tmp_path, names):
+    """The rig's other joints are helpers that no naming knows."""
+    joint_names = [names.get(bone, f"helper {k}") for k, bone in enumerate(RIG.bone_names)]
+    avatar = load_document(tmp_path, person_document(joint_names=joint_names))
+    assert distances(avatar.vertices, PERSON.vertices).mean() < 3
+    heads = distances(avatar.bone_heads, PERSON.bone_heads)
+    assert heads.max() < 20 and max(heads[RIG.bone_index(bone)] for bone in names if bone != "root") < 4
+    assert avatar.warnings == ()
+
+
+def _vrm_skeleton(heads):
+    """Joints of the bones that a VRM has: index in the rig, parents, heads (j, 3)."""
+    bones = sorted(
+        {RIG.bone_index(bone) for bone in json.loads((BONE_MAPS / "vrm.json").read_text())["bones"].values()}
+    )
+    parents = []
+    for bone in bones:
+        above = RIG.parents[bone]
+        while above >= 0 and above not in bones:
+            above = RIG.parents[above]
+        parents.append(bones.index(above) if above >= 0 else -1)
+    return bones, np.array(parents), heads[bones]
+
+
+def _with_ends(bones, parents, heads):
+    """Toes, and five fingers a hand, as joints of their own."""
+    for side, way in (("L", 1.0), ("R", -1.0)):
+        foot, wrist = (bones.index(RIG.bone_index(f"{bone}.{side}")) for bone in ("foot", "wrist"))
+        more = [heads[foot] + [0.14, 0, -0.05]] + [heads[wrist] + [0.02 * k - 0.04, way * 0.09, 0] for k in range(5)]
+        parents = np.concatenate([parents, [foot], [wrist] * 5])
+        heads = np.concatenate([heads, more])
+    return parents, heads
+
+
+@pytest.mark.parametrize("whole_rig", [False, True])
+@pytest.mark.parametrize("ends", [False, True])
+@pytest.mark.parametrize("t_pose", [False, True])
+@pytest.mark.parametrize("body", range(4))
+def test_bones_by_structure(body, t_pose, ends, whole_rig):
+    """Limbs of several people, in A- and T-pose, with and without fingers, toes and joints that divide limbs."""
+    coefficients = BODY.held_out_bodies[body]
+    heads = t_posed_body(BODY, coefficients)[1] if t_pose else BODY.bones(coefficients)[0].astype(np.float64)
+    bones, parents = list(range(RIG.bone_count)), RIG.parents
+    if not whole_rig:
+        bones, parents, heads = _vrm_skeleton(heads)
+    if ends:
+        parents, heads = _with_ends(bones, parents, heads)
+    found = bones_by_structure(heads, parents, RIG)
+    for side in "LR":
+        for bone in LIMB_BONES[1:]:
+            assert bones[found[f"{bone}.{side}"]] == RIG.bone_index(f"{bone}.{side}"), f"{bone}.{side}"
+    assert RIG.bone_names[bones[found["neck01"]]].startswith("neck")
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_an_avatar_with_nameless_joints(tmp_path, turned):
+    """Toes tell which way it looks; the warning names the joints that were taken."""
+    bones, parents, heads = _vrm_skeleton(PERSON.bone_heads.astype(np.float64))
+    parents, heads = _with_ends(bones, parents, heads)
+    owner = np.array([max(k for k, b in enumerate(bones) if b in _line(bone)) for bone in range(RIG.bone_count)])
+    turn = np.array([-1.0, -1.0, 1.0]) if turned else np.ones(3)
+    builder = person_document(
+        vertices=PERSON.vertices * turn,
+        joint_names=[f"Bone.{k:03d}" for k in range(len(heads))],
+        joint_parents=parents,
+        joint_heads=heads * turn,
+        influence_joints=owner[PERSON.influence_bones],
+    )
+    avatar = load_document(tmp_path, builder)
+    assert distances(avatar.vertices, PERSON.vertices).mean() < 8  # spine joints only lie somewhere along the rig's
+    left_arm = bones.index(RIG.bone_index("upperarm01.L"))
+    assert f"'Bone.{left_arm:03d}' for upperarm01.L" in avatar.warnings[0]
+    assert len(avatar.warnings) == 1 + turned
+
+
+def _line(bone):
+    way = []
+    while bone >= 0:
+        way.append(bone)
+        bone = RIG.parents[bone]
+    return way
+
+
+def test_what_is_no_person(tmp_path):
+    """A chain, a star, a single place and a lopsided body are not guessed at."""
+    heads = np.arange(30.0).reshape(-1, 3)
+    assert bones_by_structure(heads, np.arange(-1, 9), RIG) is None
+    assert bones_by_structure(heads, np.array([-1] + [0] * 9), RIG) is None
+    assert bones_by_structure(np.zeros((10, 3)), np.arange(-1, 9), RIG) is None
+    bones, parents, heads = _vrm_skeleton(PERSON.bone_heads.astype(np.float64))
+    lopsided = heads.copy()
+    lopsided[bones.index(RIG.bone_index("wrist.L"))] += [0.5, 0, 0.4]
+    lopsided[bones.index(RIG.bone_index("foot.L"))] += [0.5, 0, 0.4]
+    assert bones_by_structure(lopsided, parents, RIG) is None
+    names = [f"Bone.{k}" for k in range(RIG.bone_count)]
+    crooked = PERSON.bone_heads + np.array([0, 0, 1.0]) * (np.arange(RIG.bone_count) % 3)[:, None]
+    with pytest.raises(AvatarError, match="no joint for 12 of the 12 rig bones it must have"):
+        load_document(tmp_path, person_document(joint_names=names, joint_heads=crooked))
