@@ -15,7 +15,7 @@ from pathlib import Path
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
 from physkin_core.rig.rig import Rig, RigError
 
-__all__ = ["BONE_MAPS", "OWN_NAMES", "match_bones", "required_bones"]
+__all__ = ["BONE_MAPS", "OWN_NAMES", "match_bones", "plain_name", "required_bones"]
 
 BONE_MAPS = Path(__file__).parent / "bone_maps"
 OWN_NAMES = "the rig's own names"
@@ -44,7 +44,7 @@ def match_bones(
     else:
         joints: dict[str, int] = {}
         for joint, name in enumerate(joint_names):
-            joints.setdefault(_plain(name), joint)
+            joints.setdefault(plain_name(name), joint)
         namings = [(OWN_NAMES, {name: name for name in rig.bone_names}), *_bone_maps().values()]
         candidates = [(naming, _look_up(joints, bones)) for naming, bones in namings]
         present = joint_names
@@ -71,11 +71,12 @@ def _bone_maps() -> dict[str, tuple[str, dict[str, str]]]:
 def _look_up(joints: Mapping[str, int], bones: Mapping[str, str]) -> dict[str, int]:
     found: dict[str, int] = {}
     for name, bone in bones.items():
-        if _plain(name) in joints:
-            found.setdefault(bone, joints[_plain(name)])
+        if plain_name(name) in joints:
+            found.setdefault(bone, joints[plain_name(name)])
     return found
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
+    """A joint's name without case, separators and namespace: what names are compared by."""
     last = re.split(r"[:|/]", name)[-1].lower()
-    return re.sub(r"[^a-z0-9]", "", re.sub(r"^mixamorig\d*", "", last))
+    return re.sub(r"[^a-z0-9]", "", re.sub(r"^(mixamorig\d*|bip0*1)", "", last))

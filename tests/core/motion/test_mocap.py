@@ -174,7 +174,7 @@ def test_fast_clips_are_thinned(rig, tmp_path):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda text: text.replace("LeftForeArm", "Tail"), "no joint called leftforearm or lradius .* it has Hips"),
+        (lambda text: text.replace("LeftForeArm", "Tail"), "no joint called forearm, .* radius, elbow with left or l .* for elbow.L; it has Hips"),
         (lambda text: text.replace("Frames: 2", "Frames: 3"), "frames of shape"),
         (lambda text: text.replace("Frame Time", "Time"), "malformed"),
         (lambda text: text.rstrip()[:-4], "malformed|frames of shape"),
