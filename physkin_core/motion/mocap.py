@@ -18,7 +18,8 @@ from scipy.spatial.transform import Rotation
 from physkin_core.motion.mocap_files import Skeleton, read_amc, read_bvh
 from physkin_core.motion.mocap_joints import find_joints
 from physkin_core.motion.motion import Motion, MotionError
-from physkin_core.motion.retargeting import Watch, leg_length, on_floor, retarget
+from physkin_core.motion.reading_progress import Watch
+from physkin_core.motion.retargeting import leg_length, on_floor, retarget
 from physkin_core.rig.rig import Rig
 
 __all__ = ["AMC_RATE_HZ", "load_mocap"]
@@ -146,8 +147,8 @@ def _from_upright(
     """
     trunk = heads["neck"] - heads["root"]
     up = _nearest_axis(trunk.mean(axis=0))
-    bones = [heads[f"{above}.{side}"] - heads[f"{below}.{side}"] for side in "LR"
-             for above, below in (("hip", "knee"), ("knee", "ankle"))]  # fmt: skip
+    pairs = (("hip", "knee"), ("knee", "ankle"))
+    bones = [heads[f"{above}.{side}"] - heads[f"{below}.{side}"] for side in "LR" for above, below in pairs]
     upright = sum((bone / np.linalg.norm(bone, axis=1, keepdims=True)) @ up for bone in (trunk, trunk, *bones))
     frame = int(np.argmax(upright))
     left = heads["hip.L"][frame] - heads["hip.R"][frame]

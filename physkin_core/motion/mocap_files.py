@@ -118,7 +118,8 @@ def read_bvh(text: str) -> Skeleton:
     width = sum(map(len, channels))
     if count == 0 or frames.shape != (count, width) or not np.isfinite(frames).all() or step <= 0:
         raise ValueError(
-            f"frames of shape {frames.shape}, expected {(count, width)}, at least one, finite, and a positive frame time"
+            f"frames of shape {frames.shape} every {step} s, expected shape {(count, width)}, some, finite, "
+            "and a positive frame time"
         )
     found, column = [], 0
     for (name, parent, offset), its in zip(joints, channels, strict=True):
@@ -161,8 +162,9 @@ def read_amc(text: str, asf: str, rate_hz: float) -> Skeleton:
         channels = fields.get("dof", []) if parent else order
         if channels:
             values = np.loadtxt(frames[name], ndmin=2) if frames[name] else np.empty((0, 0))
-            if values.shape != (count, len(channels)) or not np.isfinite(values).all():
-                raise ValueError(f"{name} has values of shape {values.shape}, expected {(count, len(channels))}, finite")
+            if count == 0 or values.shape != (count, len(channels)) or not np.isfinite(values).all():
+                expected = (count, len(channels))
+                raise ValueError(f"{name} has values of shape {values.shape}, expected shape {expected}, some, finite")
         if not parent:
             turns, places = ([order.index(f"{kind}{axis}") for axis in "XYZ"] for kind in "RT")
             joints.append(Joint(name, -1, np.zeros(3), "ZYX", values[:, turns[::-1]], values[:, places]))

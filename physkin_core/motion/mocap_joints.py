@@ -1,7 +1,8 @@
 """Which joint of a motion capture skeleton is which of a body's, by the usual names.
 
 Head and limbs are found by name, written without case, separators and namespace, with their side before or after:
-`lShldr`, `LeftArm`, `mixamorig:LeftArm`, `UpperArm_L`, `left_shoulder`. Pelvis and chest are where legs and arms branch.
+`lShldr`, `LeftArm`, `mixamorig:LeftArm`, `UpperArm_L`, `left_shoulder`. Pelvis and chest are where legs and arms
+branch.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ CHAINS = (("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist"))
 
 
 def find_joints(skeleton: Skeleton) -> dict[str, int]:
-    """Joint index of `root`, `chest`, `neck`, and of `hip`, `knee`, `ankle`, `shoulder`, `elbow`, `wrist` with `.L`, `.R`.
+    """Joint index of `root`, `chest`, `neck`, and `hip`, `knee`, `ankle`, `shoulder`, `elbow`, `wrist` with `.L`, `.R`.
 
     Raises MotionError for a part that no joint has a name of, naming those tried and the joints there are, and for
     limbs whose joints do not follow each other.

@@ -10,7 +10,7 @@ Dimensions: `T` frames, `b` bones, `d` degrees of freedom. Radians and metres.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -19,13 +19,11 @@ from scipy.spatial.transform import Rotation
 import physkin_core._native as _native
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.motion.motion import Motion
+from physkin_core.motion.reading_progress import Watch
 from physkin_core.rig.linear_blend_skinning import dense_weights
 from physkin_core.rig.rig import Rig
 
-__all__ = ["Watch", "leg_length", "on_floor", "retarget"]
-
-Watch = Callable[[float], None]
-"""Told how much of a clip is done, from 0 to 1."""
+__all__ = ["leg_length", "on_floor", "retarget"]
 
 # Source joint -> (rig bone that follows it, bones whose heads give the limb's direction; None: turns as a whole).
 FOLLOWERS = {"chest": ("spine02", None), "neck": ("head", None)}
@@ -59,9 +57,9 @@ def retarget(
     orientation) and the source's, and `at_limit`, the share of solved joint positions that lie on a limit.
     """
     bones = [rig.bone_index(bone) for bone, _ in FOLLOWERS.values()]
-    frames, targets = zip(*(_directions(rig, rotations, joint) for joint in FOLLOWERS), strict=True)
-    frames, targets = np.stack(frames), np.ascontiguousarray(np.stack(targets, axis=1))  # (targets, 3, 3), (T, targets, 3, 3)
-    turns, solver = _pose_solver(rig, bones, frames)
+    axes, targets = zip(*(_directions(rig, rotations, joint) for joint in FOLLOWERS), strict=True)
+    axes, targets = np.stack(axes), np.ascontiguousarray(np.stack(targets, axis=1))
+    turns, solver = _pose_solver(rig, bones, axes)
 
     q = np.tile(np.clip(rig.rest, rig.lower, rig.upper), (len(targets), 1))
     here = np.ascontiguousarray(q[:, turns])
@@ -72,7 +70,7 @@ def retarget(
         if watch is not None:
             watch((done + 1) / iterations)
     q[:, turns] = here
-    turned = np.concatenate([rig.bone_transforms(part)[:, bones, :, :3] for part in _parts(q)]) @ frames
+    turned = np.concatenate([rig.bone_transforms(part)[:, bones, :, :3] for part in _parts(q)]) @ axes
     report = {}
     for k, (bone, limb) in enumerate(FOLLOWERS.values()):
         if limb is None:
