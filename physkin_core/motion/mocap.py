@@ -87,7 +87,10 @@ def _read(path: Path, skeleton: str | Path | None, source_rate_hz: float) -> Ske
 
 
 def _calibration_frames(source: Skeleton, joints: dict[str, int]) -> int:
-    """How many frames a calibration pose takes: it ends in a jump, which some files spread over the next few frames."""
+    """How many frames a calibration pose takes: it ends in a jump, which some files spread over the next few frames.
+
+    Those are left out, too, that turn faster than any of the frames after them.
+    """
     rotations, _ = source.at(slice(3 * CALIBRATION_FRAMES)).posed(joints.values())
     steps = np.array([(each[:-1].inv() * each[1:]).magnitude() for each in rotations.values()]).max(axis=0)
     first, later = steps[:CALIBRATION_FRAMES], steps[CALIBRATION_FRAMES:]
@@ -100,7 +103,8 @@ def _hanging(source: Skeleton, joint: dict[str, int]) -> tuple[dict[str, Rotatio
     """What `retarget` wants: rotations by its joints; also root positions (T, 3) Z up and the length of a leg."""
     posed, heads = source.posed(joint.values())
     posed = {part: posed[index] for part, index in joint.items()}
-    at_rest = {part: source.at_rest()[index] for part, index in joint.items()}
+    rest = source.at_rest()
+    at_rest = {part: rest[index] for part, index in joint.items()}
     if not _stands(at_rest):
         posed, at_rest = _from_upright(posed, {part: heads[index] for part, index in joint.items()})
     up = _nearest_axis(at_rest["neck"] - at_rest["root"])

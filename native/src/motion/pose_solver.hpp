@@ -27,6 +27,7 @@ struct Pulls {
   double rest, neighbours, longest_step;
 };
 
+// Not for use by two threads at once.
 class PoseSolver {
  public:
   // Throws std::invalid_argument where a parent does not come before its turn, or a follower's turn does not exist.
