@@ -143,12 +143,13 @@ def _worn(options: argparse.Namespace, **more: object) -> Draper:
 
 def _drape(options: argparse.Namespace) -> int:
     from physkin_core import load_motion
+    from physkin_core.motion.reading_progress import reading_progress
 
     writers: dict[str, Callable] = {".obj": _write_obj, ".png": _write_png}
     write = writers.get(options.output.suffix.lower())
     if write is None:
         raise ValueError(f"cannot write {options.output}: the name must end in {' or '.join(writers)}")
-    motion = load_motion(options.motion)
+    motion = load_motion(options.motion, watch=reading_progress(options.motion))
     if not 0 <= options.frame < motion.frame_count:
         raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
     draper = _worn(options, backend=options.backend)

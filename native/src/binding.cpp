@@ -18,6 +18,7 @@
 #include "garment/bound_garment.hpp"
 #include "kernels/dispatch.hpp"
 #include "kernels/machine_floors.hpp"
+#include "motion_binding.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -413,6 +414,7 @@ NB_MODULE(_native, module) {
              "instruction_set"_a = nb::none());
   module.def("bound_garment_fields", physkin::bound_garment_fields);
   module.def("supported_instruction_sets", physkin::supported_instruction_sets);
+  physkin::bind_motion(module);
   nb::class_<MachineProbe>(module, "MachineProbe")
       .def("__init__",
            [](MachineProbe* self, std::int64_t bytes, const Text& instruction_set) {

@@ -14,6 +14,7 @@ import numpy as np
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.motion.motion import Motion, MotionError
+from physkin_core.motion.reading_progress import Watch
 
 __all__ = ["MOCAP_SUFFIXES", "MOTIONS_DIRECTORY", "bundled_motions", "load_motion", "save_motion"]
 
@@ -27,10 +28,10 @@ def bundled_motions() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in MOTIONS_DIRECTORY.glob("*.safetensors")))
 
 
-def load_motion(path_or_name: str | Path) -> Motion:
+def load_motion(path_or_name: str | Path, *, watch: Watch | None = None) -> Motion:
     """Read a clip: a bundled name (`bundled_motions`), a file that `save_motion` wrote, motion capture, .bvh or .amc
     (see `physkin_core.motion.mocap`), as motion of the default rig, or the joint states of a bag: .mcap, .db3 or a
-    folder with `metadata.yaml` (see `physkin_core.motion.bag_motion`).
+    folder with `metadata.yaml` (see `physkin_core.motion.bag_motion`). watch: told the share done of motion capture.
 
     Raises MotionError for an unknown name, an unreadable file, missing tensors, bad shapes or values not finite.
     """
@@ -38,7 +39,7 @@ def load_motion(path_or_name: str | Path) -> Motion:
     if path.suffix.lower() in MOCAP_SUFFIXES:
         from physkin_core.motion.mocap import load_mocap
 
-        return load_mocap(path, load_body_model().rig)[0]
+        return load_mocap(path, load_body_model().rig, watch=watch)[0]
     if path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").is_file():
         return _read_bag(path)
     if path.suffix != ".safetensors":

@@ -1,21 +1,26 @@
 """Retargeting of motion from another humanoid to the default rig.
 
 The rig follows the directions and hinges of the source's limbs: a bounded least-squares problem over the rig's degrees
-of freedom, all frames of a clip at once. A light pull towards the canonical pose shares one source rotation among the
-rig's bones (one chest joint, three spine bones; a limb's twist over its two halves).
+of freedom, all frames of a clip at once (`native/src/motion/pose_solver.cpp`). A light pull towards the canonical pose
+shares one source rotation among the rig's bones (one chest joint, three spine bones; a limb's twist over its two
+halves).
 
 Dimensions: `T` frames, `b` bones, `d` degrees of freedom. Radians and metres.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+import physkin_core._native as _native
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.motion.motion import Motion
+from physkin_core.motion.reading_progress import Watch
+from physkin_core.rig.linear_blend_skinning import dense_weights
 from physkin_core.rig.rig import Rig
 
 __all__ = ["leg_length", "on_floor", "retarget"]
@@ -37,37 +42,35 @@ FOOT_SHARE = 0.5  # the rig's ankle does not turn about the shin: its foot must 
 PULL = 0.03  # towards the canonical pose [1/rad]; a limb's direction counts 1
 SMOOTHING = 0.3  # towards the mean of the frames before and after [1/rad]
 MAX_STEP = 0.4  # [rad] an iteration
-BLOCK = 128  # frames solved together: bounds the memory
+BLOCK = 128  # frames posed together: bounds the memory
 
 
-def retarget(rig: Rig, rotations: dict[str, Rotation], *, iterations: int = 60) -> tuple[np.ndarray, dict[str, float]]:
+def retarget(
+    rig: Rig, rotations: dict[str, Rotation], *, iterations: int = 60, watch: Watch | None = None
+) -> tuple[np.ndarray, dict[str, float]]:
     """Joint positions (T, d) [rad] that follow global source rotations, and how well they do.
 
     rotations: of `root`, `chest`, `neck`, and `hip`, `knee`, `ankle`, `shoulder`, `elbow` with `.L` and `.R`, T each,
     relative to a body that looks along X, Z up, arms and legs hanging straight down, elbows and knees bending about Y.
+    watch: told the share done, 0 to 1, after every iteration.
     The report gives, by rig bone, the mean and largest angle [degrees] between its direction (trunk and feet: its
     orientation) and the source's, and `at_limit`, the share of solved joint positions that lie on a limit.
     """
     bones = [rig.bone_index(bone) for bone, _ in FOLLOWERS.values()]
-    frames, targets = zip(*(_directions(rig, rotations, joint) for joint in FOLLOWERS), strict=True)
-    frames, targets = np.stack(frames), np.stack(targets, axis=1)  # (targets, 3, 3), (T, targets, 3, 3)
-    solved = [k for k, dof in enumerate(rig.dofs) if not dof.bone.startswith(UNUSED_BONES)]
+    axes, targets = zip(*(_directions(rig, rotations, joint) for joint in FOLLOWERS), strict=True)
+    axes, targets = np.stack(axes), np.ascontiguousarray(np.stack(targets, axis=1))
+    turns, solver = _pose_solver(rig, bones, axes)
 
-    q = np.tile(np.clip(rig.rest, rig.lower, rig.upper), (targets.shape[0], 1))
-    for _ in range(iterations):
-        between = np.concatenate([q[:1], (q[:-2] + q[2:]) / 2, q[-1:]])
-        steps = []
-        for block in range(0, len(q), BLOCK):
-            here = slice(block, block + BLOCK)
-
-            def residual(q: np.ndarray, between: np.ndarray = between[here], targets: np.ndarray = targets[here]):
-                missed = rig.bone_transforms(q)[..., bones, :, :3] @ frames - targets
-                pulls = [PULL * (q - rig.rest)[..., solved], SMOOTHING * (q - between)[..., solved]]
-                return np.concatenate([missed.reshape(*q.shape[:-1], -1), *pulls], axis=-1)
-
-            steps.append(_bounded_step(residual, q[here], solved, rig))
-        q = np.concatenate(steps)
-    turned = rig.bone_transforms(q)[..., bones, :, :3] @ frames
+    q = np.tile(np.clip(rig.rest, rig.lower, rig.upper), (len(targets), 1))
+    here = np.ascontiguousarray(q[:, turns])
+    there = np.empty_like(here)
+    for done in range(iterations):
+        solver.step(targets, here, there)
+        here, there = there, here
+        if watch is not None:
+            watch((done + 1) / iterations)
+    q[:, turns] = here
+    turned = np.concatenate([rig.bone_transforms(part)[:, bones, :, :3] for part in _parts(q)]) @ axes
     report = {}
     for k, (bone, limb) in enumerate(FOLLOWERS.values()):
         if limb is None:
@@ -76,7 +79,7 @@ def retarget(rig: Rig, rotations: dict[str, Rotation], *, iterations: int = 60) 
             angle = np.arccos(np.clip(np.sum(turned[:, k, :, 0] * targets[:, k, :, 0], axis=1), -1, 1))
         report[bone] = (float(np.degrees(angle.mean())), float(np.degrees(angle.max())))
     at_limit = (q <= rig.lower + 1e-6) | (q >= rig.upper - 1e-6)
-    return q, {**report, "at_limit": float(at_limit[:, solved].mean())}
+    return q, {**report, "at_limit": float(at_limit[:, turns].mean())}
 
 
 def leg_length(rig: Rig) -> float:
@@ -88,15 +91,21 @@ def leg_length(rig: Rig) -> float:
 def on_floor(motion: Motion) -> Motion:
     """Shift the clip up or down as a whole so that the template body stands on Z = 0 in all but its lowest frames."""
     body = load_body_model()
-    vertices = body.vertices(body.garment_body)
+    rig, vertices = body.rig, body.vertices(body.garment_body)
     points = np.concatenate([vertices, np.ones((len(vertices), 1))], axis=1)
+    weights = dense_weights(body.influence_bones, body.influence_weights, rig.bone_count)
+    carried = (weights[:, :, None] * points[:, None]).reshape(len(points), -1).astype(np.float32)  # (V, b 4)
     up = Rotation.from_quat(motion.root_orientation).as_matrix()[:, 2]  # world Z in the root frame
-    lowest = []
-    for q, axis, height in zip(motion.positions, up, motion.root_position[:, 2], strict=True):
-        rows = np.einsum("i,bij->bj", axis, body.rig.bone_transforms(q))  # a point's height, bone by bone
-        heights = np.einsum("vk,vkj,vj->v", body.influence_weights, rows[body.influence_bones], points)
-        lowest.append(heights.min() + height)
+    lowest = motion.root_position[:, 2].astype(np.float64)
+    for part in _parts(np.arange(motion.frame_count)):
+        rows = np.einsum("ti,tbij->tbj", up[part], rig.bone_transforms(motion.positions[part]))
+        lowest[part] += (carried @ rows.reshape(len(part), -1).T.astype(np.float32)).min(axis=0)  # of heights (V, t)
     return replace(motion, root_position=motion.root_position - [0.0, 0.0, np.quantile(lowest, 0.1)])
+
+
+def _parts(frames: np.ndarray) -> Iterator[np.ndarray]:
+    """An array (T, ...), a bounded number of frames at a time."""
+    return (frames[start : start + BLOCK] for start in range(0, len(frames), BLOCK))
 
 
 def _directions(rig: Rig, rotations: dict[str, Rotation], joint: str) -> tuple[np.ndarray, np.ndarray]:
@@ -122,20 +131,31 @@ def _directions(rig: Rig, rotations: dict[str, Rotation], joint: str) -> tuple[n
     return here @ weights, relative @ there @ weights
 
 
-def _bounded_step(residual, q: np.ndarray, solved: list[int], rig: Rig) -> np.ndarray:
-    """One Gauss-Newton step of all frames (T, d) within the rig's limits; what pushes against a limit stays there."""
-    nudge = 1e-5
-    value = residual(q)
-    nudged = np.repeat(q[None], len(solved), axis=0)
-    nudged[np.arange(len(solved)), :, solved] += nudge
-    jacobian = np.moveaxis((residual(nudged) - value) / nudge, 0, -1)  # (T, residuals, solved)
-    gradient = np.einsum("trs,tr->ts", jacobian, value)
-    low, high = rig.lower[solved], rig.upper[solved]
-    held = ((q[:, solved] <= low) & (gradient > 0)) | ((q[:, solved] >= high) & (gradient < 0))
-    jacobian = np.where(held[:, None], 0.0, jacobian)
-    normal = jacobian.transpose(0, 2, 1) @ jacobian + 1e-9 * np.eye(len(solved))
-    step = -np.linalg.solve(normal, np.where(held, 0.0, gradient)[..., None])[..., 0]
-    step *= np.minimum(1.0, MAX_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
-    q = q.copy()
-    q[:, solved] = np.clip(q[:, solved] + step, low, high)
-    return q
+def _pose_solver(rig: Rig, bones: list[int], axes: np.ndarray) -> tuple[list[int], _native.PoseSolver]:
+    """Degrees of freedom that are solved for, parents first, and what solves for them so that the weighted axes
+    (followers, 3, 3) of rig bones come to lie where they should."""
+    turns: list[int] = []
+    last: dict[int, int] = {-1: -1}  # the last turn, as an index of `turns`, that moves a bone
+    parents = []
+    moving = _with_ancestors(rig, bones)
+    for bone in moving:
+        last[bone] = last[int(rig.parents[bone])]
+        for dof in np.flatnonzero(rig.dof_bones == bone).tolist():
+            if not rig.bone_names[bone].startswith(UNUSED_BONES):
+                parents.append(last[bone])
+                last[bone] = len(turns)
+                turns.append(dof)
+    numbers = np.column_stack([rig.dof_axes, rig.rest, rig.lower, rig.upper])[turns]
+    followers = [last[bone] for bone in bones]
+    pulls = [PULL, SMOOTHING, MAX_STEP]
+    return turns, _native.PoseSolver(parents, numbers.tolist(), followers, axes.reshape(-1, 9).tolist(), pulls)
+
+
+def _with_ancestors(rig: Rig, bones: list[int]) -> list[int]:
+    """Bones and all that carry them, parents first."""
+    found: set[int] = set()
+    for bone in bones:
+        while bone >= 0:
+            found.add(bone)
+            bone = int(rig.parents[bone])
+    return sorted(found)

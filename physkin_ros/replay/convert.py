@@ -8,6 +8,7 @@ from pathlib import Path
 from physkin_core import Motion, load_body_model, load_motion
 from physkin_core.motion.loading import MOCAP_SUFFIXES
 from physkin_core.motion.mocap import AMC_RATE_HZ, load_mocap
+from physkin_core.motion.reading_progress import reading_progress
 from physkin_ros.replay.bags import STORAGES, BagWriter, write_motion
 
 __all__ = ["main"]
@@ -29,7 +30,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--gravity-topic", default="/gravity", help="default %(default)s")
     parser.add_argument("--frame-id", default="base_link", help="default %(default)s")
     options = parser.parse_args(argv)
-    with BagWriter(options.output, storage=options.storage) as writer:  # first: reading a motion may take a minute
+    with BagWriter(options.output, storage=options.storage) as writer:  # first: a motion may take a while to read
         motion = _motion(options)
         if options.rate is not None:
             motion = motion.resampled(options.rate)
@@ -45,7 +46,8 @@ def _motion(options: argparse.Namespace) -> Motion:
     if Path(options.motion).suffix.lower() not in MOCAP_SUFFIXES:
         return load_motion(options.motion)
     settings = {"skeleton": options.skeleton, "source_rate_hz": options.source_rate}
-    motion, missed = load_mocap(options.motion, load_body_model().rig, **settings)
+    watch = reading_progress(options.motion)
+    motion, missed = load_mocap(options.motion, load_body_model().rig, watch=watch, **settings)
     bone = max(missed, key=missed.get)
     print(
         f"retargeted: bones miss their direction by {sum(missed.values()) / len(missed):.1f} degrees on average, "

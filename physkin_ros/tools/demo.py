@@ -15,6 +15,7 @@ from pathlib import Path
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model, load_motion
 from physkin_core.fit_option import add_fit_option
+from physkin_core.motion.reading_progress import reading_progress
 from physkin_ros.arguments import file_to_write, positive
 from physkin_ros.middleware.transport import private_environment
 from physkin_ros.tools.children import ChildFailedError, Children
@@ -37,7 +38,7 @@ def main(argv: list[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     model = load_garment_model(options.garment)
     avatar = load_avatar(options.body or BUNDLED_AVATAR, model.rig)
-    clip = load_motion(options.motion).resampled(RATE_HZ)
+    clip = load_motion(options.motion, watch=reading_progress(options.motion)).resampled(RATE_HZ)
     motion = clip.looped(options.seconds)
     keep_every = math.ceil(min(clip.frame_count, motion.frame_count) / KEPT_CLOUDS)
     try:

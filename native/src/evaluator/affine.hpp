@@ -1,4 +1,4 @@
-// Small fixed-size matrices for bones and garment nodes, row-major.
+// Small fixed-size matrices for bones and garment nodes, row-major; single precision where not said otherwise.
 #pragma once
 
 #include <algorithm>
@@ -6,47 +6,71 @@
 
 namespace physkin {
 
-struct Vector3 {
-  float x, y, z;
+template <class Real>
+struct Vector3Of {
+  Real x, y, z;
 };
+using Vector3 = Vector3Of<float>;
 
-inline Vector3 operator+(Vector3 a, Vector3 b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
-inline Vector3 operator-(Vector3 a, Vector3 b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
-inline Vector3 operator*(float s, Vector3 a) { return {s * a.x, s * a.y, s * a.z}; }
-inline float dot(Vector3 a, Vector3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+template <class Real>
+Vector3Of<Real> operator+(Vector3Of<Real> a, Vector3Of<Real> b) {
+  return {a.x + b.x, a.y + b.y, a.z + b.z};
+}
+template <class Real>
+Vector3Of<Real> operator-(Vector3Of<Real> a, Vector3Of<Real> b) {
+  return {a.x - b.x, a.y - b.y, a.z - b.z};
+}
+template <class Real>
+Vector3Of<Real> operator*(Real s, Vector3Of<Real> a) {
+  return {s * a.x, s * a.y, s * a.z};
+}
+template <class Real>
+Real dot(Vector3Of<Real> a, Vector3Of<Real> b) {
+  return a.x * b.x + a.y * b.y + a.z * b.z;
+}
 inline Vector3 cross(Vector3 a, Vector3 b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 // The zero vector stays zero, so that a degenerate rotation collapses a garment node but never makes a NaN.
 inline Vector3 normalized(Vector3 a) { return (1.0f / std::sqrt(std::max(dot(a, a), 1e-30f))) * a; }
 
-inline Vector3 load_vector(const float* p) { return {p[0], p[1], p[2]}; }
+template <class Real>
+Vector3Of<Real> load_vector(const Real* p) {
+  return {p[0], p[1], p[2]};
+}
 
-struct Matrix3 {
-  Vector3 rows[3];
+template <class Real>
+struct Matrix3Of {
+  Vector3Of<Real> rows[3];
 };
+using Matrix3 = Matrix3Of<float>;
 
-constexpr Matrix3 kIdentity3{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
+template <class Real>
+constexpr Matrix3Of<Real> kIdentity3Of{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
+constexpr Matrix3 kIdentity3 = kIdentity3Of<float>;
 
 inline Matrix3 from_columns(Vector3 a, Vector3 b, Vector3 c) {
   return {{{a.x, b.x, c.x}, {a.y, b.y, c.y}, {a.z, b.z, c.z}}};
 }
-inline Vector3 operator*(const Matrix3& m, Vector3 v) {
+template <class Real>
+Vector3Of<Real> operator*(const Matrix3Of<Real>& m, Vector3Of<Real> v) {
   return {dot(m.rows[0], v), dot(m.rows[1], v), dot(m.rows[2], v)};
 }
-inline Matrix3 operator*(const Matrix3& a, const Matrix3& b) {
-  Matrix3 product;
+template <class Real>
+Matrix3Of<Real> operator*(const Matrix3Of<Real>& a, const Matrix3Of<Real>& b) {
+  Matrix3Of<Real> product;
   for (int i = 0; i < 3; ++i) {
-    const Vector3 row = a.rows[i];
+    const Vector3Of<Real> row = a.rows[i];
     product.rows[i] = row.x * b.rows[0] + row.y * b.rows[1] + row.z * b.rows[2];
   }
   return product;
 }
 
 // Rotation about a unit axis (Rodrigues).
-inline Matrix3 rotation(Vector3 axis, float angle) {
-  const float s = std::sin(angle), c = std::cos(angle);
-  const Vector3 t = (1.0f - c) * axis;
+template <class Real>
+Matrix3Of<Real> rotation(Vector3Of<Real> axis, Real angle) {
+  const Real s = std::sin(angle), c = std::cos(angle);
+  const Vector3Of<Real> t = (Real(1) - c) * axis;
   return {{{t.x * axis.x + c, t.x * axis.y - s * axis.z, t.x * axis.z + s * axis.y},
            {t.y * axis.x + s * axis.z, t.y * axis.y + c, t.y * axis.z - s * axis.x},
            {t.z * axis.x - s * axis.y, t.z * axis.y + s * axis.x, t.z * axis.z + c}}};

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import re
+import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core import MotionError, load_body_model, load_motion
 from physkin_core.motion.mocap import load_mocap
+from physkin_core.motion.reading_progress import reading_progress
 
 # name, parent, offset from the parent (Y up, looks along Z, left is X), arms stretched out sideways
 JOINTS = [
@@ -34,32 +36,54 @@ for _side in ("Left", "Right"):
         ASF_NAMES[f"{_side}{_name}"] = _side[0].lower() + _bone
 
 
-def write_bvh(path, frames, *, rate=60, prefix=""):
-    """frames: joint -> degrees about Z, X and Y (intrinsic), others at rest; `position` of the root."""
-    children = {name: [child for child, parent, _ in JOINTS if parent == name] for name, *_ in JOINTS}
-    offset = {name: offset for name, _, offset in JOINTS}
+def write_bvh(path, frames, *, rate=60, joints=JOINTS, renamed=lambda name: name):
+    """frames: joint -> degrees about Z, X and Y (intrinsic), others at rest; `position` of the hips."""
+    children = {name: [child for child, parent, _ in joints if parent == name] for name, *_ in joints}
+    offset = {name: offset for name, _, offset in joints}
     order, lines = [], ["HIERARCHY"]
 
     def joint(name, keyword):
         order.append(name)
-        kept = "Xposition Yposition Zposition " if keyword == "ROOT" else ""
+        kept = "Xposition Yposition Zposition " if keyword == "ROOT" or name == "Hips" else ""
         channels = f"CHANNELS {6 if kept else 3} {kept}Zrotation Xrotation Yrotation"
-        lines.extend([f"{keyword} {prefix}{name}", "{", "OFFSET {} {} {}".format(*offset[name]), channels])
+        lines.extend([f"{keyword} {renamed(name)}", "{", "OFFSET {} {} {}".format(*offset[name]), channels])
         for child in children[name]:
             joint(child, "JOINT")
         if not children[name]:
             lines.extend(["End Site", "{", "OFFSET 0 5 0", "}"])
         lines.append("}")
 
-    joint("Hips", "ROOT")
+    joint(joints[0][0], "ROOT")
     lines += ["MOTION", f"Frames: {len(frames)}", f"Frame Time: {1 / rate}"]
     for frame in frames:
-        values = [*frame.get("position", (0, 95, 0))]
+        values = []
         for name in order:
+            if name == "Hips":
+                values += frame.get("position", (0, 95, 0))
+            elif name == order[0]:
+                values += (0, 0, 0)
             values += frame.get(name, (0, 0, 0))
         lines.append(" ".join(map(str, values)))
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+def write_along_bones(path, frames):
+    """The same with axes of its own for each joint, in which nobody stands without rotation, below a joint more."""
+    random = np.random.default_rng(3)
+    axes = {name: Rotation.random(random_state=random) for name, *_ in JOINTS} | {None: Rotation.identity()}
+    joints = [("Place", None, (0, 0, 0))]
+    joints += [(name, parent or "Place", tuple(axes[parent].inv().apply(offset))) for name, parent, offset in JOINTS]
+    turned = []
+    for frame in frames:
+        values = {"position": frame.get("position", (0, 95, 0))}
+        for name, parent, _ in JOINTS:
+            turn = (
+                axes[parent].inv() * Rotation.from_euler("ZXY", frame.get(name, (0, 0, 0)), degrees=True) * axes[name]
+            )
+            values[name] = tuple(turn.as_euler("ZXY", degrees=True))
+        turned.append(values)
+    return write_bvh(path, turned, joints=joints)
 
 
 def write_amc(folder, frames):
@@ -114,6 +138,7 @@ def angle(directions, expected):
     return np.degrees(np.arccos(np.clip((directions * np.array(expected, dtype=float)).sum(axis=-1), -1, 1))).max()
 
 
+FIELDS = ("positions", "root_orientation", "root_position")
 # Left arm hangs and its elbow bends forward by a right angle; the right one hangs; the right knee is pulled up.
 POSE = {
     "LeftArm": (-80, 0, 0),
@@ -124,14 +149,16 @@ POSE = {
 }
 
 
-@pytest.mark.parametrize("kind", ["bvh", "mixamo", "amc"])
+@pytest.mark.parametrize("kind", ["bvh", "along bones", "amc"])
 def test_limbs_point_where_the_files_do(kind, rig, tmp_path):
-    """Arms and legs, whatever the file's axes."""
+    """Arms and legs, whatever the file's axes and wherever its joints are without rotation."""
     if kind == "amc":
         motion, report = load_mocap(write_amc(tmp_path, [POSE] * 3), rig, source_rate_hz=60)
+    elif kind == "along bones":
+        motion, report = load_mocap(write_along_bones(tmp_path / "a.bvh", [POSE] * 3 + [{}]), rig)
+        motion = replace(motion, **{field: getattr(motion, field)[:3] for field in FIELDS})
     else:
-        prefix = "mixamorig:" if kind == "mixamo" else ""
-        motion, report = load_mocap(write_bvh(tmp_path / "a.bvh", [POSE] * 3, prefix=prefix), rig)
+        motion, report = load_mocap(write_bvh(tmp_path / "a.bvh", [POSE] * 3), rig)
     assert motion.frame_count == 3 and motion.rate_hz == 60 and motion.joint_names == rig.joint_names
     s, c = np.sin(np.radians(80)), np.cos(np.radians(80))
     expected = {
@@ -174,7 +201,10 @@ def test_fast_clips_are_thinned(rig, tmp_path):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda text: text.replace("LeftForeArm", "Tail"), "no joint called leftforearm or lradius .* it has Hips"),
+        (
+            lambda text: text.replace("LeftForeArm", "Tail"),
+            "no joint called forearm, .* radius, elbow with left or l .* for elbow.L; it has Hips",
+        ),
         (lambda text: text.replace("Frames: 2", "Frames: 3"), "frames of shape"),
         (lambda text: text.replace("Frame Time", "Time"), "malformed"),
         (lambda text: text.rstrip()[:-4], "malformed|frames of shape"),
@@ -213,15 +243,92 @@ def test_straight_arm_turns_about_itself(rig, tmp_path):
     assert twisted == pytest.approx(60, abs=15)
 
 
-def test_daz_names_and_load_motion(tmp_path):
-    """The release of the CMU database named like DAZ figures; `load_motion` takes what mocap has by its suffix."""
-    path = write_bvh(tmp_path / "wave.bvh", [{"LeftForeArm": (40, 0, 0)}] * 4)
-    daz = {"Hips": "hip", "Spine1": "chest", "Head": "head"}
-    limbs = {"UpLeg": "Thigh", "Leg": "Shin", "Foot": "Foot", "ForeArm": "ForeArm", "Arm": "Shldr", "Hand": "Hand"}
-    for side in ("Left", "Right"):
-        daz |= {f"{side}{ours}": side[0].lower() + name for ours, name in limbs.items()}
-    text = re.sub(r"(ROOT|JOINT) (\w+)", lambda found: f"{found[1]} {daz[found[2]]}", path.read_text())
-    (tmp_path / "daz.bvh").write_text(text)
-    one, other = load_motion(path), load_motion(tmp_path / "daz.bvh")
-    np.testing.assert_allclose(one.positions, other.positions, atol=1e-6)
-    assert np.abs(one.positions[0] - load_body_model().rig.rest).max() > 0.3
+def daz(name):
+    return {"Hips": "hip", "Spine1": "chest", "Head": "head"}.get(name) or sided(
+        name, "{s}{part}", UpLeg="Thigh", Leg="Shin", Arm="Shldr"
+    )
+
+
+def sided(name, form, **parts):
+    """A limb's joint with its side where `form` has it, in words of `parts`; a joint of the trunk as it is."""
+    side = "Left" if name.startswith("Left") else "Right" if name.startswith("Right") else ""
+    part = parts.get(name.removeprefix(side), name.removeprefix(side))
+    return form.format(side=side, s=side[0].lower(), S=side[0], part=part) if side else part
+
+
+SEGMENTS = {"UpLeg": "UpperLeg", "Leg": "LowerLeg", "Arm": "UpperArm", "ForeArm": "LowerArm"}
+JOINT_WORDS = {"UpLeg": "Hip", "Leg": "Knee", "Foot": "Ankle", "Arm": "Shoulder", "ForeArm": "Elbow", "Hand": "Wrist"}
+NAMINGS = {
+    "CMU for DAZ": daz,
+    "CMU for MotionBuilder": lambda name: name,
+    "CMU for 3ds Max": lambda name: sided(name, "{side}{part}", **JOINT_WORDS, Spine1="Chest"),
+    "Mixamo": lambda name: f"mixamorig:{name}",
+    "Rokoko": lambda name: sided(name, "{side}{part}", UpLeg="Thigh", Leg="Shin", Spine1="Spine4"),
+    "Xsens MVN": lambda name: sided(
+        name, "{side}{part}", **SEGMENTS | {"ForeArm": "ForeArm"}, Hips="Pelvis", Spine1="T8"
+    ),
+    "Bandai Namco": lambda name: sided(name, "{part}_{S}", **SEGMENTS, Spine1="Chest"),
+    "SMPL": lambda name: sided(name, "{side}_{part}", **JOINT_WORDS, Hips="pelvis", Spine1="spine3").lower(),
+    "SOMA": lambda name: sided(name, "{side}{part}", UpLeg="Leg", Leg="Shin", Spine1="Chest"),
+    "3ds Max biped": lambda name: sided(name, "Bip01_{S}_{part}", UpLeg="Thigh", Leg="Calf", Arm="UpperArm"),
+    "Unreal": lambda name: sided(name, "{part}_{s}", UpLeg="thigh", Leg="calf", Arm="upperarm", ForeArm="lowerarm"),
+}
+
+
+@pytest.mark.parametrize("naming", NAMINGS)
+def test_usual_names_are_known(naming, rig, tmp_path):
+    """`load_motion` reads the same motion whatever the joints are called."""
+    frames = [POSE, {**POSE, "LeftForeArm": (0, 0, -60)}]
+    plain, _ = load_mocap(write_bvh(tmp_path / "plain.bvh", frames), rig)
+    named = load_motion(write_bvh(tmp_path / "named.bvh", frames, renamed=NAMINGS[naming]))
+    np.testing.assert_array_equal(named.positions, plain.positions)
+    assert np.abs(named.positions[0] - rig.rest).max() > 0.3
+
+
+def test_limbs_must_hang_together(rig, tmp_path):
+    """A forearm that its upper arm does not carry is no forearm."""
+    joints = [(name, "Spine1" if name == "LeftForeArm" else parent, offset) for name, parent, offset in JOINTS]
+    with pytest.raises(MotionError, match="a.bvh: joints LeftArm, LeftForeArm, LeftHand are no limb"):
+        load_mocap(write_bvh(tmp_path / "a.bvh", [POSE] * 2, joints=joints), rig)
+
+
+@pytest.mark.parametrize("blended", [1, 3])
+def test_calibration_pose_is_left_out(blended, rig, tmp_path, caplog):
+    """Arms stretched out in the first frame, or blended into the motion over a few; what is quick and no jump stays."""
+    moving = [{**POSE, "LeftArm": (-80 + 0.5 * k, 0, 0)} for k in range(30)]
+    ahead = [{name: tuple(k / blended * np.array(turn)) for name, turn in POSE.items()} for k in range(blended)]
+    motion, _ = load_mocap(write_bvh(tmp_path / "a.bvh", [*ahead, *moving], rate=60), rig)
+    clean, _ = load_mocap(write_bvh(tmp_path / "clean.bvh", moving, rate=60), rig)
+    np.testing.assert_array_equal(motion.positions, clean.positions)
+    assert [record.message for record in caplog.records] == [
+        f"{tmp_path / 'a.bvh'}: its first frames, a calibration pose, are left out: {blended} of them"
+    ]
+
+
+def test_reading_says_how_far_it_is(rig, tmp_path, monkeypatch, capsys):
+    """To whom asks; a command's line appears on a terminal only, after a while, and is gone in the end."""
+    path, shares = write_bvh(tmp_path / "a.bvh", [POSE] * 3), []
+    load_motion(path, watch=shares.append)
+    assert shares == sorted(shares) and shares[-1] == 1
+    monkeypatch.setattr("physkin_core.motion.reading_progress.PATIENCE", -1.0)
+    load_motion(path, watch=reading_progress("a.bvh"))
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    load_motion(path, watch=reading_progress("a.bvh"))
+    said = capsys.readouterr().err.split("\r\x1b[K")
+    assert "reading a.bvh: 50%" in said and said[-1] == ""
+
+
+@pytest.mark.slow
+def test_reading_is_faster_than_watching(rig, tmp_path):
+    """At least ten times real time on one core; twenty to thirty where nothing else runs."""
+    random = np.random.default_rng(0)
+    waves = random.normal(size=(len(JOINTS), 3)) * 20
+    frames = [
+        {name: tuple(wave * np.sin(k / 20)) for (name, *_), wave in zip(JOINTS, waves, strict=True)}
+        for k in range(1200)
+    ]
+    path = write_bvh(tmp_path / "a.bvh", frames)
+    start = time.process_time()
+    motion, _ = load_mocap(path, rig)
+    assert time.process_time() - start < motion.frame_count / motion.rate_hz / 10

@@ -25,6 +25,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion
+from physkin_core.motion.reading_progress import reading_progress
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.draper import STANDARD_GRAVITY
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
@@ -399,7 +400,7 @@ def main(argv: list[str] | None = None) -> int:
             seed=arguments.seed,
             minimum=arguments.minimum,
             steps=arguments.minimum_steps,
-            motions=[load_motion(clip) for clip in arguments.motion],
+            motions=[load_motion(clip, watch=reading_progress(clip)) for clip in arguments.motion],
         )
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -1,0 +1,178 @@
+"""Motion capture files, BVH and ASF/AMC: a tree of joints with offsets at rest and a rotation each a frame.
+
+Dimensions: `T` frames, `J` joints. Lengths in the file's own unit, angles in degrees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+__all__ = ["Joint", "Skeleton", "read_amc", "read_bvh"]
+
+NO_TURN = Rotation.identity()
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint in the file's axes.
+
+    parent: index of a joint before it, -1 for the root. offset: (3,) from the parent at rest. order: axes of its
+    rotation, each about what the one before has turned, such as "ZXY". angles: (T, len(order)) [degrees].
+    places: (T, 3) instead of the offset where it moves; None where it does not. axes: those that `order` means.
+    """
+
+    name: str
+    parent: int
+    offset: np.ndarray
+    order: str
+    angles: np.ndarray
+    places: np.ndarray | None = None
+    axes: Rotation = NO_TURN
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """Joints, parents first, that all have T frames."""
+
+    joints: tuple[Joint, ...]
+    rate_hz: float
+
+    @property
+    def frame_count(self) -> int:
+        """Number of frames T."""
+        return len(self.joints[0].angles)
+
+    def ancestors(self, joint: int) -> list[int]:
+        """Indices from the root to the joint itself."""
+        way = [joint]
+        while self.joints[way[-1]].parent >= 0:
+            way.append(self.joints[way[-1]].parent)
+        return way[::-1]
+
+    def at(self, frames: slice) -> Skeleton:
+        """With some of the frames only; the rate follows the step between them."""
+        joints = tuple(
+            replace(each, angles=each.angles[frames], places=None if each.places is None else each.places[frames])
+            for each in self.joints
+        )
+        return Skeleton(joints, self.rate_hz / (frames.step or 1))
+
+    def posed(self, wanted: Iterable[int]) -> tuple[dict[int, Rotation], dict[int, np.ndarray]]:
+        """Rotations (T) from rest and places (T, 3) in the world, of joints and all their ancestors."""
+        rotations: dict[int, Rotation] = {}
+        heads: dict[int, np.ndarray] = {}
+        for index in sorted({each for joint in wanted for each in self.ancestors(joint)}):
+            joint = self.joints[index]
+            turn = Rotation.identity(self.frame_count)
+            if joint.order:
+                turn = joint.axes * Rotation.from_euler(joint.order, joint.angles, degrees=True) * joint.axes.inv()
+            offset = np.tile(joint.offset, (self.frame_count, 1)) if joint.places is None else joint.places
+            if joint.parent < 0:
+                rotations[index], heads[index] = turn, offset
+            else:
+                rotations[index] = rotations[joint.parent] * turn
+                heads[index] = heads[joint.parent] + rotations[joint.parent].apply(offset)
+        return rotations, heads
+
+    def at_rest(self) -> np.ndarray:
+        """(J, 3) places of the joints with no rotation, from the root."""
+        heads = np.zeros((len(self.joints), 3))
+        for index, joint in enumerate(self.joints):
+            if joint.parent >= 0:
+                heads[index] = heads[joint.parent] + joint.offset
+        return heads
+
+
+def read_bvh(text: str) -> Skeleton:
+    """Raises ValueError, IndexError or KeyError for text that is no BVH."""
+    head, _, data = text.partition("MOTION")
+    joints, channels, stack = [], [], []
+    current = None  # None inside an End Site
+    for line in head.splitlines():
+        words = line.split()
+        if not words:
+            continue
+        if words[0] in ("ROOT", "JOINT"):
+            current = len(joints)
+            joints.append((words[1], stack[-1] if stack else -1, np.zeros(3)))
+            channels.append([])
+        elif words[0] == "End":
+            current = None
+        elif words[0] == "OFFSET" and current is not None:
+            joints[current][2][:] = [float(word) for word in words[1:4]]
+        elif words[0] == "CHANNELS" and current is not None:
+            channels[current] = [(word[0].upper(), word[1:].lower()) for word in words[2:]]
+        elif words[0] == "{":
+            stack.append(current)
+        elif words[0] == "}":
+            stack.pop()
+    lines = data.split("\n")
+    values = {line.split(":")[0].strip(): line.split(":")[1] for line in lines[:4] if ":" in line}
+    count, step = int(values["Frames"]), float(values["Frame Time"])
+    rows = [line for line in lines if ":" not in line and not line.isspace() and line]
+    frames = np.loadtxt(rows, ndmin=2) if rows else np.empty((0, 0))
+    width = sum(map(len, channels))
+    if count == 0 or frames.shape != (count, width) or not np.isfinite(frames).all() or step <= 0:
+        raise ValueError(
+            f"frames of shape {frames.shape} every {step} s, expected shape {(count, width)}, some, finite, "
+            "and a positive frame time"
+        )
+    found, column = [], 0
+    for (name, parent, offset), its in zip(joints, channels, strict=True):
+        mine = frames[:, column : column + len(its)]
+        column += len(its)
+        turns = [k for k, (_, kind) in enumerate(its) if kind == "rotation"]
+        places = None
+        if len(turns) < len(its):
+            places = np.tile(offset, (count, 1))
+            for k, (axis, kind) in enumerate(its):
+                if kind == "position":
+                    places[:, "XYZ".index(axis)] = mine[:, k]
+        found.append(Joint(name, parent, offset, "".join(its[k][0] for k in turns), mine[:, turns], places))
+    return Skeleton(tuple(found), 1 / step)
+
+
+def read_amc(text: str, asf: str, rate_hz: float) -> Skeleton:
+    """An AMC file with its skeleton. Raises ValueError, IndexError or KeyError where one of them is none."""
+    bones: dict[str, dict[str, list[str]]] = {"root": {}}
+    for block in asf.partition(":bonedata")[2].partition(":hierarchy")[0].split("begin")[1:]:
+        fields = {line.split()[0]: line.split()[1:] for line in block.splitlines() if line.split()}
+        bones[fields["name"][0]] = fields
+    parent_of = {"root": ""}
+    for line in asf.partition(":hierarchy")[2].splitlines():
+        words = line.split()
+        parent_of |= {child: words[0] for child in words[1:]} if words and words[0] in bones else {}
+    order = asf.partition(":root")[2].partition("order")[2].split("\n")[0].upper().split()
+    frames: dict[str, list[str]] = {name: [] for name in bones}
+    count = 0
+    for line in text.splitlines():
+        name, _, values = line.strip().partition(" ")
+        if name in frames:
+            frames[name].append(values)
+        elif not values and name.isdigit():
+            count += 1
+    names = list(parent_of)
+    joints = []
+    for name in names:
+        fields, parent = bones[name], parent_of[name]
+        channels = fields.get("dof", []) if parent else order
+        if channels:
+            values = np.loadtxt(frames[name], ndmin=2) if frames[name] else np.empty((0, 0))
+            if count == 0 or values.shape != (count, len(channels)) or not np.isfinite(values).all():
+                expected = (count, len(channels))
+                raise ValueError(f"{name} has values of shape {values.shape}, expected shape {expected}, some, finite")
+        if not parent:
+            turns, places = ([order.index(f"{kind}{axis}") for axis in "XYZ"] for kind in "RT")
+            joints.append(Joint(name, -1, np.zeros(3), "ZYX", values[:, turns[::-1]], values[:, places]))
+            continue
+        axes = Rotation.from_euler(fields["axis"][3].lower(), [float(v) for v in fields["axis"][:3]], degrees=True)
+        carrier = bones[parent] if parent != "root" else None  # a bone starts where its parent ends
+        offset = np.array([float(v) for v in carrier["direction"]]) * float(carrier["length"][0]) if carrier else 0.0
+        letters = "".join(channel[1].upper() for channel in channels)
+        angles = values[:, ::-1] if channels else np.empty((count, 0))
+        joints.append(Joint(name, names.index(parent), offset + np.zeros(3), letters[::-1], angles, axes=axes))
+    return Skeleton(tuple(joints), rate_hz)
