@@ -83,8 +83,8 @@ def _bone_maps() -> dict[str, tuple[str, dict[str, str]]]:
 def _look_up(joints: Mapping[str, int], bones: Mapping[str, str]) -> dict[str, int]:
     found: dict[str, int] = {}
     for name, bone in bones.items():
-        if plain_name(name) in joints:
-            found.setdefault(bone, joints[plain_name(name)])
+        if _plain(name) in joints:
+            found.setdefault(bone, joints[_plain(name)])
     return found
 
 
