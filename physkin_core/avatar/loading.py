@@ -22,9 +22,10 @@ MESH_SUFFIXES = (".obj", ".ply", ".stl")
 def load_avatar(path: str | Path, rig: Rig, *, rig_file: str | Path | None = None) -> Avatar:
     """Read an avatar and put it into the canonical pose of `rig`.
 
-    path: GLB, glTF or VRM with a skin, or an OBJ, PLY or STL mesh. rig: the garment model's.
-    rig_file: skeleton of a plain mesh (layout: `physkin_core.avatar.mesh_avatar`), default `NAME.rig.json` beside
-    `NAME.obj` if that exists. A mesh without any skeleton gets the rig fitted to it, and a warning that says so.
+    path: GLB, glTF or VRM with a skin, or an OBJ, PLY or STL mesh; in any of the usual units, whichever axis is up.
+    rig: the garment model's. rig_file: skeleton of a plain mesh (layout: `physkin_core.avatar.rig_file`), default
+    `NAME.rig.json` beside `NAME.obj` if that exists. A mesh without any skeleton gets the rig fitted to it, and a
+    warning that says so. Hair, eyes and clothes over skin are left out.
     What was assumed or repaired is kept in `Avatar.warnings` and issued as one AvatarWarning each.
     Raises AvatarError naming what is wrong with the file and what was allowed.
     """

@@ -6,10 +6,13 @@ from itertools import count
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
+from geometry_msgs.msg import Quaternion, Transform  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from sensor_msgs.msg import MultiDOFJointState  # noqa: E402
 
 from physkin_ros.node.avatar_stream import MOST_UNKNOWN  # noqa: E402
 
@@ -98,6 +101,55 @@ def test_changing_unknown_joints_do_not_flood_the_log(peer, shared_node, draper,
         peer.cloud([name, f"{name}{index}"], [0.0, 0.0], next(STAMPS))
     lines = [line for line in capfd.readouterr().err.splitlines() if "without a counterpart" in line]
     assert 0 < len(lines) <= MOST_UNKNOWN and f"did you mean {name!r}" in lines[0]
+
+
+@pytest.fixture(scope="module")
+def send_rotations(shared_node, module_peer):
+    """Publishes rotations by bone."""
+    publisher = module_peer.node.create_publisher(MultiDOFJointState, "bone_rotations", 10)
+    module_peer.until(publisher.get_subscription_count, "subscription to bone_rotations")
+    module_peer.spin(0.2)
+
+    def publish(rotations, stamp) -> None:
+        turns = [Transform(rotation=Quaternion(x=x, y=y, z=z, w=w)) for x, y, z, w in rotations.values()]
+        message = MultiDOFJointState(joint_names=list(rotations), transforms=turns)
+        message.header.stamp.sec, message.header.stamp.nanosec = stamp
+        publisher.publish(message)
+
+    return publish
+
+
+def rotations_of(rig, positions):
+    """Quaternion (x, y, z, w) of each bone that joint positions (d,) turn."""
+    turns = {}
+    for dof, axis, value in zip(rig.dofs, rig.dof_axes, np.asarray(positions, dtype=np.float64)):
+        turn = Rotation.from_rotvec(axis * (value - dof.rest))
+        turns[dof.bone] = turns[dof.bone] * turn if dof.bone in turns else turn
+    return {bone: turn.as_quat().tolist() for bone, turn in turns.items()}
+
+
+def test_bone_rotations_are_draped_as_joint_positions(peer, send_rotations, draper):
+    """To the bit; joint states and bone rotations may take turns, and what one leaves out the other has set."""
+    rig = draper.model.rig
+    pose = np.random.default_rng(2).uniform(rig.lower, rig.upper).astype(np.float32)
+    send_rotations(rotations_of(rig, pose), (1, 0))
+    peer.until(lambda: (1, 0) in peer.clouds, "cloud")
+    np.testing.assert_array_equal(peer.clouds[1, 0], draper.drape(pose))
+    pose[0] = 0.05
+    np.testing.assert_array_equal(peer.cloud(rig.joint_names[:1], pose[:1], (2, 0)), draper.drape(pose))
+
+
+def test_bad_bone_rotations_leave_the_last_good_pose(peer, send_rotations, draper):
+    """They are counted as rejected, with the reason."""
+    rest = draper.model.rig.rest.astype(np.float32)
+    peer.cloud(draper.joint_names, rest, (3, 0))
+    peer.until(lambda: peer.reports, "diagnostics")
+    before = int(peer.latest("joint states rejected"))
+    send_rotations({"head": [0.0, 0.0, 0.0, 2.0]}, (4, 0))
+    peer.until_told("joint states rejected", str(before + 1))
+    assert "rotation of bone 'head'" in peer.latest("last rejection")
+    assert (4, 0) not in peer.clouds
+    np.testing.assert_array_equal(peer.cloud(draper.joint_names[:1], rest[:1], (5, 0)), draper.drape(rest))
 
 
 def test_gravity_can_change_while_running(peer, shared_node, draper):
