@@ -21,7 +21,7 @@ GARMENTS = Path(__file__).parents[3] / "training" / "garments"
 Y_UP = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
 CHECKS = [
     "triangles", "units", "orientation", "position", "duplicates", "manifold", "pieces", "winding", "openings",
-    "scale", "edge length", "one layer", "overlap", "body", "self-intersection",
+    "upright", "scale", "edge length", "one layer", "pose", "overlap", "body", "self-intersection",
 ]  # fmt: skip
 
 

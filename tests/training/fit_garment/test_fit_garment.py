@@ -6,6 +6,7 @@ import base64
 import re
 import time
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,6 +22,7 @@ from physkin_training.config import TrainingConfig, load_config
 from physkin_training.fit_garment import fit_garment, report
 from physkin_training.fit_garment.checks import CheckedGarment
 from physkin_training.fit_garment.fit_garment import as_toml
+from physkin_training.fit_garment.mesh_file import Look
 from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.verdicts import Verdict
 from physkin_training.train import run_reports, train
@@ -115,14 +117,23 @@ def write_vest(garment_model, template, tmp_path, monkeypatch):
     monkeypatch.setattr(report, "SHEET_POSES", 1)
     monkeypatch.setattr(report, "VIEWS", (0,))
     garment = garment_model.garment
-    checked = CheckedGarment(garment.vertices, garment.faces, (Verdict("units", "warning", "a < b", "c & d"),))
+    verdicts = (Verdict("units", "warning", "a < b", "c & d"),)
+    look = Look.plain(len(garment.faces))
+    checked = CheckedGarment(garment.vertices, garment.faces, verdicts, garment.vertices, False, look)
     model = replace(garment_model, training={"optimisation": {"steps": 5, "samples": 2}})
 
     def write(budget, poses=1, pictures=True):
         paths = {"path": tmp_path / "vest.html", "losses": tmp_path / "none.jsonl"}
         numbers = {"seconds": 90.0, "bodies": 1, "poses": poses, "pictures": pictures}
         report.write_report(
-            model=model, checked=checked, template=template, device=CPU, budget=budget, **paths, **numbers
+            model=model,
+            checked=checked,
+            template=template,
+            avatar=template,
+            device=CPU,
+            budget=budget,
+            **paths,
+            **numbers,
         )
         return (tmp_path / "vest.html").read_text()
 
@@ -131,12 +142,12 @@ def write_vest(garment_model, template, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_the_report_embeds_its_pictures(write_vest, tmp_path):
-    """Two PNGs inside the page: the garment as trained, and the sheet of drapes, which also lies beside it."""
+    """PNGs inside the page: the garment as trained, on the user's avatar, and the sheet of drapes, also beside it."""
     pytest.importorskip("mitsuba", reason="needs the [view] extra")
     page = write_vest(TimeBudget())
     images = [base64.b64decode(image) for image in re.findall(r"data:image/png;base64,([^\"]+)", page)]
-    assert len(images) == 2 and all(image.startswith(b"\x89PNG") for image in images)
-    assert images[1] == (tmp_path / "vest.png").read_bytes()
+    assert len(images) == 3 and all(image.startswith(b"\x89PNG") for image in images)
+    assert images[2] == (tmp_path / "vest.png").read_bytes()
     assert "a &lt; b" in page and "c &amp; d" in page and "trained for 1.5 minutes" in page
 
 
@@ -159,6 +170,20 @@ def test_as_many_poses_are_measured_as_there_is_time_for(left, measured, write_v
     assert budget.left >= min(0, left - 1)
 
 
+@pytest.mark.parametrize(
+    ("energies", "words"),
+    [
+        ([4.0, 3.0, 2.0, 1.5, 1.0], "went from 2.0000 to 1.0000 J (-50.0 %): still falling, train longer"),
+        ([4.0, 1.0, 1.01, 1.0, 1.0], "(-1.0 %): a longer run would gain little"),
+        ([4.0], "Too short a run"),
+        ([], "Too short a run"),
+    ],
+)
+def test_the_report_says_whether_to_train_longer(energies, words):
+    rows = [{"step": 100 * (k + 1), "validation_energy": energy} for k, energy in enumerate(energies)]
+    assert words in report.longer_or_not([{"step": 50}, *rows])
+
+
 def test_a_late_report_has_no_pictures(write_vest, tmp_path):
     """It says how to draw them, and has everything else."""
     page = write_vest(TimeBudget(1e-9))
@@ -169,13 +194,14 @@ def test_a_late_report_has_no_pictures(write_vest, tmp_path):
 def test_check_only_writes_the_repaired_mesh_and_trains_nothing(band, tmp_path, capsys):
     output = tmp_path / "band.safetensors"
     assert main(["fit-garment", str(band), "-o", str(output), "--check-only", "--device", "cpu"]) == 0
-    assert sorted(path.name for path in (tmp_path / "band").iterdir()) == ["garment.obj"]
+    pictures = ["placement.png"] if find_spec("mitsuba") else []
+    assert sorted(path.name for path in (tmp_path / "band").iterdir()) == ["garment.obj", *pictures]
     assert not output.exists()
     assert re.search(r"\| winding +\| repaired +\|", capsys.readouterr().out)
     again = ["fit-garment", str(tmp_path / "band" / "garment.obj"), "-o", str(tmp_path / "again.safetensors")]
-    assert main([*again, "--check-only", "--device", "cpu"]) == 0
+    assert main([*again, "--check-only", "--no-pictures", "--device", "cpu"]) == 0
     table = capsys.readouterr().out
-    assert len(re.findall(r"\| ok +\|", table)) == 14 and re.search(r"\| scale +\| warning +\|", table), "its loose cut"
+    assert len(re.findall(r"\| ok +\|", table)) == 16 and re.search(r"\| scale +\| warning +\|", table), "its loose cut"
 
 
 def test_a_refused_mesh_is_told_in_one_line(tmp_path, capsys):

@@ -5,100 +5,123 @@ Dimensions: `n` vertices, `f` faces. Metres, root frame, the body in its canonic
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from physkin_core.avatar.avatar import Avatar
-from physkin_core.model.garment import GarmentError
 from physkin_training.fit_garment import mesh_checks, wear_checks
+from physkin_training.fit_garment.mesh_file import Look, read_mesh, write_obj
+from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.verdicts import Checks, Verdict
 from physkin_training.physics.surface_queries import BodySurface
 
 __all__ = ["CheckedGarment", "check_garment", "check_mesh", "write_garment"]
 
-MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
-
 
 @dataclass(frozen=True)
 class CheckedGarment:
-    """A garment mesh after the checks, vertices (n, 3) [m] on the training template's body, and all verdicts."""
+    """A garment mesh after the checks, vertices (n, 3) [m] on the training template's body, and all verdicts.
+
+    lying: (n, 3) [m], the same vertices on the body it was made on, before they were carried anywhere; in_own_pose:
+    that body is held as in its file, otherwise as in the canonical pose. look: what else the file had.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
     verdicts: tuple[Verdict, ...]
+    lying: np.ndarray
+    in_own_pose: bool
+    look: Look
 
     @property
     def refused(self) -> bool:
         """Whether some check found what cannot be repaired."""
-        return any(verdict.outcome == "refused" for verdict in self.verdicts)
+        return self.first("refused") is not None
+
+    def first(self, outcome: str) -> Verdict | None:
+        """The first verdict of an outcome, if there is one."""
+        return next((verdict for verdict in self.verdicts if verdict.outcome == outcome), None)
 
 
-def check_garment(path: str | Path, avatar: Avatar, template: Avatar) -> CheckedGarment:
+def check_garment(path: str | Path, avatar: Avatar, template: Avatar, *, own: OwnPose | None = None) -> CheckedGarment:
     """Check the garment mesh of a file and repair it.
 
-    avatar: the body it was made on, in the canonical pose. template: the training template's garment body; a garment
-    made on another body is carried over to it. Raises GarmentError when the file holds no mesh at all.
+    avatar: the body it was made on, in the canonical pose; own: in that of its file, where it is looked for first.
+    template: the training template's garment body; a garment made on another body is carried over to it. Raises
+    GarmentError when the file holds no mesh at all.
     """
-    vertices, faces, quads = _read(Path(path))
-    return check_mesh(vertices, faces, avatar, template, polygons=quads)
+    mesh = read_mesh(Path(path))
+    return check_mesh(mesh.vertices, mesh.faces, avatar, template, polygons=mesh.polygons, look=mesh.look, own=own)
 
 
 def check_mesh(
-    vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, template: Avatar, *, polygons: int = 0
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    avatar: Avatar,
+    template: Avatar,
+    *,
+    polygons: int = 0,
+    look: Look | None = None,
+    own: OwnPose | None = None,
 ) -> CheckedGarment:
     """Check vertices (n, 3), in any unit and axes, and faces (f, 3); see `check_garment`.
 
-    polygons: how many faces of more than three corners the triangles came from. Checks stop at the first refusal after
-    which the others would mean nothing.
+    polygons: how many faces of more than three corners the triangles came from. look: default none. Checks stop at the
+    first refusal after which the others would mean nothing.
     """
     checks = Checks(np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64))
-    surface = BodySurface(avatar.vertices, avatar.faces)
-    for check in (
-        partial(mesh_checks.check_triangles, polygons=polygons),
-        partial(wear_checks.check_placement, surface=surface),
-        mesh_checks.check_duplicates,
-        mesh_checks.check_manifold,
-        mesh_checks.check_pieces,
-        partial(wear_checks.check_winding, surface=surface),
-        mesh_checks.check_openings,
-        partial(wear_checks.check_scale, surface=surface),
-        mesh_checks.check_edges,
-        mesh_checks.check_layers,
-        partial(wear_checks.check_overlap, avatar=avatar, surface=surface),
-        partial(wear_checks.check_body, avatar=avatar, template=template),
-        mesh_checks.check_self_intersection,
-    ):
-        check(checks)
-        if checks.verdicts[-1].outcome == "refused":
-            break
-    return CheckedGarment(checks.vertices, checks.faces, tuple(checks.verdicts))
+    look = look or Look.plain(len(faces))
+    canonical = surface = BodySurface(avatar.vertices, avatar.faces)
+    _run(checks, [partial(mesh_checks.check_triangles, polygons=polygons)])
+    in_own_pose = False
+    if own is not None and not checks.refused:
+        surface = BodySurface(own.vertices, own.faces)
+        in_own_pose = wear_checks.check_lying(checks, own, surface, canonical)
+        surface = surface if in_own_pose else canonical
+    else:
+        _run(checks, [partial(wear_checks.check_placement, surface=canonical)])
+    source = checks.vertices, checks.faces
+    _run(
+        checks,
+        [
+            mesh_checks.check_duplicates,
+            mesh_checks.check_manifold,
+            mesh_checks.check_pieces,
+            partial(wear_checks.check_winding, surface=surface),
+            mesh_checks.check_openings,
+            partial(wear_checks.check_upright, surface=surface),
+            partial(wear_checks.check_scale, surface=surface),
+            mesh_checks.check_edges,
+            mesh_checks.check_layers,
+        ],
+    )
+    lying = checks.vertices
+    _run(
+        checks,
+        [
+            partial(wear_checks.check_pose, avatar=avatar, surface=canonical, own=own if in_own_pose else None),
+            partial(wear_checks.check_overlap, avatar=avatar, surface=canonical),
+            partial(wear_checks.check_body, avatar=avatar, template=template),
+            mesh_checks.check_self_intersection,
+        ],
+    )
+    if not checks.refused:
+        look = look.on(source, lying, checks.faces)
+    return CheckedGarment(checks.vertices, checks.faces, tuple(checks.verdicts), lying, in_own_pose, look)
+
+
+def _run(checks: Checks, steps: list[Callable[[Checks], None]]) -> None:
+    """One after the other, as long as none has refused."""
+    for step in steps:
+        if not checks.refused:
+            step(checks)
 
 
 def write_garment(path: Path, checked: CheckedGarment) -> None:
-    """Write the repaired mesh as OBJ: metres, root frame of the template, outward winding."""
+    """Write the repaired mesh as OBJ: metres, root frame of the template, outward winding, with its look."""
     header = "root frame: X forward, Y left, Z up, metres, origin at the head of the root bone"
-    trimesh.Trimesh(checked.vertices, checked.faces, process=False).export(path, digits=7, header=header)
-
-
-def _read(path: Path) -> tuple[np.ndarray, np.ndarray, int]:
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        allowed = ", ".join(MESH_SUFFIXES)
-        raise GarmentError(f"garment {path} has the unknown extension {path.suffix!r}; allowed: {allowed}")
-    if not path.is_file():
-        raise GarmentError(f"garment {path}: no such file")
-    try:
-        mesh = trimesh.load_mesh(path, process=False)
-        vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
-    except Exception as error:
-        raise GarmentError(f"cannot read garment mesh {path}: {error}") from error
-    if len(faces) == 0:
-        raise GarmentError(f"garment {path} holds no faces")
-    polygons = 0
-    if path.suffix.lower() == ".obj":
-        with open(path, errors="replace") as file:
-            polygons = sum(line.startswith("f ") and len(line.split("#")[0].split()) > 4 for line in file)
-    return vertices, faces, polygons
+    write_obj(path, checked.vertices, checked.faces, checked.look, header=header)

@@ -18,11 +18,15 @@ import torch
 
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel, load_body_model
+from physkin_core.avatar.file_surface import file_surface
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.model.model_file import load_garment_model
+from physkin_core.picture import PictureError, save_png
 from physkin_training.config import TrainingConfig, load_config
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
+from physkin_training.fit_garment.own_pose import OwnPose
+from physkin_training.fit_garment.pictures import placement_picture
 from physkin_training.fit_garment.report import write_report
 from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.verdicts import verdict_table
@@ -89,7 +93,8 @@ def as_toml(config: TrainingConfig) -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Command line entry. Returns 0, 1 when the mesh is refused or training fails, 2 for an error, 130 for Ctrl-C."""
+    """Command line entry. Returns 0; 1 when the mesh is refused, its place in doubt or training fails; 2 for an error;
+    130 for Ctrl-C."""
     options = _parser().parse_args(argv)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     try:
@@ -105,7 +110,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--avatar", metavar="FILE", help="body it was made on (default: that of the shipped garments)")
     parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="NAME.safetensors")
-    parser.add_argument("--check-only", action="store_true", help="print the verdicts, write the repaired mesh, stop")
+    parser.add_argument(
+        "--check-only", action="store_true", help="print the verdicts, write the repaired mesh and a picture, stop"
+    )
+    parser.add_argument(
+        "--accept-placement", action="store_true", help="train though its place on the avatar is in doubt"
+    )
     length = parser.add_mutually_exclusive_group()
     length.add_argument(
         "--minutes", type=float, help="that all takes, report included (default: 15 on a GPU, 480 on a CPU)"
@@ -114,7 +124,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--recipe", type=Path, metavar="TOML", help="training configuration to take all else from")
     parser.add_argument("--bodies", type=int, default=8, help="held-out bodies of the report's figures (default 8)")
     parser.add_argument("--poses", type=int, default=64, help="poses a body of the report's figures (default 64)")
-    parser.add_argument("--no-pictures", action="store_true", help="a report of tables only")
+    parser.add_argument("--no-pictures", action="store_true", help="tables only")
     parser.add_argument("--device", default=DEFAULT_DEVICE)
     return parser
 
@@ -132,11 +142,11 @@ def _fit(options: argparse.Namespace) -> int:
     budget = TimeBudget(minutes)
     body_model = load_body_model()
     template = avatar_from_body(body_model, body_model.garment_body)
-    avatar = _avatar(options, body_model, template)
-    checked = check_garment(options.garment, avatar, template)
+    avatar, own = _avatar(options, body_model, template)
+    checked = check_garment(options.garment, avatar, template, own=own)
     print(verdict_table(checked.verdicts))
     if checked.refused:
-        refused = next(verdict for verdict in checked.verdicts if verdict.outcome == "refused")
+        refused = checked.first("refused")
         print(
             f"error: {options.garment} cannot be trained: {refused.check}: {refused.found}; allowed: {refused.allowed}",
             file=sys.stderr,
@@ -146,19 +156,39 @@ def _fit(options: argparse.Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     mesh = folder / "garment.obj"
     write_garment(mesh, checked)
-    print(f"wrote {mesh}")
+    kept = f" with {checked.look}" if str(checked.look) else ""
+    print(f"wrote {mesh}{kept}")
+    if not options.no_pictures:
+        _draw(folder / "placement.png", checked, avatar, template, own)
+    unsure = checked.first("unsure")
+    if unsure and not options.accept_placement:
+        print(
+            f"error: {options.garment}: {unsure.check} is in doubt: {unsure.found}. Export garment and avatar from one "
+            f"scene, with one origin, unit and up axis; or, if {folder / 'placement.png'} is right, --accept-placement",
+            file=sys.stderr,
+        )
+        return REFUSED
     if options.check_only:
         return 0
-    return _train_and_report(options, checked, mesh, template, device, budget)
+    return _train_and_report(options, checked, mesh, template, avatar, device, budget)
 
 
-def _avatar(options: argparse.Namespace, body_model: BodyModel, template: Avatar) -> Avatar:
+def _draw(path: Path, checked: CheckedGarment, avatar: Avatar, template: Avatar, own: OwnPose | None) -> None:
+    try:
+        save_png(path, placement_picture(checked, avatar, template, own))
+        print(f"wrote {path}: see whether front, height and sleeves are right")
+    except PictureError as error:
+        print(f"no picture: {error}")
+
+
+def _avatar(options: argparse.Namespace, body_model: BodyModel, template: Avatar) -> tuple[Avatar, OwnPose | None]:
+    """The body that the garment was made on, in the canonical pose, and in its own where a file was given."""
     if not options.avatar:
-        return template
+        return template, None
     avatar = load_avatar(options.avatar, body_model.rig, rig_file=options.rig)
     for warning in avatar.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    return avatar
+    return avatar, OwnPose.of(avatar, file_surface(options.avatar, avatar), body_model.rig)
 
 
 def _train_and_report(
@@ -166,6 +196,7 @@ def _train_and_report(
     checked: CheckedGarment,
     mesh: Path,
     template: Avatar,
+    avatar: Avatar,
     device: torch.device,
     budget: TimeBudget,
 ) -> int:
@@ -193,6 +224,7 @@ def _train_and_report(
         load_garment_model(output),
         checked,
         template,
+        avatar if options.avatar else None,
         device,
         budget,
         losses=folder / "losses.jsonl",

@@ -51,16 +51,18 @@ def carried(vertices: np.ndarray, source: Avatar, target: Avatar) -> np.ndarray:
     return moved / weights.sum(axis=1, keepdims=True)
 
 
-def clear_of(garment: Garment, body: Avatar, surface: BodySurface) -> np.ndarray:
+def clear_of(garment: Garment, body: Avatar, surface: BodySurface, *, start: np.ndarray | None = None) -> np.ndarray:
     """Vertices (n, 3) of the garment pushed out of the body and relaxed: the least energy of its own rest shape against
-    contact, without gravity."""
+    contact, without gravity. start: (n, 3) where it begins, default its rest shape."""
     device = torch.device("cpu")
     material = replace(Material(), contact_offset=CLEARANCE + SOFT)
     losses = PhysicsLosses(garment, material, 1, device)
     rig = load_body_model().rig
     posed = posed_avatar(body, rig, 1, device)
     posed.pose(torch.tensor(rig.rest[None], dtype=torch.float32))
-    start = torch.as_tensor(surface.push_out(garment.vertices, CLEARANCE)[None], dtype=torch.float32)
+    start = torch.as_tensor(
+        surface.push_out(garment.vertices if start is None else start, CLEARANCE)[None], dtype=torch.float32
+    )
     solver = FullSpaceSolver(garment, losses, 1, device)
     solution = solver.minimise(start, torch.zeros(1, 3), posed.mesh, posed.offset, tolerance=0.05, iterations=60)
     return surface.push_out(solution.vertices[0].double().numpy(), CLEARANCE)

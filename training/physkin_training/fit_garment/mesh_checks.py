@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
+from physkin_core.model.garment import vertex_normals
 from physkin_training.fit_garment import mesh_repair
 from physkin_training.fit_garment.verdicts import Checks
 from physkin_training.physics.surface_queries import layers_near, piercing_edges
@@ -21,6 +22,7 @@ __all__ = [
     "check_pieces",
     "check_self_intersection",
     "check_triangles",
+    "openings_and_holes",
 ]
 
 WELD = 5e-5
@@ -36,6 +38,10 @@ EDGE_RANGE = (0.006, 0.025)
 MOST_VERTICES = 20000
 SMALL_LOOP = 0.1
 """[m] an opening with less boundary than this is a hole."""
+ONE_WAY = 0.8
+"""Length of the mean normal around a loop: from 0 (around a limb) to 1; a wide neckline has 0.7."""
+MOST_MISSING = 0.03
+"""Share of the area that holes may have."""
 LAYER_REACH = 0.006
 """[m] nearest other layer of cloth; how many percent of the faces may have one."""
 LAYERED, DOUBLED = 0.02, 0.3
@@ -101,15 +107,40 @@ def check_pieces(checks: Checks) -> None:
 
 def check_openings(checks: Checks) -> None:
     """Openings and holes."""
-    allowed = f"at least one opening; boundaries shorter than {100 * SMALL_LOOP:g} cm are holes"
-    loops = mesh_repair.boundary_loops(checks.faces)
-    around = [float(np.ptp(checks.vertices[loop], axis=0).max()) * np.pi for loop in loops]
-    holes = sum(length < SMALL_LOOP for length in around)
-    if len(loops) == holes:
-        found = "it is closed" if not loops else f"{holes} holes only"
+    allowed = (
+        f"at least one opening; boundaries shorter than {100 * SMALL_LOOP:g} cm, or whose cloth faces one way all "
+        f"around, are holes: up to {100 * MOST_MISSING:g} % of the area"
+    )
+    openings, holes = openings_and_holes(checks.vertices, checks.faces)
+    if not openings:
+        found = f"{len(holes)} holes only" if holes else "it is closed"
         return checks.say("openings", "refused", f"{found}: no opening to get into it", allowed)
-    found = f"{len(loops) - holes} openings" + (f", {holes} holes" if holes else "")
-    return checks.say("openings", "warning" if holes else "ok", found, allowed)
+    found = f"{len(openings)} openings"
+    if not holes:
+        return checks.say("openings", "ok", found, allowed)
+    missing = sum(_area_inside(checks.vertices[hole]) for hole in holes)
+    missing /= missing + checks.mesh.area
+    found += f", {len(holes)} holes, {100 * missing:.1f} % of the area"
+    if missing > MOST_MISSING:
+        return checks.say("openings", "refused", f"{found}: faces are missing, export all of them", allowed)
+    return checks.say("openings", "warning", found, allowed)
+
+
+def openings_and_holes(vertices: np.ndarray, faces: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """The boundary loops (r,) of a mesh wound alike: those that a body part goes through, and the others."""
+    openings, holes = [], []
+    normals = vertex_normals(vertices, faces)
+    for loop in mesh_repair.boundary_loops(faces):
+        around = float(np.ptp(vertices[loop], axis=0).max()) * np.pi
+        one_way = float(np.linalg.norm(normals[loop].mean(axis=0)))
+        (holes if around < SMALL_LOOP or one_way > ONE_WAY else openings).append(loop)
+    return openings, holes
+
+
+def _area_inside(loop: np.ndarray) -> float:
+    """Area [m2] of the faces between the points (r, 3) of a loop and their mean."""
+    spokes = loop - loop.mean(axis=0)
+    return float(np.linalg.norm(np.cross(spokes, np.roll(spokes, -1, axis=0)), axis=1).sum() / 2)
 
 
 def check_edges(checks: Checks) -> None:

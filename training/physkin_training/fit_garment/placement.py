@@ -1,7 +1,7 @@
-"""Where a garment mesh belongs on a body: its unit, its axes and its place, found by trying.
+"""Where a garment mesh belongs on a body: its unit, its axes and its place.
 
-Every reading (unit, axes, place) is judged by how closely it wraps the body. The reading that changes least wins unless
-another one fits clearly better.
+As it lies on an avatar in that one's own pose; else found by trying: every reading (unit, axes, place) is judged by how
+closely it wraps the body, and the one that changes least wins unless another one fits clearly better.
 Dimensions: `n` vertices. Metres, root frame (X forward, Y left, Z up).
 """
 
@@ -15,9 +15,13 @@ from itertools import permutations, product
 import numpy as np
 from scipy.spatial import cKDTree
 
+from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.physics.surface_queries import BodySurface
 
-__all__ = ["UNITS", "WORN", "Placement", "best_scale", "find_placement"]
+__all__ = [
+    "MOST_BURIED", "UNITS", "WORN", "Placement", "best_scale", "buried", "cost_turned_over", "find_lying",
+    "find_placement",
+]  # fmt: skip
 
 UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
 EXTENT_RANGE = (0.3, 2.5)
@@ -28,6 +32,8 @@ INSIDE = 4.0
 """A vertex in the body counts as if so many times as far from it."""
 MOSTLY_INSIDE = 0.1
 """Share of vertices in the body from which on other places are tried."""
+BURIED, MOST_BURIED = 0.005, 0.03
+"""A vertex this deep [m] in the body is buried; a garment lies on the body with less than this share of them."""
 TRIED_POINTS = 300
 CLEARLY, MUCH = 0.8, 0.6
 """Another unit or turn must cost less than this share of the simpler one; and another place less than that."""
@@ -36,6 +42,8 @@ WORN = 0.1
 HEIGHT_STEP, FORWARD_STEPS = 0.03, (-0.05, 0.0, 0.05)
 """[m] of the coarse search for a place, whose best `STARTS` are settled finely."""
 STARTS = 4
+TURNED_HEIGHTS = (-0.2, -0.1, 0.0, 0.1, 0.2)
+"""[m] from where a garment that is turned over is settled."""
 SCALES = (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15)
 
 
@@ -43,11 +51,12 @@ SCALES = (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15)
 class Placement:
     """How to read a mesh: x = scale * turn @ file + shift. cost [m]: of `Fit.cost` there.
 
-    unit: key of `UNITS`. turn: (3, 3) rotation by quarters. shift: (3,) [m]. searched: the shift is the closest fit,
-    not one of the usual origins; then front and back of a garment that is alike on both can be mistaken.
+    unit: what `scale` [m] is called. turn: (3, 3) rotation by quarters. shift: (3,) [m]. searched: the shift is the
+    closest fit, not one of the usual origins; then front and back of a garment that is alike on both can be mistaken.
     """
 
     unit: str
+    scale: float
     turn: np.ndarray
     shift: np.ndarray
     cost: float
@@ -55,7 +64,7 @@ class Placement:
 
     def applied(self, vertices: np.ndarray) -> np.ndarray:
         """File coordinates (n, 3) as root frame [m]."""
-        return UNITS[self.unit] * vertices @ self.turn.T + self.shift
+        return self.scale * vertices @ self.turn.T + self.shift
 
     @property
     def axes(self) -> str:
@@ -96,25 +105,60 @@ class Fit:
         return shift, least
 
 
+def find_lying(vertices: np.ndarray, own: OwnPose, body: BodySurface) -> list[Placement]:
+    """The readings in which vertices (n, 3), in the file's coordinates, lie on an avatar in its own pose as they are,
+    with the avatar's origin: the best one, then those that it may be mistaken for. Unit and axes are the avatar's where
+    it lies so. body: the surface of `own`. Raises ValueError when no unit gives a garment's size.
+    """
+    fit, tried = Fit(body), _some(vertices)
+    named = [name for name, metres in UNITS.items() if abs(own.scale / metres - 1) < 1e-3]
+    shared = Placement(*(named or ["the avatar's unit"]), own.scale, own.turn, own.shift, 0.0)
+    others = [
+        Placement(unit, scale, turn, own.shift, 0.0)
+        for turn in quarter_turns()
+        for unit, scale in _likely_units(vertices).items()
+    ]
+    found = []
+    for reading in (shared, *others):
+        cost = float(fit.cost(reading.applied(tried)))
+        if cost <= WORN and buried(reading.applied(vertices), body) < MOST_BURIED:
+            found.append(replace(reading, cost=cost))
+            if reading is shared:
+                return found
+    found.sort(key=lambda reading: reading.cost)
+    return [reading for reading in found if CLEARLY * reading.cost <= found[0].cost]
+
+
+def buried(points: np.ndarray, body: BodySurface) -> float:
+    """Share of points (n, 3) that lie deep in the body."""
+    return float((body.closest(points).distance < -BURIED).mean())
+
+
+def cost_turned_over(points: np.ndarray, body: BodySurface) -> float:
+    """What points (n, 3) [m] cost head down, as a share of what they cost as they are, each settled nearby."""
+    fit, tried = Fit(body), _some(points)
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+
+    def settled(turn: list[int]) -> float:
+        turned = (tried - centre) * turn + centre
+        starts = [np.array([0.0, 0.0, height]) for height in TURNED_HEIGHTS]
+        return min(fit.settled(turned, start, HEIGHT_STEP)[1] for start in starts)
+
+    return min(settled([1, -1, -1]), settled([-1, 1, -1])) / settled([1, 1, 1])
+
+
 def find_placement(vertices: np.ndarray, body: BodySurface) -> Placement:
     """The simplest reading of vertices (n, 3), in the file's coordinates, that fits the body.
 
     Raises ValueError when no unit gives a garment's size.
     """
-    fit = Fit(body)
-    longest = float(np.ptp(vertices, axis=0).max())
-    low, high = EXTENT_RANGE
-    units = [unit for unit, metres in UNITS.items() if low <= longest * metres <= high]
-    if not units:
-        raise ValueError(
-            f"the garment's longest extent is {longest:.4g} units; in {', '.join(UNITS)} it must be {low} to {high} m"
-        )
-    tried = vertices[np.linspace(0, len(vertices) - 1, min(TRIED_POINTS, len(vertices))).astype(int)]
+    fit, tried = Fit(body), _some(vertices)
+    units = _likely_units(vertices)
     box = np.stack([vertices.min(axis=0), vertices.max(axis=0)]).mean(axis=0)
     readings = [
-        (Placement(unit, turn, np.zeros(3), 0.0), *(UNITS[unit] * array @ turn.T for array in (tried, box)))
+        (Placement(unit, scale, turn, np.zeros(3), 0.0), *(scale * array @ turn.T for array in (tried, box)))
         for turn in quarter_turns()
-        for unit in units
+        for unit, scale in units.items()
     ]
     floor = np.array([0.0, 0.0, body.vertices[:, 2].min()])
     best, standing = (
@@ -128,6 +172,23 @@ def find_placement(vertices: np.ndarray, body: BodySurface) -> Placement:
         return best
     other = _simplest(_best_place(fit, *reading) for reading in readings)
     return _moved_if_better(best, other)
+
+
+def _some(vertices: np.ndarray) -> np.ndarray:
+    """`TRIED_POINTS` of the vertices (n, 3), or all of them."""
+    return vertices[np.linspace(0, len(vertices) - 1, min(TRIED_POINTS, len(vertices))).astype(int)]
+
+
+def _likely_units(vertices: np.ndarray) -> dict[str, float]:
+    """Of `UNITS` those in which vertices (n, 3) have a garment's size."""
+    longest = float(np.ptp(vertices, axis=0).max())
+    low, high = EXTENT_RANGE
+    units = {unit: metres for unit, metres in UNITS.items() if low <= longest * metres <= high}
+    if not units:
+        raise ValueError(
+            f"the garment's longest extent is {longest:.4g} units; in {', '.join(UNITS)} it must be {low} to {high} m"
+        )
+    return units
 
 
 def _simplest(readings: Iterable[Placement]) -> Placement:
@@ -155,7 +216,7 @@ def _best_place(fit: Fit, reading: Placement, points: np.ndarray, centre: np.nda
 def best_scale(points: np.ndarray, body: BodySurface) -> tuple[float, float, float]:
     """Factor of `SCALES` at which points (n, 3) [m] fit best about their centre, its cost, and the cost at 1."""
     fit = Fit(body)
-    tried = points[np.linspace(0, len(points) - 1, min(TRIED_POINTS, len(points))).astype(int)]
+    tried = _some(points)
     centre = tried.mean(axis=0)
     costs = [fit.settled(scale * (tried - centre), centre, 0.02)[1] for scale in SCALES]
     return SCALES[int(np.argmin(costs))], float(min(costs)), float(fit.cost(tried))

@@ -17,14 +17,16 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
+from physkin_core.runtime.draper import Draper
 from physkin_training.evaluate.contact_sheet import chosen_bodies, chosen_poses, drape_all, draw
 from physkin_training.evaluate.evaluate import Evaluation, evaluate_model
 from physkin_training.evaluate.score_table import table
 from physkin_training.fit_garment.checks import CheckedGarment
+from physkin_training.fit_garment.pictures import front_and_back
 from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.verdicts import COLUMNS
 
-__all__ = ["html_table", "loss_curve", "write_report"]
+__all__ = ["html_table", "longer_or_not", "loss_curve", "write_report"]
 
 FIRST_POSES = 2
 """Poses a body that are evaluated first, to see how many there is time for."""
@@ -32,9 +34,12 @@ PICTURE_SECONDS = 30.0
 """The first pictures, with what they load and compile."""
 SHEET_POSES = 6
 SHEET_WIDTH = 190
+AVATAR_POSES = 2
+LAST, STILL_FALLING = 0.25, 3.0
+"""Share of the run at its end, and by how many percent the validation energy falls in it where more is worth while."""
 VIEWS = (20, 110, 200)
 """Azimuths [degrees] of the pictures at rest: front, side, back."""
-COLOURS = {"ok": "#2d7a46", "repaired": "#1f6fa8", "warning": "#b36b00", "refused": "#b3261e"}
+COLOURS = {"ok": "#2d7a46", "repaired": "#1f6fa8", "warning": "#b36b00", "unsure": "#7a4fa3", "refused": "#b3261e"}
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 1200px; margin: 2em auto; padding: 0 1em; color: #25282c; }
 table { border-collapse: collapse; margin: 1em 0; font-size: 13px; }
@@ -49,6 +54,7 @@ def write_report(
     model: GarmentModel,
     checked: CheckedGarment,
     template: Avatar,
+    avatar: Avatar | None,
     device: torch.device,
     budget: TimeBudget,
     *,
@@ -60,8 +66,9 @@ def write_report(
 ) -> None:
     """Evaluate the model on held-out bodies and write the page; the sheet of drapes also as PNG beside it.
 
-    losses: the training's record. seconds: how long it took. bodies, poses: see `evaluate_model`; there are fewer poses
-    and pictures where the budget has no time for all. Without the [view] extra the page has no pictures and says so.
+    avatar: the user's own body, draped too; None for none. losses: the training's record. seconds: how long it took.
+    bodies, poses: see `evaluate_model`; there are fewer poses and pictures where the budget has no time for all.
+    Without the [view] extra the page has no pictures and says so.
     """
 
     def evaluate(count: int) -> dict:
@@ -69,12 +76,13 @@ def write_report(
 
     few = min(FIRST_POSES, poses)
     scores, taken = budget.timed(lambda: evaluate(few))
-    shown = _pictures(path, model, checked, template, device, budget) if pictures else []
+    shown = _pictures(path, model, checked, template, avatar, device, budget) if pictures else []
     more = int(min(poses, few * budget.left / taken))
     if more > few:
         scores = evaluate(more)
     optimisation = model.training["optimisation"]
     steps, samples = optimisation["steps"], optimisation["samples"]
+    rows = _read_losses(losses)
     counts = "{bodies} held-out bodies, {poses} poses each".format(**scores["counts"])
     parts = [
         f"<h1>{html.escape(model.name)}</h1>",
@@ -86,14 +94,21 @@ def write_report(
         f"<h2>Figures</h2><p>{counts}.</p>",
         html_table(table(scores)),
         "<h2>Training</h2>",
-        loss_curve(_read_losses(losses)),
+        loss_curve(rows),
+        f"<p>{longer_or_not(rows)}</p>",
     ]
     page = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(model.name)}</title>'
     path.write_text(f"{page}<style>{STYLE}</style><body>\n" + "\n".join(parts) + "\n</body></html>\n", encoding="utf-8")
 
 
 def _pictures(
-    path: Path, model: GarmentModel, checked: CheckedGarment, template: Avatar, device: torch.device, budget: TimeBudget
+    path: Path,
+    model: GarmentModel,
+    checked: CheckedGarment,
+    template: Avatar,
+    avatar: Avatar | None,
+    device: torch.device,
+    budget: TimeBudget,
 ) -> list[str]:
     late = f"there was no time for {{}}: physkin contact-sheet {path.with_suffix('.safetensors').name} draws drapes"
     if budget.left < PICTURE_SECONDS:
@@ -102,6 +117,8 @@ def _pictures(
         rest, taken = budget.timed(lambda: _at_rest(checked, template))  # three renderings, larger than a pose's three
         poses = int(min(SHEET_POSES, budget.left / 2 / taken))
         parts = ["<p>As it was trained, on the template's body:</p>", _image(rest), "<h2>Drapes</h2>"]
+        if avatar is not None and budget.left > 3 * taken:
+            parts += ["<p>On your avatar, in the poses of the first rows:</p>", _image(_on_avatar(model, avatar))]
         if poses < 1:
             return [*parts, _note(late.format("a sheet"))]
         sheet = _sheet(model, device, poses)
@@ -156,8 +173,40 @@ def loss_curve(rows: list[dict]) -> str:
     )
 
 
+def longer_or_not(rows: list[dict]) -> str:
+    """Whether the energy on the validation poses still fell at the end, in words, with the figure.
+
+    rows: of the training's `losses.jsonl`.
+    """
+    measured = [(row["step"], row["validation_energy"]) for row in rows if "validation_energy" in row]
+    earlier = [energy for step, energy in measured if step <= (1 - LAST) * measured[-1][0]]
+    if not earlier:
+        return "Too short a run to say whether a longer one is worth while."
+    before, last = earlier[-1], measured[-1][1]
+    fell = 100 * (before - last) / before
+    advice = "still falling, train longer" if fell > STILL_FALLING else "a longer run would gain little"
+    return (
+        f"Over the last {100 * LAST:g} % of the steps the energy on the validation poses went from {before:.4f} to "
+        f"{last:.4f} J ({-fell:+.1f} %): {advice}."
+    )
+
+
 def _read_losses(path: Path) -> list[dict]:
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def _on_avatar(model: GarmentModel, avatar: Avatar) -> np.ndarray:
+    """The garment on the user's avatar in `AVATAR_POSES` poses, front and back."""
+    poses, names = chosen_poses(model.rig, count=AVATAR_POSES, seed=0)
+    draper = Draper(model, avatar)
+    images = []
+    for positions, gravity in zip(poses.positions.numpy(), poses.gravity.numpy()):
+        garment = draper.drape(positions, gravity)[:, :3]
+        body = avatar.posed_vertices(model.rig.bone_transforms(positions, heads=avatar.bone_heads))
+        images += front_and_back(body, avatar.faces, garment, model.garment.faces)
+    return contact_sheet(
+        images, columns=4, captions=[f"{name}, {side}" for name in names for side in ("front", "back")]
+    )
 
 
 def _at_rest(checked: CheckedGarment, template: Avatar) -> np.ndarray:

@@ -11,7 +11,7 @@ from tabulate import tabulate
 
 __all__ = ["COLUMNS", "Checks", "Outcome", "Verdict", "verdict_table"]
 
-Outcome = Literal["ok", "repaired", "warning", "refused"]
+Outcome = Literal["ok", "repaired", "warning", "unsure", "refused"]
 COLUMNS = ("check", "verdict", "found", "allowed")
 
 
@@ -35,6 +35,11 @@ class Checks:
     def say(self, check: str, outcome: Outcome, found: str, allowed: str) -> None:
         """Add a verdict."""
         self.verdicts.append(Verdict(check, outcome, found, allowed))
+
+    @property
+    def refused(self) -> bool:
+        """Whether the last verdict ends the checks."""
+        return bool(self.verdicts) and self.verdicts[-1].outcome == "refused"
 
     @property
     def mesh(self) -> trimesh.Trimesh:

@@ -13,15 +13,30 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import Garment
 from physkin_training.fit_garment import mesh_repair
 from physkin_training.fit_garment.fitting import CLEARANCE, carried, clear_of
-from physkin_training.fit_garment.placement import UNITS, WORN, best_scale, find_placement
-from physkin_training.fit_garment.verdicts import Checks
+from physkin_training.fit_garment.mesh_checks import openings_and_holes
+from physkin_training.fit_garment.own_pose import OwnPose
+from physkin_training.fit_garment.placement import (
+    MOST_BURIED,
+    UNITS,
+    WORN,
+    Placement,
+    best_scale,
+    buried,
+    cost_turned_over,
+    find_lying,
+    find_placement,
+)
+from physkin_training.fit_garment.verdicts import Checks, Verdict
 from physkin_training.physics.surface_queries import BodySurface
 
 __all__ = [
     "check_body",
+    "check_lying",
     "check_overlap",
     "check_placement",
+    "check_pose",
     "check_scale",
+    "check_upright",
     "check_winding",
 ]
 
@@ -29,22 +44,24 @@ FACING = 0.2
 """How clearly faces must look away from the body on average: -1 to 1."""
 DEEPEST_REPAIRED, MOST_INSIDE = 0.08, 0.5
 """Overlap that is pushed out: depth [m], share of vertices."""
+HELD = 0.03
+"""[m] mean distance of the uppermost opening from the body; the shipped garments have up to 0.013."""
+BETTER, NO_WORSE = 0.75, 1.2
+"""A garment is upside down that costs less than this share of its cost head down; and one that is not held, than that.
+The shipped garments would cost 0.9 (skirt) to 2.7 times as much."""
+SAME_PLACE, SAME_SHAPE = 1e-3, 0.5
+"""[m] by which a garment may move between two poses that are taken for one; % by which edges may change, unrelaxed."""
 SAME_BODY = 0.01
 """Bodies whose joints and skin are no farther apart than this [m] are taken for one."""
 
 
 def check_placement(checks: Checks, surface: BodySurface) -> None:
-    """Unit, axes and place on the body."""
+    """Unit, axes and place on the body in the canonical pose."""
     try:
         placed = find_placement(checks.vertices, surface)
     except ValueError as error:
         return checks.say("units", "refused", str(error), ", ".join(UNITS))
-    checks.vertices = placed.applied(checks.vertices)
-    extent = " x ".join(f"{value:.2f}" for value in np.ptp(checks.vertices, axis=0))
-    changed = "ok" if placed.unit == "metres" else "repaired"
-    checks.say("units", changed, f"{placed.unit}; {extent} m", ", ".join(UNITS))
-    changed = "ok" if np.array_equal(placed.turn, np.eye(3)) else "repaired"
-    checks.say("orientation", changed, placed.axes, "Z or Y up, facing along an axis; turned to Z up, X forward")
+    _place(checks, placed, UNITS["metres"], np.eye(3))
     allowed = "where it is worn on the body, the body's root at the origin or its feet on the floor"
     found = f"mean distance to the body {1000 * placed.cost:.0f} mm"
     if placed.cost > WORN:
@@ -57,6 +74,67 @@ def check_placement(checks: Checks, surface: BodySurface) -> None:
             "position", "warning" if placed.searched else "repaired", f"moved by ({shift}) m; {found}", allowed
         )
     return checks.say("position", "ok", found, allowed)
+
+
+def check_lying(checks: Checks, own: OwnPose, own_surface: BodySurface, surface: BodySurface) -> bool:
+    """Unit, axes and place on an avatar in its own pose, as the garment lies; else as `check_placement`, in doubt.
+
+    surface: of the avatar in the canonical pose. Returns whether it lies in the own pose.
+    """
+    try:
+        lying = find_lying(checks.vertices, own, own_surface)
+    except ValueError as error:
+        checks.say("units", "refused", str(error), ", ".join(UNITS))
+        return True
+    allowed = (
+        f"as it lies on the avatar, which shares its origin, less than {100 * MOST_BURIED:g} % of it deep in the body"
+    )
+    if lying:
+        _place(checks, lying[0], own.scale, own.turn)
+        found = f"as it lies; mean distance to the body {1000 * lying[0].cost:.0f} mm"
+        if len(lying) == 1:
+            checks.say("position", "ok", found, allowed)
+        else:
+            others = " or ".join(f"{other.axes}, {other.unit}" for other in lying[1:])
+            checks.say("position", "unsure", f"{found}; it would lie as well read as {others}", allowed)
+        return True
+    as_given = buried(own.scale * checks.vertices @ own.turn.T + own.shift, own_surface)
+    check_placement(checks, surface)
+    position = checks.verdicts[-1]
+    if position.outcome == "warning" or (
+        position.outcome != "refused" and buried(checks.vertices, surface) > MOST_BURIED
+    ):
+        found = f"not on the avatar as it lies ({100 * as_given:.0f} % of it deep in the body); {position.found}"
+        checks.verdicts[-1] = Verdict("position", "unsure", found, allowed)
+    return False
+
+
+def _place(checks: Checks, placed: Placement, scale: float, turn: np.ndarray) -> None:
+    """Take vertices to the root frame; verdicts on unit and axes, repaired where they are not `scale` and `turn`."""
+    checks.vertices = placed.applied(checks.vertices)
+    extent = " x ".join(f"{value:.2f}" for value in np.ptp(checks.vertices, axis=0))
+    changed = "ok" if np.isclose(placed.scale, scale) else "repaired"
+    checks.say("units", changed, f"{placed.unit}; {extent} m", ", ".join(UNITS))
+    changed = "ok" if np.allclose(placed.turn, turn, atol=1e-3) else "repaired"
+    checks.say("orientation", changed, placed.axes, "Z or Y up, facing along an axis; turned to Z up, X forward")
+
+
+def check_upright(checks: Checks, surface: BodySurface) -> None:
+    """Head up, held by the uppermost opening."""
+    allowed = (
+        f"the uppermost opening within {1000 * HELD:g} mm of the body, or no other much closer; no better head down"
+    )
+    loops, _ = openings_and_holes(checks.vertices, checks.faces)
+    away = [float(np.abs(surface.closest(checks.vertices[loop]).distance).mean()) for loop in loops]
+    top = int(np.argmax([checks.vertices[loop, 2].mean() for loop in loops]))
+    turned = cost_turned_over(checks.vertices, surface)
+    found = (
+        f"uppermost opening {1000 * away[top]:.0f} mm from the body; head down its distance would be {turned:.2f} times"
+    )
+    held = away[top] <= HELD or min(away) > away[top] / 2
+    if turned < (BETTER if held else NO_WORSE):
+        return checks.say("upright", "refused", f"{found}: it is upside down", allowed)
+    return checks.say("upright", "ok", found, allowed)
 
 
 def check_winding(checks: Checks, surface: BodySurface) -> None:
@@ -106,6 +184,26 @@ def check_overlap(checks: Checks, avatar: Avatar, surface: BodySurface) -> None:
     return _push_out(checks, "overlap", avatar, surface, found, allowed)
 
 
+def check_pose(checks: Checks, avatar: Avatar, surface: BodySurface, own: OwnPose | None) -> None:
+    """Out of the avatar's own pose into the canonical one. own: None for a garment that is in that one."""
+    allowed = "the avatar's own pose, or the canonical A-pose; carried into that with the avatar's skeleton"
+    if own is None:
+        return checks.say("pose", "ok", "the canonical pose", allowed)
+    lying = Garment(checks.vertices, checks.faces)
+    checks.vertices = own.canonical(checks.vertices, checks.faces)
+    far = float(np.linalg.norm(checks.vertices - lying.vertices, axis=1).max())
+    if far < SAME_PLACE:
+        return checks.say("pose", "ok", "the canonical pose", allowed)
+    found = f"carried out of the avatar's own pose, by up to {100 * far:.1f} cm"
+    strain = _edge_change(lying, lying.reshaped(checks.vertices))
+    if strain > SAME_SHAPE:
+        checks.vertices = clear_of(lying, avatar, surface, start=checks.vertices)
+        strain = _edge_change(lying, lying.reshaped(checks.vertices))
+        found += ", and relaxed"
+    found += f": edges changed by {strain:.1f} %"
+    return checks.say("pose", "warning" if strain > 5 else "repaired", found, allowed)
+
+
 def check_body(checks: Checks, avatar: Avatar, template: Avatar) -> None:
     """Made on another body than the training template."""
     allowed = "made on the training template's body; carried over from another one"
@@ -127,9 +225,14 @@ def _push_out(checks: Checks, name: str, avatar: Avatar, surface: BodySurface, f
     before = Garment(checks.vertices, checks.faces)
     checks.vertices = clear_of(before, avatar, surface)
     after = Garment(checks.vertices, checks.faces)
-    strain = 100 * float((np.abs(after.edge_lengths - before.edge_lengths) / before.edge_lengths).mean())
+    strain = _edge_change(before, after)
     closest = float(surface.closest(checks.vertices).distance.min())
     found += f": edges changed by {strain:.1f} %, now {1000 * closest:.1f} mm clear"
     if closest < CLEARANCE - 5e-4:
         return checks.say(name, "refused", found, allowed)
     return checks.say(name, "warning" if strain > 5 else "repaired", found, allowed)
+
+
+def _edge_change(before: Garment, after: Garment) -> float:
+    """Mean change of edge lengths [%]."""
+    return 100 * float((np.abs(after.edge_lengths - before.edge_lengths) / before.edge_lengths).mean())

@@ -43,6 +43,24 @@ def closest_kernel(
 
 
 @wp.kernel
+def facing_kernel(
+    points: wp.array(dtype=wp.vec3),
+    ways: wp.array(dtype=wp.vec3),
+    body: wp.uint64,
+    reach: wp.float32,
+    face: wp.array(dtype=wp.int32),
+    barycentric: wp.array(dtype=wp.vec3),
+):
+    """The first face that a ray meets within `reach`, where it looks towards the ray; else -1."""
+    i = wp.tid()
+    hit = wp.mesh_query_ray(body, points[i], ways[i], reach)
+    face[i] = -1
+    if hit.result and wp.dot(hit.normal, ways[i]) < 0.0:
+        face[i] = hit.face
+        barycentric[i] = wp.vec3(hit.u, hit.v, 1.0 - hit.u - hit.v)
+
+
+@wp.kernel
 def piercing_kernel(
     mesh_id: wp.uint64,
     edges: wp.array2d(dtype=wp.int32),
@@ -129,6 +147,15 @@ class BodySurface:
         inputs = [where, self._mesh.id, FARTHEST]
         wp.launch(closest_kernel, n, inputs, [distance, outward, face, barycentric], device="cpu")
         return Closest(*(array.numpy().copy() for array in (distance, outward, face, barycentric)))
+
+    def facing(self, points: np.ndarray, ways: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+        """Where rays from points (n, 3) along unit vectors (n, 3) first meet the body: faces (n,), -1 where they do not
+        within `reach` [m] or come from inside, and barycentric coordinates (n, 3)."""
+        n = len(points)
+        rays = [wp.array(np.asarray(array, np.float32), dtype=wp.vec3, device="cpu") for array in (points, ways)]
+        face, barycentric = wp.zeros(n, wp.int32, device="cpu"), wp.zeros(n, wp.vec3, device="cpu")
+        wp.launch(facing_kernel, n, [*rays, self._mesh.id, reach], [face, barycentric], device="cpu")
+        return face.numpy().copy(), barycentric.numpy().copy()
 
     def push_out(self, points: np.ndarray, clearance: float, *, iterations: int = 30, step: float = 0.02) -> np.ndarray:
         """`points` (n, 3), those closer than `clearance` [m] moved out, at most `step` [m] an iteration."""

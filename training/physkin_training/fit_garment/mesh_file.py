@@ -1,0 +1,235 @@
+"""Garment files: reading a mesh with its look (UVs, materials, parts), and writing it as OBJ.
+
+OBJ, GLB and glTF have all of it; of PLY, STL and OFF only the shape is read.
+Dimensions: `n` vertices, `f` triangles.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from physkin_core.model.garment import GarmentError
+from physkin_training.physics.surface_queries import BodySurface
+
+__all__ = ["Look", "MeshFile", "read_mesh", "write_obj"]
+
+SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+SCENE_SUFFIXES = (".glb", ".gltf")
+LIBRARY = "garment.mtl"
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a mesh has besides its shape. uv: (f, 3, 2) of each corner, NaN for none, origin at the lower left.
+
+    material, part: (f,) indices into `materials` and `parts`, names; -1 for none. files: by name what is written beside
+    the mesh, the material library and its pictures.
+    """
+
+    uv: np.ndarray
+    material: np.ndarray
+    part: np.ndarray
+    materials: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()
+    files: dict[str, bytes] = field(default_factory=dict)
+
+    @classmethod
+    def plain(cls, f: int) -> Look:
+        """Of a mesh of shape alone."""
+        return cls(np.full((f, 3, 2), np.nan), np.full(f, -1), np.full(f, -1))
+
+    def on(self, source: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> Look:
+        """The look of another mesh of the same surface: each face has that of the closest face of the source's vertices
+        and faces, wherever cut, turned over or welded."""
+        corners = vertices[faces]
+        closest = BodySurface(*source).closest(corners.mean(axis=1)).face
+        triangles = source[0][source[1][closest]]
+        flat = np.repeat(triangles, 3, axis=0)
+        shares = trimesh.triangles.points_to_barycentric(flat, corners.reshape(-1, 3)).reshape(-1, 3, 3)
+        uv = np.einsum("fck,fku->fcu", shares, self.uv[closest])
+        return Look(uv, self.material[closest], self.part[closest], self.materials, self.parts, self.files)
+
+    def __str__(self) -> str:
+        """What there is, in words."""
+        has_uv = np.isfinite(self.uv).all(axis=(1, 2)).any()
+        return ", ".join(
+            (["UVs"] if has_uv else [])
+            + [
+                f"{len(names)} {word}"
+                for names, word in ((self.materials, "materials"), (self.parts, "parts"))
+                if names
+            ]
+        )
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """vertices (n, 3) in the file's frame and unit, faces (f, 3), how many of the file's faces had more than three
+    corners, and the look."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    polygons: int
+    look: Look
+
+
+def read_mesh(path: Path) -> MeshFile:
+    """All meshes of a garment file as one. Raises GarmentError when it holds none."""
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise GarmentError(f"garment {path} has the unknown extension {path.suffix!r}; allowed: {', '.join(SUFFIXES)}")
+    if not path.is_file():
+        raise GarmentError(f"garment {path}: no such file")
+    try:
+        mesh = _read_obj(path) if suffix == ".obj" else _read_scene(path)
+    except Exception as error:  # whatever the parser trips over, the file is not a readable mesh
+        raise GarmentError(f"cannot read garment mesh {path}: {error}") from error
+    if len(mesh.faces) == 0:
+        raise GarmentError(f"garment {path} holds no faces")
+    return mesh
+
+
+def write_obj(path: Path, vertices: np.ndarray, faces: np.ndarray, look: Look, *, header: str) -> None:
+    """Write vertices (n, 3) and faces (f, 3) as OBJ, and the files of the look beside it."""
+    lines = [f"# {header}"]
+    if LIBRARY in look.files:
+        lines.append(f"mtllib {LIBRARY}")
+    lines += [f"v {x:.7f} {y:.7f} {z:.7f}" for x, y, z in vertices.tolist()]
+    textured = np.isfinite(look.uv).all(axis=(1, 2))
+    places, index = np.unique(np.round(look.uv[textured].reshape(-1, 2), 6), axis=0, return_inverse=True)
+    lines += [f"vt {u:.6f} {v:.6f}" for u, v in places.tolist()]
+    texture = np.zeros(faces.shape, dtype=int)
+    texture[textured] = index.reshape(-1, 3) + 1
+    now = (-1, -1)
+    for face in np.lexsort([look.material, look.part]):
+        part, material = look.part[face], look.material[face]
+        if part != now[0]:
+            lines.append(f"o {look.parts[part]}")
+        if material != now[1]:
+            lines.append(f"usemtl {look.materials[material]}")
+        now = (part, material)
+        corners = zip((faces[face] + 1).tolist(), texture[face].tolist())
+        lines.append("f " + " ".join(f"{vertex}/{uv}" if uv else f"{vertex}" for vertex, uv in corners))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    for name, content in look.files.items():
+        (path.parent / name).write_bytes(content)
+
+
+def _read_obj(path: Path) -> MeshFile:
+    """Vertices in the order of the file, faces of more corners as fans."""
+    vertices, places, faces, corners, looks = [], [], [], [], []
+    materials: dict[str, int] = {}
+    parts: dict[str, int] = {}
+    material = part = -1
+    libraries, polygons = [], 0
+    for line in path.read_text(encoding="utf-8", errors="replace").replace("\\\n", " ").splitlines():
+        kind, *entries = line.split("#")[0].split() or [""]
+        if kind == "v":
+            vertices.append([float(entry) for entry in entries[:3]])
+        elif kind == "vt":
+            places.append([float(entry) for entry in entries[:2]])
+        elif kind in ("o", "g") and entries:
+            part = parts.setdefault(" ".join(entries), len(parts))
+        elif kind == "usemtl":
+            material = materials.setdefault(" ".join(entries), len(materials))
+        elif kind == "mtllib":
+            libraries.append(" ".join(entries))
+        elif kind == "f":
+            polygons += len(entries) > 3
+            indices = [[int(number) if number else 0 for number in entry.split("/")[:2]] for entry in entries]
+            own = [index[0] - 1 if index[0] > 0 else len(vertices) + index[0] for index in indices]
+            uv = [_place_of(index[1:], places) for index in indices]
+            for corner in range(1, len(entries) - 1):
+                fan = (0, corner, corner + 1)
+                faces.append([own[k] for k in fan])
+                corners.append([uv[k] for k in fan])
+                looks.append((material, part))
+    material, part = np.array(looks, dtype=int).reshape(-1, 2).T
+    used = [name for index, name in enumerate(parts) if (part == index).any()]
+    part = np.array([used.index(list(parts)[index]) if index >= 0 else -1 for index in part], dtype=int)
+    if len(used) == 1:
+        used, part = [], np.full(len(part), -1)
+    files = _library(path.parent, libraries) if materials else {}
+    uv = np.array(corners, dtype=float).reshape(-1, 3, 2)
+    look = Look(uv, material, part, tuple(materials), tuple(used), files)
+    return MeshFile(np.array(vertices, dtype=float).reshape(-1, 3), np.array(faces, int).reshape(-1, 3), polygons, look)
+
+
+def _place_of(index: list[int], places: list) -> list[float]:
+    return places[index[0] - 1 if index[0] > 0 else index[0]] if index and index[0] else [np.nan, np.nan]
+
+
+def _library(folder: Path, names: list[str]) -> dict[str, bytes]:
+    """Material libraries of a folder as one, and the pictures they name, all by their names alone."""
+    files, lines = {}, []
+    for name in names:
+        if not (folder / name).is_file():
+            continue
+        for line in (folder / name).read_text(encoding="utf-8", errors="replace").splitlines():
+            found = re.match(r"\s*((?:map_|bump|disp|norm)\S*\s+(?:-\S+\s+[\d.]+\s+)*)(\S.*)$", line)
+            picture = folder / found[2].strip() if found else None
+            if picture is not None and picture.is_file():
+                files[picture.name] = picture.read_bytes()
+                line = found[1] + picture.name
+            lines.append(line)
+    return {LIBRARY: ("\n".join(lines) + "\n").encode(), **files} if lines else {}
+
+
+def _read_scene(path: Path) -> MeshFile:
+    """What trimesh reads; where there are textures or several meshes, vertices at equal places are one."""
+    scene = trimesh.load_scene(path, process=False)
+    vertices, faces, uv, looks, parts, count = [], [], [], [], [], 0
+    library = _Library()
+    for node in scene.graph.nodes_geometry:
+        transform, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        if not isinstance(mesh, trimesh.Trimesh):
+            continue
+        vertices.append(trimesh.transform_points(mesh.vertices, transform))
+        corners = np.asarray(mesh.faces)[:, :: -1 if np.linalg.det(transform[:3, :3]) < 0 else 1]
+        places = getattr(mesh.visual, "uv", None)
+        uv.append(np.full((len(corners), 3, 2), np.nan) if places is None else np.asarray(places)[corners])
+        material = getattr(mesh.visual, "material", None) if path.suffix.lower() in SCENE_SUFFIXES else None
+        looks.append(np.tile([library.add(material), len(parts)], (len(corners), 1)))
+        parts.append(str(node))
+        faces.append(corners + count)
+        count += len(mesh.vertices)
+    material, part = np.concatenate(looks).T
+    points, faces, uv = np.concatenate(vertices), np.concatenate(faces), np.concatenate(uv)
+    if len(parts) > 1 or np.isfinite(uv).any():
+        _, first, place = np.unique(points + 0.0, axis=0, return_index=True, return_inverse=True)
+        points, faces = points[first], place.reshape(-1)[faces]
+    if len(parts) == 1:
+        parts, part = [], np.full(len(part), -1)
+    return MeshFile(points, faces, 0, Look(uv, material, part, tuple(library.names), tuple(parts), library.files))
+
+
+class _Library:
+    """Materials of a glTF file as a material library: `names`, `files` as in `Look`."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+        self.files: dict[str, bytes] = {}
+
+    def add(self, material: trimesh.visual.material.PBRMaterial | None) -> int:
+        """Its number in `names`, -1 for none."""
+        if material is None:
+            return -1
+        name = re.sub(r"[^\w.-]+", "_", material.name or "material")
+        if name not in self.names:
+            self.names.append(name)
+            colour = [255, 255, 255] if material.baseColorFactor is None else material.baseColorFactor[:3]
+            text = f"newmtl {name}\nKd " + " ".join(f"{value / 255:.4f}" for value in colour) + "\n"
+            if material.baseColorTexture is not None:
+                picture = io.BytesIO()
+                material.baseColorTexture.save(picture, format="PNG")
+                self.files[f"{name}.png"] = picture.getvalue()
+                text += f"map_Kd {name}.png\n"
+            self.files[LIBRARY] = self.files.get(LIBRARY, b"") + text.encode()
+        return self.names.index(name)
