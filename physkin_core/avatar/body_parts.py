@@ -26,7 +26,7 @@ BODY, UNKNOWN, CLOTHES, ACCESSORY = range(4)
 WORDS = {
     ACCESSORY: "hair bang ponytail eye eyebrow eyelash iris pupil cornea lash brow teeth tooth tongue gum mouth beard "
     "moustache mustache glass glasses eyewear goggle hat cap helmet headwear horn tail wing weapon sword bag backpack "
-    "jewel earring necklace ring",
+    "jewel earring necklace ring helper",
     CLOTHES: "cloth clothing outfit top bottom shirt tshirt blouse sweater hoodie jacket coat vest suit dress skirt "
     "pant trouser jean short legging sock stocking shoe boot sneaker footwear sandal glove scarf tie belt underwear "
     "bra uniform kimono robe onepiece",

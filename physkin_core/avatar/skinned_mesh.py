@@ -19,7 +19,7 @@ from physkin_core.rig.rig import Rig
 __all__ = ["SkinnedMesh", "Surface", "check_size", "clean_surface", "identify_bones", "turn_upright", "unit_scale"]
 
 HEIGHT_RANGE = (0.5, 3.0)
-UNITS = {"centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001}
+UNITS = {"decimetres": 0.1, "centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001}
 ADULT_SIZES = (1.2, 2.4)
 """[m] of the largest extent of a mesh that is taken to be in one of `UNITS`; none of these can be mistaken."""
 SIDES = ("L", "R")

@@ -25,10 +25,10 @@ LIMB_OFFSET = {"arm": 0.085, "leg": 0.03}
 SEGMENT_RATIO = {"arm": 1.12, "leg": 0.9}
 """Length of the upper over the lower segment; rigs differ in where hips are."""
 RATIO_WEIGHT = 4.0
-ANKLE_WEIGHT = 0.5
+ANKLE_WEIGHT = 2.0
 """Of the turn from shin to foot."""
 BRANCH = 0.4
-"""Share of the longest branch that makes another one a branch: fingers and a thumb, but no twist joint."""
+"""Share of the longest branch that makes another one a branch, as thumb and fingers are."""
 LIMB_BONES = {
     "arm": ("upperarm01", "lowerarm01", "wrist", "clavicle"),
     "leg": ("upperleg01", "lowerleg01", "foot", ""),
@@ -39,7 +39,8 @@ def bones_by_structure(heads: np.ndarray, parents: np.ndarray, rig: Rig) -> dict
     """Joint by rig bone, or None for a skeleton that is not a person's, standing with its limbs held symmetrically.
 
     heads: (j, 3), axes of the root frame or quarter turns of them. parents: (j,), -1 for none, a parent before its
-    children. Left is told from the feet's direction; without toes the skeleton is taken to look along X.
+    children. Left is told from the feet's direction; without toes it is where the coordinate is larger, as in the root
+    frame and in glTF's.
     """
     size = float(np.ptp(heads, axis=0).max())
     if not size > 0:
@@ -106,11 +107,20 @@ class _Tree:
         """The longest way down, as far as the first joint with several branches."""
         way = [joint]
         while children := self.children[way[-1]]:
-            lengths = sorted((self.edges[child] + self.reach[child] for child in children), reverse=True)
-            if len(lengths) > 1 and lengths[1] > BRANCH * lengths[0]:
+            lengths = {child: self.edges[child] + self.reach[child] for child in children}
+            longest = max(children, key=lengths.__getitem__)
+            others = [child for child in children if child != longest and not self._divides(child, longest)]
+            if any(lengths[child] > BRANCH * lengths[longest] for child in others):
                 break
-            way.append(max(children, key=lambda child: self.edges[child] + self.reach[child]))
+            way.append(longest)
         return way
+
+    def _divides(self, leaf: int, joint: int) -> bool:
+        """Whether a joint without children lies on the way from its parent to another one, as twist joints do."""
+        start = self.heads[self.parents[joint]]
+        line, offset = self.heads[joint] - start, self.heads[leaf] - start
+        share = offset @ line / max(line @ line, 1e-12)
+        return not self.children[leaf] and share < 0.9 and bool(np.linalg.norm(offset - share * line) < MIDLINE)
 
 
 def _limbs(tree: _Tree, axis: int) -> dict[str, tuple[int, list[list[int]]]] | None:

@@ -186,7 +186,13 @@ def test_truncated_binary_meshes(tmp_path, suffix):
 
 
 @pytest.mark.parametrize(
-    ("factor", "unit"), [(100, "in centimetres, 1.4"), (1 / 0.0254, "in inches, 1.4"), (1000, "in millimetres, 1.4")]
+    ("factor", "unit"),
+    [
+        (10, "in decimetres, 1.4"),
+        (100, "in centimetres, 1.4"),
+        (1 / 0.0254, "in inches, 1.4"),
+        (1000, "in millimetres, 1.4"),
+    ],
 )
 def test_units(tmp_path, factor, unit):
     """A rig file that does not say the unit: it is guessed from the size, and a warning says so."""
@@ -198,10 +204,10 @@ def test_units(tmp_path, factor, unit):
     assert len(avatar.warnings) == 1 and unit in avatar.warnings[0]
 
 
-@pytest.mark.parametrize("factor", [10, 0.1])
+@pytest.mark.parametrize("factor", [4, 0.1])
 def test_implausible_sizes(tmp_path, factor):
     """The height found, the range allowed and what to write."""
-    with pytest.raises(AvatarError, match='allowed 0.5 to 3.0 m, or 1.2 to 2.4 m in centimetres.*"scale"') as caught:
+    with pytest.raises(AvatarError, match='allowed 0.5 to 3.0 m, or 1.2 to 2.4 m in decimetres.*"scale"') as caught:
         load_avatar(_write_person(tmp_path / "person.obj", vertices=T_VERTICES * factor), RIG)
     assert f"is {np.ptp(T_VERTICES[:, 2]) * factor:.4g} m high" in str(caught.value)
 

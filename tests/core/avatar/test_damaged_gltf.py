@@ -62,8 +62,8 @@ def _loop(builder):
     _child(5, 0)(builder)
 
 
-def _decimetres(builder):
-    builder.document["nodes"].append({"name": "Armature", "scale": [10, 10, 10], "children": [0]})
+def _five_metres(builder):
+    builder.document["nodes"].append({"name": "Armature", "scale": [3, 3, 3], "children": [0]})
 
 
 def _without_data(count):
@@ -105,7 +105,7 @@ def _flat_limb(builder):
         (_no_elbows, r"no joint for 2 of the 12 .* lowerarm01.L, lowerarm01.R. Joints found: root, pelvis.L"),
         (_child(5, 3), "has two parents"),
         (_loop, "form a loop"),
-        (_decimetres, r"m high, allowed 0.5 to 3.0 m"),
+        (_five_metres, r"m high, allowed 0.5 to 3.0 m"),
         (_buffer(uri="https://example.org/body.bin"), "only files beside the avatar are read"),
         (_buffer(uri="gone.bin"), "gone.bin does not exist"),
         (_buffer(uri="../person.glb"), "buffer 0 is '../person.glb', outside the avatar's folder; it must be in it"),

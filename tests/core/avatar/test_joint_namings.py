@@ -117,6 +117,57 @@ def test_bones_by_structure(body, t_pose, ends, whole_rig):
     assert RIG.bone_names[bones[found["neck01"]]].startswith("neck")
 
 
+def _usual_skeleton(*, fingers, toes, twist, armature, hand_ends):
+    """Names, parents and heads (j, 3), X left, Y up, Z forward, of a skeleton as animation tools make it, in T-pose."""
+    joints = []
+
+    def add(name, parent, *head):
+        joints.append((name, parent, head))
+        return len(joints) - 1
+
+    above = add("Armature", -1, 0, 0, 0) if armature else -1
+    hips = chest = add("root", above, 0, 1.0, 0)
+    for height in (1.1, 1.22, 1.34):
+        chest = add("spine", chest, 0, height, -0.01)
+    head = add("head", add("neck01", chest, 0, 1.48, 0), 0, 1.56, 0.02)
+    add("crown", head, 0, 1.76, 0.03)
+    for side, x in (("L", 1), ("R", -1)):
+        add("eye", head, 0.03 * x, 1.62, 0.1)
+        arm = add(f"upperarm01.{side}", add(f"clavicle.{side}", chest, 0.05 * x, 1.42, 0), 0.17 * x, 1.43, -0.02)
+        elbow = add(f"lowerarm01.{side}", arm, 0.45 * x, 1.43, -0.02)
+        wrist = add(f"wrist.{side}", elbow, 0.71 * x, 1.43, -0.02)
+        for finger in range(fingers):
+            joint = wrist
+            for k in range(3):
+                joint = add("finger", joint, (0.8 + 0.03 * k) * x, 1.43, 0.02 * finger - 0.05)
+        if hand_ends:
+            add("end", wrist, 0.89 * x, 1.43, -0.02)
+        thigh = add(f"upperleg01.{side}", hips, 0.09 * x, 0.94, 0)
+        joint = add(f"foot.{side}", add(f"lowerleg01.{side}", thigh, 0.09 * x, 0.5, 0.01), 0.09 * x, 0.1, -0.03)
+        for toe in range(toes):
+            joint = add("toe", joint, 0.1 * x, 0.02, 0.09 + 0.07 * toe)
+        if twist:
+            for parent, *place in ((arm, 0.3, 1.43, -0.02), (elbow, 0.6, 1.43, -0.02), (thigh, 0.09, 0.7, 0)):
+                add("twist", parent, place[0] * x, *place[1:])
+    names, parents, heads = zip(*joints)
+    return names, np.array(parents), np.array(heads, dtype=np.float64)
+
+
+@pytest.mark.parametrize("axes", [[0, 1, 2], [2, 0, 1]])
+@pytest.mark.parametrize("toes", [0, 1, 2])
+@pytest.mark.parametrize("fingers", [0, 5])
+@pytest.mark.parametrize("more", [(), ("twist",), ("armature",), ("hand_ends",), ("twist", "hand_ends")])
+def test_usual_skeletons_by_structure(axes, toes, fingers, more):
+    """With and without fingers, toes, twist joints, ends of hands and a node above the hips; Y up and Z up."""
+    options = {name: name in more for name in ("twist", "armature", "hand_ends")}
+    names, parents, heads = _usual_skeleton(fingers=fingers, toes=toes, **options)
+    found = bones_by_structure(heads[:, axes], parents, RIG)
+    expected = {name for name in names if name in RIG.bone_names}
+    assert {bone: names[joint] for bone, joint in found.items() if bone in expected} == {
+        bone: bone for bone in expected
+    }
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_an_avatar_with_nameless_joints(tmp_path, turned):
     """Toes tell which way it looks; the warning names the joints that were taken."""
