@@ -33,6 +33,7 @@ class Avatar:
     influence_bones: (V, K) int32 into the rig's bones; influence_weights: (V, K) float32, rows sum to 1.
     source: where it came from. warnings: what was assumed or repaired on the way, for the user to read.
     bone_names: (b,) of the rig it is bound to; where left out, `Draper` can only compare the number of bones.
+    file_vertices: (V, 3) float64, where its file shows them, in the file's frame and unit; None where there is no file.
     """
 
     vertices: np.ndarray
@@ -44,6 +45,7 @@ class Avatar:
     source: str
     warnings: tuple[str, ...] = ()
     bone_names: tuple[str, ...] = ()
+    file_vertices: np.ndarray | None = None
 
     def posed_vertices(self, bone_transforms: np.ndarray) -> np.ndarray:
         """Body surface in a pose, by linear blend skinning.

@@ -91,6 +91,7 @@ def take_body(mesh: SkinnedMesh, joint_bones: np.ndarray, rig: Rig, *, scale: fl
         influence_weights=mesh.influence_weights[used],
         warnings=(*mesh.warnings, _report(mesh.part_names, kinds, taken)),
         face_parts=mesh.face_parts[kept],
+        file_vertices=None if mesh.file_vertices is None else mesh.file_vertices[used],
     )
 
 

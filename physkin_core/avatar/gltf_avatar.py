@@ -118,6 +118,7 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
         warnings=(*dict.fromkeys(warnings), *unit_warning),
         part_names=tuple(names),
         face_parts=face_parts[kept],
+        file_vertices=vertices,
     )
 
 

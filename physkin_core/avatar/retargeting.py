@@ -53,6 +53,7 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
         source=mesh.source,
         warnings=mesh.warnings,
         bone_names=rig.bone_names,
+        file_vertices=mesh.file_vertices,
     )
 
 

@@ -11,7 +11,7 @@ pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[repla
 
 from bag_messages import gravity, joint_state, recorded  # noqa: E402
 
-from physkin_core import Draper, cli, load_garment_model  # noqa: E402
+from physkin_core import BUNDLED_AVATAR, Draper, cli, load_garment_model  # noqa: E402
 from physkin_core.motion.bag_reader import GRAVITY, JOINT_STATE, TYPES, BagReader  # noqa: E402
 from physkin_core.quality import area_strain, edge_strain, jitter, signed_distance  # noqa: E402
 from physkin_core.runtime.bound_garment import plain_skinning  # noqa: E402
@@ -174,7 +174,7 @@ def test_joints_beyond_their_limits_are_named(run, draper, tmp_path):
     ],
 )
 def test_errors_are_one_line(quick, arguments, reason, bag, model_path, tmp_path, capsys):
-    """Exit status 2, a sentence on stderr, and nothing left behind."""
+    """Exit status 2, a sentence on stderr, after how the garment sits if it was bound, and nothing left behind."""
     for suffix in (".mcap", ".db3"):
         (tmp_path / f"text{suffix}").write_text("this is no bag" * 100)
     with BagWriter(tmp_path / "strange.mcap") as writer:
@@ -183,8 +183,9 @@ def test_errors_are_one_line(quick, arguments, reason, bag, model_path, tmp_path
     filled = [word.format(bag=bag, tmp=tmp_path) for word in arguments]
     model = ["--model", str(model_path), "--contact-every", "0"] if filled[0] == "replay" else []
     assert cli.main([*filled, *model]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    *warnings, line = capsys.readouterr().err.splitlines()
     assert line.startswith("error: ") and reason in line
+    assert [warning.split(":")[:2] for warning in warnings] in ([], [["warning", f" vest on {BUNDLED_AVATAR}"]])
     assert sorted(tmp_path.iterdir()) == before
 
 

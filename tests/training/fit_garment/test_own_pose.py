@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,6 @@ from training.small_runs import write_belly_band
 
 from physkin_core import Garment, load_body_model, load_garment
 from physkin_core.avatar.avatar import AvatarError, avatar_from_body
-from physkin_core.avatar.file_surface import file_surface
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.cli import main
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, turned_down_the_chain
@@ -108,7 +106,7 @@ def avatar_file(person, tmp_path_factory):
 def own(avatar_file):
     """The avatar as loaded, and in the pose of its file."""
     avatar = load_avatar(avatar_file, RIG)
-    return avatar, OwnPose.of(avatar, file_surface(avatar_file, avatar), RIG)
+    return avatar, OwnPose.of(avatar, avatar.file_vertices, RIG)
 
 
 @pytest.mark.parametrize(
@@ -155,7 +153,7 @@ def test_the_command_takes_it_as_it_lies(person, avatar_file, template, tmp_path
 def test_a_glb_has_its_own_pose(tmp_path):
     """In the file's frame: Y up, forward Z."""
     avatar = load_document(tmp_path, person_document())
-    pose = OwnPose.of(avatar, file_surface(tmp_path / "person.glb", avatar), RIG)
+    pose = OwnPose.of(avatar, avatar.file_vertices, RIG)
     np.testing.assert_allclose(pose.vertices, avatar.vertices, atol=1e-4)
     np.testing.assert_allclose(pose.turn, Y_UP.T, atol=1e-5)
     assert pose.scale == pytest.approx(1.0, abs=1e-5)
@@ -167,12 +165,6 @@ def test_another_pose_than_limbs_can_take_is_an_error(own):
     head = avatar.vertices[:, 2:] > 0.4
     with pytest.raises(AvatarError, match="mm from the canonical one"):
         OwnPose.of(avatar, np.where(head, bent, avatar.vertices), RIG)
-
-
-def test_a_surface_of_another_file_is_an_error(avatar_file, own):
-    fewer = replace(own[0], vertices=own[0].vertices[1:])
-    with pytest.raises(AvatarError, match="person.obj has 13718 different vertices, 13717"):
-        file_surface(avatar_file, fewer)
 
 
 def upside_down(v, f):

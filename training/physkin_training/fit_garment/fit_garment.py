@@ -18,11 +18,10 @@ import torch
 
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel, load_body_model
-from physkin_core.avatar.file_surface import file_surface
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.picture import PictureError, save_png
-from physkin_training.config import TrainingConfig, load_config
+from physkin_training.config import OptimisationConfig, TrainingConfig, load_config
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
 from physkin_training.fit_garment.own_pose import OwnPose
@@ -188,7 +187,7 @@ def _avatar(options: argparse.Namespace, body_model: BodyModel, template: Avatar
     avatar = load_avatar(options.avatar, body_model.rig, rig_file=options.rig)
     for warning in avatar.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    return avatar, OwnPose.of(avatar, file_surface(options.avatar, avatar), body_model.rig)
+    return avatar, OwnPose.of(avatar, avatar.file_vertices, body_model.rig)
 
 
 def _train_and_report(
@@ -201,7 +200,8 @@ def _train_and_report(
     budget: TimeBudget,
 ) -> int:
     output, folder = options.output, mesh.parent
-    recipe = load_config(options.recipe) if options.recipe else TrainingConfig(output.stem, mesh)
+    own = TrainingConfig(output.stem, mesh, optimisation=OptimisationConfig(fit="both"))
+    recipe = load_config(options.recipe) if options.recipe else own
     recipe = replace(recipe, name=output.stem, garment=mesh)
     steps = options.steps or choose_steps(recipe, device, budget)
     config = replace(recipe, optimisation=replace(recipe.optimisation, steps=steps, minutes=0.0))
