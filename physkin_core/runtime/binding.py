@@ -8,17 +8,15 @@ Remeshing). Bodies are encoded once here; what comes out changes no more from fr
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from time import perf_counter
 from typing import Literal
 
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
-from physkin_core.avatar.body_model import load_body_model
-from physkin_core.avatar.shape_fitting import surface_on_avatar
-from physkin_core.model.garment import Garment, vertex_normals
+from physkin_core.model.garment import vertex_normals
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.garment_nodes import node_positions_on_body
 from physkin_core.model.hyper_modulator import POINT_COUNT, at_fit, body_modulation
 from physkin_core.model.mlp import fold_modulation
 from physkin_core.model.node_deformer import fold_first_layer
@@ -26,7 +24,9 @@ from physkin_core.model.skinning import unit
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.garment_grading import GarmentGrading
+from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
+from physkin_core.runtime.skin_clearance import SkinClearance, move_clear
+from physkin_core.runtime.worn_garment import WornGarment, wear
 
 __all__ = ["bind_garment", "bind_points", "encode_body"]
 
@@ -85,17 +85,17 @@ def bind_garment(
                 f"{expected!r} there; load it with `load_avatar(path, model.rig)`"
             )
     started = perf_counter()
-    modulation = encode_body(model, avatar, fit=fit, backend=backend)
+    worn = wear(model, avatar, fit)
+    log.info("put %s on %s in %.1f s", model.name, avatar.source, perf_counter() - started)
+    started = perf_counter()
+    modulation = encode_body(model, worn.seen, fit=fit, backend=backend)
     log.info("encoded body %s for %s in %.0f ms", avatar.source, model.name, 1e3 * (perf_counter() - started))
-    node_positions = node_positions_on_body(
-        model.node_rest, model.node_bone, (rig.heads, rig.tails), (avatar.bone_heads, avatar.bone_tails)
-    )
-    garment, node_rest = model.garment, model.node_rest
-    if fit:
-        garment, node_rest, node_positions = _made_to_measure(model, avatar, fit, node_positions)
     (first_weight, first_bias), *rest = model.node_deformer
-    deformer_bones, folded_weight = fold_first_layer(first_weight, model.node_bone, node_positions)
-    return BoundGarment(
+    elsewhere = worn.seen.bone_heads.astype(np.float64) - avatar.bone_heads
+    deformer_bones, folded_weight = fold_first_layer(
+        first_weight, model.node_bone, worn.seen_positions, rig=rig, elsewhere=elsewhere
+    )
+    bound = BoundGarment(
         bone_parents=rig.parents,
         bone_heads=_float(avatar.bone_heads),
         dof_bone=rig.dof_bones,
@@ -107,39 +107,29 @@ def bind_garment(
         deformer_bones=deformer_bones,
         deformer_layers=_float_layers([(folded_weight, first_bias), *rest]),
         node_bone=np.ascontiguousarray(model.node_bone, dtype=np.int32),
-        node_positions=_float(node_positions),
-        node_rest=_float(node_rest),
-        vertices=_float(garment.vertices),
-        normals=_float(_rest_normals(model, garment.vertices)),
+        node_positions=_float(worn.node_positions),
+        node_rest=_float(worn.node_rest),
+        vertices=_float(worn.garment.vertices),
+        normals=_float(_rest_normals(model, worn.garment.vertices)),
         influence_nodes=np.ascontiguousarray(model.influence_nodes, dtype=np.int32),
         influence_weights=_float(model.influence_weights),
         activation=model.activation,
         pose_modulation=np.empty(0, dtype=np.float32) if fold else _float(modulation),
-        faces=np.ascontiguousarray(garment.faces, dtype=np.int32),
+        faces=np.ascontiguousarray(worn.garment.faces, dtype=np.int32),
     )
+    if worn.seen is avatar:
+        return bound
+    vertices = worn.garment.vertices + _moved_clear(bound, avatar, worn)
+    return replace(bound, vertices=_float(vertices), normals=_float(_rest_normals(model, vertices)))
 
 
-def _made_to_measure(
-    model: GarmentModel, avatar: Avatar, fit: float, carried: np.ndarray
-) -> tuple[Garment, np.ndarray, np.ndarray]:
-    """The garment in its rest shape for a body, garment nodes at rest (m, 3) and on the body (m, 3).
-
-    carried: (m, 3) [m] where bones carry the garment nodes of the template. Made to measure they rest where they are on
-    the body, so that the garment at the canonical pose is its rest shape.
-    """
-    body = load_body_model()
-    if model.rig.to_json() != body.rig.to_json():
-        raise ValueError(
-            f"fit {fit:g} needs the body model's rig; garment model {model.name!r} has another one, with which only "
-            "fit 0 is allowed"
-        )
-    started = perf_counter()
-    grading = GarmentGrading(model.garment, body)
-    displacement = fit * grading.carried(surface_on_avatar(avatar, body) - grading.template)
-    moved = displacement[grading.closest_vertices(model.node_rest)]
-    log.info("made %s to measure for %s in %.1f s", model.name, avatar.source, perf_counter() - started)
-    garment = model.garment.reshaped(model.garment.vertices + displacement)
-    return garment, model.node_rest + moved, (1 - fit) * carried + fit * model.node_rest + moved
+def _moved_clear(bound: BoundGarment, avatar: Avatar, worn: WornGarment) -> np.ndarray:
+    """What vertices (n, 3) [m] move by to be as clear of the avatar's skin, draped at rest, as of the body seen."""
+    draped = np.empty(bound.vertices.shape, dtype=np.float32)
+    ReferenceEvaluator(bound).evaluate(bound.dof_rest, np.array([0, 0, -1.0]), draped)
+    on_seen = draped.astype(np.float64) - worn.differs
+    wanted, _ = SkinClearance(worn.seen)(on_seen, vertex_normals(on_seen, bound.faces))
+    return move_clear(draped.astype(np.float64), bound.faces, wanted, SkinClearance(avatar))
 
 
 def bind_points(

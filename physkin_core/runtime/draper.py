@@ -76,7 +76,7 @@ class Draper:
             raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
         self.fit = model.checked_fit(fit)
         bound = bind_garment(model, avatar, fit=self.fit, backend=backend) if binding is None else binding
-        self._rest = rest = bound.vertices if self.fit else None
+        self._rest = rest = bound.vertices
         if points is not None:
             bound = replace(bound, **bind_points(model, points, normals=point_normals, rest=rest))
         self.model = model
@@ -110,7 +110,7 @@ class Draper:
     @cached_property
     def rest_garment(self) -> Garment:
         """The model's mesh in the rest shape worn here, which depends on the fit: what strains are measured against."""
-        return self.model.garment if self._rest is None else self.model.garment.reshaped(self._rest)
+        return self.model.garment.reshaped(self._rest)
 
     @property
     def faces(self) -> np.ndarray:
