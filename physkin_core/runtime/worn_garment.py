@@ -30,7 +30,7 @@ class WornGarment:
 
     garment: its mesh in the rest shape worn here. node_rest, node_positions: (m, 3) as in `BoundGarment`.
     seen: the body that the networks see; seen_positions: (m, 3) garment nodes on it. differs: (n, 3) what vertices are
-    moved by because the avatar's skin is elsewhere than that body's.
+    moved by because the avatar's skin is elsewhere than that body's. place: (3,) of that body's root on the avatar.
     """
 
     garment: Garment
@@ -39,6 +39,7 @@ class WornGarment:
     seen: Avatar
     seen_positions: np.ndarray
     differs: np.ndarray
+    place: np.ndarray
 
 
 def wear(model: GarmentModel, avatar: Avatar, fit: float) -> WornGarment:
@@ -55,7 +56,7 @@ def wear(model: GarmentModel, avatar: Avatar, fit: float) -> WornGarment:
                 "only fit 0 is allowed"
             )
         carried = _carried_by_bones(model, avatar)
-        return WornGarment(garment, model.node_rest, carried, avatar, carried, np.zeros_like(garment.vertices))
+        return WornGarment(garment, model.node_rest, carried, avatar, carried, 0 * garment.vertices, np.zeros(3))
     laid = lay_body(avatar, body)
     seen = replace(avatar_from_body(body, laid.coefficients), source=avatar.source)
     grading = GarmentGrading(garment, body)
@@ -71,6 +72,7 @@ def wear(model: GarmentModel, avatar: Avatar, fit: float) -> WornGarment:
         seen=seen,
         seen_positions=seen_positions,
         differs=differs,
+        place=laid.place,
     )
 
 
