@@ -134,13 +134,21 @@ def _load(options: argparse.Namespace) -> tuple[GarmentModel, Avatar]:
         raise ValueError("the garment is an option: physkin COMMAND AVATAR --garment MODEL -o FILE")
     model = load_garment_model(options.garment)
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
-    for warning in avatar.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
     return model, avatar
 
 
+def _put_on(model: GarmentModel, avatar: Avatar, **chosen) -> Draper:
+    """A draper, having printed what there is to say about the avatar and how it wears the garment."""
+    from physkin_core import Draper
+
+    draper = Draper(model, avatar, **chosen)
+    for warning in draper.avatar.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    return draper
+
+
 def _drape(options: argparse.Namespace) -> int:
-    from physkin_core import Draper, load_motion
+    from physkin_core import load_motion
 
     writers: dict[str, Callable] = {".obj": _write_obj, ".png": _write_png}
     write = writers.get(options.output.suffix.lower())
@@ -150,7 +158,7 @@ def _drape(options: argparse.Namespace) -> int:
     motion = load_motion(options.motion)
     if not 0 <= options.frame < motion.frame_count:
         raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
-    draper = Draper(model, avatar, fit=options.fit, backend=options.backend)
+    draper = _put_on(model, avatar, fit=options.fit, backend=options.backend)
     positions = motion.positions_for(model.rig)[options.frame]
     cloth = draper.drape(positions, motion.gravity[options.frame])
     write(options.output, draper, avatar.posed_vertices(draper.bone_transforms(positions)), cloth)
@@ -159,11 +167,9 @@ def _drape(options: argparse.Namespace) -> int:
 
 
 def _bind(options: argparse.Namespace) -> int:
-    from physkin_core import Draper
-
     if options.push_out:
         raise ValueError("--push-out: push-out was removed; a bound garment is as its model drapes it")
-    Draper(*_load(options), fit=options.fit).save_bound(options.output)
+    _put_on(*_load(options), fit=options.fit).save_bound(options.output)
     print(f"wrote {options.output}: {options.output.stat().st_size / 1e6:.1f} MB")
     return 0
 

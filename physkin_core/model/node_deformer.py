@@ -37,9 +37,9 @@ def fold_first_layer(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fold the first layer onto bone transforms.
 
-    weight: (h, 12 m) over row-major (3, 4) node transforms. node_bone: (m,). node_positions: (m, 3) on the body that the
-    layer is to see. rig, elsewhere: for transforms of another body with the same rotations, the rig and the (b, 3) [m]
-    by which the seen body's bone heads are elsewhere than that body's.
+    weight: (h, 12 m) over row-major (3, 4) node transforms. node_bone: (m,). node_positions: (m, 3) on the body that
+    the layer is to see. rig, elsewhere: for transforms of another body with the same rotations, the rig and the (b, 3)
+    [m] by which the seen body's bone heads are elsewhere than that body's.
     Returns the bones used (u,) int32 and the weight (h, 12 u) over their row-major (3, 4) transforms.
     """
     used, slot = np.unique(node_bone, return_inverse=True)

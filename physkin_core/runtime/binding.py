@@ -35,8 +35,7 @@ log = logging.getLogger(__name__)
 FARTHEST_POINT = 0.05
 """A point farther [m] than this from the trained garment's surface is refused by `bind_points`."""
 UNLIKE = 0.015
-"""[m] Cloth gets room to move on an avatar whose skin is farther than this from that of the body that networks see, or
-whose pivots are twice as far from that body's."""
+"""[m] Cloth gets room to move on an avatar whose skin is farther than this from that of the body that networks see."""
 INSIDE, MOST_INSIDE = 0.001, 0.005
 """A garment of which more than this share is farther inside the skin at rest than this [m] does not fit."""
 POINTS_AT_ONCE = 8192
@@ -143,8 +142,7 @@ def wear_garment(
     skin = SkinClearance(avatar.vertices, avatar.faces)
     moved = move_clear(draped, bound.faces, wanted, skin)
     vertices = worn.garment.vertices + moved
-    pivots = (worn.seen.bone_heads + worn.place - avatar.bone_heads)[np.unique(model.node_bone)]
-    if max(np.linalg.norm(worn.differs, axis=1).max(), np.linalg.norm(pivots, axis=1).max() / 2) > UNLIKE:
+    if np.linalg.norm(worn.differs, axis=1).max() > UNLIKE:
         vertices = vertices + room_to_move(replace(bound, vertices=_float(vertices)), avatar)
         clearance, _ = skin(draped + moved, vertex_normals(draped + moved, bound.faces))
         avatar = _with_warning(model, avatar, clearance[wanted > 0])

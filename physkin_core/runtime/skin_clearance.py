@@ -63,7 +63,7 @@ class SkinClearance:
 
 
 def move_clear(vertices: np.ndarray, faces: np.ndarray, wanted: np.ndarray, skin: SkinClearance) -> np.ndarray:
-    """Displacement (n, 3) [m] that gives cloth (n, 3) its wanted clearance (n,) of a skin, or `CLEAR` if that is less."""
+    """Displacement (n, 3) [m] that gives cloth (n, 3) its wanted clearance (n,) of a skin, at most `CLEAR`."""
     from scipy.spatial import cKDTree
 
     wanted = np.minimum(wanted, CLEAR)

@@ -1,8 +1,8 @@
 """How a body wears a garment at rest: where the cloth lies on its skin, and which body the networks see.
 
-The body model is laid on the avatar. Networks see the body of its coefficients, with its own bone heads, as in training.
-What the avatar's skin differs by from that body, and where its pivots lie in its flesh, moves rest shape and garment
-nodes, smoothly and once: cloth follows skin, and pivots matter only as what bones turn about.
+The body model is laid on the avatar. Networks see the body of its coefficients, with its own bone heads, as in
+training. What the avatar's skin differs by from that body, and where its pivots lie in its flesh, moves rest shape and
+garment nodes, smoothly and once: cloth follows skin, and pivots matter only as what bones turn about.
 
 Dimensions: `n` garment vertices, `m` garment nodes, `b` bones. Metres, root frame.
 """
@@ -30,7 +30,7 @@ class WornGarment:
 
     garment: its mesh in the rest shape worn here. node_rest, node_positions: (m, 3) as in `BoundGarment`.
     seen: the body that the networks see; seen_positions: (m, 3) garment nodes on it. differs: (n, 3) what vertices are
-    moved by because the avatar's skin is elsewhere than that body's. place: (3,) of that body's root on the avatar.
+    moved by because the avatar's skin is elsewhere than that body's.
     """
 
     garment: Garment
@@ -39,7 +39,6 @@ class WornGarment:
     seen: Avatar
     seen_positions: np.ndarray
     differs: np.ndarray
-    place: np.ndarray
 
 
 def wear(model: GarmentModel, avatar: Avatar, fit: float) -> WornGarment:
@@ -56,7 +55,7 @@ def wear(model: GarmentModel, avatar: Avatar, fit: float) -> WornGarment:
                 "only fit 0 is allowed"
             )
         carried = _carried_by_bones(model, avatar)
-        return WornGarment(garment, model.node_rest, carried, avatar, carried, 0 * garment.vertices, np.zeros(3))
+        return WornGarment(garment, model.node_rest, carried, avatar, carried, 0 * garment.vertices)
     laid = lay_body(avatar, body)
     seen = replace(avatar_from_body(body, laid.coefficients), source=avatar.source)
     grading = GarmentGrading(garment, body)
@@ -72,7 +71,6 @@ def wear(model: GarmentModel, avatar: Avatar, fit: float) -> WornGarment:
         seen=seen,
         seen_positions=seen_positions,
         differs=differs,
-        place=laid.place,
     )
 
 

@@ -61,10 +61,11 @@ def main(argv: list[str] | None = None) -> int:
 def _draper(options: argparse.Namespace) -> Draper:
     model = load_garment_model(options.model)
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
-    for warning in avatar.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
     chosen = {"backend": options.backend, "precision": options.precision, "fit": options.fit}
-    return Draper(model, avatar, normals=options.normals, **chosen)
+    draper = Draper(model, avatar, normals=options.normals, **chosen)
+    for warning in draper.avatar.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    return draper
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -62,7 +62,7 @@ def test_pivots_elsewhere_in_the_flesh_do_not_move_the_surface(body):
 
 
 def test_unlikely_bodies_are_those_that_training_saw_and_a_rest():
-    """Twice the most unusual training body: coefficients stay within what networks know, the surface is the avatar's."""
+    """Twice the most unusual training body: coefficients stay within what networks know, the rest is a displacement."""
     furthest = BODY.train_bodies[np.linalg.norm(BODY.train_bodies, axis=1).argmax()]
     avatar = avatar_from_body(BODY, 2 * furthest)
     laid = lay_body(avatar, BODY)

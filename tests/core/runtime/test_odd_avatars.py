@@ -33,12 +33,12 @@ def person():
 
 @pytest.mark.parametrize("garment", GARMENTS)
 def test_odd_pivots_give_the_drape_of_the_right_ones_at_rest(person, garment):
-    """Bones 2 to 6 cm astray in the same flesh leave cloth where it is, but for the room it gets to move; none is inside."""
+    """Bones 2 to 6 cm astray in the same flesh leave cloth within a millimetre of where it is, and none is inside."""
     model, odd = load_garment_model(garment), with_odd_pivots(person, 1)
     for fit in (0.0, 1.0):
         right, moved = (Draper(model, each, fit=fit).drape({})[:, :3] for each in (person, odd))
         close = np.linalg.norm(moved - right, axis=1)
-        assert close.mean() < 2e-3 and close.max() < 0.02
+        assert close.mean() < 5e-4 and close.max() < 1e-3
         assert (signed_distance(moved, odd.vertices, odd.faces) < 0).mean() < 5e-4
 
 
