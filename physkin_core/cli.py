@@ -69,7 +69,7 @@ PICTURE_SIZE = (800, 1000)
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line. Returns the exit status: 0, or 2 after an error that the user can mend, told in one line."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AvatarWarning)  # commands print or log what `Draper.warnings` holds
+        warnings.simplefilter("ignore", AvatarWarning)  # commands print or log what `Avatar.warnings` holds
         return _run(list(sys.argv[1:] if argv is None else argv))
 
 
@@ -136,7 +136,7 @@ def _worn(options: argparse.Namespace, **more: object) -> Draper:
         raise ValueError("the garment is an option: physkin COMMAND AVATAR --garment MODEL -o FILE")
     model = load_garment_model(options.garment)
     draper = Draper(model, load_avatar(options.avatar, model.rig, rig_file=options.rig), fit=options.fit, **more)
-    for warning in draper.warnings:
+    for warning in draper.avatar.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return draper
 

@@ -1,23 +1,33 @@
 """The compact body model laid on an avatar in the canonical pose: which point of one is which point of the other.
 
-Shape coefficients come from the avatar's bones and, by closest points, from its surface; what the body model cannot
-take on is added as a smooth displacement. Any triangulation will do. `rig_fitting` does this for meshes in any pose and
-without a skeleton; here both are known, so the problem is nearly linear and takes tenths of a second.
+Shape coefficients and place come from the avatar's skin, by closest points, and from those of its bones that lie where
+the body model has them: in other rigs a pivot may be centimetres elsewhere in the same flesh. What the body model
+cannot take on is a smooth displacement, found from coarse to fine. Any triangulation will do; a mesh with the body
+model's own faces corresponds vertex by vertex. `rig_fitting` does this for meshes in any pose and without a skeleton;
+here both are known, so the problem is nearly linear and takes tenths of a second.
 
 Dimensions: `V` vertices of the body model, `c` shape coefficients, `b` bones, `k` matched vertices. Metres.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import BodyModel
-from physkin_core.avatar.surface_matching import NORMAL_REACH, normal_equations, spread_vertices, with_normals
+from physkin_core.avatar.surface_matching import (
+    NORMAL_REACH,
+    TANGENTIAL,
+    normal_equations,
+    spread_vertices,
+    with_normals,
+)
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.surface_sampling import sample_surface
 
-__all__ = ["fit_shape", "surface_on_avatar"]
+__all__ = ["LaidBody", "lay_body"]
 
 POINTS = 16384
 """Points sampled on the avatar."""
@@ -29,81 +39,162 @@ for each other ten times as long as they compute, and hold up whoever drapes mea
 ITERATIONS = 10
 EXPECTED_RESIDUAL = 0.003
 """[m] mean distance between surfaces that weighs as much as coefficients of one standard deviation."""
+EXACT_RESIDUAL = 1e-5
+"""[m] the same where vertices correspond."""
 BONE_DEVIATION = 0.01
 """[m] by which joints may be elsewhere: other rigs place them otherwise."""
+STRAY_BONE = 0.02
+"""[m] distance of a joint from the body model's at which it counts a quarter."""
 SHAPE_WEIGHT = 0.02
-SMOOTHING = 0.025
-"""Length [m] over which the remaining displacement is averaged."""
-SMOOTHED_OVER = 24
-"""Matched vertices over which it is averaged."""
 OUTLIER = 0.03
 """[m] distance between matches that count a quarter of those that touch."""
+RADII = (0.12, 0.08, 0.05, 0.035, 0.025)
+"""[m] lengths over which the remaining displacement is averaged, one after the other."""
+NEIGHBOURS = 96
+"""Matched vertices over which it is averaged."""
+CARRIED_FROM = 6
+"""Matched vertices from which the displacement of a vertex is taken."""
 
 
-def surface_on_avatar(avatar: Avatar, body: BodyModel) -> np.ndarray:
-    """The body model's vertices (V, 3) float64 [m] where they lie on the avatar; its rig must be the body model's."""
-    from scipy.spatial import cKDTree
+@dataclass(frozen=True)
+class LaidBody:
+    """The body model on one avatar.
 
-    matching = _Matching(avatar, body)
-    surface = matching.surface(matching.fitted())
-    gap, trust = matching.gaps(surface)
-    distance, near = cKDTree(surface[matching.chosen]).query(surface, k=SMOOTHED_OVER)
-    share = trust[near] * np.exp(-((distance / SMOOTHING) ** 2)) + 1e-9
-    return surface + np.einsum("vk,vki->vi", share / share.sum(axis=1, keepdims=True), gap[near])
+    coefficients: (c,) of the body most like the avatar, no more unusual than those that training saw. place: (3,) [m]
+    of its root in the avatar's root frame. surface: (V, 3) float64 [m] the body model's vertices on the avatar's skin.
+    missing: (V, 3) float64 [m] from the body of these coefficients, at its place, to `surface`.
+    """
 
-
-def fit_shape(avatar: Avatar, body: BodyModel) -> np.ndarray:
-    """Shape coefficients (c,) of the body of the body model that is most like the avatar."""
-    return _Matching(avatar, body).fitted()
+    coefficients: np.ndarray
+    place: np.ndarray
+    surface: np.ndarray
+    missing: np.ndarray
 
 
-class _Matching:
-    """Pairs vertices of the body model with points on an avatar."""
+def lay_body(avatar: Avatar, body: BodyModel) -> LaidBody:
+    """Lay the body model on an avatar that is bound to the body model's rig. Takes tenths of a second."""
+    if np.array_equal(avatar.faces, body.faces) and len(avatar.vertices) == len(body.mean_vertices):
+        matching = _SameMesh(avatar, body)
+    else:
+        matching = _ClosestPoints(avatar, body)
+    coefficients, place = _fitted(matching, avatar, body)
+    fitted = _body_surface(body, coefficients) + place
+    missing = matching.missing(fitted)
+    return LaidBody(coefficients, place, fitted + missing, missing)
+
+
+def _fitted(matching: _SameMesh | _ClosestPoints, avatar: Avatar, body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (c,) and place (3,) by Gauss-Newton on pairs of points, from the shape that the bones have."""
+    c = len(body.vertex_components)
+    bones = np.stack([avatar.bone_heads, avatar.bone_tails], axis=1).astype(np.float64)
+    by_bone = _with_place(body.bone_components.reshape(c, -1, 3))
+    mean_bones = body.mean_bones.reshape(-1, 3).astype(np.float64)
+    bones = bones.reshape(-1, 3)
+    furthest = np.linalg.norm(body.train_bodies, axis=1).max()
+    components = _with_place(body.vertex_components[:, matching.chosen])
+    start = body.mean_vertices[matching.chosen].astype(np.float64)
+    blocks = [slice(first, first + AT_ONCE) for first in range(0, len(start), AT_ONCE)]
+    trust = np.full(len(bones), BONE_DEVIATION**2 / STRAY_BONE**2)
+    matrix, values = np.zeros((c + 3, c + 3)), np.zeros(c + 3)
+    for iteration in range(matching.iterations + 1):
+        precision = trust[:, None] / (BONE_DEVIATION**2 * bones.size)
+        right = values + np.einsum("uki,ki->u", by_bone, precision * (bones - mean_bones))
+        system = matrix + np.einsum("uki,vki->uv", by_bone, precision * by_bone)
+        unknowns = _likely(system, right, furthest)
+        if iteration == matching.iterations:
+            break
+        stray = np.linalg.norm(mean_bones + np.einsum("u,uki->ki", unknowns, by_bone) - bones, axis=1)
+        trust = 1 / (1 + (stray / STRAY_BONE) ** 2) ** 2
+        target, importance = matching.matches(_body_surface(body, unknowns[:c]) + unknowns[c:])
+        importance = importance / (importance.sum() * matching.expected_residual**2)
+        sums = [normal_equations(components[:, k], start[k], target[k], importance[k]) for k in blocks]
+        matrix, values = (sum(parts) for parts in zip(*sums))
+    return unknowns[:c], unknowns[c:]
+
+
+def _likely(system: np.ndarray, right: np.ndarray, furthest: float) -> np.ndarray:
+    """Coefficients and place (c + 3,) that solve a system, the first kept within `furthest` standard deviations."""
+    c, weight = len(right) - 3, SHAPE_WEIGHT
+    while True:
+        prior = np.diag([weight] * c + [SHAPE_WEIGHT] * 3)
+        unknowns = np.linalg.solve(system + prior, right)
+        if np.linalg.norm(unknowns[:c]) <= furthest:
+            return unknowns
+        weight *= 2
+
+
+def _with_place(components: np.ndarray) -> np.ndarray:
+    """(c + 3, k, 3) float64: how points move with shape coefficients (c, k, 3), and with the place."""
+    place = np.broadcast_to(np.eye(3)[:, None], (3, *components.shape[1:]))
+    return np.concatenate([components, place]).astype(np.float64)
+
+
+def _body_surface(body: BodyModel, coefficients: np.ndarray) -> np.ndarray:
+    """(V, 3) float64 [m] of the body model; summed up one by one, as BLAS would use threads (see `AT_ONCE`)."""
+    surface = body.mean_vertices.astype(np.float64)
+    for coefficient, component in zip(coefficients, body.vertex_components):
+        surface += coefficient * component.astype(np.float64)
+    return surface
+
+
+class _SameMesh:
+    """An avatar with the body model's own faces: pairs are known."""
+
+    iterations, expected_residual = 1, EXACT_RESIDUAL
+
+    def __init__(self, avatar: Avatar, body: BodyModel) -> None:
+        self._points = avatar.vertices.astype(np.float64)
+        self._normals = vertex_normals(self._points, body.faces)
+        self.chosen = spread_vertices(body, MATCHED)
+
+    def matches(self, surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        target = with_normals(self._points[self.chosen], self._normals[self.chosen])
+        return target, np.ones(len(target))
+
+    def missing(self, surface: np.ndarray) -> np.ndarray:
+        return self._points - surface
+
+
+class _ClosestPoints:
+    """Pairs vertices of the body model with the closest points on an avatar that face alike."""
+
+    iterations, expected_residual = ITERATIONS, EXPECTED_RESIDUAL
 
     def __init__(self, avatar: Avatar, body: BodyModel) -> None:
         from scipy.spatial import cKDTree
 
-        self._avatar, self._body = avatar, body
+        self._faces = body.faces
         self._points = with_normals(*sample_surface(avatar.vertices, avatar.faces, POINTS))
         self._tree = cKDTree(self._points)
         self.chosen = spread_vertices(body, MATCHED)
 
-    def fitted(self) -> np.ndarray:
-        """Gauss-Newton on closest points, from the shape that the bones have."""
-        body, c = self._body, len(self._body.vertex_components)
-        bones = np.stack([self._avatar.bone_heads, self._avatar.bone_tails], axis=1).astype(np.float64)
-        by_bone = body.bone_components.reshape(c, -1).T.astype(np.float64)
-        precision = 1 / (BONE_DEVIATION**2 * len(by_bone))
-        prior = SHAPE_WEIGHT * np.eye(c) + precision * by_bone.T @ by_bone
-        right = precision * by_bone.T @ (bones - body.mean_bones).reshape(-1)
-        coefficients = np.linalg.solve(prior, right)
-        components = body.vertex_components[:, self.chosen].astype(np.float64)
-        start = body.mean_vertices[self.chosen]
-        blocks = [slice(first, first + AT_ONCE) for first in range(0, len(start), AT_ONCE)]
-        for _ in range(ITERATIONS):
-            target, trust = self._matches(self.surface(coefficients))
-            importance = trust / (trust.sum() * EXPECTED_RESIDUAL**2)
-            sums = [normal_equations(components[:, k], start[k], target[k], importance[k]) for k in blocks]
-            matrix, values = (sum(parts) for parts in zip(*sums))
-            coefficients = np.linalg.solve(prior + matrix, right + values)
-        return coefficients
-
-    def surface(self, coefficients: np.ndarray) -> np.ndarray:
-        """(V, 3) float64 [m] of the body model; summed up one by one, as BLAS would use threads (see `AT_ONCE`)."""
-        surface = self._body.mean_vertices.astype(np.float64)
-        for coefficient, component in zip(coefficients, self._body.vertex_components):
-            surface += coefficient * component.astype(np.float64)
-        return surface
-
-    def gaps(self, surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What is missing from the chosen vertices to the avatar, off its surface (k, 3) [m], and trust in it (k,)."""
-        target, trust = self._matches(surface)
-        normals = target[:, 3:] / NORMAL_REACH
-        off = np.einsum("ki,ki->k", target[:, :3] - surface[self.chosen], normals)
-        return off[:, None] * normals, trust
-
-    def _matches(self, surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points (k, 6) that the chosen vertices are matched with, and trust in them (k,)."""
-        mine = with_normals(surface, vertex_normals(surface, self._body.faces))[self.chosen]
+    def matches(self, surface: np.ndarray, outlier: float = OUTLIER) -> tuple[np.ndarray, np.ndarray]:
+        """Points (k, 6) that the chosen vertices of a surface (V, 3) are matched with, and trust in them (k,)."""
+        mine = with_normals(surface, vertex_normals(surface, self._faces))[self.chosen]
         distance, match = self._tree.query(mine)
-        return self._points[match], 1 / (1 + (distance / OUTLIER) ** 2) ** 2
+        return self._points[match], 1 / (1 + (distance / outlier) ** 2) ** 2
+
+    def missing(self, surface: np.ndarray) -> np.ndarray:
+        """Smooth displacement (V, 3) [m] of a surface (V, 3) onto the avatar.
+
+        Every vertex moves as the pairs around it would, were they rigid: all sides of a limb say together where it is.
+        """
+        from scipy.spatial import cKDTree
+
+        tree = cKDTree(surface[self.chosen])
+        distance, near = tree.query(surface[self.chosen], k=NEIGHBOURS)
+        to_all, carriers = tree.query(surface, k=CARRIED_FROM)
+        carried = 1 / np.maximum(to_all, 1e-4) ** 2
+        carried /= carried.sum(axis=1, keepdims=True)
+        moved = np.zeros_like(surface)
+        for radius in RADII:
+            target, trust = self.matches(surface + moved, max(OUTLIER, radius))
+            normals = target[:, 3:] / NORMAL_REACH
+            off = np.einsum("ki,ki->k", target[:, :3] - (surface + moved)[self.chosen], normals)
+            share = trust[near] * np.exp(-((distance / radius) ** 2))
+            share /= share.sum(axis=1, keepdims=True) + 1e-9
+            system = np.einsum("kn,kni,knj->kij", share, normals[near], normals[near]) + TANGENTIAL * np.eye(3)
+            right = np.einsum("kn,kni->ki", share, (off[:, None] * normals)[near])
+            step = np.linalg.solve(system, right[..., None])[..., 0]
+            moved += np.einsum("vk,vki->vi", carried, step[carriers])
+        return moved

@@ -12,7 +12,7 @@ import numpy as np
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.surface_sampling import sample_surface
 
-__all__ = ["NORMAL_REACH", "normal_equations", "spread_vertices", "with_normals"]
+__all__ = ["NORMAL_REACH", "TANGENTIAL", "normal_equations", "spread_vertices", "with_normals"]
 
 NORMAL_REACH = 0.05
 """Length [m] that a unit difference between normals counts for, so that a thigh does not pair with the other one."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import cached_property
 
 import numpy as np
 
@@ -161,6 +162,28 @@ class Rig:
             raise RigError(f"joint positions have shape {q.shape}; the last axis must be {len(self.dofs)}")
         heads = self.heads if heads is None else np.asarray(heads, dtype=np.float64)
         return forward_kinematics(self.parents, heads, self.dof_bones, self.dof_axes, q - self.rest)
+
+    @cached_property
+    def turns_with(self) -> np.ndarray:
+        """(b,) the bone whose degrees of freedom turn each bone last; bones with the same one always turn alike."""
+        owner = np.zeros(self.bone_count, dtype=np.int64)
+        for bone in range(1, self.bone_count):
+            owner[bone] = bone if bone in self.dof_bones else owner[self.parents[bone]]
+        return owner
+
+    def translation_change(self, elsewhere: np.ndarray) -> np.ndarray:
+        """How translations of `bone_transforms` change when joint centres move, rotations R (b, 3, 3) being the same.
+
+        elsewhere: (b, 3) [m] what heads move by, the root's by nothing. Returns C (b, b, 3): the translation of bone i
+        changes by the sum over bones k of R_k C[i, k].
+        """
+        change = np.zeros((self.bone_count, self.bone_count, 3))
+        for bone in range(1, self.bone_count):
+            parent = self.parents[bone]
+            change[bone] = change[parent]
+            change[bone, parent] += elsewhere[bone]
+            change[bone, bone] -= elsewhere[bone]
+        return change
 
     def to_json(self) -> dict:
         """Plain data (lists, strings, numbers) from which `from_json` makes an equal rig."""

@@ -8,17 +8,16 @@ Remeshing). Bodies are encoded once here; what comes out changes no more from fr
 from __future__ import annotations
 
 import logging
+import warnings
+from dataclasses import replace
 from time import perf_counter
 from typing import Literal
 
 import numpy as np
 
-from physkin_core.avatar.avatar import Avatar
-from physkin_core.avatar.body_model import load_body_model
-from physkin_core.avatar.shape_fitting import surface_on_avatar
-from physkin_core.model.garment import Garment, vertex_normals
+from physkin_core.avatar.avatar import Avatar, AvatarWarning
+from physkin_core.model.garment import vertex_normals
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.garment_nodes import node_positions_on_body
 from physkin_core.model.hyper_modulator import POINT_COUNT, at_fit, body_modulation
 from physkin_core.model.mlp import fold_modulation
 from physkin_core.model.node_deformer import fold_first_layer
@@ -26,14 +25,19 @@ from physkin_core.model.skinning import unit
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.garment_grading import GarmentGrading
+from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
+from physkin_core.runtime.worn_garment import wear
 
-__all__ = ["bind_garment", "bind_points", "encode_body"]
+__all__ = ["bind_garment", "bind_points", "encode_body", "wear_garment"]
 
 log = logging.getLogger(__name__)
 
 FARTHEST_POINT = 0.05
 """A point farther [m] than this from the trained garment's surface is refused by `bind_points`."""
+UNLIKE = 0.015
+"""[m] Cloth gets room to move on an avatar whose skin is farther than this from that of the body that networks see."""
+INSIDE, MOST_INSIDE = 0.001, 0.005
+"""A garment of which more than this share is farther inside the skin at rest than this [m] does not fit."""
 POINTS_AT_ONCE = 8192
 """Points whose skinning weights over all garment nodes `bind_points` holds at a time."""
 
@@ -69,9 +73,22 @@ def bind_garment(
     model has learnt it, else 0. backend: what encodes the body, as in `encode_body`. fold: fold the body's modulation
     into the pose modulator, which saves a little time a frame; without, bodies share its network weights (see
     `NativeEvaluatorBatch`).
+    Issues an AvatarWarning where the garment does not fit the avatar.
     Raises ValueError when the avatar's bones are not those of the model's rig, for a fit that the model has not learnt,
     or one above 0 with another rig than the body model's.
     """
+    return wear_garment(model, avatar, fit=fit, backend=backend, fold=fold)[0]
+
+
+def wear_garment(
+    model: GarmentModel,
+    avatar: Avatar,
+    *,
+    fit: float | None = None,
+    backend: Literal["native", "numpy"] = "numpy",
+    fold: bool = True,
+) -> tuple[BoundGarment, Avatar]:
+    """As `bind_garment`, and the avatar with what it issues a warning about among its `warnings`."""
     fit = model.checked_fit(fit)
     rig = model.rig
     if avatar.bone_heads.shape != rig.heads.shape:
@@ -85,17 +102,17 @@ def bind_garment(
                 f"{expected!r} there; load it with `load_avatar(path, model.rig)`"
             )
     started = perf_counter()
-    modulation = encode_body(model, avatar, fit=fit, backend=backend)
+    worn = wear(model, avatar, fit)
+    log.info("put %s on %s in %.1f s", model.name, avatar.source, perf_counter() - started)
+    started = perf_counter()
+    modulation = encode_body(model, worn.seen, fit=fit, backend=backend)
     log.info("encoded body %s for %s in %.0f ms", avatar.source, model.name, 1e3 * (perf_counter() - started))
-    node_positions = node_positions_on_body(
-        model.node_rest, model.node_bone, (rig.heads, rig.tails), (avatar.bone_heads, avatar.bone_tails)
-    )
-    garment, node_rest = model.garment, model.node_rest
-    if fit:
-        garment, node_rest, node_positions = _made_to_measure(model, avatar, fit, node_positions)
     (first_weight, first_bias), *rest = model.node_deformer
-    deformer_bones, folded_weight = fold_first_layer(first_weight, model.node_bone, node_positions)
-    return BoundGarment(
+    elsewhere = worn.seen.bone_heads.astype(np.float64) - avatar.bone_heads
+    deformer_bones, folded_weight = fold_first_layer(
+        first_weight, model.node_bone, worn.seen_positions, rig=rig, elsewhere=elsewhere
+    )
+    bound = BoundGarment(
         bone_parents=rig.parents,
         bone_heads=_float(avatar.bone_heads),
         dof_bone=rig.dof_bones,
@@ -107,39 +124,42 @@ def bind_garment(
         deformer_bones=deformer_bones,
         deformer_layers=_float_layers([(folded_weight, first_bias), *rest]),
         node_bone=np.ascontiguousarray(model.node_bone, dtype=np.int32),
-        node_positions=_float(node_positions),
-        node_rest=_float(node_rest),
-        vertices=_float(garment.vertices),
-        normals=_float(_rest_normals(model, garment.vertices)),
+        node_positions=_float(worn.node_positions),
+        node_rest=_float(worn.node_rest),
+        vertices=_float(worn.garment.vertices),
+        normals=_float(_rest_normals(model, worn.garment.vertices)),
         influence_nodes=np.ascontiguousarray(model.influence_nodes, dtype=np.int32),
         influence_weights=_float(model.influence_weights),
         activation=model.activation,
         pose_modulation=np.empty(0, dtype=np.float32) if fold else _float(modulation),
-        faces=np.ascontiguousarray(garment.faces, dtype=np.int32),
+        faces=np.ascontiguousarray(worn.garment.faces, dtype=np.int32),
     )
+    if worn.seen is avatar:
+        return bound, avatar
+    draped = draped_at_rest(bound)
+    on_seen = draped - worn.differs
+    wanted, _ = SkinClearance(worn.seen.vertices, worn.seen.faces)(on_seen, vertex_normals(on_seen, bound.faces))
+    skin = SkinClearance(avatar.vertices, avatar.faces)
+    moved = move_clear(draped, bound.faces, wanted, skin)
+    vertices = worn.garment.vertices + moved
+    if np.linalg.norm(worn.differs, axis=1).max() > UNLIKE:
+        vertices = vertices + room_to_move(replace(bound, vertices=_float(vertices)), avatar)
+        clearance, _ = skin(draped + moved, vertex_normals(draped + moved, bound.faces))
+        avatar = _with_warning(model, avatar, clearance[wanted > 0])
+    return replace(bound, vertices=_float(vertices), normals=_float(_rest_normals(model, vertices))), avatar
 
 
-def _made_to_measure(
-    model: GarmentModel, avatar: Avatar, fit: float, carried: np.ndarray
-) -> tuple[Garment, np.ndarray, np.ndarray]:
-    """The garment in its rest shape for a body, garment nodes at rest (m, 3) and on the body (m, 3).
-
-    carried: (m, 3) [m] where bones carry the garment nodes of the template. Made to measure they rest where they are on
-    the body, so that the garment at the canonical pose is its rest shape.
-    """
-    body = load_body_model()
-    if model.rig.to_json() != body.rig.to_json():
-        raise ValueError(
-            f"fit {fit:g} needs the body model's rig; garment model {model.name!r} has another one, with which only "
-            "fit 0 is allowed"
-        )
-    started = perf_counter()
-    grading = GarmentGrading(model.garment, body)
-    displacement = fit * grading.carried(surface_on_avatar(avatar, body) - grading.template)
-    moved = displacement[grading.closest_vertices(model.node_rest)]
-    log.info("made %s to measure for %s in %.1f s", model.name, avatar.source, perf_counter() - started)
-    garment = model.garment.reshaped(model.garment.vertices + displacement)
-    return garment, model.node_rest + moved, (1 - fit) * carried + fit * model.node_rest + moved
+def _with_warning(model: GarmentModel, avatar: Avatar, clearance: np.ndarray) -> Avatar:
+    """The avatar, warned about if of the clearance (k,) [m] of vertices that should have some much is below zero."""
+    inside = clearance < -INSIDE
+    if inside.mean() <= MOST_INSIDE:
+        return avatar
+    warning = (
+        f"garment {model.name!r} does not fit: at rest {100 * inside.mean():.1f} % of it is inside the skin, up to "
+        f"{-1000 * clearance.min():.0f} mm, as this body is too unlike those that the garment knows"
+    )
+    warnings.warn(f"avatar {avatar.source}: {warning}", AvatarWarning, stacklevel=3)
+    return replace(avatar, warnings=(*avatar.warnings, warning))
 
 
 def bind_points(

@@ -19,7 +19,7 @@ from physkin_core.avatar.avatar import Avatar, AvatarWarning
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.rig.bone_rotations import BoneRotations
-from physkin_core.runtime.binding import bind_garment, bind_points
+from physkin_core.runtime.binding import bind_points, wear_garment
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.rest_check import RestCheck, rest_check
 
@@ -51,8 +51,7 @@ class Draper:
     points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
         space; they have no faces.
     binding: `bound` of another draper of the same model, avatar and fit, which saves encoding the body again.
-    `warnings`: what was assumed of the avatar, and how the garment sits at rest where cloth is inside the body or skin
-    shows; the latter is also issued as an AvatarWarning.
+    What binding found of how the garment sits joins the `warnings` of `avatar`, and is issued as AvatarWarning.
     A joint more than a full turn beyond its limits is probably in degrees: the first such one is logged as a warning.
     Raises TypeError for anything but a model and an avatar; ValueError for an unknown backend, precision or kind of
     normals, a body of another rig, a fit that the model has not learnt, points that are not this garment's, or normals
@@ -80,8 +79,11 @@ class Draper:
         if backend == "numpy" and precision not in (None, "fp32"):
             raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
         self.fit = model.checked_fit(fit)
-        bound = bind_garment(model, avatar, fit=self.fit, backend=backend) if binding is None else binding
-        self._rest = rest = bound.vertices if self.fit else None
+        if binding is None:
+            bound, avatar = wear_garment(model, avatar, fit=self.fit, backend=backend)
+        else:
+            bound = binding
+        self._rest = rest = bound.vertices
         if points is not None:
             bound = replace(bound, **bind_points(model, points, normals=point_normals, rest=rest))
         self.model = model
@@ -91,7 +93,6 @@ class Draper:
         self._degrees_told = False
         self._bone_rotations: dict[str, BoneRotations] = {}
         self._evaluator = _evaluator(backend, bound, precision, normals)
-        self.warnings = avatar.warnings
         if binding is None and points is None:
             self._say_how_it_sits()
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
@@ -119,7 +120,7 @@ class Draper:
     @cached_property
     def rest_garment(self) -> Garment:
         """The model's mesh in the rest shape worn here, which depends on the fit: what strains are measured against."""
-        return self.model.garment if self._rest is None else self.model.garment.reshaped(self._rest)
+        return self.model.garment.reshaped(self._rest)
 
     @property
     def faces(self) -> np.ndarray:
@@ -181,11 +182,11 @@ class Draper:
         return rest_check(self.model.garment, cloth, self.avatar.vertices, self.avatar.faces)
 
     def _say_how_it_sits(self) -> None:
-        """Add a warning, and issue it, where cloth is inside the body at rest."""
+        """Issue a warning, and add it to the avatar's, where cloth is inside the body at rest."""
         found = self.rest_check()
         if not found.sits_well:
             warning = f"{self.model.name} on {self.avatar.source}: {found}; look at it, or run physkin check"
-            self.warnings = (*self.warnings, warning)
+            self.avatar = replace(self.avatar, warnings=(*self.avatar.warnings, warning))
             warnings.warn(warning, AvatarWarning, stacklevel=3)
 
     def bind_step(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> Callable[[], None]:

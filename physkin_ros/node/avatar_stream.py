@@ -167,7 +167,7 @@ class AvatarStream:
         for worn in outfit.garments:
             if known.get(worn.stream) != worn.revision:
                 worn.stream.show_mesh(worn.draper, worn.revision)
-        for warning in dict.fromkeys(warning for each in loaded for warning in each.draper.warnings):
+        for warning in dict.fromkeys(warning for each in loaded for warning in each.draper.avatar.warnings):
             self._log.warning(f"{self._label}{warning}")
         source = mesh if mesh and mesh != str(BUNDLED_AVATAR) else "the bundled avatar"
         for worn in outfit.garments:

@@ -63,7 +63,7 @@ def _draper(options: argparse.Namespace) -> Draper:
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
     chosen = {"backend": options.backend, "precision": options.precision, "fit": options.fit}
     draper = Draper(model, avatar, normals=options.normals, **chosen)
-    for warning in draper.warnings:
+    for warning in draper.avatar.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return draper
 

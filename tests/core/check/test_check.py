@@ -63,8 +63,8 @@ def test_binding_says_how_it_sits(tshirt, avatar):
         AvatarWarning, match=r"tshirt on rucksack.glb: [0-9.]+ % of the cloth is inside the body at rest"
     ):
         draper = Draper(tshirt, rucksack, fit=0.0)
-    assert draper.warnings[0] == "assumed something" and "run physkin check" in draper.warnings[1]
-    assert Draper(tshirt, avatar).warnings == avatar.warnings
+    assert draper.avatar.warnings[0] == "assumed something" and "run physkin check" in draper.avatar.warnings[1]
+    assert Draper(tshirt, avatar).avatar.warnings == avatar.warnings
 
 
 @pytest.mark.parametrize(

@@ -209,3 +209,17 @@ def test_default_rig_is_the_one_described():
         np.testing.assert_allclose(right.axis, np.array(left.axis) * mirror * np.array([1, -1, 1]), atol=5e-3)
         limits = (right.lower, right.upper) if name[-1] == "y" else (-right.upper, -right.lower)
         np.testing.assert_allclose(limits, (left.lower, left.upper), atol=5e-3)
+
+
+def test_translations_change_as_when_joint_centres_move():
+    """The same angles on two bodies: rotations agree, and `translation_change` says how translations differ."""
+    rng = np.random.default_rng(3)
+    rig = load_body_model().rig
+    elsewhere = rng.normal(scale=0.03, size=rig.heads.shape)
+    elsewhere[0] = 0
+    q = rng.uniform(rig.lower, rig.upper)
+    here, there = rig.bone_transforms(q), rig.bone_transforms(q, heads=rig.heads + elsewhere)
+    change = np.einsum("kij,bkj->bi", here[..., :3], rig.translation_change(elsewhere))
+    np.testing.assert_allclose(here[..., 3] + change, there[..., 3], atol=1e-12)
+    last_turned = here[rig.turns_with][..., :3]
+    np.testing.assert_allclose(here[..., :3], last_turned, atol=1e-12)

@@ -1,0 +1,132 @@
+"""Cloth at rest kept as clear of an avatar's skin as networks keep it of the body that they see.
+
+What carries cloth from that body to the avatar is smooth; skin with ridges, joints of a doll, is not. Vertices that
+come too near are moved out, and with them, less, those around. Where skin moves otherwise than that body's, about other
+pivots or with other skinning weights, cloth gets room. All this once, when the garment is bound.
+
+Dimensions: `n` garment vertices. Metres, root frame, canonical pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar
+from physkin_core.avatar.surface_matching import with_normals
+from physkin_core.model.garment import vertex_normals
+from physkin_core.model.surface_sampling import sample_surface
+from physkin_core.rig.rig import forward_kinematics
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
+
+__all__ = ["SkinClearance", "draped_at_rest", "move_clear", "room_to_move"]
+
+UPRIGHT = np.array([0.0, 0.0, -1.0])
+POINTS = 24576
+"""Points sampled on a body at rest."""
+POSED_POINTS = 8192
+"""Points sampled on a body in a pose."""
+POSES = 16
+NEAR_GARMENT = 0.15
+"""[m] Skin farther than this from the garment at rest is left out in poses."""
+MOST_ROOM = 0.015
+"""[m] The most that cloth is moved for skin that moves otherwise."""
+CLEAR = 0.004
+"""[m] Cloth farther from the skin than this is left where it is."""
+FAR = 0.05
+"""[m] A vertex with no skin so near that faces as it does is left where it is."""
+RADIUS = 0.03
+"""[m] length over which vertices move along with those that must."""
+NEIGHBOURS = 48
+ROUNDS = 6
+AT_REST = 0.3
+"""What a vertex that need not move counts, against one that must, in how those around them move."""
+
+
+class SkinClearance:
+    """Measures how far points that face outward are from a body's skin."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, points: int = POINTS) -> None:
+        from scipy.spatial import cKDTree
+
+        self._points, self._normals = (a.astype(np.float64) for a in sample_surface(vertices, faces, points))
+        self._tree = cKDTree(with_normals(self._points, self._normals))
+
+    def __call__(self, vertices: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Clearance (n,) [m] of vertices (n, 3) with normals (n, 3), negative inside, and the skin's normals (n, 3)."""
+        match = self._tree.query(with_normals(vertices, normals))[1]
+        gap = vertices - self._points[match]
+        off = np.einsum("ni,ni->n", gap, self._normals[match])
+        return np.where(np.linalg.norm(gap, axis=1) < FAR, off, np.inf), self._normals[match]
+
+
+def move_clear(vertices: np.ndarray, faces: np.ndarray, wanted: np.ndarray, skin: SkinClearance) -> np.ndarray:
+    """Displacement (n, 3) [m] that gives cloth (n, 3) its wanted clearance (n,) of a skin, at most `CLEAR`."""
+    from scipy.spatial import cKDTree
+
+    wanted = np.minimum(wanted, CLEAR)
+    distance, near = cKDTree(vertices).query(vertices, k=min(NEIGHBOURS, len(vertices)))
+    closeness = np.exp(-((distance / RADIUS) ** 2))
+    moved = np.zeros_like(vertices)
+    for _ in range(ROUNDS):
+        there = vertices + moved
+        clearance, outward = skin(there, vertex_normals(there, faces))
+        lack = np.maximum(wanted - clearance, 0)
+        if not lack.any():
+            break
+        share = closeness * np.where(lack > 0, 1.0, AT_REST)[near]
+        share /= share.sum(axis=1, keepdims=True)
+        moved += np.einsum("nk,nki->ni", share, (lack[:, None] * outward)[near])
+    return moved
+
+
+def draped_at_rest(bound: BoundGarment) -> np.ndarray:
+    """Vertices (n, 3) float64 [m] of a bound garment at the canonical pose of an upright body."""
+    draped = np.empty(bound.vertices.shape, dtype=np.float32)
+    ReferenceEvaluator(bound).evaluate(bound.dof_rest, UPRIGHT, draped)
+    return draped.astype(np.float64)
+
+
+def room_to_move(bound: BoundGarment, avatar: Avatar) -> np.ndarray:
+    """Displacement (n, 3) [m] outwards that frees cloth of the skin in some poses, up to `MOST_ROOM`.
+
+    Skin deeper than twice that is another limb's, which no room would help.
+    """
+    from scipy.spatial import cKDTree
+
+    random, evaluator = np.random.default_rng(0), ReferenceEvaluator(bound)
+    lack, draped = np.zeros(len(bound.vertices)), np.empty(bound.vertices.shape, dtype=np.float32)
+    beneath = _skin_near(avatar, bound.vertices)
+    for _ in range(POSES):
+        end = np.where(random.random(len(bound.dof_rest)) < 0.5, bound.dof_lower, bound.dof_upper)
+        angles = random.random(len(end)) * (end - bound.dof_rest)
+        evaluator.evaluate((bound.dof_rest + angles).astype(np.float32), UPRIGHT, draped)
+        bones = forward_kinematics(bound.bone_parents, bound.bone_heads, bound.dof_bone, bound.dof_axis, angles)
+        skin = SkinClearance(beneath.posed_vertices(bones), beneath.faces, POSED_POINTS)
+        clearance, _ = skin(draped.astype(np.float64), vertex_normals(draped, bound.faces))
+        lack = np.maximum(lack, np.where(clearance > -2 * MOST_ROOM, CLEAR / 2 - clearance, 0))
+    distance, near = cKDTree(bound.vertices).query(bound.vertices, k=min(NEIGHBOURS, len(lack)))
+    closeness = np.exp(-((distance / RADIUS) ** 2))
+    room = (closeness * np.minimum(lack, MOST_ROOM)[near]).max(axis=1)
+    room = (closeness * room[near]).sum(axis=1) / closeness.sum(axis=1)
+    return room[:, None] * vertex_normals(bound.vertices, bound.faces)
+
+
+def _skin_near(avatar: Avatar, cloth: np.ndarray) -> Avatar:
+    """The part of an avatar that is near cloth (n, 3) at rest; all of it, if none is."""
+    from scipy.spatial import cKDTree
+
+    near = np.isfinite(cKDTree(cloth).query(avatar.vertices, distance_upper_bound=NEAR_GARMENT)[0])
+    kept = near[avatar.faces].all(axis=1)
+    if not kept.any():
+        return avatar
+    used, faces = np.unique(avatar.faces[kept], return_inverse=True)
+    return replace(
+        avatar,
+        vertices=avatar.vertices[used],
+        faces=faces.reshape(-1, 3),
+        influence_bones=avatar.influence_bones[used],
+        influence_weights=avatar.influence_weights[used],
+    )

@@ -1,0 +1,80 @@
+"""How a body wears a garment at rest: where the cloth lies on its skin, and which body the networks see.
+
+The body model is laid on the avatar. Networks see the body of its coefficients, with its own bone heads, as in
+training. What the avatar's skin differs by from that body, and where its pivots lie in its flesh, moves rest shape and
+garment nodes, smoothly and once: cloth follows skin, and pivots matter only as what bones turn about.
+
+Dimensions: `n` garment vertices, `m` garment nodes, `b` bones. Metres, root frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar, avatar_from_body
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.avatar.shape_fitting import lay_body
+from physkin_core.model.garment import Garment
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.garment_nodes import node_positions_on_body
+from physkin_core.runtime.garment_grading import GarmentGrading
+
+__all__ = ["WornGarment", "wear"]
+
+
+@dataclass(frozen=True)
+class WornGarment:
+    """A garment model on one avatar at rest.
+
+    garment: its mesh in the rest shape worn here. node_rest, node_positions: (m, 3) as in `BoundGarment`.
+    seen: the body that the networks see; seen_positions: (m, 3) garment nodes on it. differs: (n, 3) what vertices are
+    moved by because the avatar's skin is elsewhere than that body's.
+    """
+
+    garment: Garment
+    node_rest: np.ndarray
+    node_positions: np.ndarray
+    seen: Avatar
+    seen_positions: np.ndarray
+    differs: np.ndarray
+
+
+def wear(model: GarmentModel, avatar: Avatar, fit: float) -> WornGarment:
+    """Put a garment on an avatar. fit: 0 for the template's rest shape, 1 for the one made to measure.
+
+    With another rig than the body model's the networks see the avatar as it is, and garment nodes follow bone heads.
+    Raises ValueError for a fit above 0 with such a rig.
+    """
+    body, garment = load_body_model(), model.garment
+    if model.rig.to_json() != body.rig.to_json():
+        if fit:
+            raise ValueError(
+                f"fit {fit:g} needs the body model's rig; garment model {model.name!r} has another one, with which "
+                "only fit 0 is allowed"
+            )
+        carried = _carried_by_bones(model, avatar)
+        return WornGarment(garment, model.node_rest, carried, avatar, carried, 0 * garment.vertices)
+    laid = lay_body(avatar, body)
+    seen = replace(avatar_from_body(body, laid.coefficients), source=avatar.source)
+    grading = GarmentGrading(garment, body)
+    known = laid.surface - laid.missing - laid.place
+    measured, differs = grading.carried(np.stack([fit * (known - grading.template), laid.missing + laid.place]))
+    closest = grading.closest_vertices(model.node_rest)
+    carried = _carried_by_bones(model, seen)
+    seen_positions = carried + fit * (model.node_rest - carried) + measured[closest]
+    return WornGarment(
+        garment=garment.reshaped(garment.vertices + measured + differs),
+        node_rest=model.node_rest + (measured + differs)[closest],
+        node_positions=seen_positions + differs[closest],
+        seen=seen,
+        seen_positions=seen_positions,
+        differs=differs,
+    )
+
+
+def _carried_by_bones(model: GarmentModel, body: Avatar) -> np.ndarray:
+    """Garment nodes (m, 3) [m] where a body's bones carry those of the template."""
+    bones = (model.rig.heads, model.rig.tails), (body.bone_heads, body.bone_tails)
+    return node_positions_on_body(model.node_rest, model.node_bone, *bones)

@@ -1,0 +1,88 @@
+"""Shipped garments on avatars unlike the bodies they know: cloth follows skin, wherever pivots and proportions are."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from odd_avatars import remeshed, stylised, with_odd_pivots
+
+from physkin_core import (
+    BUNDLED_AVATAR,
+    AvatarWarning,
+    Draper,
+    avatar_from_body,
+    load_avatar,
+    load_body_model,
+    load_garment_model,
+)
+from physkin_core.model.garment_nodes import node_positions_on_body, pose_nodes
+from physkin_core.model.node_deformer import fold_first_layer
+from physkin_core.quality import signed_distance
+
+BODY = load_body_model()
+GARMENTS = ("tshirt", "trousers", "dress")
+
+
+@pytest.fixture(scope="module")
+def person():
+    return remeshed(load_avatar(BUNDLED_AVATAR, BODY.rig), 1)
+
+
+@pytest.mark.parametrize("garment", GARMENTS)
+def test_odd_pivots_give_the_drape_of_the_right_ones_at_rest(person, garment):
+    """Bones 2 to 6 cm astray in the same flesh leave cloth within a millimetre of where it is, and none is inside."""
+    model, odd = load_garment_model(garment), with_odd_pivots(person, 1)
+    for fit in (0.0, 1.0):
+        right, moved = (Draper(model, each, fit=fit).drape({})[:, :3] for each in (person, odd))
+        close = np.linalg.norm(moved - right, axis=1)
+        assert close.mean() < 5e-4 and close.max() < 1e-3
+        assert (signed_distance(moved, odd.vertices, odd.faces) < 0).mean() < 5e-4
+
+
+@pytest.mark.parametrize("garment", GARMENTS)
+def test_stylised_proportions_wear_the_garment(person, garment):
+    """Thin limbs, wide shoulders, short legs and a big head: nothing is inside at rest, and nobody is warned."""
+    model, avatar = load_garment_model(garment), remeshed(stylised(load_avatar(BUNDLED_AVATAR, BODY.rig), BODY), 1)
+    for fit in (0.0, 1.0):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", AvatarWarning)
+            draper = Draper(model, avatar, fit=fit)
+        assert (signed_distance(draper.drape({})[:, :3], avatar.vertices, avatar.faces) < 0).mean() < 5e-4
+
+
+@pytest.mark.parametrize("fit", [0.0, 1.0])
+@pytest.mark.parametrize("body", [3, 7])
+def test_another_triangulation_hardly_moves_a_body_of_the_body_model(body, fit):
+    """The body's own mesh is matched exactly, others by closest points: within 2 mm on average, whatever the fit."""
+    avatar, model = avatar_from_body(BODY, BODY.held_out_bodies[body]), load_garment_model("tshirt")
+    exact, found = (Draper(model, each, fit=fit).drape({})[:, :3] for each in (avatar, remeshed(avatar, body)))
+    assert np.linalg.norm(found - exact, axis=1).mean() < 2e-3
+
+
+def test_what_does_not_fit_is_said_once_with_numbers(person):
+    """A crumpled body, all folds: the warning is issued, and kept where a node or a command looks for it."""
+    crumpled = person.vertices + (0.06 * np.sin(60 * person.vertices[:, [1, 2, 0]])).astype(np.float32)
+    avatar = replace(person, vertices=crumpled)
+    with pytest.warns(AvatarWarning, match=r"'tshirt' does not fit: at rest \d+\.\d % of it is inside") as issued:
+        draper = Draper(load_garment_model("tshirt"), avatar)
+    assert len(issued) == 1
+    assert len(draper.avatar.warnings) == len(avatar.warnings) + 1
+
+
+def test_networks_see_the_posed_nodes_of_another_body():
+    """The folded first layer on one body's bone transforms gives what the layer makes of the other body's nodes."""
+    rng, rig = np.random.default_rng(4), BODY.rig
+    nodes, units = 9, 5
+    rest = rng.normal(scale=0.3, size=(nodes, 3))
+    bone = np.array([2, 2, 4, 17, 18, 20, 20, 21, 23])
+    weight = rng.normal(size=(units, 12 * nodes))
+    heads = rig.heads + np.concatenate([np.zeros((1, 3)), rng.normal(scale=0.04, size=(rig.bone_count - 1, 3))])
+    seen = node_positions_on_body(rest, bone, (rig.heads, rig.tails), (rig.heads, rig.tails))
+    used, folded = fold_first_layer(weight, bone, seen, rig=rig, elsewhere=rig.heads - heads)
+    q = rng.uniform(rig.lower, rig.upper)
+    expected = weight @ pose_nodes(rig.bone_transforms(q), bone, seen).reshape(-1)
+    found = folded @ rig.bone_transforms(q, heads=heads)[used].reshape(-1)
+    np.testing.assert_allclose(found, expected, atol=1e-10)
