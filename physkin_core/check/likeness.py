@@ -11,14 +11,14 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.avatar.shape_fitting import fit_shape
+from physkin_core.avatar.shape_fitting import lay_body
 from physkin_core.model.garment import vertex_normals
 from physkin_core.rig.rig import Rig
 
 __all__ = ["Likeness", "body_overlap", "likeness"]
 
 MEASURED_POINTS = 2000
-"""Skin points whose distance to the closest known body is measured, and that are looked for inside other parts."""
+"""Skin points that are looked for inside other parts."""
 UNDER_SKIN = 0.004
 """Depth [m] at which a point is asked how many layers of body it is in."""
 
@@ -42,23 +42,16 @@ class Likeness:
 
 def likeness(avatar: Avatar, rig: Rig) -> Likeness:
     """Measure an avatar of the default rig; some tenths of a second."""
-    from point_cloud_utils import closest_points_on_mesh
-
     body = load_body_model()
-    coefficients = fit_shape(avatar, body)
-    spread = body.train_bodies.std(axis=0)
-    heads, tails = body.bones(coefficients)
-    some = avatar.vertices[:: max(1, len(avatar.vertices) // MEASURED_POINTS)]
-    distance, _, _ = closest_points_on_mesh(
-        some.astype(np.float64), body.vertices(coefficients).astype(np.float64), body.faces.astype(np.int64)
-    )
+    laid = lay_body(avatar, body)
+    heads, tails = body.bones(laid.coefficients)
     own = np.linalg.norm(avatar.bone_tails - avatar.bone_heads, axis=1)
     ratio = own / np.maximum(np.linalg.norm(tails - heads, axis=1), 1e-6)
     longest = int(np.abs(np.log(np.maximum(ratio, 1e-6))).argmax())
-    apart = np.linalg.norm(avatar.bone_heads - heads, axis=1)
+    apart = np.linalg.norm(avatar.bone_heads - heads - laid.place, axis=1)
     return Likeness(
-        shape_deviation=float(np.sqrt(np.mean((coefficients / np.maximum(spread, 1e-6)) ** 2))),
-        skin_distance_mm=float(1000 * distance.mean()),
+        shape_deviation=float(np.sqrt(np.mean((laid.coefficients / body.train_bodies.std(axis=0)) ** 2))),
+        skin_distance_mm=float(1000 * np.linalg.norm(laid.missing, axis=1).mean()),
         longest_ratio=float(ratio[longest]),
         longest_bone=rig.bone_names[longest],
         pivot_distance_mm=float(1000 * apart.max()),
