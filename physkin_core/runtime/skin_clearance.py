@@ -31,7 +31,7 @@ POSED_POINTS = 8192
 POSES = 16
 NEAR_GARMENT = 0.15
 """[m] Skin farther than this from the garment at rest is left out in poses."""
-MOST_ROOM = 0.015
+MOST_ROOM = 0.02
 """[m] The most that cloth is moved for skin that moves otherwise."""
 CLEAR = 0.004
 """[m] Cloth farther from the skin than this is left where it is."""
@@ -106,7 +106,7 @@ def room_to_move(bound: BoundGarment, avatar: Avatar) -> np.ndarray:
         bones = forward_kinematics(bound.bone_parents, bound.bone_heads, bound.dof_bone, bound.dof_axis, angles)
         skin = SkinClearance(beneath.posed_vertices(bones), beneath.faces, POSED_POINTS)
         clearance, _ = skin(draped.astype(np.float64), vertex_normals(draped, bound.faces))
-        lack = np.maximum(lack, np.where(clearance > -2 * MOST_ROOM, CLEAR / 2 - clearance, 0))
+        lack = np.maximum(lack, np.where(clearance > -2 * MOST_ROOM, CLEAR - clearance, 0))
     distance, near = cKDTree(bound.vertices).query(bound.vertices, k=min(NEIGHBOURS, len(lack)))
     closeness = np.exp(-((distance / RADIUS) ** 2))
     room = (closeness * np.minimum(lack, MOST_ROOM)[near]).max(axis=1)
