@@ -134,7 +134,7 @@ def wear_garment(
         pose_modulation=np.empty(0, dtype=np.float32) if fold else _float(modulation),
         faces=np.ascontiguousarray(worn.garment.faces, dtype=np.int32),
     )
-    if worn.seen is avatar:
+    if not worn.differs.any():
         return bound, avatar
     draped = draped_at_rest(bound)
     on_seen = draped - worn.differs

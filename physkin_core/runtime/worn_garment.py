@@ -23,6 +23,9 @@ from physkin_core.runtime.garment_grading import GarmentGrading
 
 __all__ = ["WornGarment", "wear"]
 
+NEGLIGIBLE = 2e-4
+"""[m] An avatar whose skin is nowhere farther from the body seen is that body, up to rounding."""
+
 
 @dataclass(frozen=True)
 class WornGarment:
@@ -60,7 +63,9 @@ def wear(model: GarmentModel, avatar: Avatar, fit: float) -> WornGarment:
     seen = replace(avatar_from_body(body, laid.coefficients), source=avatar.source)
     grading = GarmentGrading(garment, body)
     known = laid.surface - laid.missing - laid.place
-    measured, differs = grading.carried(np.stack([fit * (known - grading.template), laid.missing + laid.place]))
+    elsewhere = laid.missing + laid.place
+    elsewhere *= np.abs(elsewhere).max() > NEGLIGIBLE
+    measured, differs = grading.carried(np.stack([fit * (known - grading.template), elsewhere]))
     closest = grading.closest_vertices(model.node_rest)
     carried = _carried_by_bones(model, seen)
     seen_positions = carried + fit * (model.node_rest - carried) + measured[closest]
