@@ -22,9 +22,9 @@ from physkin_training.fit_garment.placement import (
     Placement,
     best_scale,
     buried,
-    cost_turned_over,
     find_lying,
     find_placement,
+    turned_over,
 )
 from physkin_training.fit_garment.verdicts import Checks, Verdict
 from physkin_training.physics.surface_queries import BodySurface
@@ -47,7 +47,7 @@ DEEPEST_REPAIRED, MOST_INSIDE = 0.08, 0.5
 HELD = 0.03
 """[m] mean distance of the uppermost opening from the body; the shipped garments have up to 0.013."""
 BETTER, NO_WORSE = 0.75, 1.2
-"""A garment is upside down that costs less than this share of its cost head down; and one that is not held, than that.
+"""A garment is upside down whose cost head down is below this share of its cost; and one held head down only, below that.
 The shipped garments would cost 0.9 (skirt) to 2.7 times as much."""
 SAME_PLACE, SAME_SHAPE = 1e-3, 0.5
 """[m] by which a garment may move between two poses that are taken for one; % by which edges may change, unrelaxed."""
@@ -123,16 +123,20 @@ def _place(checks: Checks, placed: Placement, scale: float, turn: np.ndarray) ->
 
 def check_upright(checks: Checks, surface: BodySurface) -> None:
     """Head up, held by the uppermost opening."""
-    allowed = f"the uppermost opening within {1000 * HELD:g} mm of the body, or no other nearer; no better head down"
-    loops, _ = openings_and_holes(checks.vertices, checks.faces)
-    away = [float(np.abs(surface.closest(checks.vertices[loop]).distance).mean()) for loop in loops]
-    top = int(np.argmax([checks.vertices[loop, 2].mean() for loop in loops]))
-    turned = cost_turned_over(checks.vertices, surface)
-    found = (
-        f"uppermost opening {1000 * away[top]:.0f} mm from the body; head down its distance would be {turned:.2f} times"
+    allowed = (
+        f"the uppermost opening within {1000 * HELD:g} mm of the body, or not head down either; no better head down"
     )
-    held = away[top] <= HELD or away[top] == min(away)
-    if turned < (BETTER if held else NO_WORSE):
+    loops, _ = openings_and_holes(checks.vertices, checks.faces)
+
+    def held_by(vertices: np.ndarray) -> float:
+        top = max((vertices[loop] for loop in loops), key=lambda points: points[:, 2].mean())
+        return float(np.abs(surface.closest(top).distance).mean())
+
+    over, cost = turned_over(checks.vertices, surface)
+    away, away_over = held_by(checks.vertices), held_by(over)
+    found = f"uppermost opening {1000 * away:.0f} mm from the body, head down {1000 * away_over:.0f} mm"
+    found += f"; head down its distance would be {cost:.2f} times"
+    if cost < BETTER or (cost < NO_WORSE and away > HELD >= away_over):
         return checks.say("upright", "refused", f"{found}: it is upside down", allowed)
     return checks.say("upright", "ok", found, allowed)
 
