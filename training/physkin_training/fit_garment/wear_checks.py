@@ -47,7 +47,7 @@ DEEPEST_REPAIRED, MOST_INSIDE = 0.08, 0.5
 HELD = 0.03
 """[m] mean distance of the uppermost opening from the body; the shipped garments have up to 0.013."""
 BETTER, NO_WORSE = 0.75, 1.2
-"""A garment is upside down whose cost head down is below this share of its cost; and one held head down only, below that.
+"""A garment is upside down whose cost head down is below this share of its cost; one held head down only, below that.
 The shipped garments would cost 0.9 (skirt) to 2.7 times as much."""
 SAME_PLACE, SAME_SHAPE = 1e-3, 0.5
 """[m] by which a garment may move between two poses that are taken for one; % by which edges may change, unrelaxed."""
