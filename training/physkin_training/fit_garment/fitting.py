@@ -51,9 +51,17 @@ def carried(vertices: np.ndarray, source: Avatar, target: Avatar) -> np.ndarray:
     return moved / weights.sum(axis=1, keepdims=True)
 
 
-def clear_of(garment: Garment, body: Avatar, surface: BodySurface, *, start: np.ndarray | None = None) -> np.ndarray:
+def clear_of(
+    garment: Garment,
+    body: Avatar,
+    surface: BodySurface,
+    *,
+    start: np.ndarray | None = None,
+    iterations: int = 60,
+) -> np.ndarray:
     """Vertices (n, 3) of the garment pushed out of the body and relaxed: the least energy of its own rest shape against
-    contact, without gravity. start: (n, 3) where it begins, default its rest shape."""
+    contact, without gravity. start: (n, 3) where it begins, default its rest shape. iterations: Newton steps, at most.
+    """
     device = torch.device("cpu")
     material = replace(Material(), contact_offset=CLEARANCE + SOFT)
     losses = PhysicsLosses(garment, material, 1, device)
@@ -64,5 +72,7 @@ def clear_of(garment: Garment, body: Avatar, surface: BodySurface, *, start: np.
         surface.push_out(garment.vertices if start is None else start, CLEARANCE)[None], dtype=torch.float32
     )
     solver = FullSpaceSolver(garment, losses, 1, device)
-    solution = solver.minimise(start, torch.zeros(1, 3), posed.mesh, posed.offset, tolerance=0.05, iterations=60)
+    solution = solver.minimise(
+        start, torch.zeros(1, 3), posed.mesh, posed.offset, tolerance=0.05, iterations=iterations
+    )
     return surface.push_out(solution.vertices[0].double().numpy(), CLEARANCE)

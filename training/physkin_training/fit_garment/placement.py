@@ -19,7 +19,7 @@ from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.physics.surface_queries import BodySurface
 
 __all__ = [
-    "MOST_BURIED", "UNITS", "WORN", "Placement", "best_scale", "buried", "cost_turned_over", "find_lying",
+    "MOST_BURIED", "UNITS", "WORN", "Placement", "best_scale", "buried", "turned_over", "find_lying",
     "find_placement",
 ]  # fmt: skip
 
@@ -134,17 +134,20 @@ def buried(points: np.ndarray, body: BodySurface) -> float:
     return float((body.closest(points).distance < -BURIED).mean())
 
 
-def cost_turned_over(points: np.ndarray, body: BodySurface) -> float:
-    """What points (n, 3) [m] cost head down, as a share of what they cost as they are, each settled nearby."""
-    fit, tried = Fit(body), _some(points)
+def turned_over(points: np.ndarray, body: BodySurface) -> tuple[np.ndarray, float]:
+    """Points (n, 3) [m] head down where that fits best nearby, and what they cost there, as a share of what they cost
+    as they are."""
+    fit = Fit(body)
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    starts = [np.array([0.0, 0.0, height]) for height in TURNED_HEIGHTS]
 
-    def settled(turn: list[int]) -> float:
-        turned = (tried - centre) * turn + centre
-        starts = [np.array([0.0, 0.0, height]) for height in TURNED_HEIGHTS]
-        return min(fit.settled(turned, start, HEIGHT_STEP)[1] for start in starts)
+    def settled(turn: list[int]) -> tuple[np.ndarray, float]:
+        turned = (points - centre) * turn + centre
+        shift, cost = min((fit.settled(_some(turned), start, HEIGHT_STEP) for start in starts), key=lambda to: to[1])
+        return turned + shift, cost
 
-    return min(settled([1, -1, -1]), settled([-1, 1, -1])) / settled([1, 1, 1])
+    over, cost = min(settled([1, -1, -1]), settled([-1, 1, -1]), key=lambda found: found[1])
+    return over, cost / settled([1, 1, 1])[1]
 
 
 def find_placement(vertices: np.ndarray, body: BodySurface) -> Placement:
