@@ -8,14 +8,13 @@ Remeshing). Bodies are encoded once here; what comes out changes no more from fr
 from __future__ import annotations
 
 import logging
-import warnings
 from dataclasses import replace
 from time import perf_counter
 from typing import Literal
 
 import numpy as np
 
-from physkin_core.avatar.avatar import Avatar, AvatarWarning
+from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.hyper_modulator import POINT_COUNT, at_fit, body_modulation
@@ -28,7 +27,7 @@ from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
 from physkin_core.runtime.worn_garment import wear
 
-__all__ = ["bind_garment", "bind_points", "encode_body", "wear_garment"]
+__all__ = ["bind_garment", "bind_points", "encode_body"]
 
 log = logging.getLogger(__name__)
 
@@ -36,8 +35,6 @@ FARTHEST_POINT = 0.05
 """A point farther [m] than this from the trained garment's surface is refused by `bind_points`."""
 UNLIKE = 0.015
 """[m] Cloth gets room to move on an avatar whose skin is farther than this from that of the body that networks see."""
-INSIDE, MOST_INSIDE = 0.001, 0.005
-"""A garment of which more than this share is farther inside the skin at rest than this [m] does not fit."""
 POINTS_AT_ONCE = 8192
 """Points whose skinning weights over all garment nodes `bind_points` holds at a time."""
 
@@ -73,22 +70,9 @@ def bind_garment(
     model has learnt it, else 0. backend: what encodes the body, as in `encode_body`. fold: fold the body's modulation
     into the pose modulator, which saves a little time a frame; without, bodies share its network weights (see
     `NativeEvaluatorBatch`).
-    Issues an AvatarWarning where the garment does not fit the avatar.
     Raises ValueError when the avatar's bones are not those of the model's rig, for a fit that the model has not learnt,
     or one above 0 with another rig than the body model's.
     """
-    return wear_garment(model, avatar, fit=fit, backend=backend, fold=fold)[0]
-
-
-def wear_garment(
-    model: GarmentModel,
-    avatar: Avatar,
-    *,
-    fit: float | None = None,
-    backend: Literal["native", "numpy"] = "numpy",
-    fold: bool = True,
-) -> tuple[BoundGarment, Avatar]:
-    """As `bind_garment`, and the avatar with what it issues a warning about among its `warnings`."""
     fit = model.checked_fit(fit)
     rig = model.rig
     if avatar.bone_heads.shape != rig.heads.shape:
@@ -135,31 +119,16 @@ def wear_garment(
         faces=np.ascontiguousarray(worn.garment.faces, dtype=np.int32),
     )
     if not worn.differs.any():
-        return bound, avatar
+        return bound
     draped = draped_at_rest(bound)
     on_seen = draped - worn.differs
     wanted, _ = SkinClearance(worn.seen.vertices, worn.seen.faces)(on_seen, vertex_normals(on_seen, bound.faces))
-    skin = SkinClearance(avatar.vertices, avatar.faces)
-    moved = move_clear(draped, bound.faces, wanted, skin)
-    vertices = worn.garment.vertices + moved
+    vertices = worn.garment.vertices + move_clear(
+        draped, bound.faces, wanted, SkinClearance(avatar.vertices, avatar.faces)
+    )
     if np.linalg.norm(worn.differs, axis=1).max() > UNLIKE:
         vertices = vertices + room_to_move(replace(bound, vertices=_float(vertices)), avatar)
-        clearance, _ = skin(draped + moved, vertex_normals(draped + moved, bound.faces))
-        avatar = _with_warning(model, avatar, clearance[wanted > 0])
-    return replace(bound, vertices=_float(vertices), normals=_float(_rest_normals(model, vertices))), avatar
-
-
-def _with_warning(model: GarmentModel, avatar: Avatar, clearance: np.ndarray) -> Avatar:
-    """The avatar, warned about if of the clearance (k,) [m] of vertices that should have some much is below zero."""
-    inside = clearance < -INSIDE
-    if inside.mean() <= MOST_INSIDE:
-        return avatar
-    warning = (
-        f"garment {model.name!r} does not fit: at rest {100 * inside.mean():.1f} % of it is inside the skin, up to "
-        f"{-1000 * clearance.min():.0f} mm, as this body is too unlike those that the garment knows"
-    )
-    warnings.warn(f"avatar {avatar.source}: {warning}", AvatarWarning, stacklevel=3)
-    return replace(avatar, warnings=(*avatar.warnings, warning))
+    return replace(bound, vertices=_float(vertices), normals=_float(_rest_normals(model, vertices)))
 
 
 def bind_points(

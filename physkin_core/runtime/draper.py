@@ -19,7 +19,7 @@ from physkin_core.avatar.avatar import Avatar, AvatarWarning
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.rig.bone_rotations import BoneRotations
-from physkin_core.runtime.binding import bind_points, wear_garment
+from physkin_core.runtime.binding import bind_garment, bind_points
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.rest_check import RestCheck, rest_check
 
@@ -79,10 +79,7 @@ class Draper:
         if backend == "numpy" and precision not in (None, "fp32"):
             raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
         self.fit = model.checked_fit(fit)
-        if binding is None:
-            bound, avatar = wear_garment(model, avatar, fit=self.fit, backend=backend)
-        else:
-            bound = binding
+        bound = bind_garment(model, avatar, fit=self.fit, backend=backend) if binding is None else binding
         self._rest = rest = bound.vertices
         if points is not None:
             bound = replace(bound, **bind_points(model, points, normals=point_normals, rest=rest))
