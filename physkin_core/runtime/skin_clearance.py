@@ -54,12 +54,13 @@ class SkinClearance:
         self._points, self._normals = (a.astype(np.float64) for a in sample_surface(vertices, faces, points))
         self._tree = cKDTree(with_normals(self._points, self._normals))
 
-    def __call__(self, vertices: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Clearance (n,) [m] of vertices (n, 3) with normals (n, 3), negative inside, and the skin's normals (n, 3)."""
+    def __call__(self, vertices: np.ndarray, normals: np.ndarray, *, far: float = FAR) -> tuple[np.ndarray, np.ndarray]:
+        """Clearance (n,) [m] of vertices (n, 3) with normals (n, 3), negative inside, infinite where no skin that faces
+        alike is within `far` [m]; and the skin's normals (n, 3)."""
         match = self._tree.query(with_normals(vertices, normals))[1]
         gap = vertices - self._points[match]
         off = np.einsum("ni,ni->n", gap, self._normals[match])
-        return np.where(np.linalg.norm(gap, axis=1) < FAR, off, np.inf), self._normals[match]
+        return np.where(np.linalg.norm(gap, axis=1) < far, off, np.inf), self._normals[match]
 
 
 def move_clear(vertices: np.ndarray, faces: np.ndarray, wanted: np.ndarray, skin: SkinClearance) -> np.ndarray:
