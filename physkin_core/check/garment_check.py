@@ -12,10 +12,10 @@ from typing import Literal
 
 import numpy as np
 
-from physkin_core.quality import edge_strain, signed_distance
+from physkin_core.check.rest_check import RestCheck, rest_check
+from physkin_core.quality import contact_figures, edge_strain, signed_distance
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.draper import Draper
-from physkin_core.runtime.rest_check import RestCheck
 
 __all__ = ["CHECK_POSES", "GarmentCheck", "Verdict", "check_garment", "everyday_poses"]
 
@@ -59,19 +59,21 @@ class GarmentCheck:
 
 def check_garment(draper: Draper) -> GarmentCheck:
     """Look at a garment on its avatar: a second or two. Raises ValueError for a rig that is not the default one."""
+    avatar, rig = draper.avatar, draper.model.rig
+    at_rest = rest_check(draper.model.garment, draper.drape(rig.rest)[:, :3], avatar.vertices, avatar.faces)
     distances, strains = [], []
-    for positions, gravity in zip(*everyday_poses(draper.model.rig)):
+    for positions, gravity in zip(*everyday_poses(rig)):
         cloth = draper.drape(positions, gravity)[:, :3]
-        body = draper.avatar.posed_vertices(draper.bone_transforms(positions))
-        distances.append(signed_distance(cloth, body, draper.avatar.faces))
+        body = avatar.posed_vertices(draper.bone_transforms(positions))
+        distances.append(signed_distance(cloth, body, avatar.faces))
         strains.append(edge_strain(draper.rest_garment, cloth))
-    distance = np.array(distances)
+    contact = contact_figures(np.array(distances))
     everyday = Everyday(
-        inside_percent=float(100 * (distance < 0).mean()),
-        deepest_mm=float(1000 * max(0.0, -distance.min())),
+        inside_percent=contact["inside_percent"],
+        deepest_mm=contact["max_depth_mm"],
         edge_strain_percent=float(np.mean(strains)),
     )
-    return GarmentCheck(draper.rest_check(), everyday)
+    return GarmentCheck(at_rest, everyday)
 
 
 def everyday_poses(rig: Rig) -> tuple[np.ndarray, np.ndarray]:

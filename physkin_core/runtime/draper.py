@@ -21,7 +21,6 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.runtime.binding import bind_garment, bind_points
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.rest_check import RestCheck, rest_check
 from physkin_core.runtime.skin_clearance import SkinClearance
 
 __all__ = ["BACKENDS", "STANDARD_GRAVITY", "UPRIGHT_GRAVITY", "Draper", "in_units_of_gravity"]
@@ -176,14 +175,9 @@ class Draper:
         positions = self._bone_rotations[skeleton].joint_positions(rotations)
         return self.drape(positions, gravity, effective_gravity=effective_gravity, out=out)
 
-    def rest_check(self) -> RestCheck:
-        """How the garment sits in the canonical pose. For drapers of the model's own mesh, not of `points`."""
-        cloth = self.drape(self.model.rig.rest)[:, :3]
-        return rest_check(self.model.garment, cloth, self.avatar.vertices, self.avatar.faces)
-
     def _say_how_it_sits(self) -> None:
         """Issue a warning, and add it to the avatar's, where much of the cloth is inside the body at rest. By sampled
-        skin: unlike `rest_check` that never holds up other threads."""
+        skin: unlike exact distances that never holds up other threads."""
         cloth = self.drape(self.model.rig.rest)[:, :3].astype(np.float64)
         skin = SkinClearance(self.avatar.vertices, self.avatar.faces)
         clearance, _ = skin(cloth, vertex_normals(cloth, self.model.garment.faces), far=np.inf)

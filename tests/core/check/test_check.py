@@ -11,7 +11,7 @@ from physkin_core import BUNDLED_AVATAR, AvatarWarning, Draper, cli, load_avatar
 from physkin_core.check.command import advice
 from physkin_core.check.garment_check import Everyday, GarmentCheck, everyday_poses
 from physkin_core.check.likeness import Likeness, body_overlap, likeness
-from physkin_core.runtime.rest_check import RestCheck, rest_check
+from physkin_core.check.rest_check import RestCheck, rest_check
 
 pytestmark = needs_native
 WELL, BADLY = RestCheck(0.0, 0.0, 0.0), RestCheck(3.0, 5.0, 1.0)

@@ -8,8 +8,8 @@ import torch
 from random_models import tube
 
 from physkin_core import Garment, load_body_model, load_garment_model
+from physkin_core.model.surface_paths import mesh_edges
 from physkin_training.evaluate.skin_shows import HEM, SkinShows, covered_faces
-from physkin_training.physics.surface_paths import mesh_edges
 from physkin_training.physics.surface_queries import is_under
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 

@@ -16,8 +16,8 @@ from scipy.spatial import cKDTree
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment import Garment, vertex_normals
+from physkin_core.model.surface_paths import mesh_edges
 from physkin_core.rig.rig import Rig
-from physkin_training.physics.surface_paths import mesh_edges
 
 __all__ = ["Wearing"]
 

@@ -1,4 +1,4 @@
-"""How a garment sits at rest, looked at whenever it is bound: cloth inside the body, and skin that shows.
+"""How a garment sits at rest: cloth inside the body, and skin that shows.
 
 Dimensions: `n` garment vertices, `f` body faces. Metres.
 """
@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from physkin_core.model.garment import Garment, face_areas
-from physkin_core.quality import signed_distance
+from physkin_core.model.surface_paths import mesh_edges, path_lengths
+from physkin_core.quality import contact_figures, signed_distance
 
 __all__ = ["RestCheck", "rest_check", "skin_shows"]
 
@@ -56,10 +57,10 @@ class RestCheck:
 
 def rest_check(garment: Garment, cloth: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray) -> RestCheck:
     """The garment draped at the canonical pose, cloth (n, 3), on a body (V, 3), (f, 3); some tens of milliseconds."""
-    distance = signed_distance(cloth, body_vertices, body_faces)
+    contact = contact_figures(signed_distance(cloth, body_vertices, body_faces))
     return RestCheck(
-        inside_percent=float(100 * (distance < 0).mean()),
-        deepest_mm=float(1000 * max(0.0, -distance.min())),
+        inside_percent=contact["inside_percent"],
+        deepest_mm=contact["max_depth_mm"],
         skin_shows_percent=skin_shows(garment, cloth, body_vertices, body_faces),
     )
 
@@ -97,14 +98,5 @@ def skin_shows(garment: Garment, cloth: np.ndarray, body_vertices: np.ndarray, b
 
 def _near_hem(garment: Garment) -> np.ndarray:
     """(n,) bool, vertices within `FROM_HEM` of an edge that only one face has, along the mesh at rest."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import dijkstra
-
-    sides = np.sort(garment.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, count = np.unique(sides, axis=0, return_counts=True)
-    n, hem = len(garment.vertices), np.unique(edges[count == 1])
-    if not len(hem):
-        return np.zeros(n, dtype=bool)
-    graph = coo_array((garment.edge_lengths, garment.edges.T), shape=(n, n)).tocsr()
-    distance = dijkstra(graph, directed=False, indices=hem, min_only=True, limit=FROM_HEM)
-    return np.isfinite(distance)
+    edges, count = mesh_edges(garment.faces)
+    return path_lengths(garment.vertices, garment.faces, np.unique(edges[count == 1])) <= FROM_HEM

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from random_models import tube
 
-from physkin_training.physics.surface_paths import mesh_edges, path_lengths
+from physkin_core.model.surface_paths import mesh_edges, path_lengths
 
 
 def test_lengths_are_those_of_the_shortest_path():
