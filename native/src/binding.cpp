@@ -19,6 +19,7 @@
 #include "kernels/dispatch.hpp"
 #include "kernels/machine_floors.hpp"
 #include "motion_binding.hpp"
+#include "separation_binding.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -415,6 +416,7 @@ NB_MODULE(_native, module) {
   module.def("bound_garment_fields", physkin::bound_garment_fields);
   module.def("supported_instruction_sets", physkin::supported_instruction_sets);
   physkin::bind_motion(module);
+  physkin::bind_separation(module);
   nb::class_<MachineProbe>(module, "MachineProbe")
       .def("__init__",
            [](MachineProbe* self, std::int64_t bytes, const Text& instruction_set) {

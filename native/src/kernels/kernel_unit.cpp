@@ -3,6 +3,7 @@
 #include "kernels/floor_kernel.hpp"
 #include "kernels/skinning_kernel.hpp"
 #include "kernels/token_kernel.hpp"
+#include "kernels/trunk_kernel.hpp"
 
 #define PHYSKIN_TEXT_OF(name) #name
 #define PHYSKIN_TEXT(name) PHYSKIN_TEXT_OF(name)
@@ -17,6 +18,7 @@ const Kernels kernels{
      {dense<Bf16Rows, false>, dense<Bf16Rows, true>},
      {dense<Int8Rows, false>, dense<Int8Rows, true>}},
     skin,
+    trunk_depth,
     multiply_add,
     read_memory,
     token_linear,

@@ -70,6 +70,18 @@ constexpr int kBatch = 4;
 // One layer for `count` bodies, from 1 to kBatch; how many changes no bit of a body's result.
 using DenseKernel = void (*)(const PackedLayer& layer, Activation activation, const DenseCall* calls, int count);
 
+// A body's trunk: a radius about a vertical axis by height, in quadratic B-splines, and direction, a Fourier series;
+// its bones take over from each other with height, from the first one up.
+constexpr int kTrunkWaves = 9, kTrunkPoints = 16;
+
+struct TrunkField {
+  int bones = 0, splines = 0;
+  float x = 0, y = 0, low = 0, high = 0, blend = 0;  // where the axis is, between which heights, and over how much
+  const float* back = nullptr;                       // (bones, 3, 4) from the posed point to the canonical one
+  const float* heights = nullptr;                    // (bones,) that a bone takes over at
+  const float* coefficients = nullptr;               // (splines, kTrunkWaves)
+};
+
 struct Kernels {
   const char* instruction_set;
   PackedLayout layout;
@@ -80,6 +92,10 @@ struct Kernels {
   // x' = M x and normal' = normalised cofactors(A) normal, with M = [A | c] = sum_k w_k M_k, M_k in matrices (nodes, 12).
   // A normal becomes zero where A flattens the cloth to a line.
   void (*skin)(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows);
+
+  // Points (3, count) to contacts (4, count): how deep [m], and the normal outwards. Aligned; count is a multiple of
+  // kTrunkPoints.
+  void (*trunk_depth)(const TrunkField& field, const float* points, int count, float* contacts);
 
   // What bounds the others from below (floor_kernel.hpp).
   std::int64_t (*multiply_add)(int rounds, float* result);

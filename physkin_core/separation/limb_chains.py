@@ -1,0 +1,118 @@
+"""Which bones of a rig are its arms and legs, its trunk and its head, and which joints may move a limb.
+
+Bones are told by their names, whatever the naming, else by the skeleton's shape. Dimensions: `b` bones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.rig.bone_naming import named_bones
+from physkin_core.rig.bone_structure import bones_by_structure
+from physkin_core.rig.rig import Rig
+
+__all__ = ["Limb", "Limbs", "find_limbs"]
+
+MOST_JOINTS = 8
+"""Joints of a limb that may move; a rig with more keeps those nearest to the trunk free."""
+MOST_TRUNK_BONES = 4
+LIMB_BONES = {
+    "left arm": ("upperarm01.L", "lowerarm01.L", "wrist.L"),
+    "right arm": ("upperarm01.R", "lowerarm01.R", "wrist.R"),
+    "left leg": ("upperleg01.L", "lowerleg01.L", "foot.L"),
+    "right leg": ("upperleg01.R", "lowerleg01.R", "foot.R"),
+}
+
+
+@dataclass(frozen=True)
+class Limb:
+    """An arm or a leg. ends: bones at whose heads upper and lower segment and hand or foot begin.
+
+    dofs: degrees of freedom that may move it, from the trunk outwards: those between the first and the last end.
+    """
+
+    name: str
+    ends: tuple[int, int, int]
+    dofs: tuple[int, ...]
+
+    @property
+    def is_arm(self) -> bool:
+        """Else a leg."""
+        return self.name.endswith("arm")
+
+
+@dataclass(frozen=True)
+class Limbs:
+    """What `find_limbs` found. trunk: bones that turn against each other, from the pelvis to the chest. head: or -1.
+
+    missing: names of limbs without bones, or without joints that could move them.
+    """
+
+    limbs: tuple[Limb, ...]
+    trunk: tuple[int, ...]
+    head: int
+    missing: tuple[str, ...]
+
+
+def find_limbs(rig: Rig) -> Limbs:
+    """Limbs, trunk and head of a rig. Raises ValueError for one without any arm or leg that has joints."""
+    found = _humanoid_bones(rig)
+    limbs, missing = [], []
+    for name, wanted in LIMB_BONES.items():
+        ends = tuple(found.get(bone, -1) for bone in wanted)
+        way = _way(rig, ends[0], ends[2]) if min(ends) >= 0 else ()
+        between = [bone for bone in way if bone != ends[2]]
+        dofs = tuple(k for bone in between for k in np.flatnonzero(rig.dof_bones == bone).tolist())[:MOST_JOINTS]
+        if ends[1] in between and dofs:
+            limbs.append(Limb(name, ends, dofs))
+        else:
+            missing.append(name)
+    if not limbs:
+        raise ValueError(
+            "limbs cannot be separated: no arm or leg with joints was found in this rig, neither by the names of its "
+            f"bones nor by its shape; bones are {', '.join(rig.bone_names[:60])}"
+        )
+    legs, arms = ([limb.ends[0] for limb in limbs if limb.is_arm == arm] for arm in (False, True))
+    hub = _meeting(rig, legs) if len(legs) > 1 else 0
+    chest = _meeting(rig, arms) if len(arms) > 1 else hub
+    return Limbs(tuple(limbs), _trunk(rig, hub, chest), found.get("head", -1), tuple(missing))
+
+
+def _humanoid_bones(rig: Rig) -> dict[str, int]:
+    """Bone of this rig by name in the default rig."""
+    default = load_body_model().rig
+    by_name, _ = named_bones(rig.bone_names, default)
+    by_shape = bones_by_structure(rig.heads, rig.parents, default) or {}
+    limbs = [bone for bones in LIMB_BONES.values() for bone in bones]
+    return max((by_name, by_shape), key=lambda found: sum(bone in found for bone in limbs))
+
+
+def _trunk(rig: Rig, hub: int, chest: int) -> tuple[int, ...]:
+    """At most four bones from the hub to the chest that turn by themselves."""
+    turning = list(dict.fromkeys(int(rig.turns_with[bone]) for bone in (_way(rig, hub, chest) or (hub,))))
+    chosen = np.unique(np.linspace(0, len(turning) - 1, min(len(turning), MOST_TRUNK_BONES)).round().astype(int))
+    return tuple(turning[at] for at in chosen)
+
+
+def _ancestors(rig: Rig, bone: int) -> list[int]:
+    """From the bone itself up to the root."""
+    way = []
+    while bone >= 0:
+        way.append(bone)
+        bone = int(rig.parents[bone])
+    return way
+
+
+def _way(rig: Rig, start: int, end: int) -> tuple[int, ...]:
+    """Bones from `start` down to `end`, both included; nothing where one is not below the other."""
+    up = _ancestors(rig, end)
+    return tuple(up[: up.index(start) + 1][::-1]) if start in up else ()
+
+
+def _meeting(rig: Rig, bones: list[int]) -> int:
+    """The last bone that all of `bones` are below."""
+    shared = set.intersection(*(set(_ancestors(rig, bone)) for bone in bones))
+    return max(shared)
