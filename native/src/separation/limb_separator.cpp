@@ -181,12 +181,7 @@ Rejection LimbSeparator::separate(const float* joint_positions, float* separated
     for (int limb = 0; at > 0 && limb < limbs_; ++limb) {
       if (normals_[limb].moved) pose_limb(limb);
     }
-    for (std::size_t k = 0; k < capsules_.size(); ++k) {
-      const int start = shape_.capsules[2 * k], end = shape_.capsules[2 * k + 1];
-      const Vector3 half = 0.5f * (centres_[end] - centres_[start]);
-      capsules_[k] = {centres_[start] + half,
-                      std::sqrt(dot(half, half)) + std::max(shape_.sphere_radius[start], shape_.sphere_radius[end])};
-    }
+    place_capsules();
     for (std::size_t k = 0; k < trunk_spheres_.size(); ++k) {
       const Vector3 centre = centres_[trunk_spheres_[k]];
       points_[k] = centre.x;
@@ -261,15 +256,34 @@ void LimbSeparator::meet(const Pair& pair) {
     }
     return;
   }
+  const Capsule capsule = capsules_[pair.target];
+  const float widest = std::max(capsule.narrow, capsule.wide);
+  const auto along_at = [&](Vector3 from) {
+    return std::min(std::max(dot(from, capsule.way) * capsule.inverse, 0.0f), 1.0f);
+  };
   // Whether any of the group can reach the capsule: a bound, so that it changes nothing.
-  const Capsule& capsule = capsules_[pair.target];
-  const Vector3 apart = centres_[(pair.first + pair.last) / 2] - capsule.middle;
-  const float reach = pair.reach + capsule.reach;
+  const Vector3 middle = centres_[(pair.first + pair.last) / 2] - capsule.start;
+  const Vector3 apart = middle - along_at(middle) * capsule.way;
+  const float reach = pair.reach + widest;
   if (dot(apart, apart) > reach * reach) return;
   for (int k = pair.first; k < pair.last; ++k) {
-    const Contact contact = capsule_contact(centres_[k], pair.target);
-    const float excess = contact.depth + shape_.sphere_radius[k] + settings_.onset - pair.allowed[k - pair.first];
-    if (excess > 0.0f) give_way(pair, k, contact, excess);
+    const Vector3 from = centres_[k] - capsule.start;
+    const float along = along_at(from), room = shape_.sphere_radius[k] + settings_.onset - pair.allowed[k - pair.first];
+    const Vector3 offset = from - along * capsule.way;
+    const float squared = dot(offset, offset) + kCapsuleBlur * kCapsuleBlur, most = widest + room;
+    if (most <= 0.0f || squared >= most * most) continue;
+    const float distance = std::sqrt(squared), smooth = along * along * (3.0f - 2.0f * along);
+    const float depth = capsule.narrow + smooth * (capsule.wide - capsule.narrow) - distance;
+    if (depth + room > 0.0f) give_way(pair, k, {depth, (1.0f / distance) * offset, along}, depth + room);
+  }
+}
+
+void LimbSeparator::place_capsules() {
+  for (std::size_t k = 0; k < capsules_.size(); ++k) {
+    const int start = shape_.capsules[2 * k], end = shape_.capsules[2 * k + 1];
+    const Vector3 way = centres_[end] - centres_[start];
+    capsules_[k] = {centres_[start], way, 1.0f / std::max(dot(way, way), 1e-9f), shape_.sphere_radius[start],
+                    shape_.sphere_radius[end]};
   }
 }
 
@@ -337,17 +351,6 @@ bool LimbSeparator::step(int limb, const float* given) {
     positions_[k] = std::clamp(positions_[k] + x[i], low, high);
   }
   return true;
-}
-
-LimbSeparator::Contact LimbSeparator::capsule_contact(Vector3 point, int capsule) const {
-  const int start = shape_.capsules[2 * capsule], end = shape_.capsules[2 * capsule + 1];
-  const Vector3 way = centres_[end] - centres_[start], from = point - centres_[start];
-  const float along = std::clamp(dot(from, way) / std::max(dot(way, way), 1e-9f), 0.0f, 1.0f);
-  const Vector3 offset = from - along * way;
-  const float distance = std::sqrt(dot(offset, offset) + kCapsuleBlur * kCapsuleBlur);
-  const float smooth = along * along * (3.0f - 2.0f * along);
-  const float narrow = shape_.sphere_radius[start], wide = shape_.sphere_radius[end];
-  return {narrow + smooth * (wide - narrow) - distance, (1.0f / distance) * offset, along};
 }
 
 }  // namespace physkin

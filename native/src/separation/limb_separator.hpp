@@ -63,9 +63,10 @@ class LimbSeparator {
     float reach;
     const float* allowed;
   };
+  // In a pose. inverse: of the squared length of its way.
   struct Capsule {
-    Vector3 middle;
-    float reach;
+    Vector3 start, way;
+    float inverse, narrow, wide;
   };
 
   void check() const;
@@ -78,7 +79,7 @@ class LimbSeparator {
   void count(int sphere, int limb, Vector3 point, Vector3 direction, float share, float* way) const;
   void add(int limb, const float* way, float value, float weight, float counted, float sign);
   bool step(int limb, const float* given);
-  Contact capsule_contact(Vector3 point, int capsule) const;
+  void place_capsules();
 
   CollisionShape shape_;
   SeparationSettings settings_;
