@@ -12,6 +12,7 @@ from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.rig.rig import DegreeOfFreedom, Rig, RigError
 from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
+from physkin_core.separation.limb_separator import LimbSeparator
 
 __all__ = [
     "BACKENDS",
@@ -29,6 +30,7 @@ __all__ = [
     "GarmentError",
     "GarmentModel",
     "GarmentModelError",
+    "LimbSeparator",
     "Material",
     "ModelFileError",
     "Motion",

@@ -113,6 +113,9 @@ def _parser() -> argparse.ArgumentParser:
     drape = commands.add_parser("drape", parents=[worn], help="drape one frame of a motion; write a mesh or a picture")
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
+    drape.add_argument(
+        "--separate-limbs", action="store_true", help="move arms and legs out of this body's trunk and each other"
+    )
     drape.add_argument("--backend", default="native", help="evaluator: native (default) or numpy")
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garment as .obj, or a .png picture")
     drape.set_defaults(run=_drape)
@@ -152,7 +155,7 @@ def _drape(options: argparse.Namespace) -> int:
     motion = load_motion(options.motion, watch=reading_progress(options.motion))
     if not 0 <= options.frame < motion.frame_count:
         raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
-    draper = _worn(options, backend=options.backend)
+    draper = _worn(options, backend=options.backend, separate_limbs=options.separate_limbs)
     positions = motion.positions_for(draper.model.rig)[options.frame]
     cloth = draper.drape(positions, motion.gravity[options.frame])
     write(options.output, draper, draper.avatar.posed_vertices(draper.bone_transforms(positions)), cloth)

@@ -17,6 +17,7 @@ from physkin_core.check.likeness import Likeness, body_overlap, likeness
 from physkin_core.fit_option import add_fit_option
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.runtime.draper import UPRIGHT_GRAVITY, Draper
+from physkin_core.separation.limb_separator import LimbSeparator
 
 __all__ = ["advice", "main"]
 
@@ -41,15 +42,23 @@ def main(argv: list[str]) -> int:
     )
     parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
     add_fit_option(parser)
+    parser.add_argument(
+        "--separate-limbs", action="store_true", help="move arms and legs out of this body's trunk and each other"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
     parser.add_argument("-o", "--output", type=Path, metavar="PNG", help="picture from four sides, garments in turn")
     options = parser.parse_args(argv)
     models = [load_garment_model(name) for name in options.garment or ["tshirt"]]
     rig = models[0].rig
     avatar = load_avatar(options.avatar, rig, rig_file=options.rig)
-    drapers = {model.name: Draper(model, avatar, fit=options.fit) for model in models}
+    separate = options.separate_limbs
+    drapers = {model.name: Draper(model, avatar, fit=options.fit, separate_limbs=separate) for model in models}
     checks = {name: check_garment(draper) for name, draper in drapers.items()}
-    known, overlap = likeness(avatar, rig), body_overlap(avatar, rig, everyday_poses(rig)[0])
+    poses, _ = everyday_poses(rig)
+    if separate:
+        separator = LimbSeparator(rig, avatar)
+        poses = np.array([separator.separate(positions)[0] for positions in poses])
+    known, overlap = likeness(avatar, rig), body_overlap(avatar, rig, poses)
     report = _report(avatar, checks, known, overlap)
     _print(report, avatar)
     if options.json:
@@ -79,7 +88,8 @@ def advice(checks: dict[str, GarmentCheck], known: Likeness, overlap_percent: fl
         )
     if overlap_percent > MUCH_OVERLAP:
         return (
-            f"Widen the arms in your motion: {overlap_percent:.0f} % of the skin is inside the body in everyday poses."
+            f"Widen the arms in your motion, or separate limbs: {overlap_percent:.0f} % of the skin is inside the body in "
+            "everyday poses."
         )
     if not worst.rest.sits_well:
         return "Hide the skin that the garment covers, as engines can: some cloth is under it."

@@ -22,6 +22,7 @@ from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.runtime.binding import bind_garment, bind_points
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.skin_clearance import SkinClearance
+from physkin_core.separation.limb_separator import LimbSeparator
 
 __all__ = ["BACKENDS", "STANDARD_GRAVITY", "UPRIGHT_GRAVITY", "Draper", "in_units_of_gravity"]
 
@@ -52,6 +53,8 @@ class Draper:
         truer where the cloth ripples or slides, for some 5 ns a vertex.
     points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
         space; they have no faces.
+    separate_limbs: move arms and legs out of the trunk and of each other before draping, on this body, by joint
+        positions changed as little as that takes (`LimbSeparator`). `separated_positions` tells these, for whoever draws the body.
     binding: `bound` of another draper of the same model, avatar and fit, which saves encoding the body again.
     What binding found of how the garment sits joins the `warnings` of `avatar`, and is issued as AvatarWarning.
     A joint more than a full turn beyond its limits is probably in degrees: the first such one is logged as a warning.
@@ -71,6 +74,7 @@ class Draper:
         normals: Literal["skinned", "faces"] = "skinned",
         points: np.ndarray | None = None,
         point_normals: np.ndarray | None = None,
+        separate_limbs: bool = False,
         binding: BoundGarment | None = None,
     ) -> None:
         if not isinstance(model, GarmentModel) or not isinstance(avatar, Avatar):
@@ -92,6 +96,8 @@ class Draper:
         self._degrees_told = False
         self._bone_rotations: dict[str, BoneRotations] = {}
         self._evaluator = _evaluator(backend, bound, precision, normals)
+        self._limb_separator = self._separate_limbs() if separate_limbs else None
+        self._separated = model.rig.rest.astype(np.float32)
         if binding is None and points is None:
             self._say_how_it_sits()
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
@@ -126,6 +132,16 @@ class Draper:
         """(f, 3) int32 triangles between the points that `drape` writes; (0, 3) when `points` were given."""
         return self.bound.faces
 
+    @property
+    def separated_positions(self) -> np.ndarray:
+        """(d,) float32 [rad] the joint positions that the last drape was of, limbs separated: for whoever draws the body.
+
+        At rest before the first drape. Raises ValueError for a draper without `separate_limbs`.
+        """
+        if self._limb_separator is None:
+            raise ValueError("this draper separates no limbs and drapes positions as given; see separate_limbs")
+        return self._separated.copy()
+
     def drape(
         self,
         joint_positions: np.ndarray | Mapping[str, float],
@@ -151,6 +167,8 @@ class Draper:
             raise ValueError(f"joint positions have shape {positions.shape}, expected {self.bound.dof_bone.shape}")
         if not positions.dot(positions) <= FULL_TURN**2:  # or NaN; the cheapest question that all usual poses pass
             self._check_unusual(positions)
+        if self._limb_separator is not None:
+            positions, _ = self._limb_separator.separate(positions, out=self._separated)
         down = _direction(gravity) if effective_gravity is None else self._felt(effective_gravity)
         if out is None:
             out = np.empty((self.vertex_count, 6), dtype=np.float32)
@@ -175,6 +193,17 @@ class Draper:
         positions = self._bone_rotations[skeleton].joint_positions(rotations)
         return self.drape(positions, gravity, effective_gravity=effective_gravity, out=out)
 
+    def _separate_limbs(self) -> LimbSeparator:
+        separator = LimbSeparator(self.model.rig, self.avatar, backend=self.backend)
+        for warning in separator.warnings:
+            self._warn(f"{self.avatar.source}: {warning}")
+        return separator
+
+    def _warn(self, warning: str) -> None:
+        """Issue it, and add it to the avatar's."""
+        self.avatar = replace(self.avatar, warnings=(*self.avatar.warnings, warning))
+        warnings.warn(warning, AvatarWarning, stacklevel=4)
+
     def _say_how_it_sits(self) -> None:
         """Issue a warning, and add it to the avatar's, where much of the cloth is inside the body at rest. By sampled
         skin: unlike exact distances that never holds up other threads."""
@@ -183,12 +212,10 @@ class Draper:
         clearance, _ = skin(cloth, vertex_normals(cloth, self.model.garment.faces), far=np.inf)
         inside = float((clearance < -INSIDE).mean())
         if inside > MOST_INSIDE:
-            warning = (
+            self._warn(
                 f"{self.model.name} on {self.avatar.source}: {100 * inside:.1f} % of the cloth is inside the body at "
                 f"rest, up to {-1000 * clearance.min():.0f} mm; look at it, or run physkin check"
             )
-            self.avatar = replace(self.avatar, warnings=(*self.avatar.warnings, warning))
-            warnings.warn(warning, AvatarWarning, stacklevel=3)
 
     def bind_step(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> Callable[[], None]:
         """A frame bound to its arrays: `step()` drapes what they hold now into `out`, with nothing to convert.
@@ -198,14 +225,18 @@ class Draper:
         Raises TypeError or ValueError for other arrays; `step()` raises ValueError when a value or what the networks
         make of it is not finite (`out` is then unchanged).
         """
+        separator = self._limb_separator
+        draped = joint_positions if separator is None else self._separated
         if self.backend == "native":
-            evaluate = self._evaluator.bind_step(joint_positions, gravity, out).step
+            evaluate = self._evaluator.bind_step(draped, gravity, out).step
         else:
-            evaluate = partial(self._evaluator.evaluate, joint_positions, gravity, out)
+            evaluate = partial(self._evaluator.evaluate, draped, gravity, out)
 
         def step() -> None:
             if not joint_positions.dot(joint_positions) <= FULL_TURN**2:
                 self._check_unusual(joint_positions)
+            if separator is not None:
+                separator.separate(joint_positions, out=draped)
             evaluate()
 
         return step
@@ -246,7 +277,12 @@ class Draper:
         return self._evaluator.node_transforms()
 
     def bone_transforms(self, joint_positions: np.ndarray) -> np.ndarray:
-        """(b, 3, 4) canonical-to-posed transforms of this body's bones, for posing the body beside the garment."""
+        """(b, 3, 4) canonical-to-posed transforms of this body's bones, for posing the body beside the garment.
+
+        joint_positions: (d,) [rad], as `drape` takes them: limbs are separated here, too, where they are there.
+        """
+        if self._limb_separator is not None:
+            joint_positions, _ = self._limb_separator.separate(joint_positions)
         return self.model.rig.bone_transforms(joint_positions, heads=self.avatar.bone_heads)
 
 

@@ -101,9 +101,7 @@ class CollisionShape:
         return centres[ends], self.sphere_radius[ends].astype(np.float64)
 
 
-def capsule_depth(
-    points: np.ndarray, ends: np.ndarray, radii: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def capsule_depth(points: np.ndarray, ends: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """How deep points (V, 3) are in a capsule, (V,); normals (V, 3), unit but near the axis; where along it the
     nearest place is, (V,) 0 to 1. The radius goes from one end's to the other's without a corner.
     """
@@ -298,7 +296,9 @@ def _trunk(skin: _SkinByPart, found: Limbs, heads: np.ndarray) -> TrunkShape:
         crotch = max(crotch, np.mean(hips, axis=0)[2] - MOST_BELOW_HIPS)
     low = float(crotch) + ABOVE_CROTCH
     if high - low < SHORTEST_TRUNK:
-        raise ValueError(f"limbs cannot be separated: the trunk is {high - low:.2f} m high between crotch and shoulders")
+        raise ValueError(
+            f"limbs cannot be separated: the trunk is {high - low:.2f} m high between crotch and shoulders"
+        )
     thighs = [3 * k for k, limb in enumerate(found.limbs) if not limb.is_arm]
     points = skin.trunk(*thighs)
     between = (points.points[:, 2] > low) & (points.points[:, 2] < high)

@@ -36,8 +36,6 @@ class SeparationSettings:
 class ReferenceLimbSeparator:
     """Separates the limbs of one body, slowly."""
 
-    instruction_set = "numpy"
-
     def __init__(self, shape: CollisionShape, settings: SeparationSettings) -> None:
         self._shape, self._settings = shape, settings
         self._limbs = range(len(shape.limb_start) - 1)

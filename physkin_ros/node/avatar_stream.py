@@ -15,7 +15,7 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState, MultiDOFJointState
 
-from physkin_core import BUNDLED_AVATAR, Draper, GarmentModel
+from physkin_core import BUNDLED_AVATAR, Draper, GarmentModel, LimbSeparator
 from physkin_core.runtime.draper import STANDARD_GRAVITY
 from physkin_ros.joints.bone_rotation_message import BoneRotationReader
 from physkin_ros.joints.joint_naming import load_naming
@@ -29,6 +29,7 @@ from physkin_ros.node.garment_stream import GarmentStream, WornGarment, stream_q
 from physkin_ros.node.interpolation import PoseInterpolator
 from physkin_ros.node.orientation import EffectiveGravity, GravityByStamp, OrientationError, gravity_from_tilt
 from physkin_ros.node.orientation_source import OrientationSource
+from physkin_ros.node.separated_joint_states import SeparatedJointStates
 from physkin_ros.node.settings import AvatarSettings
 
 __all__ = ["AvatarStream", "Outfit"]
@@ -45,15 +46,24 @@ JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
 class Outfit:
     """What an avatar wears: drapers bound to its pose, and the reader of joint states for their rig.
 
-    pose: (d,) float32 [rad], what the drapers read. garments: in the order of the avatar's streams. bones: further
-    arguments of `BoneRotationReader`.
+    pose: (d,) float32 [rad], what comes in. draped: (d,) what the drapers read: the same array, or another one that
+    `separator` fills. garments: in the order of the avatar's streams. bones: further arguments of `BoneRotationReader`.
     """
 
-    def __init__(self, reader: JointStateReader, model: GarmentModel, interpolates: bool, **bones) -> None:
+    def __init__(
+        self,
+        reader: JointStateReader,
+        model: GarmentModel,
+        interpolates: bool,
+        separator: LimbSeparator | None,
+        **bones,
+    ) -> None:
         self.reader = reader
         self.wire = JointStateWire(reader)
         self._rig, self._bones = model.rig, bones
         self.pose = reader.positions.copy()
+        self.separator = separator
+        self.draped = self.pose if separator is None else self.pose.copy()
         self.range = PoseRange(model.rig)
         self.interpolator = PoseInterpolator(len(self.pose)) if interpolates else None
         self.garments: tuple[WornGarment, ...] = ()
@@ -93,6 +103,9 @@ class AvatarStream:
         self.garments = tuple(
             GarmentStream(node, settings, garment, self._topics(garment)) for garment in settings.garments
         )
+        self._separated = None
+        if settings.separate_limbs:
+            self._separated = SeparatedJointStates(node, f"~/{settings.id}" if settings.id else "~", settings.frame_id)
         self.topic = node.resolve_topic_name(settings.joint_states or self._default_topic("joint_states"))
         self._bone_topic = settings.bone_rotations or self._default_topic("bone_rotations")
         self._orientation = self._timer = None
@@ -167,7 +180,8 @@ class AvatarStream:
         for worn in outfit.garments:
             if known.get(worn.stream) != worn.revision:
                 worn.stream.show_mesh(worn.draper, worn.revision)
-        for warning in dict.fromkeys(warning for each in loaded for warning in each.draper.avatar.warnings):
+        told = [warning for each in loaded for warning in each.draper.avatar.warnings]
+        for warning in dict.fromkeys([*told, *(outfit.separator.warnings if outfit.separator else ())]):
             self._log.warning(f"{self._label}{warning}")
         source = mesh if mesh and mesh != str(BUNDLED_AVATAR) else "the bundled avatar"
         for worn in outfit.garments:
@@ -194,14 +208,15 @@ class AvatarStream:
         )
         skeleton = "vrm" if self.settings.joint_map == VRM else "rig"
         bones = {"skeleton": skeleton, "on_unknown": self._warn_unknown}
-        outfit = Outfit(reader, model, bool(self.settings.cloud_rate), **bones)
+        separator = LimbSeparator(model.rig, drapers[0].avatar) if self.settings.separate_limbs else None
+        outfit = Outfit(reader, model, bool(self.settings.cloud_rate), separator, **bones)
         worn_now = {worn.stream: worn for worn in self._outfit.garments} if self._outfit else {}
         garments = []
         for stream, draper in zip(self.garments, drapers):
             before = worn_now.get(stream)
             revision = 1 if before is None else before.revision + (not _same_mesh(before.draper, draper))
             gravity = self.felt if draper.model.accelerated else self.gravity
-            garments.append(WornGarment(stream, draper, revision, outfit.pose, gravity))
+            garments.append(WornGarment(stream, draper, revision, outfit.draped, gravity))
         outfit.garments = tuple(garments)
         return outfit
 
@@ -262,6 +277,9 @@ class AvatarStream:
 
     def _drape(self, outfit: Outfit, sec: int, nanosec: int) -> bool:
         np.multiply(self.gravity, self._load, out=self.felt)
+        change = None
+        if outfit.separator is not None:
+            _, change = outfit.separator.separate(outfit.pose, out=outfit.draped)
         for worn in outfit.garments:
             began = perf_counter_ns()
             try:
@@ -272,6 +290,9 @@ class AvatarStream:
             took = perf_counter_ns() - began
             worn.publish(sec, nanosec)
             worn.stream.statistics.draped(took)
+        if change is not None:
+            self.statistics.separate(change)
+            self._separated.publish(outfit.separator.joint_names, outfit.draped, sec, nanosec)
         outfit.range.add(outfit.pose)
         self.statistics.last_stamp_ns = sec * NANOSECONDS + nanosec
         return True
@@ -401,6 +422,8 @@ class AvatarStream:
             self._node.destroy_subscription(subscription)
         if self._orientation is not None:
             self._orientation.close()
+        if self._separated is not None:
+            self._separated.close()
         for garment in self.garments:
             garment.close()
 

@@ -17,6 +17,7 @@ __all__ = ["AvatarStatistics", "GarmentStatistics", "Health", "HealthReporter", 
 
 MOST_TIMES = 100_000  # kept between two reports, should nobody report
 NOTICEABLE = 0.02  # [rad] beyond a limit
+LEAST_SEPARATION = 1e-3  # [rad] smaller changes are not counted
 
 
 class PoseRange:
@@ -78,6 +79,13 @@ class AvatarStatistics:
     last_error: str = ""
     strangers: str = ""
     last_stamp_ns: int | None = None
+    limbs_separated: int = 0
+    largest_separation: float | None = None
+
+    def separate(self, change: float) -> None:
+        """Count a joint state of which a position was changed by so much [rad], if any was."""
+        self.limbs_separated += change > LEAST_SEPARATION
+        self.largest_separation = max(change, self.largest_separation or 0.0)
 
     def reject(self, reason: str) -> None:
         """Count a joint state that was not draped, and keep why."""
@@ -181,6 +189,8 @@ class Health:
             "evaluation p50 [us]": _number(p50, 1),
             "evaluation p99 [us]": _number(p99, 1),
             "last stamp age [s]": _number(age, 3),
+            "joint states with limbs separated": str(counts.limbs_separated),
+            "largest separation [rad]": _number(counts.largest_separation, 3),
             "outside the trained range": "; ".join(self.beyond[:3]) or "none",
         }
 

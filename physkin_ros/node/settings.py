@@ -163,6 +163,11 @@ class AvatarSettings:
         low=0,
         high=1000,
     )
+    separate_limbs: bool = _key(
+        False,
+        "move arms and legs out of the trunk and of each other on this body before draping; ~/joint_states, with avatars "
+        "~/ID/joint_states, carries the positions that were draped",
+    )
     discover: str = _key(
         "",
         "ros4hri: an avatar for every body on /humans/bodies/ID/joint_states, as they come and go",

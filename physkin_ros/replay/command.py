@@ -62,7 +62,7 @@ def _draper(options: argparse.Namespace) -> Draper:
     model = load_garment_model(options.model)
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
     chosen = {"backend": options.backend, "precision": options.precision, "fit": options.fit}
-    draper = Draper(model, avatar, normals=options.normals, **chosen)
+    draper = Draper(model, avatar, normals=options.normals, separate_limbs=options.separate_limbs, **chosen)
     for warning in draper.avatar.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return draper
@@ -88,6 +88,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_fit_option(parser)
     parser.add_argument("--normals", choices=NORMALS, default="skinned", help="carried along, or of the draped mesh")
+    parser.add_argument(
+        "--separate-limbs", action="store_true", help="move arms and legs out of this body's trunk and each other"
+    )
     parser.add_argument("-o", "--output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3")
     parser.add_argument("--storage", choices=STORAGES, help="of an output folder (default mcap)")
     parser.add_argument("--garment-topic", default=GARMENT_TOPIC, help="of the clouds (default %(default)s)")

@@ -1,0 +1,80 @@
+"""LimbSeparator: joint positions in, out come those at which this body's arms and legs leave its trunk and each other.
+
+Motion of a lean performer puts a stouter body's forearms into its belly. Dimensions: `d` degrees of freedom. Radians.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import astuple
+from time import perf_counter
+from typing import Literal
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar
+from physkin_core.rig.rig import Rig
+from physkin_core.separation.collision_shape import CollisionShape, fit_collision_shape
+from physkin_core.separation.reference_separator import ReferenceLimbSeparator, SeparationSettings
+
+__all__ = ["LimbSeparator"]
+
+log = logging.getLogger(__name__)
+
+BACKENDS = ("native", "numpy")
+
+
+class LimbSeparator:
+    """Separates the limbs of one body, a pose at a time. Not for use by two threads at once.
+
+    rig: whose joint positions come in; avatar: a body bound to it. Binding fits a collision shape to the body's skin: a
+    tenth of a second. backend: "native" (C++) or "numpy" (readable reference, slow).
+    settings: how gently, see `SeparationSettings`.
+    warnings: limbs that are left out, and why. A pose that is free is given back as it is; the canonical pose is, too:
+    what touches there may. Positions stay within the rig's limits, or, where they were given beyond, do not go farther.
+    The result depends on the pose alone, continuously, so that motion that is smooth stays so.
+    Raises ValueError for an unknown backend, a body of another rig, a rig or body in which no arm or leg is found.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        avatar: Avatar,
+        *,
+        backend: Literal["native", "numpy"] = "native",
+        settings: SeparationSettings | None = None,
+    ) -> None:
+        if backend not in BACKENDS:
+            raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
+        if len(avatar.bone_heads) != rig.bone_count:
+            raise ValueError(f"avatar {avatar.source} has {len(avatar.bone_heads)} bones, the rig {rig.bone_count}")
+        settings = settings or SeparationSettings()
+        started = perf_counter()
+        self.shape, self.warnings = fit_collision_shape(avatar, rig, onset=settings.onset)
+        log.info("fitted a collision shape to %s in %.0f ms", avatar.source, 1e3 * (perf_counter() - started))
+        self.joint_names = rig.joint_names
+        self._separator = _separator(backend, self.shape, settings)
+
+    def separate(self, joint_positions: np.ndarray, *, out: np.ndarray | None = None) -> tuple[np.ndarray, float]:
+        """Positions moved as little as needed, and by how much.
+
+        joint_positions: (d,) [rad], in the order of `joint_names`. out: (d,) float32, C-contiguous, which may be
+        `joint_positions` itself; default a new array. Returns `out`, and the largest change of a position [rad], 0
+        where nothing was changed.
+        Raises ValueError on another shape, and on values that are not finite or beyond a million; `out` is then as it
+        was. Raises TypeError for an `out` of another kind.
+        """
+        positions = np.ascontiguousarray(joint_positions, dtype=np.float32)
+        if positions.shape != (len(self.joint_names),):
+            raise ValueError(f"joint positions have shape {positions.shape}, expected ({len(self.joint_names)},)")
+        if out is None:
+            out = np.empty_like(positions)
+        return out, self._separator.separate(positions, out)
+
+
+def _separator(backend: str, shape: CollisionShape, settings: SeparationSettings):
+    if backend == "numpy":
+        return ReferenceLimbSeparator(shape, settings)
+    from physkin_core.runtime.native_evaluator import _native
+
+    return _native.LimbSeparator(shape, *astuple(settings))
