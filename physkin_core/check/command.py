@@ -88,8 +88,8 @@ def advice(checks: dict[str, GarmentCheck], known: Likeness, overlap_percent: fl
         )
     if overlap_percent > MUCH_OVERLAP:
         return (
-            f"Widen the arms in your motion, or separate limbs: {overlap_percent:.0f} % of the skin is inside the body in "
-            "everyday poses."
+            f"Widen the arms in your motion, or separate limbs: {overlap_percent:.0f} % of the skin is inside the body "
+            "in everyday poses."
         )
     if not worst.rest.sits_well:
         return "Hide the skin that the garment covers, as engines can: some cloth is under it."

@@ -54,7 +54,7 @@ class Draper:
     points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
         space; they have no faces.
     separate_limbs: move arms and legs out of the trunk and of each other before draping, on this body, by joint
-        positions changed as little as that takes (`LimbSeparator`). `separated_positions` tells these, for whoever draws the body.
+        positions changed as little as that takes (`LimbSeparator`). `separated_positions` tells which.
     binding: `bound` of another draper of the same model, avatar and fit, which saves encoding the body again.
     What binding found of how the garment sits joins the `warnings` of `avatar`, and is issued as AvatarWarning.
     A joint more than a full turn beyond its limits is probably in degrees: the first such one is logged as a warning.
@@ -134,7 +134,7 @@ class Draper:
 
     @property
     def separated_positions(self) -> np.ndarray:
-        """(d,) float32 [rad] the joint positions that the last drape was of, limbs separated: for whoever draws the body.
+        """(d,) float32 [rad] the joint positions of the last drape, limbs separated, for whoever draws the body.
 
         At rest before the first drape. Raises ValueError for a draper without `separate_limbs`.
         """

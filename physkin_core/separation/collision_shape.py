@@ -1,7 +1,8 @@
-"""The compact collision shape of a body: limbs of spheres and capsules, a smooth trunk, a head, and what may touch what.
+"""The compact collision shape of a body: limbs of spheres and capsules, a smooth trunk, a head, and what may touch.
 
-Dimensions: `b` bones, `S` spheres, `C` capsules, `G` groups of spheres, `P` pairs of a group and what it is kept out of,
-`A` contacts (a sphere of a pair's group), `L` limbs, `K` trunk bones, `D` joints that may move. Metres, canonical pose.
+Dimensions: `b` bones, `S` spheres, `C` capsules, `G` groups of spheres, `P` pairs of a group and what it is kept out
+of, `A` contacts (a sphere of a pair's group), `L` limbs, `K` trunk bones, `D` joints that may move. Metres, canonical
+pose.
 """
 
 from __future__ import annotations
@@ -38,14 +39,15 @@ SLACK = 0.02
 class CollisionShape:
     """What a limb separator needs of rig and body; arrays of indices int32, others float32.
 
-    parents (b,), heads (b, 3), dof_bone, dof_axis, dof_rest, dof_lower, dof_upper: as of `BoundGarment`, heads of the body.
+    parents (b,), heads (b, 3) of the body, dof_bone, dof_axis, dof_rest, dof_lower, dof_upper: as of `BoundGarment`.
     trunk_bones: (K,) from the pelvis up. trunk_heights: (K,) [m] above which each of them takes over from the last.
     trunk_frame: (4,) X and Y of the axis, heights between which the surface was fitted.
     trunk_coefficients: (J, 2 H + 1), see `TrunkShape`.
     sphere_bone (S,), sphere_centre (S, 3), sphere_radius (S,).
     sphere_limb: (S,) whose joints move it, -1 for none; sphere_joints: (S,) how many of these, from the trunk outwards.
     capsules: (C, 2) spheres that span them. groups: (G, 2) first sphere, and one after the last. group_reach: (G,) [m]
-    of its spheres' surfaces from the middle one's centre. pairs: (P, 3) group, capsule or -1 for the trunk, first contact.
+    of its spheres' surfaces from the middle one's centre. pairs: (P, 3) group, capsule or -1 for the
+    trunk, first contact.
     allowed: (A,) [m] how deep a contact is in the canonical pose, at least 0: so deep it may be.
     limb_start: (L + 1,) into limb_dofs (D,). limb_kind: (L,) 0 for arms, 1 for legs,
     which give way to legs only.

@@ -31,7 +31,8 @@ LIMB_BONES = {
 class Limb:
     """An arm or a leg. ends: bones at whose heads upper and lower segment and hand or foot begin.
 
-    dofs: degrees of freedom that may move it, from the trunk outwards: those between the first and the last end.
+    dofs: degrees of freedom that may move it, from the trunk outwards: those of the upper segment, and the elbow's or
+    knee's.
     """
 
     name: str
@@ -64,9 +65,9 @@ def find_limbs(rig: Rig) -> Limbs:
     for name, wanted in LIMB_BONES.items():
         ends = tuple(found.get(bone, -1) for bone in wanted)
         way = _way(rig, ends[0], ends[2]) if min(ends) >= 0 else ()
-        between = [bone for bone in way if bone != ends[2]]
+        between = way[: way.index(ends[1]) + 1] if ends[1] in way else ()
         dofs = tuple(k for bone in between for k in np.flatnonzero(rig.dof_bones == bone).tolist())[:MOST_JOINTS]
-        if ends[1] in between and dofs:
+        if dofs:
             limbs.append(Limb(name, ends, dofs))
         else:
             missing.append(name)

@@ -21,9 +21,12 @@ __all__ = ["ReferenceLimbSeparator", "SeparationSettings"]
 
 @dataclass(frozen=True)
 class SeparationSettings:
-    """onset: [m] outside the skin where a contact begins to count. softness: [m] over which it comes to count in full.
-    pull: [m2/rad2] of a joint towards where it was given. damping: [m2/rad2] of a joint towards where the last step left it. blend: [m] of height over which a trunk bone takes over from
-    the one below. steps: how many."""
+    """How gently limbs are separated.
+
+    onset: [m] outside the skin where a contact begins to count. softness: [m] over which it comes to count in full.
+    pull: [m2/rad2] of a joint towards where it was given. damping: [m2/rad2] towards where the last step left it.
+    blend: [m] of height over which a trunk bone takes over from the one below. steps: how many.
+    """
 
     onset: float = 0.01
     softness: float = 0.03
@@ -119,7 +122,7 @@ class ReferenceLimbSeparator:
         return transforms, axes, posed[shape.dof_bone]
 
     def _moves(self, sphere, limb, point, normal, axes, pivots) -> np.ndarray:
-        """(D,) how far a point that a sphere's bone carries goes along a normal by each of the limb's joints [m/rad]."""
+        """(D,) how far a point that a sphere's bone carries goes along a normal by each joint of the limb [m/rad]."""
         shape = self._shape
         dofs = shape.limb_dofs[shape.limb_start[limb] : shape.limb_start[limb + 1]]
         way = np.cross(axes[dofs], point - pivots[dofs]) @ normal

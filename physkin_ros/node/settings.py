@@ -165,8 +165,8 @@ class AvatarSettings:
     )
     separate_limbs: bool = _key(
         False,
-        "move arms and legs out of the trunk and of each other on this body before draping; ~/joint_states, with avatars "
-        "~/ID/joint_states, carries the positions that were draped",
+        "move arms and legs out of the trunk and of each other, on this body, before draping; ~/joint_states, with "
+        "avatars ~/ID/joint_states, carries the positions that were draped",
     )
     discover: str = _key(
         "",
