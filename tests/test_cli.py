@@ -72,6 +72,22 @@ def test_drape_and_bind_make_to_measure_unless_told_otherwise(fit, tmp_path):
     np.testing.assert_array_equal(bound["node_positions"], draper.bound.node_positions)
 
 
+def test_drape_separates_limbs_when_told_to(model_path, garment_model, tmp_path):
+    """Body and garment are those of the separated positions."""
+    path, arguments = tmp_path / "out.obj", ["drape", str(AVATAR), "-g", str(model_path), "--frame", "9"]
+    assert cli.main([*arguments, "--separate-limbs", "-o", str(path)]) == 0
+    motion = load_motion("walk")
+    draper = Draper(garment_model, load_avatar(AVATAR, garment_model.rig), separate_limbs=True)
+    cloth = draper.drape(motion.positions[9], motion.gravity[9])
+    positions = draper.separated_positions
+    assert np.abs(positions - motion.positions[9]).max() > 0.001
+    body = draper.avatar.posed_vertices(garment_model.rig.bone_transforms(positions, heads=draper.avatar.bone_heads))
+    parts = [part.splitlines()[1:] for part in path.read_text().split("o ")[1:]]
+    for expected, part in zip((body, cloth[:, :3]), parts):
+        vertices = np.array([line.split()[1:] for line in part if line.startswith("v")], dtype=float)
+        np.testing.assert_allclose(vertices, expected, atol=1e-5)
+
+
 def test_drape_draws(model_path, tmp_path, monkeypatch):
     """A picture instead of a mesh, here a small one."""
     pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")
