@@ -21,8 +21,6 @@ __all__ = ["LimbSeparator"]
 
 log = logging.getLogger(__name__)
 
-BACKENDS = ("native", "numpy")
-
 
 class LimbSeparator:
     """Separates the limbs of one body, a pose at a time. Not for use by two threads at once.
@@ -44,8 +42,8 @@ class LimbSeparator:
         backend: Literal["native", "numpy"] = "native",
         settings: SeparationSettings | None = None,
     ) -> None:
-        if backend not in BACKENDS:
-            raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
+        if backend not in ("native", "numpy"):
+            raise ValueError(f"unknown backend {backend!r}; allowed: native, numpy")
         if len(avatar.bone_heads) != rig.bone_count:
             raise ValueError(f"avatar {avatar.source} has {len(avatar.bone_heads)} bones, the rig {rig.bone_count}")
         settings = settings or SeparationSettings()
@@ -75,6 +73,6 @@ class LimbSeparator:
 def _separator(backend: str, shape: CollisionShape, settings: SeparationSettings):
     if backend == "numpy":
         return ReferenceLimbSeparator(shape, settings)
-    from physkin_core.runtime.native_evaluator import _native
+    import physkin_core._native as _native  # checks what it is given
 
     return _native.LimbSeparator(shape, *astuple(settings))

@@ -31,9 +31,9 @@ class SeparationSettings:
     onset: float = 0.01
     softness: float = 0.03
     pull: float = 0.01
-    damping: float = 0.005
+    damping: float = 0.01
     blend: float = 0.06
-    steps: int = 4
+    steps: int = 3
 
 
 class ReferenceLimbSeparator:

@@ -10,6 +10,17 @@ namespace {
 
 constexpr float kCapsuleBlur = 0.015f;  // as in the twin
 
+// Which joints move a sphere, by how many.
+constexpr float kFirst[9][8] = {{},
+                                {1},
+                                {1, 1},
+                                {1, 1, 1},
+                                {1, 1, 1, 1},
+                                {1, 1, 1, 1, 1},
+                                {1, 1, 1, 1, 1, 1},
+                                {1, 1, 1, 1, 1, 1, 1},
+                                {1, 1, 1, 1, 1, 1, 1, 1}};
+
 void require(bool good, const char* what) {
   if (!good) throw std::invalid_argument(std::string("collision shape: ") + what);
 }
@@ -31,6 +42,7 @@ LimbSeparator::LimbSeparator(CollisionShape shape, const SeparationSettings& set
   check();
   limbs_ = int(shape_.limb_kind.size());
   spheres_ = int(shape_.sphere_bone.size());
+  per_softness_ = 1.0f / settings_.softness;
   plan();
 }
 
@@ -100,11 +112,13 @@ void LimbSeparator::plan() {
   turns_anew_.resize(bones);
   for (std::int32_t bone : s.sphere_bone) needed[bone] = 1;
   for (std::int32_t bone : s.trunk_bones) needed[bone] = 1;
-  joint_of_dof_.assign(dofs(), -1);
+  limb_of_dof_.assign(dofs(), -1);
+  place_of_dof_.assign(dofs(), -1);
   for (int limb = 0; limb < limbs_; ++limb) {
     for (int k = s.limb_start[limb]; k < s.limb_start[limb + 1]; ++k) {
       const int dof = s.limb_dofs[k], bone = s.dof_bone[dof];
-      joint_of_dof_[dof] = k;
+      limb_of_dof_[dof] = limb;
+      place_of_dof_[dof] = k - s.limb_start[limb];
       mover[bone] = limb;
       needed[bone] = turns_anew_[bone] = 1;
     }
@@ -157,7 +171,7 @@ void LimbSeparator::plan() {
   posed_.resize(bones);
   centres_.resize(spheres_);
   capsules_.resize(s.capsules.size() / 2);
-  joints_.resize(s.limb_dofs.size());
+  joints_.resize(limbs_);
   normals_.resize(limbs_);
 }
 
@@ -220,7 +234,14 @@ void LimbSeparator::pose_bone(int bone) {
   for (int at = dof_start_[bone]; at < dof_start_[bone + 1]; ++at) {
     const int k = dof_order_[at];
     const Vector3 axis = load_vector(&shape_.dof_axis[3 * k]);
-    if (const int joint = joint_of_dof_[k]; joint >= 0) joints_[joint] = {posed.linear * axis, posed.translation};
+    if (const int place = place_of_dof_[k]; place >= 0) {
+      const Vector3 now = posed.linear * axis, moment = cross(now, posed.translation);
+      Joints& joints = joints_[limb_of_dof_[k]];
+      for (int i = 0; i < 3; ++i) {
+        joints.axis[i][place] = i == 0 ? now.x : i == 1 ? now.y : now.z;
+        joints.moment[i][place] = i == 0 ? moment.x : i == 1 ? moment.y : moment.z;
+      }
+    }
     posed.linear = posed.linear * rotation(axis, positions_[k] - shape_.dof_rest[k]);
   }
 }
@@ -289,7 +310,7 @@ void LimbSeparator::place_capsules() {
 
 // Counts a contact of a sphere into the quadratic of its limb, and of the other limb where that gives way, too.
 void LimbSeparator::give_way(const Pair& pair, int sphere, const Contact& contact, float excess) {
-  const float bent = std::min(excess, settings_.softness), weight = bent / settings_.softness;
+  const float bent = std::min(excess, settings_.softness), weight = bent * per_softness_;
   const float value = 0.5f * bent * weight + std::max(excess - settings_.softness, 0.0f);
   const float counted = pair.other >= 0 ? 2.0f : 1.0f;
   float way[kMostJoints] = {};
@@ -304,20 +325,26 @@ void LimbSeparator::give_way(const Pair& pair, int sphere, const Contact& contac
   add(pair.other, way, value, weight, counted, 1.0f);
 }
 
-// Adds how far a point that a sphere's bone carries goes in a direction by each joint of its limb [m/rad], times share.
+// Adds how far a point that a sphere's bone carries goes in a direction by each joint of its limb [m/rad], times share:
+// axis . ((point - pivot) x direction), rearranged so that all joints are computed at once.
 void LimbSeparator::count(int sphere, int limb, Vector3 point, Vector3 direction, float share, float* way) const {
-  const Joint* joints = &joints_[shape_.limb_start[limb]];
-  for (int k = 0; k < shape_.sphere_joints[sphere]; ++k) {
-    way[k] += share * dot(joints[k].axis, cross(point - joints[k].pivot, direction));
+  const Joints& joints = joints_[limb];
+  const Vector3 turn = share * cross(point, direction), along = share * direction;
+  const float* moved = kFirst[shape_.sphere_joints[sphere]];
+  for (int k = 0; k < kMostJoints; ++k) {
+    way[k] += moved[k] * (joints.axis[0][k] * turn.x + joints.axis[1][k] * turn.y + joints.axis[2][k] * turn.z -
+                          joints.moment[0][k] * along.x - joints.moment[1][k] * along.y - joints.moment[2][k] * along.z);
   }
 }
 
 void LimbSeparator::add(int limb, const float* way, float value, float weight, float counted, float sign) {
   Normal& normal = normals_[limb];
   const int joints = shape_.limb_start[limb + 1] - shape_.limb_start[limb];
+  const float slope = sign * value * weight, curvature = counted * weight * weight;
+  for (int k = 0; k < kMostJoints; ++k) normal.slope[k] += slope * way[k];
   for (int i = 0; i < joints; ++i) {
-    normal.slope[i] += sign * value * weight * way[i];
-    for (int j = 0; j <= i; ++j) normal.curvature[i][j] += counted * weight * weight * way[i] * way[j];
+    const float factor = curvature * way[i];
+    for (int k = 0; k < kMostJoints; ++k) normal.curvature[i][k] += factor * way[k];
   }
   normal.met = true;
 }

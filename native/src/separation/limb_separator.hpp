@@ -54,8 +54,9 @@ class LimbSeparator {
     float curvature[kMostJoints][kMostJoints], slope[kMostJoints];
     bool met, moved;
   };
-  struct Joint {
-    Vector3 axis, pivot;
+  // A limb's joints in a pose, those that it lacks zero: their axes, and axes x pivots.
+  struct Joints {
+    float axis[3][kMostJoints], moment[3][kMostJoints];
   };
   // The spheres of a group that may meet a capsule, or the trunk (-1), whose points they are from `trunk_point` on.
   struct Pair {
@@ -84,10 +85,11 @@ class LimbSeparator {
   CollisionShape shape_;
   SeparationSettings settings_;
   const Kernels& kernels_;
+  float per_softness_ = 0.0f;
   int limbs_ = 0, spheres_ = 0;
   // Bones that a frame needs, parents first: those that no limb moves, then by limb. A bone with joints that may move
   // is turned anew at every step, others keep the turn that they have in the frame.
-  std::vector<int> fixed_bones_, joint_of_dof_;
+  std::vector<int> fixed_bones_, limb_of_dof_, place_of_dof_;  // -1 where no limb moves by it, else which of its joints
   std::vector<std::vector<int>> limb_bones_, limb_spheres_;
   std::vector<char> turns_anew_;
   std::vector<int> dof_start_, dof_order_;  // degrees of freedom by bone
@@ -104,7 +106,7 @@ class LimbSeparator {
   std::vector<Affine> posed_;   // by bone: rotation, and where its head is
   std::vector<Vector3> centres_;
   std::vector<Capsule> capsules_;
-  std::vector<Joint> joints_;
+  std::vector<Joints> joints_;  // by limb
   std::vector<Normal> normals_;
 };
 

@@ -7,15 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from random_models import BACKENDS, SIZES, needs_native, random_avatar, random_model, random_pose, tube, unit_rows
-from scipy.spatial.transform import Rotation
 
 from physkin_core import (
     BUNDLED_AVATAR,
     UPRIGHT_GRAVITY,
-    AvatarWarning,
     Draper,
     Garment,
-    LimbSeparator,
     avatar_from_body,
     load_avatar,
     load_body_model,
@@ -415,49 +412,3 @@ def test_effective_gravity():
             draper.drape(pose, effective_gravity=wrong)
     with pytest.raises(ValueError, match="was not trained with accelerated roots"):
         Draper(model, avatar).drape(pose, effective_gravity=9.81 * down)
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_limbs_are_separated_before_draping(backend):
-    """The cloth and the bones are those of the separated positions, whichever way the pose comes in."""
-    rig = load_body_model().rig
-    model = random_model(np.random.default_rng(3), rig=rig)
-    avatar = avatar_from_body(load_body_model(), 1.5 * load_body_model().held_out_bodies[55])
-    draper = Draper(model, avatar, backend=backend, separate_limbs=True)
-    plain = Draper(model, avatar, backend=backend, binding=draper.bound)
-    arms_down = rig.joint_positions({"upperarm01.L_x": -0.7, "upperarm01.R_x": 0.7}).astype(np.float32)
-    expected, change = LimbSeparator(rig, avatar, backend=backend).separate(arms_down)
-    assert change > 0.05
-    np.testing.assert_array_equal(draper.separated_positions, rig.rest.astype(np.float32))
-    cloth = draper.drape(arms_down)
-    np.testing.assert_array_equal(draper.separated_positions, expected)
-    np.testing.assert_array_equal(cloth, plain.drape(expected))
-    assert not np.allclose(cloth, plain.drape(arms_down), atol=1e-3)
-    np.testing.assert_array_equal(draper.bone_transforms(arms_down), plain.bone_transforms(expected))
-    turns = {
-        bone: Rotation.from_rotvec(angle * rig.dof_axes[rig.joint_names.index(f"{bone}_x")]).as_quat()
-        for bone, angle in (("upperarm01.L", -0.7), ("upperarm01.R", 0.7))
-    }
-    np.testing.assert_allclose(draper.drape_rotations(turns), cloth, atol=1e-5)
-    out = np.empty((draper.vertex_count, 6), dtype=np.float32)
-    positions, gravity = rig.rest.astype(np.float32), UPRIGHT_GRAVITY.astype(np.float32)
-    step = draper.bind_step(positions, gravity, out)
-    positions[:] = arms_down
-    step()
-    np.testing.assert_array_equal(out, cloth)
-    np.testing.assert_array_equal(positions, arms_down)
-    with pytest.raises(ValueError, match="separates no limbs"):
-        _ = plain.separated_positions
-
-
-def test_limbs_that_are_left_out_are_told():
-    """A rig without limbs is refused; a limb without joints is warned of, as everything that binding finds is."""
-    _, model, avatar = scene(5)
-    with pytest.raises(ValueError, match="no arm or leg with joints was found"):
-        Draper(model, avatar, separate_limbs=True)
-    rig = load_body_model().rig
-    stiff = replace(rig, dofs=tuple(dof for dof in rig.dofs if not dof.bone.startswith(("upperleg", "lowerleg"))))
-    body = avatar_from_body(load_body_model(), load_body_model().held_out_bodies[0])
-    with pytest.warns(AvatarWarning, match="left leg is not separated"):
-        draper = Draper(random_model(np.random.default_rng(1), rig=stiff), body, backend="numpy", separate_limbs=True)
-    assert sum("is not separated" in warning for warning in draper.avatar.warnings) == 2
