@@ -141,3 +141,16 @@ def test_the_command_writes_what_it_says(tmp_path, capsys):
     assert "tshirt: " in out and out.splitlines()[-1] == f"{report['verdict']}: {report['advice']}"
     assert cli.main(["check", str(tmp_path / "nobody.glb")]) == 2
     assert "nobody.glb" in capsys.readouterr().err
+
+
+def test_the_command_separates_limbs_when_told_to(tmp_path):
+    """Less of the skin is inside the body in everyday poses then; at rest nothing changes."""
+    reports = []
+    for options in ([], ["--separate-limbs"]):
+        path = tmp_path / "check.json"
+        assert cli.main(["check", str(BUNDLED_AVATAR), "-g", "tshirt", "--json", str(path), *options]) == 0
+        reports.append(json.loads(path.read_text()))
+    plain, separated = reports
+    assert separated["body_overlap_percent"] < plain["body_overlap_percent"]
+    assert separated["rest"] == plain["rest"]
+    assert separated["everyday"] != plain["everyday"]

@@ -74,6 +74,25 @@ def test_strain_is_against_the_rest_shape_that_is_worn(measured_model_path, avat
     assert figures["run"]["fit"] == 1.0 and "fit 1, on" in summary(figures)
 
 
+def test_limbs_are_separated_when_told_to(quick, leaning_model_path, draper, avatar, tmp_path):
+    """Clouds are of the separated positions, and measured against the body that these pose."""
+    rig = draper.model.rig
+    folded = rig.joint_positions({"upperleg01.L_x": -0.2, "upperleg01.R_x": 0.2})
+    bag, output, figures = tmp_path / "in.mcap", tmp_path / "out.mcap", tmp_path / "out.json"
+    with BagWriter(bag) as writer:
+        writer.write("/joint_states", JOINT_STATE, joint_state(rig.joint_names, folded), 1)
+    told = ["replay", str(bag), "--model", str(leaning_model_path), "-o", str(output), "--json", str(figures)]
+    assert cli.main([*told, "--separate-limbs", "--contact-every", "1"]) == 0
+    separating = Draper(draper.model, avatar, separate_limbs=True, binding=draper.bound)
+    expected = separating.drape(folded)
+    assert np.abs(separating.separated_positions - folded).max() > 0.01
+    [(_, _, cloud)] = recorded(output)
+    np.testing.assert_array_equal(read_cloud(cloud), expected)
+    body = avatar.posed_vertices(draper.bone_transforms(separating.separated_positions))
+    inside = 100 * (signed_distance(expected[:, :3].astype(np.float64), body, avatar.faces) < 0).mean()
+    assert json.loads(figures.read_text())["figures"]["inside_percent"]["mean"] == pytest.approx(inside, abs=1e-3)
+
+
 def test_gravity_counts_from_when_it_comes(run, draper, tmp_path):
     """Of a moment's messages first; the parameter before any; a direction that is none changes nothing."""
     names, rest = draper.joint_names, draper.model.rig.rest
