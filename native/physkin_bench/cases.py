@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from physkin_core.avatar.avatar import avatar_from_body
+from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
 from physkin_core.model.garment import Garment
@@ -21,6 +21,8 @@ from physkin_core.model.skinning import skin, skinning_matrices
 from physkin_core.motion.loading import load_motion
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.separation.collision_shape import CollisionShape, fit_collision_shape
+from physkin_core.separation.reference_separator import SeparationSettings
 
 __all__ = ["BenchmarkCase", "SkinningCase", "model_case", "paper_case", "skinning_case"]
 
@@ -28,6 +30,8 @@ SEED = 2603
 MOTIONS, POSES_A_MOTION = ("walk", "dance", "crawl"), 20
 BODIES = 8
 """Bodies that wear the garment at once."""
+ARMS_DOWN = {"upperarm01.L_x": -0.7, "upperarm01.R_x": 0.7, "lowerarm01.L_z": -0.2, "lowerarm01.R_z": 0.2}
+"""[rad] As a lean performer's hang."""
 BONES, DOFS, INFLUENCES = 128, 117, 4
 USED_BONES = 20  # that garment nodes follow, as those of a garment on the trunk and arms
 RINGS = SEGMENTS = 100
@@ -40,7 +44,8 @@ class BenchmarkCase:
     """A bound garment and poses for it.
 
     joint_positions: (P, d) float32 [rad]; gravity: (P, 3) float32. bodies: the garment on others, for a batch.
-    garment: in the rest shape that is worn, for edge strain; None for a random model.
+    garment: in the rest shape that is worn, for edge strain; None for a random model. limbs: the collision shape of a
+    stout body, and a pose (d,) float32 in which its forearms are inside it; None for another rig than the default one.
     """
 
     name: str
@@ -49,6 +54,7 @@ class BenchmarkCase:
     gravity: np.ndarray
     bodies: tuple[BoundGarment, ...]
     garment: Garment | None = None
+    limbs: tuple[CollisionShape, np.ndarray] | None = None
 
 
 @dataclass(frozen=True)
@@ -78,9 +84,12 @@ def model_case(model: str | Path, *, fit: float | None = None) -> BenchmarkCase:
     loaded = load_garment_model(model)
     avatar = load_avatar(BUNDLED_AVATAR, loaded.rig)
     body = load_body_model()
-    others = [avatar] * BODIES
+    others, limbs = [avatar] * BODIES, None
     if loaded.rig.bone_names == body.rig.bone_names:
         others = [avatar_from_body(body, coefficients) for coefficients in body.held_out_bodies[:BODIES]]
+        stout = max((avatar_from_body(body, each) for each in body.held_out_bodies), key=_girth)
+        shape, _ = fit_collision_shape(stout, body.rig, onset=SeparationSettings().onset)
+        limbs = shape, body.rig.joint_positions(ARMS_DOWN).astype(np.float32)
     positions, gravity = [], []
     for motion in map(load_motion, MOTIONS):
         frames = np.linspace(0, motion.frame_count - 1, POSES_A_MOTION).astype(int)
@@ -94,7 +103,13 @@ def model_case(model: str | Path, *, fit: float | None = None) -> BenchmarkCase:
         gravity=np.concatenate(gravity).astype(np.float32),
         bodies=tuple(bind_garment(loaded, other, fit=fit, backend="native", fold=False) for other in others),
         garment=loaded.garment.reshaped(bound.vertices) if loaded.checked_fit(fit) else loaded.garment,
+        limbs=limbs,
     )
+
+
+def _girth(avatar: Avatar) -> float:
+    """Of the trunk: mean distance of the skin from the vertical axis, over height."""
+    return float(np.hypot(*avatar.vertices[:, :2].T).mean() / np.ptp(avatar.vertices[:, 2]))
 
 
 def paper_case() -> BenchmarkCase:

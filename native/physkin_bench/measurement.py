@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from functools import partial
 
 import numpy as np
@@ -21,6 +21,7 @@ from physkin_core.runtime.native_evaluator import (
     supported_instruction_sets,
 )
 from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
+from physkin_core.separation.reference_separator import SeparationSettings
 
 __all__ = ["BATCH_SIZES", "STAGES", "measure_case"]
 
@@ -61,6 +62,10 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
         if len(bound.faces):
             normals = NativeEvaluator(bound, instruction_set=level, normals="faces")
             calls[f"face_normals.{level}"] = _bound_step(normals, bound, pose, gravity).compute_normals
+        if case.limbs is not None:
+            shape, arms_down = case.limbs
+            separator = _native.LimbSeparator(shape, *astuple(SeparationSettings()), level)
+            calls[f"separate_limbs.{level}"] = partial(separator.separate, arms_down, np.empty_like(arms_down))
     networks = network_case(bound, pose, gravity)
     skinning = skinning_case(bound, evaluators["fp32"].node_transforms())
     missing = {}

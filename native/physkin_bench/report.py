@@ -53,7 +53,7 @@ def case_tables(figures: Mapping[str, object]) -> str:
     lines += _table(["a body, frames together", *map(str, BATCH_SIZES)], rows)
 
     timed = [key.removesuffix(".us.p50") for key in figures if key.endswith(".us.p50")]
-    others = [name for name in timed if name.split(".")[0] in ("face_normals", "cold")]
+    others = [name for name in timed if name.split(".")[0] in ("face_normals", "separate_limbs", "cold")]
     lines += _table(["", "µs"], [[name, spread(name)] for name in others])
     rows = []
     for name in (name for name in timed if name.startswith("peers.")):

@@ -37,7 +37,7 @@ def test_times_limits_and_errors_are_told(figures):
     names = [f"{p}.{level}.{stage}" for p in PRECISIONS for level in levels for stage in measurement.STAGES]
     names += [f"{name}.{p}" for name in ("cold.frame", "cold.networks") for p in PRECISIONS]
     names += [f"batch.{p}.{count}" for p in PRECISIONS for count in (1, 4, 8)]
-    names += [f"face_normals.{level}" for level in levels]
+    names += [f"{name}.{level}" for name in ("face_normals", "separate_limbs") for level in levels]
     for name in names:
         minimum, median, p99 = (figures[f"{name}.us.{figure}"] for figure in ("min", "p50", "p99"))
         assert 0 < minimum <= median <= p99
