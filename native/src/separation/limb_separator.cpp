@@ -186,8 +186,8 @@ Rejection LimbSeparator::separate(const float* joint_positions, float* separated
   place_spheres(limbs_);
   for (int k = 0; k < trunk_.bones; ++k) {
     const int bone = shape_.trunk_bones[k];
-    const Matrix3* rows = &posed_[bone].linear;
-    const Matrix3 back = from_columns(rows->rows[0], rows->rows[1], rows->rows[2]);
+    const Matrix3& turn = posed_[bone].linear;
+    const Matrix3 back = from_columns(turn.rows[0], turn.rows[1], turn.rows[2]);
     store_affine({back, load_vector(&shape_.heads[3 * bone]) - back * posed_[bone].translation}, back_ + 12 * k);
   }
   for (Normal& normal : normals_) normal.moved = false;
