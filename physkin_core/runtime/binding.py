@@ -24,6 +24,7 @@ from physkin_core.model.skinning import unit
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.evaluator import make_evaluator
 from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
 from physkin_core.runtime.worn_garment import wear
 
@@ -67,7 +68,7 @@ def bind_garment(
     """Everything of (model, body) that does not change with the pose. Encodes the body; logs how long that took.
 
     fit: 0 for the template's rest shape, 1 for the one made to measure, between for one between; None for 1 where the
-    model has learnt it, else 0. backend: what encodes the body, as in `encode_body`. fold: fold the body's modulation
+    model has learnt it, else 0. backend: what encodes the body, as in `encode_body`, and drapes it in some poses. fold: fold the body's modulation
     into the pose modulator, which saves a little time a frame; without, bodies share its network weights (see
     `NativeEvaluatorBatch`).
     Raises ValueError when the avatar's bones are not those of the model's rig, for a fit that the model has not learnt,
@@ -127,7 +128,9 @@ def bind_garment(
         draped, bound.faces, wanted, SkinClearance(avatar.vertices, avatar.faces)
     )
     if np.linalg.norm(worn.differs, axis=1).max() > UNLIKE:
-        vertices = vertices + room_to_move(replace(bound, vertices=_float(vertices)), avatar)
+        clear = replace(bound, vertices=_float(vertices))
+        evaluator = make_evaluator(backend, clear, precision="fp32")
+        vertices = vertices + room_to_move(clear, avatar, evaluator=evaluator)
     return replace(bound, vertices=_float(vertices), normals=_float(_rest_normals(model, vertices)))
 
 

@@ -21,6 +21,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.runtime.binding import bind_garment, bind_points
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.evaluator import make_evaluator
 from physkin_core.runtime.skin_clearance import SkinClearance
 
 __all__ = ["BACKENDS", "STANDARD_GRAVITY", "UPRIGHT_GRAVITY", "Draper", "in_units_of_gravity"]
@@ -91,7 +92,7 @@ class Draper:
         self.bound: BoundGarment = bound
         self._degrees_told = False
         self._bone_rotations: dict[str, BoneRotations] = {}
-        self._evaluator = _evaluator(backend, bound, precision, normals)
+        self._evaluator = make_evaluator(backend, bound, precision=precision, normals=normals)
         if binding is None and points is None:
             self._say_how_it_sits()
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
@@ -262,16 +263,6 @@ def in_units_of_gravity(effective_gravity: np.ndarray) -> np.ndarray:
         allowed = f"(3,), finite, up to {LARGEST_EFFECTIVE_GRAVITY * STANDARD_GRAVITY:.1f} m/s2 long"
         raise ValueError(f"effective_gravity must be {allowed}, got {np.asarray(effective_gravity).tolist()}")
     return felt
-
-
-def _evaluator(backend: str, bound: BoundGarment, precision: str | None, normals: str):
-    if backend == "native":
-        from physkin_core.runtime.native_evaluator import NativeEvaluator
-
-        return NativeEvaluator(bound, precision=precision, normals=normals)
-    from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
-
-    return ReferenceEvaluator(bound, normals=normals)
 
 
 def _direction(gravity: np.ndarray) -> np.ndarray:
