@@ -34,8 +34,9 @@ log = logging.getLogger(__name__)
 
 FARTHEST_POINT = 0.05
 """A point farther [m] than this from the trained garment's surface is refused by `bind_points`."""
-UNLIKE = 0.015
-"""[m] Cloth gets room to move on an avatar whose skin is farther than this from that of the body that networks see."""
+UNLIKE = 0.005
+"""[m] Cloth gets room to move on an avatar whose skin or pivots are farther than this from those of the body that
+networks see."""
 POINTS_AT_ONCE = 8192
 """Points whose skinning weights over all garment nodes `bind_points` holds at a time."""
 
@@ -127,7 +128,7 @@ def bind_garment(
     vertices = worn.garment.vertices + move_clear(
         draped, bound.faces, wanted, SkinClearance(avatar.vertices, avatar.faces)
     )
-    if np.linalg.norm(worn.differs, axis=1).max() > UNLIKE:
+    if max(np.linalg.norm(each, axis=1).max() for each in (worn.differs, elsewhere)) > UNLIKE:
         clear = replace(bound, vertices=_float(vertices))
         evaluator = make_evaluator(backend, clear, precision="fp32")
         vertices = vertices + room_to_move(clear, avatar, evaluator=evaluator)
@@ -151,7 +152,7 @@ def bind_points(
     Raises ValueError when points or normals are not finite, normals are not one a point or have no length, or points
     lie farther than 5 cm from the trained garment.
     """
-    import trimesh
+    from point_cloud_utils import closest_points_on_mesh
 
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.isfinite(points).all():
@@ -162,11 +163,10 @@ def bind_points(
     low, high = garment.vertices.min(axis=0), garment.vertices.max(axis=0)
     beyond = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0), axis=1)
     _reject_far_points(beyond, "at least ", model.name)  # at once, where closest points of centimetres take minutes
-    surface = trimesh.Trimesh(garment.vertices, garment.faces, process=False)
-    closest, distance, face = trimesh.proximity.closest_point(surface, points)
+    faces = garment.faces.astype(np.int64)
+    distance, face, barycentric = closest_points_on_mesh(np.ascontiguousarray(points), garment.vertices, faces)
     _reject_far_points(distance, "", model.name)
     corners = garment.faces[face]
-    barycentric = trimesh.triangles.points_to_barycentric(garment.vertices[corners], closest)
 
     def there(of_vertices: np.ndarray) -> np.ndarray:
         return np.einsum("nc,nci->ni", barycentric, of_vertices[corners])
