@@ -12,6 +12,7 @@ Dimensions: `V` vertices of the body model, `c` shape coefficients, `b` bones, `
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -49,6 +50,8 @@ RADII = (0.12, 0.08, 0.05, 0.035, 0.025)
 """[m] lengths over which the remaining displacement is averaged, one after the other."""
 NEIGHBOURS = 96
 """Matched vertices over which it is averaged."""
+KEPT = 4
+"""Avatars on which the body model stays laid."""
 CARRIED_FROM = 6
 """Matched vertices from which the displacement of a vertex is taken."""
 
@@ -68,8 +71,10 @@ class LaidBody:
     missing: np.ndarray
 
 
+@lru_cache(maxsize=KEPT)
 def lay_body(avatar: Avatar, body: BodyModel) -> LaidBody:
-    """Lay the body model on an avatar that is bound to the body model's rig. Takes tenths of a second."""
+    """Lay the body model on an avatar that is bound to the body model's rig. Takes tenths of a second, nothing for the
+    further garments of an avatar; the result is shared, do not write into it."""
     if np.array_equal(avatar.faces, body.faces) and len(avatar.vertices) == len(body.mean_vertices):
         matching = _SameMesh(avatar, body)
     else:

@@ -69,9 +69,9 @@ def bind_garment(
     """Everything of (model, body) that does not change with the pose. Encodes the body; logs how long that took.
 
     fit: 0 for the template's rest shape, 1 for the one made to measure, between for one between; None for 1 where the
-    model has learnt it, else 0. backend: what encodes the body, as in `encode_body`, and drapes it in some poses. fold: fold the body's modulation
-    into the pose modulator, which saves a little time a frame; without, bodies share its network weights (see
-    `NativeEvaluatorBatch`).
+    model has learnt it, else 0. backend: what encodes the body, as in `encode_body`, and drapes it in some poses. fold:
+    fold the body's modulation into the pose modulator, which saves a little time a frame; without, bodies share its
+    network weights (see `NativeEvaluatorBatch`).
     Raises ValueError when the avatar's bones are not those of the model's rig, for a fit that the model has not learnt,
     or one above 0 with another rig than the body model's.
     """

@@ -18,9 +18,12 @@ from physkin_core import (
     load_body_model,
     load_garment_model,
 )
+from physkin_core.check.garment_check import check_garment
 from physkin_core.model.garment_nodes import node_positions_on_body, pose_nodes
 from physkin_core.model.node_deformer import fold_first_layer
 from physkin_core.quality import signed_distance
+from physkin_core.runtime import worn_garment
+from physkin_core.runtime.garment_grading import GarmentGrading
 
 BODY = load_body_model()
 GARMENTS = ("tshirt", "trousers", "dress")
@@ -40,6 +43,21 @@ def test_odd_pivots_give_the_drape_of_the_right_ones_at_rest(person, garment):
         close = np.linalg.norm(moved - right, axis=1)
         assert close.mean() < 5e-4 and close.max() < 1e-3
         assert (signed_distance(moved, odd.vertices, odd.faces) < 0).mean() < 5e-4
+
+
+def test_odd_pivots_leave_cloth_outside_in_everyday_poses(person):
+    """Where skin turns about other pivots cloth is given room: without it 2.3 % is inside."""
+    draper = Draper(load_garment_model("tshirt"), with_odd_pivots(person, 1))
+    assert check_garment(draper).everyday.inside_percent < 1
+
+
+def test_grading_is_set_up_once_for_all_bodies(person, monkeypatch):
+    """A node that changes bodies does not factorise its garment's matrix again, which would hold up clouds."""
+    model, made = load_garment_model("skirt"), []
+    monkeypatch.setattr(worn_garment, "GarmentGrading", lambda *given: made.append(given) or GarmentGrading(*given))
+    for avatar in (person, with_odd_pivots(person, 2)):
+        Draper(model, avatar)
+    assert len(made) == 1
 
 
 @pytest.mark.parametrize("garment", GARMENTS)
