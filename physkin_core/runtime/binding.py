@@ -120,7 +120,8 @@ def bind_garment(
         pose_modulation=np.empty(0, dtype=np.float32) if fold else _float(modulation),
         faces=np.ascontiguousarray(worn.garment.faces, dtype=np.int32),
     )
-    if not worn.differs.any():
+    unlike = max(np.linalg.norm(each, axis=1).max() for each in (worn.differs, elsewhere)) > UNLIKE
+    if not worn.differs.any() and not unlike:
         return bound
     draped = draped_at_rest(bound)
     on_seen = draped - worn.differs
@@ -128,7 +129,7 @@ def bind_garment(
     vertices = worn.garment.vertices + move_clear(
         draped, bound.faces, wanted, SkinClearance(avatar.vertices, avatar.faces)
     )
-    if max(np.linalg.norm(each, axis=1).max() for each in (worn.differs, elsewhere)) > UNLIKE:
+    if unlike:
         clear = replace(bound, vertices=_float(vertices))
         evaluator = make_evaluator(backend, clear, precision="fp32")
         vertices = vertices + room_to_move(clear, avatar, evaluator=evaluator)
