@@ -24,7 +24,7 @@ class AvatarWarning(UserWarning):
     """Something of an avatar file was assumed or repaired; what `Avatar.warnings` keeps."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Avatar:
     """One body at the canonical pose.
 

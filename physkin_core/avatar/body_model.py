@@ -22,7 +22,7 @@ __all__ = ["BODY_MODEL_PATH", "BodyModel", "load_body_model"]
 BODY_MODEL_PATH = Path(__file__).parents[1] / "assets" / "adult_body.safetensors"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BodyModel:
     """Bodies as mean plus coefficients times components.
 

@@ -33,6 +33,8 @@ WORDS = {
     BODY: "body skin face head torso arm leg hand foot feet human nude mannequin",
 }
 """What the words in a part's names say that it is, the first that is found."""
+MARKED_JOINT = re.compile(r"joint[-_]", re.IGNORECASE)
+"""How the names of the cubes begin that mark joints in MakeHuman's base mesh."""
 WORD_KINDS = {word: kind for kind, words in WORDS.items() for word in words.split()}
 REGION_BONES = (*LIMB_SEGMENTS, "neck01")
 """Bones at which a region of the body begins; the trunk is the last region."""
@@ -46,6 +48,8 @@ LISTED_PARTS = 8
 def kind_of_part(names: Sequence[str]) -> int:
     """`BODY`, `CLOTHES`, `ACCESSORY` or `UNKNOWN`, by the first name that says something."""
     for name in names:
+        if MARKED_JOINT.match(name):
+            return ACCESSORY
         words = {form for word in _words(name) for form in (word, word.removesuffix("s"), word.removesuffix("es"))}
         found = {WORD_KINDS.get(word) for word in words}
         for kind in WORDS:

@@ -12,6 +12,7 @@ Dimensions: `V` vertices of the body model, `c` shape coefficients, `b` bones, `
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -33,9 +34,6 @@ POINTS = 16384
 """Points sampled on the avatar."""
 MATCHED = 3000
 """Vertices of the body model that are matched with them."""
-AT_ONCE = 80
-"""Matched vertices in one product of matrices: too few for BLAS to share out among threads. On a busy machine they wait
-for each other ten times as long as they compute, and hold up whoever drapes meanwhile."""
 ITERATIONS = 10
 EXPECTED_RESIDUAL = 0.003
 """[m] mean distance between surfaces that weighs as much as coefficients of one standard deviation."""
@@ -52,6 +50,8 @@ RADII = (0.12, 0.08, 0.05, 0.035, 0.025)
 """[m] lengths over which the remaining displacement is averaged, one after the other."""
 NEIGHBOURS = 96
 """Matched vertices over which it is averaged."""
+KEPT = 4
+"""Avatars on which the body model stays laid."""
 CARRIED_FROM = 6
 """Matched vertices from which the displacement of a vertex is taken."""
 
@@ -71,8 +71,10 @@ class LaidBody:
     missing: np.ndarray
 
 
+@lru_cache(maxsize=KEPT)
 def lay_body(avatar: Avatar, body: BodyModel) -> LaidBody:
-    """Lay the body model on an avatar that is bound to the body model's rig. Takes tenths of a second."""
+    """Lay the body model on an avatar that is bound to the body model's rig. Takes tenths of a second, nothing for the
+    further garments of an avatar; the result is shared, do not write into it."""
     if np.array_equal(avatar.faces, body.faces) and len(avatar.vertices) == len(body.mean_vertices):
         matching = _SameMesh(avatar, body)
     else:
@@ -93,7 +95,6 @@ def _fitted(matching: _SameMesh | _ClosestPoints, avatar: Avatar, body: BodyMode
     furthest = np.linalg.norm(body.train_bodies, axis=1).max()
     components = _with_place(body.vertex_components[:, matching.chosen])
     start = body.mean_vertices[matching.chosen].astype(np.float64)
-    blocks = [slice(first, first + AT_ONCE) for first in range(0, len(start), AT_ONCE)]
     trust = np.full(len(bones), BONE_DEVIATION**2 / STRAY_BONE**2)
     matrix, values = np.zeros((c + 3, c + 3)), np.zeros(c + 3)
     for iteration in range(matching.iterations + 1):
@@ -107,8 +108,7 @@ def _fitted(matching: _SameMesh | _ClosestPoints, avatar: Avatar, body: BodyMode
         trust = 1 / (1 + (stray / STRAY_BONE) ** 2) ** 2
         target, importance = matching.matches(_body_surface(body, unknowns[:c]) + unknowns[c:])
         importance = importance / (importance.sum() * matching.expected_residual**2)
-        sums = [normal_equations(components[:, k], start[k], target[k], importance[k]) for k in blocks]
-        matrix, values = (sum(parts) for parts in zip(*sums))
+        matrix, values = normal_equations(components, start, target, importance)
     return unknowns[:c], unknowns[c:]
 
 
@@ -130,7 +130,8 @@ def _with_place(components: np.ndarray) -> np.ndarray:
 
 
 def _body_surface(body: BodyModel, coefficients: np.ndarray) -> np.ndarray:
-    """(V, 3) float64 [m] of the body model; summed up one by one, as BLAS would use threads (see `AT_ONCE`)."""
+    """(V, 3) float64 [m] of the body model; summed up one by one, as BLAS would use threads (see
+    `normal_equations`)."""
     surface = body.mean_vertices.astype(np.float64)
     for coefficient, component in zip(coefficients, body.vertex_components):
         surface += coefficient * component.astype(np.float64)

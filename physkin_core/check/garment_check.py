@@ -50,6 +50,13 @@ class GarmentCheck:
             return "bad"
         return "good" if self.rest.sits_well and self.everyday.inside_percent <= GOOD_EVERYDAY else "usable"
 
+    def __str__(self) -> str:
+        everyday = self.everyday
+        return (
+            f"{self.verdict}: {self.rest}; in everyday poses {everyday.inside_percent:.2f} % is inside, "
+            f"{everyday.deepest_mm:.0f} mm deep"
+        )
+
     def as_plain_data(self) -> dict:
         """For JSON: `rest` and `everyday` with their figures, `skin_shows_percent` (at rest) and `verdict`."""
         rest = asdict(self.rest)

@@ -13,7 +13,7 @@ from physkin_core.model.garment import Garment, face_areas
 from physkin_core.model.surface_paths import mesh_edges, path_lengths
 from physkin_core.quality import contact_figures, signed_distance
 
-__all__ = ["RestCheck", "rest_check", "skin_shows"]
+__all__ = ["RestCheck", "rest_check", "skin_without_cloth"]
 
 REACH = 0.1
 """Skin belongs to the cloth that its normal meets within this distance [m], on either side."""
@@ -32,7 +32,7 @@ SHOWN_PERCENT = 0.005
 @dataclass(frozen=True)
 class RestCheck:
     """inside_percent: of the garment's vertices inside the body. deepest_mm: the deepest of them. skin_shows_percent:
-    see `skin_shows`."""
+    see `skin_without_cloth`."""
 
     inside_percent: float
     deepest_mm: float
@@ -61,11 +61,11 @@ def rest_check(garment: Garment, cloth: np.ndarray, body_vertices: np.ndarray, b
     return RestCheck(
         inside_percent=contact["inside_percent"],
         deepest_mm=contact["max_depth_mm"],
-        skin_shows_percent=skin_shows(garment, cloth, body_vertices, body_faces),
+        skin_shows_percent=skin_without_cloth(garment, cloth, body_vertices, body_faces),
     )
 
 
-def skin_shows(garment: Garment, cloth: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray) -> float:
+def skin_without_cloth(garment: Garment, cloth: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray) -> float:
     """Of the skin that has cloth above or beneath it, the share [%] that has none above.
 
     cloth: (n, 3) [m] the garment's vertices; body_vertices (V, 3), body_faces (f, 3). Skin whose nearest cloth along

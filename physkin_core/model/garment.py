@@ -51,7 +51,7 @@ def surface_fault(vertices: np.ndarray, faces: np.ndarray) -> str | None:
     return None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Garment:
     """A triangle mesh in canonical space with rest lengths, areas and hinges.
 

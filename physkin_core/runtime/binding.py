@@ -24,6 +24,7 @@ from physkin_core.model.skinning import unit
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.evaluator import make_evaluator
 from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
 from physkin_core.runtime.worn_garment import wear
 
@@ -33,8 +34,9 @@ log = logging.getLogger(__name__)
 
 FARTHEST_POINT = 0.05
 """A point farther [m] than this from the trained garment's surface is refused by `bind_points`."""
-UNLIKE = 0.015
-"""[m] Cloth gets room to move on an avatar whose skin is farther than this from that of the body that networks see."""
+UNLIKE = 0.005
+"""[m] Cloth gets room to move on an avatar whose skin or pivots are farther than this from those of the body that
+networks see."""
 POINTS_AT_ONCE = 8192
 """Points whose skinning weights over all garment nodes `bind_points` holds at a time."""
 
@@ -67,9 +69,9 @@ def bind_garment(
     """Everything of (model, body) that does not change with the pose. Encodes the body; logs how long that took.
 
     fit: 0 for the template's rest shape, 1 for the one made to measure, between for one between; None for 1 where the
-    model has learnt it, else 0. backend: what encodes the body, as in `encode_body`. fold: fold the body's modulation
-    into the pose modulator, which saves a little time a frame; without, bodies share its network weights (see
-    `NativeEvaluatorBatch`).
+    model has learnt it, else 0. backend: what encodes the body, as in `encode_body`, and drapes it in some poses. fold:
+    fold the body's modulation into the pose modulator, which saves a little time a frame; without, bodies share its
+    network weights (see `NativeEvaluatorBatch`).
     Raises ValueError when the avatar's bones are not those of the model's rig, for a fit that the model has not learnt,
     or one above 0 with another rig than the body model's.
     """
@@ -118,7 +120,8 @@ def bind_garment(
         pose_modulation=np.empty(0, dtype=np.float32) if fold else _float(modulation),
         faces=np.ascontiguousarray(worn.garment.faces, dtype=np.int32),
     )
-    if not worn.differs.any():
+    unlike = max(np.linalg.norm(each, axis=1).max() for each in (worn.differs, elsewhere)) > UNLIKE
+    if not worn.differs.any() and not unlike:
         return bound
     draped = draped_at_rest(bound)
     on_seen = draped - worn.differs
@@ -126,8 +129,10 @@ def bind_garment(
     vertices = worn.garment.vertices + move_clear(
         draped, bound.faces, wanted, SkinClearance(avatar.vertices, avatar.faces)
     )
-    if np.linalg.norm(worn.differs, axis=1).max() > UNLIKE:
-        vertices = vertices + room_to_move(replace(bound, vertices=_float(vertices)), avatar)
+    if unlike:
+        clear = replace(bound, vertices=_float(vertices))
+        evaluator = make_evaluator(backend, clear, precision="fp32")
+        vertices = vertices + room_to_move(clear, avatar, evaluator=evaluator)
     return replace(bound, vertices=_float(vertices), normals=_float(_rest_normals(model, vertices)))
 
 
@@ -148,7 +153,7 @@ def bind_points(
     Raises ValueError when points or normals are not finite, normals are not one a point or have no length, or points
     lie farther than 5 cm from the trained garment.
     """
-    import trimesh
+    from point_cloud_utils import closest_points_on_mesh
 
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.isfinite(points).all():
@@ -159,11 +164,10 @@ def bind_points(
     low, high = garment.vertices.min(axis=0), garment.vertices.max(axis=0)
     beyond = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0), axis=1)
     _reject_far_points(beyond, "at least ", model.name)  # at once, where closest points of centimetres take minutes
-    surface = trimesh.Trimesh(garment.vertices, garment.faces, process=False)
-    closest, distance, face = trimesh.proximity.closest_point(surface, points)
+    faces = garment.faces.astype(np.int64)
+    distance, face, barycentric = closest_points_on_mesh(np.ascontiguousarray(points), garment.vertices, faces)
     _reject_far_points(distance, "", model.name)
     corners = garment.faces[face]
-    barycentric = trimesh.triangles.points_to_barycentric(garment.vertices[corners], closest)
 
     def there(of_vertices: np.ndarray) -> np.ndarray:
         return np.einsum("nc,nci->ni", barycentric, of_vertices[corners])

@@ -16,12 +16,13 @@ from typing import Literal
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, AvatarWarning
-from physkin_core.model.garment import Garment, vertex_normals
+from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.runtime.binding import bind_garment, bind_points
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.skin_clearance import SkinClearance
+from physkin_core.runtime.evaluator import make_evaluator
+from physkin_core.runtime.rest_look import RestLook, look_at_rest
 from physkin_core.separation.limb_separator import LimbSeparator
 
 __all__ = ["BACKENDS", "STANDARD_GRAVITY", "UPRIGHT_GRAVITY", "Draper", "in_units_of_gravity"]
@@ -31,8 +32,6 @@ log = logging.getLogger(__name__)
 BACKENDS = ("native", "numpy")
 STANDARD_GRAVITY = 9.81
 """[m/s2] what a gravity direction stands for."""
-INSIDE, MOST_INSIDE = 0.001, 0.005
-"""A garment of which more than this share is farther inside the skin at rest than this [m] does not sit."""
 LARGEST_EFFECTIVE_GRAVITY = 3.0
 """In units of gravity; training knows no more."""
 UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
@@ -56,7 +55,8 @@ class Draper:
     separate_limbs: move arms and legs out of the trunk and of each other before draping, on this body, by joint
         positions changed as little as that takes (`LimbSeparator`). `separated_positions` tells which.
     binding: `bound` of another draper of the same model, avatar and fit, which saves encoding the body again.
-    What binding found of how the garment sits joins the `warnings` of `avatar`, and is issued as AvatarWarning.
+    `at_rest` is what binding found of how the garment sits, None with `binding` or `points`. Where it does not sit,
+    that joins the `warnings` of `avatar`, and is issued as AvatarWarning.
     A joint more than a full turn beyond its limits is probably in degrees: the first such one is logged as a warning.
     Raises TypeError for anything but a model and an avatar; ValueError for an unknown backend, precision or kind of
     normals, a body of another rig, a fit that the model has not learnt, points that are not this garment's, or normals
@@ -95,11 +95,14 @@ class Draper:
         self.bound: BoundGarment = bound
         self._degrees_told = False
         self._bone_rotations: dict[str, BoneRotations] = {}
-        self._evaluator = _evaluator(backend, bound, precision, normals)
+        self._evaluator = make_evaluator(backend, bound, precision=precision, normals=normals)
         self._limb_separator = self._separate_limbs() if separate_limbs else None
         self._separated = model.rig.rest.astype(np.float32)
+        self.at_rest: RestLook | None = None
         if binding is None and points is None:
-            self._say_how_it_sits()
+            self.at_rest = look_at_rest(self.drape(model.rig.rest)[:, :3], model.garment.faces, avatar)
+            if not self.at_rest.sits:
+                self._warn(f"{model.name} on {avatar.source}: {self.at_rest}")
         log.info("draping %s on %s with the %s backend", model.name, avatar.source, backend)
 
     @property
@@ -202,20 +205,7 @@ class Draper:
     def _warn(self, warning: str) -> None:
         """Issue it, and add it to the avatar's."""
         self.avatar = replace(self.avatar, warnings=(*self.avatar.warnings, warning))
-        warnings.warn(warning, AvatarWarning, stacklevel=4)
-
-    def _say_how_it_sits(self) -> None:
-        """Issue a warning, and add it to the avatar's, where much of the cloth is inside the body at rest. By sampled
-        skin: unlike exact distances that never holds up other threads."""
-        cloth = self.drape(self.model.rig.rest)[:, :3].astype(np.float64)
-        skin = SkinClearance(self.avatar.vertices, self.avatar.faces)
-        clearance, _ = skin(cloth, vertex_normals(cloth, self.model.garment.faces), far=np.inf)
-        inside = float((clearance < -INSIDE).mean())
-        if inside > MOST_INSIDE:
-            self._warn(
-                f"{self.model.name} on {self.avatar.source}: {100 * inside:.1f} % of the cloth is inside the body at "
-                f"rest, up to {-1000 * clearance.min():.0f} mm; look at it, or run physkin check"
-            )
+        warnings.warn(warning, AvatarWarning, stacklevel=3)
 
     def bind_step(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> Callable[[], None]:
         """A frame bound to its arrays: `step()` drapes what they hold now into `out`, with nothing to convert.
@@ -298,16 +288,6 @@ def in_units_of_gravity(effective_gravity: np.ndarray) -> np.ndarray:
         allowed = f"(3,), finite, up to {LARGEST_EFFECTIVE_GRAVITY * STANDARD_GRAVITY:.1f} m/s2 long"
         raise ValueError(f"effective_gravity must be {allowed}, got {np.asarray(effective_gravity).tolist()}")
     return felt
-
-
-def _evaluator(backend: str, bound: BoundGarment, precision: str | None, normals: str):
-    if backend == "native":
-        from physkin_core.runtime.native_evaluator import NativeEvaluator
-
-        return NativeEvaluator(bound, precision=precision, normals=normals)
-    from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
-
-    return ReferenceEvaluator(bound, normals=normals)
 
 
 def _direction(gravity: np.ndarray) -> np.ndarray:

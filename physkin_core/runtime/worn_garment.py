@@ -10,6 +10,7 @@ Dimensions: `n` garment vertices, `m` garment nodes, `b` bones. Metres, root fra
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -25,6 +26,9 @@ __all__ = ["WornGarment", "wear"]
 
 NEGLIGIBLE = 2e-4
 """[m] An avatar whose skin is nowhere farther from the body seen is that body, up to rounding."""
+
+GRADINGS = 8
+"""Garments whose grading is kept."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ def wear(model: GarmentModel, avatar: Avatar, fit: float) -> WornGarment:
         return WornGarment(garment, model.node_rest, carried, avatar, carried, 0 * garment.vertices)
     laid = lay_body(avatar, body)
     seen = replace(avatar_from_body(body, laid.coefficients), source=avatar.source)
-    grading = GarmentGrading(garment, body)
+    grading = _grading(garment)
     known = laid.surface - laid.missing - laid.place
     elsewhere = laid.missing + laid.place
     elsewhere *= np.abs(elsewhere).max() > NEGLIGIBLE
@@ -77,6 +81,13 @@ def wear(model: GarmentModel, avatar: Avatar, fit: float) -> WornGarment:
         seen_positions=seen_positions,
         differs=differs,
     )
+
+
+@lru_cache(maxsize=GRADINGS)
+def _grading(garment: Garment) -> GarmentGrading:
+    """Of a garment, whatever avatar wears it. Setting it up factorises a matrix under the interpreter's lock, so that a
+    node that changes bodies need not do it while clouds wait."""
+    return GarmentGrading(garment, load_body_model())
 
 
 def _carried_by_bones(model: GarmentModel, body: Avatar) -> np.ndarray:

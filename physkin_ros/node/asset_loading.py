@@ -20,6 +20,8 @@ from typing import Literal
 
 from physkin_core import BUNDLED_AVATAR, Avatar, Draper, GarmentModel, load_avatar, load_garment_model
 from physkin_core.model.model_file import MODELS_PATH, shipped_models
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.rest_look import RestLook
 from physkin_ros.joints.nearest_names import nearest_names
 
 __all__ = ["LARGEST_ASSET", "AssetError", "AssetRoots", "DraperLoader", "LoadedDraper", "Outfitting"]
@@ -86,11 +88,13 @@ class Outfitting:
 
 @dataclass(frozen=True)
 class LoadedDraper:
-    """A draper, whether the body's encoding for its garment was known from before, and how long all took [s]."""
+    """A draper, whether the body's encoding for its garment was known from before, how long all took [s], and how the
+    garment sits."""
 
     draper: Draper
     cached: bool
     seconds: float
+    at_rest: RestLook
 
 
 class DraperLoader:
@@ -101,7 +105,7 @@ class DraperLoader:
         self._lock = Lock()  # one load at a time: a second core is for draping
         self._models: OrderedDict[str, tuple[GarmentModel, str]] = OrderedDict()
         self._avatars: OrderedDict[tuple[str, ...], Avatar] = OrderedDict()
-        self._bindings: OrderedDict[tuple[object, ...], object] = OrderedDict()
+        self._bindings: OrderedDict[tuple[object, ...], tuple[BoundGarment, RestLook]] = OrderedDict()
 
     def load(self, wanted: Outfitting) -> LoadedDraper:
         """Read the files and bind the garment to the body. Raises ValueError or OSError naming what is wrong."""
@@ -122,7 +126,7 @@ class DraperLoader:
             _keep(self._avatars, avatar_key, avatar)
             fit = model.checked_fit(wanted.fit)
             key = (*sources[1:], model_key, fit)
-            known = self._bindings.get(key)
+            known, at_rest = self._bindings.get(key, (None, None))
             draper = Draper(
                 model,
                 avatar,
@@ -132,9 +136,10 @@ class DraperLoader:
                 normals=wanted.normals,
                 binding=known,
             )
-            _keep(self._bindings, key, draper.bound)
+            at_rest = at_rest or draper.at_rest
+            _keep(self._bindings, key, (draper.bound, at_rest))
             _return_memory()
-            return LoadedDraper(draper, known is not None, perf_counter() - started)
+            return LoadedDraper(draper, known is not None, perf_counter() - started, at_rest)
 
 
 def _return_memory() -> None:

@@ -169,7 +169,7 @@ class AvatarStream:
             )
             for garment in garments
         ]
-        outfit = self._outfit_of([each.draper for each in loaded])
+        outfit = self._outfit_of(loaded)
         if self._closed or not wanted():  # the body went meanwhile
             return loaded
         if previous := self._outfit:
@@ -191,7 +191,8 @@ class AvatarStream:
             )
         return loaded
 
-    def _outfit_of(self, drapers) -> Outfit:
+    def _outfit_of(self, loaded: Sequence[LoadedDraper]) -> Outfit:
+        drapers = [each.draper for each in loaded]
         model, *others = [draper.model for draper in drapers]
         for other in others:
             if other.rig.to_json() != model.rig.to_json():
@@ -212,11 +213,11 @@ class AvatarStream:
         outfit = Outfit(reader, model, bool(self.settings.cloud_rate), separator, **bones)
         worn_now = {worn.stream: worn for worn in self._outfit.garments} if self._outfit else {}
         garments = []
-        for stream, draper in zip(self.garments, drapers):
+        for stream, draper, each in zip(self.garments, drapers, loaded):
             before = worn_now.get(stream)
             revision = 1 if before is None else before.revision + (not _same_mesh(before.draper, draper))
             gravity = self.felt if draper.model.accelerated else self.gravity
-            garments.append(WornGarment(stream, draper, revision, outfit.draped, gravity))
+            garments.append(WornGarment(stream, draper, each.at_rest, revision, outfit.draped, gravity))
         outfit.garments = tuple(garments)
         return outfit
 

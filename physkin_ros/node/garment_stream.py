@@ -9,6 +9,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker
 
 from physkin_core import Draper
+from physkin_core.runtime.rest_look import RestLook
 from physkin_ros.messages.conversions import GarmentCloud, NodesMessage, TriangleMarker, garment_mesh
 from physkin_ros.messages.interfaces import missing_interfaces
 from physkin_ros.node.diagnostics import GarmentStatistics
@@ -70,15 +71,21 @@ class GarmentStream:
 class WornGarment:
     """A draper and the messages it fills, bound to the pose (d,) and gravity (3,) arrays of its avatar.
 
-    gravity: effective gravity in units of gravity for a model that has learnt it, else the unit direction. revision: of
-    the garment's mesh, which a swap of the body alone does not change in one size.
+    at_rest: how it sits. gravity: effective gravity in units of gravity for a model that has learnt it, else the unit
+    direction. revision: of the garment's mesh, which a swap of the body alone does not change in one size.
     step: drapes what those arrays hold now; raises ValueError when the result is not finite.
     """
 
     def __init__(
-        self, stream: GarmentStream, draper: Draper, revision: int, pose: np.ndarray, gravity: np.ndarray
+        self,
+        stream: GarmentStream,
+        draper: Draper,
+        at_rest: RestLook,
+        revision: int,
+        pose: np.ndarray,
+        gravity: np.ndarray,
     ) -> None:
-        self.stream, self.draper = stream, draper
+        self.stream, self.draper, self.at_rest = stream, draper, at_rest
         self.revision = revision
         self._cloud = GarmentCloud(self.draper.vertex_count, stream.frame_id)
         self.step = self.draper.bind_step(pose, gravity, self._cloud.points)

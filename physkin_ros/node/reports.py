@@ -65,6 +65,8 @@ class Reports:
             model, source = draper.model.name, draper.avatar.source
             values |= {"backend": draper.backend, "instruction set": draper.instruction_set}
             values |= {"precision": draper.precision, "fit": f"{draper.fit:g}"}
+            values["cloth inside the body at rest [%]"] = f"{worn.at_rest.inside_percent:.1f}"
+            values["advice"] = worn.at_rest.advice or "none"
         values["model"] = model
         values["gravity"] = " ".join(f"{value:.3f}" for value in stream.gravity)
         values["effective gravity [m/s2]"] = _effective_gravity(stream, worn)

@@ -10,6 +10,7 @@ import math
 import platform
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +100,7 @@ def describe(found: Replay, draper: Draper, bag: BagReader, *, contact_every: in
             "vertices": draper.vertex_count,
             "avatar": Path(draper.avatar.source).name,
             "fit": draper.fit,
+            "at_rest": asdict(draper.at_rest),
             "backend": draper.backend,
             "instruction_set": draper.instruction_set,
             "contact_every": contact_every,

@@ -28,6 +28,9 @@ LIMBS = [RIG.bone_index(name) for name in LIMB_SEGMENTS]
         (["Beta_HighLimbsGeoSG2", "Beta_Surface"], UNKNOWN),
         (["topology that caps", "Ch36"], ACCESSORY),
         (["Shape"], UNKNOWN),
+        (["joint-l-hip"], ACCESSORY),
+        (["helper-skirt"], ACCESSORY),
+        (["Beta_Joints"], UNKNOWN),
     ],
 )
 def test_kinds_by_name(names, kind):

@@ -23,6 +23,7 @@ def _sided(pattern, names, left, right):
 
 TRUNK = {"root": "Hips", "spine04": "Spine", "spine02": "Spine1", "spine01": "Spine2", "neck01": "Neck", "head": "Head"}
 MIXAMO = ("Shoulder", "Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot")
+CMU_TRUNK = TRUNK | {"spine04": "LowerBack", "spine02": "Spine", "spine01": "Spine1"}
 UNREAL = ("clavicle", "upperarm", "lowerarm", "hand", "thigh", "calf", "foot")
 UNREAL_TRUNK = {"root": "pelvis", "spine04": "spine_01", "spine02": "spine_02", "spine01": "spine_03"}
 RIGIFY = ("shoulder", "upper_arm", "forearm", "hand", "thigh", "shin", "foot")
@@ -31,6 +32,8 @@ BIPED = ("Clavicle", "UpperArm", "Forearm", "Hand", "Thigh", "Calf", "Foot")
 SMPL = ("Collar", "Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
 SMPL_TRUNK = {"root": "Pelvis", "spine04": "Spine1", "spine02": "Spine2", "spine01": "Spine3"}
 VRM = ("Shoulder", "UpperArm", "LowerArm", "Hand", "UpperLeg", "LowerLeg", "Foot")
+SOMA = ("Shoulder", "Arm", "ForeArm", "Hand", "Leg", "Shin", "Foot")
+SOMA_TRUNK = {"root": "Hips", "spine04": "Spine1", "spine02": "Spine2", "spine01": "Chest", "neck01": "Neck1"}
 DAZ = ("Collar", "ShldrBend", "ForearmBend", "Hand", "ThighBend", "Shin", "Foot")
 
 
@@ -43,6 +46,7 @@ NAMINGS = {
     "mixamo numbered": _prefixed("mixamorig7:", TRUNK | _sided("{1}{0}", MIXAMO, "Left", "Right")),
     "mixamo sanitised": _prefixed("mixamorig", TRUNK | _sided("{1}{0}", MIXAMO, "Left", "Right")),
     "Ready Player Me": TRUNK | _sided("{1}{0}", MIXAMO, "Left", "Right"),
+    "CMU": CMU_TRUNK | _sided("{1}{0}", MIXAMO, "Left", "Right"),
     "Unreal": UNREAL_TRUNK | _sided("{}_{}", UNREAL, "l", "r"),
     "Unreal, numbered by an exporter": {
         bone: f"{name}_{k:02d}" for k, (bone, name) in enumerate(_sided("{}_{}", UNREAL, "l", "r").items())
@@ -54,6 +58,7 @@ NAMINGS = {
     "3ds Max Biped": _prefixed("Bip01 ", {"root": "Pelvis", "spine04": "Spine"} | _sided("{1} {0}", BIPED, "L", "R")),
     "Character Creator": _prefixed("CC_Base_", _sided("{1}_{0}", BIPED, "L", "R")),
     "DAZ": _sided("{1}{0}", DAZ, "l", "r"),
+    "SOMA": SOMA_TRUNK | _sided("{1}{0}", SOMA, "Left", "Right"),
     "SMPL": SMPL_TRUNK | _sided("{1}_{0}", SMPL, "L", "R"),
     "SMPL in FBX": _prefixed("m_avg_", SMPL_TRUNK | _sided("{1}_{0}", SMPL, "L", "R")),
     "SMPL-X": _sided("{1}_{0}", [name.lower() for name in SMPL], "left", "right"),

@@ -67,6 +67,7 @@ def test_encodings_are_kept_by_content(tmp_path, model_path):
     again, renamed = loader.load(wanted), loader.load(replace(wanted, body_mesh=str(copy)))
     assert (first.cached, again.cached, renamed.cached) == (False, True, True)
     assert renamed.draper.avatar.source == str(copy)
+    assert first.at_rest == first.draper.at_rest and again.at_rest is renamed.at_rest is first.at_rest
     rest = first.draper.model.rig.rest
     np.testing.assert_array_equal(first.draper.drape(rest), renamed.draper.drape(rest))
     body.write_bytes(BUNDLED_AVATAR.read_bytes() + b"\0" * 4)

@@ -81,6 +81,8 @@ def test_diagnostics(peer, shared_node, draper):
     assert (report["model"], report["backend"], report["precision"]) == ("vest", "native", "bf16")
     assert report["instruction set"] in ("baseline", "v3", "v4", "v4_vnni")
     assert float(report["last stamp age [s]"]) > 0
+    assert report["cloth inside the body at rest [%]"] == f"{draper.at_rest.inside_percent:.1f}"
+    assert report["advice"] == (draper.at_rest.advice or "none")
 
 
 def test_degrees_are_told(peer, shared_node, draper, capfd):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -72,6 +73,7 @@ def test_strain_is_against_the_rest_shape_that_is_worn(measured_model_path, avat
     worn, template = (edge_strain(garment, clouds).mean() for garment in (draper.rest_garment, draper.model.garment))
     assert figures["figures"]["edge_strain_percent"]["mean"] == pytest.approx(worn) != pytest.approx(template)
     assert figures["run"]["fit"] == 1.0 and "fit 1, on" in summary(figures)
+    assert figures["run"]["at_rest"] == asdict(draper.at_rest)
 
 
 def test_limbs_are_separated_when_told_to(quick, leaning_model_path, draper, avatar, tmp_path):

@@ -165,8 +165,9 @@ def test_as_many_poses_are_measured_as_there_is_time_for(left, measured, write_v
         return scores(*arguments, poses=1, **options)
 
     monkeypatch.setattr(report, "evaluate_model", evaluate)
-    write_vest(budget, poses=64, pictures=False)
+    page = write_vest(budget, poses=64, pictures=False)
     assert done == measured
+    assert re.search(r"On your avatar.*(good|usable|bad): \d.* % of the skin shows; in everyday poses \d", page)
     assert budget.left >= min(0, left - 1)
 
 

@@ -111,7 +111,13 @@ def own(avatar_file):
 
 @pytest.mark.parametrize(
     ("name", "scale", "axes", "read"),
-    [("longsleeve", 1.0, np.eye(3), "metres, Z up, X forward"), ("skirt", 0.01, Y_UP, "centimetres, Y up, Z forward")],
+    [
+        ("longsleeve", 1.0, np.eye(3), "metres, Z up, X forward"),
+        ("skirt", 0.01, Y_UP, "centimetres, Y up, Z forward"),
+        ("tshirt", 1.0, Y_UP, "metres, Y up, Z forward"),
+        ("trousers", 0.01, np.eye(3), "centimetres, Z up, X forward"),
+        ("dress", 1.0, np.eye(3), "metres, Z up, X forward"),
+    ],
 )
 def test_a_garment_is_where_it_lies(name, scale, axes, read, person, own, template):
     """Within 2 mm of where the true skeleton carries it into the canonical pose; the sleeves by far more than that."""

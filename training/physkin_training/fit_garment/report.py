@@ -15,6 +15,7 @@ from tabulate import tabulate
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import load_body_model
+from physkin_core.check.garment_check import check_garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
 from physkin_core.runtime.draper import Draper
@@ -74,9 +75,10 @@ def write_report(
     def evaluate(count: int) -> dict:
         return evaluate_model(model, device, bodies=bodies, poses=count, seed=0, minimum=0, steps=0)
 
+    worn = None if avatar is None else Draper(model, avatar)
     few = min(FIRST_POSES, poses)
     scores, taken = budget.timed(lambda: evaluate(few))
-    shown = _pictures(path, model, checked, template, avatar, device, budget) if pictures else []
+    shown = _pictures(path, model, checked, template, worn, device, budget) if pictures else []
     more = int(min(poses, few * budget.left / taken))
     if more > few:
         scores = evaluate(more)
@@ -90,6 +92,7 @@ def write_report(
         f"{seconds / 60:.1f} minutes ({steps} steps of {samples} poses) on {html.escape(device.type)}.</p>",
         "<h2>The mesh</h2>",
         _verdicts(checked),
+        *([] if worn is None else [_how_it_sits(worn)]),
         *shown,
         f"<h2>Figures</h2><p>{counts}.</p>",
         html_table(table(scores)),
@@ -106,7 +109,7 @@ def _pictures(
     model: GarmentModel,
     checked: CheckedGarment,
     template: Avatar,
-    avatar: Avatar | None,
+    worn: Draper | None,
     device: torch.device,
     budget: TimeBudget,
 ) -> list[str]:
@@ -117,8 +120,8 @@ def _pictures(
         rest, taken = budget.timed(lambda: _at_rest(checked, template))  # three renderings, larger than a pose's three
         poses = int(min(SHEET_POSES, budget.left / 2 / taken))
         parts = ["<p>As it was trained, on the template's body:</p>", _image(rest), "<h2>Drapes</h2>"]
-        if avatar is not None and budget.left > 3 * taken:
-            parts += ["<p>On your avatar, in the poses of the first rows:</p>", _image(_on_avatar(model, avatar))]
+        if worn is not None and budget.left > 3 * taken:
+            parts += ["<p>On your avatar, in the poses of the first rows:</p>", _image(_on_avatar(worn))]
         if poses < 1:
             return [*parts, _note(late.format("a sheet"))]
         sheet = _sheet(model, device, poses)
@@ -195,15 +198,19 @@ def _read_losses(path: Path) -> list[dict]:
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
-def _on_avatar(model: GarmentModel, avatar: Avatar) -> np.ndarray:
+def _how_it_sits(worn: Draper) -> str:
+    """What `physkin check` finds on the user's avatar."""
+    return f"<h2>On your avatar</h2><p>{html.escape(str(check_garment(worn)))}.</p>"
+
+
+def _on_avatar(worn: Draper) -> np.ndarray:
     """The garment on the user's avatar in `AVATAR_POSES` poses, front and back."""
-    poses, names = chosen_poses(model.rig, count=AVATAR_POSES, seed=0)
-    draper = Draper(model, avatar)
+    poses, names = chosen_poses(worn.model.rig, count=AVATAR_POSES, seed=0)
     images = []
     for positions, gravity in zip(poses.positions.numpy(), poses.gravity.numpy()):
-        garment = draper.drape(positions, gravity)[:, :3]
-        body = avatar.posed_vertices(model.rig.bone_transforms(positions, heads=avatar.bone_heads))
-        images += front_and_back(body, avatar.faces, garment, model.garment.faces)
+        garment = worn.drape(positions, gravity)[:, :3]
+        body = worn.avatar.posed_vertices(worn.bone_transforms(positions))
+        images += front_and_back(body, worn.avatar.faces, garment, worn.faces)
     return contact_sheet(
         images, columns=4, captions=[f"{name}, {side}" for name in names for side in ("front", "back")]
     )
