@@ -9,7 +9,7 @@ Dimensions: `V` body vertices, `n` garment vertices. Metres, root frame, canonic
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.surface_matching import with_normals
 from physkin_core.model.garment import vertex_normals
 
-__all__ = ["LARGEST_SWELLING", "LAYER_GAP", "dressed_body"]
+__all__ = ["LARGEST_SWELLING", "LAYER_GAP", "WornLayer", "dressed_body"]
 
 LAYER_GAP = 0.002
 """[m] between one layer and the next."""
@@ -30,30 +30,40 @@ RADIUS = 0.03
 NEIGHBOURS = 64
 OPPOSITE = 0.15
 """[m] off the skin from where cloth is that of another part of the body."""
+TUCKED = 0.005
+"""[m] What a tucked layer swells the skin by, which it hugs where the next one lies over it."""
 
 
-def dressed_body(avatar: Avatar, layers: Sequence[tuple[np.ndarray, np.ndarray]]) -> Avatar:
-    """The avatar with its skin moved outwards to 2 mm over the layers it wears, by at most 15 mm.
+@dataclass(frozen=True)
+class WornLayer:
+    """What is already worn: vertices and normals (n, 6) at the canonical pose, faces (f, 3). tucked: under the next."""
 
-    layers: cloth (n, 3) [m] at the canonical pose and faces (f, 3) of each. Bones and skinning weights stay.
+    cloth: np.ndarray
+    faces: np.ndarray
+    tucked: bool = False
+
+
+def dressed_body(avatar: Avatar, layers: Sequence[WornLayer]) -> Avatar:
+    """The avatar with its skin moved outwards to 2 mm over the layers it wears, by at most 15 mm, smoothly.
+
+    Bones and skinning weights stay. The same avatar where there are no layers.
     """
     from scipy.spatial import cKDTree
 
+    if not layers:
+        return avatar
     skin = avatar.vertices.astype(np.float64)
     outward = vertex_normals(skin, avatar.faces)
+    tagged = with_normals(skin, outward)
     swelling = np.zeros(len(skin))
-    for cloth, faces in layers:
-        _, match = cKDTree(with_normals(cloth, vertex_normals(cloth, faces))).query(with_normals(skin, outward))
-        gap = cloth[match] - skin
+    for layer in layers:
+        points, normals = layer.cloth[:, :3].astype(np.float64), layer.cloth[:, 3:].astype(np.float64)
+        gap = points[cKDTree(with_normals(points, normals)).query(tagged)[1]] - skin
         height = np.einsum("vi,vi->v", gap, outward)
         aside = np.linalg.norm(gap - height[:, None] * outward, axis=1)
-        wanted = np.clip(height + LAYER_GAP, 0, LARGEST_SWELLING)
+        wanted = np.clip(height + LAYER_GAP, 0, TUCKED if layer.tucked else LARGEST_SWELLING)
         swelling = np.maximum(swelling, np.where((aside < BESIDE) & (height < OPPOSITE), wanted, 0))
-    if not swelling.any():
-        return avatar
-    distance, near = cKDTree(with_normals(skin, outward)).query(
-        with_normals(skin, outward), k=min(NEIGHBOURS, len(skin))
-    )
+    distance, near = cKDTree(tagged).query(tagged, k=min(NEIGHBOURS, len(skin)))
     share = np.exp(-((distance / RADIUS) ** 2))
     smooth = (share * swelling[near]).sum(axis=1) / share.sum(axis=1)
     return replace(avatar, vertices=(skin + smooth[:, None] * outward).astype(np.float32))
