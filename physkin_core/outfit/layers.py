@@ -16,11 +16,11 @@ from physkin_core.avatar.surface_matching import with_normals
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.surface_paths import openings, path_lengths
 from physkin_core.outfit.coverage import FROM_HEM, hem_distances
-from physkin_core.outfit.dressed_body import WornLayer, dressed_body
 from physkin_core.outfit.tuck import Tuck, apply_tuck, bind_tuck
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.draper import Draper
+from physkin_core.runtime.layers_beneath import LayerBeneath
 
 __all__ = ["MOST_LAYERS", "Layer", "OutfitGarment", "drapes", "put_on", "standing_out"]
 
@@ -28,7 +28,7 @@ MOST_LAYERS = 4
 DEEPEST_TUCK = 0.3
 """[m] A garment that reaches farther below a waistband cannot be tucked into it."""
 OUTSIDE, MOST_OUTSIDE = 0.01, 0.35
-"""An inner layer of which more than the second lies farther outside the outer one than the first [m] is out of place."""
+"""An inner layer of which more than the second lies farther outside the outer one than the first [m] is misplaced."""
 BELONGS = 0.15
 """[m] Cloth farther from the layer over it at rest is not under it."""
 
@@ -76,9 +76,8 @@ def put_on(
     tucks: list[Tuck] = []
     worth_saying: list[str] = []
     for k, garment in enumerate(garments):
-        worn = [WornLayer(layer.rest, layer.draper.faces, layer.garment.tucked) for layer in layers]
-        body = dressed_body(avatar, worn)
-        bound = None if body is avatar else bind_garment(garment.model, body, fit=fit, backend=backend)
+        beneath = [LayerBeneath(layer.rest, layer.garment.tucked) for layer in layers]
+        bound = bind_garment(garment.model, avatar, fit=fit, backend=backend, beneath=beneath) if layers else None
         draper = Draper(garment.model, avatar, fit=fit, backend=backend, binding=bound)
         rest = draper.drape(garment.model.rig.rest)
         hems = hem_distances(draper.bound.vertices, draper.faces)

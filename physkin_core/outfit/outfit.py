@@ -1,6 +1,7 @@
 """Outfit: several garments on one body, worn over each other. Joint positions in, a cloud for each garment out.
 
-Dimensions: `d` degrees of freedom, `n` vertices of a garment, `v` of them given, `f` faces. Radians, metres, root frame.
+Dimensions: `d` degrees of freedom, `n` vertices of a garment, `v` of them given, `f` faces. Radians, metres, root
+frame.
 """
 
 from __future__ import annotations

@@ -18,6 +18,9 @@ from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
 
 __all__ = ["NativeOutfitEvaluator", "ReferenceOutfitEvaluator"]
 
+JUMP = 0.5
+"""[rad], and of gravity's direction: where a frame differs from the last one by more, nothing is taken over from it."""
+
 
 class NativeOutfitEvaluator:
     """Evaluates bound garments of one body together. Not for use by two threads at once.
@@ -95,6 +98,7 @@ class ReferenceOutfitEvaluator:
         self._evaluators = [ReferenceEvaluator(bound) for bound in bounds]
         self._orders = [(order.inner, order.outer, ReferenceLayerOrder(order)) for order in orders]
         self._tucks = list(tucks)
+        self._last_pose: np.ndarray | None = None
         self._face_normals = vertex_normals if normals == "faces" else None
 
     def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, outs: Sequence[np.ndarray]) -> None:
@@ -104,10 +108,13 @@ class ReferenceOutfitEvaluator:
         layers = [np.empty((len(bound.vertices), 6), dtype=np.float32) for bound in self._bounds]
         for evaluator, layer in zip(self._evaluators, layers):
             evaluator.evaluate(joint_positions, gravity, layer)
+        pose = np.concatenate([joint_positions, gravity]).astype(np.float32)
+        jumps = self._last_pose is None or not np.abs(pose - self._last_pose).max() < JUMP
+        self._last_pose = pose
         for k in range(len(layers)):
             for inner, outer, order in self._orders:
                 if outer == k:
-                    order.apply(layers[inner], layers[outer])
+                    order.apply(layers[inner], layers[outer], look_at_all=jumps)
             for tuck in self._tucks:
                 if tuck.outer == k:
                     apply_tuck(tuck, layers[tuck.inner], layers[tuck.outer])

@@ -17,7 +17,7 @@ import numpy as np
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.skinning import unit
 from physkin_core.model.surface_paths import openings, path_lengths
-from physkin_core.outfit.dressed_body import LAYER_GAP
+from physkin_core.runtime.layers_beneath import LAYER_GAP
 
 __all__ = ["DRAWN_FROM", "Tuck", "apply_tuck", "bind_tuck"]
 

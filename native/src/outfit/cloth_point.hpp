@@ -19,6 +19,12 @@ inline ClothPoint load_point(const VertexRows& rows, std::int32_t vertex) {
   return point;
 }
 
+inline Vector3 load_position(const VertexRows& rows, std::int32_t vertex) {
+  Vector3 position;
+  std::memcpy(&position, rows.data + vertex * rows.stride * std::ptrdiff_t(sizeof(float)), sizeof position);
+  return position;
+}
+
 inline void store_position(const VertexRows& rows, std::int32_t vertex, Vector3 position) {
   std::memcpy(rows.data + vertex * rows.stride * std::ptrdiff_t(sizeof(float)), &position, sizeof position);
 }

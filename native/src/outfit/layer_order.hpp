@@ -9,9 +9,10 @@ namespace physkin {
 
 // Fields as in LayerOrder of physkin_core/outfit/layer_order.py. Views, read during construction only.
 struct LayerOrderData {
-  int contacts = -1, inner_starts = -1, ring_size = -1, contact_starts = -1, pushes = -1, moved_count = -1;
+  int contacts = -1, seed_starts = -1, seeds = -1, inner_starts = -1, ring_size = -1, contact_starts = -1, pushes = -1, moved_count = -1;
   const std::int32_t* contact = nullptr;
-  const std::int32_t* partner = nullptr;
+  const std::int32_t* seed_start = nullptr;
+  const std::int32_t* seed = nullptr;
   const std::int32_t* ring_start = nullptr;
   const std::int32_t* ring = nullptr;
   const std::int32_t* push_start = nullptr;
@@ -29,23 +30,32 @@ class LayerOrder {
   // Copies into the arena. Throws std::invalid_argument where an index is out of range or a value is not finite.
   LayerOrder(const LayerOrderData& data, int inner_vertices, int outer_vertices, Arena& arena);
 
-  // Moves the outer layer's positions; rows of both must have normals. Allocates nothing.
-  void apply(const VertexRows& inner, const VertexRows& outer) noexcept;
+  // Moves the outer layer's positions; rows of both must have normals. look_at_all: do not trust the last frame in where
+  // nothing can touch. Allocates nothing.
+  void apply(const VertexRows& inner, const VertexRows& outer, bool look_at_all) noexcept;
 
  private:
-  float lack(int contact, const VertexRows& inner, const VertexRows& outer) noexcept;
+  template <class Looks>
+  bool push_lacking(const VertexRows& inner, const VertexRows& outer, Looks looks_at) noexcept;
+  float lack(int contact, const VertexRows& inner, const VertexRows& outer, bool search) noexcept;
 
   int contacts_, moved_count_;
   float edge_;
   const std::int32_t* contact_;
-  std::int32_t* partner_;  // of the last frame
+  const std::int32_t* contact_place_;  // (contacts_,) into moved_
+  const std::int32_t* seed_start_;
+  const std::int32_t* seed_;
+  std::int32_t* partner_;  // (contacts_,) of the last frame
+  bool* free_;             // (contacts_,) when looked at last
+  int frame_ = 0;
   const std::int32_t* ring_start_;
   const std::int32_t* ring_;
   const std::int32_t* push_start_;
   const std::int32_t* push_to_;
   const float* push_share_;
   const std::int32_t* moved_;
-  float* push_;  // (moved_count_,) [m]
+  float* push_;  // (moved_count_,) [m] of one pass
+  bool* has_moved_;  // (moved_count_,) in this frame
 };
 
 }  // namespace physkin

@@ -1,13 +1,16 @@
 #include "outfit/outfit_evaluator.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <cstring>
+#include <limits>
 #include <stdexcept>
 
 namespace physkin {
 namespace {
 
 constexpr int kColumns = 6;
+constexpr float kJump = 0.5f;  // as JUMP of outfit_evaluators.py
 
 bool same_rig(const BoundGarment& a, const BoundGarment& b) {
   return a.bones == b.bones && a.dofs == b.dofs && std::equal(a.bone_parents, a.bone_parents + a.bones, b.bone_parents) &&
@@ -34,6 +37,7 @@ OutfitEvaluator::OutfitEvaluator(const std::vector<BoundGarment>& garments, cons
     auto* own = reinterpret_cast<unsigned char*>(arena_.take<float>(size));
     own_rows_.push_back({own, kColumns, true});
   }
+  last_pose_.assign(std::size_t(garments.front().dofs) + 3, std::numeric_limits<float>::infinity());
 }
 
 void OutfitEvaluator::check_layers(LayerPair layers) const {
@@ -68,13 +72,14 @@ Rejection OutfitEvaluator::step(const float* joint_positions, const float* gravi
     if (const auto bad = e.skinner_.check(e.node_transforms_)) return bad;
   }
   rejected_ = -1;
+  const bool look_at_all = jumps(joint_positions, gravity);
   const VertexRows* with_normals = rows;
   const bool copied = !kept_.empty() && !rows[0].with_normals;
   if (copied) with_normals = own_rows_.data();
   for (int k = 0; k < count(); ++k) {
     Evaluator& e = *evaluators_[std::size_t(k)];
     e.skinner_.skin(e.node_transforms_, with_normals[k]);
-    keep_under(k, with_normals);
+    keep_under(k, with_normals, look_at_all);
   }
   for (int k = 0; k < count(); ++k) {
     if (!copied) {
@@ -94,13 +99,25 @@ void OutfitEvaluator::skin(const VertexRows* rows) noexcept {
 }
 
 void OutfitEvaluator::keep(const VertexRows* rows) noexcept {
-  for (int k = 0; k < count(); ++k) keep_under(k, rows);
+  for (int k = 0; k < count(); ++k) keep_under(k, rows, false);
 }
 
-void OutfitEvaluator::keep_under(int outer, const VertexRows* rows) noexcept {
+bool OutfitEvaluator::jumps(const float* joint_positions, const float* gravity) noexcept {
+  float most = 0.0f;
+  const auto compare = [&](float now, float& last) {
+    most = std::max(most, std::fabs(now - last));
+    last = now;
+  };
+  const int dofs = evaluators_.front()->dofs();
+  for (int k = 0; k < dofs; ++k) compare(joint_positions[k], last_pose_[std::size_t(k)]);
+  for (int k = 0; k < 3; ++k) compare(gravity[k], last_pose_[std::size_t(dofs + k)]);
+  return !(most < kJump);
+}
+
+void OutfitEvaluator::keep_under(int outer, const VertexRows* rows, bool look_at_all) noexcept {
   for (Kept& kept : kept_) {
     if (kept.layers.outer != outer) continue;
-    if (kept.order) kept.order->apply(rows[kept.layers.inner], rows[outer]);
+    if (kept.order) kept.order->apply(rows[kept.layers.inner], rows[outer], look_at_all);
     if (kept.tuck) kept.tuck->apply(rows[kept.layers.inner], rows[outer]);
   }
 }

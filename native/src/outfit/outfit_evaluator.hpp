@@ -47,12 +47,14 @@ class OutfitEvaluator {
   };
 
   void check_layers(LayerPair layers) const;
-  void keep_under(int outer, const VertexRows* rows) noexcept;
+  bool jumps(const float* joint_positions, const float* gravity) noexcept;
+  void keep_under(int outer, const VertexRows* rows, bool look_at_all) noexcept;
 
   Arena arena_;
   std::vector<std::unique_ptr<Evaluator>> evaluators_;
   std::vector<Kept> kept_;
   std::vector<VertexRows> own_rows_;  // with normals, where the caller's have none
+  std::vector<float> last_pose_;  // joint positions and gravity
   int rejected_ = -1;
 };
 
