@@ -46,13 +46,15 @@ class Layer:
     """A garment as it is worn here, whole.
 
     draper: bound over what lies under it. rest: (n, 6) float32 vertices and normals of the drape at rest, tucked in.
-    hem_distance: (n,) [m] along the cloth to its closest opening; tucked hems are none.
+    hem_distance: (n,) [m] along the cloth to its closest opening; tucked hems are none. tucked_depth: (n,) [m] below
+    the waistband that it is tucked into, 0 above.
     """
 
     garment: OutfitGarment
     draper: Draper
     rest: np.ndarray
     hem_distance: np.ndarray
+    tucked_depth: np.ndarray
 
     @property
     def name(self) -> str:
@@ -81,7 +83,7 @@ def put_on(
         draper = Draper(garment.model, avatar, fit=fit, backend=backend, binding=bound)
         rest = draper.drape(garment.model.rig.rest)
         hems = hem_distances(draper.bound.vertices, draper.faces)
-        layers.append(Layer(garment, draper, rest, hems))
+        layers.append(Layer(garment, draper, rest, hems, np.zeros(len(rest))))
         for inner, under in enumerate(layers[:-1]):
             if _waistband_of(garments, inner) == k:
                 tuck, layers[inner] = _tucked_in(inner, k, under, layers[k])
@@ -148,7 +150,7 @@ def _tucked_in(inner: int, outer: int, under: Layer, over: Layer) -> tuple[Tuck,
     apply_tuck(tuck, rest, over.rest)
     hem = np.concatenate(openings(under.bound.vertices, under.draper.faces))
     hems = path_lengths(under.bound.vertices, under.draper.faces, hem[depth[hem] == 0])
-    return tuck, replace(under, rest=rest, hem_distance=hems)
+    return tuck, replace(under, rest=rest, hem_distance=hems, tucked_depth=depth)
 
 
 def _check_order(inner: int, outer: int, under: Layer, over: Layer) -> str | None:

@@ -40,6 +40,9 @@ class Outfit:
         of the next. A garment knows what lies under it, so that the same shirt is wider over trousers.
     hide: leave out what cannot be seen in everyday poses; `visible` says which vertices are given. False: give all.
     backend, precision, fit, normals: as of `Draper`.
+    hidden: (n,) bool of each garment, what is covered in all everyday poses; visible: (v,) int32, the vertices that are
+    given; faces: (f, 3) int32 of these. body_mask: (F,) bool, the body's faces that are covered. bounds, orders, tucks:
+    what a frame needs: bound garments of the vertices given, and what is kept between layers.
     What can be worn but looks odd is issued as AvatarWarning, which `warnings` keeps.
     Raises TypeError for anything but garments and an avatar; ValueError, in one sentence, for what cannot be worn (a
     garment twice, more than four, several rigs, a tuck or an order that does not go) and for what `Draper` refuses.
@@ -70,14 +73,16 @@ class Outfit:
         cloth = drapes(layers, tucks, poses)
         self.hidden, body_hidden = _hidden(layers, cloth, poses, avatar)
         if not checked:
-            self.hidden, body_hidden = tuple(0 * mask for mask in self.hidden), 0 * body_hidden
+            self.hidden, body_hidden = tuple(np.zeros_like(mask) for mask in self.hidden), np.zeros_like(body_hidden)
         self.body_mask = faces_of(avatar.faces, body_hidden)
-        self.visible, self.faces = _given(layers, tucks, self.hidden if hide else [0 * mask for mask in self.hidden])
+        self.visible, self.faces = _given(
+            layers, tucks, self.hidden if hide else [np.zeros_like(mask) for mask in self.hidden]
+        )
         self.bounds = tuple(_among(layer.bound, *given) for layer, *given in zip(layers, self.visible, self.faces))
-        tucks = [tuck.among(self.visible[tuck.inner], self.visible[tuck.outer]) for tuck in tucks]
-        orders = _orders(layers, self.visible, self.faces, cloth, tucks)
+        self.tucks = tuple(tuck.among(self.visible[tuck.inner], self.visible[tuck.outer]) for tuck in tucks)
+        self.orders = _orders(layers, self.visible, self.faces, cloth, self.tucks)
         kinds = {"native": partial(NativeOutfitEvaluator, precision=precision), "numpy": ReferenceOutfitEvaluator}
-        self._evaluator = kinds[backend](self.bounds, orders, tucks, normals=normals)
+        self._evaluator = kinds[backend](self.bounds, self.orders, self.tucks, normals=normals)
         self.backend = backend
         for warning in worth_saying:
             warnings.warn(warning, AvatarWarning, stacklevel=2)
@@ -197,7 +202,7 @@ def _hidden(layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: list,
         ]:
             left = np.flatnonzero(mask)
             mask[left] = covered(points[left, :3], points[left, 3:], over)
-    return tuple(hidden), body
+    return tuple(mask | (layer.tucked_depth >= FROM_HEM) for layer, mask in zip(layers, hidden)), body
 
 
 def _given(layers: Sequence[Layer], tucks: Sequence[Tuck], hidden: Sequence[np.ndarray]):
@@ -219,7 +224,7 @@ def _among(bound: BoundGarment, vertices: np.ndarray, faces: np.ndarray) -> Boun
     )
 
 
-def _orders(layers, visible, faces, cloth, tucks) -> list[LayerOrder]:
+def _orders(layers, visible, faces, cloth, tucks) -> tuple[LayerOrder, ...]:
     """What keeps the order of every two layers of which neither is tucked into the other."""
     tucked = {(tuck.inner, tuck.outer) for tuck in tucks}
     orders = []
@@ -231,4 +236,4 @@ def _orders(layers, visible, faces, cloth, tucks) -> list[LayerOrder]:
             rest = tuple(layers[k].rest[visible[k], :3] for k in pair)
             poses = [tuple(drawn[k][visible[k]] for k in pair) for drawn in cloth]
             orders.append(bind_layer_order(inner, outer, rest, tuple(faces[k] for k in pair), poses))
-    return [order for order in orders if order is not None]
+    return tuple(order for order in orders if order is not None)

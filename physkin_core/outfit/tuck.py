@@ -21,6 +21,8 @@ from physkin_core.runtime.layers_beneath import LAYER_GAP
 
 __all__ = ["DRAWN_FROM", "Tuck", "apply_tuck", "bind_tuck"]
 
+INSET = LAYER_GAP + 0.001
+"""[m] inside the layer over it, a little more than what holds between vertices."""
 BELOW = 0.002
 """[m] below the waistband from where cloth is held."""
 HOLDING = 0.015
@@ -118,7 +120,7 @@ def apply_tuck(tuck: Tuck, inner: np.ndarray, outer: np.ndarray) -> None:
     """Hold and draw the tucked layer inner (n, 6) inside outer (r, 6): x, y, z [m] and normals; inner is written."""
     around = outer[tuck.anchor].astype(np.float64)
     at = np.einsum("ak,aki->ai", tuck.anchor_share, around)
-    moved = at[:, :3] - LAYER_GAP * unit(at[:, 3:]) - inner[tuck.held, :3]
+    moved = at[:, :3] - INSET * unit(at[:, 3:]) - inner[tuck.held, :3]
     inner[tuck.held, :3] += moved
     inner[tuck.drawn, :3] += np.einsum("dk,dki->di", tuck.drawn_share, moved[tuck.drawn_by])
 

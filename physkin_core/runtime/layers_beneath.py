@@ -28,9 +28,9 @@ BESIDE = 0.015
 """[m] Skin whose closest cloth is farther to the side than this lies beyond a hem."""
 OPPOSITE = 0.15
 """[m] off the skin from where cloth is that of another part of the body."""
-RADIUS = 0.03
+RADIUS = 0.045
 """[m] Length over which the swelling is smoothed along the skin."""
-NEIGHBOURS = 64
+NEIGHBOURS = 128
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@
 namespace physkin {
 namespace {
 
-constexpr float kLayerGap = 0.002f;  // [m] as LAYER_GAP of dressed_body.py
+constexpr float kInset = 0.003f;  // [m] as INSET of tuck.py
 
 }  // namespace
 
@@ -51,7 +51,7 @@ void Tuck::apply(const VertexRows& inner, const VertexRows& outer) noexcept {
       at = at + anchor_share_[c] * corner.position;
       normal = normal + anchor_share_[c] * corner.normal;
     }
-    at = at - kLayerGap * normalized(normal);
+    at = at - kInset * normalized(normal);
     const Vector3 moved = at - load_point(inner, held_[k]).position;
     std::memcpy(displacement_ + 3 * k, &moved, sizeof moved);
     store_position(inner, held_[k], at);
