@@ -35,7 +35,7 @@ FADE = 0.01
 FREE, FAR_ASIDE = 0.01, 2.0
 """A vertex this far [m] outside its partner's plane, or this many mean edge lengths beside it, is free: it is looked at
 only in its turn."""
-NEAR = 0.006
+NEAR = 0.005
 """[m] A vertex farther outside its partner's plane than this is right without looking at those around."""
 TURNS = 8
 """Frames in which every vertex has its turn to look for a closer partner; one that lost its own does at once."""

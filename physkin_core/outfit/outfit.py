@@ -189,7 +189,7 @@ def _poses_to_look_at(rig: Rig) -> tuple[list[tuple[np.ndarray, np.ndarray]], bo
 
 def _hidden(layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: list, avatar: Avatar):
     """What is covered in all poses: a mask (n,) of each layer, and one of the body's vertices."""
-    hidden = [layer.hem_distance >= FROM_HEM for layer in layers]
+    hidden = [np.ones(len(layer.rest), dtype=bool) for layer in layers]
     body = np.ones(len(avatar.vertices), dtype=bool)
     for (positions, _), drawn in zip(poses, cloth):
         drawn = [layer.astype(np.float64) for layer in drawn]

@@ -14,7 +14,7 @@ namespace physkin {
 namespace {
 
 // Metres and mean edge lengths, as the constants of the same names in layer_order.py.
-constexpr float kOrderGap = 0.003f, kSoft = 0.001f, kMostPush = 0.03f, kDeepest = 0.05f, kFade = 0.01f, kFree = 0.01f, kNear = 0.006f, kAgain = 0.001f;
+constexpr float kOrderGap = 0.003f, kSoft = 0.001f, kMostPush = 0.03f, kDeepest = 0.05f, kFade = 0.01f, kFree = 0.01f, kNear = 0.005f, kAgain = 0.001f;
 constexpr float kStray = 0.6f, kPlaneReach = 1.3f, kFarAside = 2.0f, kFullShare = 0.5f;
 constexpr int kSteps = 4, kPasses = 2, kTurns = 8;
 
@@ -28,7 +28,7 @@ inline Quad load_quad(const unsigned char* at) {
 }
 
 inline Quad three_of(Quad v) { return (Quad)((Places)v & Places{-1, -1, -1, 0}); }
-inline float sum(Quad v) { return v[0] + v[1] + (v[2] + v[3]); }
+inline float sum(Quad v) { return v[0] + v[1] + v[2]; }
 
 // Cloth as registers hold it: four floats from the start of a row, and from its third on, stay within the row.
 struct Rows {
@@ -194,20 +194,21 @@ float LayerOrder::lack(int c, const VertexRows& inner_rows, const VertexRows& ou
   if (free_[c] || from.off > kNear) return 0.0f;
 
   const float reach = 1.0f / ((kPlaneReach * edge_) * (kPlaneReach * edge_));
-  const Quad own = three_of(outer.normal(contact_[c]));
-  float total = 0.0f, gap = 0.0f, alike = 0.0f;
+  const Quad own = outer.normal(contact_[c]);
+  float total = 0.0f, gap = 0.0f;
+  Quad normals = {};
   const auto add = [&](std::int32_t vertex) {
     const OffPlane plane = off_plane(at, inner, vertex);
     const float near = std::max(1.0f - plane.aside_square * reach, 0.0f), share = near * near;
     total += share;
     gap += share * plane.off;
-    alike += share * sum(own * inner.normal(vertex));
+    normals += share * inner.normal(vertex);
   };
   add(partner);
   for (std::int32_t k = ring_start_[partner]; k < ring_start_[partner + 1]; ++k) add(ring_[k]);
   const float safe = std::max(total, 1e-6f);
   gap /= safe;
-  alike /= safe;
+  const float alike = sum(own * normals) / safe;
   const float wanted = kOrderGap + kSoft - gap;
   if (!(wanted > 0.0f)) return 0.0f;
   float lack = wanted < 2.0f * kSoft ? wanted * wanted / (4.0f * kSoft) : wanted - kSoft;
