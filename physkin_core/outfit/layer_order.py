@@ -28,8 +28,8 @@ ORDER_GAP = LAYER_GAP + 0.001
 """[m] between an outer vertex and the inner layer, which is a little more than what holds between vertices."""
 SOFT = 0.001
 """[m] Pushing sets in this much before it must, so that it begins without a kink."""
-MOST_PUSH = 0.03
-DEEPEST = 0.05
+MOST_PUSH = 0.05
+DEEPEST = 0.07
 """[m] A vertex deeper inside belongs to another part of the body; over the last centimetre pushing fades."""
 FADE = 0.01
 FREE, FAR_ASIDE = 0.01, 2.0
@@ -143,7 +143,7 @@ class ReferenceLayerOrder:
         wanted = np.maximum(ORDER_GAP + SOFT - gap, 0)
         lack = np.where(wanted < 2 * SOFT, wanted**2 / (4 * SOFT), wanted - SOFT)
         lack *= np.minimum(total / FULL_SHARE, 1) * np.clip((DEEPEST + gap) / FADE, 0, 1)
-        lack *= np.clip(2 * alike, 0, 1) / np.maximum(alike, 0.5)
+        lack *= np.clip(4 * alike, 0, 1) / np.maximum(alike, 0.5)
         return np.where(free | (off > NEAR), 0, np.minimum(lack, MOST_PUSH)), partner, free
 
 

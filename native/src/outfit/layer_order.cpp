@@ -14,7 +14,7 @@ namespace physkin {
 namespace {
 
 // Metres and mean edge lengths, as the constants of the same names in layer_order.py.
-constexpr float kOrderGap = 0.003f, kSoft = 0.001f, kMostPush = 0.03f, kDeepest = 0.05f, kFade = 0.01f, kFree = 0.01f, kNear = 0.005f, kAgain = 0.001f;
+constexpr float kOrderGap = 0.003f, kSoft = 0.001f, kMostPush = 0.05f, kDeepest = 0.07f, kFade = 0.01f, kFree = 0.01f, kNear = 0.005f, kAgain = 0.001f;
 constexpr float kStray = 0.6f, kPlaneReach = 1.3f, kFarAside = 2.0f, kFullShare = 0.5f;
 constexpr int kSteps = 4, kPasses = 2, kTurns = 8;
 
@@ -213,7 +213,7 @@ float LayerOrder::lack(int c, const VertexRows& inner_rows, const VertexRows& ou
   if (!(wanted > 0.0f)) return 0.0f;
   float lack = wanted < 2.0f * kSoft ? wanted * wanted / (4.0f * kSoft) : wanted - kSoft;
   lack *= std::min(total / kFullShare, 1.0f) * clamp01((kDeepest + gap) / kFade);
-  lack *= clamp01(2.0f * alike) / std::max(alike, 0.5f);
+  lack *= clamp01(4.0f * alike) / std::max(alike, 0.5f);
   return std::min(lack, kMostPush);
 }
 
