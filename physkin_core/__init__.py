@@ -9,6 +9,8 @@ from physkin_core.model.model_file import ModelFileError, load_garment_model, sa
 from physkin_core.model.skinning import NORMALS
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion, MotionError
+from physkin_core.outfit.layers import OutfitGarment
+from physkin_core.outfit.outfit import Outfit
 from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.rig.rig import DegreeOfFreedom, Rig, RigError
 from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
@@ -35,6 +37,8 @@ __all__ = [
     "ModelFileError",
     "Motion",
     "MotionError",
+    "Outfit",
+    "OutfitGarment",
     "Rig",
     "RigError",
     "avatar_from_body",

@@ -19,7 +19,7 @@ from physkin_core.avatar.avatar import AvatarWarning
 from physkin_core.fit_option import add_fit_option
 
 if TYPE_CHECKING:
-    from physkin_core import Draper
+    from physkin_core import Outfit
 
 __all__ = ["main"]
 
@@ -105,7 +105,10 @@ def _parser() -> argparse.ArgumentParser:
     worn.add_argument("avatar", metavar="AVATAR", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
     worn.add_argument("second", nargs="?", help=argparse.SUPPRESS)
     worn.add_argument(
-        *("-g", "--garment"), metavar="MODEL", default="tshirt", help="a file or a shipped name (default %(default)s)"
+        *("-g", "--garment"),
+        action="append",
+        metavar="MODEL",
+        help="a file or a shipped name (default tshirt); several, from the skin outwards, are an outfit",
     )
     worn.add_argument("--model", help=argparse.SUPPRESS)
     worn.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
@@ -117,7 +120,14 @@ def _parser() -> argparse.ArgumentParser:
         "--separate-limbs", action="store_true", help="move arms and legs out of this body's trunk and each other"
     )
     drape.add_argument("--backend", default="native", help="evaluator: native (default) or numpy")
-    drape.add_argument("-o", "--output", type=Path, required=True, help="body and garment as .obj, or a .png picture")
+    drape.add_argument(
+        "--tucked",
+        action="append",
+        default=[],
+        metavar="MODEL",
+        help="garment whose hem is under the next one's waistband",
+    )
+    drape.add_argument("-o", "--output", type=Path, required=True, help="body and garments as .obj, or a .png picture")
     drape.set_defaults(run=_drape)
     bind = commands.add_parser(
         "bind", parents=[worn], help="write a garment on one avatar for hosts without Python (Unity, C, C++)"
@@ -131,17 +141,33 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _worn(options: argparse.Namespace, **more: object) -> Draper:
-    """The garment on the avatar; prints what was assumed, and how it sits if not well."""
-    from physkin_core import Draper, load_avatar, load_garment_model
-
+def _garments(options: argparse.Namespace) -> list[str]:
+    """What `--garment` names."""
     if options.second or options.model:
         raise ValueError("the garment is an option: physkin COMMAND AVATAR --garment MODEL -o FILE")
-    model = load_garment_model(options.garment)
-    draper = Draper(model, load_avatar(options.avatar, model.rig, rig_file=options.rig), fit=options.fit, **more)
-    for warning in draper.avatar.warnings:
+    return options.garment or ["tshirt"]
+
+
+def _tell(warnings_found: Sequence[str]) -> None:
+    """What was assumed, and how garments sit if not well."""
+    for warning in warnings_found:
         print(f"warning: {warning}", file=sys.stderr)
-    return draper
+
+
+def _outfit(options: argparse.Namespace) -> Outfit:
+    """The garments on the avatar, over each other."""
+    from physkin_core import Outfit, OutfitGarment, load_avatar, load_garment_model
+
+    names = _garments(options)
+    for name in options.tucked:
+        if name not in names:
+            raise ValueError(f"--tucked {name}: none of the garments, which are {', '.join(names)}")
+    models = [load_garment_model(name) for name in names]
+    avatar = load_avatar(options.avatar, models[0].rig, rig_file=options.rig)
+    garments = [OutfitGarment(model, tucked=name in options.tucked) for name, model in zip(names, models)]
+    outfit = Outfit(garments, avatar, fit=options.fit, backend=options.backend, separate_limbs=options.separate_limbs)
+    _tell(outfit.warnings)
+    return outfit
 
 
 def _drape(options: argparse.Namespace) -> int:
@@ -155,38 +181,49 @@ def _drape(options: argparse.Namespace) -> int:
     motion = load_motion(options.motion, watch=reading_progress(options.motion))
     if not 0 <= options.frame < motion.frame_count:
         raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
-    draper = _worn(options, backend=options.backend, separate_limbs=options.separate_limbs)
-    positions = motion.positions_for(draper.model.rig)[options.frame]
-    cloth = draper.drape(positions, motion.gravity[options.frame])
-    write(options.output, draper, draper.avatar.posed_vertices(draper.bone_transforms(positions)), cloth)
+    outfit = _outfit(options)
+    positions = motion.positions_for(outfit.models[0].rig)[options.frame]
+    cloth = outfit.drape(positions, motion.gravity[options.frame])
+    write(options.output, outfit, outfit.avatar.posed_vertices(outfit.bone_transforms(positions)), cloth)
     print(f"wrote {options.output}")
     return 0
 
 
 def _bind(options: argparse.Namespace) -> int:
+    from physkin_core import Draper, load_avatar, load_garment_model
+
     if options.push_out:
         raise ValueError("--push-out: push-out was removed; a bound garment is as its model drapes it")
-    _worn(options).save_bound(options.output)
+    names = _garments(options)
+    if len(names) > 1:
+        raise ValueError(f"a bound file holds one garment, got {len(names)}: {', '.join(names)}")
+    model = load_garment_model(names[0])
+    draper = Draper(model, load_avatar(options.avatar, model.rig, rig_file=options.rig), fit=options.fit)
+    _tell(draper.avatar.warnings)
+    draper.save_bound(options.output)
     print(f"wrote {options.output}: {options.output.stat().st_size / 1e6:.1f} MB")
     return 0
 
 
-def _write_obj(path: Path, draper: Draper, body: np.ndarray, cloth: np.ndarray) -> None:
-    """A Wavefront OBJ with the objects `body` and `garment`, metres, Z up."""
-    first = 1 + len(body) + draper.faces
-    parts = [("body", body, 1 + draper.avatar.faces), ("garment", cloth[:, :3], first)]
-    with open(path, "w", encoding="ascii") as file:
-        for name, vertices, faces in parts:
+def _write_obj(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]) -> None:
+    """A Wavefront OBJ with the object `body` and one a garment, metres, Z up. One garment is called `garment`."""
+    names = [model.name for model in outfit.models] if len(cloth) > 1 else ["garment"]
+    first = 1
+    with open(path, "w", encoding="ascii", errors="replace") as file:
+        for name, points, faces in zip(["body", *names], [body, *cloth], [outfit.avatar.faces, *outfit.faces]):
             file.write(f"o {name}\n")
-            file.writelines(f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in vertices.tolist())
-            file.writelines(f"f {a} {b} {c}\n" for a, b, c in faces.tolist())
+            file.writelines(f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in points[:, :3].tolist())
+            file.writelines(f"f {a} {b} {c}\n" for a, b, c in (first + faces).tolist())
+            first += len(points)
 
 
-def _write_png(path: Path, draper: Draper, body: np.ndarray, cloth: np.ndarray) -> None:
-    from physkin_core.picture import CLOTH_COLOUR, Mesh, render, save_png
+def _write_png(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]) -> None:
+    from physkin_core.picture import CLOTH_COLOUR, LAYER_COLOURS, Mesh, render, save_png
 
-    meshes = [Mesh(body, draper.avatar.faces), Mesh(cloth[:, :3], draper.faces, CLOTH_COLOUR)]
-    save_png(path, render(meshes, size=PICTURE_SIZE))
+    colours = LAYER_COLOURS if len(cloth) > 1 else (CLOTH_COLOUR,)
+    shown = outfit.avatar.faces[~outfit.body_mask] if len(cloth) > 1 else outfit.avatar.faces
+    worn = [Mesh(points[:, :3], faces, colour) for points, faces, colour in zip(cloth, outfit.faces, colours)]
+    save_png(path, render([Mesh(body, shown), *worn], size=PICTURE_SIZE))
 
 
 def _info(options: argparse.Namespace) -> int:

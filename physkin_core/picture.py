@@ -14,12 +14,23 @@ from typing import Literal
 
 import numpy as np
 
-__all__ = ["BODY_COLOUR", "CLOTH_COLOUR", "Mesh", "PictureError", "contact_sheet", "render", "save_png"]
+__all__ = [
+    "BODY_COLOUR",
+    "CLOTH_COLOUR",
+    "LAYER_COLOURS",
+    "Mesh",
+    "PictureError",
+    "contact_sheet",
+    "render",
+    "save_png",
+]
 
 log = logging.getLogger(__name__)
 
 BODY_COLOUR = (0.80, 0.70, 0.63)
 CLOTH_COLOUR = (0.16, 0.42, 0.58)
+LAYER_COLOURS = ((0.25, 0.28, 0.33), (0.75, 0.35, 0.25), CLOTH_COLOUR, (0.55, 0.52, 0.30))
+"""Of the garments of an outfit, from the skin outwards."""
 
 BACKGROUND = 0.96  # sRGB grey
 TEXT_COLOUR = (70, 74, 80)

@@ -172,3 +172,16 @@ def test_usage_names_every_command(capsys):
     assert all(name in output for name in (*cli.FORWARDED, "drape", "info"))
     with pytest.raises(SystemExit, match="2"):
         cli.main(["dance"])
+
+
+def test_drape_writes_an_outfit(tmp_path, capsys):
+    """Several garments, one tucked in, are objects of one file; what cannot be worn is told in one line."""
+    out = tmp_path / "worn.obj"
+    worn = ["drape", str(AVATAR), "--garment", "tshirt", "--garment", "trousers", "-o", str(out)]
+    assert cli.main([*worn, "--tucked", "tshirt"]) == 0
+    names = [line for line in out.read_text().splitlines() if line.startswith("o ")]
+    assert len(names) == 3 and names[0] == "o body"
+    assert cli.main([*worn, "--tucked", "dress"]) == 2
+    assert "--tucked dress: none of the garments, which are tshirt, trousers" in capsys.readouterr().err
+    assert cli.main(["bind", *worn[1:]]) == 2
+    assert "a bound file holds one garment, got 2" in capsys.readouterr().err

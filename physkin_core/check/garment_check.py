@@ -6,20 +6,17 @@ Dimensions: `P` poses, `d` degrees of freedom. Metres.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from functools import cache
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from physkin_core.check.rest_check import RestCheck, rest_check
+from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.quality import contact_figures, edge_strain, signed_distance
-from physkin_core.rig.rig import Rig
 from physkin_core.runtime.draper import Draper
 
-__all__ = ["CHECK_POSES", "GarmentCheck", "Verdict", "check_garment", "everyday_poses"]
+__all__ = ["GarmentCheck", "Verdict", "check_garment"]
 
-CHECK_POSES = Path(__file__).parents[1] / "assets" / "check_poses.safetensors"
 GOOD_EVERYDAY = 1.0
 """Most of the vertices inside the body [%], over the everyday poses, for the verdict "good"."""
 
@@ -81,23 +78,3 @@ def check_garment(draper: Draper) -> GarmentCheck:
         edge_strain_percent=float(np.mean(strains)),
     )
     return GarmentCheck(at_rest, everyday)
-
-
-def everyday_poses(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
-    """Twenty poses of people who stand, walk, talk and dance: joint positions (P, d) [rad], gravity directions (P, 3).
-
-    Made by `physkin_training.prepare.everyday_poses`. Raises ValueError for a rig of other joints.
-    """
-    names, positions, gravity = _stored_poses()
-    if names != rig.joint_names:
-        raise ValueError(f"everyday poses are of the default rig; this one's joints are {', '.join(rig.joint_names)}")
-    return positions, gravity
-
-
-@cache
-def _stored_poses() -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
-    from safetensors import safe_open
-
-    with safe_open(CHECK_POSES, framework="numpy") as file:
-        names = tuple(file.metadata()["joint_names"].split(","))
-        return names, file.get_tensor("positions").astype(np.float32), file.get_tensor("gravity").astype(np.float64)

@@ -7,15 +7,25 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
 
-__all__ = ["mesh_edges", "path_lengths"]
+__all__ = ["mesh_edges", "openings", "path_lengths"]
 
 
 def mesh_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Edges (e, 2) of faces (f, 3), each once, and how many faces each has (e,): the boundary's have one."""
     directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     return np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+
+
+def openings(vertices: np.ndarray, faces: np.ndarray) -> list[np.ndarray]:
+    """Vertices of each loop of the boundary, the one whose centre is highest first; none of a closed mesh."""
+    edges, count = mesh_edges(faces)
+    boundary = edges[count == 1]
+    n = len(vertices)
+    _, label = connected_components(coo_array((np.ones(len(boundary)), boundary.T), shape=(n, n)), directed=False)
+    loops = [np.unique(boundary[label[boundary[:, 0]] == loop]) for loop in np.unique(label[boundary[:, 0]])]
+    return sorted(loops, key=lambda loop: -vertices[loop, 2].mean())
 
 
 def path_lengths(vertices: np.ndarray, faces: np.ndarray, sources: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ Remeshing). Bodies are encoded once here; what comes out changes no more from fr
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
 from typing import Literal
@@ -25,6 +26,7 @@ from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import make_evaluator
+from physkin_core.runtime.layers_beneath import LayerBeneath
 from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
 from physkin_core.runtime.worn_garment import wear
 
@@ -65,13 +67,14 @@ def bind_garment(
     fit: float | None = None,
     backend: Literal["native", "numpy"] = "numpy",
     fold: bool = True,
+    beneath: Sequence[LayerBeneath] = (),
 ) -> BoundGarment:
     """Everything of (model, body) that does not change with the pose. Encodes the body; logs how long that took.
 
     fit: 0 for the template's rest shape, 1 for the one made to measure, between for one between; None for 1 where the
     model has learnt it, else 0. backend: what encodes the body, as in `encode_body`, and drapes it in some poses. fold:
     fold the body's modulation into the pose modulator, which saves a little time a frame; without, bodies share its
-    network weights (see `NativeEvaluatorBatch`).
+    network weights (see `NativeEvaluatorBatch`). beneath: what the body wears already, under this garment.
     Raises ValueError when the avatar's bones are not those of the model's rig, for a fit that the model has not learnt,
     or one above 0 with another rig than the body model's.
     """
@@ -88,7 +91,7 @@ def bind_garment(
                 f"{expected!r} there; load it with `load_avatar(path, model.rig)`"
             )
     started = perf_counter()
-    worn = wear(model, avatar, fit)
+    worn = wear(model, avatar, fit, beneath)
     log.info("put %s on %s in %.1f s", model.name, avatar.source, perf_counter() - started)
     started = perf_counter()
     modulation = encode_body(model, worn.seen, fit=fit, backend=backend)

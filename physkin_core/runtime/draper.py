@@ -163,20 +163,32 @@ class Draper:
         Returns `out`: x, y, z [m], then the unit normal.
         Raises ValueError on wrong lengths, unknown joints or values that are not finite, naming the joint.
         """
+        positions, down = self.checked_pose(joint_positions, gravity, effective_gravity)
+        if out is None:
+            out = np.empty((self.vertex_count, 6), dtype=np.float32)
+        self._evaluator.evaluate(positions, down, out)
+        return out
+
+    def checked_pose(
+        self,
+        joint_positions: np.ndarray | Mapping[str, float],
+        gravity: np.ndarray = UPRIGHT_GRAVITY,
+        effective_gravity: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """A pose given as to `drape`, as evaluators take it: joint positions (d,) [rad] and gravity (3,), float32.
+
+        Raises ValueError as `drape` does.
+        """
         if isinstance(joint_positions, Mapping):
             joint_positions = self.model.rig.joint_positions(joint_positions)
         positions = np.ascontiguousarray(joint_positions, dtype=np.float32)
         if positions.shape != self.bound.dof_bone.shape:
             raise ValueError(f"joint positions have shape {positions.shape}, expected {self.bound.dof_bone.shape}")
-        if not positions.dot(positions) <= FULL_TURN**2:  # or NaN; the cheapest question that all usual poses pass
-            self._check_unusual(positions)
+        self.check_unusual(positions)
         if self._limb_separator is not None:
             positions, _ = self._limb_separator.separate(positions, out=self._separated)
         down = _direction(gravity) if effective_gravity is None else self._felt(effective_gravity)
-        if out is None:
-            out = np.empty((self.vertex_count, 6), dtype=np.float32)
-        self._evaluator.evaluate(positions, down.astype(np.float32), out)
-        return out
+        return positions, down.astype(np.float32)
 
     def drape_rotations(
         self,
@@ -223,8 +235,7 @@ class Draper:
             evaluate = partial(self._evaluator.evaluate, draped, gravity, out)
 
         def step() -> None:
-            if not joint_positions.dot(joint_positions) <= FULL_TURN**2:
-                self._check_unusual(joint_positions)
+            self.check_unusual(joint_positions)
             if separator is not None:
                 separator.separate(joint_positions, out=draped)
             evaluate()
@@ -238,8 +249,10 @@ class Draper:
             raise ValueError(f"garment model {self.model.name!r} was not trained with accelerated roots; give gravity")
         return felt
 
-    def _check_unusual(self, positions: np.ndarray) -> None:
+    def check_unusual(self, positions: np.ndarray) -> None:
         """Raise ValueError for joint positions (d,) that are not finite; warn, once, of what looks like degrees."""
+        if positions.dot(positions) <= FULL_TURN**2:  # the cheapest question that all usual poses pass, and no NaN
+            return
         if not np.isfinite(positions).all():
             joint = int(np.flatnonzero(~np.isfinite(positions))[0])
             raise ValueError(f"joint {self.joint_names[joint]!r} is {positions[joint]}; positions must be finite [rad]")

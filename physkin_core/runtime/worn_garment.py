@@ -9,6 +9,7 @@ Dimensions: `n` garment vertices, `m` garment nodes, `b` bones. Metres, root fra
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -21,6 +22,7 @@ from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.garment_nodes import node_positions_on_body
 from physkin_core.runtime.garment_grading import GarmentGrading
+from physkin_core.runtime.layers_beneath import LayerBeneath, swelling
 
 __all__ = ["WornGarment", "wear"]
 
@@ -48,9 +50,13 @@ class WornGarment:
     differs: np.ndarray
 
 
-def wear(model: GarmentModel, avatar: Avatar, fit: float) -> WornGarment:
-    """Put a garment on an avatar. fit: 0 for the template's rest shape, 1 for the one made to measure.
+def wear(model: GarmentModel, avatar: Avatar, fit: float, beneath: Sequence[LayerBeneath] = ()) -> WornGarment:
+    """Put a garment on an avatar. fit: 0 for the template's rest shape, 1 for the one made to measure. beneath: what is
+    worn already.
 
+    Layers beneath swell the skin. A rest shape made to measure is made for the swollen skin, which networks need not
+    know; a garment of one size stays what it is, and networks see the swollen body as training showed it: what the fit
+    does not take on, they are shown.
     With another rig than the body model's the networks see the avatar as it is, and garment nodes follow bone heads.
     Raises ValueError for a fit above 0 with such a rig.
     """
@@ -61,12 +67,18 @@ def wear(model: GarmentModel, avatar: Avatar, fit: float) -> WornGarment:
                 f"fit {fit:g} needs the body model's rig; garment model {model.name!r} has another one, with which "
                 "only fit 0 is allowed"
             )
-        carried = _carried_by_bones(model, avatar)
-        return WornGarment(garment, model.node_rest, carried, avatar, carried, 0 * garment.vertices)
+        carried, seen = _carried_by_bones(model, avatar), avatar
+        if beneath:
+            seen = _swollen(avatar, swelling(avatar.vertices.astype(np.float64), avatar.faces, beneath))
+        return WornGarment(garment, model.node_rest, carried, seen, carried, 0 * garment.vertices)
     laid = lay_body(avatar, body)
     seen = replace(avatar_from_body(body, laid.coefficients), source=avatar.source)
     grading = _grading(garment)
     known = laid.surface - laid.missing - laid.place
+    if beneath:
+        swollen = swelling(laid.surface, body.faces, beneath)
+        seen = _swollen(seen, (1 - fit) * swollen)
+        known = known + swollen
     elsewhere = laid.missing + laid.place
     elsewhere *= np.abs(elsewhere).max() > NEGLIGIBLE
     measured, differs = grading.carried(np.stack([fit * (known - grading.template), elsewhere]))
@@ -88,6 +100,8 @@ def _grading(garment: Garment) -> GarmentGrading:
     """Of a garment, whatever avatar wears it. Setting it up factorises a matrix under the interpreter's lock, so that a
     node that changes bodies need not do it while clouds wait."""
     return GarmentGrading(garment, load_body_model())
+def _swollen(body: Avatar, displacement: np.ndarray) -> Avatar:
+    return replace(body, vertices=(body.vertices + displacement).astype(np.float32))
 
 
 def _carried_by_bones(model: GarmentModel, body: Avatar) -> np.ndarray:

@@ -43,6 +43,7 @@ Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, const Evalua
                      shared == nullptr ? nullptr : &shared->node_deformer_, 1),
       garment_nodes_(g, arena_),
       skinner_(g, kernels, arena_),
+      bone_count_(g.bones),
       deformer_bone_count_(g.deformer_bone_count),
       deformer_bones_(arena_.copy(g.deformer_bones, g.deformer_bone_count)),
       pose_modulation_(g.modulation_size == 0 ? nullptr : copy_modulation(g, arena_)),
@@ -75,6 +76,16 @@ Rejection Evaluator::step(const float* joint_positions, const float* gravity, co
 void Evaluator::pose(const float* joint_positions, const float* gravity) noexcept {
   rig_.compute_bone_transforms(joint_positions, bone_transforms_);
   rig_.compute_pose_vector(joint_positions, gravity, pose_);
+  gather_deformer_input();
+}
+
+void Evaluator::pose_as(const Evaluator& other) noexcept {
+  std::copy_n(other.bone_transforms_, 12 * bone_count_, bone_transforms_);
+  std::copy_n(other.pose_, rig_.dofs() + 3, pose_);
+  gather_deformer_input();
+}
+
+void Evaluator::gather_deformer_input() noexcept {
   for (int k = 0; k < deformer_bone_count_; ++k) {
     std::copy_n(bone_transforms_ + 12 * deformer_bones_[k], 12, deformer_input_ + 12 * k);
   }

@@ -45,6 +45,7 @@ class Evaluator {
 
   // The stages of a frame, in order, each from what the last one left; `step` checks what lies between them.
   void pose(const float* joint_positions, const float* gravity) noexcept;
+  void pose_as(const Evaluator& other) noexcept;  // takes over what `pose` left there: another garment on the same body
   const float* run_networks() noexcept;  // corrections (nodes, 9 or 12)
   void compose_nodes(const float* corrections) noexcept;
   void compute_normals(const VertexRows& rows) noexcept;  // from faces; does nothing if they are skinned
@@ -64,9 +65,11 @@ class Evaluator {
 
  private:
   friend class EvaluatorBatch;
+  friend class OutfitEvaluator;
 
   Rejection check_inputs(const float* joint_positions, const float* gravity) const noexcept;
   Rejection check_corrections() const noexcept;
+  void gather_deformer_input() noexcept;
 
   // Members are built in this order, so that a frame walks the arena from front to back.
   const Kernels& kernels_;
@@ -77,7 +80,7 @@ class Evaluator {
   Mlp node_deformer_;
   GarmentNodes garment_nodes_;
   Skinner skinner_;
-  int deformer_bone_count_;
+  int bone_count_, deformer_bone_count_;
   const std::int32_t* deformer_bones_;
   const float* pose_modulation_;  // null where it is folded into the pose modulator
   float* pose_;

@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment import Garment, vertex_normals
-from physkin_core.model.surface_paths import mesh_edges
+from physkin_core.model.surface_paths import openings
 from physkin_core.rig.rig import Rig
 
 __all__ = ["Wearing"]
@@ -128,11 +126,7 @@ def _limbs(parents: np.ndarray) -> np.ndarray:
 
 def _uppermost_opening(garment: Garment) -> np.ndarray:
     """Vertices of the boundary loop whose centre is highest."""
-    edges, count = mesh_edges(garment.faces)
-    boundary = edges[count == 1]
-    if len(boundary) == 0:
+    loops = openings(garment.vertices, garment.faces)
+    if not loops:
         raise ValueError("the garment has no opening: every edge has two faces")
-    n = len(garment.vertices)
-    _, label = connected_components(coo_array((np.ones(len(boundary)), boundary.T), shape=(n, n)), directed=False)
-    loops = [np.unique(boundary[label[boundary[:, 0]] == loop]) for loop in np.unique(label[boundary[:, 0]])]
-    return max(loops, key=lambda loop: garment.vertices[loop, 2].mean())
+    return loops[0]

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.check.garment_check import CHECK_POSES
+from physkin_core.motion.everyday_poses import CHECK_POSES
 from physkin_core.rig.rig import Rig
 from physkin_training.sampling.everyday_poses import EVERYDAY_POSES, EverydayPoses, save_mixture
 

@@ -1,0 +1,61 @@
+// The order of two layers on every frame: physkin_core/outfit/layer_order.py says what it does, and does the same.
+#pragma once
+
+#include "garment/bound_garment.hpp"
+#include "kernels/arena.hpp"
+#include "kernels/kernels.hpp"
+
+namespace physkin {
+
+// Fields as in LayerOrder of physkin_core/outfit/layer_order.py. Views, read during construction only.
+struct LayerOrderData {
+  int contacts = -1, seed_starts = -1, seeds = -1, inner_starts = -1, ring_size = -1, contact_starts = -1, pushes = -1, moved_count = -1;
+  const std::int32_t* contact = nullptr;
+  const std::int32_t* seed_start = nullptr;
+  const std::int32_t* seed = nullptr;
+  const std::int32_t* ring_start = nullptr;
+  const std::int32_t* ring = nullptr;
+  const std::int32_t* push_start = nullptr;
+  const std::int32_t* push_to = nullptr;
+  const float* push_share = nullptr;
+  const std::int32_t* moved = nullptr;
+  float edge = 0.0f;
+};
+
+// Reads every field but `edge`; what the arrays hold is for LayerOrder to check.
+LayerOrderData read_layer_order(FieldSource& source);
+
+class LayerOrder {
+ public:
+  // Copies into the arena. Throws std::invalid_argument where an index is out of range or a value is not finite.
+  LayerOrder(const LayerOrderData& data, int inner_vertices, int outer_vertices, Arena& arena);
+
+  // Moves the outer layer's positions; rows of both must have normals. look_at_all: do not trust the last frame in where
+  // nothing can touch. Allocates nothing.
+  void apply(const VertexRows& inner, const VertexRows& outer, bool look_at_all) noexcept;
+
+ private:
+  template <class Looks>
+  bool push_lacking(const VertexRows& inner, const VertexRows& outer, Looks looks_at) noexcept;
+  float lack(int contact, const VertexRows& inner, const VertexRows& outer, bool search) noexcept;
+
+  int contacts_, moved_count_;
+  float edge_;
+  const std::int32_t* contact_;
+  const std::int32_t* contact_place_;  // (contacts_,) into moved_
+  const std::int32_t* seed_start_;
+  const std::int32_t* seed_;
+  std::int32_t* partner_;  // (contacts_,) of the last frame
+  bool* free_;             // (contacts_,) when looked at last
+  int frame_ = 0;
+  const std::int32_t* ring_start_;
+  const std::int32_t* ring_;
+  const std::int32_t* push_start_;
+  const std::int32_t* push_to_;
+  const float* push_share_;
+  const std::int32_t* moved_;
+  float* push_;  // (moved_count_,) [m] of one pass
+  bool* has_moved_;  // (moved_count_,) in this frame
+};
+
+}  // namespace physkin

@@ -1,0 +1,125 @@
+#include "outfit/outfit_evaluator.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <stdexcept>
+
+namespace physkin {
+namespace {
+
+constexpr int kColumns = 6;
+constexpr float kJump = 0.5f;  // as JUMP of outfit_evaluators.py
+
+bool same_rig(const BoundGarment& a, const BoundGarment& b) {
+  return a.bones == b.bones && a.dofs == b.dofs && std::equal(a.bone_parents, a.bone_parents + a.bones, b.bone_parents) &&
+         std::equal(a.bone_heads, a.bone_heads + 3 * a.bones, b.bone_heads) &&
+         std::equal(a.dof_bone, a.dof_bone + a.dofs, b.dof_bone) &&
+         std::equal(a.dof_axis, a.dof_axis + 3 * a.dofs, b.dof_axis) &&
+         std::equal(a.dof_rest, a.dof_rest + a.dofs, b.dof_rest) &&
+         std::equal(a.dof_lower, a.dof_lower + a.dofs, b.dof_lower) &&
+         std::equal(a.dof_upper, a.dof_upper + a.dofs, b.dof_upper);
+}
+
+}  // namespace
+
+OutfitEvaluator::OutfitEvaluator(const std::vector<BoundGarment>& garments, const Kernels& kernels,
+                                 const EvaluatorOptions& options) {
+  if (garments.empty()) throw std::invalid_argument("an outfit needs at least one garment");
+  for (const BoundGarment& garment : garments) {
+    evaluators_.push_back(std::make_unique<Evaluator>(garment, kernels, options));
+    if (!same_rig(garments.front(), garment)) {
+      throw std::invalid_argument("garment " + std::to_string(evaluators_.size() - 1) +
+                                  " has another rig or body than garment 0; an outfit has one");
+    }
+    const std::size_t size = kColumns * std::size_t(garment.vertex_count);
+    auto* own = reinterpret_cast<unsigned char*>(arena_.take<float>(size));
+    own_rows_.push_back({own, kColumns, true});
+  }
+  last_pose_.assign(std::size_t(garments.front().dofs) + 3, std::numeric_limits<float>::infinity());
+}
+
+void OutfitEvaluator::check_layers(LayerPair layers) const {
+  if (layers.inner >= 0 && layers.inner < layers.outer && layers.outer < count()) return;
+  throw std::invalid_argument("layers " + std::to_string(layers.inner) + " and " + std::to_string(layers.outer) +
+                              " must be two of " + std::to_string(count()) + ", the inner one first");
+}
+
+void OutfitEvaluator::keep_order(LayerPair layers, const LayerOrderData& order) {
+  check_layers(layers);
+  const int inner = (*this)[layers.inner].vertex_count(), outer = (*this)[layers.outer].vertex_count();
+  kept_.push_back({layers, std::make_unique<LayerOrder>(order, inner, outer, arena_), nullptr});
+}
+
+void OutfitEvaluator::keep_tucked(LayerPair layers, const TuckData& tuck) {
+  check_layers(layers);
+  const int inner = (*this)[layers.inner].vertex_count(), outer = (*this)[layers.outer].vertex_count();
+  kept_.push_back({layers, nullptr, std::make_unique<Tuck>(tuck, inner, outer, arena_)});
+}
+
+Rejection OutfitEvaluator::step(const float* joint_positions, const float* gravity, const VertexRows* rows) noexcept {
+  Evaluator& first = *evaluators_.front();
+  rejected_ = 0;
+  if (const auto bad = first.check_inputs(joint_positions, gravity)) return bad;
+  first.pose(joint_positions, gravity);
+  for (; rejected_ < count(); ++rejected_) {
+    Evaluator& e = *evaluators_[std::size_t(rejected_)];
+    if (rejected_ > 0) e.pose_as(first);
+    e.run_networks();
+    if (const auto bad = e.check_corrections()) return bad;
+    e.compose_nodes(e.corrections_);
+    if (const auto bad = e.skinner_.check(e.node_transforms_)) return bad;
+  }
+  rejected_ = -1;
+  const bool look_at_all = jumps(joint_positions, gravity);
+  const VertexRows* with_normals = rows;
+  const bool copied = !kept_.empty() && !rows[0].with_normals;
+  if (copied) with_normals = own_rows_.data();
+  for (int k = 0; k < count(); ++k) {
+    Evaluator& e = *evaluators_[std::size_t(k)];
+    e.skinner_.skin(e.node_transforms_, with_normals[k]);
+    keep_under(k, with_normals, look_at_all);
+  }
+  for (int k = 0; k < count(); ++k) {
+    if (!copied) {
+      (*this)[k].compute_normals(rows[k]);
+      continue;
+    }
+    const std::ptrdiff_t from = kColumns * sizeof(float), to = rows[k].stride * std::ptrdiff_t(sizeof(float));
+    for (int v = 0; v < (*this)[k].vertex_count(); ++v) {
+      std::memcpy(rows[k].data + v * to, own_rows_[std::size_t(k)].data + v * from, 3 * sizeof(float));
+    }
+  }
+  return {};
+}
+
+void OutfitEvaluator::skin(const VertexRows* rows) noexcept {
+  for (int k = 0; k < count(); ++k) (*this)[k].skinner_.skin((*this)[k].node_transforms_, rows[k]);
+}
+
+void OutfitEvaluator::keep(const VertexRows* rows) noexcept {
+  for (int k = 0; k < count(); ++k) keep_under(k, rows, false);
+}
+
+bool OutfitEvaluator::jumps(const float* joint_positions, const float* gravity) noexcept {
+  float most = 0.0f;
+  const auto compare = [&](float now, float& last) {
+    most = std::max(most, std::fabs(now - last));
+    last = now;
+  };
+  const int dofs = evaluators_.front()->dofs();
+  for (int k = 0; k < dofs; ++k) compare(joint_positions[k], last_pose_[std::size_t(k)]);
+  for (int k = 0; k < 3; ++k) compare(gravity[k], last_pose_[std::size_t(dofs + k)]);
+  return !(most < kJump);
+}
+
+void OutfitEvaluator::keep_under(int outer, const VertexRows* rows, bool look_at_all) noexcept {
+  for (Kept& kept : kept_) {
+    if (kept.layers.outer != outer) continue;
+    if (kept.order) kept.order->apply(rows[kept.layers.inner], rows[outer], look_at_all);
+    if (kept.tuck) kept.tuck->apply(rows[kept.layers.inner], rows[outer]);
+  }
+}
+
+}  // namespace physkin

@@ -1,0 +1,61 @@
+// Garments worn over each other, a frame of all of them in one pass. Single-threaded; a frame allocates nothing.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "evaluator/evaluator.hpp"
+#include "outfit/layer_order.hpp"
+#include "outfit/tuck.hpp"
+
+namespace physkin {
+
+// Between which layers, innermost first, something is kept.
+struct LayerPair {
+  int inner = 0, outer = 0;
+};
+
+class OutfitEvaluator {
+ public:
+  // Garments on one body, the innermost first. Throws std::invalid_argument if there is none, one is malformed, they
+  // have not one rig, or what is kept between layers does not fit them.
+  OutfitEvaluator(const std::vector<BoundGarment>& garments, const Kernels& kernels, const EvaluatorOptions& options);
+  OutfitEvaluator(const OutfitEvaluator&) = delete;
+  OutfitEvaluator& operator=(const OutfitEvaluator&) = delete;
+
+  void keep_order(LayerPair layers, const LayerOrderData& order);
+  void keep_tucked(LayerPair layers, const TuckData& tuck);
+
+  // One frame; rows one a garment. Bone transforms and pose vector are computed once. At a rejection the rows are as
+  // they were, and `rejected` is the garment's index.
+  Rejection step(const float* joint_positions, const float* gravity, const VertexRows* rows) noexcept;
+
+  // Of the last frame, for timing: every garment skinned into its rows; then what is kept between layers.
+  void skin(const VertexRows* rows) noexcept;
+  void keep(const VertexRows* rows) noexcept;
+
+  int count() const { return int(evaluators_.size()); }
+  int rejected() const { return rejected_; }
+  Evaluator& operator[](int garment) { return *evaluators_[std::size_t(garment)]; }
+  const Evaluator& operator[](int garment) const { return *evaluators_[std::size_t(garment)]; }
+
+ private:
+  struct Kept {
+    LayerPair layers;
+    std::unique_ptr<LayerOrder> order;  // or else
+    std::unique_ptr<Tuck> tuck;
+  };
+
+  void check_layers(LayerPair layers) const;
+  bool jumps(const float* joint_positions, const float* gravity) noexcept;
+  void keep_under(int outer, const VertexRows* rows, bool look_at_all) noexcept;
+
+  Arena arena_;
+  std::vector<std::unique_ptr<Evaluator>> evaluators_;
+  std::vector<Kept> kept_;
+  std::vector<VertexRows> own_rows_;  // with normals, where the caller's have none
+  std::vector<float> last_pose_;  // joint positions and gravity
+  int rejected_ = -1;
+};
+
+}  // namespace physkin

@@ -1,0 +1,166 @@
+// How physkin_core._native takes arrays and objects of Python: checked, viewed or copied.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <cstdlib>
+#include <initializer_list>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "evaluator/evaluator.hpp"
+#include "garment/bound_garment.hpp"
+#include "kernels/dispatch.hpp"
+
+namespace physkin {
+
+namespace nb = nanobind;
+
+using AnyArray = nb::ndarray<nb::ro, nb::device::cpu>;
+// A float64, read-only or strided array would be converted into a copy that nobody reads; every use is noconvert.
+using OutputArray = nb::ndarray<float, nb::ndim<2>, nb::device::cpu>;
+
+inline std::string shape_text(const std::vector<int>& shape) {
+  std::string text;
+  for (int size : shape) text += (text.empty() ? "" : ", ") + (size < 0 ? "any" : std::to_string(size));
+  return "(" + text + (shape.size() == 1 ? ",)" : ")");
+}
+
+// Refuses an array of another shape.
+template <class Array>
+void check_shape(const Array& array, const char* name, std::initializer_list<int> shape) {
+  bool good = array.ndim() == shape.size();
+  for (std::size_t axis = 0; good && axis < shape.size(); ++axis) {
+    good = array.shape(axis) == std::size_t(shape.begin()[axis]);
+  }
+  if (!good) throw nb::value_error((std::string(name) + " must have shape " + shape_text(shape)).c_str());
+}
+
+// Views one array of the garment: dtype T, C-contiguous. A negative size in `shape` allows any and is filled in.
+template <class T>
+const T* view(nb::handle object, const std::string& name, std::vector<int>& shape) {
+  AnyArray array;
+  bool good = nb::try_cast(object, array, false) && array.dtype() == nb::dtype<T>() && array.ndim() == shape.size();
+  const std::vector<int> wanted = shape;
+  std::int64_t stride = 1;
+  for (std::size_t axis = good ? shape.size() : 0; axis-- > 0;) {
+    shape[axis] = int(array.shape(axis));
+    good = good && (wanted[axis] < 0 || wanted[axis] == shape[axis]);
+    good = good && (array.size() == 0 || shape[axis] == 1 || array.stride(axis) == stride);
+    stride *= shape[axis];
+  }
+  if (!good) {
+    throw nb::value_error((name + " must be a C-contiguous " + (std::is_same_v<T, float> ? "float32" : "int32") +
+                           " array of shape " + shape_text(wanted)).c_str());
+  }
+  return static_cast<const T*>(array.data());
+}
+
+// A layer's network weights and bias, named `matrix` and `bias` in errors.
+inline DenseWeights dense_weights(nb::handle matrix_array, const std::string& matrix, nb::handle bias_array,
+                           const std::string& bias) {
+  std::vector<int> shape{-1, -1};
+  const float* weights = view<float>(matrix_array, matrix, shape);
+  std::vector<int> outputs{shape[0]};
+  return {shape[0], shape[1], weights, view<float>(bias_array, bias, outputs)};
+}
+
+// Reads the fields of Python objects under the interpreter's lock, for as long as it lives; they are used without it.
+// Network weights are viewed and kept alive, so that it must be destroyed under the lock, too. Everything else is
+// copied: an index must not change between its check and its use.
+class PythonReader : public FieldSource {
+ public:
+  BoundGarment bound_garment(nb::handle object) {
+    object_ = object;
+    return read_bound_garment(*this);
+  }
+  SkinningData skinning_data(nb::handle object) {
+    object_ = object;
+    return read_skinning_data(*this);
+  }
+  // For whatever else reads its fields by name.
+  FieldSource& fields_of(nb::handle object) {
+    object_ = object;
+    return *this;
+  }
+
+  const float* floats(const std::string& name, std::vector<int>& shape) override { return copied<float>(name, shape); }
+  const std::int32_t* integers(const std::string& name, std::vector<int>& shape) override {
+    return copied<std::int32_t>(name, shape);
+  }
+  std::vector<DenseWeights> layers(const std::string& name) override {
+    std::vector<DenseWeights> layers;
+    for (nb::handle layer : attribute(name)) {
+      const std::string at = name + "[" + std::to_string(layers.size()) + "]";
+      layers.push_back(dense_weights(held(layer[0]), at + " network weights", held(layer[1]), at + " bias"));
+    }
+    return layers;
+  }
+  std::string text(const std::string& name) override { return nb::cast<std::string>(attribute(name)); }
+
+ private:
+  nb::object attribute(const std::string& name) const { return object_.attr(name.c_str()); }
+  nb::handle held(nb::object object) { return held_.emplace_back(std::move(object)); }
+
+  template <class T>
+  const T* copied(const std::string& name, std::vector<int>& shape) {
+    const nb::object array = attribute(name);
+    const T* values = view<T>(array, name, shape);
+    std::size_t count = 1;
+    for (int size : shape) count *= std::size_t(size);
+    return arena_.copy(values, count);
+  }
+
+  nb::handle object_;
+  Arena arena_;
+  std::vector<nb::object> held_;
+};
+
+template <class T>
+void read_strided(const AnyArray& array, float* target) {
+  const T* source = static_cast<const T*>(array.data());
+  for (std::size_t i = 0; i < array.shape(0); ++i) target[i] = float(source[std::int64_t(i) * array.stride(0)]);
+}
+
+// float32 or float64, any stride, into a buffer of `count`.
+inline void read_vector(const AnyArray& array, const char* name, int count, float* target) {
+  check_shape(array, name, {count});
+  if (array.dtype() == nb::dtype<float>()) {
+    read_strided<float>(array, target);
+  } else if (array.dtype() == nb::dtype<double>()) {
+    read_strided<double>(array, target);
+  } else {
+    throw nb::type_error((std::string(name) + " must be float32 or float64").c_str());
+  }
+}
+
+inline VertexRows vertex_rows(const OutputArray& out, int vertex_count) {
+  const std::size_t columns = out.shape(1);
+  if (out.shape(0) != std::size_t(vertex_count) || (columns != 3 && columns != 6)) {
+    throw nb::value_error(("out has shape " + shape_text({int(out.shape(0)), int(columns)}) + "; expected (" +
+                           std::to_string(vertex_count) + ", 3) or (" + std::to_string(vertex_count) + ", 6)").c_str());
+  }
+  if (out.stride(1) != 1) throw nb::value_error("a row of out must be contiguous; rows may be any distance apart");
+  const std::int64_t stride = out.stride(0);
+  if (vertex_count > 1 && std::uint64_t(std::abs(stride)) < columns) {
+    throw nb::value_error(("rows of out overlap: they are " + std::to_string(stride) + " floats apart").c_str());
+  }
+  return {reinterpret_cast<unsigned char*>(out.data()), std::ptrdiff_t(stride), columns == 6};
+}
+
+inline void raise_if(const Rejection& rejection) {
+  if (rejection) throw nb::value_error(rejection.message().c_str());
+}
+
+using Text = std::optional<std::string>;  // None: from the environment, or the default
+
+inline EvaluatorOptions evaluator_options(const Text& precision, const std::string& normals) {
+  return {select_precision(precision.value_or("")), select_normals(normals)};
+}
+
+}  // namespace physkin

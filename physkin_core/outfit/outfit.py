@@ -1,0 +1,263 @@
+"""Outfit: several garments on one body, worn over each other. Joint positions in, a cloud for each garment out.
+
+Dimensions: `d` degrees of freedom, `n` vertices of a garment, `v` of them given, `f` faces. Radians, metres, root
+frame.
+"""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar, AvatarWarning
+from physkin_core.model.garment import Garment, vertex_normals
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.motion.everyday_poses import everyday_poses
+from physkin_core.outfit.coverage import FROM_HEM, Cover, covered, faces_of
+from physkin_core.outfit.layer_order import LayerOrder, bind_layer_order
+from physkin_core.outfit.layers import Layer, OutfitGarment, drapes, put_on
+from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
+from physkin_core.outfit.tuck import Tuck
+from physkin_core.rig.rig import Rig
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY
+from physkin_core.separation.limb_separator import LimbSeparator
+
+__all__ = ["Outfit"]
+
+log = logging.getLogger(__name__)
+
+
+class Outfit:
+    """Drapes up to four garments on one body, a pose at a time.
+
+    garments: from the skin outwards; `OutfitGarment(model, tucked=True)` for one whose hem is worn under the waistband
+        of the next. A garment knows what lies under it, so that the same shirt is wider over trousers.
+    hide: leave out what cannot be seen in everyday poses; `visible` says which vertices are given. False: give all.
+    backend, precision, fit, normals, separate_limbs: as of `Draper`.
+    hidden: (n,) bool of each garment, what is covered in all everyday poses; visible: (v,) int32, the vertices that are
+    given; faces: (f, 3) int32 of these. body_mask: (F,) bool, the body's faces that are covered. bounds, orders, tucks:
+    what a frame needs: bound garments of the vertices given, and what is kept between layers.
+    What can be worn but looks odd is issued as AvatarWarning, which `warnings` keeps.
+    Raises TypeError for anything but garments and an avatar; ValueError, in one sentence, for what cannot be worn (a
+    garment twice, more than four, several rigs, a tuck or an order that does not go) and for what `Draper` refuses.
+    """
+
+    def __init__(
+        self,
+        garments: Sequence[GarmentModel | OutfitGarment],
+        avatar: Avatar,
+        *,
+        backend: Literal["native", "numpy"] = "native",
+        precision: Literal["fp32", "bf16", "int8"] | None = None,
+        fit: float | None = None,
+        normals: Literal["skinned", "faces"] = "skinned",
+        separate_limbs: bool = False,
+        hide: bool = True,
+    ) -> None:
+        self.garments = _checked_garments(garments, avatar)
+        if backend not in BACKENDS:
+            raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
+        if backend == "numpy" and precision not in (None, "fp32"):
+            raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
+        layers, tucks, worth_saying = put_on(self.garments, avatar, fit=fit, backend=backend)
+        self._drapers = [layer.draper for layer in layers]
+        rig = layers[0].garment.model.rig
+        poses, checked = _poses_to_look_at(rig)
+        if not checked and len(layers) > 1:
+            worth_saying.append("everyday poses are of the default rig: with this one nothing of an outfit is hidden")
+        cloth = drapes(layers, tucks, poses)
+        self.hidden, body_hidden = _hidden(layers, cloth, poses, avatar)
+        if not checked:
+            self.hidden, body_hidden = tuple(np.zeros_like(mask) for mask in self.hidden), np.zeros_like(body_hidden)
+        self.body_mask = faces_of(avatar.faces, body_hidden)
+        self.visible, self.faces = _given(
+            layers, tucks, self.hidden if hide else [np.zeros_like(mask) for mask in self.hidden]
+        )
+        self.bounds = tuple(_among(layer.bound, *given) for layer, *given in zip(layers, self.visible, self.faces))
+        self.tucks = tuple(tuck.among(self.visible[tuck.inner], self.visible[tuck.outer]) for tuck in tucks)
+        self.orders = _orders(layers, self.visible, self.faces, cloth, self.tucks)
+        kinds = {"native": partial(NativeOutfitEvaluator, precision=precision), "numpy": ReferenceOutfitEvaluator}
+        self._evaluator = kinds[backend](self.bounds, self.orders, self.tucks, normals=normals)
+        self.backend = backend
+        self._limb_separator: LimbSeparator | None = None
+        self._separated = rig.rest.astype(np.float32)
+        if separate_limbs:
+            self._limb_separator = LimbSeparator(rig, avatar, backend=backend)
+            worth_saying.extend(self._limb_separator.warnings)
+        for warning in worth_saying:
+            warnings.warn(warning, AvatarWarning, stacklevel=2)
+        found = [warning for draper in self._drapers for warning in draper.avatar.warnings]
+        self.warnings = tuple(dict.fromkeys([*found, *worth_saying]))
+        self.avatar = replace(avatar, warnings=self.warnings)
+        given = ", ".join(f"{layer.name} {len(v)} of {len(layer.rest)}" for layer, v in zip(layers, self.visible))
+        log.info("draping an outfit on %s, vertices: %s", avatar.source, given)
+
+    @property
+    def models(self) -> tuple[GarmentModel, ...]:
+        """From the skin outwards."""
+        return tuple(garment.model for garment in self.garments)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """(d,) names of the joint positions, in the order `drape` takes them."""
+        return self.models[0].rig.joint_names
+
+    @property
+    def vertex_counts(self) -> tuple[int, ...]:
+        """Points v that `drape` writes, of each garment."""
+        return tuple(len(indices) for indices in self.visible)
+
+    @property
+    def rest_garments(self) -> tuple[Garment, ...]:
+        """Each model's whole mesh in the rest shape worn here."""
+        return tuple(draper.rest_garment for draper in self._drapers)
+
+    @property
+    def separated_positions(self) -> np.ndarray:
+        """(d,) float32 [rad] the joint positions of the last drape, limbs separated, as of `Draper`."""
+        if self._limb_separator is None:
+            raise ValueError("this outfit separates no limbs and drapes positions as given; see separate_limbs")
+        return self._separated.copy()
+
+    @property
+    def instruction_set(self) -> str:
+        """What evaluates: the native evaluator's instruction set, or "numpy"."""
+        return self._evaluator.instruction_set
+
+    @property
+    def precision(self) -> str:
+        """Of the network weights it computes with: "fp32", "bf16" or "int8"."""
+        return self._evaluator.precision
+
+    def drape(
+        self,
+        joint_positions: np.ndarray | Mapping[str, float],
+        gravity: np.ndarray = UPRIGHT_GRAVITY,
+        *,
+        effective_gravity: np.ndarray | None = None,
+        outs: Sequence[np.ndarray] | None = None,
+    ) -> list[np.ndarray]:
+        """Deform all garments for one pose.
+
+        joint_positions, gravity, effective_gravity: as of `Draper.drape`. outs: writable float32 views, one a garment,
+        all (v, 6) or all (v, 3), any row stride; default new (v, 6). Returns `outs`: x, y, z [m], then unit normals;
+        row k of a garment is its vertex `visible[garment][k]`.
+        Raises ValueError as `Draper.drape` does. Order is kept from one frame to the next: give frames in their order.
+        """
+        for draper in self._drapers:
+            positions, down = draper.checked_pose(joint_positions, gravity, effective_gravity)
+        if self._limb_separator is not None:
+            positions, _ = self._limb_separator.separate(positions, out=self._separated)
+        if outs is None:
+            outs = [np.empty((count, 6), dtype=np.float32) for count in self.vertex_counts]
+        self._evaluator.evaluate(positions, down, outs)
+        return list(outs)
+
+    def bind_step(
+        self, joint_positions: np.ndarray, gravity: np.ndarray, outs: Sequence[np.ndarray]
+    ) -> Callable[[], None]:
+        """A frame bound to its arrays, as `Draper.bind_step`: `step()` drapes what they hold now into `outs`."""
+        separator = self._limb_separator
+        draped = joint_positions if separator is None else self._separated
+        if self.backend == "native":
+            evaluate = self._evaluator.bind_step(draped, gravity, outs).step
+        else:
+            evaluate = partial(self._evaluator.evaluate, draped, gravity, outs)
+        check = self._drapers[0].check_unusual
+
+        def step() -> None:
+            check(joint_positions)
+            if separator is not None:
+                separator.separate(joint_positions, out=draped)
+            evaluate()
+
+        return step
+
+    def bone_transforms(self, joint_positions: np.ndarray) -> np.ndarray:
+        """(b, 3, 4) canonical-to-posed transforms of this body's bones, for posing the body beside the garments.
+
+        Limbs are separated, where drapes are."""
+        if self._limb_separator is not None:
+            joint_positions, _ = self._limb_separator.separate(np.asarray(joint_positions, dtype=np.float32))
+        return self._drapers[0].bone_transforms(joint_positions)
+
+
+def _checked_garments(garments: Sequence[GarmentModel | OutfitGarment], avatar: Avatar) -> tuple[OutfitGarment, ...]:
+    if isinstance(garments, GarmentModel | OutfitGarment) or not isinstance(avatar, Avatar):
+        given = f"{type(garments).__name__}, {type(avatar).__name__}"
+        raise TypeError(f"Outfit takes a list of garments, then an avatar: Outfit([inner, outer], avatar), got {given}")
+    checked = [OutfitGarment(garment) if isinstance(garment, GarmentModel) else garment for garment in garments]
+    for garment in checked:
+        if not isinstance(garment, OutfitGarment) or not isinstance(garment.model, GarmentModel):
+            raise TypeError(
+                f"a garment of an outfit is a GarmentModel or an OutfitGarment, got {type(garment).__name__}"
+            )
+    return tuple(checked)
+
+
+def _poses_to_look_at(rig: Rig) -> tuple[list[tuple[np.ndarray, np.ndarray]], bool]:
+    """Poses (joint positions, gravity), the first at rest, and whether everyday ones are among them."""
+    rest = [(rig.rest, UPRIGHT_GRAVITY)]
+    try:
+        return [*rest, *zip(*everyday_poses(rig))], True
+    except ValueError:
+        return rest, False
+
+
+def _hidden(layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: list, avatar: Avatar):
+    """What is covered in all poses: a mask (n,) of each layer, and one of the body's vertices."""
+    hidden = [np.ones(len(layer.rest), dtype=bool) for layer in layers]
+    body = np.ones(len(avatar.vertices), dtype=bool)
+    for (positions, _), drawn in zip(poses, cloth):
+        drawn = [layer.astype(np.float64) for layer in drawn]
+        covers = [Cover(d[:, :3], d[:, 3:], layer.hem_distance) for layer, d in zip(layers, drawn)]
+        skin = avatar.posed_vertices(layers[0].draper.bone_transforms(positions)).astype(np.float64)
+        skin = np.concatenate([skin, vertex_normals(skin, avatar.faces)], axis=1)
+        for mask, points, over in [
+            (body, skin, covers),
+            *((hidden[k], drawn[k], covers[k + 1 :]) for k in range(len(layers))),
+        ]:
+            left = np.flatnonzero(mask)
+            mask[left] = covered(points[left, :3], points[left, 3:], over)
+    return tuple(mask | (layer.tucked_depth >= FROM_HEM) for layer, mask in zip(layers, hidden)), body
+
+
+def _given(layers: Sequence[Layer], tucks: Sequence[Tuck], hidden: Sequence[np.ndarray]):
+    """Of each layer the vertices (v,) int32 that are given, and faces (f, 3) of these."""
+    shown = [layer.draper.faces[~faces_of(layer.draper.faces, mask)] for layer, mask in zip(layers, hidden)]
+    kept = [set(np.unique(faces)) for faces in shown]
+    for tuck in tucks:
+        for layer, needed in zip((tuck.inner, tuck.outer), tuck.needed):
+            kept[layer].update(needed)
+    visible = [np.array(sorted(vertices), dtype=np.int32) for vertices in kept]
+    return tuple(visible), tuple(np.searchsorted(v, faces).astype(np.int32) for v, faces in zip(visible, shown))
+
+
+def _among(bound: BoundGarment, vertices: np.ndarray, faces: np.ndarray) -> BoundGarment:
+    """A bound garment of which only some vertices (v,) are computed."""
+    fields = ("vertices", "normals", "influence_nodes", "influence_weights")
+    return replace(
+        bound, faces=faces, **{name: np.ascontiguousarray(getattr(bound, name)[vertices]) for name in fields}
+    )
+
+
+def _orders(layers, visible, faces, cloth, tucks) -> tuple[LayerOrder, ...]:
+    """What keeps the order of every two layers of which neither is tucked into the other."""
+    tucked = {(tuck.inner, tuck.outer) for tuck in tucks}
+    orders = []
+    for outer in range(len(layers)):
+        for inner in range(outer):
+            if (inner, outer) in tucked:
+                continue
+            pair = inner, outer
+            rest = tuple(layers[k].rest[visible[k], :3] for k in pair)
+            poses = [tuple(drawn[k][visible[k]] for k in pair) for drawn in cloth]
+            orders.append(bind_layer_order(inner, outer, rest, tuple(faces[k] for k in pair), poses))
+    return tuple(order for order in orders if order is not None)

@@ -1,0 +1,129 @@
+"""A frame of an outfit: in C++, and its NumPy reference. Layers are given innermost first.
+
+Dimensions: `d` degrees of freedom, `n` vertices of a layer that are computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from physkin_core.outfit.layer_order import LayerOrder, ReferenceLayerOrder
+from physkin_core.outfit.tuck import Tuck, apply_tuck
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.native_evaluator import _native
+from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
+
+__all__ = ["NativeOutfitEvaluator", "ReferenceOutfitEvaluator"]
+
+JUMP = 0.5
+"""[rad], and of gravity's direction: where a frame differs from the last one by more, nothing is taken over from it."""
+
+
+class NativeOutfitEvaluator:
+    """Evaluates bound garments of one body together. Not for use by two threads at once.
+
+    bounds, orders, tucks: the layers, and what is kept between them. instruction_set, precision, normals: as in
+    `NativeEvaluator`. Raises ValueError as that does, for garments of several rigs or bodies, or where an index of what
+    is kept is out of range.
+    """
+
+    def __init__(
+        self,
+        bounds: Sequence[BoundGarment],
+        orders: Sequence[LayerOrder],
+        tucks: Sequence[Tuck],
+        *,
+        instruction_set: str | None = None,
+        precision: str | None = None,
+        normals: Literal["skinned", "faces"] = "skinned",
+    ) -> None:
+        self._outfit = _native.Outfit(list(bounds), list(orders), list(tucks), instruction_set, precision, normals)
+
+    @property
+    def instruction_set(self) -> str:
+        """Name of the instruction set in use."""
+        return self._outfit.instruction_set
+
+    @property
+    def precision(self) -> str:
+        """Precision of the network weights."""
+        return self._outfit.precision
+
+    def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, outs: Sequence[np.ndarray]) -> None:
+        """Compute one frame. joint_positions: (d,) [rad]. gravity: (3,). outs: one a layer, writable float32, all
+        (n, 6) for x, y, z [m] and normals, or all (n, 3); any row stride.
+
+        Raises TypeError for another dtype; ValueError for a wrong shape or where a value is not finite (nothing is
+        written then).
+        """
+        try:
+            self._outfit.evaluate(joint_positions, gravity, list(outs))
+        except TypeError:
+            raise TypeError(_wrong_arrays(outs)) from None
+
+    def bind_step(
+        self, joint_positions: np.ndarray, gravity: np.ndarray, outs: Sequence[np.ndarray]
+    ) -> _native.OutfitStep:
+        """A frame bound to its arrays, C-contiguous float32 that are changed in place: `step()` allocates nothing.
+        `skin()` and `keep()` repeat the last frame's skinning, and what is kept between layers, for timing.
+
+        Raises TypeError and ValueError as `evaluate` does.
+        """
+        try:
+            return _native.OutfitStep(self._outfit, joint_positions, gravity, list(outs))
+        except TypeError:
+            raise TypeError(_wrong_arrays(outs)) from None
+
+
+class ReferenceOutfitEvaluator:
+    """The same in NumPy, slowly. Arguments as of `NativeOutfitEvaluator`."""
+
+    instruction_set = "numpy"
+    precision = "fp32"
+
+    def __init__(
+        self,
+        bounds: Sequence[BoundGarment],
+        orders: Sequence[LayerOrder],
+        tucks: Sequence[Tuck],
+        *,
+        normals: Literal["skinned", "faces"] = "skinned",
+    ) -> None:
+        from physkin_core.model.garment import vertex_normals
+
+        self._bounds = list(bounds)
+        self._evaluators = [ReferenceEvaluator(bound) for bound in bounds]
+        self._orders = [(order.inner, order.outer, ReferenceLayerOrder(order)) for order in orders]
+        self._tucks = list(tucks)
+        self._last_pose: np.ndarray | None = None
+        self._face_normals = vertex_normals if normals == "faces" else None
+
+    def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, outs: Sequence[np.ndarray]) -> None:
+        """As `NativeOutfitEvaluator.evaluate`."""
+        if len(outs) != len(self._bounds):
+            raise ValueError(f"out has {len(outs)} arrays; expected one for each of {len(self._bounds)} garments")
+        layers = [np.empty((len(bound.vertices), 6), dtype=np.float32) for bound in self._bounds]
+        for evaluator, layer in zip(self._evaluators, layers):
+            evaluator.evaluate(joint_positions, gravity, layer)
+        pose = np.concatenate([joint_positions, gravity]).astype(np.float32)
+        jumps = self._last_pose is None or not np.abs(pose - self._last_pose).max() < JUMP
+        self._last_pose = pose
+        for k in range(len(layers)):
+            for inner, outer, order in self._orders:
+                if outer == k:
+                    order.apply(layers[inner], layers[outer], look_at_all=jumps)
+            for tuck in self._tucks:
+                if tuck.outer == k:
+                    apply_tuck(tuck, layers[tuck.inner], layers[tuck.outer])
+        for bound, layer, out in zip(self._bounds, layers, outs):
+            if self._face_normals is not None:
+                layer[:, 3:] = self._face_normals(layer[:, :3], bound.faces)
+            out[:] = layer[:, : out.shape[1]]
+
+
+def _wrong_arrays(outs: Sequence[np.ndarray]) -> str:
+    got = [f"{getattr(out, 'dtype', type(out).__name__)} of shape {getattr(out, 'shape', None)}" for out in outs]
+    return f"arrays must be NumPy float32 (inputs also float64) and outs writable and 2-D; outs are {', '.join(got)}"

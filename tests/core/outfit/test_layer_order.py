@@ -1,0 +1,99 @@
+"""The order of two layers on a tube within a tube: what is inside comes out, smoothly, and nothing else moves."""
+
+import numpy as np
+import pytest
+from random_models import tube
+
+from physkin_core.model.garment import vertex_normals
+from physkin_core.outfit.layer_order import MOST_PUSH, RADIUS, ReferenceLayerOrder, bind_layer_order
+from physkin_core.runtime.layers_beneath import LAYER_GAP
+
+INNER = tube(rings=25, segments=60, radius=0.15)
+
+
+def cloth(vertices):
+    return np.concatenate([vertices, vertex_normals(vertices, INNER.faces)], axis=1).astype(np.float32)
+
+
+def scaled(radius):
+    """The tube (n, 6) with another radius, or one that depends on the vertex."""
+    return cloth(INNER.vertices * np.stack([radius / 0.15, radius / 0.15, np.ones_like(radius)], axis=1))
+
+
+@pytest.fixture(scope="module")
+def layers():
+    inner, outer = cloth(INNER.vertices), scaled(np.full(len(INNER.vertices), 0.156))
+    order = bind_layer_order(0, 1, (inner[:, :3], outer[:, :3]), (INNER.faces, INNER.faces), [(inner, outer)])
+    return inner, outer, order
+
+
+def dented(depth):
+    """The outer tube with a dent on one side, as deep [m] as told, and how much of it each vertex has."""
+    at = np.linalg.norm(INNER.vertices - [0.15, 0, INNER.vertices[:, 2].mean()], axis=1)
+    share = np.exp(-((at / 0.03) ** 2))
+    return scaled(0.156 - depth * share), share
+
+
+def radii(rows):
+    return np.linalg.norm(rows[:, :2], axis=1)
+
+
+@pytest.mark.parametrize("depth", [0.008, 0.015, 0.025])
+def test_a_dent_is_moved_out_of_the_inner_layer(layers, depth):
+    """Without that the dent is inside by centimetres; with it every vertex is at least 2 mm outside the facets."""
+    inner, _, order = layers
+    outer, _ = dented(depth)
+    assert radii(outer).min() < 0.15
+    ReferenceLayerOrder(order).apply(inner, outer, look_at_all=True)
+    assert radii(outer).min() > 0.15 + LAYER_GAP - 2e-4
+
+
+def test_what_is_outside_stays_where_it_is(layers):
+    """Far from the dent nothing moves, and nothing at all where there is no dent."""
+    inner, outer, order = layers
+    moved = outer.copy()
+    ReferenceLayerOrder(order).apply(inner, moved, look_at_all=True)
+    np.testing.assert_array_equal(moved, outer)
+    outer, share = dented(0.02)
+    moved = outer.copy()
+    ReferenceLayerOrder(order).apply(inner, moved, look_at_all=True)
+    far = np.linalg.norm(INNER.vertices - INNER.vertices[share.argmax()], axis=1) > 0.06 + 2 * RADIUS
+    assert far.sum() > 500
+    np.testing.assert_array_equal(moved[far], outer[far])
+
+
+def test_a_push_has_no_spikes(layers):
+    """One vertex alone deep inside takes those around it along: its neighbours go about half as far."""
+    inner, outer, order = layers
+    outer = outer.copy()
+    alone = int(np.abs(INNER.vertices - [0.15, 0, INNER.vertices[:, 2].mean()]).sum(axis=1).argmin())
+    outer[alone, :2] *= 0.142 / 0.156
+    before = outer.copy()
+    ReferenceLayerOrder(order).apply(inner, outer, look_at_all=True)
+    pushed = np.linalg.norm(outer[:, :3] - before[:, :3], axis=1)
+    assert 0.009 < pushed[alone] <= MOST_PUSH
+    around = INNER.edges[(INNER.edges == alone).any(axis=1)]
+    neighbours = around[around != alone]
+    assert (pushed[neighbours] > 0.4 * pushed[alone]).all()
+
+
+def test_a_push_changes_continuously_with_the_pose(layers):
+    """As a dent grows by 0.1 mm a frame and turns about the axis, no vertex jumps."""
+    inner, _, order = layers
+    keeper = ReferenceLayerOrder(order)
+    before, most = None, 0.0
+    for frame in range(60):
+        angle = 0.002 * frame
+        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        outer, _ = dented(0.01 + 1e-4 * frame)
+        outer = cloth(outer[:, :3].astype(np.float64) @ turn.T)
+        keeper.apply(inner, outer, look_at_all=False)
+        if before is not None:
+            most = max(most, np.linalg.norm(outer[:, :3] - before, axis=1).max())
+        before = outer[:, :3].copy()
+    assert most < 0.002 * 0.16 + 8e-4
+
+
+def test_layers_that_never_meet_need_no_order():
+    inner, outer = cloth(INNER.vertices), scaled(np.full(len(INNER.vertices), 0.3))
+    assert bind_layer_order(0, 1, (inner[:, :3], outer[:, :3]), (INNER.faces,) * 2, [(inner, outer)]) is None

@@ -1,0 +1,261 @@
+"""Outfits of shipped garments on the bundled avatar: what is worn how, what is hidden, and what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from random_models import needs_native, random_model
+from scipy.spatial import cKDTree
+
+from physkin_core import (
+    BUNDLED_AVATAR,
+    AvatarWarning,
+    Draper,
+    Outfit,
+    OutfitGarment,
+    load_avatar,
+    load_garment_model,
+    load_motion,
+)
+from physkin_core.outfit.coverage import FROM_HEM, hem_distances
+from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
+from physkin_core.quality import signed_distance
+
+pytestmark = needs_native
+
+
+@pytest.fixture(scope="module")
+def models():
+    return {name: load_garment_model(name) for name in ("tshirt", "longsleeve", "trousers", "skirt", "dress")}
+
+
+@pytest.fixture(scope="module")
+def avatar(models):
+    return load_avatar(BUNDLED_AVATAR, models["tshirt"].rig)
+
+
+@pytest.fixture(scope="module")
+def motion(models):
+    clip = load_motion("dance")
+    return clip.positions_for(models["tshirt"].rig), clip.gravity
+
+
+@pytest.fixture(scope="module")
+def over_trousers(models, avatar):
+    return Outfit([models["trousers"], models["tshirt"]], avatar)
+
+
+@pytest.fixture(scope="module")
+def tucked(models, avatar):
+    return Outfit([OutfitGarment(models["tshirt"], tucked=True), models["trousers"]], avatar)
+
+
+def stands_out(inner, outer, faces, deep):
+    """How many of inner vertices (n, 3) stand out of cloth (m, 3) far from its hem, which `deep` (m,) says."""
+    distance = signed_distance(inner, outer, faces)
+    under = deep[cKDTree(outer).query(inner)[1]]
+    return int(((distance > 0.001) & (distance < 0.06) & under).sum())
+
+
+def test_trousers_no_longer_stand_out_of_a_shirt(models, avatar, motion, over_trousers):
+    """While dancing: many vertices do without the outfit, next to none with it."""
+    bare = [Draper(models[name], avatar) for name in ("trousers", "tshirt")]
+    deep = hem_distances(models["tshirt"].garment.vertices, models["tshirt"].garment.faces) > 0.03
+    without, outfit = 0, 0
+    for frame in range(0, len(motion[0]), 5):
+        trousers, shirt = (draper.drape(motion[0][frame], motion[1][frame])[:, :3] for draper in bare)
+        without += stands_out(trousers, shirt, bare[1].faces, deep)
+        trousers, shirt = over_trousers.drape(motion[0][frame], motion[1][frame])
+        outfit += stands_out(trousers[:, :3], shirt[:, :3], over_trousers.faces[1], deep)
+    assert without > 500
+    assert outfit < 0.01 * without
+
+
+def test_hidden_vertices_are_left_out_and_no_others(over_trousers, models):
+    """Some of the trousers under the shirt are hidden, none near the shirt's hem at rest, and none of the shirt."""
+    hidden, shown = over_trousers.hidden, over_trousers.visible
+    trousers, trousers_rest = models["trousers"].garment, models["trousers"].rig.rest
+    assert not hidden[1].any() and len(shown[1]) == len(models["tshirt"].garment.vertices)
+    assert 50 < hidden[0].sum() < 1500
+    below, above = (draper.drape(trousers_rest)[:, :3] for draper in over_trousers._drapers)
+    closest = cKDTree(above).query(below[hidden[0]])[1]
+    shirt = over_trousers.rest_garments[1]
+    assert hem_distances(shirt.vertices, shirt.faces)[closest].min() >= FROM_HEM
+    assert set(np.flatnonzero(~hidden[0])) <= set(shown[0]) and len(shown[0]) < len(trousers.vertices)
+    assert over_trousers.vertex_counts == tuple(map(len, shown))
+    faces = shown[0][over_trousers.faces[0]]
+    kept = ~hidden[0][trousers.faces].all(axis=1)
+    np.testing.assert_array_equal(faces, trousers.faces[kept])
+
+
+def test_nothing_is_hidden_when_asked_so(models, avatar, over_trousers):
+    whole = Outfit([models["trousers"], models["tshirt"]], avatar, hide=False)
+    assert whole.vertex_counts == tuple(len(m.garment.vertices) for m in whole.models)
+    for mask, same in zip(whole.hidden, over_trousers.hidden):
+        np.testing.assert_array_equal(mask, same)
+    rest = whole.models[0].rig.rest
+    some = over_trousers.drape(rest)[0]
+    np.testing.assert_allclose(whole.drape(rest)[0][over_trousers.visible[0]], some, atol=1e-6)
+
+
+def test_the_body_mask_hides_skin_under_cloth_alone(over_trousers, avatar):
+    """Of thighs and belly much is hidden; nothing of head, hands and feet."""
+    centre = avatar.vertices[avatar.faces].mean(axis=1)
+    mask = over_trousers.body_mask
+    assert mask.shape == (len(avatar.faces),) and 0.05 < mask.mean() < 0.5
+    bones = np.array(avatar.bone_names)[
+        avatar.influence_bones[np.arange(len(avatar.vertices)), avatar.influence_weights.argmax(axis=1)]
+    ]
+    of_face = bones[avatar.faces[:, 0]]
+    for part in ("head", "wrist", "foot"):
+        assert not mask[np.char.find(np.char.lower(of_face), part) >= 0].any()
+    assert centre[mask][:, 2].max() < centre[:, 2].max() - 0.2
+
+
+def test_a_shirt_over_trousers_is_wider_where_they_are(models, avatar, over_trousers):
+    """Its rest shape is, by up to 15 mm and a little; at the collar it is as on the bare body."""
+    bare = Draper(models["tshirt"], avatar).rest_garment.vertices
+    moved = np.linalg.norm(over_trousers.rest_garments[1].vertices - bare, axis=1)
+    low = bare[:, 2] < np.quantile(bare[:, 2], 0.1)
+    assert 0.004 < moved[low].mean() < 0.017 and moved.max() < 0.02
+    assert moved[bare[:, 2] > np.quantile(bare[:, 2], 0.7)].max() < 1e-3
+
+
+def test_a_tucked_hem_is_inside_the_waistband_in_every_frame(tucked, motion):
+    """All of the shirt that is given below the waistband is inside the trousers; most of it is not given."""
+    from physkin_core.outfit.layers import put_on
+
+    layers, (tuck,), _ = put_on(tucked.garments, tucked.avatar, fit=None, backend="native")
+    held = np.isin(tucked.visible[0], tuck.held)
+    assert 0 < held.sum() < 0.5 * len(tuck.held)
+    for frame in range(0, len(motion[0]), 15):
+        shirt, trousers = tucked.drape(motion[0][frame], motion[1][frame])
+        inside = signed_distance(shirt[held, :3], trousers[:, :3], tucked.faces[1])
+        assert (inside < 0).mean() > 0.97 and inside.max() < 0.003
+        loose = layers[0].draper.drape(motion[0][frame], motion[1][frame])[tucked.visible[0][held], :3]
+        assert (signed_distance(loose, trousers[:, :3], tucked.faces[1]) > 0).mean() > 0.3
+
+
+@pytest.mark.parametrize("kind", ["over_trousers", "tucked"])
+def test_native_and_numpy_agree(kind, request, motion):
+    """Over consecutive frames and after a jump nearly all vertices are the same to 2 um, none is off by 1 mm (a partner
+    may be chosen otherwise by rounding); and neither is the drape without what is kept."""
+    outfit = request.getfixturevalue(kind)
+    kept = outfit.bounds, outfit.orders, outfit.tucks
+    native, reference = NativeOutfitEvaluator(*kept, precision="fp32"), ReferenceOutfitEvaluator(*kept)
+    alone = NativeOutfitEvaluator(outfit.bounds, [], [], precision="fp32")
+    ours, theirs, loose = ([np.empty((n, 6), np.float32) for n in outfit.vertex_counts] for _ in range(3))
+    moved = 0.0
+    for frame in (*range(40, 60), 120):
+        pose = motion[0][frame], motion[1][frame]
+        for evaluator, outs in ((native, ours), (reference, theirs), (alone, loose)):
+            evaluator.evaluate(*pose, outs)
+        for a, b, c in zip(ours, theirs, loose):
+            apart = np.linalg.norm(a[:, :3] - b[:, :3], axis=1)
+            assert apart.max() < 1e-3 and np.quantile(apart, 0.99) < 2e-6
+            moved = max(moved, np.linalg.norm(a[:, :3] - c[:, :3], axis=1).max())
+    assert moved > 0.002
+
+
+def test_a_bound_step_and_positions_alone_are_the_same_frame(models, avatar, over_trousers, motion):
+    positions, gravity = motion[0][60].astype(np.float32), np.float32([0, 0, -1])
+    outfits = [Outfit(over_trousers.garments, avatar) for _ in range(3)]
+    clouds = outfits[0].drape(positions, gravity)
+    stepped = [np.empty_like(cloud) for cloud in clouds]
+    outfits[1].bind_step(positions, gravity, stepped)()
+    alone = outfits[2].drape(positions, gravity, outs=[np.empty((len(c), 3), dtype=np.float32) for c in clouds])
+    for cloud, step, position in zip(clouds, stepped, alone):
+        np.testing.assert_array_equal(step, cloud)
+        np.testing.assert_array_equal(position, cloud[:, :3])
+
+
+def test_limbs_are_separated_once_for_all_garments(models, avatar, over_trousers):
+    """An outfit with separated limbs drapes as one without does where the separated positions are given to that, and
+    its bones are where its clouds are."""
+    apart = Outfit([models["trousers"], models["tshirt"]], avatar, separate_limbs=True)
+    rig = models["tshirt"].rig
+    crossed = rig.joint_positions({"upperarm01.L_x": -0.9, "upperarm01.R_x": 0.9}).astype(np.float32)
+    clouds = apart.drape(crossed)
+    moved = apart.separated_positions
+    assert np.abs(moved - crossed).max() > 0.05, "the pose must run arms into the body"
+    again = over_trousers.drape(moved)
+    for cloud, expected in zip(clouds, again):
+        np.testing.assert_allclose(cloud, expected, atol=1e-6)
+    np.testing.assert_allclose(apart.bone_transforms(crossed), over_trousers.bone_transforms(moved), atol=1e-6)
+    outs = [np.empty_like(cloud) for cloud in clouds]
+    apart.bind_step(crossed, np.array([0, 0, -1], dtype=np.float32), outs)()
+    np.testing.assert_allclose(outs[1], clouds[1], atol=1e-6)
+    with pytest.raises(ValueError, match="separates no limbs"):
+        _ = over_trousers.separated_positions
+
+
+def test_what_cannot_be_worn_is_refused_in_one_sentence(models, avatar):
+    """Each names the garments."""
+    tshirt, trousers, dress = models["tshirt"], models["trousers"], models["dress"]
+    other_rig = random_model(np.random.default_rng(0))
+    refused = {
+        "'tshirt' is there 2 times": [tshirt, tshirt],
+        "1 to 4 garments, got 5": [*models.values()],
+        "1 to 4 garments, got 0": [],
+        "different rigs": [tshirt, other_rig],
+        "'skirt' cannot be worn under 'trousers'": [models["skirt"], trousers],
+        "'dress' cannot be tucked into 'trousers': it reaches": [OutfitGarment(dress, tucked=True), trousers],
+        "'trousers' cannot be tucked into 'tshirt': it does not go over": [
+            OutfitGarment(trousers, tucked=True),
+            tshirt,
+        ],
+        "'tshirt' is tucked, but no layer after it": [trousers, OutfitGarment(tshirt, tucked=True)],
+    }
+    for message, garments in refused.items():
+        named = [
+            replace(g, model=_named(g.model, models)) if isinstance(g, OutfitGarment) else _named(g, models)
+            for g in garments
+        ]
+        with pytest.raises(ValueError, match=message.replace("(", r"\(")) as error:
+            Outfit(named, avatar)
+        assert "\n" not in str(error.value)
+    with pytest.raises(TypeError, match="list of garments"):
+        Outfit(tshirt, avatar)
+    with pytest.raises(TypeError, match="got str"):
+        Outfit(["tshirt"], avatar)
+    with pytest.raises(ValueError, match="unknown backend 'gpu'"):
+        Outfit([tshirt], avatar, backend="gpu")
+    with pytest.raises(ValueError, match="numpy backend"):
+        Outfit([tshirt], avatar, backend="numpy", precision="int8")
+
+
+def _named(model, models):
+    return next((replace(m, name=name) for name, m in models.items() if m is model), model)
+
+
+def test_a_shirt_under_a_waistband_that_is_not_tucked_is_warned_of(models, avatar):
+    with pytest.warns(AvatarWarning, match="goes under the waistband of .* and is not tucked"):
+        outfit = Outfit([models["tshirt"], models["trousers"]], avatar)
+    assert any("not tucked" in warning for warning in outfit.warnings)
+
+
+def test_wrong_arrays_are_refused(over_trousers, motion):
+    """Nothing is written then."""
+    positions, gravity = motion[0][0].astype(np.float32), motion[1][0].astype(np.float32)
+    outs = [np.zeros((count, 6), dtype=np.float32) for count in over_trousers.vertex_counts]
+    with pytest.raises(ValueError, match="one for each of 2 garments"):
+        over_trousers.drape(positions, gravity, outs=outs[:1])
+    with pytest.raises(ValueError, match="all have normals, or none"):
+        over_trousers.drape(positions, gravity, outs=[outs[0], outs[1][:, :3]])
+    with pytest.raises(TypeError, match="float64"):
+        over_trousers.drape(positions, gravity, outs=[out.astype(np.float64) for out in outs])
+    with pytest.raises(ValueError, match="must be finite"):
+        over_trousers.drape(positions * np.nan, gravity, outs=outs)
+    assert not any(out.any() for out in outs)
+
+
+def test_indices_of_what_is_kept_are_checked(over_trousers):
+    """The native evaluator follows them blindly in a frame, so refuses them when it is built."""
+    (order,) = over_trousers.orders
+    for field in ("contact", "seed", "ring", "push_to", "moved"):
+        wrong = getattr(order, field).copy()
+        wrong[3] = 1_000_000
+        with pytest.raises(ValueError, match=rf"{field}\[3\] is 1000000"):
+            NativeOutfitEvaluator(over_trousers.bounds, [replace(order, **{field: wrong})], [])
+    with pytest.raises(ValueError, match="the inner one first"):
+        NativeOutfitEvaluator(over_trousers.bounds, [replace(order, inner=1, outer=0)], [])
