@@ -52,7 +52,7 @@ $(VENV)/installed-demo: $(BUILT_FROM) | $(VENV)/bin/python
 # set up for (CPU or CUDA) is the one the rest meets.
 $(VENV)/installed-test: $(BUILT_FROM) $(MESSAGES) | $(VENV)/bin/python
 	$(VENV)/bin/python msg_defs/wheel/build.py & messages=$$!; \
-	$(PIP) torch && $(PIP) --editable ".[compressed,ros,replay,training,view,test]" && wait $$messages
+	$(PIP) torch && $(PIP) --editable ".[compressed,ros,replay,training,usd,view,test]" && wait $$messages
 	$(VENV)/bin/python msg_defs/wheel/build.py --install
 	touch $@ $(VENV)/installed-demo $(VENV)/installed-lint
 

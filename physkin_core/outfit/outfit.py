@@ -26,7 +26,7 @@ from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, Referen
 from physkin_core.outfit.tuck import Tuck
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY
+from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
 from physkin_core.separation.limb_separator import LimbSeparator
 
 __all__ = ["Outfit"]
@@ -103,6 +103,11 @@ class Outfit:
     def models(self) -> tuple[GarmentModel, ...]:
         """From the skin outwards."""
         return tuple(garment.model for garment in self.garments)
+
+    @property
+    def drapers(self) -> tuple[Draper, ...]:
+        """Each garment by itself and whole, bound over what lies beneath: no order, no tuck."""
+        return tuple(self._drapers)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -15,9 +15,10 @@ import numpy as np
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import BODY_MODEL_PATH, BodyModel, load_body_model
+from physkin_core.export.gltf_builder import write_glb
 from physkin_core.rig.bone_naming import BONE_MAPS
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, turned_down_the_chain
-from physkin_training.prepare.gltf_export import skinned_document, write_glb
+from physkin_training.prepare.gltf_export import skinned_document
 
 __all__ = ["AVATAR_PATH", "BUNDLED_BODY", "prepare_avatar", "prepare_vrm", "t_posed_body"]
 

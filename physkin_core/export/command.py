@@ -1,0 +1,75 @@
+"""`physkin export`: a motion draped on an avatar, in a file that other tools open."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
+from physkin_core.export.gltf_motion import write_gltf_motion
+from physkin_core.export.usd_motion import write_usd_motion
+from physkin_core.fit_option import add_fit_option
+from physkin_core.model.model_file import load_garment_model
+from physkin_core.motion.loading import load_motion
+from physkin_core.motion.reading_progress import reading_progress
+from physkin_core.outfit.layers import OutfitGarment
+from physkin_core.outfit.outfit import Outfit
+
+__all__ = ["main"]
+
+WRITERS = {
+    ".glb": write_gltf_motion,
+    ".usd": write_usd_motion,
+    ".usda": write_usd_motion,
+    ".usdc": write_usd_motion,
+}
+
+
+def main(argv: list[str]) -> int:
+    """Command line. Returns 0; errors are raised."""
+    parser = argparse.ArgumentParser(prog="physkin export", description=__doc__.split("`: ")[1])
+    parser.add_argument("motion", metavar="MOTION", help="bundled motion or a motion file")
+    parser.add_argument(
+        "--avatar", metavar="AVATAR", default=BUNDLED_AVATAR, help="body file (default: the bundled one)"
+    )
+    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    parser.add_argument(
+        *("-g", "--garment"),
+        action="append",
+        metavar="MODEL",
+        help="a file or a shipped name (default tshirt); several, from the skin outwards, are an outfit",
+    )
+    parser.add_argument(
+        "--tucked", action="append", default=[], metavar="MODEL", help="garment under the next one's waistband"
+    )
+    parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own)")
+    add_fit_option(parser)
+    parser.add_argument(
+        *("-o", "--output"),
+        type=Path,
+        required=True,
+        help="a .glb with garment nodes as joints, or .usd, .usda, .usdc with every vertex in every frame",
+    )
+    options = parser.parse_args(argv)
+    kind = options.output.suffix.lower()
+    if kind not in WRITERS:
+        raise ValueError(f"cannot write {options.output.name}: allowed are {', '.join(WRITERS)}")
+    names = options.garment or ["tshirt"]
+    if strange := [name for name in options.tucked if name not in names]:
+        raise ValueError(f"--tucked {strange[0]}: none of the garments, which are {', '.join(names)}")
+    models = [load_garment_model(name) for name in names]
+    if kind == ".glb":
+        models = [model.for_engines() for model in models]
+    motion = load_motion(options.motion, watch=reading_progress(options.motion))
+    if options.rate:
+        motion = motion.resampled(options.rate)
+    avatar = load_avatar(options.avatar, models[0].rig, rig_file=options.rig)
+    garments = [OutfitGarment(model, tucked=name in options.tucked) for name, model in zip(names, models)]
+    outfit = Outfit(garments, avatar, fit=options.fit)
+    for warning in outfit.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    WRITERS[kind](options.output, outfit, motion)
+    size = options.output.stat().st_size / 1e6
+    print(f"wrote {options.output}: {motion.frame_count} frames at {motion.rate_hz:g} Hz, {size:.1f} MB")
+    return 0

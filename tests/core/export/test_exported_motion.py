@@ -1,0 +1,151 @@
+"""`physkin export`: files read back by their own libraries, against what the outfit drapes."""
+
+import numpy as np
+import pytest
+from pygltflib import GLTF2
+from random_models import needs_native
+from scipy.spatial.transform import Rotation
+
+from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
+from physkin_core.cli import main
+from physkin_core.export.gltf_builder import FROM_ROOT_FRAME
+
+pytestmark = needs_native
+
+RATE = 10.0
+TYPES = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return load_motion("walk").resampled(RATE)
+
+
+@pytest.fixture(scope="module")
+def worn():
+    return [load_garment_model(name) for name in ("trousers", "tshirt")]
+
+
+def export(path, *options):
+    assert (
+        main(["export", "walk", "-g", "trousers", "-g", "tshirt", "--rate", f"{RATE:g}", *options, "-o", str(path)])
+        == 0
+    )
+
+
+class Reader:
+    """A glTF file as an engine computes it: nodes by their animation, meshes by their skins."""
+
+    def __init__(self, path):
+        self.file = GLTF2().load(str(path))
+        self.binary = self.file.binary_blob()
+        self.parents = {child: node for node, each in enumerate(self.file.nodes) for child in each.children or []}
+        animation = self.file.animations[0]
+        self.moved = {
+            (channel.target.node, channel.target.path): self.array(animation.samplers[channel.sampler].output)
+            for channel in animation.channels
+        }
+        self.times = self.array(animation.samplers[0].input)[:, 0]
+
+    def array(self, index):
+        accessor = self.file.accessors[index]
+        view = self.file.bufferViews[accessor.bufferView]
+        count = accessor.count * WIDTHS[accessor.type]
+        values = np.frombuffer(self.binary, TYPES[accessor.componentType], count, view.byteOffset)
+        return values.reshape(accessor.count, -1)
+
+    def world(self, node, frame):
+        """(4, 4) of a node in a frame."""
+        matrix = np.eye(4)
+        if (node, "rotation") in self.moved:
+            matrix[:3, :3] = Rotation.from_quat(self.moved[node, "rotation"][frame]).as_matrix()
+        if (node, "scale") in self.moved:
+            matrix[:3, :3] *= self.moved[node, "scale"][frame]
+        if (node, "translation") in self.moved:
+            matrix[:3, 3] = self.moved[node, "translation"][frame]
+        return self.world(self.parents[node], frame) @ matrix if node in self.parents else matrix
+
+    def skinned(self, name, frame):
+        """(v, 3) a mesh in a frame, in glTF's world."""
+        node = next(node for node in self.file.nodes if node.name == name and node.mesh is not None)
+        attributes = self.file.meshes[node.mesh].primitives[0].attributes
+        skin = self.file.skins[node.skin]
+        bind = self.array(skin.inverseBindMatrices).reshape(-1, 4, 4).transpose(0, 2, 1)
+        joints = np.array([self.world(joint, frame) for joint in skin.joints]) @ bind
+        points = np.pad(self.array(attributes.POSITION), ((0, 0), (0, 1)), constant_values=1.0)
+        weights = self.array(attributes.WEIGHTS_0) / 65535
+        each = np.einsum("vkij,vj->vki", joints[self.array(attributes.JOINTS_0)], points)
+        return np.einsum("vk,vki->vi", weights, each)[:, :3]
+
+
+def in_gltf_world(points, motion, frame):
+    """Points of the root frame where glTF has them."""
+    turned = Rotation.from_quat(motion.root_orientation[frame]).apply(points) + motion.root_position[frame]
+    return turned @ FROM_ROOT_FRAME.T
+
+
+def test_an_engine_sees_what_is_draped(tmp_path, motion, worn):
+    """Garments and body of a .glb, skinned as engines do, are within 0.2 mm of the drape with 4 influences."""
+    export(tmp_path / "walk.glb")
+    reader = Reader(tmp_path / "walk.glb")
+    avatar = load_avatar(BUNDLED_AVATAR, worn[0].rig)
+    outfit = Outfit([model.for_engines() for model in worn], avatar)
+    positions = motion.positions_for(worn[0].rig)
+    np.testing.assert_allclose(np.diff(reader.times), 1 / RATE, atol=1e-6)
+    assert len(reader.times) == motion.frame_count
+    for frame in (0, motion.frame_count // 2):
+        for model, draper, visible in zip(worn, outfit.drapers, outfit.visible):
+            cloud = draper.drape(positions[frame], motion.gravity[frame])[visible, :3]
+            distance = reader.skinned(model.name, frame) - in_gltf_world(cloud, motion, frame)
+            assert np.linalg.norm(distance, axis=1).max() < 2e-4, model.name
+        body = avatar.posed_vertices(outfit.bone_transforms(positions[frame]))
+        distance = reader.skinned("body", frame) - in_gltf_world(body, motion, frame)
+        assert np.linalg.norm(distance, axis=1).max() < 2e-4
+    faces = reader.array(reader.file.meshes[0].primitives[0].indices)
+    assert len(faces) == 3 * (~outfit.body_mask).sum(), "skin under cloth is left out"
+
+
+def test_usd_has_every_vertex(tmp_path, motion, worn):
+    """Points of body and garments, layers in order, to a float's rounding; the root moves; metres, Z up."""
+    pytest.importorskip("pxr", reason="needs the extra [usd]")
+    from pxr import Usd, UsdGeom
+
+    export(tmp_path / "walk.usdc")
+    stage = Usd.Stage.Open(str(tmp_path / "walk.usdc"))
+    assert UsdGeom.GetStageUpAxis(stage) == "Z" and UsdGeom.GetStageMetersPerUnit(stage) == 1
+    assert (stage.GetTimeCodesPerSecond(), stage.GetEndTimeCode()) == (RATE, motion.frame_count - 1)
+    outfit = Outfit(worn, load_avatar(BUNDLED_AVATAR, worn[0].rig))
+    for frame, (positions, gravity) in enumerate(zip(motion.positions_for(worn[0].rig), motion.gravity)):
+        clouds = outfit.drape(positions, gravity)
+        for name, cloud, faces in zip(("trousers", "tshirt"), clouds, outfit.faces):
+            mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/avatar/{name}"))
+            np.testing.assert_allclose(np.array(mesh.GetPointsAttr().Get(frame)), cloud[:, :3], atol=1e-7)
+            assert len(mesh.GetFaceVertexIndicesAttr().Get()) == faces.size
+        place = UsdGeom.Xformable(stage.GetPrimAtPath("/avatar")).ComputeLocalToWorldTransform(frame)
+        np.testing.assert_allclose(place.ExtractTranslation(), motion.root_position[frame], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "options, told",
+    [
+        (["walk", "-o", "walk.fbx"], "cannot write walk.fbx: allowed are .glb, .usd, .usda, .usdc"),
+        (["walk", "-g", "tshirt", "--tucked", "skirt", "-o", "x.glb"], "--tucked skirt: none of the garments"),
+        (["strut", "-o", "x.glb"], "strut"),
+    ],
+)
+def test_what_cannot_be_exported_is_told(options, told, capsys):
+    assert main(["export", *options]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_a_model_without_engine_weights_is_refused(tmp_path, worn, capsys):
+    """Its own 16 influences, cut to 4, would be torn cloth."""
+    from dataclasses import replace
+
+    from physkin_core import save_garment_model
+
+    path = tmp_path / "plain.safetensors"
+    save_garment_model(replace(worn[1], engine_nodes=None, engine_weights=None), path)
+    assert main(["export", "walk", "-g", str(path), "-o", str(tmp_path / "x.glb")]) == 2
+    assert "has not learnt skinning weights for engines" in capsys.readouterr().err
