@@ -18,6 +18,7 @@
 #include "garment/bound_garment.hpp"
 #include "kernels/dispatch.hpp"
 #include "kernels/machine_floors.hpp"
+#include "joints_binding.hpp"
 #include "motion_binding.hpp"
 #include "separation_binding.hpp"
 
@@ -415,6 +416,7 @@ NB_MODULE(_native, module) {
              "instruction_set"_a = nb::none());
   module.def("bound_garment_fields", physkin::bound_garment_fields);
   module.def("supported_instruction_sets", physkin::supported_instruction_sets);
+  physkin::bind_joints(module);
   physkin::bind_motion(module);
   physkin::bind_separation(module);
   nb::class_<MachineProbe>(module, "MachineProbe")
