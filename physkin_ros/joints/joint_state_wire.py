@@ -54,6 +54,11 @@ class JointStateWire:
         self._reader, self._out = reader, out
         self._recent: list[_Layout] = []
         self._data, self._layout = b"", None
+        self._from, self._to = memoryview(out), memoryview(reader.positions)
+
+    def keep(self) -> None:
+        """Make the joint positions in `out` the reader's last good ones."""
+        self._to[:] = self._from
 
     @property
     def values(self) -> np.ndarray:

@@ -44,8 +44,9 @@ class SerialisedMessage:
         return bytes(self._buffer)
 
     def publish(self, publisher: Publisher, sec: int, nanosec: int) -> None:
-        """Publish the message as it is now, with this stamp, without the copy that `Publisher.publish` asks for."""
+        """Publish the message as it is now, with this stamp, without the copy that `Publisher.publish` asks for.
+
+        Raises rclpy's RCLError when the publisher is destroyed; no other thread may destroy it meanwhile.
+        """
         self._stamp.pack_into(self._buffer, STAMP_OFFSET, sec, nanosec)
-        handle = publisher.handle
-        with handle:
-            handle.publish_raw(self._buffer)
+        publisher.handle.publish_raw(self._buffer)

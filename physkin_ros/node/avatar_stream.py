@@ -268,12 +268,12 @@ class AvatarStream:
     def _answer(self, outfit: Outfit, sec: int, nanosec: int, arrived: int) -> None:
         """Drape the pose that has been read, or keep it for the next cloud between poses. arrived: [ns]."""
         if outfit.interpolator is not None:
-            outfit.reader.positions = outfit.pose
+            outfit.wire.keep()
             stamp_ns = sec * NANOSECONDS + nanosec
             outfit.interpolator.push(outfit.pose, self.gravity, self._load, stamp_ns, monotonic_ns())
             return
         if self._drape(outfit, sec, nanosec):
-            outfit.reader.positions = outfit.pose
+            outfit.wire.keep()
             if self.deadline_ns and perf_counter_ns() - arrived > self.deadline_ns:
                 self.statistics.deadline_missed += 1
 

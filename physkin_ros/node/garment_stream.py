@@ -99,7 +99,7 @@ class WornGarment:
         """Publish the frame with the joint state's stamp; garment nodes and marker only to those who listen."""
         stream = self.stream
         self._cloud.publish(stream.cloud_publisher, sec, nanosec)
-        if self._nodes is not None and stream.nodes_publisher.get_subscription_count():
+        if self._nodes is not None and stream.nodes_publisher.handle.get_subscription_count():
             self._nodes.transforms[:] = self.draper.node_transforms()
             self._nodes.publish(stream.nodes_publisher, sec, nanosec)
         if self._marker is not None and stream.marker_publisher.get_subscription_count():

@@ -136,3 +136,7 @@ def test_joints_that_are_not_named_keep_what_the_reader_has(reader):
     reader.positions = np.float32([5.0, 6.0, 7.0, 8.0])
     wire.read(wire_bytes(["hip"], [2.0]))
     np.testing.assert_array_equal(out, np.float32([2, 6, 7, 8]))
+    assert reader.positions[0] == 5.0
+    wire.keep()
+    wire.read(wire_bytes(["knee"], [3.0]))
+    np.testing.assert_array_equal(out, np.float32([2, 3, 7, 8]))
