@@ -76,6 +76,17 @@ class BoundRange {
   Written least_, most_;
 };
 
+class BoundCheck {
+ public:
+  BoundCheck(Given positions, float farthest) : positions_(std::move(positions)), farthest_(farthest) {}
+
+  bool ordinary() const { return physkin::ordinary(positions_.data(), positions_.size(), farthest_); }
+
+ private:
+  Given positions_;
+  float farthest_;
+};
+
 }  // namespace
 
 void bind_joints(nb::module_& module) {
@@ -89,6 +100,9 @@ void bind_joints(nb::module_& module) {
       .def(nb::init<Given, Written, Written>(), "positions"_a.noconvert(), "least"_a.noconvert(),
            "most"_a.noconvert())
       .def("widen", &BoundRange::widen);
+  nb::class_<BoundCheck>(module, "PoseCheck")
+      .def(nb::init<Given, float>(), "positions"_a.noconvert(), "farthest"_a)
+      .def("ordinary", &BoundCheck::ordinary);
 }
 
 }  // namespace physkin

@@ -4,7 +4,7 @@
 
 namespace physkin {
 
-// Adds `JointReading` and `PoseRange` to physkin_core._native.
+// Adds `JointReading`, `PoseRange` and `PoseCheck` to physkin_core._native.
 void bind_joints(nanobind::module_& module);
 
 }  // namespace physkin

@@ -68,3 +68,13 @@ def test_only_arrays_that_are_the_callers_own():
             reading(out=out)
     with pytest.raises(ValueError, match=r"most must have shape \(3,\)"):
         _native.PoseRange(START, np.zeros(3, np.float32), np.zeros(4, np.float32))
+
+
+@pytest.mark.parametrize(("value", "expected"), [(8.9, True), (-9.1, False), (np.nan, False), (-np.inf, False)])
+def test_positions_that_are_looked_at(value, expected):
+    """By what the array holds at each call."""
+    positions = START.copy()
+    check = _native.PoseCheck(positions, 9.0)
+    assert check.ordinary() is True
+    positions[2] = value
+    assert check.ordinary() is expected

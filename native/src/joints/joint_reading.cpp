@@ -37,17 +37,21 @@ JointReading::JointReading(std::vector<TakenJoint> taken, std::size_t first, boo
 bool JointReading::read(const unsigned char* message, std::size_t size, const float* start, float* out) {
   if (size < end_) return false;
   const unsigned char* values = message + first_;
-  bool ordinary = true;
   for (std::size_t k = 0; k < taken_.size(); ++k) {
     const TakenJoint& joint = taken_[k];
     const double value = load(values + sizeof(double) * std::size_t(joint.source), swapped_);
     positions_[k] = float(joint.scale * value + joint.offset);
-    ordinary &= std::abs(positions_[k]) <= farthest_;  // false for NaN
   }
-  if (!ordinary) return false;
+  if (!ordinary(positions_.data(), positions_.size(), farthest_)) return false;
   std::copy(start, start + dofs_, out);
   for (std::size_t k = 0; k < taken_.size(); ++k) out[taken_[k].target] = positions_[k];
   return true;
+}
+
+bool ordinary(const float* positions, std::size_t count, float farthest) {
+  bool all = true;
+  for (std::size_t k = 0; k < count; ++k) all &= std::abs(positions[k]) <= farthest;  // false for NaN
+  return all;
 }
 
 void widen(const float* positions, float* least, float* most, std::size_t count) {

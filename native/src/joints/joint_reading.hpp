@@ -31,6 +31,9 @@ class JointReading {
   std::size_t dofs_;
 };
 
+// Whether every position is within `farthest` [rad] of zero; not so for what is not finite.
+bool ordinary(const float* positions, std::size_t count, float farthest);
+
 // Widens the range [least, most] of each of `count` joints by its position.
 void widen(const float* positions, float* least, float* most, std::size_t count);
 
