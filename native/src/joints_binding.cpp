@@ -76,6 +76,23 @@ class BoundRange {
   Written least_, most_;
 };
 
+class Beginning {
+ public:
+  Beginning(const nb::bytes& pattern, const nb::bytes& mask)
+      : pattern_(pattern.c_str(), pattern.size()), mask_(mask.c_str(), mask.size()) {
+    if (pattern.size() != mask.size()) throw nb::value_error("pattern and mask must be of one length");
+  }
+
+  bool matches(const nb::bytes& message) const {
+    const auto bytes = [](const std::string& text) { return reinterpret_cast<const unsigned char*>(text.data()); };
+    return begins_with(static_cast<const unsigned char*>(message.data()), message.size(), bytes(pattern_), bytes(mask_),
+                       pattern_.size());
+  }
+
+ private:
+  std::string pattern_, mask_;
+};
+
 class BoundCheck {
  public:
   BoundCheck(Given positions, float farthest) : positions_(std::move(positions)), farthest_(farthest) {}
@@ -100,6 +117,9 @@ void bind_joints(nb::module_& module) {
       .def(nb::init<Given, Written, Written>(), "positions"_a.noconvert(), "least"_a.noconvert(),
            "most"_a.noconvert())
       .def("widen", &BoundRange::widen);
+  nb::class_<Beginning>(module, "MessageBeginning")
+      .def(nb::init<const nb::bytes&, const nb::bytes&>(), "pattern"_a, "mask"_a)
+      .def("matches", &Beginning::matches, "message"_a);
   nb::class_<BoundCheck>(module, "PoseCheck")
       .def(nb::init<Given, float>(), "positions"_a.noconvert(), "farthest"_a)
       .def("ordinary", &BoundCheck::ordinary);

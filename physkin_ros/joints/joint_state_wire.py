@@ -27,13 +27,13 @@ ORDER = {0: ">", 1: "<"}  # second byte of the encapsulation: plain CDR, big or 
 
 @dataclass(frozen=True)
 class _Layout:
-    """What the bytes up to the positions mean: `start` and `middle` are compared, the stamp between them is not.
+    """What the bytes up to the positions mean.
 
+    beginning: of them what is compared: not the stamp, nor the padding after names, which middleware leaves as it is.
     reading: of ordinary positions; None where ball joints are to be solved, too.
     """
 
-    start: bytes
-    middle: bytes
+    beginning: _native.MessageBeginning
     stamp: struct.Struct
     dtype: np.dtype
     count: int
@@ -77,7 +77,7 @@ class JointStateWire:
         Raises JointStateError as the reader does, and for bytes that are no joint state; `out` may have changed.
         """
         for layout in self._recent:
-            if data.startswith(layout.middle, 12) and data.startswith(layout.start):
+            if layout.beginning.matches(data):
                 break
         else:
             layout = self._look_into(data)
@@ -103,22 +103,27 @@ def _read_layout(data: bytes, reader: JointStateReader, out: np.ndarray) -> _Lay
         raise JointStateError(f"the message is no joint state: {len(data)} bytes that start with {data[:4].hex(' ')}")
     length = struct.Struct(f"{order}I")
     at = 12
+    padding = [slice(4, 12)]  # and the stamp
+
+    def after_padding(at: int) -> int:
+        padding.append(slice(at, at + -at % 4))
+        return at + -at % 4
+
     selection: Selection | JointStateError
     reading = None
     try:
-        at += 4 + length.unpack_from(data, at)[0]  # frame_id
-        at += -at % 4
+        at = after_padding(at + 4 + length.unpack_from(data, at)[0])  # frame_id
         (count,) = length.unpack_from(data, at)
         if count > MOST_NAMES:
             raise JointStateError(f"the joint state names {count} joints; at most {MOST_NAMES} are read")
         at += 4
         names = []
         for _ in range(count):
-            at += -at % 4
+            at = after_padding(at)
             (size,) = length.unpack_from(data, at)
             names.append(data[at + 4 : at + 4 + max(0, size - 1)].decode(errors="replace"))
             at += 4 + size
-        at += -at % 4
+        at = after_padding(at)
         (values,) = length.unpack_from(data, at)
         at += 4
     except struct.error:
@@ -137,4 +142,8 @@ def _read_layout(data: bytes, reader: JointStateReader, out: np.ndarray) -> _Lay
     except JointStateError as error:
         selection = error
     stamp, dtype = struct.Struct(f"{order}iI"), np.dtype(f"{order}f8")
-    return _Layout(data[:4], data[12:end], stamp, dtype, values, offset, selection, reading)
+    mask = bytearray(b"\xff" * end)
+    for unsaid in padding:
+        mask[unsaid] = bytes(unsaid.stop - unsaid.start)
+    beginning = _native.MessageBeginning(data[:end], bytes(mask))
+    return _Layout(beginning, stamp, dtype, values, offset, selection, reading)

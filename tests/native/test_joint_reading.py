@@ -78,3 +78,12 @@ def test_positions_that_are_looked_at(value, expected):
     assert check.ordinary() is True
     positions[2] = value
     assert check.ordinary() is expected
+
+
+def test_beginning_of_a_message():
+    """Compared where the mask says so; a shorter message begins otherwise."""
+    beginning = _native.MessageBeginning(b"abcd", b"\xff\0\xff\xff")
+    assert beginning.matches(b"abcd") and beginning.matches(b"a?cde")
+    assert not (beginning.matches(b"abc") or beginning.matches(b"abce") or beginning.matches(b"?bcd"))
+    with pytest.raises(ValueError, match="of one length"):
+        _native.MessageBeginning(b"abcd", b"\xff")

@@ -48,6 +48,14 @@ bool JointReading::read(const unsigned char* message, std::size_t size, const fl
   return true;
 }
 
+bool begins_with(const unsigned char* message, std::size_t size, const unsigned char* pattern,
+                 const unsigned char* mask, std::size_t count) {
+  if (size < count) return false;
+  unsigned char differing = 0;
+  for (std::size_t k = 0; k < count; ++k) differing |= (message[k] ^ pattern[k]) & mask[k];
+  return differing == 0;
+}
+
 bool ordinary(const float* positions, std::size_t count, float farthest) {
   bool all = true;
   for (std::size_t k = 0; k < count; ++k) all &= std::abs(positions[k]) <= farthest;  // false for NaN

@@ -31,6 +31,10 @@ class JointReading {
   std::size_t dofs_;
 };
 
+// Whether the first bytes of `message`, where `mask` is 0xff, are those of `pattern`, both of `count`.
+bool begins_with(const unsigned char* message, std::size_t size, const unsigned char* pattern,
+                 const unsigned char* mask, std::size_t count);
+
 // Whether every position is within `farthest` [rad] of zero; not so for what is not finite.
 bool ordinary(const float* positions, std::size_t count, float farthest);
 

@@ -68,6 +68,23 @@ def test_known_names_are_not_looked_at_again(reader):
     assert looked == [("hip", "knee"), ("ankle",)]
 
 
+def test_padding_says_nothing(reader):
+    """Middleware leaves between names whatever was there before: the names are still known."""
+    out = np.empty(4, dtype=np.float32)
+    wire = JointStateWire(reader, out)
+    looked, select = [], reader.select
+    reader.select = lambda names: looked.append(names) or select(names)
+    good = wire_bytes(["hip", "ankle"], [1.0, 2.0])
+    padded = bytearray(good)
+    padded[17:20] = b"\1\2\3"  # after the empty frame
+    padded[42:44] = b"\4\5"  # after "ankle"
+    for data in (good, bytes(padded)):
+        wire.read(data)
+        np.testing.assert_array_equal(out, np.float32([1, 0.2, 2, 0.4]))
+    wire.read(good[:24] + struct.pack("<I", 4) + b"nec" + good[31:])
+    assert looked == [("hip", "ankle"), ("nec", "ankle")]
+
+
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
