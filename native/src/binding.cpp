@@ -3,6 +3,7 @@
 #include "evaluator/evaluator_batch.hpp"
 #include "evaluator/skinner.hpp"
 #include "kernels/machine_floors.hpp"
+#include "joints_binding.hpp"
 #include "motion_binding.hpp"
 #include "outfit_binding.hpp"
 #include "python_arrays.hpp"
@@ -265,6 +266,7 @@ NB_MODULE(_native, module) {
              "instruction_set"_a = nb::none());
   module.def("bound_garment_fields", physkin::bound_garment_fields);
   module.def("supported_instruction_sets", physkin::supported_instruction_sets);
+  physkin::bind_joints(module);
   physkin::bind_motion(module);
   physkin::bind_outfit(module);
   physkin::bind_separation(module);

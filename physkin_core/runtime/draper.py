@@ -230,12 +230,19 @@ class Draper:
         separator = self._limb_separator
         draped = joint_positions if separator is None else self._separated
         if self.backend == "native":
+            from physkin_core.runtime.native_evaluator import _native
+
             evaluate = self._evaluator.bind_step(draped, gravity, out).step
+            ordinary = _native.PoseCheck(joint_positions, FULL_TURN).ordinary
         else:
             evaluate = partial(self._evaluator.evaluate, draped, gravity, out)
 
+            def ordinary() -> bool:
+                return joint_positions.dot(joint_positions) <= FULL_TURN**2
+
         def step() -> None:
-            self.check_unusual(joint_positions)
+            if not ordinary():
+                self.check_unusual(joint_positions)
             if separator is not None:
                 separator.separate(joint_positions, out=draped)
             evaluate()

@@ -1,15 +1,18 @@
 """`sensor_msgs/JointState` straight from its serialised bytes (CDR).
 
 rclpy makes a Python string of every joint name in every message. Here the bytes before the positions (frame and names)
-are compared with those of earlier messages, and only new ones are looked into.
+are compared with those of earlier messages, and only new ones are looked into. The positions are read by native code:
+a dozen array operations, each of whose code the caches have lost since the last message, take ten times as long.
 """
 
 from __future__ import annotations
 
 import struct
+import sys
 from dataclasses import dataclass
 
 import numpy as np
+import physkin_core._native as _native
 
 from physkin_ros.joints.joint_states import JointStateError, JointStateReader, Selection
 
@@ -24,78 +27,103 @@ ORDER = {0: ">", 1: "<"}  # second byte of the encapsulation: plain CDR, big or 
 
 @dataclass(frozen=True)
 class _Layout:
-    """What the bytes up to the positions mean: `start` and `middle` are compared, the stamp between them is not."""
+    """What the bytes up to the positions mean.
 
-    start: bytes
-    middle: bytes
+    beginning: of them what is compared: not the stamp, nor the padding after names, which middleware leaves as it is.
+    reading: of ordinary positions; None where ball joints are to be solved, too.
+    """
+
+    beginning: _native.MessageBeginning
     stamp: struct.Struct
     dtype: np.dtype
     count: int
     offset: int
     selection: Selection | JointStateError
+    reading: _native.JointReading | None
 
 
 class JointStateWire:
-    """Reads serialised joint states for a `JointStateReader`.
+    """Reads serialised joint states for a `JointStateReader` into one array.
 
+    out: (d,) float32 [rad], contiguous; the joint positions after each message.
     After `read`: stamp (sec, nanosec), values (float64, one a name) and selection of the last message.
     """
 
-    def __init__(self, reader: JointStateReader) -> None:
+    def __init__(self, reader: JointStateReader, out: np.ndarray) -> None:
         self.stamp = (0, 0)
-        self.values = np.empty(0)
-        self.selection: Selection | None = None
-        self._reader = reader
+        self._reader, self._out = reader, out
         self._recent: list[_Layout] = []
+        self._data, self._layout = b"", None
+        self._from, self._to = memoryview(out), memoryview(reader.positions)
 
-    def read(self, data: bytes, out: np.ndarray) -> None:
-        """Write the joint positions (d,) float32 [rad] after this message into `out`.
+    def keep(self) -> None:
+        """Make the joint positions in `out` the reader's last good ones."""
+        self._to[:] = self._from
+
+    @property
+    def values(self) -> np.ndarray:
+        """The last message's positions as they came: float64, one a name."""
+        layout = self._layout
+        return np.frombuffer(self._data, layout.dtype, layout.count, layout.offset)
+
+    @property
+    def selection(self) -> Selection:
+        """What the names of the last message select."""
+        return self._layout.selection
+
+    def read(self, data: bytes) -> None:
+        """Take over a message.
 
         Raises JointStateError as the reader does, and for bytes that are no joint state; `out` may have changed.
         """
         for layout in self._recent:
-            if data.startswith(layout.middle, 12) and data.startswith(layout.start):
+            if layout.beginning.matches(data):
                 break
         else:
             layout = self._look_into(data)
         if isinstance(layout.selection, JointStateError):
             raise layout.selection.with_traceback(None)
         self.stamp = layout.stamp.unpack_from(data, 4)
-        try:
-            self.values = np.frombuffer(data, layout.dtype, layout.count, layout.offset)
-        except ValueError:
-            raise JointStateError(f"the joint state is cut off: {len(data)} bytes") from None
-        self.selection = layout.selection
-        self._reader.read_selected(layout.selection, self.values, out)
+        if len(data) < layout.offset + 8 * layout.count:
+            raise JointStateError(f"the joint state is cut off: {len(data)} bytes")
+        self._data, self._layout = data, layout
+        if layout.reading is None or not layout.reading.read(data):
+            self._reader.read_selected(layout.selection, self.values, self._out)
 
     def _look_into(self, data: bytes) -> _Layout:
-        layout = _read_layout(data, self._reader)
+        layout = _read_layout(data, self._reader, self._out)
         if layout.offset <= LONGEST_KEPT:
             self._recent = [layout, *self._recent[: RECENT - 1]]
         return layout
 
 
-def _read_layout(data: bytes, reader: JointStateReader) -> _Layout:
+def _read_layout(data: bytes, reader: JointStateReader, out: np.ndarray) -> _Layout:
     order = ORDER.get(data[1]) if len(data) >= 16 and data[0] == 0 else None
     if order is None:
         raise JointStateError(f"the message is no joint state: {len(data)} bytes that start with {data[:4].hex(' ')}")
     length = struct.Struct(f"{order}I")
     at = 12
+    padding = [slice(4, 12)]  # and the stamp
+
+    def after_padding(at: int) -> int:
+        padding.append(slice(at, at + -at % 4))
+        return at + -at % 4
+
     selection: Selection | JointStateError
+    reading = None
     try:
-        at += 4 + length.unpack_from(data, at)[0]  # frame_id
-        at += -at % 4
+        at = after_padding(at + 4 + length.unpack_from(data, at)[0])  # frame_id
         (count,) = length.unpack_from(data, at)
         if count > MOST_NAMES:
             raise JointStateError(f"the joint state names {count} joints; at most {MOST_NAMES} are read")
         at += 4
         names = []
         for _ in range(count):
-            at += -at % 4
+            at = after_padding(at)
             (size,) = length.unpack_from(data, at)
             names.append(data[at + 4 : at + 4 + max(0, size - 1)].decode(errors="replace"))
             at += 4 + size
-        at += -at % 4
+        at = after_padding(at)
         (values,) = length.unpack_from(data, at)
         at += 4
     except struct.error:
@@ -108,8 +136,14 @@ def _read_layout(data: bytes, reader: JointStateReader) -> _Layout:
         if values != len(names):
             raise JointStateError(f"the joint state has {len(names)} names but {values} positions")
         selection = reader.select(tuple(names))
+        if selection.balls is None:
+            swapped = (order == "<") != (sys.byteorder == "little")
+            reading = selection.bind_reading(offset, swapped, reader.start, out)
     except JointStateError as error:
         selection = error
-    return _Layout(
-        data[:4], data[12:end], struct.Struct(f"{order}iI"), np.dtype(f"{order}f8"), values, offset, selection
-    )
+    stamp, dtype = struct.Struct(f"{order}iI"), np.dtype(f"{order}f8")
+    mask = bytearray(b"\xff" * end)
+    for unsaid in padding:
+        mask[unsaid] = bytes(unsaid.stop - unsaid.start)
+    beginning = _native.MessageBeginning(data[:end], bytes(mask))
+    return _Layout(beginning, stamp, dtype, values, offset, selection, reading)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+import physkin_core._native as _native
 
 from physkin_core.rig.ball_joints import BallJoint, BallJoints
 from physkin_ros.joints.joint_map import MappedJoint
@@ -106,6 +107,18 @@ class Selection:
         positions[self.target] = read
         return far
 
+    def bind_reading(self, first: int, swapped: bool, start: np.ndarray, out: np.ndarray) -> _native.JointReading:
+        """A native reader of ordinary messages of these names, ball joints apart, bound to its arrays once.
+
+        Its `read(message)` does what `apply` does, over `start` (d,), into `out` (d,), both float32. It returns False
+        and changes nothing when a value is not finite, beyond `FARTHEST` or cut off: then `apply` tells which.
+        first: where the values begin in the bytes of a message. swapped: they are of the other byte order.
+        """
+        indices = self.source.tolist(), self.target.tolist()
+        return _native.JointReading(
+            *indices, self.scale.tolist(), self.offset.tolist(), first, swapped, FARTHEST, start, out
+        )
+
     def _farthest(self, values: np.ndarray, read: np.ndarray, source: np.ndarray) -> int | None:
         """Index of the value that is farthest beyond `FARTHEST`, None when there is none.
 
@@ -143,12 +156,21 @@ class JointStateReader:
     ) -> None:
         self.joint_names = tuple(joint_names)
         self.rest = np.array(rest, dtype=np.float32)
-        self.positions = self.rest.copy()
+        self._positions = self.rest.copy()
         self._naming = MappedNames(joint_names) if naming is None else naming
         self._keep_missing = keep_missing
         self._index = {name: index for index, name in enumerate(joint_names)}
         self._on_unknown, self._on_degrees = on_unknown, on_degrees
         self._selections: dict[tuple[str, ...], Selection] = {}
+
+    @property
+    def positions(self) -> np.ndarray:
+        """See the class: one array, changed in place."""
+        return self._positions
+
+    @positions.setter
+    def positions(self, positions: np.ndarray) -> None:
+        self._positions[:] = positions
 
     @property
     def start(self) -> np.ndarray:

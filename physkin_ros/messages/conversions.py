@@ -9,6 +9,7 @@ import sys
 from array import array
 
 import numpy as np
+from rclpy.publisher import Publisher
 
 from physkin_core import Draper
 from physkin_ros.messages.serialised import SerialisedMessage
@@ -53,7 +54,7 @@ class GarmentCloud:
         )
         message.header.frame_id = frame_id
         kept = SerialisedMessage(message, marker)
-        self.points, self.stamped = kept.payload, kept.stamped
+        self.points, self.stamped, self.publish = kept.payload, kept.stamped, kept.publish
 
 
 class NodesMessage:
@@ -65,9 +66,8 @@ class NodesMessage:
         marker = np.full((node_count, 3, 4), MARKER, dtype=np.float32)
         message = GarmentNodes(revision=revision, transforms=array("f", marker.tobytes()))
         message.header.frame_id = frame_id
-        self._serialised = SerialisedMessage(message, marker)
-        self.transforms = self._serialised.payload
-        self.stamped = self._serialised.stamped
+        kept = SerialisedMessage(message, marker)
+        self.transforms, self.publish = kept.payload, kept.publish
 
 
 class TriangleMarker:
@@ -86,10 +86,10 @@ class TriangleMarker:
         self._corners = faces.ravel()
         self._serialised = SerialisedMessage(message, marker)
 
-    def stamped(self, points: np.ndarray, sec: int, nanosec: int) -> bytes:
-        """The marker of a cloud (n, 6), to be published."""
+    def publish(self, publisher: Publisher, points: np.ndarray, sec: int, nanosec: int) -> None:
+        """Publish the marker of a cloud (n, 6)."""
         self._serialised.payload[:] = points[self._corners, :3]
-        return self._serialised.stamped(sec, nanosec)
+        self._serialised.publish(publisher, sec, nanosec)
 
 
 def read_cloud(message) -> np.ndarray:

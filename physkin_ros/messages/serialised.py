@@ -9,6 +9,7 @@ import struct
 import sys
 
 import numpy as np
+from rclpy.publisher import Publisher
 
 __all__ = ["SerialisedMessage"]
 
@@ -38,6 +39,14 @@ class SerialisedMessage:
         self.payload = self.payload.reshape(marker.shape)
 
     def stamped(self, sec: int, nanosec: int) -> bytes:
-        """The message as it is now, with this stamp; a copy, to be published."""
+        """The message as it is now, with this stamp; a copy."""
         self._stamp.pack_into(self._buffer, STAMP_OFFSET, sec, nanosec)
         return bytes(self._buffer)
+
+    def publish(self, publisher: Publisher, sec: int, nanosec: int) -> None:
+        """Publish the message as it is now, with this stamp, without the copy that `Publisher.publish` asks for.
+
+        Raises rclpy's RCLError when the publisher is destroyed; no other thread may destroy it meanwhile.
+        """
+        self._stamp.pack_into(self._buffer, STAMP_OFFSET, sec, nanosec)
+        publisher.handle.publish_raw(self._buffer)

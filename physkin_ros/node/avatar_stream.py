@@ -59,12 +59,12 @@ class Outfit:
         **bones,
     ) -> None:
         self.reader = reader
-        self.wire = JointStateWire(reader)
         self._rig, self._bones = model.rig, bones
         self.pose = reader.positions.copy()
+        self.wire = JointStateWire(reader, self.pose)
         self.separator = separator
         self.draped = self.pose if separator is None else self.pose.copy()
-        self.range = PoseRange(model.rig)
+        self.range = PoseRange(model.rig, self.pose)
         self.interpolator = PoseInterpolator(len(self.pose)) if interpolates else None
         self.garments: tuple[WornGarment, ...] = ()
 
@@ -88,6 +88,7 @@ class AvatarStream:
         self.gravity = _unit(settings.gravity)
         self.felt = self.gravity.copy()
         self._load = np.ones(1, dtype=np.float32)
+        self._down: np.ndarray | None = None  # what gravity and felt show, if it came as a direction
         self._gravity_by_stamp = GravityByStamp(self.gravity.copy())
         self._effective_gravity = EffectiveGravity()
         self._direction_only: set[str] = set()
@@ -234,7 +235,7 @@ class AvatarStream:
             return
         wire = outfit.wire
         try:
-            wire.read(data, outfit.pose)
+            wire.read(data)
             sec, nanosec = wire.stamp
             self._feel(wire, sec * NANOSECONDS + nanosec)
         except ValueError as error:
@@ -267,17 +268,16 @@ class AvatarStream:
     def _answer(self, outfit: Outfit, sec: int, nanosec: int, arrived: int) -> None:
         """Drape the pose that has been read, or keep it for the next cloud between poses. arrived: [ns]."""
         if outfit.interpolator is not None:
-            np.copyto(outfit.reader.positions, outfit.pose)
+            outfit.wire.keep()
             stamp_ns = sec * NANOSECONDS + nanosec
             outfit.interpolator.push(outfit.pose, self.gravity, self._load, stamp_ns, monotonic_ns())
             return
         if self._drape(outfit, sec, nanosec):
-            np.copyto(outfit.reader.positions, outfit.pose)
+            outfit.wire.keep()
             if self.deadline_ns and perf_counter_ns() - arrived > self.deadline_ns:
                 self.statistics.deadline_missed += 1
 
     def _drape(self, outfit: Outfit, sec: int, nanosec: int) -> bool:
-        np.multiply(self.gravity, self._load, out=self.felt)
         change = None
         if outfit.separator is not None:
             _, change = outfit.separator.separate(outfit.pose, out=outfit.draped)
@@ -294,7 +294,7 @@ class AvatarStream:
         if change is not None:
             self.statistics.separate(change)
             self._separated.publish(outfit.separator.joint_names, outfit.draped, sec, nanosec)
-        outfit.range.add(outfit.pose)
+        outfit.range.add()
         self.statistics.last_stamp_ns = sec * NANOSECONDS + nanosec
         return True
 
@@ -307,6 +307,7 @@ class AvatarStream:
         if stamp is not None:
             latest = self.gravity.copy(), self._load.copy()
             self.gravity[:], self._load[:] = gravity, load
+            np.multiply(gravity, load, out=self.felt)
             self._drape(outfit, *divmod(stamp, NANOSECONDS))
             self.gravity[:], self._load[:] = latest
 
@@ -339,17 +340,20 @@ class AvatarStream:
 
     def _feel(self, wire: JointStateWire | None, stamp_ns: int) -> None:
         """Set direction and load of gravity for a joint state, or for bone rotations, which have no `wire`."""
-        felt = self._effective_gravity.at(stamp_ns, monotonic_ns())
-        if felt is None:
+        felt, down = self._effective_gravity.at(stamp_ns, monotonic_ns()), None
+        if felt is not None:
+            self._load[0] = load = float(np.linalg.norm(felt))
+            if load > WEIGHTLESS:  # else the last direction stays
+                self.gravity[:] = felt / load
+        elif self._follows:
             self._load[0] = 1.0
-            if self._follows:
-                self._follow_orientation(wire)
-            else:
-                self.gravity[:] = self._gravity_by_stamp.at(stamp_ns)
+            self._follow_orientation(wire)
+        elif (down := self._gravity_by_stamp.at(stamp_ns)) is self._down:
             return
-        self._load[0] = load = float(np.linalg.norm(felt))
-        if load > WEIGHTLESS:  # else the last direction stays
-            self.gravity[:] = felt / load
+        else:
+            self._load[0], self.gravity[:] = 1.0, down
+        self._down = down
+        np.multiply(self.gravity, self._load, out=self.felt)
 
     def _follow_orientation(self, wire: JointStateWire | None) -> None:
         if self._orientation.tree is not None:

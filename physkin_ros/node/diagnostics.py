@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import physkin_core._native as _native
 
 from physkin_core import Rig
 
@@ -21,18 +22,21 @@ LEAST_SEPARATION = 1e-3  # [rad] smaller changes are not counted
 
 
 class PoseRange:
-    """How far joints have gone since the last report, against the limits that garments are trained within."""
+    """How far joints have gone since the last report, against the limits that garments are trained within.
 
-    def __init__(self, rig: Rig) -> None:
+    positions: (d,) float32 [rad], read at each `add`.
+    """
+
+    def __init__(self, rig: Rig, positions: np.ndarray) -> None:
         self._rig = rig
         self._least = np.empty(len(rig.dofs), dtype=np.float32)
         self._most = np.empty(len(rig.dofs), dtype=np.float32)
         self._clear()
+        self._range = _native.PoseRange(positions, self._least, self._most)
 
-    def add(self, positions: np.ndarray) -> None:
-        """A pose (d,) [rad]."""
-        np.minimum(self._least, positions, out=self._least)
-        np.maximum(self._most, positions, out=self._most)
+    def add(self) -> None:
+        """Take the positions as they are now."""
+        self._range.widen()
 
     def beyond(self) -> list[str]:
         """Joints beyond their limits since the last call, the farthest first, each with its position and limits."""

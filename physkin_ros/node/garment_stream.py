@@ -98,9 +98,9 @@ class WornGarment:
     def publish(self, sec: int, nanosec: int) -> None:
         """Publish the frame with the joint state's stamp; garment nodes and marker only to those who listen."""
         stream = self.stream
-        stream.cloud_publisher.publish(self._cloud.stamped(sec, nanosec))
-        if self._nodes is not None and stream.nodes_publisher.get_subscription_count():
+        self._cloud.publish(stream.cloud_publisher, sec, nanosec)
+        if self._nodes is not None and stream.nodes_publisher.handle.get_subscription_count():
             self._nodes.transforms[:] = self.draper.node_transforms()
-            stream.nodes_publisher.publish(self._nodes.stamped(sec, nanosec))
+            self._nodes.publish(stream.nodes_publisher, sec, nanosec)
         if self._marker is not None and stream.marker_publisher.get_subscription_count():
-            stream.marker_publisher.publish(self._marker.stamped(self._cloud.points, sec, nanosec))
+            self._marker.publish(stream.marker_publisher, self._cloud.points, sec, nanosec)

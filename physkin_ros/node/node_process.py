@@ -48,14 +48,15 @@ def spin(node: DrapeNode) -> None:
     """Serve the node until its context is shut down. What a callback raises is logged, and the next one is served."""
     executor = EXECUTORS[node.get_parameter("executor").value]()
     executor.add_node(node)
+    ok = node.context.ok  # once a message: rclpy.ok() asks for the context first
     try:
-        while rclpy.ok():  # EventsExecutor delivers nothing in spin(), nor in spin_once() without a timeout
+        while ok():  # EventsExecutor delivers nothing in spin(), nor in spin_once() without a timeout
             try:
                 executor.spin_once(timeout_sec=1.0)
             except (KeyboardInterrupt, ExternalShutdownException):
                 break
             except Exception as error:
-                if not rclpy.ok():  # rclpy's, when a signal ends the context between ok() and the wait
+                if not ok():  # rclpy's, when a signal ends the context between ok() and the wait
                     break
                 node.get_logger().error(
                     f"a message or request could not be handled: {type(error).__name__}: {error} "

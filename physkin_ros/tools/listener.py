@@ -27,7 +27,7 @@ from physkin_ros.messages.conversions import read_cloud
 from physkin_ros.middleware.spinning import spin_until
 from physkin_ros.tools.player import STAMP, STAMP_OFFSET
 
-__all__ = ["READY", "Listener", "main"]
+__all__ = ["READY", "Listener", "garment_names", "main"]
 
 READY = "ready"
 """Printed once every garment has answered a joint state: what is sent from then on and does not come back is lost."""
@@ -37,26 +37,36 @@ SILENCE_SECONDS = 1.5
 KEPT_CLOUDS = 8
 
 
+def garment_names(count: int) -> list[str]:
+    """Of each avatar: g, g1, g2 and so on."""
+    return ["g", *(f"g{index}" for index in range(1, count))]
+
+
 class Listener(Node):
     """Collects what arrives on `drape_node/a0/g/garment`, that of the other `avatars`, and `/diagnostics`.
 
+    garments: of each avatar.
     motion: whose first pose is sent to ask whether anybody answers. keep_every: of every so many clouds one is kept
     with its points, and all are checked to be finite; 0: none.
     """
 
-    def __init__(self, avatars: int, motion: Motion, *, keep_every: int = 0) -> None:
+    def __init__(self, avatars: int, motion: Motion, *, garments: int = 1, keep_every: int = 0) -> None:
         super().__init__("listener")
-        self.clouds: list[tuple[int, int, int]] = []
+        self.clouds: list[tuple[int, int, int, int]] = []
         self.kept: dict[int, np.ndarray] = {}
         self.not_finite = 0
         self.reports: list[dict[str, str]] = []
         self._keep_every = keep_every
         self._probe = JointState(name=list(motion.joint_names), position=array("d", motion.positions[0].tolist()))
         self._probes: set[int] = set()
-        self._silent = set(range(avatars))
-        for k in range(avatars):  # deep queues: what is lost on the way is counted, not what a busy machine reads late
-            topic, quality = f"drape_node/a{k}/g/garment", QoSProfile(depth=1000)
-            self.create_subscription(PointCloud2, topic, lambda data, k=k: self._on_cloud(k, data), quality, raw=True)
+        self._garments = garments
+        self._silent = {(k, of) for k in range(avatars) for of in range(garments)}
+        quality = QoSProfile(depth=1000)  # deep: what is lost on the way is counted, not what a busy machine reads late
+        for k, of in sorted(self._silent):
+            topic = f"drape_node/a{k}/{garment_names(garments)[of]}/garment"
+            self.create_subscription(
+                PointCloud2, topic, lambda data, k=k, of=of: self._on_cloud(k, of, data), quality, raw=True
+            )
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
     def wait_until_answered(self, executor: Executor, seconds: float) -> bool:
@@ -64,10 +74,11 @@ class Listener(Node):
 
         Discovery does not tell: a garment may still be loading, and its publisher may not know of this reader yet.
         """
-        publishers = [self.create_publisher(JointState, f"a{k}/joint_states", 1) for k in sorted(self._silent)]
+        avatars = sorted({k for k, _ in self._silent})
+        publishers = [self.create_publisher(JointState, f"a{k}/joint_states", 1) for k in avatars]
 
         def ask() -> None:
-            for k in self._silent:
+            for k in {k for k, _ in self._silent}:
                 stamp, now = self._probe.header.stamp, time.monotonic_ns()
                 stamp.sec, stamp.nanosec = divmod(now, 1_000_000_000)
                 self._probes.add(now)
@@ -81,29 +92,32 @@ class Listener(Node):
         self.reports.clear()
         return answered
 
-    def _on_cloud(self, avatar: int, data: bytes) -> None:
+    def _on_cloud(self, avatar: int, of: int, data: bytes) -> None:
         received = time.monotonic_ns()
         sec, nanosec = STAMP.unpack_from(data, STAMP_OFFSET)
         stamp = sec * 1_000_000_000 + nanosec
         if stamp in self._probes:
-            self._silent.discard(avatar)
+            self._silent.discard((avatar, of))
             return
         if self._keep_every:
             points = read_cloud(deserialize_message(data, PointCloud2))
             self.not_finite += not np.isfinite(points).all()
             if len(self.clouds) % self._keep_every == 0 and len(self.kept) < KEPT_CLOUDS:
                 self.kept[stamp] = points.copy()
-        self.clouds.append((avatar, stamp, received))
+        self.clouds.append((avatar, of, stamp, received))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.reports += [{value.key: value.value for value in status.values} for status in message.status]
 
     def save(self, path: Path) -> None:
-        """Write avatars, received_stamps and received (R,), not_finite, kept_stamps (k,), kept (k, n, 6), reports."""
-        avatars, stamps, received = np.array(self.clouds, dtype=np.int64).reshape(-1, 3).T
+        """Write avatars, of, received_stamps and received (R,), garments, not_finite, kept_stamps (k,), kept (k, n, 6),
+        reports."""
+        avatars, of, stamps, received = np.array(self.clouds, dtype=np.int64).reshape(-1, 4).T
         np.savez(
             path,
             avatars=avatars,
+            of=of,
+            garments=self._garments,
             received_stamps=stamps,
             received=received,
             not_finite=self.not_finite,
@@ -121,10 +135,12 @@ def main() -> int:
     parser.add_argument("motion", help="whose joints are sent")
     parser.add_argument("sent", type=Path, help="what the player writes when it has ended")
     parser.add_argument("--keep-every", type=int, default=0)
+    parser.add_argument("--garments", type=int, default=1, help="of each avatar")
     options = parser.parse_args()
     rclpy.init(args=[])
     executor = EventsExecutor()
-    listener = Listener(options.avatars, load_motion(options.motion), keep_every=options.keep_every)
+    chosen = {"garments": options.garments, "keep_every": options.keep_every}
+    listener = Listener(options.avatars, load_motion(options.motion), **chosen)
     executor.add_node(listener)
     try:
         if not listener.wait_until_answered(executor, ANSWER_SECONDS):

@@ -1,8 +1,8 @@
 """`physkin ros-bench`: how many clouds arrive, how late, and what they cost, between real processes.
 
 A publisher process sends joint states of the bundled motion, a node process drapes, a reader process receives the
-clouds; one avatar a garment, their joint states evenly spread in time. What it prints is measured from just before a
-joint state is published to when the cloud's bytes are in the reader's callback.
+clouds; each avatar wears a garment of each `--model`, their joint states evenly spread in time. What it prints is
+measured from just before a joint state is published to when its last cloud's bytes are in the reader's callback.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ WARM_UP_SECONDS = 1.0
 
 CASES = ("1x60", "1x500", "1x1000", "1x2000", "4x60", "4x200", "4x800", "16x60", "16x200")
 COLUMNS = (
-    ("garments", "garments", "d"),
+    ("avatars", "avatars", "d"),
     ("rate_hz", "Hz", "g"),
     ("delivered_percent", "delivered %", ".2f"),
     ("p50_ms", "p50 ms", ".3f"),
@@ -49,26 +49,29 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Case:
-    """What to measure. garments: one an avatar."""
+    """What to measure."""
 
-    garments: int
+    avatars: int
     rate_hz: float
 
     @property
     def name(self) -> str:
         """As it is asked for on the command line."""
-        return f"{self.garments}x{self.rate_hz:g}"
+        return f"{self.avatars}x{self.rate_hz:g}"
 
 
 def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0; 1 when a process failed."""
     options = _parser().parse_args(argv)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    model = load_garment_model(options.model)
+    models = [load_garment_model(name) for name in options.model]
     facts = {
         "machine": machine_line(),
         "versions": versions_line(),
-        "garment": f"{model.name}, {len(model.garment.vertices)} vertices, {len(model.node_rest)} garment nodes",
+        "garments of an avatar": "; ".join(
+            f"{model.name}, {len(model.garment.vertices)} vertices, {len(model.node_rest)} garment nodes"
+            for model in models
+        ),
         "queue": options.queue,
         "seconds": options.seconds,
     }
@@ -97,42 +100,45 @@ def main(argv: list[str] | None = None) -> int:
 def _measure(case: Case, options: argparse.Namespace, folder: Path) -> Records:
     seconds = options.seconds + WARM_UP_SECONDS
     with Children(private_environment(), folder) as children:
-        garment = {"model": options.model, "fit": options.fit}
-        settings = {"avatar": {"orientation": "fixed"}, "garment": garment, "queue": options.queue}
-        start_node(children, folder, case.garments, **settings)
+        first, *further = options.model
+        garment = {"model": first, "fit": options.fit}
+        settings = {"avatar": {"orientation": "fixed"}, "garment": garment, "queue": options.queue, "models": further}
+        start_node(children, folder, case.avatars, **settings)
         more = ("--warm-up", round(WARM_UP_SECONDS * case.rate_hz), "--watched", children.pid("node"))
-        start_playing(children, folder, case.garments, MOTION, case.rate_hz, seconds, *more)
+        played = (children, folder, case.avatars, MOTION, case.rate_hz, seconds, *more)
+        start_playing(*played, garments=len(options.model))
         return finish(children, folder, seconds)
 
 
 def figures(case: Case, records: Records) -> dict[str, object]:
     """What was measured of a case; figures that there were none for are None.
 
-    sent: joint states, and so clouds expected. delivered_percent: clouds that came once, of those, with the warm-up;
-    all else is without. p50_ms, p99_ms: end to end. callback_us, process_us: processor time of the node's executor
-    thread, and of all its threads, a cloud that came. evaluator_p50_us, evaluator_p99_us: medians over seconds and
-    garments of what the node reports. overhead_us: callback_us beyond evaluator_p50_us. load: the machine's load
-    average of a minute, when the case ended.
+    sent: joint states. delivered_percent: those of which all clouds came once, with the warm-up; all else is without.
+    p50_ms, p99_ms: end to end, to the last cloud. callback_us, process_us: processor time of the node's executor
+    thread, and of all its threads, a joint state that was delivered. evaluator_p50_us, evaluator_p99_us: medians over
+    seconds and garments of what the node reports. overhead_us: callback_us beyond evaluator_p50_us of each garment.
+    load: the machine's load average of a minute, when the case ended.
     """
-    counts, delays = records.answers()
+    counts, delays = (each.reshape(len(each), -1, records.garments) for each in records.answers())
+    once, delays = (counts == 1).all(axis=2), delays.max(axis=2)
     warm_up = round(WARM_UP_SECONDS * case.rate_hz)
     late = delays[warm_up:][np.isfinite(delays[warm_up:])]
-    callback, process = 1e6 * records.cpu / max(1, (counts[warm_up:] == 1).sum())
+    callback, process = 1e6 * records.cpu / max(1, once[warm_up:].sum())
     p50, p99 = np.percentile(late, (50, 99)).tolist() if len(late) else (None, None)
     evaluations = records.evaluations()
     evaluator = np.median(evaluations, axis=0).tolist() if len(evaluations) else (None, None)
     return {
         "case": case.name,
         **vars(case),
-        "sent": counts.size,
-        "delivered_percent": float(100 * (counts == 1).mean()),
+        "sent": once.size,
+        "delivered_percent": float(100 * once.mean()),
         "p50_ms": p50,
         "p99_ms": p99,
         "callback_us": float(callback),
         "process_us": float(process),
         "evaluator_p50_us": evaluator[0],
         "evaluator_p99_us": evaluator[1],
-        "overhead_us": float(callback - evaluator[0]) if len(evaluations) else None,
+        "overhead_us": float(callback - records.garments * evaluator[0]) if len(evaluations) else None,
         "load": float(records.load),
     }
 
@@ -140,7 +146,12 @@ def figures(case: Case, records: Records) -> dict[str, object]:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin ros-bench", description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=file_to_write, metavar="OUT", help="write what is printed to a file, too")
-    parser.add_argument("--model", default="dress", help="garment: a file or a shipped name (default %(default)s)")
+    parser.add_argument(
+        "--model",
+        nargs="+",
+        default=["dress"],
+        help="garments that each avatar wears: files or shipped names (default dress)",
+    )
     add_fit_option(parser)
     parser.add_argument("--seconds", type=positive, default=5.0, help="of each case, after a warm-up (default 5)")
     parser.add_argument(
@@ -149,7 +160,7 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         default=[_case(text) for text in CASES],
         metavar="KxHZ",
-        help=f"garments and joint states a second of each (default {' '.join(CASES)})",
+        help=f"avatars and joint states a second of each (default {' '.join(CASES)})",
     )
     parser.add_argument(
         "--queue", type=whole_number(1), metavar="N", help="joint states the node may queue (default: the node's, 50)"
@@ -160,5 +171,5 @@ def _parser() -> argparse.ArgumentParser:
 def _case(text: str) -> Case:
     match = re.fullmatch(r"([1-9]\d{0,2})x([1-9]\d{0,4})", text)
     if not match:
-        raise argparse.ArgumentTypeError(f"{text!r} is no case; write garments and rate, such as 16x200")
+        raise argparse.ArgumentTypeError(f"{text!r} is no case; write avatars and rate, such as 16x200")
     return Case(int(match[1]), float(match[2]))

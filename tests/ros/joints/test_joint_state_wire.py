@@ -7,8 +7,9 @@ import struct
 import numpy as np
 import pytest
 
+from physkin_ros.joints.joint_map import MappedJoint
 from physkin_ros.joints.joint_state_wire import MOST_NAMES, JointStateWire
-from physkin_ros.joints.joint_states import JointStateError, JointStateReader
+from physkin_ros.joints.joint_states import JointStateError, JointStateReader, MappedNames
 
 NAMES = ("hip", "knee", "ankle", "neck")
 REST = np.array([0.1, 0.2, 0.3, 0.4])
@@ -41,8 +42,8 @@ def reader() -> JointStateReader:
 @pytest.mark.parametrize("order", "<>")
 def test_equals_the_reader(reader, order):
     """Any names, frame and byte order, and each layout a second time, when it is known."""
-    wire, random = JointStateWire(reader), np.random.default_rng(2)
-    out = np.empty(4, dtype=np.float32)
+    out, random = np.empty(4, dtype=np.float32), np.random.default_rng(2)
+    wire = JointStateWire(reader, out)
     for _ in range(60):
         count = int(random.integers(1, 5))
         names = [*random.permutation(NAMES)[:count].tolist(), *["tail" * int(random.integers(1, 5))]]
@@ -50,20 +51,38 @@ def test_equals_the_reader(reader, order):
         for _ in range(2):
             values = random.normal(size=len(names)).tolist()
             stamp = (int(random.integers(-(2**31), 2**31)), int(random.integers(0, 2**32)))
-            wire.read(wire_bytes(names, values, frame=frame, stamp=stamp, order=order), out)
+            wire.read(wire_bytes(names, values, frame=frame, stamp=stamp, order=order))
             np.testing.assert_array_equal(out, reader.read(names, values))
             assert wire.stamp == stamp and wire.values.tolist() == values
 
 
 def test_known_names_are_not_looked_at_again(reader):
     """Whatever the stamp and the positions; two publishers may take turns."""
-    wire, out = JointStateWire(reader), np.empty(4, dtype=np.float32)
+    out = np.empty(4, dtype=np.float32)
+    wire = JointStateWire(reader, out)
     looked, select = [], reader.select
     reader.select = lambda names: looked.append(names) or select(names)
     for index in range(6):
-        wire.read(wire_bytes(["hip", "knee"], [index, 2.0], stamp=(index, 0)), out)
-        wire.read(wire_bytes(["ankle"], [3.0]), out)
+        wire.read(wire_bytes(["hip", "knee"], [index, 2.0], stamp=(index, 0)))
+        wire.read(wire_bytes(["ankle"], [3.0]))
     assert looked == [("hip", "knee"), ("ankle",)]
+
+
+def test_padding_says_nothing(reader):
+    """Middleware leaves between names whatever was there before: the names are still known."""
+    out = np.empty(4, dtype=np.float32)
+    wire = JointStateWire(reader, out)
+    looked, select = [], reader.select
+    reader.select = lambda names: looked.append(names) or select(names)
+    good = wire_bytes(["hip", "ankle"], [1.0, 2.0])
+    padded = bytearray(good)
+    padded[17:20] = b"\1\2\3"  # after the empty frame
+    padded[42:44] = b"\4\5"  # after "ankle"
+    for data in (good, bytes(padded)):
+        wire.read(data)
+        np.testing.assert_array_equal(out, np.float32([1, 0.2, 2, 0.4]))
+    wire.read(good[:24] + struct.pack("<I", 4) + b"nec" + good[31:])
+    assert looked == [("hip", "ankle"), ("nec", "ankle")]
 
 
 @pytest.mark.parametrize(
@@ -82,24 +101,59 @@ def test_known_names_are_not_looked_at_again(reader):
 )
 def test_bad_bytes_are_refused(reader, data, reason):
     """Every time, and a good message is read as ever afterwards."""
-    wire, out = JointStateWire(reader), np.empty(4, dtype=np.float32)
+    out = np.empty(4, dtype=np.float32)
+    wire = JointStateWire(reader, out)
     for _ in range(2):
         with pytest.raises(JointStateError, match=reason):
-            wire.read(data, out)
-    wire.read(wire_bytes(["hip"], [5.0]), out)
+            wire.read(data)
+    wire.read(wire_bytes(["hip"], [5.0]))
     np.testing.assert_array_equal(out, np.float32([5, 0.2, 0.3, 0.4]))
 
 
 def test_any_cut_and_any_changed_byte(reader):
     """Nothing but JointStateError comes out."""
     good = wire_bytes(["hip", "tail", "knee"], [1.0, 2.0, 3.0], frame="torso")
-    wire, out, random = JointStateWire(reader), np.empty(4, dtype=np.float32), np.random.default_rng(5)
+    out, random = np.empty(4, dtype=np.float32), np.random.default_rng(5)
+    wire = JointStateWire(reader, out)
     for trial in range(3000):
         data = bytearray(good[: random.integers(0, len(good))] if trial % 2 else good)
         for at in random.integers(0, max(1, len(data)), size=3 if data else 0):
             data[at] = random.integers(256)
         try:
-            wire.read(bytes(data), out)
+            wire.read(bytes(data))
         except JointStateError:
             continue
         assert np.isfinite(out).all()
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_positions_that_are_not_ordinary(order):
+    """What native code leaves alone is read, counted or refused as by the reader; a map's scale and offset count."""
+    doubts = []
+    naming = MappedNames(NAMES, {"left": MappedJoint("hip", -2.0, 0.5)})
+    reader = JointStateReader(NAMES, REST, naming=naming, on_degrees=lambda *told: doubts.append(told))
+    out = np.empty(4, dtype=np.float32)
+    wire = JointStateWire(reader, out)
+    for value, expected in ((1.0, -1.5), (-45.0, 90.5)):
+        wire.read(wire_bytes(["left", "nobody"], [value, 1e300], order=order))
+        np.testing.assert_array_equal(out, np.float32([expected, 0.2, 0.3, 0.4]))
+    assert doubts == [("left", -45.0)]
+    for value in (np.nan, np.inf, -np.inf, 1e39):
+        with pytest.raises(JointStateError, match="'left' is .*; it must be finite"):
+            wire.read(wire_bytes(["left"], [value], order=order))
+    wire.read(wire_bytes(["neck"], [3.0], order=order))
+    np.testing.assert_array_equal(out, np.float32([0.1, 0.2, 0.3, 3.0]))
+
+
+def test_joints_that_are_not_named_keep_what_the_reader_has(reader):
+    """Its positions may be set after the first message of a layout."""
+    out = np.empty(4, dtype=np.float32)
+    wire = JointStateWire(reader, out)
+    wire.read(wire_bytes(["hip"], [1.0]))
+    reader.positions = np.float32([5.0, 6.0, 7.0, 8.0])
+    wire.read(wire_bytes(["hip"], [2.0]))
+    np.testing.assert_array_equal(out, np.float32([2, 6, 7, 8]))
+    assert reader.positions[0] == 5.0
+    wire.keep()
+    wire.read(wire_bytes(["knee"], [3.0]))
+    np.testing.assert_array_equal(out, np.float32([2, 3, 7, 8]))

@@ -52,13 +52,14 @@ def test_no_trouble_hides_another():
 def test_poses_outside_the_trained_range():
     """The farthest joint is named first, with where it was and what was trained, until reported."""
     rig = load_body_model().rig
-    found = PoseRange(rig)
-    found.add(rig.rest.astype(np.float32))
-    assert found.beyond() == []
     pose = rig.rest.astype(np.float32)
+    found = PoseRange(rig, pose)
+    found.add()
+    assert found.beyond() == []
     pose[3], pose[7] = rig.upper[3] + 0.5, rig.lower[7] - 0.25
-    found.add(pose)
-    found.add(rig.rest.astype(np.float32))
+    found.add()
+    pose[:] = rig.rest
+    found.add()
     beyond = found.beyond()
     assert [text.split()[0] for text in beyond] == [rig.joint_names[3], rig.joint_names[7]]
     assert f"{rig.upper[3] + 0.5:.2f} rad (trained {rig.lower[3]:.2f} to {rig.upper[3]:.2f})" in beyond[0]
