@@ -40,7 +40,10 @@ def site(start_site, model_path, leaning_model_path, other_body):
         "deadline": 0.5,
         "most_bodies": 2,
         "avatars": {
-            "alice": {"garments": {"top": {"model": str(model_path)}, "legs": {"model": str(leaning_model_path)}}},
+            "alice": {
+                "outfit": False,  # the same garment twice, draped otherwise
+                "garments": {"top": {"model": str(model_path)}, "legs": {"model": str(leaning_model_path)}},
+            },
             "bob": {
                 "orientation": "pose",
                 "frame_id": "bobs_root",

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from physkin_ros.node import settings
-from physkin_ros.node.settings import SettingsError, load_config
+from physkin_ros.node.config_file import load_config
+from physkin_ros.node.settings import SettingsError
 
 CONFIG = Path(settings.__file__).parents[1] / "config"
 
