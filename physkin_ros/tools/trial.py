@@ -78,7 +78,7 @@ def start_node(
         for topic in ("joint_states", "gravity") if queue is not None else ():
             parameters[f"qos_overrides./a{k}/{topic}.subscription.depth"] = queue
     config = folder / "avatars.yaml"
-    config.write_text(yaml.safe_dump({"drape_node": {"ros__parameters": parameters}}))
+    config.write_text(yaml.safe_dump({"drape_node": {"ros__parameters": parameters}}, sort_keys=False))
     children.start("node", "physkin_core.cli", "node", "--config", config)
 
 
