@@ -1,6 +1,7 @@
 """Listener process of a trial: makes sure that every garment answers, then writes down when each cloud came.
 
-Dimensions: `R` received clouds, `k` kept clouds, `n` garment vertices. Times are CLOCK_MONOTONIC [ns].
+Dimensions: `R` received clouds, `k` kept poses, `n` vertices given of all garments of an avatar. Times are
+CLOCK_MONOTONIC [ns].
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from physkin_ros.messages.conversions import read_cloud
 from physkin_ros.middleware.spinning import spin_until
 from physkin_ros.tools.player import STAMP, STAMP_OFFSET
 
-__all__ = ["READY", "Listener", "main"]
+__all__ = ["READY", "Listener", "garment_names", "main"]
 
 READY = "ready"
 """Printed once every garment has answered a joint state: what is sent from then on and does not come back is lost."""
@@ -37,26 +38,36 @@ SILENCE_SECONDS = 1.5
 KEPT_CLOUDS = 8
 
 
-class Listener(Node):
-    """Collects what arrives on `drape_node/a0/g/garment`, that of the other `avatars`, and `/diagnostics`.
+def garment_names(count: int) -> list[str]:
+    """What the garments of an avatar are called in a trial: g, g1, g2, ..."""
+    return ["g", *(f"g{k}" for k in range(1, count))]
 
-    motion: whose first pose is sent to ask whether anybody answers. keep_every: of every so many clouds one is kept
-    with its points, and all are checked to be finite; 0: none.
+
+class Listener(Node):
+    """Collects what arrives on `drape_node/a0/g/garment`, that of the other `avatars` and garments, and `/diagnostics`.
+
+    motion: whose first pose is sent to ask whether anybody answers. garments: of each avatar. keep_every: of every so
+    many answered joint states one is kept with the points of its clouds, and all are checked to be finite; 0: none.
     """
 
-    def __init__(self, avatars: int, motion: Motion, *, keep_every: int = 0) -> None:
+    def __init__(self, avatars: int, motion: Motion, *, garments: int = 1, keep_every: int = 0) -> None:
         super().__init__("listener")
-        self.clouds: list[tuple[int, int, int]] = []
-        self.kept: dict[int, np.ndarray] = {}
+        self.clouds: list[tuple[int, int, int, int]] = []
+        self._answered: dict[int, int] = {}
+        self._kept: dict[int, dict[int, np.ndarray]] = {}
+        self._garments = garments
         self.not_finite = 0
         self.reports: list[dict[str, str]] = []
         self._keep_every = keep_every
         self._probe = JointState(name=list(motion.joint_names), position=array("d", motion.positions[0].tolist()))
         self._probes: set[int] = set()
-        self._silent = set(range(avatars))
-        for k in range(avatars):  # deep queues: what is lost on the way is counted, not what a busy machine reads late
-            topic, quality = f"drape_node/a{k}/g/garment", QoSProfile(depth=1000)
-            self.create_subscription(PointCloud2, topic, lambda data, k=k: self._on_cloud(k, data), quality, raw=True)
+        self._silent = {(avatar, garment) for avatar in range(avatars) for garment in range(garments)}
+        names = garment_names(garments)
+        for key in sorted(self._silent):  # deep queues: what is lost on the way is counted, not what is read late
+            topic, quality = f"drape_node/a{key[0]}/{names[key[1]]}/garment", QoSProfile(depth=1000)
+            self.create_subscription(
+                PointCloud2, topic, lambda data, key=key: self._on_cloud(*key, data), quality, raw=True
+            )
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
     def wait_until_answered(self, executor: Executor, seconds: float) -> bool:
@@ -64,10 +75,11 @@ class Listener(Node):
 
         Discovery does not tell: a garment may still be loading, and its publisher may not know of this reader yet.
         """
-        publishers = [self.create_publisher(JointState, f"a{k}/joint_states", 1) for k in sorted(self._silent)]
+        avatars = {avatar for avatar, _ in self._silent}
+        publishers = {k: self.create_publisher(JointState, f"a{k}/joint_states", 1) for k in sorted(avatars)}
 
         def ask() -> None:
-            for k in self._silent:
+            for k in {avatar for avatar, _ in self._silent}:
                 stamp, now = self._probe.header.stamp, time.monotonic_ns()
                 stamp.sec, stamp.nanosec = divmod(now, 1_000_000_000)
                 self._probes.add(now)
@@ -76,39 +88,44 @@ class Listener(Node):
         timer = self.create_timer(PROBE_PERIOD, ask)
         answered = spin_until(executor, seconds, lambda: not self._silent)
         self.destroy_timer(timer)
-        for publisher in publishers:
+        for publisher in publishers.values():
             self.destroy_publisher(publisher)
         self.reports.clear()
         return answered
 
-    def _on_cloud(self, avatar: int, data: bytes) -> None:
+    def _on_cloud(self, avatar: int, garment: int, data: bytes) -> None:
         received = time.monotonic_ns()
         sec, nanosec = STAMP.unpack_from(data, STAMP_OFFSET)
         stamp = sec * 1_000_000_000 + nanosec
         if stamp in self._probes:
-            self._silent.discard(avatar)
+            self._silent.discard((avatar, garment))
             return
         if self._keep_every:
             points = read_cloud(deserialize_message(data, PointCloud2))
             self.not_finite += not np.isfinite(points).all()
-            if len(self.clouds) % self._keep_every == 0 and len(self.kept) < KEPT_CLOUDS:
-                self.kept[stamp] = points.copy()
-        self.clouds.append((avatar, stamp, received))
+            index = self._answered.setdefault(stamp, len(self._answered))
+            if index % self._keep_every == 0 and index // self._keep_every < KEPT_CLOUDS:
+                self._kept.setdefault(stamp, {})[garment] = points.copy()
+        self.clouds.append((avatar, garment, stamp, received))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.reports += [{value.key: value.value for value in status.values} for status in message.status]
 
     def save(self, path: Path) -> None:
-        """Write avatars, received_stamps and received (R,), not_finite, kept_stamps (k,), kept (k, n, 6), reports."""
-        avatars, stamps, received = np.array(self.clouds, dtype=np.int64).reshape(-1, 3).T
+        """Write avatars, garments, received_stamps and received (R,), not_finite, kept_stamps (k,), kept (k, n, 6) of
+        the joint states that all garments have answered, one garment's points after the other's, and reports."""
+        avatars, garments, stamps, received = np.array(self.clouds, dtype=np.int64).reshape(-1, 4).T
+        whole = {stamp: clouds for stamp, clouds in self._kept.items() if len(clouds) == self._garments}
+        kept = [np.concatenate([clouds[k] for k in range(self._garments)]) for clouds in whole.values()]
         np.savez(
             path,
             avatars=avatars,
+            garments=garments,
             received_stamps=stamps,
             received=received,
             not_finite=self.not_finite,
-            kept_stamps=np.array(list(self.kept), dtype=np.int64),
-            kept=np.array(list(self.kept.values()), dtype=np.float32),
+            kept_stamps=np.array(list(whole), dtype=np.int64),
+            kept=np.array(kept, dtype=np.float32),
             reports=json.dumps(self.reports),
         )
 
@@ -120,11 +137,13 @@ def main() -> int:
     parser.add_argument("avatars", type=int)
     parser.add_argument("motion", help="whose joints are sent")
     parser.add_argument("sent", type=Path, help="what the player writes when it has ended")
+    parser.add_argument("--garments", type=int, default=1)
     parser.add_argument("--keep-every", type=int, default=0)
     options = parser.parse_args()
     rclpy.init(args=[])
     executor = EventsExecutor()
-    listener = Listener(options.avatars, load_motion(options.motion), keep_every=options.keep_every)
+    chosen = {"garments": options.garments, "keep_every": options.keep_every}
+    listener = Listener(options.avatars, load_motion(options.motion), **chosen)
     executor.add_node(listener)
     try:
         if not listener.wait_until_answered(executor, ANSWER_SECONDS):
