@@ -11,12 +11,14 @@ import hashlib
 import json
 import sys
 from collections import OrderedDict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
 from typing import Literal
+
+import numpy as np
 
 from physkin_core import (
     BUNDLED_AVATAR,
@@ -32,9 +34,8 @@ from physkin_core.model.model_file import MODELS_PATH, shipped_models
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.rest_look import RestLook
 from physkin_ros.joints.nearest_names import nearest_names
-from physkin_ros.node.outfit_layer import OutfitLayer
 
-__all__ = ["LARGEST_ASSET", "AssetError", "AssetRoots", "DraperLoader", "LoadedDraper", "Outfitting"]
+__all__ = ["LARGEST_ASSET", "AssetError", "AssetRoots", "DraperLoader", "LoadedDraper", "OutfitLayer", "Outfitting"]
 
 LARGEST_ASSET = 1 << 29
 """[bytes] A larger file is not opened while the node runs."""
@@ -97,6 +98,75 @@ class Outfitting:
         for path in (self.body_mesh, self.body_rig):
             if path and Path(path) != BUNDLED_AVATAR:
                 roots.check(path)
+
+
+@dataclass(frozen=True)
+class OutfitLayer:
+    """Garment `index` of `outfit`, from the skin outwards, told as a `Draper` tells of its own; points are those of the
+    vertices that are given."""
+
+    outfit: Outfit
+    index: int
+
+    @property
+    def model(self) -> GarmentModel:
+        return self.outfit.models[self.index]
+
+    @property
+    def avatar(self) -> Avatar:
+        """With the warnings of the whole outfit."""
+        return self.outfit.avatar
+
+    @property
+    def bound(self) -> BoundGarment:
+        """Of the vertices that are given alone."""
+        return self.outfit.bounds[self.index]
+
+    @property
+    def faces(self) -> np.ndarray:
+        """(f, 3) int32 triangles between the points of a cloud."""
+        return self.outfit.faces[self.index]
+
+    @property
+    def vertex_count(self) -> int:
+        """Points of a cloud."""
+        return self.outfit.vertex_counts[self.index]
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return self.outfit.joint_names
+
+    @property
+    def fit(self) -> float:
+        return self.outfit.fits[self.index]
+
+    @property
+    def backend(self) -> str:
+        return self.outfit.backend
+
+    @property
+    def instruction_set(self) -> str:
+        return self.outfit.instruction_set
+
+    @property
+    def precision(self) -> str:
+        return self.outfit.precision
+
+    def node_transforms(self) -> np.ndarray:
+        """Garment node transforms (m, 3, 4) of the last frame."""
+        return self.outfit.node_transforms()[self.index]
+
+    def mesh_fields(self) -> Mapping[str, object]:
+        """What a `physkin_msgs/GarmentMesh` says of a garment of an outfit."""
+        outfit, k = self.outfit, self.index
+        return {
+            "layer": k,
+            "layers": len(outfit.models),
+            "moved": outfit.moved[k],
+            "model_vertex_count": len(outfit.hidden[k]),
+            "visible": outfit.visible[k],
+            "body_covered": outfit.body_mask if k == 0 else (),
+        }
 
 
 @dataclass(frozen=True)

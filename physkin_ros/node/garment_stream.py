@@ -15,8 +15,8 @@ from physkin_core import Draper
 from physkin_core.runtime.rest_look import RestLook
 from physkin_ros.messages.conversions import GarmentCloud, NodesMessage, TriangleMarker, garment_mesh
 from physkin_ros.messages.interfaces import missing_interfaces
+from physkin_ros.node.asset_loading import OutfitLayer
 from physkin_ros.node.diagnostics import GarmentStatistics
-from physkin_ros.node.outfit_layer import OutfitLayer
 from physkin_ros.node.settings import AvatarSettings, GarmentSettings
 
 __all__ = ["GarmentStream", "Pass", "WornGarment", "passes_of", "same_mesh", "stream_quality"]

@@ -9,9 +9,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from physkin_ros.messages.interfaces import missing_interfaces
+from physkin_ros.node.asset_loading import OutfitLayer
 from physkin_ros.node.avatar_stream import AvatarStream
 from physkin_ros.node.diagnostics import diagnostic_status
-from physkin_ros.node.outfit_layer import OutfitLayer
 
 __all__ = ["PERIOD", "Reports"]
 

@@ -313,8 +313,8 @@ def test_interpolated_outfits(running_node, peer, models):
 
 def test_effective_gravity_counts_for_all_or_none(models, avatar):
     """An outfit has one pose vector: its garments take effective gravity where all have learnt it."""
+    from physkin_ros.node.asset_loading import OutfitLayer
     from physkin_ros.node.garment_stream import WornGarment
-    from physkin_ros.node.outfit_layer import OutfitLayer
 
     class NoStream:
         frame_id, nodes_publisher, marker_publisher = "base_link", None, None
