@@ -74,7 +74,8 @@ class GarmentClient:
     """Subscribes to a garment's mesh and garment nodes and calls `on_frame` with every frame it can skin.
 
     node: the reader's `rclpy.node.Node`. topics: what the garment's topics are below, such as "/drape_node" or
-    "/drape_node/alice/top". skipped: frames without a mesh of their revision yet, or malformed ones.
+    "/drape_node/alice/top". Of an outfit, points are those of the clouds before they are moved to keep layers in order
+    or hems tucked (`moved` in the mesh). skipped: frames without a mesh of their revision yet, or malformed ones.
     """
 
     def __init__(

@@ -14,6 +14,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState, PointCloud2
@@ -200,6 +201,11 @@ class Site(Partner):
             return done()
 
         super().until(done_or_over, what, seconds)
+
+
+def text_parameter(name: str, value: str) -> Parameter:
+    """A parameter for `rcl_interfaces/SetParameters`."""
+    return Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value))
 
 
 def scaled_body(factor: float) -> bytes:

@@ -71,6 +71,15 @@ class BoundOutfit {
   float gravity_[3] = {};
 };
 
+// Of the last frame, a view that lives as long as the outfit.
+nb::ndarray<nb::numpy, const float, nb::shape<-1, 3, 4>> node_transforms(BoundOutfit& self, int garment) {
+  if (garment < 0 || garment >= self.outfit().count()) {
+    throw nb::index_error(("garment " + std::to_string(garment) + " of " + std::to_string(self.outfit().count())).c_str());
+  }
+  const Evaluator& evaluator = self.outfit()[garment];
+  return {evaluator.node_transforms(), {std::size_t(evaluator.nodes()), 3, 4}, nb::find(self)};
+}
+
 // A frame whose arrays were checked once: a call converts and allocates nothing. Keeps evaluator and arrays alive.
 class BoundOutfitStep {
  public:
@@ -110,6 +119,7 @@ void bind_outfit(nb::module_& module) {
            "normals"_a = "skinned")
       .def("evaluate", &BoundOutfit::evaluate, "joint_positions"_a.noconvert(), "gravity"_a.noconvert(),
            "outs"_a.noconvert())
+      .def("node_transforms", node_transforms, "garment"_a)
       .def_prop_ro("instruction_set", [](BoundOutfit& self) { return self.outfit()[0].instruction_set(); })
       .def_prop_ro("precision", [](BoundOutfit& self) { return precision_name(self.outfit()[0].precision()); });
   nb::class_<BoundOutfitStep>(module, "OutfitStep")

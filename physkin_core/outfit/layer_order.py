@@ -22,7 +22,7 @@ from physkin_core.avatar.surface_matching import with_normals
 from physkin_core.model.surface_paths import mesh_edges
 from physkin_core.runtime.layers_beneath import LAYER_GAP
 
-__all__ = ["LayerOrder", "ReferenceLayerOrder", "bind_layer_order"]
+__all__ = ["TURNS", "LayerOrder", "ReferenceLayerOrder", "bind_layer_order"]
 
 ORDER_GAP = LAYER_GAP + 0.001
 """[m] between an outer vertex and the inner layer, which is a little more than what holds between vertices."""

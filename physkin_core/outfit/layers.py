@@ -21,6 +21,7 @@ from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.draper import Draper
 from physkin_core.runtime.layers_beneath import LayerBeneath
+from physkin_core.runtime.rest_look import RestLook, look_at_rest
 
 __all__ = ["MOST_LAYERS", "Layer", "OutfitGarment", "drapes", "put_on", "standing_out"]
 
@@ -35,23 +36,26 @@ BELONGS = 0.15
 
 @dataclass(frozen=True)
 class OutfitGarment:
-    """A garment of an outfit. tucked: its hem is worn under the waistband of the next layer that is not tucked."""
+    """A garment of an outfit. tucked: its hem is worn under the waistband of the next layer that is not tucked. fit: as
+    of `Draper`; None: the outfit's."""
 
     model: GarmentModel
     tucked: bool = False
+    fit: float | None = None
 
 
 @dataclass(frozen=True)
 class Layer:
     """A garment as it is worn here, whole.
 
-    draper: bound over what lies under it. rest: (n, 6) float32 vertices and normals of the drape at rest, tucked in.
-    hem_distance: (n,) [m] along the cloth to its closest opening; tucked hems are none. tucked_depth: (n,) [m] below
-    the waistband that it is tucked into, 0 above.
+    draper: bound over what lies under it. at_rest: how it sits on the skin. rest: (n, 6) float32 vertices and normals
+    of the drape at rest, tucked in. hem_distance: (n,) [m] along the cloth to its closest opening; tucked hems are
+    none. tucked_depth: (n,) [m] below the waistband that it is tucked into, 0 above.
     """
 
     garment: OutfitGarment
     draper: Draper
+    at_rest: RestLook
     rest: np.ndarray
     hem_distance: np.ndarray
     tucked_depth: np.ndarray
@@ -68,7 +72,7 @@ class Layer:
 def put_on(
     garments: Sequence[OutfitGarment], avatar: Avatar, *, fit: float | None, backend: Literal["native", "numpy"]
 ) -> tuple[list[Layer], list[Tuck], list[str]]:
-    """Put garments on an avatar, the innermost first. fit, backend: of every `Draper`.
+    """Put garments on an avatar, the innermost first. fit: of garments without their own. backend: of every `Draper`.
 
     Returns the layers, what is tucked in, and sentences to warn of.
     Raises ValueError, in one sentence, for what cannot be worn so.
@@ -79,11 +83,16 @@ def put_on(
     worth_saying: list[str] = []
     for k, garment in enumerate(garments):
         beneath = [LayerBeneath(layer.rest, layer.garment.tucked) for layer in layers]
-        bound = bind_garment(garment.model, avatar, fit=fit, backend=backend, beneath=beneath) if layers else None
-        draper = Draper(garment.model, avatar, fit=fit, backend=backend, binding=bound)
-        rest = draper.drape(garment.model.rig.rest)
+        model, own_fit = garment.model, fit if garment.fit is None else garment.fit
+        bound = bind_garment(model, avatar, fit=own_fit, backend=backend, beneath=beneath) if layers else None
+        draper = Draper(model, avatar, fit=own_fit, backend=backend, binding=bound)
+        rest = draper.drape(model.rig.rest)
+        at_rest = draper.at_rest
+        if at_rest is None:
+            at_rest = look_at_rest(rest[:, :3], draper.faces, avatar)
+            worth_saying += [] if at_rest.sits else [f"{model.name} on {avatar.source}: {at_rest}"]
         hems = hem_distances(draper.bound.vertices, draper.faces)
-        layers.append(Layer(garment, draper, rest, hems, np.zeros(len(rest))))
+        layers.append(Layer(garment, draper, at_rest, rest, hems, np.zeros(len(rest))))
         for inner, under in enumerate(layers[:-1]):
             if _waistband_of(garments, inner) == k:
                 tuck, layers[inner] = _tucked_in(inner, k, under, layers[k])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from typing import Literal
@@ -40,10 +41,11 @@ class Outfit:
     garments: from the skin outwards; `OutfitGarment(model, tucked=True)` for one whose hem is worn under the waistband
         of the next. A garment knows what lies under it, so that the same shirt is wider over trousers.
     hide: leave out what cannot be seen in everyday poses; `visible` says which vertices are given. False: give all.
-    backend, precision, fit, normals, separate_limbs: as of `Draper`.
+    backend, precision, fit, normals, separate_limbs: as of `Draper`; fit of garments without their own.
     hidden: (n,) bool of each garment, what is covered in all everyday poses; visible: (v,) int32, the vertices that are
-    given; faces: (f, 3) int32 of these. body_mask: (F,) bool, the body's faces that are covered. bounds, orders, tucks:
-    what a frame needs: bound garments of the vertices given, and what is kept between layers.
+    given; faces: (f, 3) int32 of these. body_mask: (F,) bool, the body's faces that are covered. at_rest: how each
+    garment sits on the skin; fits: what each is worn in. bounds, orders, tucks: what a frame needs: bound garments of
+    the vertices given, and what is kept between layers.
     What can be worn but looks odd is issued as AvatarWarning, which `warnings` keeps.
     Raises TypeError for anything but garments and an avatar; ValueError, in one sentence, for what cannot be worn (a
     garment twice, more than four, several rigs, a tuck or an order that does not go) and for what `Draper` refuses.
@@ -68,6 +70,8 @@ class Outfit:
             raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
         layers, tucks, worth_saying = put_on(self.garments, avatar, fit=fit, backend=backend)
         self._drapers = [layer.draper for layer in layers]
+        self.at_rest = tuple(layer.at_rest for layer in layers)
+        self.fits = tuple(layer.draper.fit for layer in layers)
         rig = layers[0].garment.model.rig
         poses, checked = _poses_to_look_at(rig)
         if not checked and len(layers) > 1:
@@ -84,12 +88,12 @@ class Outfit:
         self.tucks = tuple(tuck.among(self.visible[tuck.inner], self.visible[tuck.outer]) for tuck in tucks)
         self.orders = _orders(layers, self.visible, self.faces, cloth, self.tucks)
         kinds = {"native": partial(NativeOutfitEvaluator, precision=precision), "numpy": ReferenceOutfitEvaluator}
-        self._evaluator = kinds[backend](self.bounds, self.orders, self.tucks, normals=normals)
+        self._new_evaluator = partial(kinds[backend], self.bounds, self.orders, self.tucks, normals=normals)
         self.backend = backend
-        self._limb_separator: LimbSeparator | None = None
-        self._separated = rig.rest.astype(np.float32)
-        if separate_limbs:
-            self._limb_separator = LimbSeparator(rig, avatar, backend=backend)
+        self.avatar = avatar
+        self._separates = separate_limbs
+        self._begin()
+        if self._limb_separator is not None:
             worth_saying.extend(self._limb_separator.warnings)
         for warning in worth_saying:
             warnings.warn(warning, AvatarWarning, stacklevel=2)
@@ -98,6 +102,19 @@ class Outfit:
         self.avatar = replace(avatar, warnings=self.warnings)
         given = ", ".join(f"{layer.name} {len(v)} of {len(layer.rest)}" for layer, v in zip(layers, self.visible))
         log.info("draping an outfit on %s, vertices: %s", avatar.source, given)
+
+    def _begin(self) -> None:
+        """Make what a frame writes to."""
+        rig = self.models[0].rig
+        self._evaluator = self._new_evaluator()
+        self._separated = rig.rest.astype(np.float32)
+        self._limb_separator = LimbSeparator(rig, self.avatar, backend=self.backend) if self._separates else None
+
+    def twin(self) -> Outfit:
+        """The same outfit on the same body with frames of its own, for another performer; nothing is bound anew."""
+        twin = copy(self)
+        twin._begin()
+        return twin
 
     @property
     def models(self) -> tuple[GarmentModel, ...]:
@@ -118,6 +135,12 @@ class Outfit:
     def vertex_counts(self) -> tuple[int, ...]:
         """Points v that `drape` writes, of each garment."""
         return tuple(len(indices) for indices in self.visible)
+
+    @property
+    def moved(self) -> tuple[bool, ...]:
+        """Whether vertices of each garment are moved after skinning, to keep the order of layers or a tucked hem."""
+        moved = {*(order.outer for order in self.orders), *(tuck.inner for tuck in self.tucks)}
+        return tuple(k in moved for k in range(len(self.garments)))
 
     @property
     def rest_garments(self) -> tuple[Garment, ...]:
@@ -184,6 +207,11 @@ class Outfit:
             evaluate()
 
         return step
+
+    def node_transforms(self) -> tuple[np.ndarray, ...]:
+        """Garment node transforms (m, 3, 4) of each garment in the last frame, canonical garment node frame to root
+        frame. Skinned by `bounds` they give the vertices as they are before `moved` ones are moved."""
+        return tuple(self._evaluator.node_transforms(k) for k in range(len(self.garments)))
 
     def bone_transforms(self, joint_positions: np.ndarray) -> np.ndarray:
         """(b, 3, 4) canonical-to-posed transforms of this body's bones, for posing the body beside the garments.

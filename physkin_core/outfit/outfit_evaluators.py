@@ -64,6 +64,10 @@ class NativeOutfitEvaluator:
         except TypeError:
             raise TypeError(_wrong_arrays(outs)) from None
 
+    def node_transforms(self, garment: int) -> np.ndarray:
+        """Garment node transforms (m, 3, 4) of a garment in the last frame; a view that the next frame overwrites."""
+        return self._outfit.node_transforms(garment)
+
     def bind_step(
         self, joint_positions: np.ndarray, gravity: np.ndarray, outs: Sequence[np.ndarray]
     ) -> _native.OutfitStep:
@@ -100,6 +104,10 @@ class ReferenceOutfitEvaluator:
         self._tucks = list(tucks)
         self._last_pose: np.ndarray | None = None
         self._face_normals = vertex_normals if normals == "faces" else None
+
+    def node_transforms(self, garment: int) -> np.ndarray:
+        """As `NativeOutfitEvaluator.node_transforms`."""
+        return self._evaluators[garment].node_transforms()
 
     def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, outs: Sequence[np.ndarray]) -> None:
         """As `NativeOutfitEvaluator.evaluate`."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from array import array
+from collections.abc import Mapping
 
 import numpy as np
 from rclpy.publisher import Publisher
@@ -107,16 +108,34 @@ def read_cloud(message) -> np.ndarray:
     return np.ndarray(shape, dtype=np.float32, buffer=message.data, strides=strides)
 
 
-def garment_mesh(draper: Draper, frame_id: str, *, revision: int = 1, avatar: str = ""):
-    """The `physkin_msgs/GarmentMesh` of what a draper publishes; the stamp is left to the caller."""
+def garment_mesh(
+    draper: Draper,
+    frame_id: str,
+    *,
+    revision: int = 1,
+    avatar: str = "",
+    in_outfit: Mapping[str, object] | None = None,
+):
+    """The `physkin_msgs/GarmentMesh` of what a draper publishes; the stamp is left to the caller.
+
+    in_outfit: fields of a garment of an outfit, by name; `draper` then tells of that garment as a draper would.
+    """
     from physkin_msgs.msg import GarmentMesh
 
-    model, bound = draper.model, draper.bound
+    model, bound, count = draper.model, draper.bound, draper.vertex_count
+    worn = {"layer": 0, "layers": 1, "moved": False, "model_vertex_count": count, "visible": range(count)}
+    worn |= {"body_covered": (), **(in_outfit or {})}
     message = GarmentMesh(
         revision=revision,
         model_name=model.name,
         avatar=avatar,
-        vertex_count=draper.vertex_count,
+        layer=worn["layer"],
+        layers=worn["layers"],
+        moved=worn["moved"],
+        vertex_count=count,
+        model_vertex_count=worn["model_vertex_count"],
+        visible=array("I", np.array(worn["visible"], dtype=np.uint32).tobytes()),
+        body_covered=array("B", np.array(worn["body_covered"], dtype=np.uint8).tobytes()),
         faces=array("I", draper.faces.astype(np.uint32).tobytes()),
         rest_vertices=array("f", bound.vertices.tobytes()),
         rest_normals=array("f", bound.normals.tobytes()),

@@ -1,4 +1,4 @@
-"""Bodies and garment models from files to drapers: which paths are allowed, and what was encoded before.
+"""Bodies and garment models from files to drapers and outfits: which paths are allowed, and what was encoded before.
 
 A network can ask a running node for files, so those must lie below the `asset_roots`. Encodings are kept by the content
 of the files they came from, so that a body that comes back is worn at once.
@@ -11,26 +11,39 @@ import hashlib
 import json
 import sys
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
 from typing import Literal
 
-from physkin_core import BUNDLED_AVATAR, Avatar, Draper, GarmentModel, load_avatar, load_garment_model
+import numpy as np
+
+from physkin_core import (
+    BUNDLED_AVATAR,
+    Avatar,
+    Draper,
+    GarmentModel,
+    Outfit,
+    OutfitGarment,
+    load_avatar,
+    load_garment_model,
+)
 from physkin_core.model.model_file import MODELS_PATH, shipped_models
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.rest_look import RestLook
 from physkin_ros.joints.nearest_names import nearest_names
 
-__all__ = ["LARGEST_ASSET", "AssetError", "AssetRoots", "DraperLoader", "LoadedDraper", "Outfitting"]
+__all__ = ["LARGEST_ASSET", "AssetError", "AssetRoots", "DraperLoader", "LoadedDraper", "OutfitLayer", "Outfitting"]
 
 LARGEST_ASSET = 1 << 29
 """[bytes] A larger file is not opened while the node runs."""
 LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
 KEPT = 16
 """Encodings, avatars and garment models that are kept of each."""
+KEPT_OUTFITS = 4
+"""Outfits that are kept, all their encodings among them."""
 
 
 class AssetError(ValueError):
@@ -64,7 +77,7 @@ class AssetRoots:
 @dataclass(frozen=True)
 class Outfitting:
     """What to make a draper of: garment model and body files, the body's empty for the bundled avatar; the rest as
-    `Draper` takes it, precision empty for the backend's default."""
+    `Draper` takes it, precision empty for the backend's default. tucked: of a garment of an outfit."""
 
     model: str = ""
     body_mesh: str = ""
@@ -72,6 +85,7 @@ class Outfitting:
     precision: str = ""
     fit: float | None = None
     normals: Literal["skinned", "faces"] = "skinned"
+    tucked: bool = False
 
     def check(self, roots: AssetRoots) -> None:
         """Raises AssetError for a file that may not be used while the node runs."""
@@ -87,18 +101,87 @@ class Outfitting:
 
 
 @dataclass(frozen=True)
-class LoadedDraper:
-    """A draper, whether the body's encoding for its garment was known from before, how long all took [s], and how the
-    garment sits."""
+class OutfitLayer:
+    """Garment `index` of `outfit`, from the skin outwards, told as a `Draper` tells of its own; points are those of the
+    vertices that are given."""
 
-    draper: Draper
+    outfit: Outfit
+    index: int
+
+    @property
+    def model(self) -> GarmentModel:
+        return self.outfit.models[self.index]
+
+    @property
+    def avatar(self) -> Avatar:
+        """With the warnings of the whole outfit."""
+        return self.outfit.avatar
+
+    @property
+    def bound(self) -> BoundGarment:
+        """Of the vertices that are given alone."""
+        return self.outfit.bounds[self.index]
+
+    @property
+    def faces(self) -> np.ndarray:
+        """(f, 3) int32 triangles between the points of a cloud."""
+        return self.outfit.faces[self.index]
+
+    @property
+    def vertex_count(self) -> int:
+        """Points of a cloud."""
+        return self.outfit.vertex_counts[self.index]
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return self.outfit.joint_names
+
+    @property
+    def fit(self) -> float:
+        return self.outfit.fits[self.index]
+
+    @property
+    def backend(self) -> str:
+        return self.outfit.backend
+
+    @property
+    def instruction_set(self) -> str:
+        return self.outfit.instruction_set
+
+    @property
+    def precision(self) -> str:
+        return self.outfit.precision
+
+    def node_transforms(self) -> np.ndarray:
+        """Garment node transforms (m, 3, 4) of the last frame."""
+        return self.outfit.node_transforms()[self.index]
+
+    def mesh_fields(self) -> Mapping[str, object]:
+        """What a `physkin_msgs/GarmentMesh` says of a garment of an outfit."""
+        outfit, k = self.outfit, self.index
+        return {
+            "layer": k,
+            "layers": len(outfit.models),
+            "moved": outfit.moved[k],
+            "model_vertex_count": len(outfit.hidden[k]),
+            "visible": outfit.visible[k],
+            "body_covered": outfit.body_mask if k == 0 else (),
+        }
+
+
+@dataclass(frozen=True)
+class LoadedDraper:
+    """A draper or a garment of an outfit, whether the body's encoding for it (or for the outfit) was known from before,
+    how long that took [s], and how the garment sits."""
+
+    draper: Draper | OutfitLayer
     cached: bool
     seconds: float
     at_rest: RestLook
 
 
 class DraperLoader:
-    """Makes drapers, from any thread. backend: of all of them."""
+    """Makes drapers and outfits, from any thread. backend: of all of them."""
 
     def __init__(self, backend: str) -> None:
         self._backend = backend
@@ -106,26 +189,16 @@ class DraperLoader:
         self._models: OrderedDict[str, tuple[GarmentModel, str]] = OrderedDict()
         self._avatars: OrderedDict[tuple[str, ...], Avatar] = OrderedDict()
         self._bindings: OrderedDict[tuple[object, ...], tuple[BoundGarment, RestLook]] = OrderedDict()
+        self._outfits: OrderedDict[tuple[object, ...], Outfit] = OrderedDict()
 
     def load(self, wanted: Outfitting) -> LoadedDraper:
         """Read the files and bind the garment to the body. Raises ValueError or OSError naming what is wrong."""
         with self._lock:
             started = perf_counter()
-            name = wanted.model
-            source = MODELS_PATH / f"{name}.safetensors" if name in shipped_models() else Path(name)
-            model_key = _digest(source) if source.is_file() else name
-            if model_key not in self._models:
-                model = load_garment_model(source if source.is_file() else name)
-                _keep(self._models, model_key, (model, json.dumps(model.rig.to_json())))
-            model, rig = self._models[model_key]
-            body = Path(wanted.body_mesh or BUNDLED_AVATAR)
-            rig_file = wanted.body_rig or None
-            sources = [str(body), *_digests(body, wanted.body_rig)]
-            avatar_key = (*sources, rig)  # in the canonical pose of that rig
-            avatar = self._avatars.get(avatar_key) or load_avatar(body, model.rig, rig_file=rig_file)
-            _keep(self._avatars, avatar_key, avatar)
+            model, rig, model_key = self._model(wanted)
+            avatar, body_key = self._avatar(wanted, model, rig)
             fit = model.checked_fit(wanted.fit)
-            key = (*sources[1:], model_key, fit)
+            key = (*body_key, model_key, fit)
             known, at_rest = self._bindings.get(key, (None, None))
             draper = Draper(
                 model,
@@ -141,6 +214,61 @@ class DraperLoader:
             _return_memory()
             return LoadedDraper(draper, known is not None, perf_counter() - started, at_rest)
 
+    def load_outfit(self, wanted: Sequence[Outfitting], *, hide: bool) -> list[LoadedDraper]:
+        """Put garments on over each other, the innermost first, body, precision and normals being those of the first.
+
+        hide: leave out what is covered. Raises ValueError or OSError naming what is wrong, or what cannot be worn so.
+        """
+        with self._lock:
+            started = perf_counter()
+            first, models = wanted[0], [self._model(each) for each in wanted]
+            avatar, body_key = self._avatar(first, *models[0][:2])
+            garments = [
+                OutfitGarment(model, tucked=each.tucked, fit=model.checked_fit(each.fit))
+                for each, (model, *_) in zip(wanted, models)
+            ]
+            worn = ((key, garment.tucked, garment.fit) for (*_, key), garment in zip(models, garments))
+            key = (avatar.source, *body_key, *worn, first.precision, first.normals, hide)
+            known = self._outfits.get(key)
+            outfit = (
+                Outfit(
+                    garments,
+                    avatar,
+                    backend=self._backend,
+                    precision=first.precision or None,
+                    normals=first.normals,
+                    hide=hide,
+                )
+                if known is None
+                else known.twin()
+            )
+            _keep(self._outfits, key, outfit, most=KEPT_OUTFITS)
+            _return_memory()
+            took = perf_counter() - started
+            return [
+                LoadedDraper(OutfitLayer(outfit, k), known is not None, took, at_rest)
+                for k, at_rest in enumerate(outfit.at_rest)
+            ]
+
+    def _model(self, wanted: Outfitting) -> tuple[GarmentModel, str, str]:
+        """Garment model, its rig as text, and what it is known by: its content."""
+        name = wanted.model
+        source = MODELS_PATH / f"{name}.safetensors" if name in shipped_models() else Path(name)
+        key = _digest(source) if source.is_file() else name
+        if key not in self._models:
+            model = load_garment_model(source if source.is_file() else name)
+            _keep(self._models, key, (model, json.dumps(model.rig.to_json())))
+        return *self._models[key], key
+
+    def _avatar(self, wanted: Outfitting, model: GarmentModel, rig: str) -> tuple[Avatar, tuple[str, ...]]:
+        """The body in the canonical pose of the model's rig, and what its files are known by: their content."""
+        body = Path(wanted.body_mesh or BUNDLED_AVATAR)
+        content = _digests(body, wanted.body_rig)
+        key = (str(body), *content, rig)
+        avatar = self._avatars.get(key) or load_avatar(body, model.rig, rig_file=wanted.body_rig or None)
+        _keep(self._avatars, key, avatar)
+        return avatar, content
+
 
 def _return_memory() -> None:
     """Give back to the system what loading has left free: where bodies are swapped for days, glibc keeps half as much
@@ -149,11 +277,11 @@ def _return_memory() -> None:
         trim(0)
 
 
-def _keep(kept: OrderedDict, key: object, value: object) -> None:
+def _keep(kept: OrderedDict, key: object, value: object, *, most: int | None = None) -> None:
     """Put an entry in as the latest, and drop the oldest when there are too many."""
     kept[key] = value
     kept.move_to_end(key)
-    while len(kept) > KEPT:
+    while len(kept) > (KEPT if most is None else most):
         kept.popitem(last=False)
 
 

@@ -1,7 +1,8 @@
 """One avatar: its joint states, its orientation, and the garments it wears.
 
-What is worn at the moment is one object, the outfit; a swap makes another one elsewhere and puts it in its place
-between two messages. Dimensions: `d` degrees of freedom. Radians, root frame.
+What is worn at the moment is one object, the attire: garments of one outfit, which are draped in one pass, or garments
+that do not know each other. A swap makes another one elsewhere and puts it in its place between two messages.
+Dimensions: `d` degrees of freedom. Radians, root frame.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState, MultiDOFJointState
 
-from physkin_core import BUNDLED_AVATAR, Draper, GarmentModel, LimbSeparator
+from physkin_core import BUNDLED_AVATAR, GarmentModel, LimbSeparator
 from physkin_core.runtime.draper import STANDARD_GRAVITY
 from physkin_ros.joints.bone_rotation_message import BoneRotationReader
 from physkin_ros.joints.joint_naming import load_naming
@@ -25,14 +26,14 @@ from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.joints.vrm_naming import VRM
 from physkin_ros.node.asset_loading import DraperLoader, LoadedDraper, Outfitting
 from physkin_ros.node.diagnostics import AvatarStatistics, Health, HealthReporter, PoseRange
-from physkin_ros.node.garment_stream import GarmentStream, WornGarment, stream_quality
+from physkin_ros.node.garment_stream import GarmentStream, Pass, WornGarment, passes_of, same_mesh, stream_quality
 from physkin_ros.node.interpolation import PoseInterpolator
 from physkin_ros.node.orientation import EffectiveGravity, GravityByStamp, OrientationError, gravity_from_tilt
 from physkin_ros.node.orientation_source import OrientationSource
 from physkin_ros.node.separated_joint_states import SeparatedJointStates
 from physkin_ros.node.settings import AvatarSettings
 
-__all__ = ["AvatarStream", "Outfit"]
+__all__ = ["Attire", "AvatarStream"]
 
 WARNING_PERIOD = 1.0  # [s] rejected messages are warned about at most this often
 QUEUE = 50  # joint states that may wait while the machine is busy: worked off in milliseconds, none lost
@@ -43,11 +44,12 @@ WEIGHTLESS = 1e-3  # of gravity: effective gravity that is smaller has no direct
 JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
 
 
-class Outfit:
+class Attire:
     """What an avatar wears: drapers bound to its pose, and the reader of joint states for their rig.
 
     pose: (d,) float32 [rad], what comes in. draped: (d,) what the drapers read: the same array, or another one that
-    `separator` fills. garments: in the order of the avatar's streams. bones: further arguments of `BoneRotationReader`.
+    `separator` fills. garments: in the order of the avatar's streams; passes: what drapes them. bones: further
+    arguments of `BoneRotationReader`.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class Outfit:
         self.range = PoseRange(model.rig, self.pose)
         self.interpolator = PoseInterpolator(len(self.pose)) if interpolates else None
         self.garments: tuple[WornGarment, ...] = ()
+        self.passes: tuple[Pass, ...] = ()
 
     @cached_property
     def bone_rotations(self) -> BoneRotationReader:
@@ -96,7 +99,7 @@ class AvatarStream:
         self._unknown: set[str] = set()
         self._node, self._loader = node, loader
         self._naming: tuple[JointNaming, tuple[str, ...]] | None = None
-        self._outfit: Outfit | None = None
+        self._outfit: Attire | None = None
         self._closed = False
         self._reporter = HealthReporter()
         self._log = node.get_logger()
@@ -157,19 +160,22 @@ class AvatarStream:
         garments = list(self.settings.garments)
         for index, model in (models or {}).items():
             garments[index] = replace(garments[index], model=model)
-        loaded = [
-            self._loader.load(
-                Outfitting(
-                    model=garment.model,
-                    body_mesh=mesh,
-                    body_rig=rig_file,
-                    precision=garment.precision,
-                    fit=garment.fit,
-                    normals=garment.normals,
-                )
+        wanted_garments = [
+            Outfitting(
+                model=garment.model,
+                body_mesh=mesh,
+                body_rig=rig_file,
+                precision=garment.precision,
+                fit=garment.fit,
+                normals=garment.normals,
+                tucked=garment.tucked,
             )
             for garment in garments
         ]
+        if self.settings.outfit and len(garments) > 1:
+            loaded = self._loader.load_outfit(wanted_garments, hide=self.settings.hide)
+        else:
+            loaded = [self._loader.load(each) for each in wanted_garments]
         outfit = self._outfit_of(loaded)
         if self._closed or not wanted():  # the body went meanwhile
             return loaded
@@ -192,7 +198,7 @@ class AvatarStream:
             )
         return loaded
 
-    def _outfit_of(self, loaded: Sequence[LoadedDraper]) -> Outfit:
+    def _outfit_of(self, loaded: Sequence[LoadedDraper]) -> Attire:
         drapers = [each.draper for each in loaded]
         model, *others = [draper.model for draper in drapers]
         for other in others:
@@ -211,15 +217,15 @@ class AvatarStream:
         skeleton = "vrm" if self.settings.joint_map == VRM else "rig"
         bones = {"skeleton": skeleton, "on_unknown": self._warn_unknown}
         separator = LimbSeparator(model.rig, drapers[0].avatar) if self.settings.separate_limbs else None
-        outfit = Outfit(reader, model, bool(self.settings.cloud_rate), separator, **bones)
+        outfit = Attire(reader, model, bool(self.settings.cloud_rate), separator, **bones)
         worn_now = {worn.stream: worn for worn in self._outfit.garments} if self._outfit else {}
         garments = []
         for stream, draper, each in zip(self.garments, drapers, loaded):
             before = worn_now.get(stream)
-            revision = 1 if before is None else before.revision + (not _same_mesh(before.draper, draper))
-            gravity = self.felt if draper.model.accelerated else self.gravity
-            garments.append(WornGarment(stream, draper, each.at_rest, revision, outfit.draped, gravity))
+            revision = 1 if before is None else before.revision + (not same_mesh(before.draper, draper))
+            garments.append(WornGarment(stream, draper, each.at_rest, revision))
         outfit.garments = tuple(garments)
+        outfit.passes = passes_of(outfit.garments, outfit.draped, self.gravity, self.felt)
         return outfit
 
     def _naming_for(self, model: GarmentModel) -> JointNaming:
@@ -257,7 +263,7 @@ class AvatarStream:
             return
         self._answer(outfit, sec, nanosec, arrived)
 
-    def _receiving(self) -> Outfit | None:
+    def _receiving(self) -> Attire | None:
         """What is worn, for a message that has come in; None when it cannot be answered yet."""
         self.statistics.received += 1
         if self._outfit is None or not self.active:
@@ -265,7 +271,7 @@ class AvatarStream:
             return None
         return self._outfit
 
-    def _answer(self, outfit: Outfit, sec: int, nanosec: int, arrived: int) -> None:
+    def _answer(self, outfit: Attire, sec: int, nanosec: int, arrived: int) -> None:
         """Drape the pose that has been read, or keep it for the next cloud between poses. arrived: [ns]."""
         if outfit.interpolator is not None:
             outfit.wire.keep()
@@ -277,20 +283,21 @@ class AvatarStream:
             if self.deadline_ns and perf_counter_ns() - arrived > self.deadline_ns:
                 self.statistics.deadline_missed += 1
 
-    def _drape(self, outfit: Outfit, sec: int, nanosec: int) -> bool:
+    def _drape(self, outfit: Attire, sec: int, nanosec: int) -> bool:
         change = None
         if outfit.separator is not None:
             _, change = outfit.separator.separate(outfit.pose, out=outfit.draped)
-        for worn in outfit.garments:
+        for each in outfit.passes:
             began = perf_counter_ns()
             try:
-                worn.step()
+                each.step()
             except ValueError as error:
                 self._reject(outfit, error)
                 return False
             took = perf_counter_ns() - began
-            worn.publish(sec, nanosec)
-            worn.stream.statistics.draped(took)
+            for worn in each.garments:
+                worn.publish(sec, nanosec)
+                worn.stream.statistics.draped(took)
         if change is not None:
             self.statistics.separate(change)
             self._separated.publish(outfit.separator.joint_names, outfit.draped, sec, nanosec)
@@ -311,7 +318,7 @@ class AvatarStream:
             self._drape(outfit, *divmod(stamp, NANOSECONDS))
             self.gravity[:], self._load[:] = latest
 
-    def _reject(self, outfit: Outfit, error: Exception) -> None:
+    def _reject(self, outfit: Attire, error: Exception) -> None:
         np.copyto(outfit.pose, outfit.reader.positions)
         self.statistics.reject(str(error))
         self._log.warning(f"{self._label}joint state ignored: {error}", throttle_duration_sec=WARNING_PERIOD)
@@ -332,6 +339,8 @@ class AvatarStream:
         self._effective_gravity.add(felt, stamp_ns, monotonic_ns())
         for worn in self._outfit.garments if self._outfit is not None else ():
             model = worn.draper.model
+            if model.accelerated and not worn.accelerated:
+                continue  # another garment of the outfit is told to be why
             if not model.accelerated and model.name not in self._direction_only:
                 self._direction_only.add(model.name)
                 reason = f"garment model {model.name!r} was not trained with accelerated roots"
@@ -433,16 +442,11 @@ class AvatarStream:
             garment.close()
 
 
-def _carry_on(previous: Outfit, outfit: Outfit) -> None:
+def _carry_on(previous: Attire, outfit: Attire) -> None:
     """Keep the last good pose over a swap, where the rig is the same."""
     if previous.reader.joint_names == outfit.reader.joint_names:
         np.copyto(outfit.reader.positions, previous.reader.positions)
         np.copyto(outfit.pose, previous.reader.positions)
-
-
-def _same_mesh(before: Draper, draper: Draper) -> bool:
-    """Whether two drapers differ by the body alone. Made to measure, another body means another rest shape."""
-    return before.model is draper.model and np.array_equal(before.bound.vertices, draper.bound.vertices)
 
 
 def _unit(direction: Sequence[float]) -> np.ndarray:

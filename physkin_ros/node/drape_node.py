@@ -31,6 +31,7 @@ from physkin_ros.node.settings import (
     NodeSettings,
     SettingsError,
     check_setting,
+    model_names,
     read_settings,
 )
 
@@ -103,10 +104,24 @@ class DrapeNode(LifecycleNode):
                 if key in ("body_mesh", "body_rig"):
                     Outfitting(body_mesh=value).check(self._roots)
                 elif key == "model":
-                    Outfitting(model=value).check(self._roots)
+                    self._check_models(parameter.name, value)
             except ValueError as error:
                 return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _check_models(self, name: str, value: str) -> None:
+        """Raises ValueError where a parameter `model` names models that may not be worn, or another number of them."""
+        models = [value]
+        if name == "model":  # of a node without avatars: of all its garments
+            models, count = model_names(value), len(self._settings.avatars[0].garments)
+            if len(models) != count:
+                raise SettingsError(
+                    f"parameter model names {len(models)} garments; allowed: {count}, as many as the node started with"
+                )
+        for model in models:
+            if not model:
+                raise SettingsError(f"parameter {name} is {value!r}; allowed: models joined by commas")
+            Outfitting(model=model).check(self._roots)
 
     def _follow_parameters(self, parameters: Iterable[Parameter]) -> None:
         names = {parameter.name for parameter in parameters}
@@ -161,7 +176,10 @@ class DrapeNode(LifecycleNode):
         """Let the parameters say what is worn. only: full names of those that are meant, by default all."""
         worn = stream.settings
         values = {worn.prefix + "body_mesh": worn.body_mesh, worn.prefix + "body_rig": worn.body_rig}
-        values |= {garment.prefix + "model": garment.model for garment in worn.garments}
+        if worn.prefix:
+            values |= {garment.prefix + "model": garment.model for garment in worn.garments}
+        else:
+            values["model"] = ",".join(garment.model for garment in worn.garments)
         changed = [
             Parameter(name, value=value)
             for name, value in values.items()
@@ -351,7 +369,8 @@ class DrapeNode(LifecycleNode):
             return response
         response.success = True
         response.message = ", ".join(f"{each.draper.model.name} on {each.draper.avatar.source}" for each in loaded)
-        response.seconds = sum(each.seconds for each in loaded)
+        passes = {id(getattr(each.draper, "outfit", each)): each.seconds for each in loaded}  # an outfit loads at once
+        response.seconds = sum(passes.values())
         response.cached = all(each.cached for each in loaded)
         return response
 

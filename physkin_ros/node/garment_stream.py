@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
@@ -12,10 +15,11 @@ from physkin_core import Draper
 from physkin_core.runtime.rest_look import RestLook
 from physkin_ros.messages.conversions import GarmentCloud, NodesMessage, TriangleMarker, garment_mesh
 from physkin_ros.messages.interfaces import missing_interfaces
+from physkin_ros.node.asset_loading import OutfitLayer
 from physkin_ros.node.diagnostics import GarmentStatistics
 from physkin_ros.node.settings import AvatarSettings, GarmentSettings
 
-__all__ = ["GarmentStream", "WornGarment", "stream_quality"]
+__all__ = ["GarmentStream", "Pass", "WornGarment", "passes_of", "same_mesh", "stream_quality"]
 
 
 def stream_quality(depth: int = 5, *, reliable: bool = True) -> dict[str, object]:
@@ -54,10 +58,13 @@ class GarmentStream:
             latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
             self._mesh_publisher = node.create_publisher(GarmentMesh, f"{topics}/mesh", latched)
 
-    def show_mesh(self, draper: Draper, revision: int) -> None:
+    def show_mesh(self, draper: Draper | OutfitLayer, revision: int) -> None:
         """Publish what changes with the garment only."""
         if self._mesh_publisher is not None:
-            message = garment_mesh(draper, self.frame_id, revision=revision, avatar=self.avatar_id)
+            told = {"revision": revision, "avatar": self.avatar_id}
+            if isinstance(draper, OutfitLayer):
+                told["in_outfit"] = draper.mesh_fields()
+            message = garment_mesh(draper, self.frame_id, **told)
             message.header.stamp = self._node.get_clock().now().to_msg()
             self._mesh_publisher.publish(message)
 
@@ -69,31 +76,29 @@ class GarmentStream:
 
 
 class WornGarment:
-    """A draper and the messages it fills, bound to the pose (d,) and gravity (3,) arrays of its avatar.
+    """A draper, or a garment of an outfit, and the messages it fills.
 
-    at_rest: how it sits. gravity: effective gravity in units of gravity for a model that has learnt it, else the unit
-    direction. revision: of the garment's mesh, which a swap of the body alone does not change in one size.
-    step: drapes what those arrays hold now; raises ValueError when the result is not finite.
+    at_rest: how it sits. revision: of the garment's mesh, which a swap of the body alone does not change in one size.
+    points: (n, 6) float32 of the cloud, to be draped into.
     """
 
-    def __init__(
-        self,
-        stream: GarmentStream,
-        draper: Draper,
-        at_rest: RestLook,
-        revision: int,
-        pose: np.ndarray,
-        gravity: np.ndarray,
-    ) -> None:
+    def __init__(self, stream: GarmentStream, draper: Draper | OutfitLayer, at_rest: RestLook, revision: int) -> None:
         self.stream, self.draper, self.at_rest = stream, draper, at_rest
         self.revision = revision
         self._cloud = GarmentCloud(self.draper.vertex_count, stream.frame_id)
-        self.step = self.draper.bind_step(pose, gravity, self._cloud.points)
+        self.points = self._cloud.points
         self._nodes = self._marker = None
         if stream.nodes_publisher is not None:
             self._nodes = NodesMessage(len(self.draper.bound.node_rest), stream.frame_id, self.revision)
         if stream.marker_publisher is not None and len(self.draper.faces):
             self._marker = TriangleMarker(self.draper.faces, stream.frame_id, stream.name)
+
+    @property
+    def accelerated(self) -> bool:
+        """Whether effective gravity counts: of an outfit, which has one pose vector, for all garments or for none."""
+        draper = self.draper
+        models = draper.outfit.models if isinstance(draper, OutfitLayer) else (draper.model,)
+        return all(model.accelerated for model in models)
 
     def publish(self, sec: int, nanosec: int) -> None:
         """Publish the frame with the joint state's stamp; garment nodes and marker only to those who listen."""
@@ -103,4 +108,39 @@ class WornGarment:
             self._nodes.transforms[:] = self.draper.node_transforms()
             self._nodes.publish(stream.nodes_publisher, sec, nanosec)
         if self._marker is not None and stream.marker_publisher.get_subscription_count():
-            self._marker.publish(stream.marker_publisher, self._cloud.points, sec, nanosec)
+            self._marker.publish(stream.marker_publisher, self.points, sec, nanosec)
+
+
+@dataclass(frozen=True)
+class Pass:
+    """Garments that are draped together. step: drapes them all; raises ValueError when a result is not finite."""
+
+    step: Callable[[], None]
+    garments: tuple[WornGarment, ...]
+
+
+def passes_of(
+    garments: Sequence[WornGarment], pose: np.ndarray, gravity: np.ndarray, felt: np.ndarray
+) -> tuple[Pass, ...]:
+    """What drapes the garments of an avatar, from what these arrays hold then: an outfit at once, others one by one.
+
+    pose: (d,) [rad]. felt: (3,) effective gravity in units of gravity, for those that have learnt it; the others take
+    gravity (3,), its unit direction.
+    """
+    first = garments[0].draper
+    if isinstance(first, OutfitLayer):
+        down = felt if garments[0].accelerated else gravity
+        return (Pass(first.outfit.bind_step(pose, down, [worn.points for worn in garments]), tuple(garments)),)
+    return tuple(
+        Pass(worn.draper.bind_step(pose, felt if worn.accelerated else gravity, worn.points), (worn,))
+        for worn in garments
+    )
+
+
+def same_mesh(before: Draper | OutfitLayer, draper: Draper | OutfitLayer) -> bool:
+    """Whether two drapers differ by the body alone. Made to measure, another body means another rest shape; in an
+    outfit it may mean other hidden vertices."""
+    if before.model is not draper.model or not np.array_equal(before.bound.vertices, draper.bound.vertices):
+        return False
+    fields = [each.mesh_fields() if isinstance(each, OutfitLayer) else {} for each in (before, draper)]
+    return all(np.array_equal(fields[0][name], value) for name, value in fields[1].items())

@@ -18,8 +18,9 @@ from rclpy.utilities import remove_ros_args
 
 from physkin_core import AvatarWarning
 from physkin_ros.middleware.transport import use_shipped_profile
+from physkin_ros.node.config_file import load_config
 from physkin_ros.node.drape_node import DrapeNode
-from physkin_ros.node.settings import AVATAR_SETTINGS, GARMENT_SETTINGS, NODE_SETTINGS, SettingsError, load_config
+from physkin_ros.node.settings import AVATAR_SETTINGS, GARMENT_SETTINGS, NODE_SETTINGS, SettingsError
 
 __all__ = ["main", "spin"]
 

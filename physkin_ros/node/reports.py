@@ -9,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from physkin_ros.messages.interfaces import missing_interfaces
+from physkin_ros.node.asset_loading import OutfitLayer
 from physkin_ros.node.avatar_stream import AvatarStream
 from physkin_ros.node.diagnostics import diagnostic_status
 
@@ -67,6 +68,11 @@ class Reports:
             values |= {"precision": draper.precision, "fit": f"{draper.fit:g}"}
             values["cloth inside the body at rest [%]"] = f"{worn.at_rest.inside_percent:.1f}"
             values["advice"] = worn.at_rest.advice or "none"
+            values["layer"] = values["vertices left out"] = "none"
+            if isinstance(draper, OutfitLayer):
+                of = len(draper.outfit.hidden[draper.index])
+                values["layer"] = f"{draper.index + 1} of {len(draper.outfit.models)} from the skin outwards"
+                values["vertices left out"] = f"{of - draper.vertex_count} of {of}"
         values["model"] = model
         values["gravity"] = " ".join(f"{value:.3f}" for value in stream.gravity)
         values["effective gravity [m/s2]"] = _effective_gravity(stream, worn)
@@ -83,5 +89,5 @@ def _effective_gravity(stream: AvatarStream, worn) -> str:
     if felt is None:
         return "none"
     text = " ".join(f"{value:.2f}" for value in felt)
-    learnt = worn is None or worn.draper.model.accelerated
+    learnt = worn is None or worn.accelerated
     return text if learnt else f"{text}, of which the direction alone counts"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +30,7 @@ __all__ = [
     "avatar_prefixes",
     "check_names",
     "check_setting",
-    "flatten",
-    "load_config",
+    "model_names",
     "read_settings",
 ]
 
@@ -74,8 +73,13 @@ class GarmentSettings:
     prefix: str
     name: str
     model: str = _key(
-        "tshirt", "garment model: a .safetensors file, or the name of a shipped one", changes=True, may_be_empty=False
+        "tshirt",
+        "garment model: a .safetensors file, or the name of a shipped one; without avatars also several, joined by "
+        "commas, from the skin outwards",
+        changes=True,
+        may_be_empty=False,
     )
+    tucked: bool = _key(False, "wear its hem under the waistband of the next garment outwards that is not tucked")
     precision: str = _key(
         "",
         "of the network weights: fp32, bf16 or int8, each faster and coarser than the last; default bf16, and with the "
@@ -168,6 +172,16 @@ class AvatarSettings:
         "move arms and legs out of the trunk and of each other, on this body, before draping; ~/joint_states, with "
         "avatars ~/ID/joint_states, carries the positions that were draped",
     )
+    outfit: bool = _key(
+        True,
+        "wear several garments over each other, in their order from the skin outwards; false: drape each by itself",
+    )
+    layers: tuple[str, ...] = _key(
+        [""], "names of the garments from the skin outwards; default: in the order they are given in"
+    )
+    hide: bool = _key(
+        True, "of an outfit, leave out of the clouds what its outer layers cover in everyday poses; false: give all"
+    )
     discover: str = _key(
         "",
         "ros4hri: an avatar for every body on /humans/bodies/ID/joint_states, as they come and go",
@@ -216,7 +230,6 @@ REMOVED = {
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 TOPIC = re.compile(r"(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides", "service_introspection")
-NODE_NAMES = ("drape_node", "/drape_node", "/**", "/**/drape_node", "**")
 
 
 def avatar_prefixes(names: Mapping[str, object]) -> dict[str, tuple[str, ...]]:
@@ -357,6 +370,14 @@ def read_settings(given: Mapping[str, object]) -> NodeSettings:
             )
         if values["discover"] and not prefix:
             raise SettingsError("parameter discover is for avatars: avatars.ID.discover")
+        if prefix:
+            garments = _in_order(prefix, garments, values["layers"])
+        else:
+            garments = _one_or_several(garments[0], values["layers"])
+        if values["outfit"] and len(garments) > 1:
+            _check_outfit(prefix, garments)
+        elif tucked := [garment.prefix for garment in garments if garment.tucked]:
+            raise SettingsError(f"parameter {tucked[0]}tucked is true; allowed in an outfit of several garments")
         values["frame_id"] = values["frame_id"] or identity or "base_link"
         avatars.append(AvatarSettings(prefix=prefix, id=identity, garments=tuple(garments), **values))
     namespaces = [garment.namespace for avatar in avatars for garment in avatar.garments if garment.namespace]
@@ -365,54 +386,51 @@ def read_settings(given: Mapping[str, object]) -> NodeSettings:
     return NodeSettings(avatars=tuple(avatars), **read("", NODE_SETTINGS))
 
 
-def load_config(path: str | Path) -> NodeSettings:
-    """What a ROS 2 parameter file asks of the node. Raises SettingsError naming file, key and what is allowed."""
-    import yaml  # rclpy brings it
-
-    try:
-        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise SettingsError(f"cannot read config {path}: {' '.join(str(error).split())}") from error
-    example = "drape_node: {ros__parameters: {avatars: {...}}}"
-    if not isinstance(document, dict):
-        raise SettingsError(f"config {path} must be a ROS 2 parameter file, {example}; got {document!r:.60}")
-    parts = [document[name] for name in document if name in NODE_NAMES]
-    if not parts:
-        raise SettingsError(
-            f"config {path} names {', '.join(map(repr, document))}; expected {example}, or /** for the name"
-        )
-    flat: dict[str, object] = {}
-    try:
-        for part in parts:
-            if not isinstance(part, dict) or not isinstance(part.get("ros__parameters"), dict) or len(part) > 1:
-                raise SettingsError(f"expected {example}; got {part!r:.60}")
-            flat |= flatten(part["ros__parameters"])
-        check_names(flat)
-        return read_settings(flat)
-    except SettingsError as error:
-        raise SettingsError(f"config {path}: {error}") from None
+def model_names(model: str) -> list[str]:
+    """What the parameter `model` without avatars names: one model, or several joined by commas."""
+    return [name.strip() for name in model.split(",")]
 
 
-def flatten(tree: Mapping, prefix: str = "") -> dict[str, object]:
-    """Nested mappings as one, keys joined by dots. Raises SettingsError for what rcl would refuse less clearly."""
-    flat: dict[str, object] = {}
-    for key, value in tree.items():
-        name = f"{prefix}{key}"
-        if not isinstance(key, str):
-            raise SettingsError(f"key {name!r} is a {type(key).__name__}; write it in quotes, starting with a letter")
-        if isinstance(value, dict):
-            if not value:
-                raise SettingsError(f"{name} is empty; leave it out, or give it keys")
-            flat |= flatten(value, f"{name}.")
-        elif value is None:
-            raise SettingsError(f"{name} has no value")
-        elif isinstance(value, list) and len({type(item) for item in value}) != 1:
-            raise SettingsError(
-                f"{name} is {value!r}; the items of a list must be of one type, such as [0.0, 0.0, -1.0]"
-            )
-        else:
-            flat[name] = value
-    return flat
+def _one_or_several(garment: GarmentSettings, layers: tuple[str, ...]) -> list[GarmentSettings]:
+    """The garments of a node without avatars: one, or several, with topics named after the models it starts with."""
+    models = model_names(garment.model)
+    if any(layers):
+        raise SettingsError("parameter layers is for avatars; without, garments are worn in the order of model")
+    if not all(models):
+        raise SettingsError(f"parameter model is {garment.model!r}; allowed: models joined by commas")
+    if len(models) == 1:
+        return [garment]
+    below, names = garment.namespace or "~", []
+    for model in models:
+        name = re.sub(r"\W", "_", Path(model).stem, flags=re.ASCII)
+        name = name if IDENTIFIER.fullmatch(name) else f"garment_{name}"
+        names.append(name if name not in names else f"{name}_{len(names) + 1}")
+    return [replace(garment, name=name, model=model, namespace=f"{below}/{name}") for name, model in zip(names, models)]
+
+
+def _in_order(prefix: str, garments: list[GarmentSettings], layers: tuple[str, ...]) -> list[GarmentSettings]:
+    """An avatar's garments from the skin outwards. Raises SettingsError where `layers` are not their names."""
+    if not any(layers):
+        return garments
+    by_name = {garment.name: garment for garment in garments}
+    if sorted(layers) != sorted(by_name):
+        raise SettingsError(f"parameter {prefix}layers is {list(layers)!r}; allowed: {', '.join(by_name)}, each once")
+    return [by_name[name] for name in layers]
+
+
+def _check_outfit(prefix: str, garments: list[GarmentSettings]) -> None:
+    """Raises SettingsError where garments cannot be computed in one pass. What can be worn, the core knows."""
+    first, *others = garments
+    if not prefix and first.tucked:
+        raise SettingsError("parameter tucked is for one of several garments: avatars.ID.garments.NAME.tucked")
+    for other in others:
+        for key in ("precision", "normals"):
+            ours, theirs = getattr(first, key), getattr(other, key)
+            if ours != theirs:
+                raise SettingsError(
+                    f"parameter {other.prefix}{key} is {theirs!r} and {first.prefix}{key} {ours!r}; the garments of an "
+                    f"outfit share it, unless {prefix}outfit is false"
+                )
 
 
 def _check_topic(name: str, value: object) -> None:

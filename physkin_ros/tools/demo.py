@@ -1,7 +1,8 @@
 """`physkin demo`: the drape node at work between two other processes, measured and drawn.
 
-A node process drapes, a player process sends a bundled motion as gravity and joint states at 60 Hz, a listener process
-receives the clouds. Every cloud is matched to its joint state by its stamp, and some are compared with the core's.
+A node process drapes an outfit, a player process sends a bundled motion as gravity and joint states at 60 Hz, a
+listener process receives the clouds. Every cloud is matched to its joint state by its stamp, and some are compared
+with the core's.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model, load_motion
+from physkin_core import BUNDLED_AVATAR, Outfit, OutfitGarment, load_avatar, load_garment_model, load_motion
 from physkin_core.fit_option import add_fit_option
 from physkin_core.motion.reading_progress import reading_progress
 from physkin_ros.arguments import file_to_write, positive
@@ -26,6 +27,8 @@ from physkin_ros.tools.trial import Records, finish, start_node, start_playing
 __all__ = ["main"]
 
 RATE_HZ = 60.0
+WORN = ("trousers", "tshirt")
+"""Unless told otherwise, from the skin outwards."""
 ERROR_ALLOWED = (
     1e-3  # [m] a cloud with the gravity of the frame before or after passes, one with an upright body's fails
 )
@@ -36,10 +39,15 @@ def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0; 1 when a cloud was lost, was not finite or was wrong, or a process failed."""
     options = _parser().parse_args(argv)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    model = load_garment_model(options.garment)
-    avatar = load_avatar(options.body or BUNDLED_AVATAR, model.rig)
+    options.garment = options.garment or list(WORN)
+    if unworn := [name for name in options.tucked if name not in options.garment]:
+        print(f"error: --tucked {unworn[0]}: none of the garments: {', '.join(options.garment)}", file=sys.stderr)
+        return 2
+    garments = [OutfitGarment(load_garment_model(name), tucked=name in options.tucked) for name in options.garment]
+    avatar = load_avatar(options.body or BUNDLED_AVATAR, garments[0].model.rig)
     clip = load_motion(options.motion, watch=reading_progress(options.motion)).resampled(RATE_HZ)
     motion = clip.looped(options.seconds)
+    outfit = Outfit(garments, avatar, fit=options.fit)
     keep_every = math.ceil(min(clip.frame_count, motion.frame_count) / KEPT_CLOUDS)
     try:
         with tempfile.TemporaryDirectory(prefix="physkin-demo-") as folder:
@@ -50,21 +58,22 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         _say("interrupted")
         return 130
-    error = largest_error(records, Draper(model, avatar, fit=options.fit), motion)
-    print(table(records, model, error), flush=True)
+    error = largest_error(records, outfit, motion)
+    print(table(records, outfit, error), flush=True)
     if len(records.kept):
         _say(f"drawing {options.output}")
-        draw(options.output, records, model, avatar, motion)
-    return 0 if complete(records) and error <= ERROR_ALLOWED else 1
+        draw(options.output, records, outfit, motion)
+    return 0 if complete(records, len(garments)) and error <= ERROR_ALLOWED else 1
 
 
 def _play(options: argparse.Namespace, keep_every: int, folder: Path) -> Records:
     with Children(private_environment(), folder) as children:
-        _say(f"starting the drape node with {options.garment}")
-        avatar, garment = {"body_mesh": options.body}, {"model": options.garment, "fit": options.fit}
-        start_node(children, folder, 1, avatar=avatar, garment=garment, queue=QUEUE, backend=options.backend)
+        _say(f"starting the drape node with {' and '.join(options.garment)}")
+        worn = [{"model": name, "tucked": name in options.tucked} for name in options.garment]
+        asked = {"avatar": {"body_mesh": options.body}, "garment": {"fit": options.fit}, "outfit": worn}
+        start_node(children, folder, 1, **asked, queue=QUEUE, backend=options.backend)
         played = (options.motion, RATE_HZ, options.seconds, "--gravity")
-        start_playing(children, folder, 1, *played, keep_every=keep_every)
+        start_playing(children, folder, 1, *played, garments=len(worn), keep_every=keep_every)
         _say(f"playing {options.motion} at {RATE_HZ:.0f} Hz, {options.seconds:g} s")
         return finish(children, folder, options.seconds)
 
@@ -73,7 +82,13 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin demo", description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=positive, default=10.0, help="how long to play (default %(default)g)")
     parser.add_argument("--output", type=file_to_write, default=Path("demo.png"), help="picture (default %(default)s)")
-    parser.add_argument("--garment", default="tshirt", help="shipped garment or model file (default %(default)s)")
+    parser.add_argument(
+        *("-g", "--garment"),
+        action="append",
+        metavar="MODEL",
+        help=f"shipped garment or model file; several, from the skin outwards (default {', '.join(WORN)})",
+    )
+    parser.add_argument("--tucked", action="append", default=[], metavar="MODEL", help="garment to be tucked in")
     add_fit_option(parser)
     parser.add_argument("--body", default="", help="avatar file (default: the bundled avatar)")
     parser.add_argument("--motion", default="dance", help="bundled motion or a motion file (default %(default)s)")

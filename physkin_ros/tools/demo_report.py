@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from physkin_core import Avatar, Draper, GarmentModel, Motion
-from physkin_core.picture import CLOTH_COLOUR, Mesh, contact_sheet, render, save_png
+from physkin_core import Motion, Outfit
+from physkin_core.outfit.layer_order import TURNS
+from physkin_core.picture import CLOTH_COLOUR, LAYER_COLOURS, Mesh, contact_sheet, render, save_png
 from physkin_ros.tools.machine import machine_line, versions_line
 from physkin_ros.tools.trial import Records
 
@@ -18,25 +19,42 @@ COLUMNS = 4
 PICTURE_SIZE = (420, 440)
 
 
-def complete(records: Records) -> bool:
-    """Whether every joint state came back as one cloud of finite values, and nothing else did."""
-    counts, _ = records.answers()
+def complete(records: Records, garments: int = 1) -> bool:
+    """Whether every joint state came back as one cloud a garment, of finite values, and nothing else did."""
+    counts = np.array([records.answers(garment)[0] for garment in range(garments)])
     return bool((counts == 1).all()) and len(records.received) == counts.size and not records.not_finite
 
 
-def largest_error(records: Records, draper: Draper, motion: Motion) -> float:
-    """Largest distance [m] of a point of the kept clouds from where the core puts it; 0 if there are none."""
-    positions, largest = motion.positions_for(draper.model.rig), 0.0
-    for frame, cloud in _kept_frames(records):
-        expected = draper.drape(positions[frame], motion.gravity[frame])
-        distances = np.linalg.norm(cloud[:, :3].astype(np.float64) - expected[:, :3], axis=1)
-        largest = max(largest, float(np.nan_to_num(distances, nan=np.inf).max()))
-    return largest
+def largest_error(records: Records, outfit: Outfit, motion: Motion) -> float:
+    """Largest distance [m] of a point of the kept clouds from where the core puts it; 0 if there are none.
+
+    Layers are kept in order from frame to frame, where each vertex has its turn in one of `TURNS`. How often the
+    listener had to ask for a first cloud, upright in the first pose, nobody has counted: the core starts in every turn,
+    and what comes closest counts.
+    """
+    kept = dict(_kept_frames(records))
+    if not kept:
+        return 0.0
+    positions = motion.positions_for(outfit.models[0].rig)
+    largest = []
+    for asked in range(1, 1 + (TURNS if outfit.orders else 1)):
+        core, distance = outfit.twin(), 0.0
+        for _ in range(asked):
+            core.drape(positions[0])
+        for frame in range(max(kept) + 1) if outfit.orders else kept:
+            expected = np.concatenate(core.drape(positions[frame], motion.gravity[frame]))
+            if frame in kept:
+                off = np.linalg.norm(kept[frame][:, :3].astype(np.float64) - expected[:, :3], axis=1)
+                distance = max(distance, float(np.nan_to_num(off, nan=np.inf).max()))
+        largest.append(distance)
+    return min(largest)
 
 
-def table(records: Records, model: GarmentModel, error: float) -> str:
+def table(records: Records, outfit: Outfit, error: float) -> str:
     """The figures, a line each. error: of the kept clouds [m], from `largest_error`."""
-    counts, delays = records.answers()
+    answers = [records.answers(garment) for garment in range(len(outfit.models))]
+    counts = np.array([each for each, _ in answers])
+    delays = np.max([each for _, each in answers], axis=0)  # of the last garment's cloud
     delays, evaluations = delays[np.isfinite(delays)], records.evaluations()
     latest = records.reports[-1] if records.reports else {}
     end_to_end, evaluator = "none received", "not reported"
@@ -45,13 +63,17 @@ def table(records: Records, model: GarmentModel, error: float) -> str:
     if len(evaluations):  # the percentiles of all evaluations are not known here
         median, tail = np.median(evaluations[:, 0]), evaluations[:, 1].max()
         evaluator = f"median of each second's p50 {median:.1f}, worst of each second's p99 {tail:.1f}"
+    given = [
+        f"{model.name}, {count} of {len(model.garment.vertices)} vertices, {len(model.node_rest)} garment nodes"
+        for model, count in zip(outfit.models, outfit.vertex_counts)
+    ]
     rows = {
-        "garment": f"{model.name}, {len(model.garment.vertices)} vertices, {len(model.node_rest)} garment nodes",
-        "joint states sent": f"{counts.size}",
+        **{f"garment {k}" if len(given) > 1 else "garment": text for k, text in enumerate(given, 1)},
+        "joint states sent": f"{counts[0].size}",
         "clouds received": f"{len(records.received)}",
         "clouds lost": f"{(counts != 1).sum()}",
         "clouds with values not finite": f"{records.not_finite}",
-        "largest error [mm]": f"{1e3 * error:.3f} in {len(_kept_frames(records))} clouds compared with the core's",
+        "largest error [mm]": f"{1e3 * error:.3f} in {len(_kept_frames(records))} poses compared with the core's",
         "evaluator [µs]": evaluator,
         "end to end [ms]": end_to_end,
         "backend": f"{latest.get('backend', '?')}, instruction set {latest.get('instruction set', '?')}",
@@ -62,27 +84,31 @@ def table(records: Records, model: GarmentModel, error: float) -> str:
     return "\n".join(["", *(f"  {name:<{width}}  {value}" for name, value in rows.items()), ""])
 
 
-def draw(path: Path, records: Records, model: GarmentModel, avatar: Avatar, motion: Motion) -> None:
-    """Write a contact sheet of the kept clouds to `path` (PNG): the garment as it was received, the body in its pose.
+def draw(path: Path, records: Records, outfit: Outfit, motion: Motion) -> None:
+    """Write a contact sheet of the kept clouds to `path` (PNG): garments as they were received, the body in its pose.
 
     Raises PictureError when the extra `[view]` is not installed.
     """
-    positions, rotations = motion.positions_for(model.rig), Rotation.from_quat(motion.root_orientation)
+    positions, rotations = motion.positions_for(outfit.models[0].rig), Rotation.from_quat(motion.root_orientation)
+    several = len(outfit.models) > 1
+    skin = outfit.avatar.faces[~outfit.body_mask] if several else outfit.avatar.faces
+    colours = LAYER_COLOURS if several else (CLOTH_COLOUR,)
     frames, captions = [], []
     for frame, cloud in _kept_frames(records):
-        body = avatar.posed_vertices(model.rig.bone_transforms(positions[frame], heads=avatar.bone_heads))
-        frames.append([rotations[frame].apply(points) for points in (body, cloud[:, :3])])
+        body = outfit.avatar.posed_vertices(outfit.bone_transforms(positions[frame]))
+        cloth = np.split(cloud[:, :3], np.cumsum(outfit.vertex_counts)[:-1])
+        frames.append([rotations[frame].apply(points) for points in (body, *cloth)])
         captions.append(f"{frame / motion.rate_hz:.2f} s")
     drawn = np.concatenate([points for frame in frames for points in frame])
     bounds = np.stack([drawn.min(axis=0), drawn.max(axis=0)])
     pictures = []
-    for body, cloth in frames:
-        meshes = [Mesh(body, avatar.faces), Mesh(cloth, model.garment.faces, CLOTH_COLOUR)]
+    for body, *cloth in frames:
+        meshes = [Mesh(body, skin), *map(Mesh, cloth, outfit.faces, colours)]
         pictures.append(render(meshes, bounds=bounds, size=PICTURE_SIZE))
     save_png(path, contact_sheet(pictures, columns=COLUMNS, captions=captions))
 
 
 def _kept_frames(records: Records) -> list[tuple[int, np.ndarray]]:
-    """The kept clouds (n, 6) that answer a joint state of the first avatar, each with the index of its joint state."""
+    """Clouds (n, 6) of all garments that answer a joint state of the first avatar, each with the index of that."""
     frames = {stamp: index for index, stamp in enumerate(records.stamps[:, 0].tolist())}
     return [(frames[s], cloud) for s, cloud in zip(records.kept_stamps.tolist(), records.kept) if s in frames]

@@ -1,6 +1,7 @@
 """Listener process of a trial: makes sure that every garment answers, then writes down when each cloud came.
 
-Dimensions: `R` received clouds, `k` kept clouds, `n` garment vertices. Times are CLOCK_MONOTONIC [ns].
+Dimensions: `R` received clouds, `k` kept poses, `n` vertices given of all garments of an avatar. Times are
+CLOCK_MONOTONIC [ns].
 """
 
 from __future__ import annotations
@@ -38,34 +39,34 @@ KEPT_CLOUDS = 8
 
 
 def garment_names(count: int) -> list[str]:
-    """Of each avatar: g, g1, g2 and so on."""
-    return ["g", *(f"g{index}" for index in range(1, count))]
+    """What the garments of an avatar are called in a trial: g, g1, g2, ..."""
+    return ["g", *(f"g{k}" for k in range(1, count))]
 
 
 class Listener(Node):
-    """Collects what arrives on `drape_node/a0/g/garment`, that of the other `avatars`, and `/diagnostics`.
+    """Collects what arrives on `drape_node/a0/g/garment`, that of the other `avatars` and garments, and `/diagnostics`.
 
-    garments: of each avatar.
-    motion: whose first pose is sent to ask whether anybody answers. keep_every: of every so many clouds one is kept
-    with its points, and all are checked to be finite; 0: none.
+    motion: whose first pose is sent to ask whether anybody answers. garments: of each avatar. keep_every: of every so
+    many answered joint states one is kept with the points of its clouds, and all are checked to be finite; 0: none.
     """
 
     def __init__(self, avatars: int, motion: Motion, *, garments: int = 1, keep_every: int = 0) -> None:
         super().__init__("listener")
         self.clouds: list[tuple[int, int, int, int]] = []
-        self.kept: dict[int, np.ndarray] = {}
+        self._answered: dict[int, int] = {}
+        self._kept: dict[int, dict[int, np.ndarray]] = {}
+        self._garments = garments
         self.not_finite = 0
         self.reports: list[dict[str, str]] = []
         self._keep_every = keep_every
         self._probe = JointState(name=list(motion.joint_names), position=array("d", motion.positions[0].tolist()))
         self._probes: set[int] = set()
-        self._garments = garments
-        self._silent = {(k, of) for k in range(avatars) for of in range(garments)}
-        quality = QoSProfile(depth=1000)  # deep: what is lost on the way is counted, not what a busy machine reads late
-        for k, of in sorted(self._silent):
-            topic = f"drape_node/a{k}/{garment_names(garments)[of]}/garment"
+        self._silent = {(avatar, garment) for avatar in range(avatars) for garment in range(garments)}
+        names = garment_names(garments)
+        for key in sorted(self._silent):  # deep queues: what is lost on the way is counted, not what is read late
+            topic, quality = f"drape_node/a{key[0]}/{names[key[1]]}/garment", QoSProfile(depth=1000)
             self.create_subscription(
-                PointCloud2, topic, lambda data, k=k, of=of: self._on_cloud(k, of, data), quality, raw=True
+                PointCloud2, topic, lambda data, key=key: self._on_cloud(*key, data), quality, raw=True
             )
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
@@ -74,11 +75,11 @@ class Listener(Node):
 
         Discovery does not tell: a garment may still be loading, and its publisher may not know of this reader yet.
         """
-        avatars = sorted({k for k, _ in self._silent})
-        publishers = [self.create_publisher(JointState, f"a{k}/joint_states", 1) for k in avatars]
+        avatars = {avatar for avatar, _ in self._silent}
+        publishers = {k: self.create_publisher(JointState, f"a{k}/joint_states", 1) for k in sorted(avatars)}
 
         def ask() -> None:
-            for k in {k for k, _ in self._silent}:
+            for k in {avatar for avatar, _ in self._silent}:
                 stamp, now = self._probe.header.stamp, time.monotonic_ns()
                 stamp.sec, stamp.nanosec = divmod(now, 1_000_000_000)
                 self._probes.add(now)
@@ -87,42 +88,44 @@ class Listener(Node):
         timer = self.create_timer(PROBE_PERIOD, ask)
         answered = spin_until(executor, seconds, lambda: not self._silent)
         self.destroy_timer(timer)
-        for publisher in publishers:
+        for publisher in publishers.values():
             self.destroy_publisher(publisher)
         self.reports.clear()
         return answered
 
-    def _on_cloud(self, avatar: int, of: int, data: bytes) -> None:
+    def _on_cloud(self, avatar: int, garment: int, data: bytes) -> None:
         received = time.monotonic_ns()
         sec, nanosec = STAMP.unpack_from(data, STAMP_OFFSET)
         stamp = sec * 1_000_000_000 + nanosec
         if stamp in self._probes:
-            self._silent.discard((avatar, of))
+            self._silent.discard((avatar, garment))
             return
         if self._keep_every:
             points = read_cloud(deserialize_message(data, PointCloud2))
             self.not_finite += not np.isfinite(points).all()
-            if len(self.clouds) % self._keep_every == 0 and len(self.kept) < KEPT_CLOUDS:
-                self.kept[stamp] = points.copy()
-        self.clouds.append((avatar, of, stamp, received))
+            index = self._answered.setdefault(stamp, len(self._answered))
+            if index % self._keep_every == 0 and index // self._keep_every < KEPT_CLOUDS:
+                self._kept.setdefault(stamp, {})[garment] = points.copy()
+        self.clouds.append((avatar, garment, stamp, received))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.reports += [{value.key: value.value for value in status.values} for status in message.status]
 
     def save(self, path: Path) -> None:
-        """Write avatars, of, received_stamps and received (R,), garments, not_finite, kept_stamps (k,), kept (k, n, 6),
-        reports."""
-        avatars, of, stamps, received = np.array(self.clouds, dtype=np.int64).reshape(-1, 4).T
+        """Write avatars, garments, received_stamps and received (R,), not_finite, kept_stamps (k,), kept (k, n, 6) of
+        the joint states that all garments have answered, one garment's points after the other's, and reports."""
+        avatars, garments, stamps, received = np.array(self.clouds, dtype=np.int64).reshape(-1, 4).T
+        whole = {stamp: clouds for stamp, clouds in self._kept.items() if len(clouds) == self._garments}
+        kept = [np.concatenate([clouds[k] for k in range(self._garments)]) for clouds in whole.values()]
         np.savez(
             path,
             avatars=avatars,
-            of=of,
-            garments=self._garments,
+            garments=garments,
             received_stamps=stamps,
             received=received,
             not_finite=self.not_finite,
-            kept_stamps=np.array(list(self.kept), dtype=np.int64),
-            kept=np.array(list(self.kept.values()), dtype=np.float32),
+            kept_stamps=np.array(list(whole), dtype=np.int64),
+            kept=np.array(kept, dtype=np.float32),
             reports=json.dumps(self.reports),
         )
 
@@ -134,8 +137,8 @@ def main() -> int:
     parser.add_argument("avatars", type=int)
     parser.add_argument("motion", help="whose joints are sent")
     parser.add_argument("sent", type=Path, help="what the player writes when it has ended")
+    parser.add_argument("--garments", type=int, default=1)
     parser.add_argument("--keep-every", type=int, default=0)
-    parser.add_argument("--garments", type=int, default=1, help="of each avatar")
     options = parser.parse_args()
     rclpy.init(args=[])
     executor = EventsExecutor()

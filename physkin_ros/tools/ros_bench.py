@@ -82,7 +82,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         for case in options.cases:
             with tempfile.TemporaryDirectory(prefix="physkin-ros-bench-") as folder:
-                rows.append(figures(case, _measure(case, options, Path(folder))))
+                rows.append(figures(case, _measure(case, options, Path(folder)), garments=len(options.model)))
             shown = (rows[-1][key] for key, _, _ in COLUMNS)
             cells = ("-" if value is None else format(value, spec) for value, (_, _, spec) in zip(shown, COLUMNS))
             print(" | ".join(cells), flush=True)
@@ -100,26 +100,26 @@ def main(argv: list[str] | None = None) -> int:
 def _measure(case: Case, options: argparse.Namespace, folder: Path) -> Records:
     seconds = options.seconds + WARM_UP_SECONDS
     with Children(private_environment(), folder) as children:
-        first, *further = options.model
-        garment = {"model": first, "fit": options.fit}
-        settings = {"avatar": {"orientation": "fixed"}, "garment": garment, "queue": options.queue, "models": further}
-        start_node(children, folder, case.avatars, **settings)
+        settings = {"avatar": {"orientation": "fixed"}, "garment": {"fit": options.fit}, "queue": options.queue}
+        start_node(children, folder, case.avatars, outfit=[{"model": model} for model in options.model], **settings)
         more = ("--warm-up", round(WARM_UP_SECONDS * case.rate_hz), "--watched", children.pid("node"))
         played = (children, folder, case.avatars, MOTION, case.rate_hz, seconds, *more)
         start_playing(*played, garments=len(options.model))
         return finish(children, folder, seconds)
 
 
-def figures(case: Case, records: Records) -> dict[str, object]:
-    """What was measured of a case; figures that there were none for are None.
+def figures(case: Case, records: Records, *, garments: int = 1) -> dict[str, object]:
+    """What was measured of a case, of avatars with so many garments; figures that there were none for are None.
 
     sent: joint states. delivered_percent: those of which all clouds came once, with the warm-up; all else is without.
     p50_ms, p99_ms: end to end, to the last cloud. callback_us, process_us: processor time of the node's executor
     thread, and of all its threads, a joint state that was delivered. evaluator_p50_us, evaluator_p99_us: medians over
-    seconds and garments of what the node reports. overhead_us: callback_us beyond evaluator_p50_us of each garment.
+    seconds and garments of what the node reports, of an outfit as a whole. overhead_us: callback_us beyond
+    evaluator_p50_us.
     load: the machine's load average of a minute, when the case ended.
     """
-    counts, delays = (each.reshape(len(each), -1, records.garments) for each in records.answers())
+    answers = [records.answers(garment) for garment in range(garments)]
+    counts, delays = (np.stack(each, axis=2) for each in zip(*answers))
     once, delays = (counts == 1).all(axis=2), delays.max(axis=2)
     warm_up = round(WARM_UP_SECONDS * case.rate_hz)
     late = delays[warm_up:][np.isfinite(delays[warm_up:])]
@@ -138,7 +138,7 @@ def figures(case: Case, records: Records) -> dict[str, object]:
         "process_us": float(process),
         "evaluator_p50_us": evaluator[0],
         "evaluator_p99_us": evaluator[1],
-        "overhead_us": float(callback - records.garments * evaluator[0]) if len(evaluations) else None,
+        "overhead_us": float(callback - evaluator[0]) if len(evaluations) else None,
         "load": float(records.load),
     }
 

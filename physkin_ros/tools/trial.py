@@ -1,7 +1,8 @@
 """A trial: the drape node between a player and a listener, each in a process of its own, and what they wrote down.
 
-Dimensions: `K` avatars, `G` garments of each, `T` joint states sent to each, `R` clouds received, `k` kept clouds, `n`
-garment vertices. Times are CLOCK_MONOTONIC, which a machine's processes share [ns].
+Dimensions: `K` avatars, `T` joint states sent to each, `R` clouds received, `k` poses kept, `n` vertices given of
+all garments of an avatar.
+Times are CLOCK_MONOTONIC, which a machine's processes share [ns].
 """
 
 from __future__ import annotations
@@ -28,33 +29,30 @@ class Records:
     """What player and listener wrote down.
 
     stamps: (T, K) of the joint states, taken when sent. cpu: (2,) [s] processor time of the node's first thread, and of
-    all, after the warm-up. load: average of a minute. avatars, of, received_stamps, received: (R,) whose cloud, of
-    which of its garments, its stamp and when it came. garments: of each avatar, G. not_finite: clouds with values that
-    are not. kept_stamps: (k,); kept: (k, n, 6), root frame. reports: the node's diagnostics, one a second and garment,
-    values by name as text.
+    all, after the warm-up. load: average of a minute. avatars, garments, received_stamps, received: (R,) whose cloud,
+    of which garment, its stamp and when it came. not_finite: clouds with values that are not. kept_stamps: (k,); kept:
+    (k, n, 6), root frame, one garment's points after the other's.
+    reports: the node's diagnostics, one a second and garment, values by name as text.
     """
 
     stamps: np.ndarray
     cpu: np.ndarray
     load: float
     avatars: np.ndarray
+    garments: np.ndarray
     received_stamps: np.ndarray
     received: np.ndarray
     not_finite: int
     kept_stamps: np.ndarray
     kept: np.ndarray
     reports: list[dict[str, str]]
-    garments: int = 1
-    of: np.ndarray | int = 0
 
-    def answers(self) -> tuple[np.ndarray, np.ndarray]:
-        """For each joint state how many clouds of its stamp came, and how late the first did [ms], (T, K) each; NaN:
-        none came. With several garments (T, K * G), those of an avatar side by side."""
-        shape = len(self.stamps), self.stamps.shape[1] * self.garments
-        counts, delays = np.zeros(shape, dtype=int), np.full(shape, np.nan)
-        whose = self.avatars * self.garments + self.of
-        for k, stamps in enumerate(np.repeat(self.stamps.T, self.garments, axis=0)):
-            its = whose == k
+    def answers(self, garment: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """For each joint state how many clouds of a garment with its stamp came, and how late the first did [ms],
+        (T, K) each; NaN: none came."""
+        counts, delays = np.zeros(self.stamps.shape, dtype=int), np.full(self.stamps.shape, np.nan)
+        for k, stamps in enumerate(self.stamps.T):
+            its = (self.avatars == k) & (self.garments == garment)
             came, first, times = np.unique(self.received_stamps[its], return_index=True, return_counts=True)
             _, sent, found = np.intersect1d(stamps, came, return_indices=True)
             counts[sent, k] = times[found]
@@ -75,36 +73,46 @@ def start_node(
     *,
     avatar: Mapping,
     garment: Mapping,
+    outfit: Sequence[Mapping] = ({},),
     queue: int | None,
-    models: Sequence[str] = (),
     **node,
 ) -> None:
-    """Start a drape node with avatars a0, a1, ... of these parameters, each with one garment, g. None: its default.
+    """Start a drape node with avatars a0, a1, ... of these parameters, each with one garment, g, or several. None: the
+    node's default.
 
-    models: of further garments of each, g1, g2 and so on, otherwise as `garment`.
+    outfit: parameters of the garments of each avatar, from the skin outwards, beside those of `garment`.
     queue: joint states and directions of gravity that may wait; None: the node's own. node: its other parameters.
     """
     parameters = dict(node)
     for k in range(avatars):
         parameters |= {f"avatars.a{k}.{name}": value for name, value in avatar.items()}
-        chosen = {name: value for name, value in garment.items() if value is not None}
-        for name, more in zip(garment_names(1 + len(models)), ({}, *({"model": model} for model in models))):
-            parameters |= {f"avatars.a{k}.garments.{name}.{key}": value for key, value in (chosen | more).items()}
+        for name, own in zip(garment_names(len(outfit)), outfit):
+            chosen = {key: value for key, value in {**garment, **own}.items() if value is not None}
+            parameters |= {f"avatars.a{k}.garments.{name}.{key}": value for key, value in chosen.items()}
         for topic in ("joint_states", "gravity") if queue is not None else ():
             parameters[f"qos_overrides./a{k}/{topic}.subscription.depth"] = queue
     config = folder / "avatars.yaml"
-    config.write_text(yaml.safe_dump({"drape_node": {"ros__parameters": parameters}}))
+    config.write_text(yaml.safe_dump({"drape_node": {"ros__parameters": parameters}}, sort_keys=False))
     children.start("node", "physkin_core.cli", "node", "--config", config)
 
 
 def start_playing(
-    children: Children, folder: Path, avatars: int, motion: str, rate_hz: float, seconds: float, *more, **listening: int
+    children: Children,
+    folder: Path,
+    avatars: int,
+    motion: str,
+    rate_hz: float,
+    seconds: float,
+    *more,
+    garments: int = 1,
+    keep_every: int = 0,
 ) -> None:
-    """Wait until every garment answers, then start playing `motion`. more: options of the player. listening: options of
-    the listener, keep_every and garments."""
+    """Wait until every garment answers, then start playing `motion`. more: options of the player. garments, keep_every:
+    of the listener."""
     sent = folder / "sent.npz"
-    options = [each for name, value in listening.items() for each in (f"--{name.replace('_', '-')}", value)]
-    children.start("listener", "physkin_ros.tools.listener", folder / "received.npz", avatars, motion, sent, *options)
+    chosen = ("--garments", garments, "--keep-every", keep_every)
+    listening = (folder / "received.npz", avatars, motion, sent, *chosen)
+    children.start("listener", "physkin_ros.tools.listener", *listening)
     children.wait(lambda: READY in children.log("listener").splitlines(), "the first clouds", START_SECONDS)
     children.start("player", "physkin_ros.tools.player", sent, avatars, motion, rate_hz, seconds, *more)
 

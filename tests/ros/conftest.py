@@ -88,7 +88,7 @@ def start_site(domain, tmp_path_factory):
 
         folder = tmp_path_factory.mktemp("site")
         config, log = folder / "avatars.yaml", folder / "log"
-        config.write_text(yaml.safe_dump({"drape_node": {"ros__parameters": parameters}}))
+        config.write_text(yaml.safe_dump({"drape_node": {"ros__parameters": parameters}}, sort_keys=False))
         command = [sys.executable, "-m", "physkin_core.cli", "node", "--config", str(config)]
         with open(log, "w") as output:
             process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)

@@ -20,6 +20,7 @@ from physkin_core import (
 from physkin_core.outfit.coverage import FROM_HEM, hem_distances
 from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
 from physkin_core.quality import signed_distance
+from physkin_core.runtime.native_skinner import NativeSkinner
 
 pytestmark = needs_native
 
@@ -167,6 +168,42 @@ def test_a_bound_step_and_positions_alone_are_the_same_frame(models, avatar, ove
     for cloud, step, position in zip(clouds, stepped, alone):
         np.testing.assert_array_equal(step, cloud)
         np.testing.assert_array_equal(position, cloud[:, :3])
+
+
+def test_garment_nodes_skin_to_what_is_not_moved(tucked, over_trousers, motion):
+    """Those of each garment, of the last frame; skinned, they are the cloud where nothing is moved afterwards."""
+    positions, gravity = motion[0][30], motion[1][30]
+    for outfit, moved in ((over_trousers, (False, True)), (tucked, (True, False))):
+        assert outfit.moved == moved
+        clouds = outfit.drape(positions, gravity)
+        for bound, nodes, cloud, is_moved in zip(outfit.bounds, outfit.node_transforms(), clouds, moved):
+            skinned = NativeSkinner(
+                bound.vertices, bound.normals, bound.node_rest, bound.influence_nodes, bound.influence_weights
+            )
+            points = np.empty_like(cloud)
+            skinned.skin(np.ascontiguousarray(nodes), points)
+            assert (np.abs(points - cloud)[:, :3].max() > 1e-4) == is_moved
+    with pytest.raises(IndexError, match="garment 2 of 2"):
+        outfit._evaluator.node_transforms(2)
+
+
+def test_a_twin_remembers_frames_of_its_own(over_trousers, motion):
+    """Whatever one drapes in between, the other goes on as if alone."""
+    first, second, alone = over_trousers.twin(), over_trousers.twin(), over_trousers.twin()
+    for k in range(20):
+        second.drape(motion[0][-k], motion[1][-k])
+        for cloud, expected in zip(first.drape(motion[0][k], motion[1][k]), alone.drape(motion[0][k], motion[1][k])):
+            np.testing.assert_array_equal(cloud, expected)
+    assert first.visible is over_trousers.visible, "nothing is bound anew"
+
+
+def test_each_garment_may_have_its_own_fit(models, avatar, over_trousers):
+    """It wins over the outfit's; how each sits is told."""
+    outfit = Outfit([models["trousers"], OutfitGarment(models["tshirt"], fit=0.0)], avatar, fit=1.0)
+    assert outfit.fits == (1.0, 0.0) and over_trousers.fits == (1.0, 1.0)
+    shirts = [each.rest_garments[1].vertices for each in (outfit, over_trousers)]
+    assert np.abs(shirts[0] - shirts[1]).max() > 1e-3
+    assert all(look.sits for look in over_trousers.at_rest) and len(over_trousers.at_rest) == 2
 
 
 def test_limbs_are_separated_once_for_all_garments(models, avatar, over_trousers):

@@ -91,3 +91,19 @@ def test_only_so_many_are_kept(model_path, monkeypatch):
     loader = DraperLoader("native")
     one, two = Outfitting(str(model_path), precision="fp32"), BUNDLED
     assert [loader.load(wanted).cached for wanted in (one, one, two, one)] == [False, True, False, False]
+
+
+def test_outfits_are_kept_and_shared_by_twins():
+    """What is known is put on at once, with frames of its own; order, tucks and what is hidden make another one."""
+    loader = DraperLoader("native")
+    shirt, legs = Outfitting("tshirt"), Outfitting("trousers")
+    first = loader.load_outfit([legs, shirt], hide=True)
+    again = loader.load_outfit([legs, shirt], hide=True)
+    assert [each.cached for each in (*first, *again)] == [False, False, True, True]
+    assert first[0].draper.outfit is first[1].draper.outfit is not again[0].draper.outfit
+    assert again[1].draper.bound is first[1].draper.bound and again[1].seconds < first[1].seconds
+    assert [each.draper.model.name for each in first] == ["trousers", "tshirt"]
+    for others, hide in (([legs, shirt], False), ([replace(shirt, tucked=True), legs], True)):
+        assert not loader.load_outfit(others, hide=hide)[0].cached
+    with pytest.raises(ValueError, match="'trousers' is there 2 times"):
+        loader.load_outfit([legs, legs], hide=True)

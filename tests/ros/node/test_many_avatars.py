@@ -13,13 +13,12 @@ pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
 from geometry_msgs.msg import PoseStamped  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
 pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
 
-from drape_site import scaled_body  # noqa: E402
+from drape_site import scaled_body, text_parameter  # noqa: E402
 from physkin_msgs.srv import SetBody, SetGarment  # noqa: E402
 
 TOP, LEGS, BOB = "alice/top", "alice/legs", "bob/top"
@@ -40,7 +39,10 @@ def site(start_site, model_path, leaning_model_path, other_body):
         "deadline": 0.5,
         "most_bodies": 2,
         "avatars": {
-            "alice": {"garments": {"top": {"model": str(model_path)}, "legs": {"model": str(leaning_model_path)}}},
+            "alice": {
+                "outfit": False,  # the same garment twice, draped otherwise
+                "garments": {"top": {"model": str(model_path)}, "legs": {"model": str(leaning_model_path)}},
+            },
             "bob": {
                 "orientation": "pose",
                 "frame_id": "bobs_root",
@@ -274,7 +276,3 @@ def test_lifecycle(site, drapers, garment_model):
     site.spin(0.3)
     rest = rig.rest.astype(np.float32)
     np.testing.assert_array_equal(site.cloud(TOP, rig.joint_names, rest), drapers[TOP].drape(rest))
-
-
-def text_parameter(name: str, value: str) -> Parameter:
-    return Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value))

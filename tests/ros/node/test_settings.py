@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from physkin_ros.node import settings
-from physkin_ros.node.settings import SettingsError, load_config
+from physkin_ros.node.config_file import load_config
+from physkin_ros.node.settings import SettingsError
 
 CONFIG = Path(settings.__file__).parents[1] / "config"
 
@@ -49,6 +50,28 @@ def test_many_avatars(tmp_path):
     ]
     assert [each.fit for avatar in (ann, bob) for each in avatar.garments] == [None, None, 0.0, None]
     assert bob.frame_id == "torso" and bob.garments[0].marker and found.deadline == 1.0
+
+
+def test_garments_are_in_order(tmp_path):
+    """That of the file, or of `layers`; several models without avatars have topics of their names."""
+    pytest.importorskip("yaml")
+    text = """
+drape_node: {ros__parameters: {avatars: {
+  ann: {garments: {z: {model: tshirt, tucked: true}, a: {model: trousers}}},
+  bob: {layers: [b, c, a], outfit: false, garments: {a: {normals: faces}, b: {fit: 0}, c: {model: skirt}}}}}}
+"""
+    ann, bob = load_config(write(tmp_path, text)).avatars
+    assert [(each.name, each.tucked) for each in ann.garments] == [("z", True), ("a", False)]
+    assert (ann.outfit, ann.hide) == (True, True) and not bob.outfit
+    assert [each.name for each in bob.garments] == ["b", "c", "a"]
+    (avatar,) = load_config(
+        write(tmp_path, "drape_node: {ros__parameters: {model: 'trousers, a/my-vest.safetensors,b/my_vest', fit: 0}}")
+    ).avatars
+    assert [(each.model, each.name, each.namespace, each.fit) for each in avatar.garments] == [
+        ("trousers", "trousers", "~/trousers", 0.0),
+        ("a/my-vest.safetensors", "my_vest", "~/my_vest", 0.0),
+        ("b/my_vest", "my_vest_3", "~/my_vest_3", 0.0),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -99,6 +122,19 @@ def test_many_avatars(tmp_path):
         (
             "{avatars: {ann: {effective_gravity_topic: a b, garments: {top: {model: a}}}}}",
             "effective_gravity_topic is 'a b'; allowed: a ROS name",
+        ),
+        ("drape_node: {ros__parameters: {model: 'a,,b'}}", "model is 'a,,b'; allowed: models joined by commas"),
+        ("drape_node: {ros__parameters: {model: 'a,b', tucked: true}}", "tucked is for one of several garments"),
+        ("drape_node: {ros__parameters: {tucked: true}}", "tucked is true; allowed in an outfit of several garments"),
+        ("drape_node: {ros__parameters: {model: 'a,b', layers: [b, a]}}", "layers is for avatars"),
+        ("{avatars: {ann: {garments: {a: {tucked: true}}}}}", "garments.a.tucked is true; allowed in an outfit"),
+        (
+            "{avatars: {ann: {layers: [a, c], garments: {a: {fit: 0}, b: {fit: 0}}}}}",
+            "avatars.ann.layers is ['a', 'c']; allowed: a, b, each once",
+        ),
+        (
+            "{avatars: {ann: {garments: {a: {precision: int8}, b: {model: skirt}}}}}",
+            "garments.b.precision is '' and avatars.ann.garments.a.precision 'int8'; the garments of an outfit share",
         ),
         ("{avatars: {ann: {orientation_joints: [a], garments: {top: {model: a}}}}}", "allowed: two names"),
         (

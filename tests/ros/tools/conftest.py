@@ -27,7 +27,7 @@ def made_records():
         usual = {"cpu": np.array([0.0036, 0.0054]), "load": 2.0, "not_finite": 0, "kept_stamps": kept[:0]}
         pairs = [("50.0", "70.0"), ("none", "none"), ("54.0", "90.0"), ("52.0", "80.0")]
         reports = [{"evaluation p50 [us]": p50, "evaluation p99 [us]": p99} for p50, p99 in pairs]
-        usual |= {"kept": np.zeros((0, 1, 6)), "reports": reports}
+        usual |= {"kept": np.zeros((0, 1, 6)), "reports": reports, "garments": np.zeros_like(whose)}
         return Records(stamps=stamps, avatars=whose, received_stamps=kept, received=received, **usual | fields)
 
     return made

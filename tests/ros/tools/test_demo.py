@@ -11,14 +11,22 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
-from physkin_core import BUNDLED_AVATAR, Draper, cli, load_avatar, load_motion  # noqa: E402
+from physkin_core import BUNDLED_AVATAR, Outfit, cli, load_avatar, load_garment_model, load_motion  # noqa: E402
 from physkin_ros.tools import demo  # noqa: E402
 from physkin_ros.tools.demo_report import complete, largest_error  # noqa: E402
 
 
 @pytest.fixture(scope="module")
-def draper(leaning_model):
-    return Draper(leaning_model, load_avatar(BUNDLED_AVATAR, leaning_model.rig))
+def alone(leaning_model):
+    """An outfit of one garment."""
+    return Outfit([leaning_model], load_avatar(BUNDLED_AVATAR, leaning_model.rig))
+
+
+@pytest.fixture(scope="module")
+def outfit():
+    """What the demo wears unless told otherwise."""
+    models = [load_garment_model(name) for name in demo.WORN]
+    return Outfit(models, load_avatar(BUNDLED_AVATAR, models[0].rig))
 
 
 @pytest.mark.slow
@@ -65,11 +73,11 @@ def test_interrupted_demo_leaves_nothing_running(start, model_path, tmp_path):
     ],
 )
 def test_exit_status_tells_what_was_lost(
-    trouble, lost, status, made_records, leaning_model_path, draper, monkeypatch, capsys
+    trouble, lost, status, made_records, leaning_model_path, alone, monkeypatch, capsys
 ):
     """A missing cloud, one that came twice and one of another stamp all make the demo fail, as does a bad value."""
     records = made_records(**{"delays_ms": [1, 1, 2, 1, 1, 1]} | trouble)
-    monkeypatch.setattr(demo, "load_avatar", lambda *_: draper.avatar)
+    monkeypatch.setattr(demo, "load_avatar", lambda *_: alone.avatar)
     monkeypatch.setattr(demo, "_play", lambda *_: records)
     assert cli.main(["demo", "--seconds", "0.1", "--garment", str(leaning_model_path)]) == status
     assert complete(records) == (status == 0)
@@ -79,18 +87,48 @@ def test_exit_status_tells_what_was_lost(
     assert table["end to end [ms]"].startswith("none" if lost == "6" else "p50 1.00, p99 ")
 
 
-def test_clouds_are_compared_with_the_core(made_records, draper):
+def test_clouds_are_compared_with_the_core(made_records, alone):
     """A cloud draped as if the body stood upright is far from right when it crawls, as is one that is not finite."""
     motion = load_motion("crawl")
-    positions = motion.positions_for(draper.model.rig)[3]
-    right, upright = draper.drape(positions, motion.gravity[3]), draper.drape(positions)
+    positions = motion.positions_for(alone.models[0].rig)[3]
+    (right,), (upright,) = alone.drape(positions, motion.gravity[3]), alone.drape(positions)
     for cloud, least, most in ((right, 0, 1e-7), (upright, demo.ERROR_ALLOWED, 9), (right * np.nan, np.inf, np.inf)):
         records = made_records([1] * 6, kept=cloud[None], kept_stamps=np.array([15_000_000]))
-        assert least <= largest_error(records, draper, motion) <= most
+        assert least <= largest_error(records, alone, motion) <= most
+
+
+def test_outfits_are_compared_frame_after_frame(made_records, outfit):
+    """However often the node was asked for a first cloud; layers that are not kept in order are far from right."""
+    motion = load_motion("dance")
+    positions = motion.positions_for(outfit.models[0].rig)
+    node = outfit.twin()
+    for _ in range(5):
+        node.drape(positions[0])
+    for frame in range(4):
+        cloud = np.concatenate(node.drape(positions[frame], motion.gravity[frame]))
+    unkept = [Outfit([model], outfit.avatar) for model in outfit.models]
+    drapes = [each.drape(positions[3], motion.gravity[3])[0] for each in unkept]
+    wrong = np.concatenate([drape[given] for drape, given in zip(drapes, outfit.visible)])
+    for points, least, most in ((cloud, 0, 1e-7), (wrong, demo.ERROR_ALLOWED, 9)):
+        records = made_records([1] * 6, kept=points[None], kept_stamps=np.array([15_000_000]))
+        assert least <= largest_error(records, outfit, motion) <= most
+
+
+def test_every_garment_must_answer(made_records):
+    """A garment of an outfit without clouds is not complete."""
+    records = made_records([1] * 6)
+    assert complete(records) and not complete(records, 2)
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--output", "no/demo.png"], ["--motion", "nosuch"], ["--garment", "nosuch"], ["--seconds", "nan"]]
+    "arguments",
+    [
+        ["--output", "no/demo.png"],
+        ["--motion", "nosuch"],
+        ["--garment", "nosuch"],
+        ["--seconds", "nan"],
+        ["--tucked", "nosuch"],
+    ],
 )
 def test_wrong_arguments(arguments, capsys):
     """Told before anything is started, by their value."""

@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState, PointCloud2  # noqa: E402
 from physkin_ros.messages.conversions import GarmentCloud  # noqa: E402
 from physkin_ros.middleware.spinning import spin_until  # noqa: E402
 from physkin_ros.middleware.transport import private_environment  # noqa: E402
-from physkin_ros.node.settings import load_config  # noqa: E402
+from physkin_ros.node.config_file import load_config  # noqa: E402
 from physkin_ros.tools.children import ChildFailedError, Children  # noqa: E402
 from physkin_ros.tools.listener import Listener  # noqa: E402
 from physkin_ros.tools.player import play  # noqa: E402

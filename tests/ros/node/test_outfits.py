@@ -1,0 +1,327 @@
+"""A drape node whose avatars wear outfits: what it drapes, what it says of it, and how garments of it are swapped."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
+
+from rcl_interfaces.srv import GetParameters, SetParameters  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+
+pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
+
+from drape_site import scaled_body, text_parameter  # noqa: E402
+from physkin_msgs.srv import SetBody, SetGarment  # noqa: E402
+
+from physkin_core import (  # noqa: E402
+    BUNDLED_AVATAR,
+    LimbSeparator,
+    Outfit,
+    OutfitGarment,
+    load_avatar,
+    load_garment_model,
+    load_motion,
+)
+
+LEGS, TOP, BLOUSE, HOSE = "ann/zlegs", "ann/atop", "bea/top", "bea/legs"
+SHARED = {"precision": "fp32"}
+
+
+@pytest.fixture(scope="module")
+def models():
+    return {name: load_garment_model(name) for name in ("trousers", "tshirt", "longsleeve", "skirt")}
+
+
+@pytest.fixture(scope="module")
+def avatar(models):
+    return load_avatar(BUNDLED_AVATAR, models["tshirt"].rig)
+
+
+@pytest.fixture(scope="module")
+def other_body(tmp_path_factory):
+    """A body a tenth larger than the bundled one, in a folder of its own."""
+    path = tmp_path_factory.mktemp("bodies") / "other.glb"
+    path.write_bytes(scaled_body(1.1))
+    return path
+
+
+@pytest.fixture(scope="module")
+def site(start_site, other_body):
+    """ann: a T-shirt over trousers, in the order of the file, which is not that of the alphabet. bea: a T-shirt tucked
+    into trousers, in the order of `layers`, all vertices given, limbs separated."""
+    parameters = {
+        "asset_roots": [str(other_body.parent)],
+        "avatars": {
+            "ann": {"garments": {"zlegs": {"model": "trousers"} | SHARED, "atop": {"model": "tshirt"} | SHARED}},
+            "bea": {
+                "hide": False,
+                "separate_limbs": True,
+                "layers": ["top", "legs"],
+                "garments": {
+                    "legs": {"model": "trousers"} | SHARED,
+                    "top": {"model": "tshirt", "tucked": True} | SHARED,
+                },
+            },
+        },
+    }
+    site = start_site(parameters, (LEGS, TOP, BLOUSE, HOSE))
+    site.publisher("/ann/joint_states")
+    site.publisher("/bea/joint_states")
+    site.until(lambda: {LEGS, TOP, BLOUSE, HOSE} <= site.meshes.keys(), "meshes")
+    return site
+
+
+@pytest.fixture(scope="module")
+def motion(models):
+    clip = load_motion("dance")
+    return models["tshirt"].rig.joint_names, clip.positions_for(models["tshirt"].rig)[:40].astype(np.float32)
+
+
+def both(site, garments, names, positions):
+    """The clouds of both garments that answer one joint state."""
+    first = site.cloud(garments[0], names, positions)
+    key = garments[1], (site.stamp, 0)
+    site.until(lambda: key in site.clouds, f"cloud {key}")
+    return first, site.clouds[key][0]
+
+
+def test_garments_are_worn_over_each_other(site, models, avatar, motion):
+    """In the order of the file; a joint state is answered by clouds of both with its stamp, equal to the core's, frame
+    after frame."""
+    outfit = Outfit([models["trousers"], models["tshirt"]], avatar, precision="fp32")
+    names, positions = motion
+    for pose in positions:
+        clouds = both(site, (LEGS, TOP), names, pose)
+        for cloud, expected in zip(clouds, outfit.drape(pose)):
+            np.testing.assert_array_equal(cloud, expected)
+    alone = Outfit([models["tshirt"]], avatar, precision="fp32").drape(positions[-1])[0]
+    assert np.abs(clouds[1][:, :3] - alone[:, :3]).max() > 0.005, "the shirt must know what it is worn over"
+
+
+def test_the_mesh_says_what_is_given(site, models, avatar):
+    """Indices in the model's own mesh, faces of the points of a cloud, and once which skin is covered."""
+    outfit = Outfit([models["trousers"], models["tshirt"]], avatar, precision="fp32")
+    for k, garment in enumerate((LEGS, TOP)):
+        mesh = site.meshes[garment]
+        assert (mesh.layer, mesh.layers, mesh.moved) == (k, 2, k == 1)
+        assert mesh.model_vertex_count == len(outfit.models[k].garment.vertices)
+        np.testing.assert_array_equal(mesh.visible, outfit.visible[k])
+        np.testing.assert_array_equal(np.reshape(mesh.faces, (-1, 3)), outfit.faces[k])
+        assert mesh.vertex_count == len(mesh.visible) == len(mesh.rest_vertices) // 3
+    assert len(site.meshes[LEGS].visible) < site.meshes[LEGS].model_vertex_count
+    np.testing.assert_array_equal(site.meshes[LEGS].body_covered, outfit.body_mask)
+    assert outfit.body_mask.any() and not len(site.meshes[TOP].body_covered)
+    given = site.meshes[HOSE]
+    assert given.vertex_count == given.model_vertex_count == len(given.visible)
+    site.until(lambda: TOP in site.statuses, "diagnostics")
+    hidden = int(outfit.hidden[0].sum())
+    assert site.statuses[TOP]["layer"] == "2 of 2 from the skin outwards"
+    left_out = len(outfit.hidden[0]) - outfit.vertex_counts[0]
+    assert (
+        0 < left_out <= hidden and site.statuses[LEGS]["vertices left out"] == f"{left_out} of {len(outfit.hidden[0])}"
+    )
+
+
+def test_a_tucked_shirt_with_separated_limbs(site, models, avatar, motion):
+    """In the order of `layers`, with the positions separated once."""
+    garments = [OutfitGarment(models["tshirt"], tucked=True), models["trousers"]]
+    outfit = Outfit(garments, avatar, precision="fp32", hide=False)
+    separator = LimbSeparator(models["tshirt"].rig, avatar)
+    names, rig = motion[0], models["tshirt"].rig
+    folded = rig.joint_positions({"upperarm01.L_x": -0.9, "upperarm01.R_x": 0.9}).astype(np.float32)
+    separated, change = separator.separate(folded)
+    assert change > 0.01
+    clouds = both(site, (BLOUSE, HOSE), names, folded)
+    for cloud, expected in zip(clouds, outfit.drape(separated)):
+        np.testing.assert_allclose(cloud, expected, atol=1e-3)
+    assert site.meshes[BLOUSE].moved and not site.meshes[HOSE].moved
+
+
+def test_readers_of_garment_nodes_get_the_points_before_they_are_moved(site, models, motion):
+    """Of the innermost layer the cloud itself; of the outer one all but what is moved off the inner."""
+    from physkin_ros.client import GarmentClient
+
+    frames = {}
+    clients = [
+        GarmentClient(
+            site.node,
+            lambda frame, key=key: frames.__setitem__((key, frame.header.stamp.sec), frame.points.copy()),
+            topics=f"/drape_node/{key}",
+        )
+        for key in (LEGS, TOP)
+    ]
+    site.until(lambda: all(client._skin is not None for client in clients), "meshes")
+    site.spin(0.5)
+    names, positions = motion
+    legs, top = both(site, (LEGS, TOP), names, positions[20])
+    site.until(lambda: {(LEGS, site.stamp), (TOP, site.stamp)} <= frames.keys(), "garment nodes")
+    np.testing.assert_array_equal(frames[LEGS, site.stamp], legs)
+    apart = np.linalg.norm(frames[TOP, site.stamp][:, :3] - top[:, :3], axis=1)
+    assert np.median(apart) == 0 and 0 < apart.max() < 0.05
+    for client in clients:
+        for subscription in client._subscriptions:
+            site.node.destroy_subscription(subscription)
+
+
+def swap_while_joint_states_come(site, kind, name, motion, **fields):
+    """Answer of the service, and the stamps of joint states sent before, during and after."""
+    names, positions = motion
+    client = site.node.create_client(kind, f"/drape_node/{name}")
+    site.until(client.service_is_ready, "service")
+    before, after, future = site.stamp + 1, 0, client.call_async(kind.Request(**fields))
+    while after < 20:
+        site.publisher("/ann/joint_states").publish(site.state(names, positions[site.stamp % len(positions)]))
+        end = time.monotonic() + 0.01
+        while time.monotonic() < end:
+            site.executor.spin_once(timeout_sec=0.001)
+        after += future.done()
+    stamps = [(stamp, 0) for stamp in range(before, site.stamp + 1)]
+    site.until(lambda: all((g, s) in site.clouds for g in (LEGS, TOP) for s in stamps), "all clouds")
+    return future.result(), stamps
+
+
+def test_swapping_one_garment_loses_no_cloud(site, models, avatar, motion):
+    """Every joint state is answered for both garments, by the old outfit, then by the new one, both at once. The other
+    garment's mesh is told anew where other vertices of it are hidden."""
+    rest = (len(site.meshes[LEGS].visible), len(site.meshes[TOP].visible))
+    revisions = site.meshes[LEGS].revision, site.meshes[TOP].revision
+    request = {"avatar": "ann", "garment": "zlegs", "model": "skirt"}
+    answer, stamps = swap_while_joint_states_come(site, SetGarment, "set_garment", motion, **request)
+    assert answer.success and answer.seconds > 0, answer.message
+    outfit = Outfit([models["skirt"], models["tshirt"]], avatar, precision="fp32")
+    counts = [tuple(len(site.clouds[g, s][0]) for g in (LEGS, TOP)) for s in stamps]
+    assert set(counts) == {rest, outfit.vertex_counts} and counts[0] == rest and counts[-1] == outfit.vertex_counts
+    assert counts == sorted(counts, key=lambda each: each == outfit.vertex_counts)
+    site.until(lambda: site.meshes[LEGS].revision == revisions[0] + 1, "mesh of the skirt")
+    site.until(lambda: site.meshes[TOP].revision == revisions[1] + 1, "mesh of the shirt over it")
+    value = site.call(GetParameters, "get_parameters", names=["avatars.ann.garments.zlegs.model"]).values[0]
+    assert value.string_value == "skirt"
+    answer = site.call(SetGarment, "set_garment", **request | {"model": "trousers"})
+    assert answer.success and answer.cached
+    assert tuple(len(cloud) for cloud in both(site, (LEGS, TOP), motion[0], motion[1][0])) == rest
+
+
+def test_swapping_the_body_loses_no_cloud(site, models, motion, other_body):
+    """The outfit is put on the new body as a whole."""
+    request = {"avatar": "ann", "body_mesh": str(other_body)}
+    answer, _ = swap_while_joint_states_come(site, SetBody, "set_body", motion, **request)
+    assert answer.success, answer.message
+    outfit = Outfit(
+        [models["trousers"], models["tshirt"]], load_avatar(other_body, models["tshirt"].rig), precision="fp32"
+    )
+    names, rest = motion[0], models["tshirt"].rig.rest.astype(np.float32)
+    for cloud, expected in zip(both(site, (LEGS, TOP), names, rest), outfit.drape(rest)):
+        np.testing.assert_allclose(cloud, expected, atol=1e-3)
+    assert site.call(SetBody, "set_body", avatar="ann").success
+
+
+def test_what_cannot_be_worn_is_told_and_the_old_outfit_goes_on(site, motion):
+    """By service and by parameter, in one sentence."""
+    names, positions = motion
+    counts = [len(site.meshes[garment].visible) for garment in (LEGS, TOP, BLOUSE, HOSE)]
+    for request, reason in (
+        ({"avatar": "ann", "garment": "atop", "model": "trousers"}, "garment 'trousers' is there 2 times"),
+        ({"avatar": "bea", "garment": "top", "model": "dress"}, "'dress' cannot be tucked into 'trousers'"),
+        ({"avatar": "bea", "garment": "legs", "model": "longsleeve"}, "'tshirt' cannot be tucked into 'longsleeve'"),
+    ):
+        answer = site.call(SetGarment, "set_garment", **request)
+        assert not answer.success and reason in answer.message and "\n" not in answer.message, answer.message
+    name = "avatars.ann.garments.atop.model"
+    (result,) = site.call(SetParameters, "set_parameters", parameters=[text_parameter(name, "trousers")]).results
+    assert result.successful  # read in the background
+    value = lambda: site.call(GetParameters, "get_parameters", names=[name]).values[0].string_value  # noqa: E731
+    site.until(lambda: value() == "tshirt", "parameter to go back")
+    worn = [*both(site, (LEGS, TOP), names, positions[3]), *both(site, (BLOUSE, HOSE), names, positions[3])]
+    assert [len(cloud) for cloud in worn] == counts
+    site.until(lambda: "is there 2 times" in site.statuses[TOP]["last error"], "diagnostics")
+
+
+def test_plain_parameters(running_node, peer, models, avatar):
+    """`model` with a comma is an outfit, whose topics are named after its garments; marker and swap by parameter."""
+    from physkin_msgs.msg import GarmentMesh
+    from rclpy.parameter import Parameter
+    from sensor_msgs.msg import PointCloud2
+
+    meshes, clouds = {}, {}
+    with running_node({"model": "trousers, tshirt", "cloud_rate": 0.0}, connect=False) as node:
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        kinds = ((GarmentMesh, "mesh", meshes, latched), (PointCloud2, "garment", clouds, 10))
+        subscriptions = [
+            peer.node.create_subscription(
+                kind, f"drape_node/{name}/{topic}", lambda message, f=found, n=name: f.__setitem__(n, message), quality
+            )
+            for name in ("trousers", "tshirt")
+            for kind, topic, found, quality in kinds
+        ]
+        peer.until(lambda: len(meshes) == 2, "meshes")
+        assert [meshes[name].layer for name in ("trousers", "tshirt")] == [0, 1]
+        (result,) = node.set_parameters([Parameter("model", value="trousers")])
+        assert not result.successful and "names 1 garments; allowed: 2" in result.reason
+        (result,) = node.set_parameters([Parameter("model", value="trousers,longsleeve")])
+        assert result.successful
+        peer.until(lambda: meshes["tshirt"].model_name == "longsleeve", "mesh of the other shirt")
+        (result,) = node.set_parameters([Parameter("model", value="trousers,trousers")])
+        assert result.successful
+        peer.until(lambda: node.get_parameter("model").value == "trousers,longsleeve", "parameter to go back")
+        for subscription in subscriptions:
+            peer.node.destroy_subscription(subscription)
+
+
+def test_interpolated_outfits(running_node, peer, models):
+    """Clouds between joint states are of the whole outfit."""
+    from array import array
+
+    from sensor_msgs.msg import JointState, PointCloud2
+
+    clouds = {"a": set(), "b": set()}
+    parameters = {
+        "avatars.eva.cloud_rate": 100.0,
+        "avatars.eva.garments.a.model": "trousers",
+        "avatars.eva.garments.b.model": "tshirt",
+    }
+    with running_node(parameters, connect=False):
+        subscriptions = [
+            peer.node.create_subscription(
+                PointCloud2,
+                f"drape_node/eva/{name}/garment",
+                lambda m, n=name: clouds[n].add((m.header.stamp.sec, m.header.stamp.nanosec)),
+                100,
+            )
+            for name in clouds
+        ]
+        publisher = peer.node.create_publisher(JointState, "eva/joint_states", 10)
+        peer.until(publisher.get_subscription_count, "subscription")
+        peer.until(lambda: all(each.get_publisher_count() for each in subscriptions), "topics")
+        peer.spin(0.3)
+        rig = models["tshirt"].rig
+        for k in range(10):
+            message = JointState(name=list(rig.joint_names), position=array("d", rig.rest.tolist()))
+            message.header.stamp.nanosec = 50_000_000 * k
+            publisher.publish(message)
+            peer.spin(0.05)
+        peer.until(lambda: clouds["a"] and clouds["a"] == clouds["b"], "the same clouds of both")
+        assert len(clouds["a"]) > 12
+        for each in (*subscriptions,):
+            peer.node.destroy_subscription(each)
+        peer.node.destroy_publisher(publisher)
+
+
+def test_effective_gravity_counts_for_all_or_none(models, avatar):
+    """An outfit has one pose vector: its garments take effective gravity where all have learnt it."""
+    from physkin_ros.node.asset_loading import OutfitLayer
+    from physkin_ros.node.garment_stream import WornGarment
+
+    class NoStream:
+        frame_id, nodes_publisher, marker_publisher = "base_link", None, None
+
+    learnt = {"poses": {"accelerated": 0.3}}
+    shirt, trousers = (replace(models[name], training=learnt) for name in ("tshirt", "trousers"))
+    for garments, expected in (([trousers, shirt], True), ([replace(trousers, training={}), shirt], False)):
+        outfit = Outfit(garments, avatar)
+        worn = [WornGarment(NoStream(), OutfitLayer(outfit, k), outfit.at_rest[k], 1) for k in range(2)]
+        assert [each.accelerated for each in worn] == [expected] * 2
