@@ -100,6 +100,8 @@ def _grading(garment: Garment) -> GarmentGrading:
     """Of a garment, whatever avatar wears it. Setting it up factorises a matrix under the interpreter's lock, so that a
     node that changes bodies need not do it while clouds wait."""
     return GarmentGrading(garment, load_body_model())
+
+
 def _swollen(body: Avatar, displacement: np.ndarray) -> Avatar:
     return replace(body, vertices=(body.vertices + displacement).astype(np.float32))
 
