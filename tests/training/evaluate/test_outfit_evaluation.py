@@ -86,13 +86,13 @@ def test_a_hole_is_seen_where_nothing_covers_what_was_removed():
     near = np.linalg.norm(INNER.vertices - INNER.vertices[MIDDLE], axis=1) < 0.04
     patch = near[INNER.faces].all(axis=1)
     kept, removed = Surface(INNER.vertices, INNER.faces[~patch]), Surface(INNER.vertices, INNER.faces[patch])
-    assert (holes([kept, OUTER], [removed], rays) == -1).all()
+    assert (holes([kept, OUTER], [removed], rays).surface == -1).all()
     open_cloth = Surface(OUTER.vertices, OUTER.faces[~patch])
     missed = holes([kept, open_cloth], [removed], rays)
     whole = look([INNER, open_cloth], rays)
     expected = (whole.surface == 0) & whole.facing & np.isin(whole.face, np.flatnonzero(patch))
     assert expected.sum() > 50
-    np.testing.assert_array_equal(missed == 0, expected)
+    np.testing.assert_array_equal(missed.surface == 0, expected)
 
 
 def test_names_of_outfits():

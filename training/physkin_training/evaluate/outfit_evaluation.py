@@ -180,7 +180,7 @@ class DressedBody:
         left.append(Surface(body, skin.faces[~mask]))
         removed.append(Surface(body, skin.faces[mask]))
         missed = holes(left, removed, rays)
-        counts.body_holes += int((missed == len(cloth)).sum())
+        counts.body_holes += int((missed.surface == len(cloth)).sum())
         counts.cloth_pixels += int(((view.surface >= 0) & (view.surface < len(cloth))).sum())
         for (i, o), pokes in self.pokes.items():
             pair = counts.pairs[i, o]
@@ -195,10 +195,16 @@ class DressedBody:
             pair.seen += int((under | over).sum())
             shown = (view.surface == i) & view.facing
             shown[shown] = pokes.covered[pokes.faces[0][view.face[shown]]].all(axis=1)
-            corners, share = pokes.faces[0][view.face[shown]], view.share[shown]
-            at, outward = (np.einsum("rk,rki->ri", share, x[corners]) for x in (inner, normals))
-            pair.poking += int((pokes.depths(at, outward, outer) > 0).sum())
-            pair.holes += int((missed == i).sum())
+            points, outward = _surface_points(inner, normals, pokes.faces[0][view.face[shown]], view.share[shown])
+            pair.poking += int((pokes.depths(points, outward, outer) > 0).sum())
+            hole = missed.surface == i
+            points, outward = _surface_points(inner, normals, self.removed[i][missed.face[hole]], missed.share[hole])
+            pair.holes += int((pokes.depths(points, outward, outer) == 0).sum())  # what would poke is not missed
+
+
+def _surface_points(vertices: np.ndarray, normals: np.ndarray, corners: np.ndarray, share: np.ndarray):
+    """Points and normals, both (k, 3), at shares (k, 3) of corners (k, 3) among vertices and normals (n, 3)."""
+    return tuple(np.einsum("kj,kji->ki", share, values[corners]) for values in (vertices, normals))
 
 
 def _strain(garment: Garment, vertices: np.ndarray, among: np.ndarray) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -96,10 +96,10 @@ def look(surfaces: Sequence[Surface], rays: tuple[np.ndarray, np.ndarray]) -> Vi
     )
 
 
-def holes(given: Sequence[Surface], removed: Sequence[Surface], rays: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Which of the removed surfaces each ray misses, (R,), -1 for none: its outside would be the first thing seen, and
-    within 5 cm behind it nothing that is given faces the camera."""
+def holes(given: Sequence[Surface], removed: Sequence[Surface], rays: tuple[np.ndarray, np.ndarray]) -> View:
+    """What each ray misses, of the removed surfaces; surface -1 where nothing. The outside of what is missed would be
+    the first thing seen, and within 5 cm behind it nothing that is given faces the camera."""
     there, missing = look(given, rays), look(removed, rays)
     nearer = missing.facing & (missing.distance < there.distance)
     covered = there.facing & (there.distance < missing.distance + BEHIND)
-    return np.where(nearer & ~covered, missing.surface, -1)
+    return replace(missing, surface=np.where(nearer & ~covered, missing.surface, -1))
