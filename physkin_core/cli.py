@@ -42,7 +42,7 @@ FORWARDED = {
     "train": ("physkin_training.train.train", "train a garment from its mesh and physics"),
     "bench": ("physkin_bench", "time a frame, its stages and other engines on this machine"),
     "simulate": ("physkin_training.evaluate.simulate", "drape a garment on an avatar by minimising its energy"),
-    "evaluate": ("physkin_training.evaluate.evaluate", "measure a garment model on bodies it has not seen"),
+    "evaluate": ("physkin_training.evaluate.command", "measure a garment model or outfits on bodies it has not seen"),
     "contact-sheet": (
         "physkin_training.evaluate.contact_sheet",
         "draw a model on thin, average and heavy bodies",

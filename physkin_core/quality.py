@@ -10,7 +10,7 @@ import numpy as np
 from physkin_core.model.garment import Garment, face_areas
 
 __all__ = [
-    *("CLOSE", "SNAP", "area_strain", "contact_figures", "edge_strain", "inside_by_vertex", "jitter"),
+    *("CLOSE", "SNAP", "area_strain", "closest_points", "contact_figures", "edge_strain", "inside_by_vertex", "jitter"),
     *("signed_distance", "snaps"),
 ]
 
@@ -36,18 +36,31 @@ def area_strain(garment: Garment, vertices: np.ndarray) -> np.ndarray:
     return 100 * (np.abs(face_areas(vertices, garment.faces) - garment.face_areas) / garment.face_areas).mean(axis=-1)
 
 
+def closest_points(
+    points: np.ndarray, vertices: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The closest point of a surface to each of points (n, 3): its distance (n,) [m], its face (n,) and where it is on
+    that, barycentric (n, 3). vertices: (V, 3) [m], faces: (f, 3)."""
+    from point_cloud_utils import closest_points_on_mesh
+
+    count = len(points)
+    if count == 1:  # the library reads the arrays in another order then
+        points = np.repeat(points, 2, axis=0)
+    points, vertices = (np.ascontiguousarray(x, dtype=np.float64) for x in (points, vertices))
+    found = closest_points_on_mesh(points, vertices, np.ascontiguousarray(faces, dtype=np.int64))
+    distance, face, barycentric = (x[:count] for x in found)
+    return distance, face, barycentric
+
+
 def signed_distance(points: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray) -> np.ndarray:
     """Distance to the closest point of a closed body surface [m], negative inside. points: (n, 3). Returns (n,).
 
     The sign is that of the angle-weighted pseudo-normal at the closest point (Baerentzen and Aanaes 2005), as in the
     training's contact: where a body intersects itself, its nearest skin decides, and edges and corners are exact.
     """
-    from point_cloud_utils import closest_points_on_mesh
-
-    points = np.ascontiguousarray(points, dtype=np.float64)
-    vertices = np.ascontiguousarray(body_vertices, dtype=np.float64)
-    faces = np.ascontiguousarray(body_faces, dtype=np.int64)
-    distance, face, barycentric = closest_points_on_mesh(points, vertices, faces)
+    points, vertices = (np.asarray(x, dtype=np.float64) for x in (points, body_vertices))
+    faces = np.asarray(body_faces, dtype=np.int64)
+    distance, face, barycentric = closest_points(points, vertices, faces)
     closest = np.einsum("nk,nki->ni", barycentric, vertices[faces[face]])
     at_face, at_edge, at_corner = _pseudo_normals(vertices, faces)
     touched = (barycentric > ON_EDGE).sum(axis=1)[:, None]  # corners with a share: 1 at a corner, 2 on an edge

@@ -62,6 +62,16 @@ def oracle_signed_distance(point, vertices, faces):
     return -least if (point - closest) @ pseudo_normal < 0 else least
 
 
+def test_signed_distance_of_a_single_point():
+    """It is the same alone as among others."""
+    box = trimesh.creation.box()
+    points = np.array([[0.9, 0.1, 0.2], [0.1, 0.3, 0.1]])
+    together = signed_distance(points, box.vertices, box.faces)
+    np.testing.assert_allclose(together, [0.4, -0.2])
+    for point, distance in zip(points, together):
+        np.testing.assert_allclose(signed_distance(point[None], box.vertices, box.faces), [distance])
+
+
 @pytest.mark.parametrize("shape", ["box", "spike", "overlapping balls"])
 def test_signed_distance_against_every_face(shape):
     """Points anywhere, above edges, above corners, and micrometres from one, where several faces are all but equally

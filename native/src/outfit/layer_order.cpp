@@ -1,14 +1,13 @@
 #include "outfit/layer_order.hpp"
 
 #include <algorithm>
-#include <cfloat>
-#include <cstring>
 #include <stdexcept>
 #include <string>
+#include <vector>
 
 #include "garment/finite.hpp"
 #include "outfit/checks.hpp"
-#include "outfit/cloth_point.hpp"
+#include "outfit/cloth_rows.hpp"
 
 namespace physkin {
 namespace {
@@ -18,45 +17,39 @@ constexpr float kOrderGap = 0.003f, kSoft = 0.001f, kMostPush = 0.05f, kDeepest 
 constexpr float kStray = 0.6f, kPlaneReach = 1.3f, kFarAside = 2.0f, kFullShare = 0.5f;
 constexpr int kSteps = 4, kPasses = 2, kTurns = 8;
 
-typedef float Quad __attribute__((vector_size(16)));
-typedef std::int32_t Places __attribute__((vector_size(16)));
+// Lists padded to whole fours with `filler` of each, so that four entries are looked at together.
+struct Fours {
+  std::vector<std::int32_t> start{0}, values;
 
-inline Quad load_quad(const unsigned char* at) {
-  Quad v;
-  std::memcpy(&v, at, sizeof v);
-  return v;
-}
-
-inline Quad three_of(Quad v) { return (Quad)((Places)v & Places{-1, -1, -1, 0}); }
-inline float sum(Quad v) { return v[0] + v[1] + v[2]; }
-
-// Cloth as registers hold it: four floats from the start of a row, and from its third on, stay within the row.
-struct Rows {
-  explicit Rows(const VertexRows& rows)
-      : data(rows.data), stride(rows.stride * std::ptrdiff_t(sizeof(float))) {}
-
-  Quad position(std::int32_t vertex) const { return load_quad(data + vertex * stride); }  // x y z and another number
-  Quad normal(std::int32_t vertex) const {                                                // nx ny nz and another one
-    const Quad v = load_quad(data + vertex * stride + 2 * sizeof(float));
-    return Quad{v[1], v[2], v[3], v[0]};
+  void add(const std::int32_t* first, const std::int32_t* end, std::int32_t filler) {
+    values.insert(values.end(), first, end);
+    while (values.size() % 4) values.push_back(filler);
+    start.push_back(std::int32_t(values.size()));
   }
-
-  const unsigned char* data;
-  std::ptrdiff_t stride;
 };
 
-struct OffPlane {
-  float off, aside_square;
-};
-
-inline OffPlane off_plane(Quad at, const Rows& planes, std::int32_t vertex) {
-  const Quad gap = three_of(at - planes.position(vertex));
-  const float off = sum(gap * planes.normal(vertex));
-  return {off, sum(gap * gap) - off * off};
+inline float square_distance(Quad a, Quad b) {
+  const Quad gap = a - b, square = gap * gap;
+  return square[0] + square[1] + square[2];
 }
 
-// How a contact is looked at in a pass: not at all, at its partner, or with a search for a closer one.
-enum class Look { away, here, search };
+// The inner vertex that is closest to a point, of those looked at.
+struct Closest {
+  std::int32_t vertex;
+  float square;
+
+  void among(const std::int32_t* four, const std::int32_t* end, Quad at, const ClothRows& inner) {
+    for (; four != end; four += 4) {
+      Quad gap[4];
+      for (int k = 0; k < 4; ++k) gap[k] = at - inner.position(four[k]);
+      const Quad squares = sums_of_three(gap[0] * gap[0], gap[1] * gap[1], gap[2] * gap[2], gap[3] * gap[3]);
+      for (int k = 0; k < 4; ++k) {
+        vertex = squares[k] < square ? four[k] : vertex;
+        square = std::min(squares[k], square);
+      }
+    }
+  }
+};
 
 inline float clamp01(float v) { return std::min(std::max(v, 0.0f), 1.0f); }
 
@@ -109,12 +102,21 @@ LayerOrder::LayerOrder(const LayerOrderData& d, int inner_vertices, int outer_ve
   push_share_ = arena.copy(d.push_share, d.pushes);
   moved_ = arena.copy(d.moved, d.moved_count);
   push_ = arena.take<float>(d.moved_count);
+  pushed_ = arena.take<std::int32_t>(d.moved_count + 1);
   has_moved_ = arena.take<bool>(d.moved_count);
 
-  seed_start_ = arena.copy(d.seed_start, d.seed_starts);
-  seed_ = arena.copy(d.seed, d.seeds);
-  ring_start_ = arena.copy(d.ring_start, d.inner_starts);
-  ring_ = arena.copy(d.ring, d.ring_size);
+  Fours planes, seeds;
+  auto* plane_count = arena.take<std::int32_t>(inner_vertices);
+  std::vector<std::int32_t> around;
+  for (int v = 0; v < inner_vertices; ++v) {
+    around.assign(1, v);
+    around.insert(around.end(), d.ring + d.ring_start[v], d.ring + d.ring_start[v + 1]);
+    planes.add(around.data(), around.data() + around.size(), v);
+    plane_count[v] = std::int32_t(around.size());
+  }
+  plane_count_ = plane_count;
+  plane_start_ = arena.copy(planes.start.data(), planes.start.size());
+  plane_ = arena.copy(planes.values.data(), planes.values.size());
   partner_ = arena.take<std::int32_t>(d.contacts);
   free_ = arena.take<bool>(d.contacts);
   for (int c = 0; c < d.contacts; ++c) {
@@ -122,29 +124,101 @@ LayerOrder::LayerOrder(const LayerOrderData& d, int inner_vertices, int outer_ve
       throw std::invalid_argument("seed_start[" + std::to_string(c) + "]: a contact needs a seed");
     }
     partner_[c] = d.seed[d.seed_start[c]];
+    seeds.add(d.seed + d.seed_start[c], d.seed + d.seed_start[c + 1], partner_[c]);
   }
+  seed_start_ = arena.copy(seeds.start.data(), seeds.start.size());
+  seed_ = arena.copy(seeds.values.data(), seeds.values.size());
+  for (std::int32_t** list : {&here_, &searching_, &near_}) *list = arena.take<std::int32_t>(d.contacts + 4);
 }
 
-void LayerOrder::apply(const VertexRows& inner, const VertexRows& outer, bool look_at_all) noexcept {
+void LayerOrder::apply(const VertexRows& inner_rows, const VertexRows& outer_rows, bool look_at_all) noexcept {
+  const ClothRows inner(inner_rows), outer(outer_rows);
   const int turn = frame_++ % kTurns;
-  bool any = push_lacking(inner, outer, [&](int c) {
-    const bool search = look_at_all || c % kTurns == turn;
-    return search ? Look::search : free_[c] ? Look::away : Look::here;
-  });
-  for (int pass = 1; any && pass < kPasses; ++pass) {
-    any = push_lacking(inner, outer, [&](int c) {
-      return has_moved_[contact_place_[c]] ? Look::here : Look::away;
-    });
+  int here = 0, searching = 0;
+  for (int c = look_at_all ? 0 : turn; c < contacts_; c += look_at_all ? 1 : kTurns) searching_[searching++] = c;
+  for (int c = 0; c < (look_at_all ? 0 : contacts_); ++c) {  // no branches: which contacts are free is hard to foresee
+    here_[here] = c;
+    here += !free_[c] & (c % kTurns != turn);
+  }
+  for (int pass = 0; pass < kPasses; ++pass) {
+    find_near(here, searching, inner, outer);
+    if (!push_lacking(inner, outer)) return;
+    here = searching = 0;
+    for (int c = 0; c < contacts_; ++c) {
+      here_[here] = c;
+      here += has_moved_[contact_place_[c]];
+    }
   }
 }
 
-template <class Looks>
-bool LayerOrder::push_lacking(const VertexRows& inner, const VertexRows& outer, Looks looks_at) noexcept {
+void LayerOrder::find_near(int here, int searching, const ClothRows& inner, const ClothRows& outer) noexcept {
+  near_count_ = 0;
+  searching = look(here_, here, edge_ * edge_, searching_, searching, inner, outer);
+  for (int k = 0; k < searching; ++k) choose_seed(searching_[k], inner, outer);
+  const float stray = (kStray * edge_) * (kStray * edge_);
+  const int strayed = look(searching_, searching, stray, here_, 0, inner, outer);
+  for (int k = 0; k < strayed; ++k) walk(here_[k], stray, inner, outer);
+}
+
+// Stage by stage for many contacts: what one of them waits for does not hold up the others.
+int LayerOrder::look(std::int32_t* list, int count, float most_aside_square, std::int32_t* beyond, int beyond_count,
+                     const ClothRows& inner, const ClothRows& outer) noexcept {
+  for (int k = count; k < count + 3; ++k) list[k] = count > 0 ? list[count - 1] : 0;
+  for (int first = 0; first < count; first += 4) {
+    std::int32_t four[4];
+    std::copy_n(list + first, 4, four);
+    Quad gap[4], normal[4];
+    for (int k = 0; k < 4; ++k) {
+      const std::int32_t partner = partner_[four[k]];
+      gap[k] = outer.position(contact_[four[k]]) - inner.position(partner);
+      normal[k] = inner.normal(partner);
+    }
+    const OffPlanes planes = off_planes(gap, normal);
+    for (int k = 0; k < std::min(4, count - first); ++k) {
+      const float aside_square = planes.aside_square[k];
+      const bool is_beyond = aside_square > most_aside_square;
+      beyond[beyond_count] = four[k];
+      beyond_count += is_beyond;
+      settle(four[k], planes.off[k], aside_square, !is_beyond);
+    }
+  }
+  return beyond_count;
+}
+
+inline void LayerOrder::settle(std::int32_t c, float off, float aside_square, bool now) noexcept {
+  const float far_aside = kFarAside * edge_;
+  free_[c] = (off > kFree) | (aside_square > far_aside * far_aside);
+  near_[near_count_] = c;
+  near_count_ += now & !free_[c] & !(off > kNear);
+}
+
+inline void LayerOrder::choose_seed(std::int32_t c, const ClothRows& inner, const ClothRows& outer) noexcept {
+  Closest closest{partner_[c], square_distance(outer.position(contact_[c]), inner.position(partner_[c]))};
+  closest.among(seed_ + seed_start_[c], seed_ + seed_start_[c + 1], outer.position(contact_[c]), inner);
+  partner_[c] = closest.vertex;
+}
+
+void LayerOrder::walk(std::int32_t c, float stray, const ClothRows& inner, const ClothRows& outer) noexcept {
+  const Quad at = outer.position(contact_[c]);
+  Closest closest{partner_[c], square_distance(at, inner.position(partner_[c]))};
+  float off, aside_square;
+  for (int step = 0;; ++step) {
+    const std::int32_t before = closest.vertex;
+    if (step < kSteps) closest.among(plane_ + plane_start_[before], plane_ + plane_start_[before + 1], at, inner);
+    const Quad along = (at - inner.position(closest.vertex)) * inner.normal(closest.vertex);
+    off = along[0] + along[1] + along[2];
+    aside_square = closest.square - off * off;
+    if (closest.vertex == before || !(aside_square > stray)) break;
+  }
+  partner_[c] = closest.vertex;
+  settle(c, off, aside_square, true);
+}
+
+bool LayerOrder::push_lacking(const ClothRows& inner, const ClothRows& outer) noexcept {
   bool any = false;
-  for (int c = 0; c < contacts_; ++c) {
-    const Look look = looks_at(c);
-    if (look == Look::away) continue;
-    const float wanted = lack(c, inner, outer, look == Look::search);
+  for (int k = 0; k < near_count_; ++k) {
+    const std::int32_t c = near_[k];
+    const float wanted = lack(c, inner, outer);
     if (!(wanted > 0.0f)) continue;
     if (!any) std::fill_n(push_, moved_count_, 0.0f);
     any = true;
@@ -154,61 +228,37 @@ bool LayerOrder::push_lacking(const VertexRows& inner, const VertexRows& outer, 
     }
   }
   if (!any) return false;
+  int pushed = 0;
   for (int k = 0; k < moved_count_; ++k) {
     has_moved_[k] = push_[k] > kAgain;
-    if (push_[k] == 0.0f) continue;
-    const ClothPoint point = load_point(outer, moved_[k]);
-    store_position(outer, moved_[k], point.position + push_[k] * point.normal);
+    pushed_[pushed] = k;
+    pushed += push_[k] > 0.0f;
   }
+  for (int k = 0; k < pushed; ++k) outer.move(moved_[pushed_[k]], push_[pushed_[k]]);
   return true;
 }
 
-float LayerOrder::lack(int c, const VertexRows& inner_rows, const VertexRows& outer_rows, bool search) noexcept {
-  const Rows inner(inner_rows), outer(outer_rows);
-  const Quad at = outer.position(contact_[c]);
-  std::int32_t partner = partner_[c];
-  float least = FLT_MAX;
-  const auto choose_among = [&](const std::int32_t* vertex, const std::int32_t* end) {
-    for (; vertex != end; ++vertex) {
-      const Quad gap = three_of(at - inner.position(*vertex));
-      const float square = sum(gap * gap);
-      partner = square < least ? *vertex : partner;
-      least = std::min(square, least);
-    }
-  };
-  OffPlane from = off_plane(at, inner, partner);
-  if (search || from.aside_square > edge_ * edge_) {
-    choose_among(partner_ + c, partner_ + c + 1);
-    choose_among(seed_ + seed_start_[c], seed_ + seed_start_[c + 1]);
-    const float stray = (kStray * edge_) * (kStray * edge_);
-    from = off_plane(at, inner, partner);
-    for (int step = 0; step < kSteps && from.aside_square > stray; ++step) {
-      const std::int32_t before = partner;
-      choose_among(ring_ + ring_start_[partner], ring_ + ring_start_[partner + 1]);
-      if (partner == before) break;
-      from = off_plane(at, inner, partner);
-    }
-  }
-  partner_[c] = partner;
-  free_[c] = from.off > kFree || from.aside_square > (kFarAside * edge_) * (kFarAside * edge_);
-  if (free_[c] || from.off > kNear) return 0.0f;
-
+float LayerOrder::lack(std::int32_t c, const ClothRows& inner, const ClothRows& outer) const noexcept {
+  const Quad at = outer.position(contact_[c]), own = outer.normal(contact_[c]);
+  const std::int32_t partner = partner_[c], first = plane_start_[partner];
   const float reach = 1.0f / ((kPlaneReach * edge_) * (kPlaneReach * edge_));
-  const Quad own = outer.normal(contact_[c]);
-  float total = 0.0f, gap = 0.0f;
-  Quad normals = {};
-  const auto add = [&](std::int32_t vertex) {
-    const OffPlane plane = off_plane(at, inner, vertex);
-    const float near = std::max(1.0f - plane.aside_square * reach, 0.0f), share = near * near;
-    total += share;
-    gap += share * plane.off;
-    normals += share * inner.normal(vertex);
-  };
-  add(partner);
-  for (std::int32_t k = ring_start_[partner]; k < ring_start_[partner + 1]; ++k) add(ring_[k]);
-  const float safe = std::max(total, 1e-6f);
-  gap /= safe;
-  const float alike = sum(own * normals) / safe;
+  Quad totals = {}, gaps = {}, alikes = {};
+  QuadInts left = plane_count_[partner] - QuadInts{0, 1, 2, 3};
+  for (std::int32_t group = first; group < plane_start_[partner + 1]; group += 4, left -= 4) {
+    Quad gap[4], normal[4];
+    for (int k = 0; k < 4; ++k) {
+      gap[k] = at - inner.position(plane_[group + k]);
+      normal[k] = inner.normal(plane_[group + k]);
+    }
+    const OffPlanes planes = off_planes(gap, normal);
+    const Quad near = at_least_zero(1.0f - planes.aside_square * reach);
+    const Quad share = left > 0 ? near * near : Quad{};
+    totals += share;
+    gaps += share * planes.off;
+    alikes += share * sums_of_three(own * normal[0], own * normal[1], own * normal[2], own * normal[3]);
+  }
+  const float total = sum(totals), safe = std::max(total, 1e-6f);
+  const float gap = sum(gaps) / safe, alike = sum(alikes) / safe;
   const float wanted = kOrderGap + kSoft - gap;
   if (!(wanted > 0.0f)) return 0.0f;
   float lack = wanted < 2.0f * kSoft ? wanted * wanted / (4.0f * kSoft) : wanted - kSoft;

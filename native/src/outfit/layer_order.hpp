@@ -4,6 +4,7 @@
 #include "garment/bound_garment.hpp"
 #include "kernels/arena.hpp"
 #include "kernels/kernels.hpp"
+#include "outfit/cloth_rows.hpp"
 
 namespace physkin {
 
@@ -35,27 +36,42 @@ class LayerOrder {
   void apply(const VertexRows& inner, const VertexRows& outer, bool look_at_all) noexcept;
 
  private:
-  template <class Looks>
-  bool push_lacking(const VertexRows& inner, const VertexRows& outer, Looks looks_at) noexcept;
-  float lack(int contact, const VertexRows& inner, const VertexRows& outer, bool search) noexcept;
+  // Fills near_ from `here` contacts that keep their partners unless they lost them, and `searching` others.
+  void find_near(int here, int searching, const ClothRows& inner, const ClothRows& outer) noexcept;
+  // Looks at the partners of `count` contacts. Those farther beside them are added to `beyond`, which counts then as many
+  // as returned; others that are near to near_. `list` has room for four more.
+  int look(std::int32_t* list, int count, float most_aside_square, std::int32_t* beyond, int beyond_count,
+           const ClothRows& inner, const ClothRows& outer) noexcept;
+  void settle(std::int32_t contact, float off, float aside_square, bool now) noexcept;
+  void choose_seed(std::int32_t contact, const ClothRows& inner, const ClothRows& outer) noexcept;
+  void walk(std::int32_t contact, float stray, const ClothRows& inner, const ClothRows& outer) noexcept;
+  // Moves what near contacts lack, and says whether any did.
+  bool push_lacking(const ClothRows& inner, const ClothRows& outer) noexcept;
+  float lack(std::int32_t contact, const ClothRows& inner, const ClothRows& outer) const noexcept;
 
   int contacts_, moved_count_;
   float edge_;
   const std::int32_t* contact_;
   const std::int32_t* contact_place_;  // (contacts_,) into moved_
-  const std::int32_t* seed_start_;
+  const std::int32_t* seed_start_;     // (contacts_ + 1,) into seed_, whole fours
   const std::int32_t* seed_;
   std::int32_t* partner_;  // (contacts_,) of the last frame
   bool* free_;             // (contacts_,) when looked at last
   int frame_ = 0;
-  const std::int32_t* ring_start_;
-  const std::int32_t* ring_;
+  const std::int32_t* plane_start_;  // (inner vertices + 1,) into plane_, whole fours
+  const std::int32_t* plane_;        // each vertex, its neighbours, and itself again to fill up
+  const std::int32_t* plane_count_;  // (inner vertices,) without what fills up
   const std::int32_t* push_start_;
   const std::int32_t* push_to_;
   const float* push_share_;
   const std::int32_t* moved_;
   float* push_;  // (moved_count_,) [m] of one pass
-  bool* has_moved_;  // (moved_count_,) in this frame
+  bool* has_moved_;       // (moved_count_,) in this pass
+  std::int32_t* pushed_;  // list of those among moved_ that a pass pushes
+  std::int32_t* here_;       // lists of contacts in one pass
+  std::int32_t* searching_;
+  std::int32_t* near_;
+  int near_count_ = 0;
 };
 
 }  // namespace physkin

@@ -23,7 +23,8 @@ from physkin_core import (
 )
 from physkin_core.motion.loading import save_motion
 from physkin_core.motion.motion import MotionError
-from physkin_training.evaluate.evaluate import Evaluation, evaluate_model, main
+from physkin_training.evaluate.command import main
+from physkin_training.evaluate.evaluate import Evaluation, evaluate_model
 from physkin_training.evaluate.score_table import table
 from physkin_training.sampling.evaluation_pairs import motion_pairs
 

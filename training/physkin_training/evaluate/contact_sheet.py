@@ -26,6 +26,7 @@ from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet
 from physkin_core.quality import edge_strain
 from physkin_core.rig.rig import Rig
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.evaluate.chosen_bodies import bodies_by_girth
 from physkin_training.evaluate.evaluate import Evaluation
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 
@@ -58,14 +59,7 @@ class Drapes:
 
 def chosen_bodies(body_model: BodyModel) -> dict[str, int]:
     """Indices of the held-out bodies with the least, the median and the most volume for their height squared."""
-    index = []
-    for coefficients in body_model.held_out_bodies:
-        vertices = body_model.vertices(coefficients).astype(np.float64)
-        a, b, c = vertices[body_model.faces].transpose(1, 0, 2)
-        index.append((a * np.cross(b, c)).sum() / 6 / np.ptp(vertices[:, 2]) ** 2)
-    order = np.argsort(index)
-    places = {"thin": 0, "average": len(order) // 2, "heavy": len(order) - 1}
-    return {name: int(order[place]) for name, place in places.items()}
+    return dict(zip(("thin", "average", "heavy"), bodies_by_girth(body_model, 3), strict=True))
 
 
 def chosen_poses(rig: Rig, *, count: int, seed: int) -> tuple[Pairs, list[str]]:

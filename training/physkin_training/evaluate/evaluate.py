@@ -1,20 +1,15 @@
 """Quality figures of a garment model on held-out bodies, beside plain skinning and the two minima.
 
-Poses are uniform in the joint limits, or frames of motion. `physkin evaluate MODEL` prints a table and writes JSON;
-deterministic for a seed on one kind of device.
+Poses are uniform in the joint limits, or frames of motion; deterministic for a seed on one kind of device.
 Dimensions: `B` samples of a batch, `n` garment vertices, `m` garment nodes.
 """
 
 from __future__ import annotations
 
-import argparse
 import copy
-import json
-import sys
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -22,18 +17,13 @@ import torch
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.model_file import load_garment_model, save_garment_model
-from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion
-from physkin_core.motion.reading_progress import reading_progress
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.draper import STANDARD_GRAVITY
-from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.evaluate.figures import Figures
 from physkin_training.evaluate.inside_by_vertex import inside_by_vertex
 from physkin_training.evaluate.minimum import subspace_minimum
 from physkin_training.evaluate.progress import MINIMA, Watch, progress
-from physkin_training.evaluate.score_table import table
 from physkin_training.evaluate.skin_shows import SkinShows
 from physkin_training.networks.draping import Drape, RestShape, compose_nodes, delta_transforms
 from physkin_training.networks.export import drape_from_model, encode_bodies
@@ -45,7 +35,7 @@ from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 
-__all__ = ["Evaluation", "evaluate_model"]
+__all__ = ["Evaluation", "evaluate_model", "measured_clips"]
 
 REACH = 0.3
 """Bodies are looked for up to this distance [m], beyond the deepest penetration."""
@@ -366,52 +356,3 @@ def evaluate_model(
             every_frame = Pairs.joined([evaluation.frames(clip) for clip in clips])
             scores["motion"] |= evaluation.minima(every_frame.spread(minimum), steps=steps)
     return scores
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Command line entry: `physkin evaluate MODEL`."""
-    parser = argparse.ArgumentParser(prog="physkin evaluate", description=__doc__.splitlines()[0])
-    parser.add_argument("model", help="garment model file, or the name of a shipped one")
-    parser.add_argument("--bodies", type=int, default=16, help="held-out bodies (default 16)")
-    parser.add_argument("--poses", type=int, default=256, help="uniform poses a body (default 256)")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--motion",
-        nargs="*",
-        default=bundled_motions(),
-        metavar="CLIP",
-        help="shipped clips, motion files or bags to measure on as well (default all shipped ones; none given: none)",
-    )
-    parser.add_argument(
-        "--minimum", type=int, default=0, metavar="PAIRS", help="also minimise that many uniform pairs, and of motion"
-    )
-    parser.add_argument("--minimum-steps", type=int, default=2000)
-    parser.add_argument("--device", default=DEFAULT_DEVICE)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
-    parser.add_argument("--store", type=Path, metavar="FILE", help="write the model with its scores there")
-    arguments = parser.parse_args(argv)
-    try:
-        model = load_garment_model(arguments.model)
-        scores = evaluate_model(
-            model,
-            resolve_device(arguments.device),
-            bodies=arguments.bodies,
-            poses=arguments.poses,
-            seed=arguments.seed,
-            minimum=arguments.minimum,
-            steps=arguments.minimum_steps,
-            motions=[load_motion(clip, watch=reading_progress(clip)) for clip in arguments.motion],
-        )
-    except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    print(table(scores))
-    if arguments.json:
-        arguments.json.write_text(json.dumps(scores, indent=1))
-    if arguments.store:
-        save_garment_model(replace(model, scores=scores), arguments.store)
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from tabulate import tabulate
 
-__all__ = ["table"]
+__all__ = ["outfit_table", "table"]
 
 LARGEST_LIFT = 0.2
 """Mean rise [m] of the garment above plain skinning from which on it is taken to have left the body."""
@@ -28,6 +28,15 @@ COLUMNS = {
     "jitter_mm": "jitter mm",
     "jitter_ratio": "/ skinning's",
     "snaps_percent": "snaps %",
+}
+OUTFIT_COLUMNS = {
+    "poke_percent": "poke %",
+    "poke_p999_mm": "poke p99.9 mm",
+    "seen_poke_percent": "seen %",
+    "skin_shows_percent": "skin shows %",
+    "added_strain_points": "strain +",
+    "added_jitter_ratio": "jitter x",
+    "hidden_vertices_percent": "hidden %",
 }
 ROWS = {
     "skinning": "plain skinning",
@@ -71,6 +80,19 @@ def table(scores: Mapping) -> str:
             "body, and its other figures then mean nothing. Look at it.",
         ]
     return "\n".join(lines)
+
+
+def outfit_table(scores: Mapping) -> str:
+    """Rows of `evaluate_outfits` as a Markdown table: each outfit, its pairs where it has several, and its clips."""
+    cells = []
+    for outfit, figures in scores["outfit"].items():
+        rows = {outfit: figures}
+        if len(figures["pairs"]) > 1:
+            rows |= {f"- {pair}": counted for pair, counted in figures["pairs"].items()}
+        rows |= {f"- in {clip}": counted for clip, counted in figures["clips"].items()}
+        cells += [[name, *(row.get(column) for column in OUTFIT_COLUMNS)] for name, row in rows.items()]
+    of = "{bodies} bodies, {frames} runs of {run} frames from {clips} clips".format(**scores["counts"])
+    return tabulate(cells, ["", *OUTFIT_COLUMNS.values()], tablefmt="pipe", floatfmt=".3f") + f"\n\n{of}"
 
 
 def _motion_rows(motion: Mapping | None) -> dict[str, dict]:

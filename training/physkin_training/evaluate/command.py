@@ -1,0 +1,110 @@
+"""The command `physkin evaluate`: figures of a garment model, or of outfits, on bodies that training has not seen."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from physkin_core.model.model_file import load_garment_model, save_garment_model
+from physkin_core.motion.loading import bundled_motions, load_motion
+from physkin_core.motion.motion import Motion
+from physkin_core.motion.reading_progress import reading_progress
+from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.evaluate.evaluate import evaluate_model
+from physkin_training.evaluate.outfit_evaluation import evaluate_outfits, parse_outfit
+from physkin_training.evaluate.score_table import outfit_table, table
+
+__all__ = ["main"]
+
+OF_A_MODEL = {"bodies": 16, "poses": 256, "seed": 0, "minimum": 0, "minimum_steps": 2000, "store": None}
+OF_OUTFITS = {"bodies": 3, "stride": 60}
+"""Options and their defaults; those of the one kind are refused for the other."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line entry: `physkin evaluate MODEL`, `physkin evaluate --outfit GARMENT,GARMENT`."""
+    arguments = _parser().parse_args(argv)
+    try:
+        options = _options(arguments)
+        if arguments.json and not arguments.json.resolve().parent.is_dir():
+            raise ValueError(f"cannot write {arguments.json}: no such directory")
+        motions = [load_motion(clip, watch=reading_progress(clip)) for clip in arguments.motion]
+        scores = (_score_outfits if arguments.outfit else _score_model)(arguments, options, motions)
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    if arguments.json:
+        arguments.json.write_text(json.dumps(scores, indent=1))
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="physkin evaluate", description=__doc__.splitlines()[0])
+    parser.add_argument("model", nargs="?", help="garment model file, or the name of a shipped one")
+    parser.add_argument(
+        "--outfit",
+        action="append",
+        metavar="GARMENT,GARMENT",
+        help="instead of MODEL: from the skin outwards, as trousers,tshirt or tshirt:tucked,trousers; repeatable",
+    )
+    parser.add_argument("--bodies", type=int, help="held-out bodies (default 16; of outfits 3, from lean to stout)")
+    parser.add_argument("--poses", type=int, help="uniform poses a body (default 256)")
+    parser.add_argument("--seed", type=int, help="of the poses (default 0)")
+    parser.add_argument(
+        "--motion",
+        nargs="*",
+        default=bundled_motions(),
+        metavar="CLIP",
+        help="shipped clips, motion files or bags to measure on as well (default all shipped ones; none given: none)",
+    )
+    parser.add_argument(
+        "--stride",
+        type=int,
+        metavar="FRAMES",
+        help="of outfits: from one run of frames measured to the next (default 60)",
+    )
+    parser.add_argument(
+        "--minimum", type=int, metavar="PAIRS", help="also minimise that many uniform pairs, and of motion"
+    )
+    parser.add_argument("--minimum-steps", type=int)
+    parser.add_argument("--device", default=DEFAULT_DEVICE)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
+    parser.add_argument("--store", type=Path, metavar="FILE", help="write the model with its scores there")
+    return parser
+
+
+def _options(arguments: argparse.Namespace) -> dict:
+    """Options of what is measured, by name. Raises ValueError where they do not go together."""
+    if bool(arguments.model) == bool(arguments.outfit):
+        raise ValueError("give one of MODEL and --outfit GARMENT,GARMENT")
+    known, others = (OF_OUTFITS, OF_A_MODEL) if arguments.outfit else (OF_A_MODEL, OF_OUTFITS)
+    for name in others.keys() - known.keys():
+        if getattr(arguments, name) is not None:
+            of, instead = ("MODEL", "--outfit") if arguments.outfit else ("--outfit", "MODEL")
+            raise ValueError(f"--{name.replace('_', '-')} is an option of {of}, not of {instead}")
+    given = {name: getattr(arguments, name) for name in known}
+    return {name: known[name] if value is None else value for name, value in given.items()}
+
+
+def _score_model(arguments: argparse.Namespace, options: dict, motions: list[Motion]) -> dict:
+    model, store = load_garment_model(arguments.model), options.pop("store")
+    steps = options.pop("minimum_steps")
+    scores = evaluate_model(model, resolve_device(arguments.device), **options, steps=steps, motions=motions)
+    print(table(scores))
+    if store:
+        save_garment_model(replace(model, scores=scores), store)
+    return scores
+
+
+def _score_outfits(arguments: argparse.Namespace, options: dict, motions: list[Motion]) -> dict:
+    outfits = {}
+    for text in arguments.outfit:
+        if text in outfits:
+            raise ValueError(f"--outfit {text} is given twice")
+        outfits[text] = parse_outfit(text)
+    scores = evaluate_outfits(outfits, motions, resolve_device(arguments.device), **options)
+    print(outfit_table(scores))
+    return scores

@@ -1,0 +1,306 @@
+"""Quality figures of outfits on held-out bodies in motion: what pokes through, shows, and what order costs the cloth.
+
+Short runs of neighbouring frames are spread over each clip. Strain, pokes and pictures are of a run's last frame,
+jitter of all. Whole garments (`hide=False`) say what pokes through and which skin shows; what an outfit gives by
+default says what holes that leaves, how much its cloth is strained and how it jitters.
+
+Dimensions: `n` vertices of a garment, `d` degrees of freedom, `T` frames of a run. Metres, root frame.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+import torch
+
+from physkin_core.avatar.avatar import Avatar, AvatarWarning, avatar_from_body
+from physkin_core.avatar.body_model import BodyModel, load_body_model
+from physkin_core.model.garment import Garment
+from physkin_core.model.model_file import load_garment_model
+from physkin_core.motion.motion import Motion
+from physkin_core.outfit.layers import OutfitGarment
+from physkin_core.outfit.outfit import Outfit
+from physkin_core.quality import jitter
+from physkin_core.runtime.draper import Draper
+from physkin_training.evaluate.chosen_bodies import bodies_by_girth
+from physkin_training.evaluate.evaluate import measured_clips
+from physkin_training.evaluate.layer_pokes import LayerPokes, bind_layer_pokes
+from physkin_training.evaluate.progress import progress
+from physkin_training.evaluate.seen_pokes import Surface, camera_rays, holes, look
+from physkin_training.evaluate.skin_shows import SkinShows
+from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
+
+__all__ = ["RUN", "evaluate_outfits", "parse_outfit"]
+
+RUN = 5
+"""Neighbouring frames of a run: three second differences."""
+LEAD = 8
+"""Frames before each run, which are draped and not measured: what is kept from frame to frame is then as in playing."""
+
+
+def parse_outfit(text: str) -> list[OutfitGarment]:
+    """Garments from the skin outwards, as `tshirt:tucked,trousers` names shipped or other models. Raises ValueError for
+    less than two, and for another word after a colon than `tucked`; and as `load_garment_model` does."""
+    garments = []
+    for part in text.split(","):
+        name, *how = part.rsplit(":", 1)
+        if how and how != ["tucked"]:
+            raise ValueError(f"--outfit {text}: {part!r} is no garment; write NAME or NAME:tucked")
+        garments.append(OutfitGarment(load_garment_model(name), tucked=bool(how)))
+    if len(garments) < 2:
+        raise ValueError(f"--outfit {text}: an outfit that is measured has at least two garments, got {len(garments)}")
+    return garments
+
+
+@dataclass
+class PairCounts:
+    """What is counted of two layers. depths: of each frame, (k,) [m] by which covered inner vertices stand out."""
+
+    depths: list[np.ndarray] = field(default_factory=list)
+    seen: int = 0
+    poking: int = 0
+    holes: int = 0
+
+    def result(self) -> dict[str, float]:
+        depths = np.concatenate(self.depths)
+        pixels = max(self.seen, 1)
+        return {
+            "poke_percent": float(100 * (depths > 0).mean()) if len(depths) else 0.0,
+            "poke_p999_mm": float(1000 * np.quantile(depths, 0.999)) if len(depths) else 0.0,
+            "seen_poke_percent": 100 * (self.poking + self.holes) / pixels,
+            "seen_through_percent": 100 * self.poking / pixels,
+            "seen_hole_percent": 100 * self.holes / pixels,
+            "covered_vertices": len(depths),
+            "pixels": self.seen,
+        }
+
+    @classmethod
+    def joined(cls, parts: Sequence[PairCounts]) -> PairCounts:
+        """All counts together."""
+        depths = [depths for part in parts for depths in part.depths]
+        return cls(depths, *(sum(getattr(part, name) for part in parts) for name in ("seen", "poking", "holes")))
+
+
+class OutfitCounts:
+    """All figures of an outfit, summed over bodies and frames."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = list(names)
+        self.pairs = {pair: PairCounts() for pair in combinations(range(len(names)), 2)}
+        self.strain = {name: {"worn": [], "alone": []} for name in names}
+        self.jitter = {name: {"worn": [], "alone": []} for name in names}
+        self.skin: list[float] = []
+        self.body_holes = self.cloth_pixels = 0
+        self.hidden: list[float] = []
+
+    def result(self) -> dict:
+        """See `evaluate_outfits`."""
+        garments = {}
+        for name in self.names:
+            strain, shake = ({k: float(np.mean(v)) for k, v in of[name].items()} for of in (self.strain, self.jitter))
+            garments[name] = {
+                "strain_percent": strain["worn"],
+                "strain_alone_percent": strain["alone"],
+                "added_strain_points": strain["worn"] - strain["alone"],
+                "jitter_mm": 1000 * shake["worn"],
+                "added_jitter_ratio": shake["worn"] / shake["alone"],
+            }
+        pairs = {",".join(self.names[k] for k in pair): counts.result() for pair, counts in self.pairs.items()}
+        return PairCounts.joined(list(self.pairs.values())).result() | {
+            "skin_shows_percent": float(np.mean(self.skin)),
+            "skin_hole_percent": 100 * self.body_holes / max(self.cloth_pixels, 1),
+            "added_strain_points": max(g["added_strain_points"] for g in garments.values()),
+            "added_jitter_ratio": max(g["added_jitter_ratio"] for g in garments.values()),
+            "hidden_vertices_percent": float(np.mean(self.hidden)),
+            "pairs": pairs,
+            "garments": garments,
+        }
+
+
+class DressedBody:
+    """An outfit on one body: whole, as given by default, and each garment alone."""
+
+    def __init__(self, garments: Sequence[OutfitGarment], avatar: Avatar) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AvatarWarning)
+            self.whole, self.given = (Outfit(garments, avatar, hide=hide) for hide in (False, True))
+            self.alone = [Draper(garment.model, avatar) for garment in garments]
+        rest = [cloud[:, :3].astype(np.float64) for cloud in self.whole.drape(self.whole.models[0].rig.rest)]
+        self.pokes: dict[tuple[int, int], LayerPokes] = {
+            (i, o): bind_layer_pokes(rest[i], rest[o], (self.whole.faces[i], self.whole.faces[o]))
+            for i, o in combinations(range(len(garments)), 2)
+        }
+        self.removed = [faces[hidden[faces].all(axis=1)] for faces, hidden in zip(self.whole.faces, self.given.hidden)]
+        self.edges = []
+        for draper, visible in zip(self.alone, self.given.visible):
+            among = np.zeros(len(draper.rest_garment.vertices), dtype=bool)
+            among[visible] = True
+            self.edges.append(among[draper.rest_garment.edges].all(axis=1))
+
+    @property
+    def hidden_percent(self) -> float:
+        hidden = np.concatenate(self.given.hidden)
+        return float(100 * hidden.mean())
+
+    def count_run(self, positions: np.ndarray, gravity: np.ndarray, lead: int, counts: OutfitCounts) -> list:
+        """Count a run in: positions (lead + T, d), gravity (lead + T, 3). Returns the last frame's whole garments
+        (n, 6)."""
+        frames, alone, whole = [], [], []
+        for q, down in zip(positions, gravity):
+            frames.append(self.given.drape(q, down))
+            whole = self.whole.drape(q, down)
+            alone.append([draper.drape(q, down) for draper in self.alone])
+        for k, name in enumerate(counts.names):
+            visible, garment = self.given.visible[k], self.given.rest_garments[k]
+            worn = np.stack([frame[k][:, :3] for frame in frames[lead:]]).astype(np.float64)
+            by_itself = np.stack([frame[k][:, :3] for frame in alone[lead:]]).astype(np.float64)
+            counts.jitter[name]["worn"].append(jitter(worn))
+            counts.jitter[name]["alone"].append(jitter(by_itself[:, visible]))
+            full = by_itself[-1].copy()
+            full[visible] = worn[-1]
+            counts.strain[name]["worn"].append(_strain(garment, full, self.edges[k]))
+            counts.strain[name]["alone"].append(_strain(self.alone[k].rest_garment, by_itself[-1], self.edges[k]))
+        self._count_seen(whole, frames[-1], positions[-1], counts)
+        return whole
+
+    def _count_seen(self, whole: list, given: list, positions: np.ndarray, counts: OutfitCounts) -> None:
+        avatar = self.given.avatar
+        body = avatar.posed_vertices(self.given.bone_transforms(positions)).astype(np.float64)
+        cloth = [Surface(cloud[:, :3].astype(np.float64), faces) for cloud, faces in zip(whole, self.whole.faces)]
+        rays = camera_rays(np.concatenate([surface.vertices for surface in cloth]))
+        skin = Surface(body, avatar.faces)
+        view = look([*cloth, skin], rays)
+        mask = self.given.body_mask
+        left = [Surface(cloud[:, :3], faces) for cloud, faces in zip(given, self.given.faces)]
+        removed = [Surface(surface.vertices, faces) for surface, faces in zip(cloth, self.removed)]
+        left.append(Surface(body, skin.faces[~mask]))
+        removed.append(Surface(body, skin.faces[mask]))
+        missed = holes(left, removed, rays)
+        counts.body_holes += int((missed.surface == len(cloth)).sum())
+        counts.cloth_pixels += int(((view.surface >= 0) & (view.surface < len(cloth))).sum())
+        for (i, o), pokes in self.pokes.items():
+            pair = counts.pairs[i, o]
+            inner, outer = cloth[i].vertices, cloth[o].vertices
+            normals = whole[i][:, 3:].astype(np.float64)
+            pair.depths.append(pokes.depths(inner[pokes.covered], normals[pokes.covered], outer))
+            only = view if len(cloth) == 2 else look([cloth[i], cloth[o], skin], rays)
+            under = (only.surface == 0) & only.facing
+            under[under] = pokes.covered[pokes.faces[0][only.face[under]]].all(axis=1)
+            over = (only.surface == 1) & only.facing
+            over[over] = pokes.covering[pokes.faces[1][only.face[over]]].all(axis=1)
+            pair.seen += int((under | over).sum())
+            shown = (view.surface == i) & view.facing
+            shown[shown] = pokes.covered[pokes.faces[0][view.face[shown]]].all(axis=1)
+            points, outward = _surface_points(inner, normals, pokes.faces[0][view.face[shown]], view.share[shown])
+            pair.poking += int((pokes.depths(points, outward, outer) > 0).sum())
+            hole = missed.surface == i
+            points, outward = _surface_points(inner, normals, self.removed[i][missed.face[hole]], missed.share[hole])
+            pair.holes += int((pokes.depths(points, outward, outer) == 0).sum())  # what would poke is not missed
+
+
+def _surface_points(vertices: np.ndarray, normals: np.ndarray, corners: np.ndarray, share: np.ndarray):
+    """Points and normals, both (k, 3), at shares (k, 3) of corners (k, 3) among vertices and normals (n, 3)."""
+    return tuple(np.einsum("kj,kji->ki", share, values[corners]) for values in (vertices, normals))
+
+
+def _strain(garment: Garment, vertices: np.ndarray, among: np.ndarray) -> float:
+    """Mean edge strain [%] over some edges (e,) bool."""
+    ends = vertices[garment.edges[among]]
+    length, rest = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), garment.edge_lengths[among]
+    return float(100 * (np.abs(length - rest) / rest).mean())
+
+
+def evaluate_outfits(
+    outfits: dict[str, Sequence[OutfitGarment]],
+    motions: Sequence[Motion],
+    device: torch.device,
+    *,
+    bodies: int = 3,
+    stride: int = 60,
+    body_model: BodyModel | None = None,
+) -> dict:
+    """Figures of outfits by name, as plain data; on a terminal, progress is shown meanwhile.
+
+    bodies: held-out ones, evenly spread from the leanest to the stoutest. stride: frames at 60 Hz from the start of one
+    run to the next. An outfit has:
+    `poke_percent` of inner vertices that the outer garment covers at rest stand out of it, seen or not; `poke_p999_mm`,
+    the 99.9th percentile of how far, 0 inside;
+    `seen_poke_percent` of the pixels of the covered region, from eight sides: `seen_through_percent` shows the inner
+    garment outside the outer one in whole garments, `seen_hole_percent` a hole where inner cloth is left out;
+    `skin_shows_percent` as of a garment, of all cloth together; `skin_hole_percent` of the cloth's pixels show a hole
+    where skin is left out; `added_strain_points` of mean edge strain and `added_jitter_ratio`, against each garment
+    alone on that body, of the garment with the most, over the vertices given; `hidden_vertices_percent` of all;
+    `pairs` by INNER,OUTER with the first six, `garments`, `clips` with all of these; `counts`.
+    Raises ValueError for no motion, wrong counts, what cannot be worn, and as `measured_clips` does.
+    """
+    if not motions:
+        raise ValueError("outfits are measured in motion: give at least one clip")
+    if stride < RUN:
+        raise ValueError(f"stride must be at least {RUN} frames, the length of a run, got {stride}")
+    clips = measured_clips(motions)
+    for clip in clips:
+        if clip.frame_count < RUN:
+            raise ValueError(f"motion {clip.name!r} is too short: a run is {RUN} frames, got {clip.frame_count}")
+    body_model = body_model or load_body_model()
+    held_out = body_model.held_out_bodies[bodies_by_girth(body_model, bodies)]
+    runs = {clip.name: range(0, clip.frame_count - RUN + 1, stride) for clip in clips}
+    frames = sum(map(len, runs.values()))
+    posed = PosedBodies(body_model, BodySet(body_model, held_out, device), 1)
+    scores: dict = {}
+    with progress(measured=len(outfits) * bodies * frames, minimised=0) as watch:
+        for name, garments in outfits.items():
+            skin = SkinShows(_together([garment.model.garment for garment in garments]), body_model, posed)
+            names = [garment.model.name for garment in garments]
+            counted = {clip.name: OutfitCounts(names) for clip in clips}
+            for body, coefficients in enumerate(held_out):
+                dressed = DressedBody(garments, avatar_from_body(body_model, coefficients))
+                for clip in clips:
+                    counts, positions = counted[clip.name], clip.positions_for(garments[0].model.rig)
+                    counts.hidden.append(dressed.hidden_percent)
+                    for start in runs[clip.name]:
+                        led = slice(max(start - LEAD, 0), start + RUN)
+                        lead = start - led.start
+                        whole = dressed.count_run(positions[led], clip.gravity[led], lead, counts)
+                        counts.skin.append(_skin_shows(skin, posed, positions[led][-1], body, whole))
+                        watch(f"{name}, {clip.name}", 1)
+            scores[name] = _joined(list(counted.values())).result()
+            scores[name]["clips"] = {clip: counts.result() for clip, counts in counted.items()}
+    counts = {"bodies": bodies, "clips": len(clips), "frames": frames, "stride": stride, "run": RUN}
+    return {"outfit": scores, "counts": counts}
+
+
+def _joined(parts: Sequence[OutfitCounts]) -> OutfitCounts:
+    total = OutfitCounts(parts[0].names)
+    for pair in total.pairs:
+        total.pairs[pair] = PairCounts.joined([part.pairs[pair] for part in parts])
+    for part in parts:
+        for name in total.names:
+            for kind in ("worn", "alone"):
+                total.strain[name][kind] += part.strain[name][kind]
+                total.jitter[name][kind] += part.jitter[name][kind]
+        total.skin += part.skin
+        total.hidden += part.hidden
+        total.body_holes += part.body_holes
+        total.cloth_pixels += part.cloth_pixels
+    return total
+
+
+def _together(garments: Sequence[Garment]) -> Garment:
+    """All garments as one mesh."""
+    first = np.cumsum([0, *(len(garment.vertices) for garment in garments)])
+    faces = [garment.faces + start for garment, start in zip(garments, first)]
+    return Garment(np.concatenate([garment.vertices for garment in garments]), np.concatenate(faces))
+
+
+def _skin_shows(skin: SkinShows, posed: PosedBodies, positions: np.ndarray, body: int, cloth: list) -> float:
+    device = posed.offset.device
+    posed.pose(
+        torch.as_tensor(positions[None], dtype=torch.float32, device=device), torch.tensor([body], device=device)
+    )
+    vertices = np.concatenate([cloud[:, :3] for cloud in cloth])[None]
+    figures = skin.figures(torch.as_tensor(vertices, dtype=torch.float32, device=device), skin.overlapped())
+    return float(figures["skin_shows_percent"])

@@ -1,0 +1,105 @@
+"""What a viewer sees of layers in the wrong order: eight cameras about an outfit, and which surface each pixel shows.
+
+Parallel rays, one a pixel, from all sides. Whole garments are looked at for inner cloth that shows through outer cloth;
+what an outfit gives, with the hidden cloth and skin left out, for the holes that this leaves.
+
+Dimensions: `R` rays, `n` vertices, `f` faces. Metres, root frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+__all__ = ["CAMERAS", "Surface", "View", "camera_rays", "holes", "look"]
+
+CAMERAS = 8
+ELEVATION = math.radians(8)
+"""From how high cameras look down."""
+PIXELS_HIGH = 160
+"""Pixels over the height of what is looked at, and as wide ones beside each other."""
+FAR = 10.0
+"""[m] Farther than any body is large."""
+BEHIND = 0.05
+"""[m] Where cloth or skin that faces the camera lies this closely behind a surface left out, that is no hole."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """vertices: (n, 3) [m]. faces: (f, 3), facing outwards; of those removed may be left out."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
+@dataclass(frozen=True)
+class View:
+    """What each of R rays meets first. surface: (R,) its index, -1 for none. face: (R,) of that surface, share: (R, 3)
+    barycentric there. distance: (R,) [m], infinite where none. facing: (R,) bool, its outside is seen."""
+
+    surface: np.ndarray
+    face: np.ndarray
+    share: np.ndarray
+    distance: np.ndarray
+    facing: np.ndarray
+
+
+def camera_rays(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and unit directions (R, 3) of the rays of all cameras that look at the box about vertices (n, 3)."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    centre, half = (low + high) / 2, np.linalg.norm(high - low) / 2
+    pixel = (high - low)[2] / PIXELS_HIGH
+    steps = np.arange(-half, half, pixel) + pixel / 2
+    origins, directions = [], []
+    for azimuth in np.arange(CAMERAS) * 2 * math.pi / CAMERAS:
+        ahead = -np.array(
+            [math.cos(ELEVATION) * math.cos(azimuth), math.cos(ELEVATION) * math.sin(azimuth), math.sin(ELEVATION)]
+        )
+        right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+        up = np.cross(right, ahead)
+        seen = (vertices - centre) @ np.stack([right, up], axis=1)
+        across = steps[(steps > seen[:, 0].min()) & (steps < seen[:, 0].max())]
+        along = steps[(steps > seen[:, 1].min()) & (steps < seen[:, 1].max())]
+        grid = (across[:, None, None] * right + along[None, :, None] * up).reshape(-1, 3)
+        origins.append(centre + grid - FAR / 2 * ahead)
+        directions.append(np.broadcast_to(ahead, grid.shape))
+    return np.concatenate(origins), np.concatenate(directions)
+
+
+def look(surfaces: Sequence[Surface], rays: tuple[np.ndarray, np.ndarray]) -> View:
+    """What the rays of `camera_rays` meet first."""
+    from point_cloud_utils import ray_mesh_intersection
+
+    first = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
+    starts = np.cumsum([0, *(len(surface.faces) for surface in surfaces)])
+    vertices = np.concatenate([surface.vertices for surface in surfaces]).astype(np.float64)
+    faces = np.concatenate([surface.faces + start for surface, start in zip(surfaces, first)]).astype(np.int64)
+    if len(faces) == 0:
+        nothing = np.full(len(rays[0]), -1)
+        return View(nothing, nothing, np.zeros((len(nothing), 3)), np.full(len(nothing), np.inf), nothing > 0)
+    origins, directions = (np.ascontiguousarray(x, dtype=np.float64) for x in rays)
+    face, share, distance = ray_mesh_intersection(vertices, faces, origins, directions)
+    face = np.asarray(face, dtype=np.int64)
+    met = (face >= 0) & np.isfinite(distance)
+    corners = vertices[faces[np.where(met, face, 0)]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    surface = np.where(met, np.searchsorted(starts, face, side="right") - 1, -1)
+    return View(
+        surface,
+        np.where(met, face - starts[surface], -1),
+        np.asarray(share),
+        np.where(met, distance, np.inf),
+        met & (np.einsum("ri,ri->r", normal, directions) < 0),
+    )
+
+
+def holes(given: Sequence[Surface], removed: Sequence[Surface], rays: tuple[np.ndarray, np.ndarray]) -> View:
+    """What each ray misses, of the removed surfaces; surface -1 where nothing. The outside of what is missed would be
+    the first thing seen, and within 5 cm behind it nothing that is given faces the camera."""
+    there, missing = look(given, rays), look(removed, rays)
+    nearer = missing.facing & (missing.distance < there.distance)
+    covered = there.facing & (there.distance < missing.distance + BEHIND)
+    return replace(missing, surface=np.where(nearer & ~covered, missing.surface, -1))
