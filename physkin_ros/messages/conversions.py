@@ -8,12 +8,15 @@ from __future__ import annotations
 import sys
 from array import array
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
-from rclpy.publisher import Publisher
 
 from physkin_core import Draper
 from physkin_ros.messages.serialised import SerialisedMessage
+
+if TYPE_CHECKING:
+    from rclpy.publisher import Publisher
 
 __all__ = [
     "CLOUD_FIELDS",

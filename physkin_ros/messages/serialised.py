@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import struct
 import sys
+from typing import TYPE_CHECKING
 
 import numpy as np
-from rclpy.publisher import Publisher
+
+if TYPE_CHECKING:
+    from rclpy.publisher import Publisher
 
 __all__ = ["SerialisedMessage"]
 

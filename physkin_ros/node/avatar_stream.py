@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property
 from time import monotonic_ns, perf_counter_ns
 
 import numpy as np
@@ -18,22 +17,20 @@ from sensor_msgs.msg import JointState, MultiDOFJointState
 
 from physkin_core import BUNDLED_AVATAR, GarmentModel, LimbSeparator
 from physkin_core.runtime.draper import STANDARD_GRAVITY
-from physkin_ros.joints.bone_rotation_message import BoneRotationReader
 from physkin_ros.joints.joint_naming import load_naming
 from physkin_ros.joints.joint_state_wire import JointStateWire
 from physkin_ros.joints.joint_states import JointNaming, JointStateError, JointStateReader
 from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.joints.vrm_naming import VRM
 from physkin_ros.node.asset_loading import DraperLoader, LoadedDraper, Outfitting
-from physkin_ros.node.diagnostics import AvatarStatistics, Health, HealthReporter, PoseRange
-from physkin_ros.node.garment_stream import GarmentStream, Pass, WornGarment, passes_of, same_mesh, stream_quality
-from physkin_ros.node.interpolation import PoseInterpolator
+from physkin_ros.node.diagnostics import AvatarStatistics, Health, HealthReporter
+from physkin_ros.node.garment_stream import Attire, GarmentStream, WornGarment, passes_of, same_mesh, stream_quality
 from physkin_ros.node.orientation import EffectiveGravity, GravityByStamp, OrientationError, gravity_from_tilt
 from physkin_ros.node.orientation_source import OrientationSource
 from physkin_ros.node.separated_joint_states import SeparatedJointStates
 from physkin_ros.node.settings import AvatarSettings
 
-__all__ = ["Attire", "AvatarStream"]
+__all__ = ["AvatarStream"]
 
 WARNING_PERIOD = 1.0  # [s] rejected messages are warned about at most this often
 QUEUE = 50  # joint states that may wait while the machine is busy: worked off in milliseconds, none lost
@@ -42,39 +39,6 @@ MOST_UNKNOWN = 64
 NANOSECONDS = 1_000_000_000
 WEIGHTLESS = 1e-3  # of gravity: effective gravity that is smaller has no direction
 JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
-
-
-class Attire:
-    """What an avatar wears: drapers bound to its pose, and the reader of joint states for their rig.
-
-    pose: (d,) float32 [rad], what comes in. draped: (d,) what the drapers read: the same array, or another one that
-    `separator` fills. garments: in the order of the avatar's streams; passes: what drapes them. bones: further
-    arguments of `BoneRotationReader`.
-    """
-
-    def __init__(
-        self,
-        reader: JointStateReader,
-        model: GarmentModel,
-        interpolates: bool,
-        separator: LimbSeparator | None,
-        **bones,
-    ) -> None:
-        self.reader = reader
-        self._rig, self._bones = model.rig, bones
-        self.pose = reader.positions.copy()
-        self.wire = JointStateWire(reader, self.pose)
-        self.separator = separator
-        self.draped = self.pose if separator is None else self.pose.copy()
-        self.range = PoseRange(model.rig, self.pose)
-        self.interpolator = PoseInterpolator(len(self.pose)) if interpolates else None
-        self.garments: tuple[WornGarment, ...] = ()
-        self.passes: tuple[Pass, ...] = ()
-
-    @cached_property
-    def bone_rotations(self) -> BoneRotationReader:
-        """Reads rotations of bones. Raises JointStateError for a rig that these are not for."""
-        return BoneRotationReader(self._rig, self.reader, **self._bones)
 
 
 class AvatarStream:
@@ -99,7 +63,7 @@ class AvatarStream:
         self._unknown: set[str] = set()
         self._node, self._loader = node, loader
         self._naming: tuple[JointNaming, tuple[str, ...]] | None = None
-        self._outfit: Attire | None = None
+        self._attire: Attire | None = None
         self._closed = False
         self._reporter = HealthReporter()
         self._log = node.get_logger()
@@ -140,7 +104,7 @@ class AvatarStream:
     @property
     def ready(self) -> bool:
         """Whether there is something to drape."""
-        return self._outfit is not None
+        return self._attire is not None
 
     # Swapping: these run on any thread.
 
@@ -176,29 +140,29 @@ class AvatarStream:
             loaded = self._loader.load_outfit(wanted_garments, hide=self.settings.hide)
         else:
             loaded = [self._loader.load(each) for each in wanted_garments]
-        outfit = self._outfit_of(loaded)
+        attire = self._attire_of(loaded)
         if self._closed or not wanted():  # the body went meanwhile
             return loaded
-        if previous := self._outfit:
-            _carry_on(previous, outfit)
+        if previous := self._attire:
+            _carry_on(previous, attire)
         self.settings = replace(self.settings, body_mesh=mesh, body_rig=rig_file, garments=tuple(garments))
-        self._outfit = outfit  # at once: a message is draped by the old one or by the new one
+        self._attire = attire  # at once: a message is draped by the old one or by the new one
         known = {worn.stream: worn.revision for worn in previous.garments} if previous else {}
-        for worn in outfit.garments:
+        for worn in attire.garments:
             if known.get(worn.stream) != worn.revision:
                 worn.stream.show_mesh(worn.draper, worn.revision)
         told = [warning for each in loaded for warning in each.draper.avatar.warnings]
-        for warning in dict.fromkeys([*told, *(outfit.separator.warnings if outfit.separator else ())]):
+        for warning in dict.fromkeys([*told, *(attire.separator.warnings if attire.separator else ())]):
             self._log.warning(f"{self._label}{warning}")
         source = mesh if mesh and mesh != str(BUNDLED_AVATAR) else "the bundled avatar"
-        for worn in outfit.garments:
+        for worn in attire.garments:
             self._log.info(
                 f"{self._label}{worn.draper.model.name} with {worn.draper.vertex_count} vertices on {source}: "
                 f"{self.topic} -> {worn.stream.cloud_publisher.topic_name}"
             )
         return loaded
 
-    def _outfit_of(self, loaded: Sequence[LoadedDraper]) -> Attire:
+    def _attire_of(self, loaded: Sequence[LoadedDraper]) -> Attire:
         drapers = [each.draper for each in loaded]
         model, *others = [draper.model for draper in drapers]
         for other in others:
@@ -217,16 +181,16 @@ class AvatarStream:
         skeleton = "vrm" if self.settings.joint_map == VRM else "rig"
         bones = {"skeleton": skeleton, "on_unknown": self._warn_unknown}
         separator = LimbSeparator(model.rig, drapers[0].avatar) if self.settings.separate_limbs else None
-        outfit = Attire(reader, model, bool(self.settings.cloud_rate), separator, **bones)
-        worn_now = {worn.stream: worn for worn in self._outfit.garments} if self._outfit else {}
+        attire = Attire(reader, model, bool(self.settings.cloud_rate), separator, **bones)
+        worn_now = {worn.stream: worn for worn in self._attire.garments} if self._attire else {}
         garments = []
         for stream, draper, each in zip(self.garments, drapers, loaded):
             before = worn_now.get(stream)
             revision = 1 if before is None else before.revision + (not same_mesh(before.draper, draper))
             garments.append(WornGarment(stream, draper, each.at_rest, revision))
-        outfit.garments = tuple(garments)
-        outfit.passes = passes_of(outfit.garments, outfit.draped, self.gravity, self.felt)
-        return outfit
+        attire.garments = tuple(garments)
+        attire.passes = passes_of(attire.garments, attire.draped, self.gravity, self.felt)
+        return attire
 
     def _naming_for(self, model: GarmentModel) -> JointNaming:
         if self._naming is None or self._naming[1] != model.rig.joint_names:
@@ -237,62 +201,62 @@ class AvatarStream:
 
     def _on_joint_state(self, data: bytes) -> None:
         arrived = perf_counter_ns()
-        if (outfit := self._receiving()) is None:
+        if (attire := self._receiving()) is None:
             return
-        wire = outfit.wire
+        wire = attire.wire
         try:
             wire.read(data)
             sec, nanosec = wire.stamp
             self._feel(wire, sec * NANOSECONDS + nanosec)
         except ValueError as error:
-            self._reject(outfit, error)
+            self._reject(attire, error)
             return
-        self._answer(outfit, sec, nanosec, arrived)
+        self._answer(attire, sec, nanosec, arrived)
 
     def _on_bone_rotations(self, message: MultiDOFJointState) -> None:
         arrived = perf_counter_ns()
-        if (outfit := self._receiving()) is None:
+        if (attire := self._receiving()) is None:
             return
         turns = [(each.rotation.x, each.rotation.y, each.rotation.z, each.rotation.w) for each in message.transforms]
         sec, nanosec = message.header.stamp.sec, message.header.stamp.nanosec
         try:
-            outfit.bone_rotations.read(message.joint_names, turns, outfit.pose)
+            attire.bone_rotations.read(message.joint_names, turns, attire.pose)
             self._feel(None, sec * NANOSECONDS + nanosec)
         except ValueError as error:
-            self._reject(outfit, error)
+            self._reject(attire, error)
             return
-        self._answer(outfit, sec, nanosec, arrived)
+        self._answer(attire, sec, nanosec, arrived)
 
     def _receiving(self) -> Attire | None:
         """What is worn, for a message that has come in; None when it cannot be answered yet."""
         self.statistics.received += 1
-        if self._outfit is None or not self.active:
+        if self._attire is None or not self.active:
             self.statistics.not_ready += 1
             return None
-        return self._outfit
+        return self._attire
 
-    def _answer(self, outfit: Attire, sec: int, nanosec: int, arrived: int) -> None:
+    def _answer(self, attire: Attire, sec: int, nanosec: int, arrived: int) -> None:
         """Drape the pose that has been read, or keep it for the next cloud between poses. arrived: [ns]."""
-        if outfit.interpolator is not None:
-            outfit.wire.keep()
+        if attire.interpolator is not None:
+            attire.wire.keep()
             stamp_ns = sec * NANOSECONDS + nanosec
-            outfit.interpolator.push(outfit.pose, self.gravity, self._load, stamp_ns, monotonic_ns())
+            attire.interpolator.push(attire.pose, self.gravity, self._load, stamp_ns, monotonic_ns())
             return
-        if self._drape(outfit, sec, nanosec):
-            outfit.wire.keep()
+        if self._drape(attire, sec, nanosec):
+            attire.wire.keep()
             if self.deadline_ns and perf_counter_ns() - arrived > self.deadline_ns:
                 self.statistics.deadline_missed += 1
 
-    def _drape(self, outfit: Attire, sec: int, nanosec: int) -> bool:
+    def _drape(self, attire: Attire, sec: int, nanosec: int) -> bool:
         change = None
-        if outfit.separator is not None:
-            _, change = outfit.separator.separate(outfit.pose, out=outfit.draped)
-        for each in outfit.passes:
+        if attire.separator is not None:
+            _, change = attire.separator.separate(attire.pose, out=attire.draped)
+        for each in attire.passes:
             began = perf_counter_ns()
             try:
                 each.step()
             except ValueError as error:
-                self._reject(outfit, error)
+                self._reject(attire, error)
                 return False
             took = perf_counter_ns() - began
             for worn in each.garments:
@@ -300,26 +264,26 @@ class AvatarStream:
                 worn.stream.statistics.draped(took)
         if change is not None:
             self.statistics.separate(change)
-            self._separated.publish(outfit.separator.joint_names, outfit.draped, sec, nanosec)
-        outfit.range.add()
+            self._separated.publish(attire.separator.joint_names, attire.draped, sec, nanosec)
+        attire.range.add()
         self.statistics.last_stamp_ns = sec * NANOSECONDS + nanosec
         return True
 
     def _on_cloud_time(self) -> None:
-        outfit = self._outfit
-        if not self.active or outfit is None or outfit.interpolator is None:
+        attire = self._attire
+        if not self.active or attire is None or attire.interpolator is None:
             return
         gravity, load = np.empty(3, dtype=np.float32), np.empty(1, dtype=np.float32)
-        stamp = outfit.interpolator.sample(monotonic_ns(), outfit.pose, gravity, load)
+        stamp = attire.interpolator.sample(monotonic_ns(), attire.pose, gravity, load)
         if stamp is not None:
             latest = self.gravity.copy(), self._load.copy()
             self.gravity[:], self._load[:] = gravity, load
             np.multiply(gravity, load, out=self.felt)
-            self._drape(outfit, *divmod(stamp, NANOSECONDS))
+            self._drape(attire, *divmod(stamp, NANOSECONDS))
             self.gravity[:], self._load[:] = latest
 
-    def _reject(self, outfit: Attire, error: Exception) -> None:
-        np.copyto(outfit.pose, outfit.reader.positions)
+    def _reject(self, attire: Attire, error: Exception) -> None:
+        np.copyto(attire.pose, attire.reader.positions)
         self.statistics.reject(str(error))
         self._log.warning(f"{self._label}joint state ignored: {error}", throttle_duration_sec=WARNING_PERIOD)
 
@@ -337,7 +301,7 @@ class AvatarStream:
 
     def _on_effective_gravity(self, felt: np.ndarray, stamp_ns: int) -> None:
         self._effective_gravity.add(felt, stamp_ns, monotonic_ns())
-        for worn in self._outfit.garments if self._outfit is not None else ():
+        for worn in self._attire.garments if self._attire is not None else ():
             model = worn.draper.model
             if model.accelerated and not worn.accelerated:
                 continue  # another garment of the outfit is told to be why
@@ -396,7 +360,7 @@ class AvatarStream:
         if not new:
             return
         self._unknown.update(new)
-        near = nearest_names(new[0], self._outfit.reader.joint_names) if self._outfit is not None else ""
+        near = nearest_names(new[0], self._attire.reader.joint_names) if self._attire is not None else ""
         self._log.warning(
             f"{self._label}joints without a counterpart in the rig are ignored: {', '.join(each[:60] for each in new)}"
             + (f"; did you mean {near}?" if near else "")
@@ -412,11 +376,11 @@ class AvatarStream:
 
     def health(self, now_ns: int) -> list[tuple[WornGarment | None, GarmentStream, Health]]:
         """What each garment's stream wears and how it fares since the last call. now_ns: monotonic."""
-        outfit = self._outfit
+        attire = self._attire
         self.statistics.strangers = self._strangers()
-        beyond = outfit.range.beyond() if outfit is not None else []
+        beyond = attire.range.beyond() if attire is not None else []
         found = self._reporter.report(self.statistics, [each.statistics for each in self.garments], beyond, now_ns)
-        worn = outfit.garments if outfit is not None else (None,) * len(self.garments)
+        worn = attire.garments if attire is not None else (None,) * len(self.garments)
         return list(zip(worn, self.garments, found))
 
     def _strangers(self) -> str:
@@ -429,7 +393,7 @@ class AvatarStream:
     def close(self) -> None:
         """Take all topics down."""
         self.active, self._closed = False, True
-        self._outfit = None
+        self._attire = None
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
         for subscription in self._subscriptions:
@@ -442,11 +406,11 @@ class AvatarStream:
             garment.close()
 
 
-def _carry_on(previous: Attire, outfit: Attire) -> None:
+def _carry_on(previous: Attire, attire: Attire) -> None:
     """Keep the last good pose over a swap, where the rig is the same."""
-    if previous.reader.joint_names == outfit.reader.joint_names:
-        np.copyto(outfit.reader.positions, previous.reader.positions)
-        np.copyto(outfit.pose, previous.reader.positions)
+    if previous.reader.joint_names == attire.reader.joint_names:
+        np.copyto(attire.reader.positions, previous.reader.positions)
+        np.copyto(attire.pose, previous.reader.positions)
 
 
 def _unit(direction: Sequence[float]) -> np.ndarray:

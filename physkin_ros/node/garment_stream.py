@@ -1,9 +1,10 @@
-"""One garment of an avatar: its topics, and the evaluator that is worn at the moment."""
+"""A garment of an avatar, its topics, and what is worn at the moment."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -11,15 +12,19 @@ from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker
 
-from physkin_core import Draper
+from physkin_core import Draper, GarmentModel, LimbSeparator
 from physkin_core.runtime.rest_look import RestLook
+from physkin_ros.joints.bone_rotation_message import BoneRotationReader
+from physkin_ros.joints.joint_state_wire import JointStateWire
+from physkin_ros.joints.joint_states import JointStateReader
 from physkin_ros.messages.conversions import GarmentCloud, NodesMessage, TriangleMarker, garment_mesh
 from physkin_ros.messages.interfaces import missing_interfaces
 from physkin_ros.node.asset_loading import OutfitLayer
-from physkin_ros.node.diagnostics import GarmentStatistics
+from physkin_ros.node.diagnostics import GarmentStatistics, PoseRange
+from physkin_ros.node.interpolation import PoseInterpolator
 from physkin_ros.node.settings import AvatarSettings, GarmentSettings
 
-__all__ = ["GarmentStream", "Pass", "WornGarment", "passes_of", "same_mesh", "stream_quality"]
+__all__ = ["Attire", "GarmentStream", "Pass", "WornGarment", "passes_of", "same_mesh", "stream_quality"]
 
 
 def stream_quality(depth: int = 5, *, reliable: bool = True) -> dict[str, object]:
@@ -144,3 +149,36 @@ def same_mesh(before: Draper | OutfitLayer, draper: Draper | OutfitLayer) -> boo
         return False
     fields = [each.mesh_fields() if isinstance(each, OutfitLayer) else {} for each in (before, draper)]
     return all(np.array_equal(fields[0][name], value) for name, value in fields[1].items())
+
+
+class Attire:
+    """What an avatar wears: drapers bound to its pose, and the reader of joint states for their rig.
+
+    pose: (d,) float32 [rad], what comes in. draped: (d,) what the drapers read: the same array, or another one that
+    `separator` fills. garments: in the order of the avatar's streams; passes: what drapes them. bones: further
+    arguments of `BoneRotationReader`.
+    """
+
+    def __init__(
+        self,
+        reader: JointStateReader,
+        model: GarmentModel,
+        interpolates: bool,
+        separator: LimbSeparator | None,
+        **bones,
+    ) -> None:
+        self.reader = reader
+        self._rig, self._bones = model.rig, bones
+        self.pose = reader.positions.copy()
+        self.wire = JointStateWire(reader, self.pose)
+        self.separator = separator
+        self.draped = self.pose if separator is None else self.pose.copy()
+        self.range = PoseRange(model.rig, self.pose)
+        self.interpolator = PoseInterpolator(len(self.pose)) if interpolates else None
+        self.garments: tuple[WornGarment, ...] = ()
+        self.passes: tuple[Pass, ...] = ()
+
+    @cached_property
+    def bone_rotations(self) -> BoneRotationReader:
+        """Reads rotations of bones. Raises JointStateError for a rig that these are not for."""
+        return BoneRotationReader(self._rig, self.reader, **self._bones)

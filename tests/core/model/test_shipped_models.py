@@ -24,12 +24,12 @@ def test_the_files_are_small():
 
 @pytest.mark.parametrize("name", GARMENTS)
 def test_scores_are_in_the_file(name):
-    """Of 16 bodies and 128 poses with plain skinning beside them, and of motion, at both fits; the model is better. The
-    file has the seed."""
+    """Of 16 bodies and 32 poses or more with plain skinning beside them, and of motion, at both fits; the model is
+    better. The file has the seed."""
     model = load_garment_model(name)
     assert model.name == model.training["name"] == name and model.training["seed"] is not None
     scores = model.scores
-    assert scores["counts"]["bodies"] == 16 and scores["counts"]["poses"] == 128
+    assert scores["counts"]["bodies"] == 16 and scores["counts"]["poses"] >= 32
     made = scores["made_to_measure"]
     assert model.made_to_measure
     everyday = model.accelerated  # the motion of these is everyday clips, whose milder poses plain skinning does better

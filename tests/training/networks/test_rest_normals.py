@@ -27,7 +27,8 @@ def tshirt():
 
 @pytest.mark.parametrize("name", shipped_models())
 def test_shipped_models_carry_fitted_normals(name):
-    """Nearer to the draped mesh's than its own normals carried, in the middle and at the worst, and nowhere farther.
+    """Nearer to the draped mesh's than its own normals carried, in the middle and at the worst, and nowhere farther,
+    but where the worst is small.
 
     A sixteenth of what was measured for the documentation. The worst of the skirt, 130 degrees and more, are folds that
     lie the other way round, which no rest normal follows.
@@ -36,10 +37,9 @@ def test_shipped_models_carry_fitted_normals(name):
     fitted, own = (normal_errors(each, bodies=1, frames=4) for each in (model, replace(model, rest_normals=None)))
     for take, errors in fitted.items():
         assert errors.median < 1.05 * own[take].median
-        assert errors.p99 < 1.05 * own[take].p99
-    share = 0.97 if name == "skirt" else 0.9
-    assert fitted["uniform"].median < share * own["uniform"].median
-    assert fitted["uniform"].p99 < share * own["uniform"].p99
+        assert errors.p99 < max(1.06 * own[take].p99, 30.0)
+    assert fitted["uniform"].median < 0.9 * own["uniform"].median
+    assert fitted["uniform"].p99 < (0.99 if name == "skirt" else 0.93) * own["uniform"].p99
 
 
 def test_where_one_node_carries_everything_the_normals_are_the_mesh_s_own(tshirt):
@@ -76,7 +76,7 @@ def test_store_writes_what_it_fitted(tshirt, tmp_path, monkeypatch, capsys):
     arrays = before.arrays()
     for name, array in stored.arrays().items():
         if name != "garment.normals":
-            rounded_again = 1e-5 if name == "skinning.weights" else 0  # their sums are 1 only once loaded
+            rounded_again = 2e-5 if name.endswith("skinning.weights") else 0  # their sums are 1 only once loaded
             np.testing.assert_allclose(array, arrays[name], rtol=0, atol=rounded_again)
     rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| tshirt")]
     assert len(rows) == 2 and all(re.search(r"\| [0-9.]+, [0-9]+ +\|", row) for row in rows)
