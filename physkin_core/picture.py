@@ -165,10 +165,11 @@ def _surface(mi, mesh: Mesh, lit: float):
     properties = mi.Properties()
     cloth = {"type": "principled", "base_color": reflectance, "roughness": 0.7, "specular": 0.25}
     properties["bsdf"] = mi.load_dict({"type": "twosided", "side": cloth})
-    surface = mi.Mesh("mesh", len(mesh.vertices), len(mesh.faces), properties, has_vertex_normals=True)
+    used, faces = np.unique(mesh.faces, return_inverse=True)  # vertices without a face would have no normal
+    surface = mi.Mesh("mesh", len(used), len(mesh.faces), properties, has_vertex_normals=True)
     buffers = mi.traverse(surface)
-    buffers["vertex_positions"] = np.ascontiguousarray(mesh.vertices, dtype=np.float32).ravel()
-    buffers["faces"] = np.ascontiguousarray(mesh.faces, dtype=np.uint32).ravel()
+    buffers["vertex_positions"] = np.ascontiguousarray(mesh.vertices[used], dtype=np.float32).ravel()
+    buffers["faces"] = faces.astype(np.uint32).ravel()
     buffers.update()  # computes the vertex normals
     return surface
 
