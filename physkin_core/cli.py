@@ -17,6 +17,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import AvatarWarning
 from physkin_core.fit_option import add_fit_option
+from physkin_core.outfit.outfit_options import add_tucked_option, chosen_garments
 
 if TYPE_CHECKING:
     from physkin_core import Outfit
@@ -122,13 +123,7 @@ def _parser() -> argparse.ArgumentParser:
         "--separate-limbs", action="store_true", help="move arms and legs out of this body's trunk and each other"
     )
     drape.add_argument("--backend", default="native", help="evaluator: native (default) or numpy")
-    drape.add_argument(
-        "--tucked",
-        action="append",
-        default=[],
-        metavar="MODEL",
-        help="garment whose hem is under the next one's waistband",
-    )
+    add_tucked_option(drape)
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garments as .obj, or a .png picture")
     drape.set_defaults(run=_drape)
     bind = commands.add_parser(
@@ -158,15 +153,10 @@ def _tell(warnings_found: Sequence[str]) -> None:
 
 def _outfit(options: argparse.Namespace) -> Outfit:
     """The garments on the avatar, over each other."""
-    from physkin_core import Outfit, OutfitGarment, load_avatar, load_garment_model
+    from physkin_core import Outfit, load_avatar
 
-    names = _garments(options)
-    for name in options.tucked:
-        if name not in names:
-            raise ValueError(f"--tucked {name}: none of the garments, which are {', '.join(names)}")
-    models = [load_garment_model(name) for name in names]
-    avatar = load_avatar(options.avatar, models[0].rig, rig_file=options.rig)
-    garments = [OutfitGarment(model, tucked=name in options.tucked) for name, model in zip(names, models)]
+    garments = chosen_garments(_garments(options), options.tucked)
+    avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
     outfit = Outfit(garments, avatar, fit=options.fit, backend=options.backend, separate_limbs=options.separate_limbs)
     _tell(outfit.warnings)
     return outfit
@@ -220,9 +210,9 @@ def _write_obj(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.
 
 
 def _write_png(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]) -> None:
-    from physkin_core.picture import CLOTH_COLOUR, LAYER_COLOURS, Mesh, render, save_png
+    from physkin_core.picture import Mesh, layer_colours, render, save_png
 
-    colours = LAYER_COLOURS if len(cloth) > 1 else (CLOTH_COLOUR,)
+    colours = layer_colours(len(cloth))
     shown = outfit.avatar.faces[~outfit.body_mask] if len(cloth) > 1 else outfit.avatar.faces
     worn = [Mesh(points[:, :3], faces, colour) for points, faces, colour in zip(cloth, outfit.faces, colours)]
     save_png(path, render([Mesh(body, shown), *worn], size=PICTURE_SIZE))

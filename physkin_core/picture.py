@@ -17,10 +17,10 @@ import numpy as np
 __all__ = [
     "BODY_COLOUR",
     "CLOTH_COLOUR",
-    "LAYER_COLOURS",
     "Mesh",
     "PictureError",
     "contact_sheet",
+    "layer_colours",
     "render",
     "save_png",
 ]
@@ -57,6 +57,11 @@ class Mesh:
     vertices: np.ndarray
     faces: np.ndarray
     colour: tuple[float, float, float] = BODY_COLOUR
+
+
+def layer_colours(count: int) -> tuple[tuple[float, float, float], ...]:
+    """Of so many garments worn over each other, from the skin outwards; of one its usual colour."""
+    return LAYER_COLOURS[:count] if count > 1 else (CLOTH_COLOUR,)
 
 
 def render(

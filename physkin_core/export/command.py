@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
 from physkin_core.export.gltf_motion import write_gltf_motion
 from physkin_core.export.usd_motion import write_usd_motion
 from physkin_core.fit_option import add_fit_option
-from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
 from physkin_core.motion.reading_progress import reading_progress
-from physkin_core.outfit.layers import OutfitGarment
 from physkin_core.outfit.outfit import Outfit
+from physkin_core.outfit.outfit_options import add_tucked_option, chosen_garments
 
 __all__ = ["main"]
 
@@ -40,9 +40,7 @@ def main(argv: list[str]) -> int:
         metavar="MODEL",
         help="a file or a shipped name (default tshirt); several, from the skin outwards, are an outfit",
     )
-    parser.add_argument(
-        "--tucked", action="append", default=[], metavar="MODEL", help="garment under the next one's waistband"
-    )
+    add_tucked_option(parser)
     parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own)")
     add_fit_option(parser)
     parser.add_argument(
@@ -55,17 +53,13 @@ def main(argv: list[str]) -> int:
     kind = options.output.suffix.lower()
     if kind not in WRITERS:
         raise ValueError(f"cannot write {options.output.name}: allowed are {', '.join(WRITERS)}")
-    names = options.garment or ["tshirt"]
-    if strange := [name for name in options.tucked if name not in names]:
-        raise ValueError(f"--tucked {strange[0]}: none of the garments, which are {', '.join(names)}")
-    models = [load_garment_model(name) for name in names]
+    garments = chosen_garments(options.garment or ["tshirt"], options.tucked)
     if kind == ".glb":
-        models = [model.for_engines() for model in models]
+        garments = [replace(garment, model=garment.model.for_engines()) for garment in garments]
     motion = load_motion(options.motion, watch=reading_progress(options.motion))
     if options.rate:
         motion = motion.resampled(options.rate)
-    avatar = load_avatar(options.avatar, models[0].rig, rig_file=options.rig)
-    garments = [OutfitGarment(model, tucked=name in options.tucked) for name, model in zip(names, models)]
+    avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
     outfit = Outfit(garments, avatar, fit=options.fit)
     for warning in outfit.warnings:
         print(f"warning: {warning}", file=sys.stderr)

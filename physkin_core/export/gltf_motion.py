@@ -19,7 +19,7 @@ from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, stron
 from physkin_core.model.garment import vertex_normals
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.picture import BODY_COLOUR, CLOTH_COLOUR, LAYER_COLOURS
+from physkin_core.picture import BODY_COLOUR, layer_colours
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 
@@ -45,7 +45,7 @@ def write_gltf_motion(path: Path, outfit: Outfit, motion: Motion) -> None:
     root = scene.add_node("root", translation=motion.root_position[:, None], rotation=motion.root_orientation[:, None])
     scene.roots.append(root)
     scene.add_avatar(outfit.avatar, rig, np.array(bones), outfit.body_mask, root)
-    colours = LAYER_COLOURS if len(drapers) > 1 else (CLOTH_COLOUR,)
+    colours = layer_colours(len(drapers))
     for model, bound, transforms, colour in zip(outfit.models, outfit.bounds, nodes, colours):
         scene.add_garment(model.name, bound, np.array(transforms), colour, root)
     write_glb(path, scene.finished())

@@ -8,7 +8,7 @@ import numpy as np
 
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.picture import BODY_COLOUR, CLOTH_COLOUR, LAYER_COLOURS
+from physkin_core.picture import BODY_COLOUR, layer_colours
 
 __all__ = ["write_usd_motion"]
 
@@ -29,7 +29,7 @@ def write_usd_motion(path: Path, outfit: Outfit, motion: Motion) -> None:
     stage.SetDefaultPrim(root.GetPrim())
     place = root.AddTranslateOp()
     turn = root.AddOrientOp()
-    colours = [BODY_COLOUR, *(LAYER_COLOURS if len(outfit.models) > 1 else (CLOTH_COLOUR,))]
+    colours = [BODY_COLOUR, *layer_colours(len(outfit.models))]
     names = ["body", *(_as_identifier(model.name) for model in outfit.models)]
     faces = [outfit.avatar.faces[~outfit.body_mask], *outfit.faces]
     meshes = []

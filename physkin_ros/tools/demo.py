@@ -14,9 +14,10 @@ import sys
 import tempfile
 from pathlib import Path
 
-from physkin_core import BUNDLED_AVATAR, Outfit, OutfitGarment, load_avatar, load_garment_model, load_motion
+from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_motion
 from physkin_core.fit_option import add_fit_option
 from physkin_core.motion.reading_progress import reading_progress
+from physkin_core.outfit.outfit_options import add_tucked_option, chosen_garments
 from physkin_ros.arguments import file_to_write, positive
 from physkin_ros.middleware.transport import private_environment
 from physkin_ros.tools.children import ChildFailedError, Children
@@ -40,10 +41,7 @@ def main(argv: list[str] | None = None) -> int:
     options = _parser().parse_args(argv)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     options.garment = options.garment or list(WORN)
-    if unworn := [name for name in options.tucked if name not in options.garment]:
-        print(f"error: --tucked {unworn[0]}: none of the garments: {', '.join(options.garment)}", file=sys.stderr)
-        return 2
-    garments = [OutfitGarment(load_garment_model(name), tucked=name in options.tucked) for name in options.garment]
+    garments = chosen_garments(options.garment, options.tucked)
     avatar = load_avatar(options.body or BUNDLED_AVATAR, garments[0].model.rig)
     clip = load_motion(options.motion, watch=reading_progress(options.motion)).resampled(RATE_HZ)
     motion = clip.looped(options.seconds)
@@ -88,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="MODEL",
         help=f"shipped garment or model file; several, from the skin outwards (default {', '.join(WORN)})",
     )
-    parser.add_argument("--tucked", action="append", default=[], metavar="MODEL", help="garment to be tucked in")
+    add_tucked_option(parser)
     add_fit_option(parser)
     parser.add_argument("--body", default="", help="avatar file (default: the bundled avatar)")
     parser.add_argument("--motion", default="dance", help="bundled motion or a motion file (default %(default)s)")

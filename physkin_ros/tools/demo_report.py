@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core import Motion, Outfit
 from physkin_core.outfit.layer_order import TURNS
-from physkin_core.picture import CLOTH_COLOUR, LAYER_COLOURS, Mesh, contact_sheet, render, save_png
+from physkin_core.picture import Mesh, contact_sheet, layer_colours, render, save_png
 from physkin_ros.tools.machine import machine_line, versions_line
 from physkin_ros.tools.trial import Records
 
@@ -92,7 +92,7 @@ def draw(path: Path, records: Records, outfit: Outfit, motion: Motion) -> None:
     positions, rotations = motion.positions_for(outfit.models[0].rig), Rotation.from_quat(motion.root_orientation)
     several = len(outfit.models) > 1
     skin = outfit.avatar.faces[~outfit.body_mask] if several else outfit.avatar.faces
-    colours = LAYER_COLOURS if several else (CLOTH_COLOUR,)
+    colours = layer_colours(len(outfit.models))
     frames, captions = [], []
     for frame, cloud in _kept_frames(records):
         body = outfit.avatar.posed_vertices(outfit.bone_transforms(positions[frame]))
