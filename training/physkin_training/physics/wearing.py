@@ -27,6 +27,8 @@ slides along a limb, but the side of a shirt is not worn on the arm that hangs b
 BEHIND = -0.35
 """Cosine between the way to a part and the cloth's normal below which the part is behind the cloth, as all are that a
 skirt hangs around; others are beside it or in front of it."""
+RIM_WITHIN = 0.02
+"""Cloth is worn on a bare limb where all other parts are farther away, by at least this [m]: the rim on a shoulder."""
 GOES_AROUND = 0.3
 """An opening goes around the bone that is closest to its centre if that is at most this share of its radius away."""
 BAND_WIDTH = 0.03
@@ -40,10 +42,10 @@ class Wearing:
     faces: (f, 3) int32, faces of the body that cloth may be in contact with; face_bone: (f,) int32, the bone that moves
     each most. worn: (n, b) bool, the vertex lies on that bone's part. other_limb: (n, b) bool, it lies on no part of
     that bone's limb, which is beside the cloth or in front of it, as an arm is to the side of a shirt, and presses it
-    towards its own place on the body alone. bare: (b,) bool, the bone of an arm that leaves through an armhole, an opening
-    on the trunk without a sleeve: only cloth that the trunk is farther from, by 2 cm, is worn on it. own_face: (n,) int32, of the `faces` of worn parts the one whose centre
-    is closest. band: (k,) int32 vertices of the neckband or waistband; band_place: (k,) int32 the body vertex closest
-    to each, band_distance: (k,) float32 [m] away.
+    towards its own place on the body alone. bare: (b,) bool, the bone of an arm that leaves through an armhole, an
+    opening on the trunk without a sleeve: only cloth from which all other parts are farther is worn on it. own_face:
+    (n,) int32, of the `faces` of worn parts the one whose centre is closest. band: (k,) int32 vertices of the neckband
+    or waistband; band_place: (k,) int32 the body vertex closest to each, band_distance: (k,) float32 [m] away.
     """
 
     faces: np.ndarray
@@ -78,7 +80,7 @@ class Wearing:
         limbs = _limbs(rig.parents)
         bare = _bare(garment, avatar, vertex_bone, limbs, rig.parents)
         dressed = distance[:, ~bare].min(axis=1, keepdims=True)
-        distance_worn = np.where(bare & (distance + WORN_BESIDE > dressed), np.inf, distance)
+        distance_worn = np.where(bare & (distance + RIM_WITHIN > dressed), np.inf, distance)
         beside = distance_worn <= distance_worn.min(axis=1, keepdims=True) + WORN_BESIDE
         worn = (beside | _joined(beside, rig.parents)) & (distance_worn <= WORN_WITHIN)
         limb = np.eye(rig.bone_count, dtype=int)[np.where(bare, np.arange(rig.bone_count), limbs)]
