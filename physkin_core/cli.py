@@ -17,7 +17,12 @@ import numpy as np
 
 from physkin_core.avatar.avatar import AvatarWarning
 from physkin_core.fit_option import add_fit_option
-from physkin_core.outfit.outfit_options import add_tucked_option, chosen_garments
+from physkin_core.outfit.outfit_options import (
+    add_garment_option,
+    add_limbs_option,
+    add_tucked_option,
+    chosen_garments,
+)
 
 if TYPE_CHECKING:
     from physkin_core import Outfit
@@ -27,6 +32,7 @@ __all__ = ["main"]
 FORWARDED = {
     "check": ("physkin_core.check.command", "say how garments sit on an avatar: a verdict, figures, a picture"),
     "export": ("physkin_core.export.command", "write a draped motion as glTF (.glb) or USD, for other tools"),
+    "render": ("physkin_core.render.command", "film a draped motion: .mp4, .gif, .webp or numbered .png"),
     "node": ("physkin_ros.node.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
     "demo": (
         "physkin_ros.tools.demo",
@@ -61,7 +67,7 @@ EXTRAS = {
     "replay": ("rosbags", "apsw", "tabulate"),
     "training": ("torch", "warp", "potpourri3d", "pydantic", "rich", "tensorboard", "physkin_training"),
     "usd": ("pxr",),
-    "view": ("mitsuba", "PIL", "matplotlib"),
+    "view": ("mitsuba", "PIL", "matplotlib", "av"),
 }
 """Extra of the pip package -> import packages it brings; colcon leaves `physkin_training` out."""
 
@@ -107,21 +113,14 @@ def _parser() -> argparse.ArgumentParser:
     worn = argparse.ArgumentParser(add_help=False)
     worn.add_argument("avatar", metavar="AVATAR", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
     worn.add_argument("second", nargs="?", help=argparse.SUPPRESS)
-    worn.add_argument(
-        *("-g", "--garment"),
-        action="append",
-        metavar="MODEL",
-        help="a file or a shipped name (default tshirt); several, from the skin outwards, are an outfit",
-    )
+    add_garment_option(worn)
     worn.add_argument("--model", help=argparse.SUPPRESS)
     worn.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
     add_fit_option(worn)
     drape = commands.add_parser("drape", parents=[worn], help="drape one frame of a motion; write a mesh or a picture")
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
-    drape.add_argument(
-        "--separate-limbs", action="store_true", help="move arms and legs out of this body's trunk and each other"
-    )
+    add_limbs_option(drape)
     drape.add_argument("--backend", default="native", help="evaluator: native (default) or numpy")
     add_tucked_option(drape)
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garments as .obj, or a .png picture")
@@ -210,12 +209,10 @@ def _write_obj(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.
 
 
 def _write_png(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]) -> None:
-    from physkin_core.picture import Mesh, layer_colours, render, save_png
+    from physkin_core.picture import render, save_png
+    from physkin_core.render.dressed_meshes import dressed_meshes
 
-    colours = layer_colours(len(cloth))
-    shown = outfit.avatar.faces[~outfit.body_mask] if len(cloth) > 1 else outfit.avatar.faces
-    worn = [Mesh(points[:, :3], faces, colour) for points, faces, colour in zip(cloth, outfit.faces, colours)]
-    save_png(path, render([Mesh(body, shown), *worn], size=PICTURE_SIZE))
+    save_png(path, render(dressed_meshes(outfit, body, cloth), size=PICTURE_SIZE))
 
 
 def _info(options: argparse.Namespace) -> int:
