@@ -15,7 +15,7 @@ from physkin_core.motion.reading_progress import reading_progress
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import add_outfit_options, chosen_garments
 
-__all__ = ["main"]
+__all__ = ["command_parser", "main"]
 
 WRITERS = {
     ".glb": write_gltf_motion,
@@ -25,8 +25,8 @@ WRITERS = {
 }
 
 
-def main(argv: list[str]) -> int:
-    """Command line. Returns 0; errors are raised."""
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin export`."""
     parser = argparse.ArgumentParser(prog="physkin export", description=__doc__.split("`: ")[1])
     parser.add_argument("motion", metavar="MOTION", help="bundled motion or a motion file")
     add_outfit_options(parser)
@@ -37,7 +37,12 @@ def main(argv: list[str]) -> int:
         required=True,
         help="a .glb with garment nodes as joints, or .usd, .usda, .usdc with every vertex in every frame",
     )
-    options = parser.parse_args(argv)
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """Command line. Returns 0; errors are raised."""
+    options = command_parser().parse_args(argv)
     kind = options.output.suffix.lower()
     if kind not in WRITERS:
         raise ValueError(f"cannot write {options.output.name}: allowed are {', '.join(WRITERS)}")

@@ -16,7 +16,7 @@ from physkin_core.progress import progress_line
 from physkin_core.render.film_files import FILM_KINDS, check_film, write_film
 from physkin_core.render.filming import Camera, film
 
-__all__ = ["main"]
+__all__ = ["command_parser", "main"]
 
 USUAL_RATE = 30.0  # [Hz] of a film, where the motion has more
 MOST_PIXELS = 4096  # a side
@@ -24,7 +24,7 @@ MOST_PIXELS = 4096  # a side
 
 def main(argv: list[str]) -> int:
     """Command line. Returns 0; errors are raised."""
-    options = _parser().parse_args(argv)
+    options = command_parser().parse_args(argv)
     camera = Camera(
         azimuth=_finite("--azimuth", options.azimuth),
         elevation=_finite("--elevation", options.elevation, low=0, high=89),
@@ -51,7 +51,8 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin render`."""
     parser = argparse.ArgumentParser(prog="physkin render", description=__doc__.split("`: ")[1])
     parser.add_argument("motion", metavar="MOTION", help="bundled motion or a motion file")
     add_outfit_options(parser)
