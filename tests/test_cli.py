@@ -180,6 +180,16 @@ def test_completion_knows_commands_and_their_options(shell, capsys):
     assert all(option in script for option in ("no-follow", "separate-limbs", "debug"))
 
 
+def test_completion_does_without_what_is_not_installed(monkeypatch, capsys):
+    """The command is known all the same."""
+    pytest.importorskip("shtab", reason="needs shtab: pip install 'physkin[completion]'")
+    monkeypatch.setitem(sys.modules, "physkin_ros.tools.replay", None)
+    assert cli.main(["completion", "bash"]) == 0
+    script = capsys.readouterr().out
+    assert "replay" in script and "_shtab_physkin_replay_option_strings" not in script
+    assert "_shtab_physkin_render_option_strings" in script
+
+
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
 def test_bash_completes(tmp_path, capsys):
     """Commands, options and what ships under a name, as bash itself finds them."""
