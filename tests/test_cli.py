@@ -186,8 +186,8 @@ def test_completion_does_without_what_is_not_installed(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "physkin_ros.tools.replay", None)
     assert cli.main(["completion", "bash"]) == 0
     script = capsys.readouterr().out
-    assert "replay" in script and "_shtab_physkin_replay_option_strings" not in script
-    assert "_shtab_physkin_render_option_strings" in script
+    assert "replay" in script and "--garment-topic" not in script
+    assert "--no-follow" in script
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
