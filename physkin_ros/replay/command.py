@@ -34,7 +34,8 @@ def main(argv: list[str] | None = None) -> int:
     gravity = gravity_direction(options.gravity)
     baseline = load_baseline(options.baseline) if options.baseline else None
     output = BagWriter(options.output, storage=options.storage) if options.output else nullcontext()
-    with output as writer, BagReader(options.bag, topic=options.topic, gravity_topic=options.gravity_topic) as bag:
+    topics = {"topic": options.topic, "gravity_topic": options.gravity_topic}
+    with output as writer, BagReader(options.bag, root="transforms", **topics) as bag:
         draper, every = _draper(options), options.contact_every
         if every is None:
             every = max(1, -(-bag.joint_state_count // CONTACT_CLOUDS))

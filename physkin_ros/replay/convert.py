@@ -28,7 +28,12 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("--seconds", type=float, help="repeat or cut the clip to this length (default: once)")
     parser.add_argument("--topic", default="/joint_states", help="default %(default)s")
     parser.add_argument("--gravity-topic", default="/gravity", help="default %(default)s")
-    parser.add_argument("--frame-id", default="base_link", help="default %(default)s")
+    parser.add_argument("--frame-id", default="base_link", help="TF frame of the root (default %(default)s)")
+    parser.add_argument(
+        "--world-frame",
+        default="world",
+        help="TF frame that /tf and /odom start at (default %(default)s; '': neither)",
+    )
     return parser
 
 
@@ -42,7 +47,7 @@ def main(argv: list[str] | None = None) -> int:
         if options.seconds is not None:
             motion = motion.looped(options.seconds)
         topics = {"topic": options.topic, "gravity_topic": options.gravity_topic, "frame_id": options.frame_id}
-        write_motion(writer, motion, **topics)
+        write_motion(writer, motion, world_frame=options.world_frame, **topics)
     print(f"wrote {options.output}: {motion.frame_count} joint states at {motion.rate_hz:g} Hz")
     return 0
 
