@@ -31,7 +31,7 @@ bench: $(VENV)/installed-bench
 
 # A site, in build/site.
 docs: $(VENV)/installed-docs
-	$(VENV)/bin/mkdocs build --strict --quiet --config-file docs/site/mkdocs.yml
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet --config-file docs/site/mkdocs.yml
 
 # For this Python, tagged by the oldest system that it runs on: dist/physkin-*-manylinux_*.whl
 wheel: $(VENV)/installed-wheel
