@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 import sys
 from dataclasses import replace
 from unittest.mock import patch
@@ -153,6 +155,57 @@ def test_missing_extra_is_named(command, package, extra, capsys):
     sys.modules[package] = None  # makes `import` raise ModuleNotFoundError
     assert cli.main([command]) == 2
     assert f"physkin {command} needs: pip install 'physkin[{extra}]'" in capsys.readouterr().err
+
+
+def test_errors_of_ours_are_told_in_one_line_unless_debugged(monkeypatch, capsys):
+    """Status 1 and what to do; with --debug, wherever it stands, the error itself, mendable ones too."""
+    monkeypatch.setattr("physkin_core.check.command.main", lambda argv: {}[f"no {argv}"])
+    assert cli.main(["check", "a.glb"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("error: KeyError:") and "physkin --debug shows where" in said and said.count("\n") == 1
+    with pytest.raises(KeyError, match=r"no \['a.glb'\]"):
+        cli.main(["check", "a.glb", "--debug"])
+    with pytest.raises(physkin_core.ModelFileError):
+        cli.main(["--debug", "info", "nosuch"])
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_knows_commands_and_their_options(shell, capsys):
+    """Of forwarded commands, too."""
+    pytest.importorskip("shtab", reason="needs shtab: pip install 'physkin[completion]'")
+    assert cli.main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    known = {*cli.FORWARDED, "drape", "bind", "info", "completion"}
+    assert [name for name in known if name not in script] == []
+    assert all(option in script for option in ("no-follow", "separate-limbs", "debug"))
+
+
+def test_completion_does_without_what_is_not_installed(monkeypatch, capsys):
+    """The command is known all the same."""
+    pytest.importorskip("shtab", reason="needs shtab: pip install 'physkin[completion]'")
+    monkeypatch.setitem(sys.modules, "physkin_ros.tools.replay", None)
+    assert cli.main(["completion", "bash"]) == 0
+    script = capsys.readouterr().out
+    assert "replay" in script and "--garment-topic" not in script
+    assert "--no-follow" in script
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_bash_completes(tmp_path, capsys):
+    """Commands, options and what ships under a name, as bash itself finds them."""
+    pytest.importorskip("shtab", reason="needs shtab: pip install 'physkin[completion]'")
+    assert cli.main(["completion", "bash"]) == 0
+    script = tmp_path / "physkin.bash"
+    words = "COMP_WORDS=($*); COMP_CWORD=$(($# - 1)); _shtab_physkin physkin ${@: -1} ${@: -2:1}; echo ${COMPREPLY[*]}"
+    script.write_text(f"{capsys.readouterr().out}\n{words}\n")
+    for typed, expected in (
+        ("physkin re", "render replay"),
+        ("physkin render --fo", "--follow"),
+        ("physkin render dan", "dance"),
+        ("physkin drape -g sk", "skirt"),
+    ):
+        run = subprocess.run(["bash", script, *typed.split()], capture_output=True, text=True, cwd=tmp_path)
+        assert run.stdout.split() == expected.split(), run.stderr
 
 
 def test_arguments_reach_the_subcommand(monkeypatch):
