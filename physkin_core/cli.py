@@ -27,6 +27,7 @@ __all__ = ["main"]
 FORWARDED = {
     "check": ("physkin_core.check.command", "say how garments sit on an avatar: a verdict, figures, a picture"),
     "export": ("physkin_core.export.command", "write a draped motion as glTF (.glb) or USD, for other tools"),
+    "view": ("physkin_core.view.command", "show an avatar and its outfit live, on a page in the browser"),
     "node": ("physkin_ros.node.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
     "demo": (
         "physkin_ros.tools.demo",
@@ -61,7 +62,7 @@ EXTRAS = {
     "replay": ("rosbags", "apsw", "tabulate"),
     "training": ("torch", "warp", "potpourri3d", "pydantic", "rich", "tensorboard", "physkin_training"),
     "usd": ("pxr",),
-    "view": ("mitsuba", "PIL", "matplotlib"),
+    "view": ("mitsuba", "PIL", "matplotlib", "viser"),
 }
 """Extra of the pip package -> import packages it brings; colcon leaves `physkin_training` out."""
 
