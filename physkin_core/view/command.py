@@ -11,8 +11,9 @@ from importlib import import_module
 from physkin_core.avatar.loading import BUNDLED_AVATAR
 from physkin_core.fit_option import add_fit_option
 from physkin_core.outfit.outfit_options import add_tucked_option
+from physkin_core.view.page import Page
 
-__all__ = ["main"]
+__all__ = ["begin", "main"]
 
 ROS_PAGE = "physkin_ros.tools.view"
 """What `--ros` needs; imported only then."""
@@ -21,8 +22,6 @@ ROS_PAGE = "physkin_ros.tools.view"
 def main(argv: list[str]) -> int:
     """Command line. Returns 0 when the page is ended; errors before there is one are raised."""
     options = _parser().parse_args(argv)
-    from physkin_core.view.page import Page
-
     if options.ros:
         return import_module(ROS_PAGE).show(options)
     from physkin_core.view.scene.scene_state import SceneState
@@ -51,7 +50,7 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def begin(page, *, browser: bool) -> None:
+def begin(page: Page, *, browser: bool) -> None:
     """Say where the page is, and open it."""
     print(f"physkin view: {page.address} (Ctrl+C ends it)", flush=True)
     if browser:

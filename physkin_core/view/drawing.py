@@ -15,7 +15,7 @@ from physkin_core.view.surface_node import SurfaceNode
 __all__ = ["Drawing", "Switches"]
 
 BESIDE = 1.1
-"""Plain skinning stands so far [m] to the figure's left."""
+"""Plain skinning stands so far [m] to the figure's right: the panel is on the other side."""
 NODE_COLOUR, NODE_SIZE = (0.95, 0.45, 0.05), 0.011
 NORMAL_COLOUR, NORMAL_LENGTH, MOST_NORMALS = (0.10, 0.10, 0.10), 0.02, 900
 """[m]; of each garment at most so many are drawn."""
@@ -82,11 +82,11 @@ class Drawing:
     def _place(self, frame: Frame) -> None:
         x, y, z, w = frame.pose.root_orientation
         forward = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 0.0])
-        left = np.array([-forward[1], forward[0], 0.0]) / max(np.linalg.norm(forward), 1e-6)
+        right = np.array([forward[1], -forward[0], 0.0]) / max(np.linalg.norm(forward), 1e-6)
         place = frame.pose.root_position
         self._page.figure.wxyz = self._beside.wxyz = (w, x, y, z)
         self._page.figure.position = place
-        self._beside.position = place + BESIDE * left
+        self._beside.position = place + BESIDE * right
         self._page.world.position = -place * [1, 1, 0] if self.switches.follow else np.zeros(3)
 
     def _paint(self, frame: Frame) -> None:

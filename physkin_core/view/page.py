@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import io
 import logging
 import threading
 import time
@@ -40,7 +42,8 @@ class Page:
         except ImportError as error:
             raise PictureError("the page needs viser: pip install 'physkin[view]'") from error
         self._ended = threading.Event()
-        self.server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
+        with contextlib.redirect_stdout(io.StringIO()):  # a box with the address, which commands print themselves
+            self.server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
         self.server.gui.configure_theme(
             control_width="medium", show_logo=False, show_share_button=False, brand_color=(41, 107, 148)
         )

@@ -109,6 +109,7 @@ class SurfaceNode:
             color=_bytes(colour),
             wireframe=self._wireframe,
             side="double",
+            receive_shadow=False,
             visible=bool(len(part.faces)),
         )
 

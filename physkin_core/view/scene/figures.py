@@ -63,7 +63,6 @@ class OutfitFigures:
         self.outfit = outfit
         worn = list(zip(outfit.rest_garments, outfit.visible, outfit.faces))
         self._garments = [Garment(rest.vertices[given], faces) for rest, given, faces in worn]
-        self._face_edges = [_edges_of_faces(garment) for garment in self._garments]
         self._hem = np.concatenate([near_hem(rest)[given] for rest, given, _ in worn])
         first = np.cumsum([0, *outfit.vertex_counts[:-1]])
         self._faces = np.concatenate([faces + start for start, faces in zip(first, outfit.faces)])
@@ -73,8 +72,8 @@ class OutfitFigures:
         return [edge_strains(garment, cloth[:, :3]) for garment, cloth in zip(self._garments, frame.cloth)]
 
     def strains_of_faces(self, frame: Frame) -> list[np.ndarray]:
-        """The mean of its three edges [%], for every face (f,) of each garment."""
-        return [strain[edges].mean(axis=1) for strain, edges in zip(self.strains(frame), self._face_edges)]
+        """For every face (f,) of each garment, the mean [%] of its corners', a corner's being that of its edges."""
+        return [_carried_to_faces(garment, strain) for garment, strain in zip(self._garments, self.strains(frame))]
 
     def question(self, frame: Frame, *, inside: bool = True) -> ContactQuestion:
         """Of a frame; it keeps no array that the next frame overwrites."""
@@ -82,8 +81,8 @@ class OutfitFigures:
         return ContactQuestion(cloth, self._faces, self._hem, frame.body, self.outfit.avatar.faces, inside)
 
 
-def _edges_of_faces(garment: Garment) -> np.ndarray:
-    """(f, 3) the edges of each face, as rows of `Garment.edges`."""
-    ends = np.sort(garment.faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).astype(np.int64)
-    count = len(garment.vertices)
-    return np.searchsorted(garment.edges[:, 0].astype(np.int64) * count + garment.edges[:, 1], ends @ [count, 1])
+def _carried_to_faces(garment: Garment, of_edges: np.ndarray) -> np.ndarray:
+    ends, count = garment.edges.reshape(-1), len(garment.vertices)
+    edges_of_corner = np.maximum(np.bincount(ends, minlength=count), 1)
+    of_corners = np.bincount(ends, np.repeat(of_edges, 2), minlength=count) / edges_of_corner
+    return of_corners[garment.faces].mean(axis=1)

@@ -113,7 +113,7 @@ class SceneState:
     def _dress(self, garments, tucked, body, rig_file, separate_limbs, *, new_body: bool = False) -> None:
         if not garments:
             raise ValueError("nothing to wear: choose at least one garment")
-        chosen = chosen_garments(garments, [name for name in tucked if name in garments])
+        chosen = chosen_garments(garments, sorted(tucked))
         rig = chosen[0].model.rig
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AvatarWarning)  # they are in `Outfit.warnings`
@@ -124,7 +124,7 @@ class SceneState:
         with self._lock:
             posed = self.outfit is not None and self._rig.joint_names == rig.joint_names
             positions = self.pose.positions if posed else rig.rest
-            self.garments, self.tucked = tuple(garments), frozenset(tucked) & frozenset(garments)
+            self.garments, self.tucked = tuple(garments), frozenset(tucked)
             self.body, self.rig_file, self.separate_limbs = body, rig_file, separate_limbs
             self._avatar, self._rig, self._player, self.outfit = avatar, rig, player, outfit
             self.pose = standing_pose(positions, avatar) if player is None else player.pose(self.seconds)
