@@ -8,8 +8,8 @@ import time
 
 import numpy as np
 import pytest
-
 from browser import CHROMIUM, Browser
+
 from physkin_core import cli
 from physkin_core.view.scene.scene_state import SceneState
 from physkin_core.view.uploads import Uploads
@@ -85,8 +85,9 @@ def test_slider_moves_the_cloth(shown, browser):
     browser.click(find("[role=tab]", "Pose"))
     browser.wait(f"{find('*', 'left arm')} !== undefined")
     browser.click(find("*", "left arm"))
-    browser.wait("document.querySelectorAll('[role=slider]').length > 0")
-    browser.value("[...document.querySelectorAll('[role=slider]')].find(each => each.offsetParent !== null).focus()")
+    slider = "[...document.querySelectorAll('[role=slider]')].find(each => each.checkVisibility())"
+    browser.wait(f"{slider} !== undefined", seconds=20)
+    browser.value(f"{slider}.focus()")
     for _ in range(12):
         browser.press("ArrowRight", 39)
     end = time.monotonic() + 20
