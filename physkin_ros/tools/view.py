@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import signal
+import sys
 import threading
 from dataclasses import dataclass
 
@@ -11,6 +13,7 @@ import rclpy
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState, PointCloud2
 
 from physkin_core import load_avatar, load_body_model
@@ -173,8 +176,9 @@ class RosPage:
 
 def show(options: argparse.Namespace) -> int:
     """What `physkin view --ros` does with its options. Returns 0."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     use_shipped_profile()
-    rclpy.init(args=[])
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # Ctrl+C ends the page, and that this
     listener = CloudListener(options.joint_states)
     page = Page(host=options.host, port=options.port, title="PhySkin, ROS")
     drawn = RosPage(page, listener, body=options.avatar, rig_file=options.rig)
