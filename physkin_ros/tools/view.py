@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import rclpy
-from rclpy.experimental import EventsExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
@@ -182,14 +182,16 @@ def show(options: argparse.Namespace) -> int:
     listener = CloudListener(options.joint_states)
     page = Page(host=options.host, port=options.port, title="PhySkin, ROS")
     drawn = RosPage(page, listener, body=options.avatar, rig_file=options.rig)
-    executor = EventsExecutor()
+    executor = SingleThreadedExecutor()
     executor.add_node(listener)
-    threading.Thread(target=executor.spin, daemon=True).start()
+    spinning = threading.Thread(target=executor.spin, daemon=True)
+    spinning.start()
     try:
         begin(page, browser=not options.no_browser)
         page.run(drawn.tick)
     finally:
         executor.shutdown()
+        spinning.join()
         listener.destroy_node()
         rclpy.try_shutdown()
     return 0
