@@ -107,7 +107,7 @@ class RosPage:
         self._body: SurfaceNode | None = None
         self._cloths: dict[str, tuple[object, np.ndarray | None, int]] = {}
         self._counted, self._waited = 0, 0.0
-        page.world.position = (0.0, 0.0, 0.95)  # clouds are in the root frame
+        page.figure.position = (0.0, 0.0, 0.95)  # clouds are in the root frame
 
     def tick(self, seconds: float) -> None:
         """Draw what is new. Raises ValueError for a garment whose messages are malformed, once each."""
