@@ -15,8 +15,13 @@ MESSAGES := $(shell find msg_defs -type f -not -path '*/__pycache__/*')
 
 .PHONY: demo test test-slow bench docs wheel lint format clean
 
+# VIEW=1: a page in the browser in its place.
 demo: $(VENV)/installed-demo
+ifdef VIEW
+	$(VENV)/bin/physkin view --motion dance
+else
 	$(VENV)/bin/physkin demo --seconds $(DEMO_SECONDS) --output demo.png
+endif
 
 # One thread each while several run.
 test: $(VENV)/installed-test

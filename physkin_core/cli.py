@@ -37,6 +37,7 @@ FORWARDED = {
     "export": ("physkin_core.export.command", "write a draped motion as glTF (.glb) or USD, for other tools"),
     "render": ("physkin_core.render.command", "film a draped motion: .mp4, .gif, .webp or numbered .png"),
     "doctor": ("physkin_core.doctor.command", "look whether this installation works; say what to do where not"),
+    "view": ("physkin_core.view.command", "show an avatar and its outfit live, on a page in the browser"),
     "node": ("physkin_ros.node.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
     "demo": (
         "physkin_ros.tools.demo",

@@ -10,7 +10,7 @@ EXTRAS = {
     "replay": ("rosbags", "apsw", "tabulate"),
     "training": ("torch", "warp", "potpourri3d", "pydantic", "rich", "tensorboard", "physkin_training"),
     "usd": ("pxr",),
-    "view": ("mitsuba", "PIL", "matplotlib", "av"),
+    "view": ("mitsuba", "PIL", "matplotlib", "av", "viser"),
     "completion": ("shtab",),
 }
 """Extra -> import packages it brings; colcon leaves `physkin_training` out."""
