@@ -20,7 +20,7 @@ from physkin_core.fit_option import add_fit_option
 from physkin_core.outfit.outfit_options import add_tucked_option, chosen_garments
 
 if TYPE_CHECKING:
-    from physkin_core import Outfit
+    from physkin_core import Motion, Outfit
 
 __all__ = ["main"]
 
@@ -120,6 +120,9 @@ def _parser() -> argparse.ArgumentParser:
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
     drape.add_argument(
+        "--strip", type=int, metavar="N", help="instead: a picture of N frames, evenly spread, front and back"
+    )
+    drape.add_argument(
         "--separate-limbs", action="store_true", help="move arms and legs out of this body's trunk and each other"
     )
     drape.add_argument("--backend", default="native", help="evaluator: native (default) or numpy")
@@ -173,10 +176,23 @@ def _drape(options: argparse.Namespace) -> int:
     motion = load_motion(options.motion, watch=reading_progress(options.motion))
     if not 0 <= options.frame < motion.frame_count:
         raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
+    if options.strip is not None:
+        return _draw_strip(options, motion)
     outfit = _outfit(options)
     positions = motion.positions_for(outfit.models[0].rig)[options.frame]
     cloth = outfit.drape(positions, motion.gravity[options.frame])
     write(options.output, outfit, outfit.avatar.posed_vertices(outfit.bone_transforms(positions)), cloth)
+    print(f"wrote {options.output}")
+    return 0
+
+
+def _draw_strip(options: argparse.Namespace, motion: Motion) -> int:
+    from physkin_core.outfit_pictures import draw_strip
+    from physkin_core.picture import save_png
+
+    if options.output.suffix.lower() != ".png":
+        raise ValueError(f"cannot write {options.output}: the name of a strip must end in .png")
+    save_png(options.output, draw_strip(_outfit(options), motion, options.strip))
     print(f"wrote {options.output}")
     return 0
 
@@ -210,12 +226,10 @@ def _write_obj(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.
 
 
 def _write_png(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]) -> None:
-    from physkin_core.picture import Mesh, layer_colours, render, save_png
+    from physkin_core.outfit_pictures import outfit_meshes
+    from physkin_core.picture import render, save_png
 
-    colours = layer_colours(len(cloth))
-    shown = outfit.avatar.faces[~outfit.body_mask] if len(cloth) > 1 else outfit.avatar.faces
-    worn = [Mesh(points[:, :3], faces, colour) for points, faces, colour in zip(cloth, outfit.faces, colours)]
-    save_png(path, render([Mesh(body, shown), *worn], size=PICTURE_SIZE))
+    save_png(path, render(outfit_meshes(outfit, body, cloth), size=PICTURE_SIZE))
 
 
 def _info(options: argparse.Namespace) -> int:
