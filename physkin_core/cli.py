@@ -28,7 +28,7 @@ from physkin_core.outfit.outfit_options import (
 )
 
 if TYPE_CHECKING:
-    from physkin_core import Outfit
+    from physkin_core import Motion, Outfit
 
 __all__ = ["main"]
 
@@ -134,6 +134,9 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] = MappingProxyType(
     drape = commands.add_parser("drape", parents=[worn], help="drape one frame of a motion; write a mesh or a picture")
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
+    drape.add_argument(
+        "--strip", type=int, metavar="N", help="instead: a picture of N frames, evenly spread, front and back"
+    )
     add_limbs_option(drape)
     drape.add_argument("--backend", default="native", help="evaluator: native (default) or numpy")
     add_tucked_option(drape)
@@ -189,10 +192,25 @@ def _drape(options: argparse.Namespace) -> int:
     motion = load_motion(options.motion, watch=reading_progress(options.motion))
     if not 0 <= options.frame < motion.frame_count:
         raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
+    if options.strip is not None:
+        return _draw_strip(options, motion)
     outfit = _outfit(options)
     positions = motion.positions_for(outfit.models[0].rig)[options.frame]
     cloth = outfit.drape(positions, motion.gravity[options.frame])
     write(options.output, outfit, outfit.avatar.posed_vertices(outfit.bone_transforms(positions)), cloth)
+    print(f"wrote {options.output}")
+    return 0
+
+
+def _draw_strip(options: argparse.Namespace, motion: Motion) -> int:
+    from physkin_core.picture import save_png
+    from physkin_core.progress import progress_line
+    from physkin_core.render.strip import draw_strip
+
+    if options.output.suffix.lower() != ".png":
+        raise ValueError(f"cannot write {options.output}: the name of a strip must end in .png")
+    strip = draw_strip(_outfit(options), motion, options.strip, watch=progress_line(f"drawing {options.output.name}"))
+    save_png(options.output, strip)
     print(f"wrote {options.output}")
     return 0
 

@@ -227,6 +227,23 @@ def test_usage_names_every_command(capsys):
         cli.main(["dance"])
 
 
+def test_drape_draws_a_strip(tmp_path, capsys):
+    """Frames of a motion from front and back in one picture; what cannot be drawn is told in one line."""
+    image = pytest.importorskip("PIL.Image", reason="needs pillow: pip install 'physkin[view]'")
+    pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")
+    out = tmp_path / "strip.png"
+    drape = ["drape", str(AVATAR), "-o", str(out), "--strip"]
+    assert cli.main([*drape, "2"]) == 0
+    pixels = np.array(image.open(out))
+    drawn = pixels.reshape(2, pixels.shape[0] // 2, 2, -1, 3)
+    assert all(drawn[row, :, column].std() > 5 for row in (0, 1) for column in (0, 1))
+    for count in ("1", "25"):
+        assert cli.main([*drape, count]) == 2
+        assert f"has 2 to 24 frames, got {count}" in capsys.readouterr().err
+    assert cli.main(["drape", str(AVATAR), "-o", str(tmp_path / "strip.obj"), "--strip", "2"]) == 2
+    assert "the name of a strip must end in .png" in capsys.readouterr().err
+
+
 def test_drape_writes_an_outfit(tmp_path, capsys):
     """Several garments, one tucked in, are objects of one file; what cannot be worn is told in one line."""
     out = tmp_path / "worn.obj"
