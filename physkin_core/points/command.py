@@ -45,7 +45,9 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="metres a unit of POINTS (default 1)")
     parser.add_argument("--up", metavar="AXIS", help="axis of POINTS that is up (default: Z; Y for .glb)")
     parser.add_argument(
-        "--forward", metavar="AXIS", help="axis of POINTS that is forward (default: X where Z is up, Z where Y is)"
+        "--forward",
+        metavar="AXIS",
+        help="axis of POINTS that is forward, as --forward=-Y (default: X where Z is up, Z where Y is)",
     )
     parser.add_argument(*("-o", "--output"), type=Path, required=True, help="file to write, of the kind of POINTS")
     return parser
