@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from import_graph import ROOT
 from physkin_core import BUNDLED_AVATAR, SplatDraper, Splats, load_avatar, load_garment_model, load_motion
@@ -18,7 +19,7 @@ DRAWING = ROOT / "docs" / "points.jpg"
 MOTION, FRAMES = "dance", (0, 30, 60)
 COUNT, SIDE = 20_000, 0.05  # splats; [m] of a square of the checker
 WIDE, THIN = 0.0042, 0.0004  # [m] standard deviations of a splat on the surface
-CORNERS, REACH = 8, 1.0  # of a disc; its radius in standard deviations
+CORNERS, REACH = 8, 1.4  # of a disc; its radius in standard deviations
 COLOURS = ((0.80, 0.30, 0.22), (0.93, 0.87, 0.74))
 """sRGB of the checker."""
 
@@ -30,8 +31,6 @@ def surface_splats(model: GarmentModel) -> tuple[Splats, np.ndarray]:
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     axes = np.stack([first, np.cross(normals, first), normals], axis=2)
     colour = np.floor(points / SIDE + 0.5).astype(int).sum(axis=1) % 2
-    from scipy.spatial.transform import Rotation
-
     scales = np.tile([WIDE, WIDE, THIN], (COUNT, 1))
     return Splats(points, Rotation.from_matrix(axes).as_quat(), scales), colour
 

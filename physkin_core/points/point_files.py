@@ -121,7 +121,13 @@ def _read_glb(path: Path) -> PointFile:
 
     try:
         scene = trimesh.load_scene(path, process=False)
-        meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]
+        placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
+        found = [(scene.geometry[name], transform) for transform, name in placed]
+        meshes = [  # the cache has the file's own normals
+            mesh.copy(include_cache=True).apply_transform(transform)
+            for mesh, transform in found
+            if isinstance(mesh, trimesh.Trimesh)
+        ]
     except Exception as error:  # whatever the parser trips over, the file is not a readable mesh
         raise ValueError(f"cannot read {path}: {error}") from error
     if not meshes:
@@ -133,10 +139,8 @@ def _read_glb(path: Path) -> PointFile:
     def write(to: Path, moved: np.ndarray, moved_normals: np.ndarray | None) -> None:
         written = trimesh.Scene()
         for mesh, points, turned in zip(meshes, np.split(moved, ends), np.split(moved_normals, ends)):
-            other = mesh.copy()
-            other.vertices = points
-            other.vertex_normals = turned
-            written.add_geometry(other)
+            look = {"visual": mesh.visual, "process": False}
+            written.add_geometry(trimesh.Trimesh(points, mesh.faces, vertex_normals=turned, **look))
         to.write_bytes(written.export(file_type="glb", include_normals=True))
 
     return PointFile(np.concatenate([mesh.vertices for mesh in meshes]), write, normals=normals, up="Y")

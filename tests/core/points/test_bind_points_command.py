@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from splat_files import splat_ply
+from core.points.splat_files import splat_ply
 
 from physkin_core import BUNDLED_AVATAR, Draper, SplatDraper, cli, load_avatar, load_motion
 from physkin_core.points.point_files import read_points
