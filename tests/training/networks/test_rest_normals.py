@@ -30,8 +30,8 @@ def test_shipped_models_carry_fitted_normals(name):
     """Nearer to the draped mesh's than its own normals carried, in the middle and at the worst, and nowhere farther,
     but where the worst is small.
 
-    A sixteenth of what was measured for the documentation. The worst of skirt and dress, 130 degrees and more, are folds
-    that lie the other way round, which no rest normal follows.
+    A sixteenth of what was measured for the documentation. The worst of skirt and dress, 130 degrees and more, are
+    folds that lie the other way round, which no rest normal follows.
     """
     model = load_garment_model(name)
     fitted, own = (normal_errors(each, bodies=1, frames=4) for each in (model, replace(model, rest_normals=None)))
