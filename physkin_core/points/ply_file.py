@@ -109,8 +109,11 @@ def _ascii_rows(path: Path, content: bytes, start: int, count: int, dtype: np.dt
     if len(lines) < count:  # without a line end after the last
         lines, rest = [*lines, rest], b""
     try:
-        rows = [tuple(line.split()) for line in lines]
-        return np.array(rows, dtype=[(name, "S32") for name in dtype.names]).astype(dtype), len(content) - len(rest)
+        words = np.array([line.split() for line in lines]).reshape(count, len(dtype.names))
+        vertices = np.empty(count, dtype=dtype)
+        for name, column in zip(dtype.names, words.T):
+            vertices[name] = column.astype(dtype[name])
+        return vertices, len(content) - len(rest)
     except ValueError as error:
         numbers = f"{count} lines of {len(dtype.names)} numbers"
         raise ValueError(f"cannot read {path}: its vertices must be {numbers}") from error

@@ -113,6 +113,17 @@ def replaced(**words):
     return content
 
 
+def test_numbers_as_text_may_be_long(tmp_path):
+    (tmp_path / "a.ply").write_bytes(
+        b"ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty float y\nproperty float z\n"
+        b"property uchar red\nend_header\n0.12345678901234567890123456789012345678e-3 2 3 255\n-1 .5 1e2 7"
+    )
+    file = read_points(tmp_path / "a.ply")
+    np.testing.assert_allclose(file.points, [[0.12345678901234568e-3, 2, 3], [-1, 0.5, 100]], rtol=1e-15)
+    file.write(tmp_path / "b.ply", file.points[::-1], None)
+    assert (tmp_path / "b.ply").read_bytes().endswith(b"\n-1 0.5 100 255\n0.00012345678901234567 2 3 7\n")
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
