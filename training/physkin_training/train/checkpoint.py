@@ -22,7 +22,15 @@ from physkin_training.train.processes import Processes
 from physkin_training.train.soap import SIDES, Soap
 from physkin_training.train.validation import BestModel
 
-__all__ = ["CheckpointError", "Progress", "load_checkpoint", "load_drape", "save_checkpoint", "saved_steps"]
+__all__ = [
+    "CheckpointError",
+    "Progress",
+    "holds_checkpoint",
+    "load_checkpoint",
+    "load_drape",
+    "save_checkpoint",
+    "saved_steps",
+]
 
 OPTIMISER_FILES = ("exp_avg", "exp_avg_sq", *(f"{kind}_{side}" for kind in ("covariance", "basis") for side in SIDES))
 TENSOR_FILES = ("drape", "average", "best", *OPTIMISER_FILES, "random")
@@ -156,6 +164,11 @@ def load_drape(folder: Path, drape: Drape) -> dict:
     drape.load_state_dict(tensors | learnt)
     run = state["config"] | {"step": state["best"]["step"] if state["best"] else state["step"]}
     return run | ({"started_from": state["started_from"]} if state.get("started_from") else {})
+
+
+def holds_checkpoint(folder: Path) -> bool:
+    """Whether there is a complete checkpoint, also where a save was interrupted."""
+    return (_complete(folder) / "state.json").exists()
 
 
 def saved_steps(folder: Path) -> int:
