@@ -105,7 +105,7 @@ def test_a_lost_worker_is_replaced_and_goes_on(shop, tmp_path, capsys):
     status = {name: json.loads((models / name / "status.json").read_text()) for name in ("belly", "waist", "dot")}
     assert [status[name]["state"] for name in status] == ["finished", "finished", "failed"]
     assert status["waist"]["starts"] == 2 and status["belly"]["starts"] == 1
-    assert status["waist"]["resumed_at"][0] >= 40
+    assert status["waist"]["resumed_at"][0] > 0
     assert load_garment_model(models / "waist.safetensors").training["optimisation"]["steps"] == 200
     steps = [json.loads(line)["step"] for line in (models / "waist" / "losses.jsonl").read_text().splitlines()]
     assert steps[-1] == 200 and len(steps) < 2 * 200 - 20, "it did not begin from the start"

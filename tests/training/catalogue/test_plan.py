@@ -43,7 +43,7 @@ def note(job, state, **more):
 
 def save_checkpoint(job, folder="checkpoint"):
     (job.folder / folder).mkdir(parents=True)
-    (job.folder / folder / "state.json").write_text("{}")
+    (job.folder / folder / "state.json").write_text('{"step": 7, "config": {}}')
 
 
 def test_a_job_for_each_mesh(shop, tmp_path):
@@ -146,13 +146,23 @@ def test_the_page_has_a_row_each(shop, tmp_path):
     note(job, "finished", check={"verdict": "usable", "everyday": sits, "rest": {"inside_percent": 0.125}})
     checks = [{"check": "units", "outcome": "repaired"}, {"check": "winding", "outcome": "ok"}]
 
-    (job.folder / "figures.json").write_text(json.dumps({"seconds": 90, "checks": checks, "figures": figures}))
-    (job.folder / "picture.png").write_bytes(b"\x89PNG")
+    (job.folder / "figures.json").write_text(
+        json.dumps({"seconds": 90, "checks": checks, "figures": figures, "advice": "train <longer>"})
+    )
+    (job.folder / "picture.jpg").write_bytes(b"\xff\xd8\xff")
     write_page(tmp_path / "page.html", list(jobs.values()))
     page = (tmp_path / "page.html").read_text()
-    for words in ("usable</span>", "edges 3.2 %", "edges 2.0 % (12.0)", "1.5 minutes", "units", 'href="coat.html"'):
+    for words in (
+        "usable</span>",
+        "edges 3.2 %",
+        "edges 2.0 %, skinning 12.0 %",
+        "1.5 minutes",
+        "train &lt;longer&gt;",
+        "units",
+        'href="coat.html"',
+    ):
         assert words in page
-    assert "winding" not in page and "refresh" not in page and page.count("data:image/png;base64,iVBORw==") == 1
+    assert "winding" not in page and "refresh" not in page and page.count("data:image/jpeg;base64,/9j/") == 1
 
 
 def test_status_of_another_state_is_kept_whole(shop):

@@ -10,17 +10,20 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.check.garment_check import check_garment
-from physkin_core.picture import PictureError, contact_sheet, save_png
-from physkin_training.catalogue.plan import Job, Status, read_status, stage, steps_taken, write_status
+from physkin_core.picture import PictureError, contact_sheet
+from physkin_training.catalogue.plan import CHECKPOINT, Job, Status, read_status, stage, write_status
 from physkin_training.evaluate.contact_sheet import chosen_poses
 from physkin_training.fit_garment import fit_garment
 from physkin_training.fit_garment.pictures import front_and_back
+from physkin_training.train.checkpoint import checkpoint_step
 
 __all__ = ["LOG", "PICTURE", "train_garment"]
 
-LOG, PICTURE = "log.txt", "picture.png"
+LOG, PICTURE = "log.txt", "picture.jpg"
 INTERRUPTED = 130
 TOLD = "error: "
 
@@ -33,12 +36,11 @@ def train_garment(job: Job, device: str) -> Status:
     """
     goes_on = stage(job) == "resumes"
     status = read_status(job) or Status(job.fingerprint, "training", starts=0)
-    taken = steps_taken(job) if goes_on else None
-    resumed_at = [*status.resumed_at, taken[0]] if taken else status.resumed_at if goes_on else []
+    resumed_at = [*status.resumed_at, checkpoint_step(job.folder / CHECKPOINT)] if goes_on else []
     status = replace(status, state="training", reason="", starts=status.starts + 1, resumed_at=resumed_at)
     if not goes_on:  # of another mesh or other settings, perhaps
-        for old in job.folder.glob("checkpoint*"):
-            shutil.rmtree(old)
+        for ending in ("", ".previous", ".partial"):
+            shutil.rmtree(job.folder / f"{CHECKPOINT}{ending}", ignore_errors=True)
         for name in (PICTURE, fit_garment.FIGURES, "placement.png", "losses.jsonl"):
             (job.folder / name).unlink(missing_ok=True)
     write_status(job, status)
@@ -78,10 +80,17 @@ def _looked_at(job: Job) -> dict:
     garment = draper.drape(positions, gravity)[:, :3]
     try:
         views = front_and_back(body, draper.avatar.faces, garment, draper.faces)
-        save_png(job.folder / PICTURE, contact_sheet(views, columns=2))
+        _save_jpeg(job.folder / PICTURE, contact_sheet(views, columns=2))
     except PictureError as error:
         print(f"no picture: {error}")
     return check_garment(draper).as_plain_data()
+
+
+def _save_jpeg(path: Path, picture: np.ndarray) -> None:
+    """A tenth of a PNG: a page holds a thousand."""
+    from PIL import Image
+
+    Image.fromarray(picture).save(path, quality=85)
 
 
 def _reason(log: Path) -> str:

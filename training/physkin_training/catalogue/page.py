@@ -18,7 +18,15 @@ from physkin_training.fit_garment.report import badge, html_page
 
 __all__ = ["write_page"]
 
-COLUMNS = ("", "garment", "", "everyday poses, on the avatar", "held-out bodies and poses", "training", "the mesh")
+COLUMNS = (
+    "",
+    "garment",
+    "it sits",
+    "on the avatar, everyday poses",
+    "held-out bodies, all poses",
+    "training",
+    "the mesh",
+)
 COLOURS = {
     "waiting": "unsure",
     "stopped": "unsure",
@@ -29,9 +37,9 @@ COLOURS = {
     "bad": "refused",
 }
 """State or verdict -> outcome of a check that has its colour."""
-PICTURES = (PICTURE, "placement.png")
-"""In a garment's folder, the best first."""
-WIDTH = 330
+PICTURES = {PICTURE: "jpeg", "placement.png": "png"}
+"""In a garment's folder, the best first, and its format."""
+WIDTH = 360
 SHOWN_OUTCOMES = ("repaired", "warning", "unsure", "refused")
 
 
@@ -78,11 +86,12 @@ def _read(path: Path) -> dict:
 
 
 def _picture(job: Job) -> str:
-    drawn = next((job.folder / name for name in PICTURES if (job.folder / name).exists()), None)
-    if drawn is None:
-        return ""
-    data = base64.b64encode(drawn.read_bytes()).decode()
-    return f'<img width="{WIDTH}" src="data:image/png;base64,{data}" alt="{html.escape(job.name)}">'
+    for name, kind in PICTURES.items():
+        if (job.folder / name).exists():
+            data = base64.b64encode((job.folder / name).read_bytes()).decode()
+            style = f'style="width: {WIDTH}px; max-width: none"'
+            return f'<img {style} src="data:image/{kind};base64,{data}" alt="{html.escape(job.name)}">'
+    return ""
 
 
 def _on_avatar(check: dict) -> str:
@@ -96,8 +105,8 @@ def _on_avatar(check: dict) -> str:
 def _held_out(figures: dict) -> str:
     """Strains of the model and of plain skinning."""
     words = (("edges", "edge_strain_percent"), ("areas", "area_strain_percent"), ("inside", "inside_percent"))
-    lines = [f"{word} {figures['model'][key]:.1f} % ({figures['skinning'][key]:.1f})" for word, key in words]
-    return "<br>".join([*lines, "(plain skinning)"])
+    lines = [f"{word} {figures['model'][key]:.1f} %, skinning {figures['skinning'][key]:.1f} %" for word, key in words]
+    return "<br>".join(lines)
 
 
 def _training(job: Job, status: Status, found: dict) -> str:
@@ -105,7 +114,7 @@ def _training(job: Job, status: Status, found: dict) -> str:
     if taken := steps_taken(job):
         lines.append("{:,} of {:,} steps".format(*taken))
     if found:
-        lines.append(f"{found['seconds'] / 60:.1f} minutes")
+        lines += [f"{found['seconds'] / 60:.1f} minutes", html.escape(found["advice"])]
     if status.starts > 1:
         lines.append(f"begun {status.starts} times")
     lines += [f"gone on at step {step:,}" for step in status.resumed_at]

@@ -14,9 +14,10 @@ from typing import Literal
 
 from physkin_training.config import load_config
 from physkin_training.fit_garment.mesh_file import SUFFIXES
-from physkin_training.train.checkpoint import holds_checkpoint
+from physkin_training.train.checkpoint import checkpoint_step
 
 __all__ = [
+    "CHECKPOINT",
     "CatalogueError",
     "Job",
     "Stage",
@@ -29,7 +30,7 @@ __all__ = [
 ]
 
 RECIPE_SUFFIX = ".toml"
-STATUS = "status.json"
+STATUS, CHECKPOINT = "status.json", "checkpoint"
 
 Stage = Literal["finished", "resumes", "new"]
 
@@ -65,8 +66,11 @@ class Job:
 
 @dataclass(frozen=True)
 class Status:
-    """How far a job is. reason: why it failed. starts: how often it was begun or gone on with. resumed_at: steps
-    recorded when it went on. check: of the trained garment on the avatar, as `physkin check --json` has it."""
+    """How far a job is.
+
+    reason: why it failed. starts: how often it was begun or gone on with. resumed_at: steps of the checkpoints that it
+    went on from. check: of the trained garment on the avatar, as `physkin check --json` has it.
+    """
 
     fingerprint: str
     state: Literal["training", "stopped", "finished", "failed"]
@@ -158,7 +162,7 @@ def stage(job: Job) -> Stage:
         return "new"
     if status.state == "finished" and job.output.exists():
         return "finished"
-    return "resumes" if holds_checkpoint(job.folder / "checkpoint") else "new"
+    return "new" if checkpoint_step(job.folder / CHECKPOINT) is None else "resumes"
 
 
 def steps_taken(job: Job) -> tuple[int, int] | None:

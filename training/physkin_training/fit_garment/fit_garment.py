@@ -27,11 +27,11 @@ from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.pictures import placement_picture
-from physkin_training.fit_garment.report import recorded_seconds, write_report
+from physkin_training.fit_garment.report import longer_or_not, read_losses, recorded_seconds, write_report
 from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.verdicts import verdict_table
 from physkin_training.train import train
-from physkin_training.train.checkpoint import holds_checkpoint
+from physkin_training.train.checkpoint import checkpoint_step
 from physkin_training.train.trainer import Trainer
 
 __all__ = ["FIGURES", "as_toml", "choose_steps", "command_parser", "main"]
@@ -49,7 +49,7 @@ FEWEST_STEPS = 100
 ADVICE = "give more, or a smaller recipe with --recipe"
 REFUSED = 1
 FIGURES = "figures.json"
-"""File in the run's folder: `seconds` of training, `checks` and, as `physkin evaluate --json` has them, `figures`."""
+"""In the run's folder: `seconds` of training, `checks`, `figures` as of `physkin evaluate --json`, `advice`."""
 
 
 def choose_steps(config: TrainingConfig, device: torch.device, budget: TimeBudget) -> int:
@@ -216,7 +216,7 @@ def _train_and_report(
 ) -> int:
     output, folder = options.output, mesh.parent
     configuration, losses, checkpoint = folder / "config.toml", folder / "losses.jsonl", folder / "checkpoint"
-    resumed = options.resume and configuration.exists() and holds_checkpoint(checkpoint)
+    resumed = options.resume and configuration.exists() and checkpoint_step(checkpoint) is not None
     if resumed:
         config, earlier, budget = load_config(configuration), recorded_seconds(losses), TimeBudget()
     else:
@@ -251,7 +251,8 @@ def _train_and_report(
         poses=options.poses,
         pictures=not options.no_pictures,
     )
-    found = {"seconds": seconds, "checks": [vars(verdict) for verdict in checked.verdicts], "figures": scores}
+    found = {"seconds": seconds, "checks": [vars(verdict) for verdict in checked.verdicts]}
+    found |= {"figures": scores, "advice": longer_or_not(read_losses(losses))}
     (folder / FIGURES).write_text(json.dumps(found, indent=1))
     print(f"wrote {output} and {report}, {budget.spent / 60:.1f} minutes in all")
     return 0

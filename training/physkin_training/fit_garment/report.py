@@ -28,7 +28,16 @@ from physkin_training.fit_garment.pictures import front_and_back
 from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.verdicts import COLUMNS
 
-__all__ = ["badge", "html_page", "html_table", "longer_or_not", "loss_curve", "recorded_seconds", "write_report"]
+__all__ = [
+    "badge",
+    "html_page",
+    "html_table",
+    "longer_or_not",
+    "loss_curve",
+    "read_losses",
+    "recorded_seconds",
+    "write_report",
+]
 
 FIRST_POSES = 2
 """Poses a body that are evaluated first, to see how many there is time for."""
@@ -86,7 +95,7 @@ def write_report(
         scores = evaluate(more)
     optimisation = model.training["optimisation"]
     steps, samples = optimisation["steps"], optimisation["samples"]
-    rows = _read_losses(losses)
+    rows = read_losses(losses)
     counts = "{bodies} held-out bodies, {poses} poses each".format(**scores["counts"])
     parts = [
         f"<h1>{html.escape(model.name)}</h1>",
@@ -223,8 +232,8 @@ def _read_rows(path: Path) -> list[dict]:
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
-def _read_losses(path: Path) -> list[dict]:
-    """In order of the steps, without those that were lost and taken again."""
+def read_losses(path: Path) -> list[dict]:
+    """The rows of a training's record, in order of the steps, without those that were lost and taken again."""
     rows = {row["step"]: row for row in _read_rows(path)}
     return [rows[step] for step in sorted(rows)]
 

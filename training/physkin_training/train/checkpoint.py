@@ -25,7 +25,7 @@ from physkin_training.train.validation import BestModel
 __all__ = [
     "CheckpointError",
     "Progress",
-    "holds_checkpoint",
+    "checkpoint_step",
     "load_checkpoint",
     "load_drape",
     "save_checkpoint",
@@ -166,9 +166,12 @@ def load_drape(folder: Path, drape: Drape) -> dict:
     return run | ({"started_from": state["started_from"]} if state.get("started_from") else {})
 
 
-def holds_checkpoint(folder: Path) -> bool:
-    """Whether there is a complete checkpoint, also where a save was interrupted."""
-    return (_complete(folder) / "state.json").exists()
+def checkpoint_step(folder: Path) -> int | None:
+    """The step a checkpoint is of, also where a save was interrupted; None where there is none that can be read."""
+    try:
+        return _read_state(folder)["step"]
+    except CheckpointError:
+        return None
 
 
 def saved_steps(folder: Path) -> int:
