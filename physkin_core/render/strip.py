@@ -24,8 +24,9 @@ AROUND = 0.05
 def draw_strip(outfit: Outfit, motion: Motion, count: int, *, watch: Watch = lambda share: None) -> np.ndarray:
     """Frames evenly spread over a motion, the first and the last among them, from the front and below it from the back.
 
-    Every frame of the motion is draped, as order is kept from one to the next. watch: told how far the drawing is. Returns
-    (H, W, 3) uint8. Raises ValueError for a count below 2, above 24 or above what the motion has; PictureError as `render` does.
+    Every frame of the motion is draped, as order is kept from one to the next. watch: told how far the drawing is.
+    Returns (H, W, 3) uint8. Raises ValueError for a count below 2, above 24 or above what the motion has; PictureError
+    as `render` does.
     """
     most = min(MOST_FRAMES, motion.frame_count)
     if not 2 <= count <= most:
