@@ -99,10 +99,11 @@ def write_report(
 def write_overview(path: Path, bags: Sequence[tuple[str, str, Mapping | None, str]]) -> None:
     """Write the page over many bags. bags: of each its name, the address of its own page, its figures from `describe`,
     None while there are none, and why it could not be replayed, empty where it could."""
-    rows = []
+    rows, failed = [], []
     for name, address, figures, reason in bags:
         if figures is None:
-            rows.append([html.escape(name), f'<span class="worse">{html.escape(reason or "not yet")}</span>'])
+            rows.append([html.escape(name)])
+            failed += [f'<p class="worse">{html.escape(name)}: {html.escape(reason)}</p>'] if reason else []
             continue
         counts = figures["counts"]
         means = [figures["figures"][figure]["mean"] for figure in LABELS]
@@ -110,8 +111,8 @@ def write_overview(path: Path, bags: Sequence[tuple[str, str, Mapping | None, st
         shown = ["" if mean is None else f"{mean:.3f}" for mean in means]
         rows.append([link, counts["draped"], counts["rejected"], f"{figures['bag']['duration_s']:.2f}", *shown])
     header = ["bag", "draped", "rejected", "s", *LABELS.values()]
-    title = f"{len(bags)} bags replayed"
-    parts = [f"<h1>{title}</h1>", "<p>Means over clouds.</p>", tabulate(rows, header, tablefmt="unsafehtml")]
+    title = f"{len(bags)} bags"
+    parts = [f"<h1>{title}</h1>", *failed, "<p>Means over clouds.</p>", tabulate(rows, header, tablefmt="unsafehtml")]
     path.write_text(_page(title, parts), "utf-8")
 
 

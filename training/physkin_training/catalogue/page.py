@@ -96,17 +96,21 @@ def _picture(job: Job) -> str:
 
 def _on_avatar(check: dict) -> str:
     everyday, rest = check["everyday"], check["rest"]
-    return (
-        f"edges {everyday['edge_strain_percent']:.1f} %<br>inside {everyday['inside_percent']:.2f} %, "
-        f"{everyday['deepest_mm']:.0f} mm deep<br>inside at rest {rest['inside_percent']:.2f} %"
+    return _lines(
+        [
+            f"edges {everyday['edge_strain_percent']:.1f} %",
+            f"inside {everyday['inside_percent']:.2f} %, {everyday['deepest_mm']:.0f} mm deep",
+            f"inside at rest {rest['inside_percent']:.2f} %",
+        ]
     )
 
 
 def _held_out(figures: dict) -> str:
     """Strains of the model and of plain skinning."""
     words = (("edges", "edge_strain_percent"), ("areas", "area_strain_percent"), ("inside", "inside_percent"))
-    lines = [f"{word} {figures['model'][key]:.1f} %, skinning {figures['skinning'][key]:.1f} %" for word, key in words]
-    return "<br>".join(lines)
+    return _lines(
+        [f"{word} {figures['model'][key]:.1f} %, skinning {figures['skinning'][key]:.1f} %" for word, key in words]
+    )
 
 
 def _training(job: Job, status: Status, found: dict) -> str:
@@ -124,4 +128,10 @@ def _training(job: Job, status: Status, found: dict) -> str:
 def _mesh(checks: Sequence[dict]) -> str:
     """What was not simply right."""
     shown = [check for check in checks if check["outcome"] in SHOWN_OUTCOMES]
-    return "<br>".join(f"{badge(check['outcome'], check['outcome'])} {html.escape(check['check'])}" for check in shown)
+    lines = [f"{badge(check['outcome'], check['outcome'])} {html.escape(check['check'])}" for check in shown]
+    return _lines(lines or ["all is well"])
+
+
+def _lines(lines: Sequence[str]) -> str:
+    """Short lines below each other, HTML."""
+    return "".join(f'<div style="white-space: nowrap">{line}</div>' for line in lines)
