@@ -39,7 +39,7 @@ COLOURS = {
 """State or verdict -> outcome of a check that has its colour."""
 PICTURES = {PICTURE: "jpeg", "placement.png": "png"}
 """In a garment's folder, the best first, and its format."""
-WIDTH = 360
+WIDTH = 300
 SHOWN_OUTCOMES = ("repaired", "warning", "unsure", "refused")
 
 
@@ -122,7 +122,7 @@ def _training(job: Job, status: Status, found: dict) -> str:
     if status.starts > 1:
         lines.append(f"begun {status.starts} times")
     lines += [f"gone on at step {step:,}" for step in status.resumed_at]
-    return "<br>".join(lines)
+    return f'<div style="min-width: 14em">{"<br>".join(lines)}</div>'
 
 
 def _mesh(checks: Sequence[dict]) -> str:
