@@ -62,6 +62,14 @@ def test_without_ray_the_extra_is_named(shop, tmp_path, capsys, monkeypatch):
     assert "pip install 'physkin[catalogue]'" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "127.0.0.1:port", "127.0.0.1:99999", "ray://127.0.0.1:1"])
+def test_an_address_without_a_cluster_is_told_at_once(address, shop, tmp_path, capsys):
+    pytest.importorskip("ray", reason="needs the [catalogue] extra")
+    assert main(["train-catalogue", str(shop), "-o", str(tmp_path / "models"), "--address", address]) == 2
+    error = capsys.readouterr().err
+    assert f"--address {address}: no Ray cluster answers there" in error and error.count("\n") == 1
+
+
 def process_that_writes(log: Path) -> int | None:
     """The process that has the file open for writing."""
     for number in filter(str.isdigit, os.listdir("/proc")):

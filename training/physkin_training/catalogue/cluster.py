@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ __all__ = ["Cluster", "joined"]
 
 LETTING_GO = 60.0
 """Time [s] that trainings get to write a checkpoint when all is stopped."""
+ANSWER = 5.0
+"""Time [s] that a cluster gets to answer."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,7 @@ def joined(
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     import ray
 
+    _check_address(address)
     ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     try:
         machines = [node["Resources"] for node in ray.nodes() if node["Alive"]]
@@ -104,3 +108,16 @@ def joined(
         yield Cluster(cpus, gpus, retries, min(at_once or fits, fits))
     finally:
         ray.shutdown()
+
+
+def _check_address(address: str | None) -> None:
+    """Raises ConnectionError where nothing answers; Ray would try for minutes. Names ("auto") are left to it."""
+    host, _, port = (address or "").removeprefix("ray://").rpartition(":")
+    if not host:
+        return
+    try:
+        socket.create_connection((host, int(port)), timeout=ANSWER).close()
+    except (OSError, ValueError, OverflowError) as error:
+        raise ConnectionError(
+            f"--address {address}: no Ray cluster answers there ({error}); allowed: HOST:PORT"
+        ) from error

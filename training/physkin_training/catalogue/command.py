@@ -58,14 +58,14 @@ def main(argv: list[str] | None = None) -> int:
     if not to_do:
         return 0
     try:
-        failed = _train(options, jobs, to_do, page)
+        status = 1 if _train(options, jobs, to_do, page) else 0
     except KeyboardInterrupt:
         print("stopped; the same command goes on")
-        return INTERRUPTED
+        status = INTERRUPTED
     finally:
         write_page(page, jobs)
-        print(f"wrote {page}")
-    return 1 if failed else 0
+    print(f"wrote {page}")
+    return status
 
 
 def _train(options: argparse.Namespace, jobs: list[Job], to_do: list[Job], page: Path) -> int:
