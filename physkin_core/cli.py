@@ -56,6 +56,10 @@ FORWARDED = {
         "check, train and report on a garment of one's own",
     ),
     "train": ("physkin_training.train.train", "train a garment from its mesh and physics"),
+    "train-catalogue": (
+        "physkin_training.catalogue.command",
+        "check, train and report on every garment of a folder, on a Ray cluster",
+    ),
     "bench": ("physkin_bench", "time a frame, its stages and other engines on this machine"),
     "simulate": ("physkin_training.evaluate.simulate", "drape a garment on an avatar by minimising its energy"),
     "evaluate": ("physkin_training.evaluate.command", "measure a garment model or outfits on bodies it has not seen"),
