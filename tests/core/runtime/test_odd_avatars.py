@@ -37,8 +37,8 @@ def person():
 
 @pytest.mark.parametrize("garment", GARMENTS)
 def test_odd_pivots_give_the_drape_of_the_right_ones_at_rest(person, garment, monkeypatch):
-    """Bones 2 to 6 cm astray in the same flesh leave cloth within a millimetre of where it is, two at most, but for the room
-    that it gets: that is outwards, some millimetres. None is inside."""
+    """Bones 2 to 6 cm astray in the same flesh leave cloth within a millimetre of where it is on average, two at most,
+    but for the room that it gets: that is outwards, some millimetres. None is inside."""
     model, odd = load_garment_model(garment), with_odd_pivots(person, 1)
     for fit in (0.0, 1.0):
         right, roomy = (Draper(model, each, fit=fit).drape({})[:, :3] for each in (person, odd))
