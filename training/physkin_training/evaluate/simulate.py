@@ -159,6 +159,11 @@ class DrapeSimulation:
 
 def main(argv: list[str] | None = None) -> int:
     """Command line entry: `physkin simulate GARMENT`. Returns 0, 1 when a drape did not converge, 2 after an error."""
+    arguments = sys.argv[1:] if argv is None else argv
+    if "--dynamic" in arguments:
+        from physkin_training.dynamics.command import main as simulate_dynamically
+
+        return simulate_dynamically(arguments)
     options = _parser().parse_args(argv)
     try:
         return _simulate(options)
