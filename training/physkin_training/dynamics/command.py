@@ -61,7 +61,8 @@ def _parser() -> argparse.ArgumentParser:
         name = "--" + entry.name.replace("_", "-")
         parser.add_argument(name, type=float, default=entry.default, metavar="X", help="(default %(default)s)")
     parser.add_argument("--tolerance", type=float, default=TOLERANCE, help="residual force / weight (%(default)s)")
-    parser.add_argument("--iterations", type=int, default=12, help="Newton steps in a step (default %(default)s)")
+    parser.add_argument("--iterations", type=int, default=3, help="Newton steps in a step (default %(default)s)")
+    parser.add_argument("--products", type=int, default=48, help="in a Newton step (default %(default)s)")
     parser.add_argument("--points", type=int, default=96, help="vertices kept of every frame (default %(default)s)")
     parser.add_argument("--whole", type=int, default=30, help="a whole garment every so many frames (%(default)s)")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="what is done by then is written")
@@ -71,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    for name in ("steps", "iterations", "points", "whole"):
+    for name in ("steps", "iterations", "products", "points", "whole"):
         if getattr(options, name) < 1:
             raise ValueError(f"--{name} must be at least 1, got {getattr(options, name)}")
     if not (options.tolerance > 0 and options.minutes > 0):
@@ -97,6 +98,7 @@ def _simulate(options: argparse.Namespace) -> int:
         recording,
         tolerance=options.tolerance,
         iterations=options.iterations,
+        products=options.products,
         seconds=60 * options.minutes - (time.monotonic() - began),
     )
     options.output.mkdir(parents=True, exist_ok=True)
@@ -140,7 +142,10 @@ class Recording:
     def references(self, scenes: list[Motion], bodies: np.ndarray, described: dict) -> list[Reference]:
         """One a scene, of the frames that there are."""
         frames = len(self.points)
+        found = self.simulation.lost_at.clamp_max(frames).cpu().numpy()
         by_sample = np.stack(self.points, axis=1)
+        for points, count in zip(by_sample, found):
+            points[count:] = 0
         energies = {name: np.stack([each[name] for each in self.energies], axis=1) for name in self.energies[0]}
         results = []
         for k, scene in enumerate(scenes):
@@ -158,10 +163,11 @@ class Recording:
                     bodies,
                     self.vertices,
                     by_sample[of_scene],
+                    found[of_scene],
                     {name: values[of_scene] for name, values in energies.items()},
                     len(bodies) // 2,
-                    np.array(sorted(self.whole)),
-                    np.stack([self.whole[index][k] for index in sorted(self.whole)]),
+                    np.array(kept := [index for index in sorted(self.whole) if index < found[self._of_middle][k]]),
+                    np.stack([self.whole[index][k] for index in kept]),
                     described,
                 )
             )
@@ -169,10 +175,12 @@ class Recording:
 
     def report(self, seconds: float) -> str:
         residual = np.stack(self.residual)
+        lost = int((self.simulation.lost_at < len(self.points)).sum())
+        middle, high = np.nanquantile(residual, (0.5, 0.99))
         return (
-            f"{len(self.points)} frames of {self.simulation.samples} samples in {seconds:.0f} s; "
-            f"{self.iterations} Newton steps one after the other; residual / weight {np.median(residual):.1e} median, "
-            f"{np.quantile(residual, 0.99):.1e} 99th percentile, {residual.max():.1e} at most"
+            f"{len(self.points)} frames of {self.simulation.samples} samples, {lost} of them lost, in {seconds:.0f} s; "
+            f"{self.iterations} Newton steps one after the other; residual / weight {middle:.1e} median, {high:.1e} "
+            f"99th percentile"
         )
 
 

@@ -30,8 +30,9 @@ class Reference:
     """One garment in one scene.
 
     garment: its name. motion: the scene. bodies: (S, c) shape coefficients. vertices: (k,) which the points are.
-    points: (S, T, k, 3) float32. energies: (S, T) float32 [J] by term, see `Frame`. whole_frames: (w,) of which whole
-    garments (w, n, 3) float32 are kept, of body `whole_body`. described: step, air drag, relaxation and the like.
+    points: (S, T, k, 3) float32; only the first `frames` (S,) of a body count, then the simulation lost it. energies:
+    (S, T) float32 [J] by term, see `Frame`. whole_frames: (w,) of which whole garments (w, n, 3) float32 are kept, of
+    body `whole_body`. described: step, air drag, relaxation and the like.
     """
 
     garment: str
@@ -39,6 +40,7 @@ class Reference:
     bodies: np.ndarray
     vertices: np.ndarray
     points: np.ndarray
+    frames: np.ndarray
     energies: dict[str, np.ndarray]
     whole_body: int
     whole_frames: np.ndarray
@@ -82,6 +84,7 @@ def save_reference(reference: Reference, path: Path) -> None:
         bodies=reference.bodies.astype(np.float32),
         vertices=reference.vertices.astype(np.int32),
         points=_packed(reference.points, LENGTH, axis=1),
+        frames=reference.frames.astype(np.int32),
         whole_frames=reference.whole_frames.astype(np.int32),
         whole=_packed(reference.whole, LENGTH, axis=0),
         **{f"energy.{name}": values.astype(np.float32) for name, values in reference.energies.items()},
@@ -108,7 +111,8 @@ def load_reference(path: Path) -> Reference:
             motion,
             arrays["bodies"],
             arrays["vertices"],
-            _unpacked(arrays["points"], LENGTH, axis=1),
+            points := _unpacked(arrays["points"], LENGTH, axis=1),
+            arrays.get("frames", np.full(len(points), points.shape[1])),
             energies,
             described["whole_body"],
             arrays["whole_frames"],
