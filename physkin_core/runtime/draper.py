@@ -24,6 +24,7 @@ from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import make_evaluator
 from physkin_core.runtime.rest_look import RestLook, look_at_rest
 from physkin_core.separation.limb_separator import LimbSeparator
+from physkin_core.sway.sway import Sway, gravity_at
 
 __all__ = ["BACKENDS", "STANDARD_GRAVITY", "UPRIGHT_GRAVITY", "Draper", "in_units_of_gravity"]
 
@@ -36,6 +37,8 @@ LARGEST_EFFECTIVE_GRAVITY = 3.0
 """In units of gravity; training knows no more."""
 UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
 """Gravity direction in the root frame of an upright body."""
+LEAST_DIRECTED = 2.0
+"""[m/s2] a model that knows directions alone does not follow an effective gravity below this."""
 FULL_TURN = 2 * np.pi
 
 
@@ -93,6 +96,7 @@ class Draper:
         self.avatar = avatar
         self.backend = backend
         self.bound: BoundGarment = bound
+        self._sway = Sway(backend=backend)
         self._degrees_told = False
         self._bone_rotations: dict[str, BoneRotations] = {}
         self._evaluator = make_evaluator(backend, bound, precision=precision, normals=normals)
@@ -151,6 +155,8 @@ class Draper:
         gravity: np.ndarray = UPRIGHT_GRAVITY,
         *,
         effective_gravity: np.ndarray | None = None,
+        time: float | None = None,
+        root: np.ndarray | None = None,
         out: np.ndarray | None = None,
     ) -> np.ndarray:
         """Deform the garment for one pose.
@@ -159,15 +165,33 @@ class Draper:
         gravity: (3,) direction in the root frame, any length but zero, of a root that is not accelerated.
         effective_gravity: (3,) [m/s2] in the root frame, of one that is: gravity less the root's acceleration, zero in
         free fall, at most three times gravity; takes the place of `gravity`, for models that have learnt it
-        (`GarmentModel.accelerated`). out: (n, 6) or (n, 3) writable float32 view, any row stride; default a new (n, 6).
+        (`GarmentModel.accelerated`). time [s] and root (7,): when this is, and where the root is in the world, as of
+        `Sway.felt`, which then tells gravity: cloth lags, swings and settles as much as `sway` says. Of a model that
+        knows no accelerated roots only gravity's direction changes. Frames are then to be given in their order.
+        out: (n, 6) or (n, 3) writable float32 view, any row stride; default a new (n, 6).
         Returns `out`: x, y, z [m], then the unit normal.
         Raises ValueError on wrong lengths, unknown joints or values that are not finite, naming the joint.
         """
+        if time is not None or root is not None:
+            gravity, effective_gravity = self._sway_gravity(time, root, effective_gravity)
         positions, down = self.checked_pose(joint_positions, gravity, effective_gravity)
         if out is None:
             out = np.empty((self.vertex_count, 6), dtype=np.float32)
         self._evaluator.evaluate(positions, down, out)
         return out
+
+    @property
+    def sway(self) -> float:
+        """How much the cloth swings where `drape` is told time and root: 0 not at all, 1 (the default) all of it."""
+        return self._sway.amount
+
+    @sway.setter
+    def sway(self, amount: float) -> None:
+        self._sway.amount = amount
+
+    def reset(self) -> None:
+        """Let the cloth hang still, as if the next frame were the first; see `Sway.reset`."""
+        self._sway.reset()
 
     def checked_pose(
         self,
@@ -207,6 +231,17 @@ class Draper:
             self._bone_rotations[skeleton] = BoneRotations(self.model.rig, skeleton=skeleton)
         positions = self._bone_rotations[skeleton].joint_positions(rotations)
         return self.drape(positions, gravity, effective_gravity=effective_gravity, out=out)
+
+    def _sway_gravity(
+        self, time: float | None, root: np.ndarray | None, effective_gravity: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Gravity, and effective gravity where the model knows it, at a time and place of the root."""
+        if time is None or root is None or effective_gravity is not None:
+            raise ValueError("give time and root together, and no effective gravity: it follows from them")
+        felt = self._sway.felt(time, root)
+        if self.model.accelerated and self.sway > 0:
+            return UPRIGHT_GRAVITY, felt
+        return (felt if self.sway > 0 and felt @ felt > LEAST_DIRECTED**2 else gravity_at(root)), None
 
     def _separate_limbs(self) -> LimbSeparator:
         separator = LimbSeparator(self.model.rig, self.avatar, backend=self.backend)

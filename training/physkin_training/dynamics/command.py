@@ -19,7 +19,7 @@ from physkin_training.dynamics.dynamic_simulation import TOLERANCE, DynamicSimul
 from physkin_training.dynamics.incremental_potential import Dynamics
 from physkin_training.dynamics.reference import Reference, save_reference, spread, swinging_vertices
 from physkin_training.dynamics.scenes import ROOT_SCENES, load_scene
-from physkin_training.evaluate.chosen_bodies import bodies_by_girth
+from physkin_training.sampling.chosen_bodies import bodies_by_girth
 
 __all__ = ["main"]
 
