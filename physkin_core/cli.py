@@ -7,26 +7,37 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from physkin_core.avatar.avatar import AvatarWarning
+from physkin_core.completion import SHELLS, completion_script
+from physkin_core.extras import extra_of
 from physkin_core.fit_option import add_fit_option
-from physkin_core.outfit.outfit_options import add_tucked_option, chosen_garments
+from physkin_core.outfit.outfit_options import (
+    add_garment_option,
+    add_limbs_option,
+    add_tucked_option,
+    chosen_garments,
+)
 
 if TYPE_CHECKING:
-    from physkin_core import Outfit
+    from physkin_core import Motion, Outfit
 
 __all__ = ["main"]
 
 FORWARDED = {
     "check": ("physkin_core.check.command", "say how garments sit on an avatar: a verdict, figures, a picture"),
     "export": ("physkin_core.export.command", "write a draped motion as glTF (.glb) or USD, for other tools"),
+    "render": ("physkin_core.render.command", "film a draped motion: .mp4, .gif, .webp or numbered .png"),
+    "doctor": ("physkin_core.doctor.command", "look whether this installation works; say what to do where not"),
+    "view": ("physkin_core.view.command", "show an avatar and its outfit live, on a page in the browser"),
     "node": ("physkin_ros.node.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
     "demo": (
         "physkin_ros.tools.demo",
@@ -56,63 +67,67 @@ FORWARDED = {
 }
 """Subcommand -> module whose `main(argv)` it calls, and what it does."""
 
-EXTRAS = {
-    "ros": ("rclpy", "sensor_msgs", "diagnostic_msgs", "rcl_interfaces"),
-    "replay": ("rosbags", "apsw", "tabulate"),
-    "training": ("torch", "warp", "potpourri3d", "pydantic", "rich", "tensorboard", "physkin_training"),
-    "usd": ("pxr",),
-    "view": ("mitsuba", "PIL", "matplotlib"),
-}
-"""Extra of the pip package -> import packages it brings; colcon leaves `physkin_training` out."""
-
-
+DEBUG = "--debug"
 PICTURE_SIZE = (800, 1000)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Command line. Returns the exit status: 0, or 2 after an error that the user can mend, told in one line."""
+    """Command line. Returns the exit status: 0, 2 after an error that the user can mend, 1 after one of ours (and where
+    a command says so); both are told in one line, unless `--debug` is among the arguments."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    ours = arguments[: arguments.index("--ros-args")] if "--ros-args" in arguments else arguments
+    if debug := DEBUG in ours:
+        arguments.remove(DEBUG)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AvatarWarning)  # commands print or log what `Avatar.warnings` holds
-        return _run(list(sys.argv[1:] if argv is None else argv))
+        try:
+            return _run(arguments)
+        except KeyboardInterrupt:
+            return 130
+        except BrokenPipeError:  # the reader of our output has gone, as `head` does
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        except Exception as error:
+            if debug:
+                raise
+            return _told(error, arguments)
 
 
 def _run(arguments: list[str]) -> int:
+    if arguments and arguments[0] in FORWARDED:
+        return import_module(FORWARDED[arguments[0]][0]).main(arguments[1:]) or 0
+    options = _parser().parse_args(arguments)
+    return options.run(options)
+
+
+def _told(error: Exception, arguments: list[str]) -> int:
+    """Say what went wrong, and what to do. Returns the exit status."""
     from physkin_core.picture import PictureError
 
-    try:
-        if arguments and arguments[0] in FORWARDED:
-            return import_module(FORWARDED[arguments[0]][0]).main(arguments[1:]) or 0
-        options = _parser().parse_args(arguments)
-        return options.run(options)
-    except ModuleNotFoundError as error:
-        extra = next((name for name, modules in EXTRAS.items() if (error.name or "").split(".")[0] in modules), None)
-        if extra is None:
-            raise
+    extra = extra_of(error.name) if isinstance(error, ModuleNotFoundError) else None
+    if extra is not None:
         print(f"error: {error}; physkin {arguments[0]} needs: pip install 'physkin[{extra}]'", file=sys.stderr)
-    except BrokenPipeError:  # the reader of our output has gone, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except (ValueError, OSError, PictureError) as error:  # the core's own errors are ValueErrors
+    elif isinstance(error, ValueError | OSError | PictureError):  # the core's own errors are ValueErrors
         print(f"error: {error}", file=sys.stderr)
-    except KeyboardInterrupt:
-        return 130
+    else:
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        print(f"error: {said}; this should not happen: physkin {DEBUG} shows where, please report it", file=sys.stderr)
+        return 1
     return 2
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(forwarded: Mapping[str, argparse.ArgumentParser] = MappingProxyType({})) -> argparse.ArgumentParser:
+    """forwarded: options of commands that have their own parser, where they are to be known, too."""
     parser = argparse.ArgumentParser(prog="physkin", description="Clothes for any avatar, live, on one CPU core.")
+    parser.add_argument(DEBUG, action="store_true", help="show where an error was raised")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for name, (_, text) in FORWARDED.items():
-        commands.add_parser(name, help=text, add_help=False)
+        parents = [forwarded[name]] if name in forwarded else []
+        commands.add_parser(name, help=text, add_help=False, parents=parents)
     worn = argparse.ArgumentParser(add_help=False)
     worn.add_argument("avatar", metavar="AVATAR", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
     worn.add_argument("second", nargs="?", help=argparse.SUPPRESS)
-    worn.add_argument(
-        *("-g", "--garment"),
-        action="append",
-        metavar="MODEL",
-        help="a file or a shipped name (default tshirt); several, from the skin outwards, are an outfit",
-    )
+    add_garment_option(worn)
     worn.add_argument("--model", help=argparse.SUPPRESS)
     worn.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
     add_fit_option(worn)
@@ -120,8 +135,9 @@ def _parser() -> argparse.ArgumentParser:
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
     drape.add_argument(
-        "--separate-limbs", action="store_true", help="move arms and legs out of this body's trunk and each other"
+        "--strip", type=int, metavar="N", help="instead: a picture of N frames, evenly spread, front and back"
     )
+    add_limbs_option(drape)
     drape.add_argument("--backend", default="native", help="evaluator: native (default) or numpy")
     add_tucked_option(drape)
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garments as .obj, or a .png picture")
@@ -135,6 +151,9 @@ def _parser() -> argparse.ArgumentParser:
     info = commands.add_parser("info", help="say what a garment model file holds")
     info.add_argument("model", help="garment model file, or the name of a shipped one")
     info.set_defaults(run=_info)
+    completion = commands.add_parser("completion", help="print what a shell needs to complete this command's options")
+    completion.add_argument("shell", choices=SHELLS)
+    completion.set_defaults(run=_complete)
     return parser
 
 
@@ -173,10 +192,25 @@ def _drape(options: argparse.Namespace) -> int:
     motion = load_motion(options.motion, watch=reading_progress(options.motion))
     if not 0 <= options.frame < motion.frame_count:
         raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
+    if options.strip is not None:
+        return _draw_strip(options, motion)
     outfit = _outfit(options)
     positions = motion.positions_for(outfit.models[0].rig)[options.frame]
     cloth = outfit.drape(positions, motion.gravity[options.frame])
     write(options.output, outfit, outfit.avatar.posed_vertices(outfit.bone_transforms(positions)), cloth)
+    print(f"wrote {options.output}")
+    return 0
+
+
+def _draw_strip(options: argparse.Namespace, motion: Motion) -> int:
+    from physkin_core.picture import save_png
+    from physkin_core.progress import progress_line
+    from physkin_core.render.strip import draw_strip
+
+    if options.output.suffix.lower() != ".png":
+        raise ValueError(f"cannot write {options.output}: the name of a strip must end in .png")
+    strip = draw_strip(_outfit(options), motion, options.strip, watch=progress_line(f"drawing {options.output.name}"))
+    save_png(options.output, strip)
     print(f"wrote {options.output}")
     return 0
 
@@ -210,12 +244,10 @@ def _write_obj(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.
 
 
 def _write_png(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]) -> None:
-    from physkin_core.picture import Mesh, layer_colours, render, save_png
+    from physkin_core.picture import render, save_png
+    from physkin_core.render.dressed_meshes import dressed_meshes
 
-    colours = layer_colours(len(cloth))
-    shown = outfit.avatar.faces[~outfit.body_mask] if len(cloth) > 1 else outfit.avatar.faces
-    worn = [Mesh(points[:, :3], faces, colour) for points, faces, colour in zip(cloth, outfit.faces, colours)]
-    save_png(path, render([Mesh(body, shown), *worn], size=PICTURE_SIZE))
+    save_png(path, render(dressed_meshes(outfit, body, cloth), size=PICTURE_SIZE))
 
 
 def _info(options: argparse.Namespace) -> int:
@@ -243,6 +275,19 @@ def _info(options: argparse.Namespace) -> int:
     }
     width = max(map(len, rows))
     print("\n".join(f"{name:<{width}}  {value}" for name, value in rows.items()))
+    return 0
+
+
+def _complete(options: argparse.Namespace) -> int:
+    parsers = {}
+    for name, (module, _) in FORWARDED.items():
+        try:
+            command = import_module(module)
+            if hasattr(command, "command_parser"):
+                parsers[name] = command.command_parser()
+        except ImportError:  # an extra that is not installed: its command is completed, its options are not
+            continue
+    print(completion_script(_parser(parsers), options.shell))
     return 0
 
 

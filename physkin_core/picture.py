@@ -70,6 +70,7 @@ def render(
     size: tuple[int, int] = (400, 500),
     azimuth: float = 30.0,
     elevation: float = 8.0,
+    distance: float | None = None,
     bounds: np.ndarray | None = None,
     floor: float | Literal["lowest"] | None = "lowest",
     samples: int = 16,
@@ -78,8 +79,9 @@ def render(
 
     size: width, height [pixels]. azimuth, elevation: where the camera stands [degrees]; 0, 0 is on X, in front of the
     body, a positive azimuth towards Y. bounds: (2, 3) [m] box to fit into the picture, default the meshes' own (give it
-    to keep the camera still between frames). floor: its height [m]; "lowest": the lowest vertex; None: no floor.
-    samples: light paths a pixel. Returns (height, width, 3) uint8 sRGB.
+    to keep the camera still between frames). distance: [m] from its middle, default as near as all of it fits. floor:
+    its height [m]; "lowest": the lowest vertex; None: no floor. samples: light paths a pixel. Returns (height, width,
+    3) uint8 sRGB.
     Raises PictureError when mitsuba is not installed, ValueError for meshes that cannot be drawn.
     """
     mi = _mitsuba()
@@ -92,7 +94,7 @@ def render(
     light, lit = _light(mi, azimuth)
     scene = {
         "type": "scene",
-        "sensor": _camera(mi, bounds, size, azimuth, elevation),
+        "sensor": _camera(mi, bounds, size, azimuth, elevation, distance),
         **light,
         **{f"mesh{index}": _surface(mi, mesh, lit) for index, mesh in enumerate(meshes)},
     }
@@ -179,8 +181,10 @@ def _surface(mi, mesh: Mesh, lit: float):
     return surface
 
 
-def _camera(mi, bounds: np.ndarray, size: tuple[int, int], azimuth: float, elevation: float) -> dict:
-    """Perspective camera as near as the box `bounds` (2, 3) allows."""
+def _camera(
+    mi, bounds: np.ndarray, size: tuple[int, int], azimuth: float, elevation: float, distance: float | None
+) -> dict:
+    """Perspective camera, without a distance as near as the box `bounds` (2, 3) allows."""
     a, e = math.radians(azimuth), math.radians(elevation)
     back = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
     right = np.array([-math.sin(a), math.cos(a), 0.0])
@@ -190,7 +194,8 @@ def _camera(mi, bounds: np.ndarray, size: tuple[int, int], azimuth: float, eleva
     corners = np.array([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     centre = bounds.mean(axis=0)
     x, y, depth = ((corners - centre) @ axis for axis in (right, up, back))
-    distance = (depth + np.maximum(np.abs(y) / slope, np.abs(x) / (slope * width / height))).max()
+    if distance is None:
+        distance = (depth + np.maximum(np.abs(y) / slope, np.abs(x) / (slope * width / height))).max()
     origin = centre + distance * back
     return {
         "type": "perspective",

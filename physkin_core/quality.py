@@ -10,8 +10,8 @@ import numpy as np
 from physkin_core.model.garment import Garment, face_areas
 
 __all__ = [
-    *("CLOSE", "SNAP", "area_strain", "closest_points", "contact_figures", "edge_strain", "inside_by_vertex", "jitter"),
-    *("signed_distance", "snaps"),
+    *("CLOSE", "SNAP", "area_strain", "closest_points", "contact_figures", "edge_strain", "edge_strains"),
+    *("inside_by_vertex", "jitter", "signed_distance", "snaps"),
 ]
 
 CLOSE = 0.003
@@ -26,9 +26,14 @@ ON_EDGE = 1e-6
 
 def edge_strain(garment: Garment, vertices: np.ndarray) -> np.ndarray:
     """eps_e: mean |l - l0| / l0 over edges [%] (paper: Error Metrics). vertices: (..., n, 3). Returns (...)."""
+    return edge_strains(garment, vertices).mean(axis=-1)
+
+
+def edge_strains(garment: Garment, vertices: np.ndarray) -> np.ndarray:
+    """|l - l0| / l0 of every edge [%]. vertices: (..., n, 3). Returns (..., e), in the order of `Garment.edges`."""
     ends = vertices[..., garment.edges, :]
     length = np.linalg.norm(ends[..., 1, :] - ends[..., 0, :], axis=-1)
-    return 100 * (np.abs(length - garment.edge_lengths) / garment.edge_lengths).mean(axis=-1)
+    return 100 * np.abs(length - garment.edge_lengths) / garment.edge_lengths
 
 
 def area_strain(garment: Garment, vertices: np.ndarray) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 import sys
 from dataclasses import replace
 from unittest.mock import patch
@@ -155,6 +157,57 @@ def test_missing_extra_is_named(command, package, extra, capsys):
     assert f"physkin {command} needs: pip install 'physkin[{extra}]'" in capsys.readouterr().err
 
 
+def test_errors_of_ours_are_told_in_one_line_unless_debugged(monkeypatch, capsys):
+    """Status 1 and what to do; with --debug, wherever it stands, the error itself, mendable ones too."""
+    monkeypatch.setattr("physkin_core.check.command.main", lambda argv: {}[f"no {argv}"])
+    assert cli.main(["check", "a.glb"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("error: KeyError:") and "physkin --debug shows where" in said and said.count("\n") == 1
+    with pytest.raises(KeyError, match=r"no \['a.glb'\]"):
+        cli.main(["check", "a.glb", "--debug"])
+    with pytest.raises(physkin_core.ModelFileError):
+        cli.main(["--debug", "info", "nosuch"])
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_knows_commands_and_their_options(shell, capsys):
+    """Of forwarded commands, too."""
+    pytest.importorskip("shtab", reason="needs shtab: pip install 'physkin[completion]'")
+    assert cli.main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    known = {*cli.FORWARDED, "drape", "bind", "info", "completion"}
+    assert [name for name in known if name not in script] == []
+    assert all(option in script for option in ("no-follow", "separate-limbs", "debug"))
+
+
+def test_completion_does_without_what_is_not_installed(monkeypatch, capsys):
+    """The command is known all the same."""
+    pytest.importorskip("shtab", reason="needs shtab: pip install 'physkin[completion]'")
+    monkeypatch.setitem(sys.modules, "physkin_ros.tools.replay", None)
+    assert cli.main(["completion", "bash"]) == 0
+    script = capsys.readouterr().out
+    assert "replay" in script and "--garment-topic" not in script
+    assert "--no-follow" in script
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_bash_completes(tmp_path, capsys):
+    """Commands, options and what ships under a name, as bash itself finds them."""
+    pytest.importorskip("shtab", reason="needs shtab: pip install 'physkin[completion]'")
+    assert cli.main(["completion", "bash"]) == 0
+    script = tmp_path / "physkin.bash"
+    words = "COMP_WORDS=($*); COMP_CWORD=$(($# - 1)); _shtab_physkin physkin ${@: -1} ${@: -2:1}; echo ${COMPREPLY[*]}"
+    script.write_text(f"{capsys.readouterr().out}\n{words}\n")
+    for typed, expected in (
+        ("physkin re", "render replay"),
+        ("physkin render --fo", "--follow"),
+        ("physkin render dan", "dance"),
+        ("physkin drape -g sk", "skirt"),
+    ):
+        run = subprocess.run(["bash", script, *typed.split()], capture_output=True, text=True, cwd=tmp_path)
+        assert run.stdout.split() == expected.split(), run.stderr
+
+
 def test_arguments_reach_the_subcommand(monkeypatch):
     """They are handed on as they are, those of ROS too."""
     pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
@@ -172,6 +225,23 @@ def test_usage_names_every_command(capsys):
     assert all(name in output for name in (*cli.FORWARDED, "drape", "info"))
     with pytest.raises(SystemExit, match="2"):
         cli.main(["dance"])
+
+
+def test_drape_draws_a_strip(tmp_path, capsys):
+    """Frames of a motion from front and back in one picture; what cannot be drawn is told in one line."""
+    image = pytest.importorskip("PIL.Image", reason="needs pillow: pip install 'physkin[view]'")
+    pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")
+    out = tmp_path / "strip.png"
+    drape = ["drape", str(AVATAR), "-o", str(out), "--strip"]
+    assert cli.main([*drape, "2"]) == 0
+    pixels = np.array(image.open(out))
+    drawn = pixels.reshape(2, pixels.shape[0] // 2, 2, -1, 3)
+    assert all(drawn[row, :, column].std() > 5 for row in (0, 1) for column in (0, 1))
+    for count in ("1", "25"):
+        assert cli.main([*drape, count]) == 2
+        assert f"has 2 to 24 frames, got {count}" in capsys.readouterr().err
+    assert cli.main(["drape", str(AVATAR), "-o", str(tmp_path / "strip.obj"), "--strip", "2"]) == 2
+    assert "the name of a strip must end in .png" in capsys.readouterr().err
 
 
 def test_drape_writes_an_outfit(tmp_path, capsys):

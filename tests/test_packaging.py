@@ -43,6 +43,12 @@ def test_plain_install_asks_for_nothing_heavy(project):
     assert wanted and [line for line in wanted for heavy in HEAVY if heavy in line.lower()] == []
 
 
+def test_release_wheels_are_for_every_python_that_is_promised(project):
+    versions = [line.rsplit(" ", 1)[1] for line in project["project"]["classifiers"] if " :: Python :: 3." in line]
+    built = project["tool"]["cibuildwheel"]["build"].split()
+    assert built == [f"cp{version.replace('.', '')}-manylinux_*" for version in versions] and versions
+
+
 @pytest.mark.slow
 def test_wheel_holds_every_file(tmp_path):
     """Data files too: a model or a map that is left out is missed only on the user's machine."""

@@ -3,6 +3,6 @@
 Peers are imported only when it runs; those that are not installed are named and left out.
 """
 
-from physkin_bench.command import main
+from physkin_bench.command import command_parser, main
 
-__all__ = ["main"]
+__all__ = ["command_parser", "main"]

@@ -13,14 +13,11 @@ from physkin_bench.measurement import measure_case
 from physkin_bench.report import case_tables, machine_keys
 from physkin_core.fit_option import add_fit_option
 
-__all__ = ["main"]
+__all__ = ["command_parser", "main"]
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run the benchmark, print Markdown tables, write the keys of docs/notebook/benchmark.md if asked to.
-
-    Raises ValueError for a model that does not exist, or numbers of rounds below 1.
-    """
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin bench`."""
     parser = argparse.ArgumentParser(prog="physkin bench", description="Time the native evaluator and its peers.")
     parser.add_argument("model", nargs="?", default="tshirt", help="garment model (default %(default)s)")
     add_fit_option(parser)
@@ -31,7 +28,15 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--no-peers", action="store_true", help="leave out other engines")
     parser.add_argument("--no-paper", action="store_true", help="leave out the paper's sizes")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure to this file")
-    options = parser.parse_args(argv)
+    return parser
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the benchmark, print Markdown tables, write the keys of docs/notebook/benchmark.md if asked to.
+
+    Raises ValueError for a model that does not exist, or numbers of rounds below 1.
+    """
+    options = command_parser().parse_args(argv)
     if min(options.rounds, options.cold_rounds) < 1:
         raise ValueError(f"rounds must be 1 or more, got {options.rounds} and {options.cold_rounds} with cold caches")
     keys = machine_keys()

@@ -160,15 +160,7 @@ class BoundBatch {
   using OutputArrays = nb::ndarray<float, nb::ndim<3>, nb::device::cpu>;
 
   BoundBatch(const nb::list& garments, const Text& instruction_set, const Text& precision, const std::string& normals)
-      : batch_([&] {
-          PythonReader reader;
-          std::vector<BoundGarment> bound;
-          for (nb::handle garment : garments) bound.push_back(reader.bound_garment(garment));
-          const Kernels& kernels = select_kernels(instruction_set.value_or(""));
-          const EvaluatorOptions options = evaluator_options(precision, normals);
-          const nb::gil_scoped_release release;
-          return EvaluatorBatch(bound, kernels, options);
-        }()),
+      : batch_(evaluator_of<EvaluatorBatch>(garments, instruction_set, precision, normals)),
         rows_(std::size_t(batch_.count())) {}
 
   void bind(InputArray joint_positions, InputArray gravity, OutputArrays out) {

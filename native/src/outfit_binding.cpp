@@ -10,30 +10,20 @@ using namespace nb::literals;
 namespace physkin {
 namespace {
 
-LayerPair layer_pair(nb::handle kept) { return {nb::cast<int>(kept.attr("inner")), nb::cast<int>(kept.attr("outer"))}; }
-
 // The evaluator of an outfit with room for its converted inputs.
 class BoundOutfit {
  public:
-  BoundOutfit(const nb::list& garments, const nb::list& orders, const nb::list& tucks, const Text& instruction_set,
-              const Text& precision, const std::string& normals)
-      : outfit_([&] {
-          PythonReader reader;
-          std::vector<BoundGarment> bound;
-          for (nb::handle garment : garments) bound.push_back(reader.bound_garment(garment));
-          const Kernels& kernels = select_kernels(instruction_set.value_or(""));
-          const EvaluatorOptions options = evaluator_options(precision, normals);
-          const nb::gil_scoped_release release;
-          return OutfitEvaluator(bound, kernels, options);
-        }()),
+  BoundOutfit(const nb::list& garments, const nb::list& orders, const Text& instruction_set, const Text& precision,
+              const std::string& normals)
+      : outfit_(evaluator_of<OutfitEvaluator>(garments, instruction_set, precision, normals)),
         joint_positions_(std::size_t(outfit_[0].dofs())) {
     PythonReader reader;
     for (nb::handle order : orders) {
       LayerOrderData data = read_layer_order(reader.fields_of(order));
       data.edge = nb::cast<float>(order.attr("edge"));
-      outfit_.keep_order(layer_pair(order), data);
+      const LayerPair layers{nb::cast<int>(order.attr("steady")), nb::cast<int>(order.attr("yielding"))};
+      outfit_.keep_order(layers, data);
     }
-    for (nb::handle tuck : tucks) outfit_.keep_tucked(layer_pair(tuck), read_tuck(reader.fields_of(tuck)));
   }
 
   void evaluate(const AnyArray& joint_positions, const AnyArray& gravity, const std::vector<OutputArray>& outs) {
@@ -114,8 +104,8 @@ class BoundOutfitStep {
 
 void bind_outfit(nb::module_& module) {
   nb::class_<BoundOutfit>(module, "Outfit")
-      .def(nb::init<const nb::list&, const nb::list&, const nb::list&, const Text&, const Text&, const std::string&>(),
-           "garments"_a, "orders"_a, "tucks"_a, "instruction_set"_a = nb::none(), "precision"_a = nb::none(),
+      .def(nb::init<const nb::list&, const nb::list&, const Text&, const Text&, const std::string&>(),
+           "garments"_a, "orders"_a, "instruction_set"_a = nb::none(), "precision"_a = nb::none(),
            "normals"_a = "skinned")
       .def("evaluate", &BoundOutfit::evaluate, "joint_positions"_a.noconvert(), "gravity"_a.noconvert(),
            "outs"_a.noconvert())

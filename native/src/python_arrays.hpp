@@ -163,4 +163,17 @@ inline EvaluatorOptions evaluator_options(const Text& precision, const std::stri
   return {select_precision(precision.value_or("")), select_normals(normals)};
 }
 
+// An evaluator of several bound garments, packed while other Python threads run.
+template <class SeveralGarments>
+SeveralGarments evaluator_of(const nb::list& garments, const Text& instruction_set, const Text& precision,
+                             const std::string& normals) {
+  PythonReader reader;
+  std::vector<BoundGarment> bound;
+  for (nb::handle garment : garments) bound.push_back(reader.bound_garment(garment));
+  const Kernels& kernels = select_kernels(instruction_set.value_or(""));
+  const EvaluatorOptions options = evaluator_options(precision, normals);
+  const nb::gil_scoped_release release;
+  return SeveralGarments(bound, kernels, options);
+}
+
 }  // namespace physkin

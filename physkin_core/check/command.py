@@ -17,10 +17,11 @@ from physkin_core.check.likeness import Likeness, body_overlap, likeness
 from physkin_core.fit_option import add_fit_option
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.everyday_poses import everyday_poses
+from physkin_core.outfit.outfit_options import add_limbs_option
 from physkin_core.runtime.draper import UPRIGHT_GRAVITY, Draper
 from physkin_core.separation.limb_separator import LimbSeparator
 
-__all__ = ["advice", "main"]
+__all__ = ["advice", "command_parser", "main"]
 
 VERDICTS = ("good", "usable", "bad")
 """From best to worst."""
@@ -31,8 +32,8 @@ TURNS = (0.0, 90.0, 180.0, 270.0)
 PICTURE_SIZE = (300, 600)
 
 
-def main(argv: list[str]) -> int:
-    """Command line. Returns 0, 1 for the verdict "bad"; errors are raised."""
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin check`."""
     parser = argparse.ArgumentParser(prog="physkin check", description=__doc__.split("`: ")[1])
     parser.add_argument("avatar", metavar="AVATAR", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
     parser.add_argument(
@@ -43,12 +44,15 @@ def main(argv: list[str]) -> int:
     )
     parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
     add_fit_option(parser)
-    parser.add_argument(
-        "--separate-limbs", action="store_true", help="move arms and legs out of this body's trunk and each other"
-    )
+    add_limbs_option(parser)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
     parser.add_argument("-o", "--output", type=Path, metavar="PNG", help="picture from four sides, garments in turn")
-    options = parser.parse_args(argv)
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """Command line. Returns 0, 1 for the verdict "bad"; errors are raised."""
+    options = command_parser().parse_args(argv)
     models = [load_garment_model(name) for name in options.garment or ["tshirt"]]
     rig = models[0].rig
     avatar = load_avatar(options.avatar, rig, rig_file=options.rig)

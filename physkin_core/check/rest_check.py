@@ -13,7 +13,7 @@ from physkin_core.model.garment import Garment, face_areas
 from physkin_core.model.surface_paths import mesh_edges, path_lengths
 from physkin_core.quality import contact_figures, signed_distance
 
-__all__ = ["RestCheck", "rest_check", "skin_without_cloth"]
+__all__ = ["RestCheck", "SkinSeen", "near_hem", "rest_check", "skin_seen", "skin_without_cloth"]
 
 REACH = 0.1
 """Skin belongs to the cloth that its normal meets within this distance [m], on either side."""
@@ -65,24 +65,47 @@ def rest_check(garment: Garment, cloth: np.ndarray, body_vertices: np.ndarray, b
     )
 
 
+@dataclass(frozen=True)
+class SkinSeen:
+    """Faces of the body, (f,) bool. belongs: that have cloth above or beneath; shows: of these, with none above."""
+
+    belongs: np.ndarray
+    shows: np.ndarray
+
+    def shows_percent(self, areas: np.ndarray) -> float:
+        """Share [%] of the skin that belongs to the cloth. areas: (f,) of the body's faces."""
+        return float(100 * areas[self.shows].sum() / max(areas[self.belongs].sum(), 1e-12))
+
+
 def skin_without_cloth(garment: Garment, cloth: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray) -> float:
     """Of the skin that has cloth above or beneath it, the share [%] that has none above.
 
-    cloth: (n, 3) [m] the garment's vertices; body_vertices (V, 3), body_faces (f, 3). Skin whose nearest cloth along
-    the normal is within 3 cm of a hem counts as covered.
+    cloth: (n, 3) [m] the garment's vertices; body_vertices (V, 3), body_faces (f, 3).
+    """
+    seen = skin_seen(cloth, garment.faces, near_hem(garment), body_vertices, body_faces)
+    return seen.shows_percent(face_areas(np.asarray(body_vertices, dtype=np.float64), body_faces))
+
+
+def skin_seen(
+    cloth: np.ndarray, cloth_faces: np.ndarray, hem: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray
+) -> SkinSeen:
+    """Which skin shows through cloth (n, 3) [m], of one garment or of several together, with faces cloth_faces (g, 3).
+
+    hem: (n,) bool, from `near_hem`: skin whose nearest cloth along the normal is there counts as covered.
+    body_vertices (V, 3), body_faces (f, 3).
     """
     from point_cloud_utils import ray_mesh_intersection
 
     cloth = np.ascontiguousarray(cloth, dtype=np.float64)
-    faces = np.ascontiguousarray(garment.faces, dtype=np.int64)
+    faces = np.ascontiguousarray(cloth_faces, dtype=np.int64)
     corners = np.asarray(body_vertices, dtype=np.float64)[body_faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
-    centres, areas = corners.mean(axis=1), face_areas(np.asarray(body_vertices, dtype=np.float64), body_faces)
+    centres = corners.mean(axis=1)
     cloth_normals = np.cross(cloth[faces[:, 1]] - cloth[faces[:, 0]], cloth[faces[:, 2]] - cloth[faces[:, 0]])
 
     def meets(way: np.ndarray, start: float) -> np.ndarray:
-        """The garment's face (f,) that a ray meets first, which looks as the skin does; -1 for none."""
+        """The cloth's face (f,) that a ray meets first, which looks as the skin does; -1 for none."""
         origins = np.ascontiguousarray(centres + start * normals)
         hit, _, distance = ray_mesh_intersection(cloth, faces, origins, np.ascontiguousarray(way))
         found = (hit >= 0) & np.isfinite(distance) & (distance < REACH)
@@ -90,13 +113,11 @@ def skin_without_cloth(garment: Garment, cloth: np.ndarray, body_vertices: np.nd
         return np.where(found & alike, hit, -1)
 
     above, beneath = meets(normals, SKIN_SPACING), meets(-normals, SKIN_SPACING)
-    near_hem = _near_hem(garment)[faces].any(axis=1)
-    shows = (above < 0) & (beneath >= 0) & ~near_hem[np.maximum(beneath, 0)]
-    belongs = (above >= 0) | shows
-    return float(100 * areas[shows].sum() / max(areas[belongs].sum(), 1e-12))
+    shows = (above < 0) & (beneath >= 0) & ~hem[faces].any(axis=1)[np.maximum(beneath, 0)]
+    return SkinSeen(belongs=(above >= 0) | shows, shows=shows)
 
 
-def _near_hem(garment: Garment) -> np.ndarray:
-    """(n,) bool, vertices within `FROM_HEM` of an edge that only one face has, along the mesh at rest."""
+def near_hem(garment: Garment) -> np.ndarray:
+    """(n,) bool, vertices within 3 cm of an edge that only one face has, along the mesh at rest."""
     edges, count = mesh_edges(garment.faces)
     return path_lengths(garment.vertices, garment.faces, np.unique(edges[count == 1])) <= FROM_HEM

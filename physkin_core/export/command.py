@@ -7,16 +7,15 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
+from physkin_core.avatar.loading import load_avatar
 from physkin_core.export.gltf_motion import write_gltf_motion
 from physkin_core.export.usd_motion import write_usd_motion
-from physkin_core.fit_option import add_fit_option
 from physkin_core.motion.loading import load_motion
 from physkin_core.motion.reading_progress import reading_progress
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.outfit.outfit_options import add_tucked_option, chosen_garments
+from physkin_core.outfit.outfit_options import add_outfit_options, chosen_garments
 
-__all__ = ["main"]
+__all__ = ["command_parser", "main"]
 
 WRITERS = {
     ".glb": write_gltf_motion,
@@ -26,34 +25,28 @@ WRITERS = {
 }
 
 
-def main(argv: list[str]) -> int:
-    """Command line. Returns 0; errors are raised."""
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin export`."""
     parser = argparse.ArgumentParser(prog="physkin export", description=__doc__.split("`: ")[1])
     parser.add_argument("motion", metavar="MOTION", help="bundled motion or a motion file")
-    parser.add_argument(
-        "--avatar", metavar="AVATAR", default=BUNDLED_AVATAR, help="body file (default: the bundled one)"
-    )
-    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
-    parser.add_argument(
-        *("-g", "--garment"),
-        action="append",
-        metavar="MODEL",
-        help="a file or a shipped name (default tshirt); several, from the skin outwards, are an outfit",
-    )
-    add_tucked_option(parser)
+    add_outfit_options(parser)
     parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own)")
-    add_fit_option(parser)
     parser.add_argument(
         *("-o", "--output"),
         type=Path,
         required=True,
         help="a .glb with garment nodes as joints, or .usd, .usda, .usdc with every vertex in every frame",
     )
-    options = parser.parse_args(argv)
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """Command line. Returns 0; errors are raised."""
+    options = command_parser().parse_args(argv)
     kind = options.output.suffix.lower()
     if kind not in WRITERS:
         raise ValueError(f"cannot write {options.output.name}: allowed are {', '.join(WRITERS)}")
-    garments = chosen_garments(options.garment or ["tshirt"], options.tucked)
+    garments = chosen_garments(options.garment, options.tucked)
     if kind == ".glb":
         garments = [replace(garment, model=garment.model.for_engines()) for garment in garments]
     motion = load_motion(options.motion, watch=reading_progress(options.motion))

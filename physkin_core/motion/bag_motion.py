@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,8 @@ __all__ = ["load_bag_motion"]
 log = logging.getLogger(__name__)
 
 AXES = ("x", "y", "z")
+ROOT = (*AXES, "turn x", "turn y", "turn z", "turn w")
+LARGEST_DISAGREEMENT = 5.0  # [degrees] of odometry and gravity about what is down: else it is of another body
 MOST_FRAMES = 100
 """A clip has at most this many frames for each joint state: more would be a pause of hours, or stamps of two clocks."""
 
@@ -39,13 +41,14 @@ def load_bag_motion(path: str | Path) -> Motion:
     """Read a bag as a clip at the rate of the joint states' median step, with joints linear in time between messages.
 
     Times are the stamps, or those of recording if a message has no stamp. A joint that a message does not name is
-    interpolated from messages that do. The root stays in one place, tilted as gravity says, or upright without it.
+    interpolated from messages that do. The root is where odometry (`/odom`) says, if that agrees with gravity; else it
+    stays in one place, tilted as gravity says, or upright without it.
     Messages that are damaged, or hold values that are not finite, are left out with a warning.
     Raises BagError for a bag that cannot be read, or has fewer than two joint states at different times.
     """
-    kept: dict[str, list[_Sample]] = {"joint_state": [], "gravity": []}
+    kept: dict[str, list[_Sample]] = {"joint_state": [], "gravity": [], "odometry": []}
     left_out = 0
-    with BagReader(path) as bag:
+    with BagReader(path, root="odometry") as bag:
         for message in bag:
             try:
                 kept[message.kind].append(_sample(message))
@@ -53,8 +56,8 @@ def load_bag_motion(path: str | Path) -> Motion:
                 left_out += 1
     if left_out:
         log.warning("bag %s: %d messages that cannot be used were left out", path, left_out)
-    states, downs = kept["joint_state"], kept["gravity"]
-    stamped = all(sample.stamp_ns for sample in (*states, *downs))
+    states, downs, roots = kept.values()
+    stamped = all(sample.stamp_ns for sample in (*states, *downs, *roots))
     times = np.unique([sample.stamp_ns if stamped else sample.time_ns for sample in states])
     if len(times) < 2:
         raise BagError(f"bag {path}: a clip needs joint states at two times at least, {bag.topic} has {len(times)}")
@@ -65,21 +68,36 @@ def load_bag_motion(path: str | Path) -> Motion:
     positions = _tracks(states, frames, stamped=stamped)
     down = _tracks(downs, frames, stamped=stamped)
     gravity = np.stack([down[axis] for axis in AXES], axis=1) if downs else np.tile([0.0, 0.0, -1.0], (len(frames), 1))
-    return Motion(
-        tuple(positions),
-        np.stack(list(positions.values()), axis=1),
-        upright_orientation(gravity),
-        np.zeros((len(frames), 3)),
-        1e9 * (len(frames) - 1) / length,
-        Path(path).stem,
-    )
+    joints = np.stack(list(positions.values()), axis=1)
+    still = upright_orientation(gravity), np.zeros((len(frames), 3))
+    root = _root(roots, frames, stamped=stamped) if roots else still
+    clip = Motion(tuple(positions), joints, *root, 1e9 * (len(frames) - 1) / length, Path(path).stem)
+    apart = np.degrees(np.median(np.arccos(np.clip((clip.gravity * gravity).sum(axis=1), -1, 1)))) if downs else 0.0
+    if apart > LARGEST_DISAGREEMENT:
+        log.warning("bag %s: odometry and gravity differ by %.0f degrees; odometry is left out", path, apart)
+        clip = replace(clip, root_orientation=still[0], root_position=still[1])
+    return clip
+
+
+def _root(samples: Sequence[_Sample], frames: np.ndarray, *, stamped: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Orientation (T, 4) x, y, z, w and position (T, 3) [m] of the root."""
+    samples = sorted(samples, key=lambda sample: sample.stamp_ns if stamped else sample.time_ns)
+    turns = np.array([sample.values[3:] for sample in samples])
+    flips = np.cumprod([1.0, *np.where((turns[1:] * turns[:-1]).sum(axis=1) < 0, -1.0, 1.0)])
+    turned = [replace(each, values=each.values * [1, 1, 1, *[flip] * 4]) for each, flip in zip(samples, flips)]
+    values = np.stack(list(_tracks(turned, frames, stamped=stamped).values()), axis=1)
+    return values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True), values[:, :3]
 
 
 def _sample(recorded: Recorded) -> _Sample:
     """Raises ValueError for a message that cannot be used."""
     message = decode(recorded)
     stamp = message.header.stamp
-    if recorded.kind == "gravity":
+    if recorded.kind == "odometry":
+        place, turn = message.pose.pose.position, message.pose.pose.orientation
+        names, values = ROOT, np.array([place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w])
+        usable = np.isfinite(values).all() and abs(np.linalg.norm(values[3:]) - 1) < 0.01
+    elif recorded.kind == "gravity":
         names, values = AXES, np.array([getattr(message.vector, axis) for axis in AXES])
         length = np.linalg.norm(values)
         usable = 1e-9 < length < np.inf

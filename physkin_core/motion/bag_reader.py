@@ -1,4 +1,4 @@
-"""Bags of ROS 2 read without ROS: joint states and gravity (extra `[replay]`).
+"""Bags of ROS 2 read without ROS: joint states, gravity, and where the root is (extra `[replay]`).
 
 A bag is a folder with `metadata.yaml`, or a single .mcap or .db3 file. Times are those of recording [ns].
 """
@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import apsw
 from rosbags.rosbag2 import Reader, ReaderError, WriterError
@@ -20,12 +21,17 @@ from rosbags.typesys import Stores, get_typestore
 from physkin_core.motion.motion import MotionError
 
 __all__ = [
-    *("GRAVITY", "JOINT_STATE", "TYPES", "BagError", "BagReader", "Recorded", "UndecodableError", "bag_errors"),
-    "decode",
+    *("GRAVITY", "JOINT_STATE", "ODOMETRY", "TRANSFORMS", "TYPES"),
+    *("BagError", "BagReader", "Recorded", "UndecodableError", "bag_errors", "decode"),
 ]
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 GRAVITY = "geometry_msgs/msg/Vector3Stamped"
+ODOMETRY = "nav_msgs/msg/Odometry"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+KINDS = {"gravity": GRAVITY, "odometry": ODOMETRY, "transforms": TRANSFORMS, "joint_state": JOINT_STATE}
+"""What a message is of -> its type, in the order in which messages of one moment are taken."""
+ROOT_TOPICS = {"odometry": ("/odom",), "transforms": ("/tf", "/tf_static")}
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -39,22 +45,31 @@ class UndecodableError(ValueError):
 
 @dataclass(frozen=True)
 class Recorded:
-    """A message as recorded: `kind` is "joint_state" or "gravity", `data` its CDR bytes."""
+    """A message as recorded: `kind` is one of `KINDS`, `data` its CDR bytes."""
 
     kind: str
     time_ns: int
     data: bytes
+    topic: str
 
 
 class BagReader:
     """The joint states of a bag and the gravity directions between them.
 
     topic: of joint states; None: `/joint_states`, or the bag's only topic of that type. gravity_topic: None: `/gravity`
-    if the bag has one. Use in a `with` block.
+    if the bag has one. root: "odometry" for messages of `/odom`, too, "transforms" for those of `/tf` and `/tf_static`,
+    where the bag has them. Use in a `with` block.
     Raises BagError for a bag that cannot be read and for a topic that is missing, ambiguous or of another type.
     """
 
-    def __init__(self, path: str | Path, *, topic: str | None = None, gravity_topic: str | None = None) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        topic: str | None = None,
+        gravity_topic: str | None = None,
+        root: Literal["odometry", "transforms"] | None = None,
+    ) -> None:
         self.path = Path(path)
         with bag_errors(self.path):
             self._reader = Reader(self.path)
@@ -66,6 +81,10 @@ class BagReader:
         except BagError:
             self._reader.close()
             raise
+        self._kinds = {name: root for name in ROOT_TOPICS.get(root, ()) if types.get(name) == KINDS[root]}
+        self._kinds[self.topic] = "joint_state"
+        if self.gravity_topic is not None:
+            self._kinds[self.gravity_topic] = "gravity"
 
     def __enter__(self) -> BagReader:
         return self
@@ -80,21 +99,21 @@ class BagReader:
 
     def __iter__(self) -> Iterator[Recorded]:
         """All messages by time of recording; of those recorded at one moment, gravity comes first, as in the node."""
-        chosen = [each for each in self._reader.connections if each.topic in (self.topic, self.gravity_topic)]
-        messages = self._reader.messages(chosen)
+        chosen = [each for each in self._reader.connections if each.topic in self._kinds]
+        messages, order = self._reader.messages(chosen), list(KINDS)
         with bag_errors(self.path):
             for _, moment in itertools.groupby(messages, key=lambda message: message[1]):
                 moment = [
-                    Recorded("joint_state" if connection.topic == self.topic else "gravity", time_ns, bytes(data))
+                    Recorded(self._kinds[connection.topic], time_ns, bytes(data), connection.topic)
                     for connection, time_ns, data in moment
                 ]
-                yield from sorted(moment, key=lambda message: message.kind != "gravity")
+                yield from sorted(moment, key=lambda message: order.index(message.kind))
 
 
 def decode(message: Recorded):
     """The message of `rosbags` that a recorded one is. Raises UndecodableError."""
     try:
-        return TYPES.deserialize_cdr(message.data, JOINT_STATE if message.kind == "joint_state" else GRAVITY)
+        return TYPES.deserialize_cdr(message.data, KINDS[message.kind])
     except (SerdeError, struct.error, ValueError, IndexError, AssertionError, OverflowError, MemoryError) as error:
         raise UndecodableError(f"{len(message.data)} bytes that are no {message.kind.replace('_', ' ')}") from error
 

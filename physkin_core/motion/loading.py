@@ -14,7 +14,7 @@ import numpy as np
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.motion.motion import Motion, MotionError
-from physkin_core.motion.reading_progress import Watch
+from physkin_core.progress import Watch
 
 __all__ = ["MOCAP_SUFFIXES", "MOTIONS_DIRECTORY", "bundled_motions", "load_motion", "save_motion"]
 

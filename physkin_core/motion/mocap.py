@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 from physkin_core.motion.mocap_files import Skeleton, read_amc, read_bvh
 from physkin_core.motion.mocap_joints import find_joints
 from physkin_core.motion.motion import Motion, MotionError
-from physkin_core.motion.reading_progress import Watch
 from physkin_core.motion.retargeting import leg_length, on_floor, retarget
+from physkin_core.progress import Watch
 from physkin_core.rig.rig import Rig
 
 __all__ = ["AMC_RATE_HZ", "load_mocap"]

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 import physkin_core._native as _native
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.motion.motion import Motion
-from physkin_core.motion.reading_progress import Watch
+from physkin_core.progress import Watch
 from physkin_core.rig.linear_blend_skinning import dense_weights
 from physkin_core.rig.rig import Rig
 

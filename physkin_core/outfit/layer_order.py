@@ -1,14 +1,16 @@
-"""The order of two layers on every frame: what of the outer one would be inside the inner one is moved out of it.
+"""The order of two layers on every frame: what of the outer one would be inside the inner one is moved out of it, and
+what of a tucked one would be outside the waistband over it is moved inside.
 
-Every outer vertex that may touch the inner layer has a partner there, its closest vertex. It is looked for among those
-that it meets in everyday poses and the last frame's, and walked from there along the mesh. The planes around the
-partner, weighted by how near they are along the cloth, say how far outside the vertex is: that changes continuously
-with the pose. What it lacks pushes it along its own normal, and less and less the vertices around it, so that no hem
-flares and no spike stands out.
+One layer is steady, the other yields. Every vertex that may touch the steady layer has a partner there, its closest
+vertex. It is looked for among those that it meets in everyday poses and the last frame's, and walked from there along
+the mesh. The planes around the partner, weighted by how near they are along the cloth, say how far on the right side
+the vertex is: that changes continuously with the pose. What it lacks pushes it along its own normal, and less and less
+the vertices around it, so that no hem flares and no spike stands out. Along the steady layer it slides as it likes.
 
 NumPy reference; native/src/outfit/layer_order.cpp is the same in C++.
 
-Dimensions: `n` vertices of the outer layer, `r` of the inner one, `s` contacts, `u` vertices that may be moved. Metres.
+Dimensions: `n` vertices of the yielding layer, `r` of the steady one, `s` contacts, `u` vertices that may be moved.
+Metres.
 """
 
 from __future__ import annotations
@@ -25,18 +27,18 @@ from physkin_core.runtime.layers_beneath import LAYER_GAP
 __all__ = ["TURNS", "LayerOrder", "ReferenceLayerOrder", "bind_layer_order"]
 
 ORDER_GAP = LAYER_GAP + 0.001
-"""[m] between an outer vertex and the inner layer, which is a little more than what holds between vertices."""
+"""[m] between a vertex and the steady layer, which is a little more than what holds between vertices."""
 SOFT = 0.001
 """[m] Pushing sets in this much before it must, so that it begins without a kink."""
 MOST_PUSH = 0.05
 DEEPEST = 0.07
-"""[m] A vertex deeper inside belongs to another part of the body; over the last centimetre pushing fades."""
+"""[m] A vertex farther on the wrong side is of another part of the body; over the last centimetre pushing fades."""
 FADE = 0.01
 FREE, FAR_ASIDE = 0.01, 2.0
-"""A vertex this far [m] outside its partner's plane, or this many mean edge lengths beside it, is free: it is looked at
-only in its turn."""
+"""A vertex this far [m] off its partner's plane on the right side, or this many mean edge lengths beside it, is free:
+it is looked at only in its turn."""
 NEAR = 0.005
-"""[m] A vertex farther outside its partner's plane than this is right without looking at those around."""
+"""[m] A vertex farther off its partner's plane than this is right without looking at those around."""
 TURNS = 8
 """Frames in which every vertex has its turn to look for a closer partner; one that lost its own does at once."""
 STRAY = 0.6
@@ -61,15 +63,16 @@ TOUCHING, BESIDE, DILATED = 0.012, 0.02, 0.010
 class LayerOrder:
     """Two layers of an outfit, of the vertices that are computed. Index arrays are int32.
 
-    inner, outer: which layers. contact: (s,) outer vertices. seed_start: (s + 1,) into seed, the inner vertices that a
-    contact may meet, first the one at rest. ring_start: (r + 1,) into ring, the neighbours of each inner vertex.
+    steady, yielding: which layers; the one that yields goes outwards if it is the outer one, or else inwards. contact:
+    (s,) vertices of the yielding layer. seed_start: (s + 1,) into seed, the steady vertices that a contact may meet,
+    first the one at rest. ring_start: (r + 1,) into ring, the neighbours of each steady vertex.
     push_start: (s + 1,) into push_to (indices into `moved`) and push_share (float32, 1 for the contact itself): what
-    moves along with a contact. moved: (u,) outer vertices, in order of index, all contacts among them. edge: [m] mean
-    edge length of the inner layer.
+    moves along with a contact. moved: (u,) yielding vertices, in order of index, all contacts among them. edge: [m]
+    mean edge length of the steady layer.
     """
 
-    inner: int
-    outer: int
+    steady: int
+    yielding: int
     contact: np.ndarray
     seed_start: np.ndarray
     seed: np.ndarray
@@ -80,6 +83,11 @@ class LayerOrder:
     push_share: np.ndarray
     moved: np.ndarray
     edge: float
+
+    @property
+    def side(self) -> int:
+        """On which side of the steady layer the other belongs: 1 outside, -1 inside."""
+        return _side(self.steady, self.yielding)
 
 
 class ReferenceLayerOrder:
@@ -95,56 +103,61 @@ class ReferenceLayerOrder:
         self._frame = 0
         self._owner = np.repeat(np.arange(len(order.contact)), np.diff(order.push_start))
 
-    def apply(self, inner: np.ndarray, outer: np.ndarray, *, look_at_all: bool) -> None:
-        """Move the outer layer. inner: (r, 6), outer: (n, 6) x, y, z [m] and unit normals; outer is written.
+    def apply(self, steady: np.ndarray, yielding: np.ndarray, *, look_at_all: bool) -> None:
+        """Move a layer. steady: (r, 6), yielding: (n, 6) x, y, z [m] and unit normals; yielding is written.
 
         look_at_all: do not trust the last frame in where nothing can touch.
         """
         order = self._order
-        inner = inner.astype(np.float64)
+        steady = steady.astype(np.float64)
         searches = look_at_all | (np.arange(len(order.contact)) % TURNS == self._frame % TURNS)
         looked_at = searches | ~self._free
         self._frame += 1
         for _ in range(PASSES):
-            lack, partner, free = self._lack(inner, outer[order.contact].astype(np.float64), searches)
+            lack, partner, free = self._lack(steady, yielding[order.contact].astype(np.float64), searches)
             self._partner = np.where(looked_at, partner, self._partner)
             self._free = np.where(looked_at, free, self._free)
             lack = np.where(looked_at, lack, 0)
             push = np.zeros(len(order.moved))
             np.maximum.at(push, order.push_to, lack[self._owner] * order.push_share)
-            outer[order.moved, :3] += push[:, None] * outer[order.moved, 3:]
+            yielding[order.moved, :3] += order.side * push[:, None] * yielding[order.moved, 3:]
             searches = np.zeros_like(looked_at)
             looked_at = push[np.searchsorted(order.moved, order.contact)] > AGAIN
 
     def _lack(
-        self, inner: np.ndarray, contacts: np.ndarray, searches: np.ndarray
+        self, steady: np.ndarray, contacts: np.ndarray, searches: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(s,) [m] by which each contact must be pushed along its own normal; partners (s,); which are free (s,).
-        searches: (s,) bool, who looks for a closer partner in any case."""
+        """(s,) [m] by which each contact must be pushed along its own normal, or against it; partners (s,); which are
+        free (s,). searches: (s,) bool, who looks for a closer partner in any case."""
         at, own = contacts[:, :3], contacts[:, 3:]
-        edge = self._order.edge
+        edge, side = self._order.edge, self._order.side
         seeds = np.concatenate([self._partner[:, None], self._seeds], axis=1)
-        partner = _closest(at, inner, seeds)
+        partner = _closest(at, steady, seeds)
         for _ in range(STEPS):
-            _, aside = _off_plane(at, inner[partner])
-            closest = _closest(at, inner, self._ring[partner])
+            _, aside = _off_plane(at, steady[partner])
+            closest = _closest(at, steady, self._ring[partner])
             partner = np.where(aside > (STRAY * edge) ** 2, closest, partner)
-        _, aside = _off_plane(at, inner[self._partner])
+        _, aside = _off_plane(at, steady[self._partner])
         partner = np.where(searches | (aside > edge**2), partner, self._partner)
-        off, aside = _off_plane(at, inner[partner])
+        off, aside = _off_plane(at, steady[partner])
+        off = side * off
         free = (off > FREE) | (aside > (FAR_ASIDE * edge) ** 2)
         ring = self._ring[partner]
-        away, aside = _off_plane(at[:, None], inner[ring])
+        away, aside = _off_plane(at[:, None], steady[ring])
         share = np.maximum(1 - aside / (PLANE_REACH * edge) ** 2, 0) ** 2 * self._counts[partner]
         total = share.sum(axis=1)
         safe = np.maximum(total, 1e-6)
-        gap = (share * away).sum(axis=1) / safe
-        alike = np.einsum("si,ski,sk->s", own, inner[ring, 3:], share) / safe
+        gap = side * (share * away).sum(axis=1) / safe
+        alike = np.einsum("si,ski,sk->s", own, steady[ring, 3:], share) / safe
         wanted = np.maximum(ORDER_GAP + SOFT - gap, 0)
         lack = np.where(wanted < 2 * SOFT, wanted**2 / (4 * SOFT), wanted - SOFT)
         lack *= np.minimum(total / FULL_SHARE, 1) * np.clip((DEEPEST + gap) / FADE, 0, 1)
         lack *= np.clip(4 * alike, 0, 1) / np.maximum(alike, 0.5)
         return np.where(free | (off > NEAR), 0, np.minimum(lack, MOST_PUSH)), partner, free
+
+
+def _side(steady: int, yielding: int) -> int:
+    return 1 if yielding > steady else -1
 
 
 def _table(start: np.ndarray, values: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -157,9 +170,9 @@ def _table(start: np.ndarray, values: np.ndarray, first: np.ndarray) -> tuple[np
     return table, np.concatenate([np.ones((len(count), 1), dtype=bool), filled], axis=1)
 
 
-def _closest(points: np.ndarray, inner: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+def _closest(points: np.ndarray, steady: np.ndarray, candidates: np.ndarray) -> np.ndarray:
     """(s,) of candidates (s, k) the one closest to each of points (s, 3)."""
-    squares = ((points[:, None] - inner[candidates, :3]) ** 2).sum(axis=2)
+    squares = ((points[:, None] - steady[candidates, :3]) ** 2).sum(axis=2)
     return np.take_along_axis(candidates, squares.argmin(axis=1)[:, None], axis=1)[:, 0]
 
 
@@ -171,24 +184,26 @@ def _off_plane(points: np.ndarray, planes: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def bind_layer_order(
-    inner: int,
-    outer: int,
+    steady: int,
+    yielding: int,
     rest: tuple[np.ndarray, np.ndarray],
     faces: tuple[np.ndarray, np.ndarray],
     poses: Sequence[tuple[np.ndarray, np.ndarray]],
 ) -> LayerOrder | None:
     """Find where two layers may touch; None where they never do.
 
-    inner, outer: which layers. rest: their vertices (r, 3) and (n, 3) [m] at rest, of those that are computed; faces:
-    (f, 3) of these. poses: (r, 6) and (n, 6) vertices and unit normals in the poses to look at, the first at rest.
+    steady, yielding: which layers. rest: their vertices (r, 3) and (n, 3) [m] at rest, of those that are computed;
+    faces: (f, 3) of these. poses: (r, 6) and (n, 6) vertices and unit normals in the poses to look at, the first at
+    rest.
     """
     from scipy.spatial import cKDTree
 
     touches, matches = np.zeros(len(rest[1]), dtype=bool), []
-    for below, above in poses:
-        match = cKDTree(with_normals(below[:, :3], below[:, 3:])).query(with_normals(above[:, :3], above[:, 3:]))[1]
-        off, aside = _off_plane(above[:, :3].astype(np.float64), below[match].astype(np.float64))
-        touches |= (off < TOUCHING) & (off > -DEEPEST) & (aside < BESIDE**2)
+    side = _side(steady, yielding)
+    for stays, moves in poses:
+        match = cKDTree(with_normals(stays[:, :3], stays[:, 3:])).query(with_normals(moves[:, :3], moves[:, 3:]))[1]
+        off, aside = _off_plane(moves[:, :3].astype(np.float64), stays[match].astype(np.float64))
+        touches |= (side * off < TOUCHING) & (side * off > -DEEPEST) & (aside < BESIDE**2)
         matches.append(match)
     if not touches.any():
         return None
@@ -202,8 +217,8 @@ def bind_layer_order(
     edge = float(lengths.mean())
     seeds = _apart(rest[0], np.stack(matches, axis=1)[contact], SEEDS_APART * edge)
     return LayerOrder(
-        inner=inner,
-        outer=outer,
+        steady=steady,
+        yielding=yielding,
         contact=contact.astype(np.int32),
         seed_start=np.cumsum([0, *map(len, seeds)]).astype(np.int32),
         seed=np.concatenate(seeds).astype(np.int32),

@@ -16,7 +16,8 @@ from physkin_core.avatar.surface_matching import with_normals
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.surface_paths import openings, path_lengths
 from physkin_core.outfit.coverage import FROM_HEM, hem_distances
-from physkin_core.outfit.tuck import Tuck, apply_tuck, bind_tuck
+from physkin_core.outfit.layer_order import ReferenceLayerOrder, bind_layer_order
+from physkin_core.outfit.tuck import tucked_depths
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.draper import Draper
@@ -71,15 +72,15 @@ class Layer:
 
 def put_on(
     garments: Sequence[OutfitGarment], avatar: Avatar, *, fit: float | None, backend: Literal["native", "numpy"]
-) -> tuple[list[Layer], list[Tuck], list[str]]:
+) -> tuple[list[Layer], list[tuple[int, int]], list[str]]:
     """Put garments on an avatar, the innermost first. fit: of garments without their own. backend: of every `Draper`.
 
-    Returns the layers, what is tucked in, and sentences to warn of.
+    Returns the layers, which of them is tucked into which, and sentences to warn of.
     Raises ValueError, in one sentence, for what cannot be worn so.
     """
     _check(garments)
     layers: list[Layer] = []
-    tucks: list[Tuck] = []
+    tucks: list[tuple[int, int]] = []
     worth_saying: list[str] = []
     for k, garment in enumerate(garments):
         beneath = [LayerBeneath(layer.rest, layer.garment.tucked) for layer in layers]
@@ -95,23 +96,32 @@ def put_on(
         layers.append(Layer(garment, draper, at_rest, rest, hems, np.zeros(len(rest))))
         for inner, under in enumerate(layers[:-1]):
             if _waistband_of(garments, inner) == k:
-                tuck, layers[inner] = _tucked_in(inner, k, under, layers[k])
-                tucks.append(tuck)
+                layers[inner] = _tucked_in(under, layers[k])
+                tucks.append((inner, k))
             else:
-                warning = _check_order(inner, k, under, layers[k])
+                warning = _check_order(under, layers[k])
                 worth_saying += [] if warning is None else [warning]
     return layers, tucks, worth_saying
 
 
-def drapes(layers: Sequence[Layer], tucks: Sequence[Tuck], poses: Iterable) -> list[list[np.ndarray]]:
-    """All layers (n, 6) in poses (joint positions [rad], gravity direction), with hems tucked in: a list a pose."""
-    found = []
-    for positions, gravity in poses:
-        cloth = [layer.draper.drape(positions, gravity) for layer in layers]
-        for tuck in tucks:
-            apply_tuck(tuck, cloth[tuck.inner], cloth[tuck.outer])
-        found.append(cloth)
-    return found
+def drapes(
+    layers: Sequence[Layer], tucks: Sequence[tuple[int, int]], poses: Iterable[tuple[np.ndarray, np.ndarray]]
+) -> list[list[np.ndarray]]:
+    """All layers (n, 6) in poses (joint positions [rad], gravity direction), with hems tucked in: a list a pose. tucks:
+    which layer is tucked into which."""
+    cloth = [[layer.draper.drape(*pose) for layer in layers] for pose in poses]
+    for inner, outer in tucks:
+        _tuck_in(layers[inner], layers[outer], [(drawn[inner], drawn[outer]) for drawn in cloth])
+    return cloth
+
+
+def _tuck_in(under: Layer, over: Layer, drawn: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
+    """Move the inner layer (n, 6) inside the outer one (r, 6) in all poses; the inner ones are written."""
+    rest, faces = (over.rest[:, :3], under.rest[:, :3]), (over.draper.faces, under.draper.faces)
+    order = bind_layer_order(1, 0, rest, faces, [(outer, inner) for inner, outer in drawn])
+    if order is not None:
+        for inner, outer in drawn:
+            ReferenceLayerOrder(order).apply(outer, inner, look_at_all=True)
 
 
 def _check(garments: Sequence[OutfitGarment]) -> None:
@@ -143,26 +153,28 @@ def _waistband_of(garments: Sequence[OutfitGarment], inner: int) -> int | None:
     return next((k for k in range(inner + 1, len(garments)) if not garments[k].tucked), None)
 
 
-def _tucked_in(inner: int, outer: int, under: Layer, over: Layer) -> tuple[Tuck, Layer]:
-    """The tuck of one layer into another, and the first as it is worn then."""
-    faces = under.draper.faces, over.draper.faces
-    found = bind_tuck(inner, outer, (under.rest[:, :3], over.rest[:, :3]), faces)
-    if found is None:
+def _tucked_in(under: Layer, over: Layer) -> Layer:
+    """The one layer as it is worn tucked into the other."""
+    depth = _depths(under, over)
+    if depth is None:
         raise ValueError(f"{under.name!r} cannot be tucked into {over.name!r}: it does not go over its waistband")
-    tuck, depth = found
     if depth.max() > DEEPEST_TUCK:
         raise ValueError(
             f"{under.name!r} cannot be tucked into {over.name!r}: it reaches {100 * depth.max():.0f} cm below the "
             f"waistband, at most {100 * DEEPEST_TUCK:.0f} cm fit"
         )
     rest = under.rest.copy()
-    apply_tuck(tuck, rest, over.rest)
+    _tuck_in(under, over, [(rest, over.rest)])
     hem = np.concatenate(openings(under.bound.vertices, under.draper.faces))
     hems = path_lengths(under.bound.vertices, under.draper.faces, hem[depth[hem] == 0])
-    return tuck, replace(under, rest=rest, hem_distance=hems, tucked_depth=depth)
+    return replace(under, rest=rest, hem_distance=hems, tucked_depth=depth)
 
 
-def _check_order(inner: int, outer: int, under: Layer, over: Layer) -> str | None:
+def _depths(under: Layer, over: Layer) -> np.ndarray | None:
+    return tucked_depths((under.rest[:, :3], over.rest[:, :3]), (under.draper.faces, over.draper.faces))
+
+
+def _check_order(under: Layer, over: Layer) -> str | None:
     """What to warn of where one layer is worn under another, if anything.
 
     Raises ValueError where much of what should lie under a layer hangs outside it at rest.
@@ -173,9 +185,8 @@ def _check_order(inner: int, outer: int, under: Layer, over: Layer) -> str | Non
             f"{under.name!r} cannot be worn under {over.name!r}: {100 * outside:.0f} % of it there hangs outside, "
             f"up to {1000 * deepest:.0f} mm; put it after {over.name!r}"
         )
-    faces = under.draper.faces, over.draper.faces
-    found = None if under.garment.tucked else bind_tuck(inner, outer, (under.rest[:, :3], over.rest[:, :3]), faces)
-    if found is None or found[1].max() > DEEPEST_TUCK:
+    depth = None if under.garment.tucked else _depths(under, over)
+    if depth is None or depth.max() > DEEPEST_TUCK:
         return None
     return f"{under.name!r} goes under the waistband of {over.name!r} and is not tucked: put it after, or tuck it in"
 

@@ -20,11 +20,11 @@ from physkin_core.avatar.avatar import Avatar, AvatarWarning
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.everyday_poses import everyday_poses
-from physkin_core.outfit.coverage import FROM_HEM, Cover, covered, faces_of
+from physkin_core.outfit.coverage import Cover, covered, faces_of
 from physkin_core.outfit.layer_order import LayerOrder, bind_layer_order
 from physkin_core.outfit.layers import Layer, OutfitGarment, drapes, put_on
 from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
-from physkin_core.outfit.tuck import Tuck
+from physkin_core.outfit.tuck import DEEP
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
@@ -44,8 +44,8 @@ class Outfit:
     backend, precision, fit, normals, separate_limbs: as of `Draper`; fit of garments without their own.
     hidden: (n,) bool of each garment, what is covered in all everyday poses; visible: (v,) int32, the vertices that are
     given; faces: (f, 3) int32 of these. body_mask: (F,) bool, the body's faces that are covered. at_rest: how each
-    garment sits on the skin; fits: what each is worn in. bounds, orders, tucks: what a frame needs: bound garments of
-    the vertices given, and what is kept between layers.
+    garment sits on the skin; fits: what each is worn in. bounds, orders: what a frame needs: bound garments of the
+    vertices given, and what keeps layers in order.
     What can be worn but looks odd is issued as AvatarWarning, which `warnings` keeps.
     Raises TypeError for anything but garments and an avatar; ValueError, in one sentence, for what cannot be worn (a
     garment twice, more than four, several rigs, a tuck or an order that does not go) and for what `Draper` refuses.
@@ -81,14 +81,11 @@ class Outfit:
         if not checked:
             self.hidden, body_hidden = tuple(np.zeros_like(mask) for mask in self.hidden), np.zeros_like(body_hidden)
         self.body_mask = faces_of(avatar.faces, body_hidden)
-        self.visible, self.faces = _given(
-            layers, tucks, self.hidden if hide else [np.zeros_like(mask) for mask in self.hidden]
-        )
+        self.visible, self.faces = _given(layers, self.hidden if hide else [np.zeros_like(m) for m in self.hidden])
         self.bounds = tuple(_among(layer.bound, *given) for layer, *given in zip(layers, self.visible, self.faces))
-        self.tucks = tuple(tuck.among(self.visible[tuck.inner], self.visible[tuck.outer]) for tuck in tucks)
-        self.orders = _orders(layers, self.visible, self.faces, cloth, self.tucks)
+        self.orders = _orders(layers, self.visible, self.faces, cloth, tucks)
         kinds = {"native": partial(NativeOutfitEvaluator, precision=precision), "numpy": ReferenceOutfitEvaluator}
-        self._new_evaluator = partial(kinds[backend], self.bounds, self.orders, self.tucks, normals=normals)
+        self._new_evaluator = partial(kinds[backend], self.bounds, self.orders, normals=normals)
         self.backend = backend
         self.avatar = avatar
         self._separates = separate_limbs
@@ -139,7 +136,7 @@ class Outfit:
     @property
     def moved(self) -> tuple[bool, ...]:
         """Whether vertices of each garment are moved after skinning, to keep the order of layers or a tucked hem."""
-        moved = {*(order.outer for order in self.orders), *(tuck.inner for tuck in self.tucks)}
+        moved = {order.yielding for order in self.orders}
         return tuple(k in moved for k in range(len(self.garments)))
 
     @property
@@ -259,17 +256,13 @@ def _hidden(layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: list,
         ]:
             left = np.flatnonzero(mask)
             mask[left] = covered(points[left, :3], points[left, 3:], over)
-    return tuple(mask | (layer.tucked_depth >= FROM_HEM) for layer, mask in zip(layers, hidden)), body
+    return tuple(mask | (layer.tucked_depth > DEEP) for layer, mask in zip(layers, hidden)), body
 
 
-def _given(layers: Sequence[Layer], tucks: Sequence[Tuck], hidden: Sequence[np.ndarray]):
+def _given(layers: Sequence[Layer], hidden: Sequence[np.ndarray]):
     """Of each layer the vertices (v,) int32 that are given, and faces (f, 3) of these."""
     shown = [layer.draper.faces[~faces_of(layer.draper.faces, mask)] for layer, mask in zip(layers, hidden)]
-    kept = [set(np.unique(faces)) for faces in shown]
-    for tuck in tucks:
-        for layer, needed in zip((tuck.inner, tuck.outer), tuck.needed):
-            kept[layer].update(needed)
-    visible = [np.array(sorted(vertices), dtype=np.int32) for vertices in kept]
+    visible = [np.unique(faces).astype(np.int32) for faces in shown]
     return tuple(visible), tuple(np.searchsorted(v, faces).astype(np.int32) for v, faces in zip(visible, shown))
 
 
@@ -282,15 +275,12 @@ def _among(bound: BoundGarment, vertices: np.ndarray, faces: np.ndarray) -> Boun
 
 
 def _orders(layers, visible, faces, cloth, tucks) -> tuple[LayerOrder, ...]:
-    """What keeps the order of every two layers of which neither is tucked into the other."""
-    tucked = {(tuck.inner, tuck.outer) for tuck in tucks}
+    """What keeps the order of every two layers: the outer one yields, or the inner one where it is tucked in."""
     orders = []
     for outer in range(len(layers)):
         for inner in range(outer):
-            if (inner, outer) in tucked:
-                continue
-            pair = inner, outer
+            pair = (outer, inner) if (inner, outer) in tucks else (inner, outer)
             rest = tuple(layers[k].rest[visible[k], :3] for k in pair)
             poses = [tuple(drawn[k][visible[k]] for k in pair) for drawn in cloth]
-            orders.append(bind_layer_order(inner, outer, rest, tuple(faces[k] for k in pair), poses))
+            orders.append(bind_layer_order(*pair, rest, tuple(faces[k] for k in pair), poses))
     return tuple(order for order in orders if order is not None)

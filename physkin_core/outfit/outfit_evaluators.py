@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 
 from physkin_core.outfit.layer_order import LayerOrder, ReferenceLayerOrder
-from physkin_core.outfit.tuck import Tuck, apply_tuck
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.native_evaluator import _native
 from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
@@ -25,22 +24,21 @@ JUMP = 0.5
 class NativeOutfitEvaluator:
     """Evaluates bound garments of one body together. Not for use by two threads at once.
 
-    bounds, orders, tucks: the layers, and what is kept between them. instruction_set, precision, normals: as in
-    `NativeEvaluator`. Raises ValueError as that does, for garments of several rigs or bodies, or where an index of what
-    is kept is out of range.
+    bounds, orders: the layers, and what keeps them in order. instruction_set, precision, normals: as in
+    `NativeEvaluator`. Raises ValueError as that does, for garments of several rigs or bodies, or where an index of an
+    order is out of range.
     """
 
     def __init__(
         self,
         bounds: Sequence[BoundGarment],
         orders: Sequence[LayerOrder],
-        tucks: Sequence[Tuck],
         *,
         instruction_set: str | None = None,
         precision: str | None = None,
         normals: Literal["skinned", "faces"] = "skinned",
     ) -> None:
-        self._outfit = _native.Outfit(list(bounds), list(orders), list(tucks), instruction_set, precision, normals)
+        self._outfit = _native.Outfit(list(bounds), list(orders), instruction_set, precision, normals)
 
     @property
     def instruction_set(self) -> str:
@@ -72,7 +70,7 @@ class NativeOutfitEvaluator:
         self, joint_positions: np.ndarray, gravity: np.ndarray, outs: Sequence[np.ndarray]
     ) -> _native.OutfitStep:
         """A frame bound to its arrays, C-contiguous float32 that are changed in place: `step()` allocates nothing.
-        `skin()` and `keep()` repeat the last frame's skinning, and what is kept between layers, for timing.
+        `skin()` and `keep()` repeat the last frame's skinning, and the order of layers, for timing.
 
         Raises TypeError and ValueError as `evaluate` does.
         """
@@ -92,7 +90,6 @@ class ReferenceOutfitEvaluator:
         self,
         bounds: Sequence[BoundGarment],
         orders: Sequence[LayerOrder],
-        tucks: Sequence[Tuck],
         *,
         normals: Literal["skinned", "faces"] = "skinned",
     ) -> None:
@@ -100,8 +97,7 @@ class ReferenceOutfitEvaluator:
 
         self._bounds = list(bounds)
         self._evaluators = [ReferenceEvaluator(bound) for bound in bounds]
-        self._orders = [(order.inner, order.outer, ReferenceLayerOrder(order)) for order in orders]
-        self._tucks = list(tucks)
+        self._orders = [(order.steady, order.yielding, ReferenceLayerOrder(order)) for order in orders]
         self._last_pose: np.ndarray | None = None
         self._face_normals = vertex_normals if normals == "faces" else None
 
@@ -120,12 +116,9 @@ class ReferenceOutfitEvaluator:
         jumps = self._last_pose is None or not np.abs(pose - self._last_pose).max() < JUMP
         self._last_pose = pose
         for k in range(len(layers)):
-            for inner, outer, order in self._orders:
-                if outer == k:
-                    order.apply(layers[inner], layers[outer], look_at_all=jumps)
-            for tuck in self._tucks:
-                if tuck.outer == k:
-                    apply_tuck(tuck, layers[tuck.inner], layers[tuck.outer])
+            for steady, yielding, order in self._orders:
+                if max(steady, yielding) == k:
+                    order.apply(layers[steady], layers[yielding], look_at_all=jumps)
         for bound, layer, out in zip(self._bounds, layers, outs):
             if self._face_normals is not None:
                 layer[:, 3:] = self._face_normals(layer[:, :3], bound.faces)

@@ -1,14 +1,38 @@
-"""The option `--tucked` of every command that puts on an outfit, and the garments that it asks for."""
+"""Options of every command that puts on garments, and the garments that they ask for."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
 
+from physkin_core.avatar.loading import BUNDLED_AVATAR
+from physkin_core.fit_option import add_fit_option
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.outfit.layers import OutfitGarment
 
-__all__ = ["add_tucked_option", "chosen_garments"]
+__all__ = ["add_garment_option", "add_limbs_option", "add_outfit_options", "add_tucked_option", "chosen_garments"]
+
+
+def add_outfit_options(parser: argparse.ArgumentParser) -> None:
+    """Add who wears what, for commands whose avatar is an option: `--avatar`, `--rig`, `--garment`, `--tucked`,
+    `--fit`."""
+    parser.add_argument(
+        "--avatar", metavar="AVATAR", default=BUNDLED_AVATAR, help="body file (default: the bundled one)"
+    )
+    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    add_garment_option(parser)
+    add_tucked_option(parser)
+    add_fit_option(parser)
+
+
+def add_garment_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--garment`, a list; None where it is not given."""
+    parser.add_argument(
+        *("-g", "--garment"),
+        action="append",
+        metavar="MODEL",
+        help="a file or a shipped name (default tshirt); several, from the skin outwards, are an outfit",
+    )
 
 
 def add_tucked_option(parser: argparse.ArgumentParser) -> None:
@@ -22,9 +46,18 @@ def add_tucked_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def chosen_garments(names: Sequence[str], tucked: Sequence[str]) -> list[OutfitGarment]:
-    """Garments by file or shipped name, from the skin outwards. Raises ValueError when one is tucked that is not worn,
-    or a file is no model."""
+def add_limbs_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--separate-limbs`."""
+    parser.add_argument(
+        "--separate-limbs", action="store_true", help="move arms and legs out of this body's trunk and each other"
+    )
+
+
+def chosen_garments(names: Sequence[str] | None, tucked: Sequence[str]) -> list[OutfitGarment]:
+    """Garments by file or shipped name, from the skin outwards; a T-shirt where none is named.
+
+    Raises ValueError when one is tucked that is not worn, or a file is no model."""
+    names = names or ["tshirt"]
     for name in tucked:
         if name not in names:
             raise ValueError(f"--tucked {name}: none of the garments, which are {', '.join(names)}")

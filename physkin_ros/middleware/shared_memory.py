@@ -11,9 +11,10 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-__all__ = ["leftovers", "remove_shared_memory", "shared_memory_of"]
+__all__ = ["SHARED_MEMORY", "leftovers", "remove_shared_memory", "shared_memory_of"]
 
 SHARED_MEMORY = Path("/dev/shm")
+"""Where Fast DDS puts it."""
 SEGMENT = re.compile(r"fastrtps_\w+")
 
 

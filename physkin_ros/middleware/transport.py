@@ -8,7 +8,14 @@ import socket
 from collections.abc import MutableMapping
 from pathlib import Path
 
-__all__ = ["DOMAINS", "FASTDDS_PROFILE", "free_domain_id", "private_environment", "use_shipped_profile"]
+__all__ = [
+    "DOMAINS",
+    "FASTDDS_PROFILE",
+    "PROFILE_VARIABLES",
+    "free_domain_id",
+    "private_environment",
+    "use_shipped_profile",
+]
 
 FASTDDS_PROFILE = Path(__file__).parents[1] / "config" / "fastdds.xml"
 DOMAINS = range(1, 102)

@@ -17,6 +17,7 @@ from rclpy.logging import get_logger
 from rclpy.utilities import remove_ros_args
 
 from physkin_core import AvatarWarning
+from physkin_ros.messages.topics import TOPICS
 from physkin_ros.middleware.transport import use_shipped_profile
 from physkin_ros.node.config_file import load_config
 from physkin_ros.node.drape_node import DrapeNode
@@ -26,23 +27,6 @@ __all__ = ["main", "spin"]
 
 EXECUTORS = {"events": EventsExecutor, "single": SingleThreadedExecutor}
 NO_PARTICIPANT = "error creating node"  # how rcl says that the middleware refused
-TOPICS = {
-    "joint_states": "in, sensor_msgs/JointState: pose of the body",
-    "bone_rotations": "in, sensor_msgs/MultiDOFJointState: pose of the body as rotations of bones, instead",
-    "gravity": "in, geometry_msgs/Vector3Stamped: direction of gravity in the body's root frame, any length but zero; "
-    "joint states are draped with the latest, so send it before them; or pose, imu: see orientation",
-    "~/effective_gravity": "in, geometry_msgs/Vector3Stamped: what an accelerated root feels, gravity less its "
-    "acceleration [m/s2] in the body's root frame, up to 29.4 long; takes gravity's place for 0.5 s; with avatars "
-    "~/ID/effective_gravity",
-    "~/garment": "out, sensor_msgs/PointCloud2: points [m] and normals, body's root frame, stamp of the joint state",
-    "~/marker": "out, visualization_msgs/Marker: the garment's triangles; with marker",
-    "~/mesh": "out, physkin_msgs/GarmentMesh: faces and skinning weights, latched; with physkin_msgs installed",
-    "~/garment_nodes": "out, physkin_msgs/GarmentNodes: garment node transforms; with physkin_msgs installed",
-    "/diagnostics": "out, diagnostic_msgs/DiagnosticArray at 1 Hz",
-    "~/statistics": "out, physkin_msgs/DrapeStatistics at 1 Hz; with physkin_msgs installed",
-    "~/set_body": "service, physkin_msgs/SetBody: another body while running; ~/set_garment likewise",
-}
-"""Name -> direction, type and meaning, for the usage text. With avatars, those of a garment are below ~/ID/NAME."""
 
 
 def spin(node: DrapeNode) -> None:
@@ -145,7 +129,10 @@ def _explain_usage(arguments: list[str]) -> int:
         lines += [
             f"  {name:<23} {setting.description} (default {setting.declared!r})" for name, setting in settings.items()
         ]
-    lines += ["", "topics:", *(f"  {name:<23} {text}" for name, text in TOPICS.items())]
+    lines += ["", "topics and services (with avatars: below ID/, those of a garment below ~/ID/NAME):"]
+    for topic in TOPICS:
+        needs = f" ({topic.needs})" if topic.needs else ""
+        lines.append(f"  {topic.name:<23} {topic.direction}, {topic.type}: {topic.description}{needs}")
     lines += ["", "Ended by SIGKILL the node leaves shared memory (/dev/shm/fastrtps_*) behind: fastdds shm clean."]
     wanted = bool({"-h", "--help"} & set(arguments))
     print("\n".join(lines), file=sys.stdout if wanted else sys.stderr)

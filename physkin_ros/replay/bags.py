@@ -18,8 +18,9 @@ from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__PointField as Po
 from rosbags.typesys.stores.ros2_jazzy import std_msgs__msg__Header as Header
 
 from physkin_core import Motion
-from physkin_core.motion.bag_reader import GRAVITY, JOINT_STATE, TYPES, BagError, bag_errors
+from physkin_core.motion.bag_reader import GRAVITY, JOINT_STATE, ODOMETRY, TRANSFORMS, TYPES, BagError, bag_errors
 from physkin_ros.messages.conversions import CLOUD_FIELDS, FLOAT32
+from physkin_ros.replay.root_messages import RootMessages
 
 __all__ = ["STORAGES", "BagWriter", "write_motion"]
 
@@ -108,13 +109,25 @@ class BagWriter:
 
 
 def write_motion(
-    writer: BagWriter, motion: Motion, *, topic: str = "/joint_states", gravity_topic: str = "/gravity", frame_id: str
+    writer: BagWriter,
+    motion: Motion,
+    *,
+    topic: str = "/joint_states",
+    gravity_topic: str = "/gravity",
+    frame_id: str,
+    world_frame: str = "",
 ) -> None:
-    """Write a clip as joint states, each preceded by gravity's direction in the root frame. Time starts at one second,
-    as stamps of zero mean "none" to many tools."""
+    """Write a clip as joint states, each preceded by gravity's direction in the root frame and, with the name of a
+    world frame, by where the root is in it: on /odom and /tf. Time starts at one second, as stamps of zero mean "none"
+    to many tools."""
     names, nothing = list(motion.joint_names), np.zeros(0)
+    root = RootMessages(motion, frame_id=frame_id, world_frame=world_frame) if world_frame else None
     for index, (positions, gravity) in enumerate(zip(motion.positions.astype(np.float64), motion.gravity)):
         time_ns = 1_000_000_000 + round(index * 1e9 / motion.rate_hz)
-        header = Header(Time(*divmod(time_ns, 1_000_000_000)), frame_id)
+        stamp = Time(*divmod(time_ns, 1_000_000_000))
+        header = Header(stamp, frame_id)
         writer.write(gravity_topic, GRAVITY, Vector3Stamped(header, Vector3(*map(float, gravity))), time_ns)
+        if root is not None:
+            writer.write("/odom", ODOMETRY, root.odometry(index, stamp), time_ns)
+            writer.write("/tf", TRANSFORMS, root.transforms(index, stamp), time_ns)
         writer.write(topic, JOINT_STATE, JointState(header, names, positions, nothing, nothing), time_ns)

@@ -20,7 +20,7 @@ from physkin_ros.replay.figures import describe, load_baseline, regressions, sum
 from physkin_ros.replay.replay import GARMENT_TOPIC, replay
 from physkin_ros.replay.report import thumbnails, write_report
 
-__all__ = ["main"]
+__all__ = ["command_parser", "main"]
 
 CONTACT_CLOUDS = 24  # measured against the body, unless --contact-every says otherwise
 LIVE = (
@@ -30,11 +30,12 @@ LIVE = (
 
 def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0, or 1 when something is worse than in the baseline, which is then told."""
-    options = _parser().parse_args(argv)
+    options = command_parser().parse_args(argv)
     gravity = gravity_direction(options.gravity)
     baseline = load_baseline(options.baseline) if options.baseline else None
     output = BagWriter(options.output, storage=options.storage) if options.output else nullcontext()
-    with output as writer, BagReader(options.bag, topic=options.topic, gravity_topic=options.gravity_topic) as bag:
+    topics = {"topic": options.topic, "gravity_topic": options.gravity_topic}
+    with output as writer, BagReader(options.bag, root="transforms", **topics) as bag:
         draper, every = _draper(options), options.contact_every
         if every is None:
             every = max(1, -(-bag.joint_state_count // CONTACT_CLOUDS))
@@ -68,7 +69,8 @@ def _draper(options: argparse.Namespace) -> Draper:
     return draper
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin replay`."""
     parser = argparse.ArgumentParser(prog="physkin replay", description=__doc__.splitlines()[0], epilog=LIVE)
     parser.add_argument("bag", type=Path, help="folder with metadata.yaml, or a .mcap or .db3 file")
     parser.add_argument("--model", default="tshirt", help="garment model: a file or a shipped name (default tshirt)")

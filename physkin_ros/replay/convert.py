@@ -11,11 +11,11 @@ from physkin_core.motion.mocap import AMC_RATE_HZ, load_mocap
 from physkin_core.motion.reading_progress import reading_progress
 from physkin_ros.replay.bags import STORAGES, BagWriter, write_motion
 
-__all__ = ["main"]
+__all__ = ["command_parser", "main"]
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line. Returns the exit status."""
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin convert`."""
     parser = argparse.ArgumentParser(prog="physkin convert", description=__doc__.splitlines()[0])
     parser.add_argument("motion", help="shipped clip (walk, dance, ...), motion file (.safetensors), .bvh or .amc")
     parser.add_argument("output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3")
@@ -28,8 +28,18 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, help="repeat or cut the clip to this length (default: once)")
     parser.add_argument("--topic", default="/joint_states", help="default %(default)s")
     parser.add_argument("--gravity-topic", default="/gravity", help="default %(default)s")
-    parser.add_argument("--frame-id", default="base_link", help="default %(default)s")
-    options = parser.parse_args(argv)
+    parser.add_argument("--frame-id", default="base_link", help="TF frame of the root (default %(default)s)")
+    parser.add_argument(
+        "--world-frame",
+        default="world",
+        help="TF frame that /tf and /odom start at (default %(default)s; '': neither)",
+    )
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line. Returns the exit status."""
+    options = command_parser().parse_args(argv)
     with BagWriter(options.output, storage=options.storage) as writer:  # first: a motion may take a while to read
         motion = _motion(options)
         if options.rate is not None:
@@ -37,7 +47,7 @@ def main(argv: list[str] | None = None) -> int:
         if options.seconds is not None:
             motion = motion.looped(options.seconds)
         topics = {"topic": options.topic, "gravity_topic": options.gravity_topic, "frame_id": options.frame_id}
-        write_motion(writer, motion, **topics)
+        write_motion(writer, motion, world_frame=options.world_frame, **topics)
     print(f"wrote {options.output}: {motion.frame_count} joint states at {motion.rate_hz:g} Hz")
     return 0
 

@@ -18,7 +18,7 @@ from time import perf_counter_ns
 import numpy as np
 
 from physkin_core import UPRIGHT_GRAVITY, Draper
-from physkin_core.motion.bag_reader import BagReader, decode
+from physkin_core.motion.bag_reader import TRANSFORMS, BagReader, decode
 from physkin_core.quality import area_strain, contact_figures, edge_strain, signed_distance
 from physkin_core.runtime.bound_garment import plain_skinning
 from physkin_ros.joints.joint_naming import load_naming
@@ -81,8 +81,9 @@ def replay(
 ) -> Replay:
     """Drape every joint state of `bag`.
 
-    writer: where the clouds go. joint_map: a file, or a preset. gravity: (3,) direction in the root frame until the
-    bag gives one. contact_every: every how many joint states a cloud is measured against the body, 0 for never.
+    writer: where the clouds go, and the bag's transforms, if it is read with them, so that clouds hang in the world.
+    joint_map: a file, or a preset. gravity: (3,) direction in the root frame until the bag gives one. contact_every:
+    every how many joint states a cloud is measured against the body, 0 for never.
     Raises JointMapError, and BagError when the bag cannot be read on.
     """
     rig, found, unknown = draper.model.rig, Replay(), set()
@@ -93,6 +94,10 @@ def replay(
         draper.drape(reader.positions, gravity, out=points)
     messages, clouds, downs = hashlib.sha256(), hashlib.sha256(), GravityByStamp(np.array(gravity, dtype=np.float64))
     for message in bag:
+        if message.kind == "transforms":
+            if writer is not None:
+                writer.write_bytes(message.topic, TRANSFORMS, message.data, message.time_ns)
+            continue
         messages.update(struct.pack("<?qQ", message.kind == "gravity", message.time_ns, len(message.data)))
         messages.update(message.data)
         if message.kind == "gravity":

@@ -25,7 +25,7 @@ from physkin_ros.tools.demo_report import complete, draw, largest_error, table
 from physkin_ros.tools.listener import KEPT_CLOUDS
 from physkin_ros.tools.trial import Records, finish, start_node, start_playing
 
-__all__ = ["main"]
+__all__ = ["command_parser", "main"]
 
 RATE_HZ = 60.0
 WORN = ("trousers", "tshirt")
@@ -38,7 +38,7 @@ QUEUE = 120  # messages the node may queue: two seconds, so that a busy machine 
 
 def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0; 1 when a cloud was lost, was not finite or was wrong, or a process failed."""
-    options = _parser().parse_args(argv)
+    options = command_parser().parse_args(argv)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     options.garment = options.garment or list(WORN)
     garments = chosen_garments(options.garment, options.tucked)
@@ -76,7 +76,8 @@ def _play(options: argparse.Namespace, keep_every: int, folder: Path) -> Records
         return finish(children, folder, options.seconds)
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin demo`."""
     parser = argparse.ArgumentParser(prog="physkin demo", description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=positive, default=10.0, help="how long to play (default %(default)g)")
     parser.add_argument("--output", type=file_to_write, default=Path("demo.png"), help="picture (default %(default)s)")

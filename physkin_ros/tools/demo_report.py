@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core import Motion, Outfit
 from physkin_core.outfit.layer_order import TURNS
-from physkin_core.picture import Mesh, contact_sheet, layer_colours, render, save_png
+from physkin_core.picture import contact_sheet, render, save_png
+from physkin_core.render.dressed_meshes import dressed_meshes
 from physkin_ros.tools.machine import machine_line, versions_line
 from physkin_ros.tools.trial import Records
 
@@ -90,9 +91,6 @@ def draw(path: Path, records: Records, outfit: Outfit, motion: Motion) -> None:
     Raises PictureError when the extra `[view]` is not installed.
     """
     positions, rotations = motion.positions_for(outfit.models[0].rig), Rotation.from_quat(motion.root_orientation)
-    several = len(outfit.models) > 1
-    skin = outfit.avatar.faces[~outfit.body_mask] if several else outfit.avatar.faces
-    colours = layer_colours(len(outfit.models))
     frames, captions = [], []
     for frame, cloud in _kept_frames(records):
         body = outfit.avatar.posed_vertices(outfit.bone_transforms(positions[frame]))
@@ -103,8 +101,7 @@ def draw(path: Path, records: Records, outfit: Outfit, motion: Motion) -> None:
     bounds = np.stack([drawn.min(axis=0), drawn.max(axis=0)])
     pictures = []
     for body, *cloth in frames:
-        meshes = [Mesh(body, skin), *map(Mesh, cloth, outfit.faces, colours)]
-        pictures.append(render(meshes, bounds=bounds, size=PICTURE_SIZE))
+        pictures.append(render(dressed_meshes(outfit, body, cloth), bounds=bounds, size=PICTURE_SIZE))
     save_png(path, contact_sheet(pictures, columns=COLUMNS, captions=captions))
 
 

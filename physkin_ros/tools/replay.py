@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 
-__all__ = ["main"]
+__all__ = ["command_parser", "main"]
+
+
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin replay` without ROS."""
+    from physkin_ros.replay import command
+
+    return command.command_parser()
 
 
 def main(argv: list[str] | None = None) -> int:

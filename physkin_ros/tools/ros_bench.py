@@ -26,7 +26,7 @@ from physkin_ros.tools.children import ChildFailedError, Children
 from physkin_ros.tools.machine import machine_line, versions_line
 from physkin_ros.tools.trial import Records, finish, start_node, start_playing
 
-__all__ = ["Case", "figures", "main"]
+__all__ = ["Case", "command_parser", "figures", "main"]
 
 MOTION = "dance"
 WARM_UP_SECONDS = 1.0
@@ -62,7 +62,7 @@ class Case:
 
 def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0; 1 when a process failed."""
-    options = _parser().parse_args(argv)
+    options = command_parser().parse_args(argv)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     models = [load_garment_model(name) for name in options.model]
     facts = {
@@ -143,7 +143,8 @@ def figures(case: Case, records: Records, *, garments: int = 1) -> dict[str, obj
     }
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin ros-bench`."""
     parser = argparse.ArgumentParser(prog="physkin ros-bench", description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=file_to_write, metavar="OUT", help="write what is printed to a file, too")
     parser.add_argument(

@@ -33,15 +33,15 @@ inline float square_distance(Quad a, Quad b) {
   return square[0] + square[1] + square[2];
 }
 
-// The inner vertex that is closest to a point, of those looked at.
+// The steady vertex that is closest to a point, of those looked at.
 struct Closest {
   std::int32_t vertex;
   float square;
 
-  void among(const std::int32_t* four, const std::int32_t* end, Quad at, const ClothRows& inner) {
+  void among(const std::int32_t* four, const std::int32_t* end, Quad at, const ClothRows& steady) {
     for (; four != end; four += 4) {
       Quad gap[4];
-      for (int k = 0; k < 4; ++k) gap[k] = at - inner.position(four[k]);
+      for (int k = 0; k < 4; ++k) gap[k] = at - steady.position(four[k]);
       const Quad squares = sums_of_three(gap[0] * gap[0], gap[1] * gap[1], gap[2] * gap[2], gap[3] * gap[3]);
       for (int k = 0; k < 4; ++k) {
         vertex = squares[k] < square ? four[k] : vertex;
@@ -66,7 +66,7 @@ LayerOrderData read_layer_order(FieldSource& source) {
   d.contact = integers("contact", d.contacts);
   d.seed_start = integers("seed_start", d.seed_starts);
   d.seed = integers("seed", d.seeds);
-  d.ring_start = integers("ring_start", d.inner_starts);
+  d.ring_start = integers("ring_start", d.steady_starts);
   d.ring = integers("ring", d.ring_size);
   d.push_start = integers("push_start", d.contact_starts);
   d.push_to = integers("push_to", d.pushes);
@@ -76,21 +76,21 @@ LayerOrderData read_layer_order(FieldSource& source) {
   return d;
 }
 
-LayerOrder::LayerOrder(const LayerOrderData& d, int inner_vertices, int outer_vertices, Arena& arena)
-    : contacts_(d.contacts), moved_count_(d.moved_count), edge_(d.edge) {
-  check_indices("contact", d.contact, d.contacts, outer_vertices);
+LayerOrder::LayerOrder(const LayerOrderData& d, Side side, int steady_vertices, int yielding_vertices, Arena& arena)
+    : side_(side == Side::kOutside ? 1.0f : -1.0f), contacts_(d.contacts), moved_count_(d.moved_count), edge_(d.edge) {
+  check_indices("contact", d.contact, d.contacts, yielding_vertices);
   check_starts("seed_start", d.seed_start, d.seed_starts, d.contacts, d.seeds);
-  check_indices("seed", d.seed, d.seeds, inner_vertices);
-  check_starts("ring_start", d.ring_start, d.inner_starts, inner_vertices, d.ring_size);
-  check_indices("ring", d.ring, d.ring_size, inner_vertices);
+  check_indices("seed", d.seed, d.seeds, steady_vertices);
+  check_starts("ring_start", d.ring_start, d.steady_starts, steady_vertices, d.ring_size);
+  check_indices("ring", d.ring, d.ring_size, steady_vertices);
   check_starts("push_start", d.push_start, d.contact_starts, d.contacts, d.pushes);
   check_indices("push_to", d.push_to, d.pushes, d.moved_count);
   check_finite("push_share", d.push_share, d.pushes, 1.0f);
-  check_indices("moved", d.moved, d.moved_count, outer_vertices);
+  check_indices("moved", d.moved, d.moved_count, yielding_vertices);
   check_finite("edge", &d.edge, 1);
   contact_ = arena.copy(d.contact, d.contacts);
   auto* place = arena.take<std::int32_t>(d.contacts);
-  std::vector<std::int32_t> place_of(std::size_t(outer_vertices), -1);
+  std::vector<std::int32_t> place_of(std::size_t(yielding_vertices), -1);
   for (int k = 0; k < d.moved_count; ++k) place_of[d.moved[k]] = k;
   for (int c = 0; c < d.contacts; ++c) {
     place[c] = place_of[d.contact[c]];
@@ -106,9 +106,9 @@ LayerOrder::LayerOrder(const LayerOrderData& d, int inner_vertices, int outer_ve
   has_moved_ = arena.take<bool>(d.moved_count);
 
   Fours planes, seeds;
-  auto* plane_count = arena.take<std::int32_t>(inner_vertices);
+  auto* plane_count = arena.take<std::int32_t>(steady_vertices);
   std::vector<std::int32_t> around;
-  for (int v = 0; v < inner_vertices; ++v) {
+  for (int v = 0; v < steady_vertices; ++v) {
     around.assign(1, v);
     around.insert(around.end(), d.ring + d.ring_start[v], d.ring + d.ring_start[v + 1]);
     planes.add(around.data(), around.data() + around.size(), v);
@@ -131,8 +131,8 @@ LayerOrder::LayerOrder(const LayerOrderData& d, int inner_vertices, int outer_ve
   for (std::int32_t** list : {&here_, &searching_, &near_}) *list = arena.take<std::int32_t>(d.contacts + 4);
 }
 
-void LayerOrder::apply(const VertexRows& inner_rows, const VertexRows& outer_rows, bool look_at_all) noexcept {
-  const ClothRows inner(inner_rows), outer(outer_rows);
+void LayerOrder::apply(const VertexRows& steady_rows, const VertexRows& yielding_rows, bool look_at_all) noexcept {
+  const ClothRows steady(steady_rows), yielding(yielding_rows);
   const int turn = frame_++ % kTurns;
   int here = 0, searching = 0;
   for (int c = look_at_all ? 0 : turn; c < contacts_; c += look_at_all ? 1 : kTurns) searching_[searching++] = c;
@@ -141,8 +141,8 @@ void LayerOrder::apply(const VertexRows& inner_rows, const VertexRows& outer_row
     here += !free_[c] & (c % kTurns != turn);
   }
   for (int pass = 0; pass < kPasses; ++pass) {
-    find_near(here, searching, inner, outer);
-    if (!push_lacking(inner, outer)) return;
+    find_near(here, searching, steady, yielding);
+    if (!push_lacking(steady, yielding)) return;
     here = searching = 0;
     for (int c = 0; c < contacts_; ++c) {
       here_[here] = c;
@@ -151,18 +151,18 @@ void LayerOrder::apply(const VertexRows& inner_rows, const VertexRows& outer_row
   }
 }
 
-void LayerOrder::find_near(int here, int searching, const ClothRows& inner, const ClothRows& outer) noexcept {
+void LayerOrder::find_near(int here, int searching, const ClothRows& steady, const ClothRows& yielding) noexcept {
   near_count_ = 0;
-  searching = look(here_, here, edge_ * edge_, searching_, searching, inner, outer);
-  for (int k = 0; k < searching; ++k) choose_seed(searching_[k], inner, outer);
+  searching = look(here_, here, edge_ * edge_, searching_, searching, steady, yielding);
+  for (int k = 0; k < searching; ++k) choose_seed(searching_[k], steady, yielding);
   const float stray = (kStray * edge_) * (kStray * edge_);
-  const int strayed = look(searching_, searching, stray, here_, 0, inner, outer);
-  for (int k = 0; k < strayed; ++k) walk(here_[k], stray, inner, outer);
+  const int strayed = look(searching_, searching, stray, here_, 0, steady, yielding);
+  for (int k = 0; k < strayed; ++k) walk(here_[k], stray, steady, yielding);
 }
 
 // Stage by stage for many contacts: what one of them waits for does not hold up the others.
 int LayerOrder::look(std::int32_t* list, int count, float most_aside_square, std::int32_t* beyond, int beyond_count,
-                     const ClothRows& inner, const ClothRows& outer) noexcept {
+                     const ClothRows& steady, const ClothRows& yielding) noexcept {
   for (int k = count; k < count + 3; ++k) list[k] = count > 0 ? list[count - 1] : 0;
   for (int first = 0; first < count; first += 4) {
     std::int32_t four[4];
@@ -170,8 +170,8 @@ int LayerOrder::look(std::int32_t* list, int count, float most_aside_square, std
     Quad gap[4], normal[4];
     for (int k = 0; k < 4; ++k) {
       const std::int32_t partner = partner_[four[k]];
-      gap[k] = outer.position(contact_[four[k]]) - inner.position(partner);
-      normal[k] = inner.normal(partner);
+      gap[k] = yielding.position(contact_[four[k]]) - steady.position(partner);
+      normal[k] = steady.normal(partner);
     }
     const OffPlanes planes = off_planes(gap, normal);
     for (int k = 0; k < std::min(4, count - first); ++k) {
@@ -179,7 +179,7 @@ int LayerOrder::look(std::int32_t* list, int count, float most_aside_square, std
       const bool is_beyond = aside_square > most_aside_square;
       beyond[beyond_count] = four[k];
       beyond_count += is_beyond;
-      settle(four[k], planes.off[k], aside_square, !is_beyond);
+      settle(four[k], side_ * planes.off[k], aside_square, !is_beyond);
     }
   }
   return beyond_count;
@@ -192,33 +192,33 @@ inline void LayerOrder::settle(std::int32_t c, float off, float aside_square, bo
   near_count_ += now & !free_[c] & !(off > kNear);
 }
 
-inline void LayerOrder::choose_seed(std::int32_t c, const ClothRows& inner, const ClothRows& outer) noexcept {
-  Closest closest{partner_[c], square_distance(outer.position(contact_[c]), inner.position(partner_[c]))};
-  closest.among(seed_ + seed_start_[c], seed_ + seed_start_[c + 1], outer.position(contact_[c]), inner);
+inline void LayerOrder::choose_seed(std::int32_t c, const ClothRows& steady, const ClothRows& yielding) noexcept {
+  Closest closest{partner_[c], square_distance(yielding.position(contact_[c]), steady.position(partner_[c]))};
+  closest.among(seed_ + seed_start_[c], seed_ + seed_start_[c + 1], yielding.position(contact_[c]), steady);
   partner_[c] = closest.vertex;
 }
 
-void LayerOrder::walk(std::int32_t c, float stray, const ClothRows& inner, const ClothRows& outer) noexcept {
-  const Quad at = outer.position(contact_[c]);
-  Closest closest{partner_[c], square_distance(at, inner.position(partner_[c]))};
+void LayerOrder::walk(std::int32_t c, float stray, const ClothRows& steady, const ClothRows& yielding) noexcept {
+  const Quad at = yielding.position(contact_[c]);
+  Closest closest{partner_[c], square_distance(at, steady.position(partner_[c]))};
   float off, aside_square;
   for (int step = 0;; ++step) {
     const std::int32_t before = closest.vertex;
-    if (step < kSteps) closest.among(plane_ + plane_start_[before], plane_ + plane_start_[before + 1], at, inner);
-    const Quad along = (at - inner.position(closest.vertex)) * inner.normal(closest.vertex);
+    if (step < kSteps) closest.among(plane_ + plane_start_[before], plane_ + plane_start_[before + 1], at, steady);
+    const Quad along = (at - steady.position(closest.vertex)) * steady.normal(closest.vertex);
     off = along[0] + along[1] + along[2];
     aside_square = closest.square - off * off;
     if (closest.vertex == before || !(aside_square > stray)) break;
   }
   partner_[c] = closest.vertex;
-  settle(c, off, aside_square, true);
+  settle(c, side_ * off, aside_square, true);
 }
 
-bool LayerOrder::push_lacking(const ClothRows& inner, const ClothRows& outer) noexcept {
+bool LayerOrder::push_lacking(const ClothRows& steady, const ClothRows& yielding) noexcept {
   bool any = false;
   for (int k = 0; k < near_count_; ++k) {
     const std::int32_t c = near_[k];
-    const float wanted = lack(c, inner, outer);
+    const float wanted = lack(c, steady, yielding);
     if (!(wanted > 0.0f)) continue;
     if (!any) std::fill_n(push_, moved_count_, 0.0f);
     any = true;
@@ -234,12 +234,12 @@ bool LayerOrder::push_lacking(const ClothRows& inner, const ClothRows& outer) no
     pushed_[pushed] = k;
     pushed += push_[k] > 0.0f;
   }
-  for (int k = 0; k < pushed; ++k) outer.move(moved_[pushed_[k]], push_[pushed_[k]]);
+  for (int k = 0; k < pushed; ++k) yielding.move(moved_[pushed_[k]], side_ * push_[pushed_[k]]);
   return true;
 }
 
-float LayerOrder::lack(std::int32_t c, const ClothRows& inner, const ClothRows& outer) const noexcept {
-  const Quad at = outer.position(contact_[c]), own = outer.normal(contact_[c]);
+float LayerOrder::lack(std::int32_t c, const ClothRows& steady, const ClothRows& yielding) const noexcept {
+  const Quad at = yielding.position(contact_[c]), own = yielding.normal(contact_[c]);
   const std::int32_t partner = partner_[c], first = plane_start_[partner];
   const float reach = 1.0f / ((kPlaneReach * edge_) * (kPlaneReach * edge_));
   Quad totals = {}, gaps = {}, alikes = {};
@@ -247,8 +247,8 @@ float LayerOrder::lack(std::int32_t c, const ClothRows& inner, const ClothRows& 
   for (std::int32_t group = first; group < plane_start_[partner + 1]; group += 4, left -= 4) {
     Quad gap[4], normal[4];
     for (int k = 0; k < 4; ++k) {
-      gap[k] = at - inner.position(plane_[group + k]);
-      normal[k] = inner.normal(plane_[group + k]);
+      gap[k] = at - steady.position(plane_[group + k]);
+      normal[k] = steady.normal(plane_[group + k]);
     }
     const OffPlanes planes = off_planes(gap, normal);
     const Quad near = at_least_zero(1.0f - planes.aside_square * reach);
@@ -258,7 +258,7 @@ float LayerOrder::lack(std::int32_t c, const ClothRows& inner, const ClothRows& 
     alikes += share * sums_of_three(own * normal[0], own * normal[1], own * normal[2], own * normal[3]);
   }
   const float total = sum(totals), safe = std::max(total, 1e-6f);
-  const float gap = sum(gaps) / safe, alike = sum(alikes) / safe;
+  const float gap = side_ * sum(gaps) / safe, alike = sum(alikes) / safe;
   const float wanted = kOrderGap + kSoft - gap;
   if (!(wanted > 0.0f)) return 0.0f;
   float lack = wanted < 2.0f * kSoft ? wanted * wanted / (4.0f * kSoft) : wanted - kSoft;

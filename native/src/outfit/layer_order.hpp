@@ -10,7 +10,7 @@ namespace physkin {
 
 // Fields as in LayerOrder of physkin_core/outfit/layer_order.py. Views, read during construction only.
 struct LayerOrderData {
-  int contacts = -1, seed_starts = -1, seeds = -1, inner_starts = -1, ring_size = -1, contact_starts = -1, pushes = -1, moved_count = -1;
+  int contacts = -1, seed_starts = -1, seeds = -1, steady_starts = -1, ring_size = -1, contact_starts = -1, pushes = -1, moved_count = -1;
   const std::int32_t* contact = nullptr;
   const std::int32_t* seed_start = nullptr;
   const std::int32_t* seed = nullptr;
@@ -26,29 +26,33 @@ struct LayerOrderData {
 // Reads every field but `edge`; what the arrays hold is for LayerOrder to check.
 LayerOrderData read_layer_order(FieldSource& source);
 
+// Where the yielding layer belongs, seen from the steady one.
+enum class Side { kOutside, kInside };
+
 class LayerOrder {
  public:
   // Copies into the arena. Throws std::invalid_argument where an index is out of range or a value is not finite.
-  LayerOrder(const LayerOrderData& data, int inner_vertices, int outer_vertices, Arena& arena);
+  LayerOrder(const LayerOrderData& data, Side side, int steady_vertices, int yielding_vertices, Arena& arena);
 
-  // Moves the outer layer's positions; rows of both must have normals. look_at_all: do not trust the last frame in where
+  // Moves the yielding layer's positions; rows of both must have normals. look_at_all: do not trust the last frame in where
   // nothing can touch. Allocates nothing.
-  void apply(const VertexRows& inner, const VertexRows& outer, bool look_at_all) noexcept;
+  void apply(const VertexRows& steady, const VertexRows& yielding, bool look_at_all) noexcept;
 
  private:
   // Fills near_ from `here` contacts that keep their partners unless they lost them, and `searching` others.
-  void find_near(int here, int searching, const ClothRows& inner, const ClothRows& outer) noexcept;
+  void find_near(int here, int searching, const ClothRows& steady, const ClothRows& yielding) noexcept;
   // Looks at the partners of `count` contacts. Those farther beside them are added to `beyond`, which counts then as many
   // as returned; others that are near to near_. `list` has room for four more.
   int look(std::int32_t* list, int count, float most_aside_square, std::int32_t* beyond, int beyond_count,
-           const ClothRows& inner, const ClothRows& outer) noexcept;
+           const ClothRows& steady, const ClothRows& yielding) noexcept;
   void settle(std::int32_t contact, float off, float aside_square, bool now) noexcept;
-  void choose_seed(std::int32_t contact, const ClothRows& inner, const ClothRows& outer) noexcept;
-  void walk(std::int32_t contact, float stray, const ClothRows& inner, const ClothRows& outer) noexcept;
+  void choose_seed(std::int32_t contact, const ClothRows& steady, const ClothRows& yielding) noexcept;
+  void walk(std::int32_t contact, float stray, const ClothRows& steady, const ClothRows& yielding) noexcept;
   // Moves what near contacts lack, and says whether any did.
-  bool push_lacking(const ClothRows& inner, const ClothRows& outer) noexcept;
-  float lack(std::int32_t contact, const ClothRows& inner, const ClothRows& outer) const noexcept;
+  bool push_lacking(const ClothRows& steady, const ClothRows& yielding) noexcept;
+  float lack(std::int32_t contact, const ClothRows& steady, const ClothRows& yielding) const noexcept;
 
+  float side_;  // 1 outside, -1 inside
   int contacts_, moved_count_;
   float edge_;
   const std::int32_t* contact_;
@@ -58,9 +62,9 @@ class LayerOrder {
   std::int32_t* partner_;  // (contacts_,) of the last frame
   bool* free_;             // (contacts_,) when looked at last
   int frame_ = 0;
-  const std::int32_t* plane_start_;  // (inner vertices + 1,) into plane_, whole fours
+  const std::int32_t* plane_start_;  // (steady vertices + 1,) into plane_, whole fours
   const std::int32_t* plane_;        // each vertex, its neighbours, and itself again to fill up
-  const std::int32_t* plane_count_;  // (inner vertices,) without what fills up
+  const std::int32_t* plane_count_;  // (steady vertices,) without what fills up
   const std::int32_t* push_start_;
   const std::int32_t* push_to_;
   const float* push_share_;

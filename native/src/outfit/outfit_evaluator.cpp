@@ -40,22 +40,15 @@ OutfitEvaluator::OutfitEvaluator(const std::vector<BoundGarment>& garments, cons
   last_pose_.assign(std::size_t(garments.front().dofs) + 3, std::numeric_limits<float>::infinity());
 }
 
-void OutfitEvaluator::check_layers(LayerPair layers) const {
-  if (layers.inner >= 0 && layers.inner < layers.outer && layers.outer < count()) return;
-  throw std::invalid_argument("layers " + std::to_string(layers.inner) + " and " + std::to_string(layers.outer) +
-                              " must be two of " + std::to_string(count()) + ", the inner one first");
-}
-
 void OutfitEvaluator::keep_order(LayerPair layers, const LayerOrderData& order) {
-  check_layers(layers);
-  const int inner = (*this)[layers.inner].vertex_count(), outer = (*this)[layers.outer].vertex_count();
-  kept_.push_back({layers, std::make_unique<LayerOrder>(order, inner, outer, arena_), nullptr});
-}
-
-void OutfitEvaluator::keep_tucked(LayerPair layers, const TuckData& tuck) {
-  check_layers(layers);
-  const int inner = (*this)[layers.inner].vertex_count(), outer = (*this)[layers.outer].vertex_count();
-  kept_.push_back({layers, nullptr, std::make_unique<Tuck>(tuck, inner, outer, arena_)});
+  const auto [steady, yielding] = layers;
+  if (std::min(steady, yielding) < 0 || std::max(steady, yielding) >= count() || steady == yielding) {
+    throw std::invalid_argument("layers " + std::to_string(steady) + " and " + std::to_string(yielding) +
+                                " must be two of " + std::to_string(count()));
+  }
+  const Side side = yielding > steady ? Side::kOutside : Side::kInside;
+  orders_.push_back({layers, std::make_unique<LayerOrder>(order, side, (*this)[steady].vertex_count(),
+                                                          (*this)[yielding].vertex_count(), arena_)});
 }
 
 Rejection OutfitEvaluator::step(const float* joint_positions, const float* gravity, const VertexRows* rows) noexcept {
@@ -74,7 +67,7 @@ Rejection OutfitEvaluator::step(const float* joint_positions, const float* gravi
   rejected_ = -1;
   const bool look_at_all = jumps(joint_positions, gravity);
   const VertexRows* with_normals = rows;
-  const bool copied = !kept_.empty() && !rows[0].with_normals;
+  const bool copied = !orders_.empty() && !rows[0].with_normals;
   if (copied) with_normals = own_rows_.data();
   for (int k = 0; k < count(); ++k) {
     Evaluator& e = *evaluators_[std::size_t(k)];
@@ -115,10 +108,9 @@ bool OutfitEvaluator::jumps(const float* joint_positions, const float* gravity) 
 }
 
 void OutfitEvaluator::keep_under(int outer, const VertexRows* rows, bool look_at_all) noexcept {
-  for (Kept& kept : kept_) {
-    if (kept.layers.outer != outer) continue;
-    if (kept.order) kept.order->apply(rows[kept.layers.inner], rows[outer], look_at_all);
-    if (kept.tuck) kept.tuck->apply(rows[kept.layers.inner], rows[outer]);
+  for (Kept& kept : orders_) {
+    const auto [steady, yielding] = kept.layers;
+    if (std::max(steady, yielding) == outer) kept.order->apply(rows[steady], rows[yielding], look_at_all);
   }
 }
 

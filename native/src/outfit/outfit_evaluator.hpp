@@ -6,31 +6,31 @@
 
 #include "evaluator/evaluator.hpp"
 #include "outfit/layer_order.hpp"
-#include "outfit/tuck.hpp"
 
 namespace physkin {
 
-// Between which layers, innermost first, something is kept.
+// Of which two layers the order is kept: which stays as it is, and which is moved.
 struct LayerPair {
-  int inner = 0, outer = 0;
+  int steady = 0, yielding = 0;
 };
 
 class OutfitEvaluator {
  public:
-  // Garments on one body, the innermost first. Throws std::invalid_argument if there is none, one is malformed, they
-  // have not one rig, or what is kept between layers does not fit them.
+  // Garments on one body, the innermost first. Throws std::invalid_argument if there is none, one is malformed, or they
+  // have not one rig.
   OutfitEvaluator(const std::vector<BoundGarment>& garments, const Kernels& kernels, const EvaluatorOptions& options);
   OutfitEvaluator(const OutfitEvaluator&) = delete;
   OutfitEvaluator& operator=(const OutfitEvaluator&) = delete;
 
+  // The yielding layer is moved outwards if it is the outer one, or else inwards. Throws std::invalid_argument for
+  // layers that are not there, and as LayerOrder does.
   void keep_order(LayerPair layers, const LayerOrderData& order);
-  void keep_tucked(LayerPair layers, const TuckData& tuck);
 
   // One frame; rows one a garment. Bone transforms and pose vector are computed once. At a rejection the rows are as
   // they were, and `rejected` is the garment's index.
   Rejection step(const float* joint_positions, const float* gravity, const VertexRows* rows) noexcept;
 
-  // Of the last frame, for timing: every garment skinned into its rows; then what is kept between layers.
+  // Of the last frame, for timing: every garment skinned into its rows; then the order of all layers.
   void skin(const VertexRows* rows) noexcept;
   void keep(const VertexRows* rows) noexcept;
 
@@ -42,17 +42,15 @@ class OutfitEvaluator {
  private:
   struct Kept {
     LayerPair layers;
-    std::unique_ptr<LayerOrder> order;  // or else
-    std::unique_ptr<Tuck> tuck;
+    std::unique_ptr<LayerOrder> order;
   };
 
-  void check_layers(LayerPair layers) const;
   bool jumps(const float* joint_positions, const float* gravity) noexcept;
   void keep_under(int outer, const VertexRows* rows, bool look_at_all) noexcept;
 
   Arena arena_;
   std::vector<std::unique_ptr<Evaluator>> evaluators_;
-  std::vector<Kept> kept_;
+  std::vector<Kept> orders_;
   std::vector<VertexRows> own_rows_;  // with normals, where the caller's have none
   std::vector<float> last_pose_;  // joint positions and gravity
   int rejected_ = -1;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,9 +13,10 @@ pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[repla
 from bag_messages import gravity, joint_state  # noqa: E402
 
 from physkin_core import load_motion  # noqa: E402
-from physkin_core.motion.bag_reader import GRAVITY, JOINT_STATE, BagError  # noqa: E402
+from physkin_core.motion.bag_reader import GRAVITY, JOINT_STATE, ODOMETRY, BagError  # noqa: E402
 from physkin_core.motion.motion import MotionError  # noqa: E402
 from physkin_ros.replay.bags import BagWriter, Time, write_motion  # noqa: E402
+from physkin_ros.replay.root_messages import RootMessages  # noqa: E402
 
 STEP = 20_000_000
 """[ns]"""
@@ -46,6 +48,35 @@ def test_a_clip_comes_back_from_a_bag(tmp_path, name):
     np.testing.assert_allclose(read.positions, clip.positions, atol=1e-6)
     np.testing.assert_allclose(read.gravity, clip.gravity, atol=1e-5)
     assert not read.root_position.any()
+
+
+def test_the_root_comes_back_from_odometry(tmp_path):
+    """Where it is and how it is turned, whatever the signs of quaternions."""
+    clip = load_motion("cartwheel")
+    signs = np.where(np.arange(clip.frame_count) % 3, 1.0, -1.0)[:, None]
+    with BagWriter(tmp_path / "turn.mcap") as writer:
+        write_motion(
+            writer, replace(clip, root_orientation=signs * clip.root_orientation), frame_id="a", world_frame="b"
+        )
+    read = load_motion(tmp_path / "turn.mcap")
+    np.testing.assert_allclose(read.root_position, clip.root_position, atol=1e-4)
+    same = np.abs((read.root_orientation * clip.root_orientation).sum(axis=1))
+    np.testing.assert_allclose(same, 1, atol=1e-5)
+
+
+def test_odometry_of_another_body_is_left_out(tmp_path, caplog):
+    """A cart that stays level under somebody who turns over; gravity says so."""
+    clip = load_motion("cartwheel")
+    level = replace(clip, root_orientation=np.tile([0.0, 0.0, 0.0, 1.0], (clip.frame_count, 1)))
+    cart = RootMessages(level, frame_id="cart", world_frame="map")
+    with BagWriter(tmp_path / "cart.mcap") as writer:
+        write_motion(writer, clip, frame_id="torso")
+        for frame in range(clip.frame_count):
+            time_ns = 10**9 + round(frame * 1e9 / clip.rate_hz)
+            writer.write("/odom", ODOMETRY, cart.odometry(frame, Time(*divmod(time_ns, 10**9))), time_ns)
+    read = load_motion(tmp_path / "cart.mcap")
+    assert "odometry and gravity differ by" in caplog.text and not read.root_position.any()
+    np.testing.assert_allclose(read.gravity, clip.gravity, atol=1e-5)
 
 
 def test_joints_are_interpolated_between_the_messages_that_name_them(tmp_path):

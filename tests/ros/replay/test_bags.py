@@ -66,7 +66,7 @@ def test_convert_writes_what_the_clip_holds(tmp_path, capsys):
     assert cli.main(["convert", "walk", str(path)]) == 0
     assert f"{motion.frame_count} joint states at 60 Hz" in capsys.readouterr().out
     entries = recorded(path)
-    assert [topic for topic, *_ in entries] == ["/gravity", "/joint_states"] * motion.frame_count
+    assert [topic for topic, *_ in entries] == ["/gravity", "/odom", "/tf", "/joint_states"] * motion.frame_count
     states = [message for topic, _, message in entries if topic == "/joint_states"]
     assert tuple(states[0].name) == motion.joint_names
     np.testing.assert_array_equal([state.position for state in states], motion.positions)
@@ -79,7 +79,36 @@ def test_convert_writes_what_the_clip_holds(tmp_path, capsys):
     assert [state.header.stamp.sec * 10**9 + state.header.stamp.nanosec for state in states] == times.tolist()
     slow = tmp_path / "slow"
     assert cli.main(["convert", "walk", str(slow), "--rate", "30", "--seconds", "2", "--storage", "sqlite3"]) == 0
-    assert len(recorded(slow)) == 2 * 60
+    assert sum(topic == "/joint_states" for topic, *_ in recorded(slow)) == 60
+
+
+def test_convert_writes_where_the_root_is(tmp_path):
+    """TF and odometry alike; the twist, seen from the root, leads from one frame to the next. Or neither."""
+    motion, path = load_motion("cartwheel"), tmp_path / "turn.mcap"
+    assert cli.main(["convert", "cartwheel", str(path), "--world-frame", "map", "--frame-id", "torso"]) == 0
+    entries = recorded(path)
+    transforms = [message.transforms for topic, _, message in entries if topic == "/tf"]
+    found = [message for topic, _, message in entries if topic == "/odom"]
+    assert len(found) == len(transforms) == motion.frame_count and all(len(each) == 1 for each in transforms)
+    assert {(odom.header.frame_id, odom.child_frame_id) for odom in found} == {("map", "torso")}
+    assert {(tf.header.frame_id, tf.child_frame_id) for (tf,) in transforms} == {("map", "torso")}
+
+    def numbers(*parts):
+        return np.array([[getattr(part, name) for name in "xyzw"[: 4 if hasattr(part, "w") else 3]] for part in parts])
+
+    places, turns = ([getattr(odom.pose.pose, name) for odom in found] for name in ("position", "orientation"))
+    np.testing.assert_allclose(numbers(*places), motion.root_position, atol=1e-6)
+    np.testing.assert_allclose(numbers(*turns), motion.root_orientation, atol=1e-6)
+    np.testing.assert_array_equal(numbers(*(tf.transform.translation for (tf,) in transforms)), numbers(*places))
+    np.testing.assert_array_equal(numbers(*(tf.transform.rotation for (tf,) in transforms)), numbers(*turns))
+    turns, step = Rotation.from_quat(numbers(*turns)), 1 / motion.rate_hz
+    moved = turns[1:-1].apply(numbers(*(odom.twist.twist.linear for odom in found[1:-1]))) * 2 * step
+    np.testing.assert_allclose(moved, motion.root_position[2:] - motion.root_position[:-2], atol=1e-5)
+    spun = turns[:-2] * Rotation.from_rotvec(numbers(*(odom.twist.twist.angular for odom in found[1:-1])) * 2 * step)
+    assert np.degrees((spun.inv() * turns[2:]).magnitude()).max() < 2
+    none = tmp_path / "none.mcap"
+    assert cli.main(["convert", "cartwheel", str(none), "--world-frame", ""]) == 0
+    assert {topic for topic, *_ in recorded(none)} == {"/gravity", "/joint_states"}
 
 
 @pytest.mark.parametrize("output", ["{tmp}/there", "/proc/out.mcap", "{tmp}/no/out", "{tmp}/a.db3 --storage mcap"])

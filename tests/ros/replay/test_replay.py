@@ -46,6 +46,22 @@ def test_clip_to_bag_to_clouds(storage, suffix, draper, motion, tmp_path):
         np.testing.assert_array_equal(read_cloud(cloud), expected)
 
 
+def test_clouds_hang_in_the_world(draper, motion, tmp_path):
+    """Transforms of the bag go along, bit by bit, and are no part of what is measured or compared."""
+    with BagWriter(tmp_path / "bare") as writer:
+        write_motion(writer, motion, frame_id="base_link")
+    with BagWriter(tmp_path / "in") as writer:
+        write_motion(writer, motion, frame_id="base_link", world_frame="world")
+    found = []
+    for name in ("bare", "in"):
+        with BagReader(tmp_path / name, root="transforms") as source, BagWriter(tmp_path / f"{name}_out") as writer:
+            found.append(replay(draper, source, writer))
+    assert found[0].bag_sha256 == found[1].bag_sha256 and found[0].clouds_sha256 == found[1].clouds_sha256
+    sent, came = ([e for e in recorded(tmp_path / name) if e[0] == "/tf"] for name in ("in", "in_out"))
+    assert len(came) == motion.frame_count and str(came) == str(sent)
+    assert {topic for topic, *_ in recorded(tmp_path / "bare_out")} == {GARMENT_TOPIC}
+
+
 def test_figures_are_those_of_the_core(draper, motion, figures):
     """Strain, contact and jitter of the very clouds, over all of them."""
     clouds = np.stack([cloud[:, :3] for cloud in expected_clouds(draper, motion)]).astype(np.float64)

@@ -95,6 +95,17 @@ def test_a_hole_is_seen_where_nothing_covers_what_was_removed():
     np.testing.assert_array_equal(missed.surface == 0, expected)
 
 
+def test_an_outline_that_is_slimmer_is_no_hole():
+    """Without the outer tube the inner one is all there is: 6 mm slimmer, and whole but for its rims."""
+    rays = camera_rays(OUTER.vertices)
+    missed = holes([INNER], [OUTER], rays).surface == 0
+    beside = look([OUTER], rays)
+    slimmer = beside.facing & (look([INNER], rays).surface == -1)
+    at_rim = np.isin(OUTER.vertices[OUTER.faces][..., 2], (HEIGHT.min(), HEIGHT.max())).any(axis=1)
+    assert (slimmer & ~at_rim[beside.face]).sum() > 500
+    assert not (missed & ~at_rim[beside.face]).any()
+
+
 def test_names_of_outfits():
     assert [(g.model.name, g.tucked) for g in parse_outfit("tshirt:tucked,trousers")] == [
         ("tshirt", True),

@@ -147,6 +147,7 @@ def worn_on(garment, body, *, worn: bool, other_limb: bool = False, band=(), dis
         face_bone=np.zeros(len(body.faces), dtype=np.int32),
         worn=np.full((len(garment.vertices), 1), worn),
         other_limb=np.full((len(garment.vertices), 1), other_limb),
+        bare=np.zeros(1, dtype=bool),
         own_face=closest_face(garment, body),
         band=band,
         band_place=np.arange(len(band), dtype=np.int32),

@@ -71,8 +71,8 @@ def test_parts_a_shirt_is_worn_on():
 
 
 def test_limbs_that_pass_by_the_cloth():
-    """The arm beside the trunk of a dress, but not to its sleeve; neither leg to the side of a skirt."""
-    garment, worn = wearing("dress")
+    """The arm beside the trunk of a T-shirt, but not to its sleeve; neither leg to the side of a skirt."""
+    garment, worn = wearing("tshirt")
     side = np.linalg.norm(garment.vertices - [0.05, 0.17, 0.27], axis=1).argmin()
     arm = [BONES.index(part) for part in ("clavicle.L", "upperarm01.L", "upperarm02.L", "lowerarm01.L")]
     assert worn.other_limb[side, arm].all() and not worn.other_limb[side, BONES.index("spine04")]
@@ -85,6 +85,22 @@ def test_limbs_that_pass_by_the_cloth():
     assert not worn.worn[side, legs[2:]].any() and not worn.other_limb[side, legs].any()
     hem = ~worn.worn.any(axis=1)
     assert hem.any() and not worn.other_limb[hem].any()
+
+
+def test_an_arm_without_a_sleeve_is_bare():
+    """From the bone on that leaves through the armhole: only the rim on the shoulder is worn on it, the armpit is the
+    trunk's, and the whole arm stays in contact. No arm of a shirt, no neck and no leg is bare."""
+    garment, worn = wearing("dress")
+    bones = ("upperarm01", "upperarm02", "lowerarm01", "lowerarm02", "wrist")
+    assert sorted(np.array(BONES)[worn.bare]) == sorted(f"{bone}.{side}" for bone in bones for side in "LR")
+    assert np.isin(np.flatnonzero(worn.bare), worn.worn_faces().face_bone).all()
+    arm = BONES.index("upperarm01.L")
+    shoulder = np.linalg.norm(garment.vertices - [0.0, 0.26, 0.45], axis=1).argmin()
+    armpit = np.linalg.norm(garment.vertices - [-0.03, 0.18, 0.37], axis=1).argmin()
+    assert worn.worn[shoulder, arm] and not worn.other_limb[shoulder, arm]
+    assert worn.worn[armpit, BONES.index("spine02")] and worn.other_limb[armpit, arm] and not worn.worn[armpit, arm]
+    for name in ("tshirt", "longsleeve", "trousers", "skirt"):
+        assert not wearing(name)[1].bare.any(), name
 
 
 def test_worn_faces_are_those_near_the_garment():

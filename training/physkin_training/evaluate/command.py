@@ -17,7 +17,7 @@ from physkin_training.evaluate.evaluate import evaluate_model
 from physkin_training.evaluate.outfit_evaluation import evaluate_outfits, parse_outfit
 from physkin_training.evaluate.score_table import outfit_table, table
 
-__all__ = ["main"]
+__all__ = ["command_parser", "main"]
 
 OF_A_MODEL = {"bodies": 16, "poses": 256, "seed": 0, "minimum": 0, "minimum_steps": 2000, "store": None}
 OF_OUTFITS = {"bodies": 3, "stride": 60}
@@ -26,7 +26,7 @@ OF_OUTFITS = {"bodies": 3, "stride": 60}
 
 def main(argv: list[str] | None = None) -> int:
     """Command line entry: `physkin evaluate MODEL`, `physkin evaluate --outfit GARMENT,GARMENT`."""
-    arguments = _parser().parse_args(argv)
+    arguments = command_parser().parse_args(argv)
     try:
         options = _options(arguments)
         if arguments.json and not arguments.json.resolve().parent.is_dir():
@@ -41,7 +41,8 @@ def main(argv: list[str] | None = None) -> int:
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin evaluate`."""
     parser = argparse.ArgumentParser(prog="physkin evaluate", description=__doc__.splitlines()[0])
     parser.add_argument("model", nargs="?", help="garment model file, or the name of a shipped one")
     parser.add_argument(

@@ -30,7 +30,7 @@ from physkin_training.evaluate.evaluate import Evaluation
 from physkin_training.sampling.chosen_bodies import bodies_by_girth
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 
-__all__ = ["Drapes", "chosen_bodies", "chosen_poses", "drape_all", "draw"]
+__all__ = ["Drapes", "chosen_bodies", "chosen_poses", "command_parser", "drape_all", "draw"]
 
 MINIMUM_COLOUR = (0.45, 0.50, 0.28)
 POSES_A_ROW = 2
@@ -138,8 +138,8 @@ def draw(
     return contact_sheet(pictures, columns=columns * len(drapes.garments), captions=texts, gap=4)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line entry: `physkin contact-sheet MODEL -o PNG`."""
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin contact-sheet`."""
     parser = argparse.ArgumentParser(prog="physkin contact-sheet", description=__doc__.splitlines()[0])
     parser.add_argument("model", help="garment model file, or the name of a shipped one")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="PNG")
@@ -149,7 +149,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--minimum", action="store_true", help="beside the full-space minimum (minutes on a CPU)")
     parser.add_argument("--width", type=int, default=170, help="of one picture, in pixels (default 170)")
     parser.add_argument("--device", default=DEFAULT_DEVICE)
-    arguments = parser.parse_args(argv)
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line entry: `physkin contact-sheet MODEL -o PNG`."""
+    arguments = command_parser().parse_args(argv)
     try:
         if arguments.output.suffix.lower() != ".png":
             raise ValueError(f"cannot write {arguments.output}: the name must end in .png")

@@ -14,6 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from physkin_core.model.surface_paths import mesh_edges
+from physkin_core.quality import closest_points
+
 __all__ = ["CAMERAS", "Surface", "View", "camera_rays", "holes", "look"]
 
 CAMERAS = 8
@@ -25,6 +28,8 @@ FAR = 10.0
 """[m] Farther than any body is large."""
 BEHIND = 0.05
 """[m] Where cloth or skin that faces the camera lies this closely behind a surface left out, that is no hole."""
+ON_EDGE = 0.05
+"""Barycentric share up to which a point counts as on the opposite edge."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +89,7 @@ def look(surfaces: Sequence[Surface], rays: tuple[np.ndarray, np.ndarray]) -> Vi
     face, share, distance = ray_mesh_intersection(vertices, faces, origins, directions)
     face = np.asarray(face, dtype=np.int64)
     met = (face >= 0) & np.isfinite(distance)
-    corners = vertices[faces[np.where(met, face, 0)]]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = _outward(vertices, faces[np.where(met, face, 0)])
     surface = np.where(met, np.searchsorted(starts, face, side="right") - 1, -1)
     return View(
         surface,
@@ -96,10 +100,43 @@ def look(surfaces: Sequence[Surface], rays: tuple[np.ndarray, np.ndarray]) -> Vi
     )
 
 
+def _outward(vertices: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Normals (k, 3) of faces with corners (k, 3) among vertices (n, 3), not of unit length."""
+    a, b, c = vertices[corners].transpose(1, 0, 2)
+    return np.cross(b - a, c - a)
+
+
 def holes(given: Sequence[Surface], removed: Sequence[Surface], rays: tuple[np.ndarray, np.ndarray]) -> View:
-    """What each ray misses, of the removed surfaces; surface -1 where nothing. The outside of what is missed would be
-    the first thing seen, and within 5 cm behind it nothing that is given faces the camera."""
+    """What each ray misses, of the removed surfaces; surface -1 where nothing.
+
+    The outside of what is missed would be the first thing seen; within 5 cm behind it nothing that is given faces the
+    camera; and nothing that is given lies there as another skin of the same shape, a few millimetres farther in: beside
+    its outline a body only looks slimmer."""
     there, missing = look(given, rays), look(removed, rays)
     nearer = missing.facing & (missing.distance < there.distance)
     covered = there.facing & (there.distance < missing.distance + BEHIND)
-    return replace(missing, surface=np.where(nearer & ~covered, missing.surface, -1))
+    missed = np.flatnonzero(nearer & ~covered)
+    points = rays[0][missed] + missing.distance[missed, None] * rays[1][missed]
+    facing = np.empty_like(points)
+    for index, surface in enumerate(removed):
+        of = missing.surface[missed] == index
+        facing[of] = _outward(surface.vertices, surface.faces[missing.face[missed[of]]])
+    for surface in given:
+        left = ~_lies_at(points, facing, surface)
+        missed, points, facing = missed[left], points[left], facing[left]
+    found = np.full(len(rays[0]), -1)
+    found[missed] = missing.surface[missed]
+    return replace(missing, surface=found)
+
+
+def _lies_at(points: np.ndarray, facing: np.ndarray, surface: Surface) -> np.ndarray:
+    """Whether a surface lies within 5 cm of points (k, 3) and faces as they do, at its closest point: (k,) bool. That
+    must not be on its boundary."""
+    if len(surface.faces) == 0 or len(points) == 0:
+        return np.zeros(len(points), dtype=bool)
+    distance, face, share = closest_points(points, surface.vertices, surface.faces)
+    corners = surface.faces[face]
+    alike = np.einsum("ki,ki->k", _outward(surface.vertices, corners), facing) > 0
+    edges, count = mesh_edges(surface.faces)
+    inside = (share > ON_EDGE) & ~np.isin(corners, edges[count == 1])
+    return alike & (distance < BEHIND) & inside.any(axis=1)

@@ -37,7 +37,7 @@ from physkin_training.physics.staged_drape import drape_in_stages
 from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.posed_bodies import posed_avatar
 
-__all__ = ["DrapeSimulation", "Poses", "load_pose", "main"]
+__all__ = ["DrapeSimulation", "Poses", "command_parser", "load_pose", "main"]
 
 REACH = 0.3
 """The body is looked for up to this distance [m]."""
@@ -164,7 +164,7 @@ def main(argv: list[str] | None = None) -> int:
         from physkin_training.dynamics.command import main as simulate_dynamically
 
         return simulate_dynamically(arguments)
-    options = _parser().parse_args(argv)
+    options = command_parser().parse_args(argv)
     try:
         return _simulate(options)
     except (ValueError, OSError) as error:
@@ -172,7 +172,8 @@ def main(argv: list[str] | None = None) -> int:
         return 2
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin simulate`."""
     parser = argparse.ArgumentParser(prog="physkin simulate", description=__doc__.splitlines()[0])
     parser.add_argument("garment", type=Path, help="garment mesh (OBJ, PLY, STL), in the canonical pose")
     parser.add_argument("--avatar", metavar="FILE", help="body (default: the one the shipped garments were made on)")

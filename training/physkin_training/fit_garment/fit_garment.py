@@ -32,7 +32,7 @@ from physkin_training.fit_garment.verdicts import verdict_table
 from physkin_training.train import train
 from physkin_training.train.trainer import Trainer
 
-__all__ = ["as_toml", "choose_steps", "main"]
+__all__ = ["as_toml", "choose_steps", "command_parser", "main"]
 
 log = logging.getLogger(__name__)
 DEFAULT_MINUTES = {"cuda": 15.0, "cpu": 480.0}
@@ -94,7 +94,7 @@ def as_toml(config: TrainingConfig) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Command line entry. Returns 0; 1 when the mesh is refused, its place in doubt or training fails; 2 for an error;
     130 for Ctrl-C."""
-    options = _parser().parse_args(argv)
+    options = command_parser().parse_args(argv)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     try:
         return _fit(options)
@@ -103,7 +103,8 @@ def main(argv: list[str] | None = None) -> int:
         return 2
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin fit-garment`."""
     parser = argparse.ArgumentParser(prog="physkin fit-garment", description=__doc__.splitlines()[0])
     parser.add_argument("garment", type=Path, help="garment mesh: OBJ, PLY, STL, OFF, GLB or glTF")
     parser.add_argument("--avatar", metavar="FILE", help="body it was made on (default: that of the shipped garments)")

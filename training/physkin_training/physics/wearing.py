@@ -27,6 +27,10 @@ slides along a limb, but the side of a shirt is not worn on the arm that hangs b
 BEHIND = -0.35
 """Cosine between the way to a part and the cloth's normal below which the part is behind the cloth, as all are that a
 skirt hangs around; others are beside it or in front of it."""
+RIM_WITHIN = 0.02
+"""Cloth is worn on a bare limb where all other parts are farther away, by at least this [m]: the rim on a shoulder."""
+GOES_AROUND = 0.3
+"""An opening goes around the bone that is closest to its centre if that is at most this share of its radius away."""
 BAND_WIDTH = 0.03
 """Vertices this close [m] to the uppermost opening make up the band."""
 
@@ -38,15 +42,17 @@ class Wearing:
     faces: (f, 3) int32, faces of the body that cloth may be in contact with; face_bone: (f,) int32, the bone that moves
     each most. worn: (n, b) bool, the vertex lies on that bone's part. other_limb: (n, b) bool, it lies on no part of
     that bone's limb, which is beside the cloth or in front of it, as an arm is to the side of a shirt, and presses it
-    towards its own place on the body alone. own_face: (n,) int32, of the `faces` of worn parts the one whose centre
-    is closest. band: (k,) int32 vertices of the neckband or waistband; band_place: (k,) int32 the body vertex closest
-    to each, band_distance: (k,) float32 [m] away.
+    towards its own place on the body alone. bare: (b,) bool, the bone of an arm that leaves through an armhole, an
+    opening on the trunk without a sleeve: only cloth from which all other parts are farther is worn on it. own_face:
+    (n,) int32, of the `faces` of worn parts the one whose centre is closest. band: (k,) int32 vertices of the neckband
+    or waistband; band_place: (k,) int32 the body vertex closest to each, band_distance: (k,) float32 [m] away.
     """
 
     faces: np.ndarray
     face_bone: np.ndarray
     worn: np.ndarray
     other_limb: np.ndarray
+    bare: np.ndarray
     own_face: np.ndarray
     band: np.ndarray
     band_place: np.ndarray
@@ -71,9 +77,13 @@ class Wearing:
             part = body[vertex_bone == bone]
             distance[:, bone], closest = cKDTree(part).query(garment.vertices)
             outwards[:, bone] = np.einsum("vi,vi->v", part[closest] - garment.vertices, normals)
-        beside = distance <= distance.min(axis=1, keepdims=True) + WORN_BESIDE
-        worn = (beside | _joined(beside, rig.parents)) & (distance <= WORN_WITHIN)
-        limb = np.eye(rig.bone_count, dtype=int)[_limbs(rig.parents)]
+        limbs = _limbs(rig.parents)
+        bare = _bare(garment, avatar, vertex_bone, limbs, rig.parents)
+        dressed = distance[:, ~bare].min(axis=1, keepdims=True)
+        distance_worn = np.where(bare & (distance + RIM_WITHIN > dressed), np.inf, distance)
+        beside = distance_worn <= distance_worn.min(axis=1, keepdims=True) + WORN_BESIDE
+        worn = (beside | _joined(beside, rig.parents)) & (distance_worn <= WORN_WITHIN)
+        limb = np.eye(rig.bone_count, dtype=int)[np.where(bare, np.arange(rig.bone_count), limbs)]
         on_limb = (worn @ limb) @ limb.T > 0
         other_limb = ~on_limb & worn.any(axis=1, keepdims=True) & (outwards > BEHIND * distance)
         near = np.flatnonzero(worn.any(axis=0)[face_bone])
@@ -86,6 +96,7 @@ class Wearing:
             face_bone=face_bone.astype(np.int32),
             worn=worn,
             other_limb=other_limb,
+            bare=bare,
             own_face=near[cKDTree(body[faces[near]].mean(axis=1)).query(garment.vertices)[1]].astype(np.int32),
             band=band.astype(np.int32),
             band_place=place.astype(np.int32),
@@ -93,8 +104,8 @@ class Wearing:
         )
 
     def worn_faces(self) -> Wearing:
-        """Contact only with faces of parts on which some vertex of the garment lies."""
-        keep = self.worn.any(axis=0)[self.face_bone]
+        """Contact only with faces of parts on which some vertex of the garment lies, and of bare limbs."""
+        keep = (self.worn.any(axis=0) | self.bare)[self.face_bone]
         kept = np.cumsum(keep) - 1
         return replace(
             self,
@@ -122,6 +133,33 @@ def _limbs(parents: np.ndarray) -> np.ndarray:
         if parent >= 0 and children[parent] == 1:
             first[bone] = first[parent]
     return first
+
+
+def _bare(
+    garment: Garment, avatar: Avatar, vertex_bone: np.ndarray, limbs: np.ndarray, parents: np.ndarray
+) -> np.ndarray:
+    """(b,) bool: bones of a limb without a sleeve, from the one on which it leaves through an opening that touches
+    another limb or the trunk. The uppermost opening is not one of them: it holds the garment up."""
+    bare = np.zeros(len(parents), dtype=bool)
+    for loop in openings(garment.vertices, garment.faces)[1:]:
+        rim = garment.vertices[loop]
+        centre = rim.mean(axis=0)
+        away = _distances_to_bones(centre, avatar.bone_heads, avatar.bone_tails)
+        bone = away.argmin()
+        elsewhere = avatar.vertices[limbs[vertex_bone] != limbs[bone]]
+        goes_around = away[bone] <= GOES_AROUND * np.linalg.norm(rim - centre, axis=1).mean()
+        if goes_around and cKDTree(elsewhere).query(rim)[0].min() < WORN_BESIDE:
+            bare[bone] = True
+    for bone, parent in enumerate(parents):
+        bare[bone] |= parent >= 0 and limbs[parent] == limbs[bone] and bare[parent]
+    return bare
+
+
+def _distances_to_bones(point: np.ndarray, heads: np.ndarray, tails: np.ndarray) -> np.ndarray:
+    """(b,) [m] from a point to each bone's segment."""
+    along = tails - heads
+    share = np.einsum("bi,bi->b", point - heads, along) / np.maximum(np.einsum("bi,bi->b", along, along), 1e-12)
+    return np.linalg.norm(heads + np.clip(share, 0, 1)[:, None] * along - point, axis=1)
 
 
 def _uppermost_opening(garment: Garment) -> np.ndarray:

@@ -20,14 +20,14 @@ from physkin_training.train.processes import join, leave
 from physkin_training.train.run_reports import RunReports
 from physkin_training.train.trainer import Trainer, TrainingDiverged
 
-__all__ = ["main"]
+__all__ = ["command_parser", "main"]
 
 log = logging.getLogger(__name__)
 INTERRUPTED = 130
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line entry."""
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin train`."""
     parser = argparse.ArgumentParser(prog="physkin train", description=__doc__)
     parser.add_argument("--config", type=Path, required=True, help="training configuration (TOML)")
     parser.add_argument("--output", type=Path, required=True, help="folder for checkpoint, scalars and the model")
@@ -56,7 +56,12 @@ def main(argv: list[str] | None = None) -> int:
         "--checkpoint-every", type=_minutes, default=5.0, metavar="MINUTES", help="default 5; inf for none on the way"
     )
     parser.add_argument("--log-every", type=_steps, default=200, metavar="STEPS")
-    arguments = parser.parse_args(argv)
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line entry."""
+    arguments = command_parser().parse_args(argv)
     try:
         config = load_config(arguments.config)
         processes, device = join(arguments.device)

@@ -1,0 +1,128 @@
+"""Write `docs/ros-reference.md`: python docs/ros_reference.py
+
+From the node's settings, its topics and the interface files.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from pathlib import Path
+
+from import_graph import ROOT
+from physkin_ros.messages.topics import TOPICS
+from physkin_ros.node.settings import AvatarSettings, GarmentSettings, NodeSettings, Setting
+
+__all__ = ["REFERENCE", "reference"]
+
+REFERENCE = ROOT / "docs" / "ros-reference.md"
+INTERFACES = ROOT / "msg_defs"
+HEAD = """# ROS reference
+
+Made from the code by `python docs/ros_reference.py`. How the parts work together: [The ROS node](node.md).
+
+## Parameters
+
+Those that may change while the node runs are marked \\*; all others are fixed once it is configured. Lengths are in
+metres, angles in radians, times in seconds, where no other unit is given.
+"""
+TYPES = {"str": "text", "bool": "bool", "float": "number", "int": "whole number", "float | None": "number or empty"}
+PARTS = (
+    ("Of the node", "", NodeSettings),
+    ("Of each avatar", "With one avatar at the top, with several `avatars.ID.KEY`.", AvatarSettings),
+    ("Of each garment", "With one garment at the top, else `avatars.ID.garments.NAME.KEY`.", GarmentSettings),
+)
+
+
+def reference() -> str:
+    """The page."""
+    return "\n".join([HEAD, *_parameters(), *_topics(), *_interfaces()]).rstrip() + "\n"
+
+
+def _parameters() -> Iterator[str]:
+    for title, where, kind in PARTS:
+        yield f"### {title}\n"
+        if where:
+            yield f"{where}\n"
+        yield "| parameter | type | default | |\n|---|---|---|---|"
+        for field in fields(kind):
+            if field.metadata:
+                yield _parameter(field.name, str(field.type), field.metadata["setting"])
+        yield ""
+
+
+def _parameter(name: str, kind: str, setting: Setting) -> str:
+    text = TYPES.get(kind) or f"list of {'texts' if 'str' in kind else 'numbers'}"
+    default = _default(setting.declared)
+    allowed = f" Allowed: {_range(setting)}." if _range(setting) else ""
+    mark = " \\*" if setting.changes else ""
+    return f"| `{name}`{mark} | {text} | {default} | {_cell(setting.description.rstrip('.'))}.{allowed} |"
+
+
+def _default(value: object) -> str:
+    if isinstance(value, list):
+        return ", ".join(map(_default, value))
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:g}" if isinstance(value, int | float) else value or "empty"
+
+
+def _range(setting: Setting) -> str:
+    if setting.choices:
+        return ", ".join(f"`{choice}`" if choice else "empty" for choice in setting.choices)
+    return f"{setting.low:g} to {setting.high:g}" if abs(setting.low) < float("inf") else ""
+
+
+def _topics() -> Iterator[str]:
+    yield "## Topics and services\n"
+    yield (
+        "With several avatars, what is named without `~` is below the avatar's `ID`, and a garment's topics are below "
+        "`~/ID/NAME`. Types of `physkin_msgs` need that package; all else works without.\n"
+    )
+    yield "| | name | type | | only with |\n|---|---|---|---|---|"
+    for topic in TOPICS:
+        package, kind = topic.type.split("/")
+        link = f"[`{topic.type}`](#{kind.lower()})" if package == "physkin_msgs" else f"`{topic.type}`"
+        needs = f"`{topic.needs}`" if topic.needs else ""
+        yield f"| {topic.direction} | `{topic.name}` | {link} | {_cell(topic.description)} | {needs} |"
+    yield ""
+
+
+def _interfaces() -> Iterator[str]:
+    yield "## Messages and services of `physkin_msgs`\n"
+    for path in sorted([*INTERFACES.glob("msg/*.msg"), *INTERFACES.glob("srv/*.srv")]):
+        head, parts = _read(path)
+        yield f"### {path.stem}\n\n{head}\n"
+        for title, rows in parts.items():
+            yield f"| {title} | type | |\n|---|---|---|"
+            yield from (f"| `{name}` | `{kind}` | {_cell(text)} |" for name, kind, text in rows)
+            yield ""
+
+
+def _read(path: Path) -> tuple[str, Mapping[str, list[tuple[str, str, str]]]]:
+    """First comment of an interface file, and by part (field; request and answer of a service) what its fields are."""
+    titles = iter(["field"] if path.suffix == ".msg" else ["request", "answer"])
+    paragraphs = [part.strip() for part in re.split(r"\n\s*\n|\n(?=---)|(?<=---)\n", path.read_text()) if part.strip()]
+    head, parts = _uncommented(paragraphs[0]), {next(titles): []}
+    for paragraph in paragraphs[1:]:
+        if paragraph == "---":
+            parts[next(titles)] = []
+            continue
+        lines = paragraph.splitlines()
+        text = _uncommented("\n".join(line for line in lines if line.startswith("#")))
+        declared = [line.split()[:2] for line in lines if not line.startswith("#")]
+        list(parts.values())[-1].extend((name, kind, text) for kind, name in declared)
+    return head, parts
+
+
+def _uncommented(text: str) -> str:
+    return " ".join(line.lstrip("# ") for line in text.splitlines())
+
+
+def _cell(text: object) -> str:
+    return str(text).replace("|", "\\|")
+
+
+if __name__ == "__main__":
+    REFERENCE.write_text(reference())

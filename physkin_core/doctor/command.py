@@ -1,0 +1,59 @@
+"""`physkin doctor`: looks whether this installation works, and says what to do where it does not."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+from importlib import import_module
+from importlib.util import find_spec
+
+from physkin_core.doctor.finding import Finding
+
+__all__ = ["command_parser", "main"]
+
+DOCTORS = {
+    "physkin_core.doctor.installation": (),
+    "physkin_ros.middleware.doctor": ("rclpy",),
+    "physkin_training.doctor": ("torch", "warp"),
+}
+"""Module with a `look()` -> what has to be installed for it to be of use. A part that is not installed is told as an
+extra that is missing."""
+
+
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin doctor`."""
+    parser = argparse.ArgumentParser(prog="physkin doctor", description=__doc__.split("`: ")[1])
+    parser.add_argument("--json", action="store_true", help="findings as a JSON list, for bug reports and scripts")
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """Command line. Returns 0, or 1 where something is broken."""
+    options = command_parser().parse_args(argv)
+    findings = []
+    for finding in _findings():
+        findings.append(finding)
+        if not options.json:
+            print(f"{finding.state:<6}  {finding.subject:<15} {finding.said}", flush=True)
+            if finding.remedy:
+                print(f"{'':24}-> {finding.remedy}", flush=True)
+    broken = sum(finding.state == "broken" for finding in findings)
+    if options.json:
+        print(json.dumps([asdict(finding) for finding in findings], indent=1))
+    else:
+        print(f"\n{broken} broken" if broken else "\nall that is installed works")
+    return 1 if broken else 0
+
+
+def _findings() -> Iterator[Finding]:
+    for module, needed in DOCTORS.items():
+        if find_spec(module.split(".")[0]) is None or any(find_spec(package) is None for package in needed):
+            continue
+        try:
+            yield from import_module(module).look()
+        except Exception as error:  # whatever an installation raises that is not whole: it is told, and the rest seen
+            part = module.split(".")[0]
+            said = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            yield Finding(part, "broken", said, "install what it names again; physkin --debug shows where")

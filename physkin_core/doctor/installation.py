@@ -1,0 +1,109 @@
+"""The run time itself: Python, the evaluator, what is shipped, a frame, and the extras."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import sysconfig
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+
+import numpy as np
+
+from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
+from physkin_core.doctor.finding import Finding
+from physkin_core.extras import EXTRAS
+from physkin_core.model.model_file import load_garment_model, shipped_models
+from physkin_core.motion.loading import bundled_motions, load_motion
+from physkin_core.runtime.draper import Draper
+from physkin_core.runtime.native_evaluator import supported_instruction_sets
+
+__all__ = ["look"]
+
+COMPILERS = ("g++", "clang++", "c++")
+AGREEMENT = 1e-3  # [m] native (bf16) and NumPy evaluator
+REINSTALL = "install again: pip install --force-reinstall --no-deps physkin"
+
+
+def look() -> Iterator[Finding]:
+    """One finding after the other."""
+    yield _version()
+    yield _instruction_set()
+    yield from _shipped()
+    yield _frame()
+    yield _compiler()
+    yield from map(_extra, EXTRAS)
+
+
+def _version() -> Finding:
+    try:
+        installed = version("physkin")
+    except PackageNotFoundError:
+        installed = "in a source folder or a colcon workspace"
+    return Finding("physkin", "good", f"{installed}, Python {platform.python_version()}, {platform.machine()}")
+
+
+def _instruction_set() -> Finding:
+    sets = supported_instruction_sets()
+    forced = os.environ.get("PHYSKIN_NATIVE_ISA")
+    if forced is not None and forced not in sets:
+        remedy = "unset PHYSKIN_NATIVE_ISA"
+        return Finding("evaluator", "broken", f"PHYSKIN_NATIVE_ISA={forced}: this CPU has {', '.join(sets)}", remedy)
+    if forced is not None:
+        said = f"instruction set {forced}, as PHYSKIN_NATIVE_ISA says; this CPU has {', '.join(sets)}"
+        return Finding("evaluator", "good", said)
+    slow = (
+        "" if len(sets) > 1 or platform.machine() != "x86_64" else "; without AVX2 a frame takes several times as long"
+    )
+    return Finding("evaluator", "good", f"instruction set {sets[-1]}{slow}")
+
+
+def _shipped() -> Iterator[Finding]:
+    """Files that every command may need; reading checks their digests, shapes and values."""
+    for subject, names, load in (
+        ("garment models", shipped_models(), load_garment_model),
+        ("motions", bundled_motions(), load_motion),
+    ):
+        try:
+            for name in names:
+                load(name)
+        except ValueError as error:
+            yield Finding(subject, "broken", str(error), REINSTALL)
+            continue
+        state, remedy = ("good", "") if names else ("broken", REINSTALL)
+        yield Finding(subject, state, f"{len(names)} shipped, all read: {', '.join(names)}", remedy)
+
+
+def _frame() -> Finding:
+    """The bundled avatar in a garment: the native evaluator against the readable one."""
+    try:
+        model = load_garment_model("tshirt")
+        avatar = load_avatar(BUNDLED_AVATAR, model.rig)
+        native, readable = (
+            Draper(model, avatar, fit=0.0, backend=backend).drape({}) for backend in ("native", "numpy")
+        )
+    except ValueError as error:
+        return Finding("a frame", "broken", str(error), REINSTALL)
+    apart = float(np.abs(native[:, :3] - readable[:, :3]).max())
+    said = f"T-shirt on the bundled avatar; native and NumPy evaluator differ by {1e3 * apart:.2f} mm"
+    if not apart <= AGREEMENT:
+        return Finding("a frame", "broken", said, f"{REINSTALL}; if that does not help, report it with this output")
+    return Finding("a frame", "good", said)
+
+
+def _compiler() -> Finding:
+    for name in (sysconfig.get_config_var("CXX") or "").split()[:1] + list(COMPILERS):
+        if path := shutil.which(name):
+            return Finding("compiler", "good", f"{path} (only needed to build from source)")
+    remedy = "to build from source: apt install g++, or another GCC or Clang with C++17"
+    return Finding("compiler", "absent", "none found; a wheel needs none", remedy)
+
+
+def _extra(extra: str) -> Finding:
+    missing = [package for package in EXTRAS[extra] if find_spec(package) is None]
+    if missing:
+        said = f"lacks {', '.join(missing)}" if len(missing) < len(EXTRAS[extra]) else "not installed"
+        return Finding(f"[{extra}]", "absent", said, f"pip install 'physkin[{extra}]'")
+    return Finding(f"[{extra}]", "good", "installed")

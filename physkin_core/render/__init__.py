@@ -1,0 +1,1 @@
+"""Draped motion as a film: the outfit in the world, a camera, and files that hold moving pictures."""

@@ -1,0 +1,114 @@
+"""`physkin render`: a motion draped on an avatar, as a film or numbered pictures."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+
+from physkin_core.avatar.loading import load_avatar
+from physkin_core.motion.loading import load_motion
+from physkin_core.motion.reading_progress import reading_progress
+from physkin_core.outfit.outfit import Outfit
+from physkin_core.outfit.outfit_options import add_limbs_option, add_outfit_options, chosen_garments
+from physkin_core.progress import progress_line
+from physkin_core.render.film_files import FILM_KINDS, check_film, write_film
+from physkin_core.render.filming import Camera, film
+
+__all__ = ["command_parser", "main"]
+
+USUAL_RATE = 30.0  # [Hz] of a film, where the motion has more
+MOST_PIXELS = 4096  # a side
+
+
+def main(argv: list[str]) -> int:
+    """Command line. Returns 0; errors are raised."""
+    options = command_parser().parse_args(argv)
+    camera = Camera(
+        azimuth=_finite("--azimuth", options.azimuth),
+        elevation=_finite("--elevation", options.elevation, low=0, high=89),
+        distance=None if options.distance is None else _finite("--distance", options.distance, low=0.1, high=1000),
+        follow=options.follow,
+        size=_size(options.size),
+        samples=int(_finite("--samples", options.samples, low=1, high=1024)),
+    )
+    garments = chosen_garments(options.garment, options.tucked)
+    motion = load_motion(options.motion, watch=reading_progress(options.motion))
+    rate = min(USUAL_RATE, motion.rate_hz) if options.rate is None else options.rate
+    if rate != motion.rate_hz:
+        motion = motion.resampled(rate)
+    check_film(options.output, size=camera.size, rate_hz=rate)
+    avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
+    outfit = Outfit(garments, avatar, fit=options.fit, separate_limbs=options.separate_limbs)
+    for warning in outfit.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    pictures = film(outfit, motion, camera, watch=progress_line(f"drawing {motion.frame_count} frames"))
+    files = write_film(options.output, pictures, rate)
+    written = str(files[0]) if len(files) == 1 else f"{files[0]} to {files[-1].name}"
+    size = sum(file.stat().st_size for file in files) / 1e6
+    print(f"wrote {written}: {motion.frame_count} frames at {rate:g} Hz, {size:.1f} MB")
+    return 0
+
+
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin render`."""
+    parser = argparse.ArgumentParser(prog="physkin render", description=__doc__.split("`: ")[1])
+    parser.add_argument("motion", metavar="MOTION", help="bundled motion or a motion file")
+    add_outfit_options(parser)
+    add_limbs_option(parser)
+    usual = Camera()
+    parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: 30, or the motion's own)")
+    parser.add_argument(
+        "--size", default="{}x{}".format(*usual.size), metavar="WxH", help="width and height (default %(default)s)"
+    )
+    parser.add_argument(
+        "--azimuth",
+        type=float,
+        default=usual.azimuth,
+        metavar="DEG",
+        help="side the camera is on: 0 in front, 90 on the left, 180 behind (default %(default)s)",
+    )
+    parser.add_argument(
+        "--elevation",
+        type=float,
+        default=usual.elevation,
+        metavar="DEG",
+        help="how far up it stands (default %(default)s)",
+    )
+    parser.add_argument(
+        "--distance", type=float, metavar="M", help="how far away it stands (default: as near as everything fits)"
+    )
+    parser.add_argument(
+        "--follow",
+        action=argparse.BooleanOptionalAction,
+        default=usual.follow,
+        help="the camera goes with the body over the floor (default), or stands still",
+    )
+    parser.add_argument(
+        "--samples",
+        type=int,
+        default=usual.samples,
+        metavar="N",
+        help="light paths a pixel: more is smoother and slower (default %(default)s)",
+    )
+    parser.add_argument(
+        *("-o", "--output"), type=Path, required=True, help=f"{', '.join(FILM_KINDS)}; x.png becomes x_0000.png, ..."
+    )
+    return parser
+
+
+def _finite(name: str, value: float, *, low: float = -math.inf, high: float = math.inf) -> float:
+    if not (math.isfinite(value) and low <= value <= high):
+        allowed = "a finite number" if high == math.inf else f"{low:g} to {high:g}"
+        raise ValueError(f"{name} is {value}; allowed: {allowed}")
+    return value
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal() and 1 <= min(int(width), int(height))):
+        raise ValueError(f"--size is {text!r}; allowed: width and height in pixels, as 480x600")
+    if max(int(width), int(height)) > MOST_PIXELS:
+        raise ValueError(f"--size is {text!r}; allowed: at most {MOST_PIXELS} pixels a side")
+    return int(width), int(height)

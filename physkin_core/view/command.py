@@ -1,0 +1,82 @@
+"""`physkin view`: an avatar and its outfit, live on a page in the browser."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import webbrowser
+from importlib import import_module
+
+from physkin_core.avatar.loading import BUNDLED_AVATAR
+from physkin_core.fit_option import add_fit_option
+from physkin_core.outfit.outfit_options import add_limbs_option, add_tucked_option
+from physkin_core.view.page import Page
+
+__all__ = ["begin", "command_parser", "main"]
+
+ROS_PAGE = "physkin_ros.tools.view"
+"""What `--ros` needs; imported only then."""
+
+
+def main(argv: list[str]) -> int:
+    """Command line. Returns 0 when the page is ended; errors before there is one are raised."""
+    options = command_parser().parse_args(argv)
+    if options.ros:
+        return import_module(ROS_PAGE).show(options)
+    from physkin_core.view.scene.scene_state import SceneState
+    from physkin_core.view.viewer import Viewer
+
+    motion = None if options.motion == "none" else options.motion
+    state = SceneState(
+        options.garment or ["trousers", "tshirt"],
+        tucked=options.tucked,
+        body=options.avatar or BUNDLED_AVATAR,
+        rig_file=options.rig,
+        motion=motion,
+        fit=options.fit,
+        separate_limbs=options.separate_limbs,
+    )
+    for warning in state.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    page = Page(host=options.host, port=options.port)
+    viewer = Viewer(page, state, motion=motion)
+    try:
+        begin(page, browser=not options.no_browser)
+        page.run(viewer.tick)
+    finally:
+        viewer.close()
+    return 0
+
+
+def begin(page: Page, *, browser: bool) -> None:
+    """Say where the page is, and open it."""
+    print(f"physkin view: {page.address} (Ctrl+C ends it)", flush=True)
+    if browser:
+        webbrowser.open(page.address)
+
+
+def command_parser() -> argparse.ArgumentParser:
+    """The command's options."""
+    parser = argparse.ArgumentParser(prog="physkin view", description=__doc__.split("`: ")[1])
+    parser.add_argument("avatar", metavar="AVATAR", nargs="?", help="body file (default: the bundled one)")
+    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    parser.add_argument(
+        *("-g", "--garment"),
+        action="append",
+        metavar="MODEL",
+        help="a file or a shipped name; several, from the skin outwards, are an outfit (default trousers, tshirt)",
+    )
+    add_tucked_option(parser)
+    add_fit_option(parser)
+    add_limbs_option(parser)
+    parser.add_argument("--motion", default="walk", help="bundled motion, motion file or none (default %(default)s)")
+    parser.add_argument("--ros", action="store_true", help="show what a running ROS 2 node publishes")
+    parser.add_argument(
+        "--joint-states", default="joint_states", metavar="TOPIC", help="with --ros and AVATAR: poses of the body"
+    )
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen at (default: this machine alone)")
+    parser.add_argument("--port", type=int, default=8080, help="or the next free one (default %(default)s)")
+    parser.add_argument("--no-browser", action="store_true", help="print the page's address, open nothing")
+    return parser

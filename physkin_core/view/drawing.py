@@ -1,0 +1,169 @@
+"""Frames onto the page: what has changed is sent, meshes are made once an outfit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from physkin_core.view.page import Page
+from physkin_core.view.scene.figures import OutfitFigures
+from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Colour
+from physkin_core.view.scene.scene_state import Frame
+from physkin_core.view.surface_node import SurfaceNode
+
+__all__ = ["Drawing", "Switches"]
+
+BESIDE = 1.1
+"""Plain skinning stands so far [m] to the figure's right: the panel is on the other side."""
+NODE_COLOUR, NODE_SIZE = (0.95, 0.45, 0.05), 0.011
+NORMAL_COLOUR, NORMAL_LENGTH, MOST_NORMALS = (0.10, 0.10, 0.10), 0.02, 900
+"""[m]; of each garment at most so many are drawn."""
+
+
+@dataclass
+class Switches:
+    """What is drawn beside or over the figure. heat: "strain", "skin" or None. follow: the world moves, so that the
+    figure stays in the picture."""
+
+    nodes: bool = False
+    wireframe: bool = False
+    normals: bool = False
+    heat: str | None = None
+    follow: bool = True
+
+
+class Drawing:
+    """Draws frames of one page. figures: of the outfit drawn. skin_shows: (F,) faces of the body, where it is known."""
+
+    def __init__(self, page: Page) -> None:
+        self._page, self._scene = page, page.server.scene
+        self._beside = self._scene.add_frame("/world/beside", show_axes=False)
+        self.switches = Switches()
+        self.figures: OutfitFigures | None = None
+        self.skin_shows: np.ndarray | None = None
+        self._surfaces: list[SurfaceNode] = []
+        self._plain: list[SurfaceNode] = []
+        self._marks: dict[str, object] = {}
+
+    def show(self, frame: Frame) -> None:
+        """Draw a frame as the switches are now."""
+        with self._page.server.atomic():
+            if self.figures is None or frame.outfit is not self.figures.outfit:
+                self._change_outfit(frame)
+            self._place(frame)
+            body, *cloth = self._surfaces
+            self._paint(frame)
+            self._show_plain(frame)
+            for surface, colour in zip((body, *cloth, *self._plain), 2 * frame.colours):
+                surface.colour = colour
+            for surface in (*cloth, *self._plain[1:]):
+                surface.wireframe = self.switches.wireframe
+            self._show_marks(frame)
+
+    def _change_outfit(self, frame: Frame) -> None:
+        for surface in (*self._surfaces, *self._plain):
+            surface.remove()
+        self.figures, self.skin_shows = OutfitFigures(frame.outfit), None
+        self._surfaces = self._new_surfaces("/world/figure", frame)
+        self._plain = []
+
+    def _new_surfaces(self, where: str, frame: Frame) -> list[SurfaceNode]:
+        """The body and each garment."""
+        outfit, server = frame.outfit, self._page.server
+        shown = outfit.avatar.faces[~outfit.body_mask] if len(frame.cloth) > 1 else outfit.avatar.faces
+        names = ["body", *(f"cloth{k}" for k in range(len(frame.cloth)))]
+        counts = [len(frame.body), *map(len, frame.cloth)]
+        return [
+            SurfaceNode(server, f"{where}/{name}", count, faces, colour)
+            for name, count, faces, colour in zip(names, counts, (shown, *outfit.faces), frame.colours)
+        ]
+
+    def _place(self, frame: Frame) -> None:
+        x, y, z, w = frame.pose.root_orientation
+        forward = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 0.0])
+        right = np.array([forward[1], -forward[0], 0.0]) / max(np.linalg.norm(forward), 1e-6)
+        place = frame.pose.root_position
+        self._page.figure.wxyz = self._beside.wxyz = (w, x, y, z)
+        self._page.figure.position = place
+        self._beside.position = place + BESIDE * right
+        self._page.world.position = -place * [1, 1, 0] if self.switches.follow else np.zeros(3)
+
+    def _paint(self, frame: Frame) -> None:
+        body, *cloth = self._surfaces
+        heat, outfit = self.switches.heat, frame.outfit
+        if heat == "skin" and self.skin_shows is not None:
+            shown = self.skin_shows[~outfit.body_mask] if len(cloth) > 1 else self.skin_shows
+            body.paint(SKIN_BANDS, shown.astype(float), frame.body)
+        else:
+            body.paint(None, None, frame.body)
+        strains = self.figures.strains_of_faces(frame) if heat == "strain" else [None] * len(cloth)
+        for surface, points, strain in zip(cloth, frame.cloth, strains):
+            surface.paint(None if strain is None else STRAIN_BANDS, strain, points[:, :3])
+
+    def _show_plain(self, frame: Frame) -> None:
+        if frame.plain and not self._plain:
+            self._plain = self._new_surfaces("/world/beside", frame)
+        if not frame.plain and self._plain:
+            for surface in self._plain:
+                surface.remove()
+            self._plain = []
+        for surface, vertices in zip(self._plain, (frame.body, *frame.plain)):
+            surface.show(vertices)
+
+    def _show_marks(self, frame: Frame) -> None:
+        """Garment nodes and normals."""
+        if self.switches.nodes:
+            points = np.concatenate(frame.nodes)
+            self._mark(
+                "nodes",
+                lambda: self._scene.add_point_cloud(
+                    "/world/figure/nodes",
+                    points,
+                    _bytes(NODE_COLOUR),
+                    point_size=NODE_SIZE,
+                    point_shape="circle",
+                    precision="float32",
+                ),
+                points,
+            )
+        else:
+            self._unmark("nodes")
+        if self.switches.normals:
+            lines = np.concatenate([_normal_lines(points) for points in frame.cloth])
+            self._mark(
+                "normals",
+                lambda: self._scene.add_line_segments(
+                    "/world/figure/normals",
+                    lines,
+                    _bytes(NORMAL_COLOUR),
+                    thickness=1.0,
+                    thickness_units="screen",
+                ),
+                lines,
+            )
+        else:
+            self._unmark("normals")
+
+    def _mark(self, name: str, add, points: np.ndarray) -> None:
+        """Add it, or, where there are as many points as before, move them."""
+        old = self._marks.get(name)
+        if old is not None and old.points.shape == points.shape:
+            old.points = points
+            return
+        self._unmark(name)
+        self._marks[name] = add()
+
+    def _unmark(self, name: str) -> None:
+        if name in self._marks:
+            self._marks.pop(name).remove()
+
+
+def _normal_lines(points: np.ndarray) -> np.ndarray:
+    """(N, 2, 3) from evenly chosen points (v, 6) along their normals."""
+    chosen = points[:: -(-len(points) // MOST_NORMALS)]
+    return np.stack([chosen[:, :3], chosen[:, :3] + NORMAL_LENGTH * chosen[:, 3:]], axis=1)
+
+
+def _bytes(colour: Colour) -> np.ndarray:
+    return np.round(255 * np.array(colour)).astype(np.uint8)

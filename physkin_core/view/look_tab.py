@@ -1,0 +1,61 @@
+"""Widgets: what is drawn over and beside the figure, with the legend of its colours."""
+
+from __future__ import annotations
+
+from physkin_core.view.drawing import Drawing
+from physkin_core.view.page import Page
+from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Bands
+from physkin_core.view.scene.scene_state import SceneState
+
+__all__ = ["LookTab"]
+
+HEATS = {"none": None, "edge strain": "strain", "skin that shows": "skin"}
+BANDS = {"strain": STRAIN_BANDS, "skin": SKIN_BANDS}
+
+
+class LookTab:
+    """Switches of a drawing, and of the state that computes what they show."""
+
+    def __init__(self, page: Page, state: SceneState, drawing: Drawing) -> None:
+        self._state, self._drawing = state, drawing
+        gui, switches = page.server.gui, drawing.switches
+        self._heat = gui.add_dropdown("heat map", tuple(HEATS))
+        self._heat.on_update(page.by_hand(self._change_heat))
+        self._legend = gui.add_html("", visible=False)
+        for name, label, hint in (
+            ("nodes", "garment nodes", "the frames that carry the cloth"),
+            ("wireframe", "wireframe", "the cloth's triangles"),
+            ("normals", "normals", "of some of the cloth's vertices"),
+            ("follow", "camera follows", "the figure stays where you look"),
+        ):
+            box = gui.add_checkbox(label, getattr(switches, name), hint=hint)
+            box.on_update(page.by_hand(lambda name=name, box=box: self._switch(name, box.value)))
+        shadows = gui.add_checkbox("shadows", False, hint="slow without a graphics card")
+        shadows.on_update(page.by_hand(lambda: setattr(page.lamp, "cast_shadow", shadows.value)))
+        plain = gui.add_checkbox("plain skinning beside", False, hint="what the model is compared with")
+        plain.on_update(page.by_hand(lambda: self._show_plain(plain.value)))
+
+    def _switch(self, name: str, on: bool) -> None:
+        setattr(self._drawing.switches, name, on)
+        self._state.redraw()
+
+    def _show_plain(self, on: bool) -> None:
+        self._state.show_plain = on
+        self._state.redraw()
+
+    def _change_heat(self) -> None:
+        heat = HEATS[self._heat.value]
+        self._legend.visible = heat is not None
+        if heat is not None:
+            self._legend.content = _legend(BANDS[heat])
+        self._switch("heat", heat)
+
+
+def _legend(bands: Bands) -> str:
+    rows = [
+        f'<div><span style="display:inline-block;width:1.6em;height:0.8em;margin-right:0.6em;'
+        f'background:rgb({", ".join(str(round(255 * channel)) for channel in colour)})"></span>{label}</div>'
+        for colour, label in zip(bands.colours, bands.labels)
+        if colour is not None
+    ]
+    return f'<div style="padding:0 0.9em 0.4em;font-size:0.8em">{"".join(rows)}</div>'

@@ -1,0 +1,148 @@
+"""The page itself: a server, a floor, notices, and a loop that draws until it is interrupted."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import io
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Literal
+
+from physkin_core.picture import PictureError
+
+__all__ = ["FRAMES_A_SECOND", "Page"]
+
+log = logging.getLogger(__name__)
+
+FRAMES_A_SECOND = 30.0
+NOTICE_SECONDS = 12.0
+NOTICE_COLOURS = {"error": "red", "warning": "yellow", "done": "green", "busy": "blue"}
+CAMERA, LOOKED_AT = (3.3, 1.5, 1.5), (0.0, 0.0, 0.9)
+"""[m] in a world in which the figure stands at the origin and faces X."""
+FIELD_OF_VIEW = 0.6  # [rad]
+SKY, GROUND, SKY_LIGHT = (255, 255, 255), (150, 145, 140), 2.2
+LAMP_PLACE, LAMP_LIGHT = (2.5, 2.0, 4.0), 1.6
+"""One sky and one lamp: an environment map costs a browser without a graphics card half of its frames."""
+
+
+class Page:
+    """server: viser's. world, figure: the scene's frames "/world" and "/world/figure". lamp: its light, that may cast
+    shadows, which is much work for a browser without a graphics card.
+
+    host, port: where it listens; the next free port where that one is taken. title: of the browser's tab.
+    Raises PictureError when viser is not installed.
+    """
+
+    def __init__(self, *, host: str = "127.0.0.1", port: int = 8080, title: str = "PhySkin") -> None:
+        try:
+            import viser
+        except ImportError as error:
+            raise PictureError("the page needs viser: pip install 'physkin[view]'") from error
+        self._ended = threading.Event()
+        with contextlib.redirect_stdout(io.StringIO()):  # a box with the address, which commands print themselves
+            self.server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
+        self.server.gui.configure_theme(
+            control_width="medium", show_logo=False, show_share_button=False, brand_color=(41, 107, 148)
+        )
+        scene = self.server.scene
+        scene.set_up_direction("+z")
+        camera = self.server.initial_camera
+        camera.position, camera.look_at, camera.fov = CAMERA, LOOKED_AT, FIELD_OF_VIEW
+        scene.configure_default_lights(enabled=False)
+        scene.configure_environment_map(None)
+        scene.add_light_hemisphere("/sky", sky_color=SKY, ground_color=GROUND, intensity=SKY_LIGHT)
+        self.lamp = scene.add_light_directional("/lamp", intensity=LAMP_LIGHT, position=LAMP_PLACE)
+        self.world = scene.add_frame("/world", show_axes=False)
+        self.figure = scene.add_frame("/world/figure", show_axes=False)
+        scene.add_grid(
+            "/world/floor",
+            infinite_grid=True,
+            cell_size=0.5,
+            section_size=1.0,
+            cell_color=(225, 225, 225),
+            section_color=(200, 200, 200),
+            fade_distance=12.0,
+        )
+
+    @property
+    def address(self) -> str:
+        """To open in a browser."""
+        return f"http://localhost:{self.server.get_port()}"
+
+    def notice(
+        self, title: str, body: str = "", *, kind: Literal["error", "warning", "done", "busy"] = "done"
+    ) -> Callable[[], None]:
+        """Tell whoever looks at the page. Returns what takes the notice away; one that is not "busy" goes by itself."""
+        seconds = None if kind == "busy" else NOTICE_SECONDS
+        shown = [
+            client.add_notification(
+                title, body, loading=kind == "busy", auto_close_seconds=seconds, color=NOTICE_COLOURS[kind]
+            )
+            for client in self.server.get_clients().values()
+        ]
+
+        def take_away() -> None:
+            for each in shown:
+                each.remove()
+
+        return take_away
+
+    def guarded(self, callback: Callable[..., None]) -> Callable[..., None]:
+        """A callback whose errors show as a notice, and end nothing."""
+
+        @functools.wraps(callback)
+        def called(*arguments) -> None:
+            try:
+                callback(*arguments)
+            except Exception as error:  # whatever it is, the page goes on
+                self.report(error)
+
+        return called
+
+    def by_hand(self, change: Callable[[], None]) -> Callable[..., None]:
+        """A guarded callback of a widget for changes that a person makes, not for those that the program does."""
+
+        def called(event) -> None:
+            if event.client_id is not None:
+                change()
+
+        return self.guarded(called)
+
+    def report(self, error: Exception) -> None:
+        """Show an error that was raised: bad input by its sentence, anything else by its kind too, and in the log."""
+        told = isinstance(error, ValueError | OSError | PictureError)
+        if not told:
+            log.exception("an error on the page", exc_info=error)
+        text = str(error) if told else f"{type(error).__name__}: {error}"
+        self.notice("That did not work", text, kind="error")
+
+    def run(self, tick: Callable[[float], None]) -> None:
+        """Call `tick(seconds since the last call)` thirty times a second until `end`, or an interrupt.
+
+        Its errors are reported, one that comes again and again only once.
+        """
+        last, told = time.perf_counter(), ""
+        due = last
+        try:
+            while not self._ended.is_set():
+                now = time.perf_counter()
+                try:
+                    tick(now - last)
+                    told = ""
+                except Exception as error:  # whatever it is, the page goes on
+                    if repr(error) != told:
+                        told = repr(error)
+                        self.report(error)
+                last, due = now, max(due + 1 / FRAMES_A_SECOND, now)
+                self._ended.wait(max(0.0, due - time.perf_counter()))
+        except KeyboardInterrupt:
+            pass
+        finally:
+            self.server.stop()
+
+    def end(self) -> None:
+        """Let `run` return."""
+        self._ended.set()

@@ -1,0 +1,57 @@
+"""Widgets: a slider for each joint of the rig, within its limits, by part of the body."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from physkin_core.view.page import Page
+from physkin_core.view.scene.joint_groups import joint_groups
+from physkin_core.view.scene.scene_state import SceneState
+
+__all__ = ["PoseTab"]
+
+STEP = 1.0  # [degrees]
+
+
+class PoseTab:
+    """Sliders are in degrees. `follow` sets them to the state."""
+
+    def __init__(self, page: Page, state: SceneState) -> None:
+        self._page, self._state = page, state
+        self._gui = page.server.gui
+        rest = self._gui.add_button("Rest pose", icon="rotate", hint="the canonical pose, upright")
+        rest.on_click(page.guarded(lambda event: state.rest()))
+        self._sliders: dict[int, object] = {}
+        self._folder = self._gui.add_folder("Joints [degrees]")
+        self._shown: tuple = ()
+        self._add_sliders()
+
+    def follow(self) -> None:
+        """Show the state's pose, unless it is being set by the sliders; other sliders for another rig."""
+        state = self._state
+        if state.rig.joint_names != self._names:
+            self._folder.remove()
+            self._folder = self._gui.add_folder("Joints [degrees]")
+            self._add_sliders()
+        if state.posed_by_hand or state.playing or state.pose is self._shown:
+            return
+        self._shown = state.pose
+        for joint, slider in self._sliders.items():
+            slider.value = float(np.clip(np.degrees(state.pose.positions[joint]), slider.min, slider.max).round(1))
+
+    def _add_sliders(self) -> None:
+        rig = self._state.rig
+        self._names, self._sliders = rig.joint_names, {}
+        positions = np.clip(self._state.pose.positions, rig.lower, rig.upper)
+        with self._folder:
+            for part, joints in joint_groups(rig).items():
+                with self._gui.add_folder(part, expand_by_default=False):
+                    for joint in joints:
+                        self._add_slider(joint, *np.degrees([rig.lower[joint], rig.upper[joint], positions[joint]]))
+
+    def _add_slider(self, joint: int, lower: float, upper: float, position: float) -> None:
+        low, high = float(np.ceil(lower)), float(np.floor(upper))
+        start = float(np.clip(round(position), low, high))
+        slider = self._gui.add_slider(self._names[joint], low, high, STEP, start)
+        slider.on_update(self._page.by_hand(lambda: self._state.set_joint(joint, np.radians(slider.value))))
+        self._sliders[joint] = slider

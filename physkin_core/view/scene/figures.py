@@ -1,0 +1,88 @@
+"""Figures of what is shown: strain, cloth inside the body, skin that shows, for the read-out and the heat maps.
+
+Dimensions: `V` body vertices, `F` body faces, `v` vertices given of a garment, `f` faces of these, `n` vertices of all
+garments together, `g` their faces. Metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from physkin_core.check.rest_check import near_hem, skin_seen
+from physkin_core.model.garment import Garment, face_areas
+from physkin_core.outfit.outfit import Outfit
+from physkin_core.quality import contact_figures, edge_strains, signed_distance
+from physkin_core.view.scene.scene_state import Frame
+
+__all__ = ["Contact", "ContactQuestion", "OutfitFigures", "look_at_contact"]
+
+
+@dataclass(frozen=True)
+class ContactQuestion:
+    """What `look_at_contact` needs, to be sent to another process: cloth (n, 3), cloth_faces (g, 3), hem (n,) bool,
+    body (V, 3), body_faces (F, 3). inside: whether cloth inside the body is asked for, which takes longest."""
+
+    cloth: np.ndarray
+    cloth_faces: np.ndarray
+    hem: np.ndarray
+    body: np.ndarray
+    body_faces: np.ndarray
+    inside: bool = True
+
+
+@dataclass(frozen=True)
+class Contact:
+    """inside_percent: of the cloth's vertices; deepest_mm: the deepest of them; None where not asked for.
+    skin_shows_percent: of the skin that belongs to the cloth; skin_shows: (F,) bool, where."""
+
+    inside_percent: float | None
+    deepest_mm: float | None
+    skin_shows_percent: float
+    skin_shows: np.ndarray
+
+
+def look_at_contact(question: ContactQuestion) -> Contact:
+    """Some tenths of a second."""
+    cloth, body, faces = question.cloth.astype(np.float64), question.body.astype(np.float64), question.body_faces
+    found = contact_figures(signed_distance(cloth, body, faces)) if question.inside else {}
+    skin = skin_seen(cloth, question.cloth_faces, question.hem, body, faces)
+    return Contact(
+        inside_percent=found.get("inside_percent"),
+        deepest_mm=found.get("max_depth_mm"),
+        skin_shows_percent=skin.shows_percent(face_areas(body, faces)),
+        skin_shows=skin.shows,
+    )
+
+
+class OutfitFigures:
+    """What an outfit's figures are measured against: the rest shapes of what of its garments is given."""
+
+    def __init__(self, outfit: Outfit) -> None:
+        self.outfit = outfit
+        worn = list(zip(outfit.rest_garments, outfit.visible, outfit.faces))
+        self._garments = [Garment(rest.vertices[given], faces) for rest, given, faces in worn]
+        self._hem = np.concatenate([near_hem(rest)[given] for rest, given, _ in worn])
+        first = np.cumsum([0, *outfit.vertex_counts[:-1]])
+        self._faces = np.concatenate([faces + start for start, faces in zip(first, outfit.faces)])
+
+    def strains(self, frame: Frame) -> list[np.ndarray]:
+        """|l - l0| / l0 of every edge [%], of each garment."""
+        return [edge_strains(garment, cloth[:, :3]) for garment, cloth in zip(self._garments, frame.cloth)]
+
+    def strains_of_faces(self, frame: Frame) -> list[np.ndarray]:
+        """For every face (f,) of each garment, the mean [%] of its corners', a corner's being that of its edges."""
+        return [_carried_to_faces(garment, strain) for garment, strain in zip(self._garments, self.strains(frame))]
+
+    def question(self, frame: Frame, *, inside: bool = True) -> ContactQuestion:
+        """Of a frame; it keeps no array that the next frame overwrites."""
+        cloth = np.concatenate([points[:, :3] for points in frame.cloth])
+        return ContactQuestion(cloth, self._faces, self._hem, frame.body, self.outfit.avatar.faces, inside)
+
+
+def _carried_to_faces(garment: Garment, of_edges: np.ndarray) -> np.ndarray:
+    ends, count = garment.edges.reshape(-1), len(garment.vertices)
+    edges_of_corner = np.maximum(np.bincount(ends, minlength=count), 1)
+    of_corners = np.bincount(ends, np.repeat(of_edges, 2), minlength=count) / edges_of_corner
+    return of_corners[garment.faces].mean(axis=1)

@@ -1,0 +1,264 @@
+"""What the page shows, without the page: who wears what, in which pose, and the frame that follows from it.
+
+Dimensions: `d` degrees of freedom, `V` body vertices, `v` vertices given of a garment, `m` garment nodes.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Lock, RLock
+from time import perf_counter
+
+import numpy as np
+
+from physkin_core.avatar.avatar import AvatarWarning
+from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
+from physkin_core.motion.loading import load_motion
+from physkin_core.motion.motion import Motion
+from physkin_core.outfit.outfit import Outfit
+from physkin_core.outfit.outfit_options import chosen_garments
+from physkin_core.picture import BODY_COLOUR, layer_colours
+from physkin_core.rig.rig import Rig
+from physkin_core.runtime.bound_garment import plain_skinning
+from physkin_core.view.scene.heat_map import Colour
+from physkin_core.view.scene.motion_player import MotionPlayer, Pose, standing_pose
+
+__all__ = ["Frame", "SceneState"]
+
+TIMED_FRAMES = 60
+"""Frames whose times the read-out is the median of."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One pose of the avatar and what it wears, in the root frame [m].
+
+    outfit: what is worn. pose: of the body, with its place in the world. body: (V, 3) float32. cloth: (v, 6) float32 of
+    each garment, positions and normals, overwritten by the next frame. plain: (v, 3) of each garment by plain skinning,
+    where asked for. nodes: (m, 3) garment nodes of each garment. microseconds: what draping takes, the median of the
+    last frames.
+    """
+
+    outfit: Outfit
+    pose: Pose
+    body: np.ndarray
+    cloth: tuple[np.ndarray, ...]
+    plain: tuple[np.ndarray, ...]
+    nodes: tuple[np.ndarray, ...]
+    colours: tuple[Colour, ...]
+    microseconds: float
+
+
+class SceneState:
+    """Changed from any thread, drawn by one: `advance` gives the frames.
+
+    garments: names of shipped models or files, from the skin outwards; tucked: those of them whose hem is under the
+    next one's waistband. body: an avatar file; rig_file: of one without a skin. motion: as `load_motion` takes it, or
+    None. fit, separate_limbs: as of `Outfit`.
+    playing, speed: of the motion; seconds: its time. pose: shown now; posed_by_hand: whether a joint was set last.
+    show_plain: compute plain skinning too.
+    Raises what loading raises; what is shown is then as it was.
+    """
+
+    def __init__(
+        self,
+        garments: Sequence[str],
+        *,
+        tucked: Sequence[str] = (),
+        body: str | Path = BUNDLED_AVATAR,
+        rig_file: str | Path | None = None,
+        motion: str | Path | None = None,
+        fit: float | None = None,
+        separate_limbs: bool = False,
+    ) -> None:
+        self._fit = fit
+        self._binding, self._lock = Lock(), RLock()
+        self._changed = True
+        self._player: MotionPlayer | None = None
+        self.playing, self.speed, self.seconds = False, 1.0, 0.0
+        self.posed_by_hand = False
+        self.show_plain = False
+        self.body_colour: Colour = BODY_COLOUR
+        self._chosen_colours: dict[str, Colour] = {}
+        self.garments: tuple[str, ...] = ()
+        self.tucked: frozenset[str] = frozenset()
+        self.body, self.rig_file, self.separate_limbs = Path(body), rig_file, separate_limbs
+        self.outfit: Outfit | None = None
+        self.wear(garments, tucked=tucked)
+        if motion is not None:
+            self.choose_motion(motion)
+            self.play()
+
+    # --- Who wears what: takes a second or two ---
+
+    def wear(self, garments: Sequence[str], *, tucked: Sequence[str] = ()) -> None:
+        """Put on other garments."""
+        with self._binding:
+            self._dress(garments, tucked, self.body, self.rig_file, self.separate_limbs)
+
+    def put_on(self, body: str | Path, *, rig_file: str | Path | None = None) -> None:
+        """Put the garments on another body."""
+        with self._binding:
+            self._dress(self.garments, self.tucked, Path(body), rig_file, self.separate_limbs, new_body=True)
+
+    def separate(self, limbs: bool) -> None:
+        """Separate limbs before draping, or no longer."""
+        with self._binding:
+            self._dress(self.garments, self.tucked, self.body, self.rig_file, limbs)
+
+    def _dress(self, garments, tucked, body, rig_file, separate_limbs, *, new_body: bool = False) -> None:
+        if not garments:
+            raise ValueError("nothing to wear: choose at least one garment")
+        chosen = chosen_garments(garments, sorted(tucked))
+        rig = chosen[0].model.rig
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AvatarWarning)  # they are in `Outfit.warnings`
+            known = self.outfit is not None and not new_body and _same_rig(rig, self._rig)
+            avatar = self._avatar if known else load_avatar(body, rig, rig_file=rig_file)
+            outfit = Outfit(chosen, avatar, fit=self._fit, separate_limbs=separate_limbs)
+        player = None if self._player is None else MotionPlayer(self._player.motion, rig, outfit.avatar)
+        with self._lock:
+            posed = self.outfit is not None and self._rig.joint_names == rig.joint_names
+            positions = self.pose.positions if posed else rig.rest
+            self.garments, self.tucked = tuple(garments), frozenset(tucked)
+            self.body, self.rig_file, self.separate_limbs = body, rig_file, separate_limbs
+            self._avatar, self._rig, self._player, self.outfit = avatar, rig, player, outfit
+            self.pose = standing_pose(positions, avatar) if player is None else player.pose(self.seconds)
+            self._begin()
+
+    def _begin(self) -> None:
+        """Bind a frame to its arrays."""
+        self._positions = self.pose.positions.copy()
+        self._gravity = self.pose.gravity.copy()
+        self._cloth = tuple(np.zeros((count, 6), dtype=np.float32) for count in self.outfit.vertex_counts)
+        self._step: Callable[[], None] = self.outfit.bind_step(self._positions, self._gravity, self._cloth)
+        self._times: deque[float] = deque(maxlen=TIMED_FRAMES)
+        self._changed = True
+
+    @property
+    def cloth_colours(self) -> tuple[Colour, ...]:
+        """Of each garment, sRGB in [0, 1]: chosen, or by its place in the outfit."""
+        usual = layer_colours(len(self.garments))
+        return tuple(self._chosen_colours.get(name, colour) for name, colour in zip(self.garments, usual))
+
+    def recolour(self, *, body: Colour, cloth: Sequence[Colour]) -> None:
+        """Choose colours of the body and of each garment worn."""
+        with self._lock:
+            self.body_colour = body
+            changed = [k for k, (old, new) in enumerate(zip(self.cloth_colours, cloth)) if old != new]
+            self._chosen_colours |= {self.garments[k]: cloth[k] for k in changed}
+            self._changed = True
+
+    @property
+    def rig(self) -> Rig:
+        """Whose joints there are."""
+        return self._rig
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was assumed of the body, and how garments sit if not well."""
+        return self.outfit.warnings
+
+    # --- In which pose ---
+
+    @property
+    def motion(self) -> Motion | None:
+        """What is played, if anything."""
+        return None if self._player is None else self._player.motion
+
+    @property
+    def duration(self) -> float:
+        """Of the motion [s]; 0 without one."""
+        return 0.0 if self._player is None else self._player.duration
+
+    def choose_motion(self, motion: str | Path | None) -> None:
+        """Show a motion from its start, or, with None, a pose that joints are set to, upright where the body stands."""
+        loaded = None if motion is None else load_motion(motion)
+        with self._lock:
+            self._player = None if loaded is None else MotionPlayer(loaded, self._rig, self._avatar)
+            if self._player is None:
+                self.playing = False
+                self.pose = standing_pose(self.pose.positions, self._avatar)
+                self._changed = True
+            else:
+                self.scrub(0.0)
+
+    def play(self) -> None:
+        """Go on with the motion. Raises ValueError when there is none."""
+        if self._player is None:
+            raise ValueError("nothing to play: choose a motion")
+        self.playing = True
+
+    def pause(self) -> None:
+        """Keep the pose."""
+        self.playing = False
+
+    def scrub(self, seconds: float) -> None:
+        """Show the motion at a time [s] from its start."""
+        with self._lock:
+            if self._player is not None:
+                self.seconds = min(max(float(seconds), 0.0), self.duration)
+                self.pose = self._player.pose(self.seconds)
+                self.posed_by_hand, self._changed = False, True
+
+    def set_joint(self, joint: int, position: float) -> None:
+        """Turn one joint to a position [rad], within its limits; a motion pauses."""
+        with self._lock:
+            self.playing = False
+            self.posed_by_hand = True
+            positions = self.pose.positions.copy()
+            positions[joint] = np.clip(position, self._rig.lower[joint], self._rig.upper[joint])
+            self.pose = Pose(positions, self.pose.root_orientation, self.pose.root_position)
+            self._changed = True
+
+    def rest(self) -> None:
+        """The canonical pose, upright; a motion pauses."""
+        with self._lock:
+            self.playing = False
+            self.posed_by_hand = False
+            self.pose = standing_pose(self._rig.rest, self._avatar)
+            self._changed = True
+
+    def redraw(self) -> None:
+        """Let `advance` give a frame, though no pose has changed."""
+        self._changed = True
+
+    # --- The frame ---
+
+    def advance(self, seconds: float) -> Frame | None:
+        """What is to be seen after so much more time [s], or None where that is what was given last."""
+        with self._lock:
+            if self.playing and self._player is not None and self.duration > 0:
+                self.seconds = (self.seconds + self.speed * seconds) % self.duration
+                self.pose = self._player.pose(self.seconds)
+                self.posed_by_hand, self._changed = False, True
+            if not self._changed:
+                return None
+            self._changed = False
+            return self._frame()
+
+    def _frame(self) -> Frame:
+        outfit, pose = self.outfit, self.pose
+        self._positions[:], self._gravity[:] = pose.positions, pose.gravity
+        began = perf_counter()
+        self._step()
+        self._times.append(1e6 * (perf_counter() - began))
+        bones = outfit.bone_transforms(pose.positions)
+        return Frame(
+            outfit=outfit,
+            pose=pose,
+            body=self._avatar.posed_vertices(bones),
+            cloth=self._cloth,
+            plain=tuple(plain_skinning(bound, bones) for bound in outfit.bounds) if self.show_plain else (),
+            nodes=tuple(transforms[..., 3] for transforms in outfit.node_transforms()),
+            colours=(self.body_colour, *self.cloth_colours),
+            microseconds=float(np.median(self._times)),
+        )
+
+
+def _same_rig(one: Rig, other: Rig) -> bool:
+    return one.joint_names == other.joint_names and np.array_equal(one.heads, other.heads)

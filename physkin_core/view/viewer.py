@@ -1,0 +1,108 @@
+"""The page put together: state, drawing, widgets, read-out, and what a tick of it does."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import numpy as np
+
+from physkin_core.view.clothes_tab import ClothesTab
+from physkin_core.view.drawing import Drawing
+from physkin_core.view.look_tab import LookTab
+from physkin_core.view.motion_tab import MotionTab
+from physkin_core.view.page import Page
+from physkin_core.view.pose_tab import PoseTab
+from physkin_core.view.readout import Readout
+from physkin_core.view.scene.figure_process import FigureProcess
+from physkin_core.view.scene.figures import Contact
+from physkin_core.view.scene.scene_state import Frame, SceneState
+from physkin_core.view.uploads import Uploads
+
+__all__ = ["Viewer"]
+
+WIDGETS_EVERY, LOOK_EVERY = 0.25, 1.0
+"""[s] between two updates of the widgets, and between two looks at contact while something moves."""
+
+
+class Viewer:
+    """Shows a state on a page. motion: what the state was given."""
+
+    def __init__(self, page: Page, state: SceneState, *, motion: str | None) -> None:
+        self._page, self._state = page, state
+        self._drawing, self._process = Drawing(page), FigureProcess()
+        uploads, gui = Uploads(), page.server.gui
+        self._readout = Readout(page)
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Motion"):
+            self._motion = MotionTab(page, state, uploads, motion=motion)
+        with tabs.add_tab("Clothes"):
+            self._clothes = ClothesTab(page, state, uploads)
+        with tabs.add_tab("Pose"):
+            self._pose = PoseTab(page, state)
+        with tabs.add_tab("Look"):
+            self._look = LookTab(page, state, self._drawing)
+        self._frame: Frame | None = None
+        self._contact: Contact | None = None
+        self._looked_at: tuple | None = None
+        self._looks = True
+        self._widgets_at = self._look_at = 0.0
+        self._drawn = 0
+
+    def tick(self, seconds: float) -> None:
+        """Draw what is to be seen after so much more time [s]. An error stops the motion, and is raised."""
+        try:
+            frame = self._state.advance(seconds)
+            if frame is not None:
+                self._drawing.show(frame)
+                self._frame, self._drawn = frame, self._drawn + 1
+        except Exception:
+            self._state.pause()
+            raise
+        self._look_at_contact()
+        now = perf_counter()
+        if self._frame is not None and now - self._widgets_at >= WIDGETS_EVERY:
+            self._show_widgets(now - self._widgets_at)
+            self._widgets_at, self._drawn = now, 0
+
+    def close(self) -> None:
+        """End what runs beside the page."""
+        self._process.close()
+
+    def _look_at_contact(self) -> None:
+        """Ask about the frame drawn last where that has not been asked, and show what is answered. After an error there
+        are no more such figures."""
+        if not self._looks or self._frame is None:
+            return
+        try:
+            self._ask_and_answer()
+        except Exception:
+            self._looks, self._contact = False, None
+            raise
+
+    def _ask_and_answer(self) -> None:
+        found = self._process.answer()
+        if found is not None and len(found.skin_shows) == len(self._frame.outfit.avatar.faces):
+            self._contact = found
+            self._drawing.skin_shows = found.skin_shows
+            if self._drawing.switches.heat == "skin":
+                self._state.redraw()
+        asked = self._frame.pose, self._frame.outfit
+        now = perf_counter()
+        changed = self._looked_at is None or any(a is not b for a, b in zip(asked, self._looked_at))
+        if changed and not self._process.busy and now - self._look_at >= LOOK_EVERY:
+            self._process.ask(self._drawing.figures.question(self._frame))
+            self._looked_at, self._look_at = asked, now
+
+    def _show_widgets(self, seconds: float) -> None:
+        frame, contact = self._frame, self._contact
+        self._motion.follow()
+        self._pose.follow()
+        names = [model.name for model in frame.outfit.models]
+        strains = [float(np.mean(strain)) for strain in self._drawing.figures.strains(frame)]
+        rows = {"a frame of cloth": f"{frame.microseconds:.0f} µs"}
+        rows |= {f"edge strain, {name}": f"{strain:.1f} %" for name, strain in zip(names, strains)}
+        inside = None if contact is None else f"{contact.inside_percent:.2f} %, {contact.deepest_mm:.0f} mm"
+        rows |= {"cloth inside the body": inside}
+        rows |= {"skin that shows": None if contact is None else f"{contact.skin_shows_percent:.2f} %"}
+        rows |= {"frames a second, sent": f"{self._drawn / seconds:.0f}"}
+        self._readout.show(rows)

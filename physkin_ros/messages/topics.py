@@ -1,0 +1,97 @@
+"""Every topic and service of the drape node, in one place: the usage text and the reference are made of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+__all__ = ["TOPICS", "Topic"]
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One of them. name: by default, with one avatar. type: package/Type. needs: parameter that opens it, if any."""
+
+    name: str
+    direction: Literal["in", "out", "service"]
+    type: str
+    description: str
+    needs: str = ""
+
+
+TOPICS = (
+    Topic("joint_states", "in", "sensor_msgs/JointState", "pose of the body: joints in any order [rad], some or all"),
+    Topic(
+        "bone_rotations",
+        "in",
+        "sensor_msgs/MultiDOFJointState",
+        "pose of the body as rotations of bones, in place of joint states",
+    ),
+    Topic(
+        "gravity",
+        "in",
+        "geometry_msgs/Vector3Stamped",
+        "direction of gravity in the body's root frame, any length but zero; joint states are draped with the latest, "
+        "so send it before them",
+        needs="orientation: gravity",
+    ),
+    Topic(
+        "pose",
+        "in",
+        "geometry_msgs/PoseStamped",
+        "the body's root in an upright frame, in place of gravity",
+        needs="orientation: pose",
+    ),
+    Topic(
+        "imu",
+        "in",
+        "sensor_msgs/Imu",
+        "an IMU mounted like the root, in place of gravity: its orientation, or without one what it feels at rest. "
+        "Best effort, as drivers publish it",
+        needs="orientation: imu",
+    ),
+    Topic(
+        "~/effective_gravity",
+        "in",
+        "geometry_msgs/Vector3Stamped",
+        "what an accelerated root feels: gravity less its acceleration [m/s2] in the body's root frame, zero in free "
+        "fall, at most 29.4 long; takes gravity's place for 0.5 s",
+    ),
+    Topic(
+        "~/garment",
+        "out",
+        "sensor_msgs/PointCloud2",
+        "x, y, z [m] and normal_x, normal_y, normal_z, float32, in the body's root frame; stamp of the joint state; "
+        "never a value that is not finite",
+    ),
+    Topic(
+        "~/joint_states",
+        "out",
+        "sensor_msgs/JointState",
+        "joint positions that were draped [rad], for whoever draws the body; stamp of the joint state",
+        needs="separate_limbs",
+    ),
+    Topic("~/marker", "out", "visualization_msgs/Marker", "the garment's triangles, for RViz", needs="marker"),
+    Topic(
+        "~/mesh",
+        "out",
+        "physkin_msgs/GarmentMesh",
+        "faces, rest vertices, skinning weights, which vertices are given; latched, and again when any of it changes",
+    ),
+    Topic(
+        "~/garment_nodes",
+        "out",
+        "physkin_msgs/GarmentNodes",
+        "6 KB a frame instead of 90 to 150, for readers that skin by themselves, normals by the cofactors of the blend",
+    ),
+    Topic(
+        "/diagnostics",
+        "out",
+        "diagnostic_msgs/DiagnosticArray",
+        "once a second, as text: rates, rejections and why, times of the evaluation, how each garment sits",
+    ),
+    Topic("~/statistics", "out", "physkin_msgs/DrapeStatistics", "the same as numbers, once a second"),
+    Topic("~/set_body", "service", "physkin_msgs/SetBody", "another body while running"),
+    Topic("~/set_garment", "service", "physkin_msgs/SetGarment", "another garment while running"),
+)
+"""With avatars, what is named without ~ is below the avatar's ID, and a garment's topics are below ~/ID/NAME."""

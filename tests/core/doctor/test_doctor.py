@@ -1,0 +1,86 @@
+"""`physkin doctor`: what it finds in this installation, and in ones that are made to be broken."""
+
+import json
+import shutil
+import types
+
+import pytest
+from random_models import needs_native
+
+from physkin_core.cli import main
+from physkin_core.doctor import command, installation
+from physkin_core.doctor.finding import Finding
+from physkin_core.extras import EXTRAS
+from physkin_core.runtime.native_evaluator import supported_instruction_sets
+
+pytestmark = needs_native
+
+
+def found(look):
+    """Findings by subject."""
+    return {finding.subject: finding for finding in look()}
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Only what one file says, and no frame."""
+    monkeypatch.setattr(installation, "_frame", lambda: Finding("a frame", "good", "draped"))
+    monkeypatch.setattr(command, "DOCTORS", {"physkin_core.doctor.installation": ()})
+
+
+def test_this_installation_works(capsys, monkeypatch):
+    """A real frame, files read, nothing broken; as JSON, too."""
+    monkeypatch.setattr(command, "DOCTORS", {"physkin_core.doctor.installation": ()})
+    assert main(["doctor", "--json"]) == 0
+    findings = {each["subject"]: each for each in json.loads(capsys.readouterr().out)}
+    assert {"physkin", "evaluator", "garment models", "motions", "a frame", "compiler"} < findings.keys()
+    assert {f"[{extra}]" for extra in EXTRAS} < findings.keys()
+    assert "tshirt" in findings["garment models"]["said"] and supported_instruction_sets()[-1] in str(findings)
+    assert all(each["remedy"] for each in findings.values() if each["state"] != "good")
+
+
+def test_damaged_model_is_broken(quick, monkeypatch, tmp_path, capsys):
+    """Its error is told with what to do, the rest is looked at all the same, and the exit status is 1."""
+    (tmp_path / "tshirt.safetensors").write_bytes(b"damaged")
+    monkeypatch.setattr("physkin_core.model.model_file.MODELS_PATH", tmp_path)
+    assert main(["doctor"]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    (told,) = [k for k, line in enumerate(lines) if line.startswith("broken")]
+    assert "garment models" in lines[told] and "cannot read garment model" in lines[told]
+    assert "pip install --force-reinstall" in lines[told + 1]
+    assert any("motions" in line for line in lines[told:]) and lines[-1] == "1 broken"
+
+
+def test_instruction_set_that_is_not_there(monkeypatch):
+    monkeypatch.setenv("PHYSKIN_NATIVE_ISA", "sse9")
+    finding = installation._instruction_set()
+    assert finding.state == "broken" and "PHYSKIN_NATIVE_ISA=sse9" in finding.said and "unset" in finding.remedy
+    monkeypatch.setenv("PHYSKIN_NATIVE_ISA", "baseline")
+    finding = installation._instruction_set()
+    assert finding.state == "good" and "baseline" in finding.said
+
+
+def test_evaluators_that_differ_are_broken(monkeypatch):
+    """More than precision explains."""
+    monkeypatch.setattr(installation, "AGREEMENT", 1e-9)
+    assert installation._frame().state == "broken"
+
+
+def test_missing_parts_are_no_fault(quick, monkeypatch):
+    """Neither an extra nor a compiler is needed; each says how to get it."""
+    monkeypatch.setattr(installation, "find_spec", lambda name: None if name in ("pxr", "av") else types)
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    findings = found(installation.look)
+    assert findings["[usd]"].said == "not installed" and findings["[view]"].said == "lacks av"
+    assert findings["[usd]"].remedy == "pip install 'physkin[usd]'" and findings["[ros]"].state == "good"
+    assert findings["compiler"].state == "absent" and "g++" in findings["compiler"].remedy
+    assert not any(finding.state == "broken" for finding in findings.values())
+
+
+def test_part_that_does_not_import_is_broken(quick, monkeypatch, capsys):
+    """An installation that is not whole raises anything; it is told like the rest."""
+    monkeypatch.setitem(command.DOCTORS, "physkin_core.doctor.nosuch", ())
+    assert main(["doctor"]) == 1
+    assert "broken  physkin_core    ModuleNotFoundError: No module named" in capsys.readouterr().out
+    monkeypatch.setitem(command.DOCTORS, "physkin_core.doctor.nosuch", ("no_such_package",))
+    assert main(["doctor"]) == 0

@@ -1,0 +1,98 @@
+"""Figures of what the page shows, and the bands of colour that they are drawn in."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from physkin_core.check.rest_check import rest_check, skin_without_cloth
+from physkin_core.quality import edge_strain
+from physkin_core.view.scene.figure_process import FigureProcess
+from physkin_core.view.scene.figures import OutfitFigures, look_at_contact
+from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, parts_of
+from physkin_core.view.scene.scene_state import SceneState
+
+
+@pytest.fixture(scope="module")
+def dressed():
+    """A T-shirt at rest: its figures, and the frame."""
+    state = SceneState(["tshirt"])
+    return OutfitFigures(state.outfit), state.advance(0.0)
+
+
+def test_strain_is_the_cores(dressed):
+    figures, frame = dressed
+    (strain,) = figures.strains(frame)
+    expected = edge_strain(frame.outfit.rest_garments[0], frame.cloth[0][:, :3])
+    assert strain.mean() == pytest.approx(float(expected), rel=1e-5)
+
+
+def test_stretched_cloth_shows_where_it_is_stretched(dressed):
+    """One vertex pulled out by 5 cm: the faces about it are in the last band, faces elsewhere are as they were."""
+    figures, frame = dressed
+    (before,) = figures.strains_of_faces(frame)
+    pulled = frame.cloth[0].copy()
+    pulled[100, :3] += 0.05 * pulled[100, 3:]
+    (after,) = figures.strains_of_faces(replace(frame, cloth=(pulled,)))
+    near = (frame.outfit.faces[0] == 100).any(axis=1)
+    assert (STRAIN_BANDS.band(after)[near] == len(STRAIN_BANDS.limits)).all()
+    assert (after != before).mean() < 0.02
+
+
+def test_contact_is_what_check_finds(dressed):
+    """On the body at rest, and with a bump that comes through the cloth."""
+    figures, frame = dressed
+    faces, front = frame.outfit.avatar.faces, frame.cloth[0][np.argmax(frame.cloth[0][:, 0]), :3]
+    chest = np.linalg.norm(frame.body - front, axis=1) < 0.08
+    for body in (frame.body, frame.body + 0.05 * chest[:, None] * np.array([1.0, 0.0, 0.0], dtype=np.float32)):
+        question = figures.question(replace(frame, body=body))
+        found = look_at_contact(question)
+        expected = rest_check(figures.outfit.rest_garments[0], frame.cloth[0][:, :3], body, faces)
+        assert found.inside_percent == pytest.approx(expected.inside_percent)
+        assert found.deepest_mm == pytest.approx(expected.deepest_mm, rel=1e-4)
+        shown = skin_without_cloth(figures.outfit.rest_garments[0], frame.cloth[0][:, :3], body, faces)
+        assert found.skin_shows_percent == pytest.approx(shown)
+    assert found.inside_percent > 0.1 and found.skin_shows.any() and found.skin_shows.mean() < 0.05
+
+
+def test_process_answers_as_the_function_and_tells_of_errors(dressed):
+    figures, frame = dressed
+    process = FigureProcess()
+    try:
+        question = figures.question(frame)
+        process.ask(question)
+        with pytest.raises(RuntimeError, match="has not been answered"):
+            process.ask(question)
+        found = _answer(process)
+        assert found.inside_percent == look_at_contact(question).inside_percent and not process.busy
+        process.ask(replace(question, body_faces=question.body_faces + len(question.body)))
+        with pytest.raises(IndexError):
+            _answer(process)
+    finally:
+        process.close()
+
+
+def _answer(process):
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        if (found := process.answer()) is not None:
+            return found
+        time.sleep(0.02)
+    raise TimeoutError
+
+
+def test_bands_part_a_mesh():
+    """Each face is in the part of its band, with the vertices it uses; a band without faces is an empty part."""
+    assert STRAIN_BANDS.band(np.array([0.0, 2.0, 4.9, 39.9, 40.0, 400.0])).tolist() == [0, 1, 1, 4, 5, 5]
+    for bands in (STRAIN_BANDS, SKIN_BANDS):
+        assert len(bands.colours) == len(bands.labels) == len(bands.limits) + 1
+    vertices = np.arange(15.0).reshape(5, 3)
+    faces = np.array([[0, 1, 2], [1, 3, 2], [2, 3, 4]])
+    band = np.array([2, 0, 2])
+    parts = parts_of(faces, band, bands=3, vertex_count=5)
+    for k, part in enumerate(parts):
+        np.testing.assert_array_equal(vertices[part.vertices][part.faces], vertices[faces[band == k]])
+    assert parts[1].faces.shape == (0, 3) and parts[0].vertices.tolist() == [1, 2, 3]

@@ -1,0 +1,150 @@
+"""The page in a real browser, and what happens to errors on it."""
+
+from __future__ import annotations
+
+import io
+import threading
+import time
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, Browser
+
+from physkin_core import cli
+from physkin_core.view.scene.scene_state import SceneState
+from physkin_core.view.uploads import Uploads
+
+pytest.importorskip("viser", reason="needs viser: pip install 'physkin[view]'")
+
+from physkin_core.view.page import Page  # noqa: E402
+from physkin_core.view.viewer import Viewer  # noqa: E402
+
+JOINT = "clavicle.L_x"
+"""The first slider of the left arm."""
+
+
+@pytest.fixture(scope="module")
+def shown():
+    """A T-shirt on a page that runs: page and state."""
+    state, page = SceneState(["tshirt"], motion="walk"), Page(port=8380)
+    viewer = Viewer(page, state, motion="walk")
+    running = threading.Thread(target=page.run, args=(viewer.tick,))
+    running.start()
+    yield page, state
+    page.end()
+    running.join()
+    viewer.close()
+
+
+@pytest.fixture(scope="module")
+def browser(shown):
+    """With the page loaded, the motion paused."""
+    if CHROMIUM is None:
+        pytest.skip("needs chromium: apt-get install chromium")
+    page, state = shown
+    opened = Browser(size=(1000, 560))
+    try:
+        opened.open(page.address)
+        opened.wait("document.body && document.body.textContent.includes('Load a motion')")
+        state.pause()
+        opened.wait("document.querySelector('canvas') !== null")
+        yield opened
+    finally:
+        opened.close()
+
+
+def pixels(browser):
+    """(h, w, 3) of the half of the window without the panel."""
+    image = pytest.importorskip("PIL.Image").open(io.BytesIO(browser.picture())).convert("RGB")
+    return np.array(image)[:, : image.width // 2].astype(int)
+
+
+def still(browser):
+    """The pixels once something is drawn and two pictures running are alike."""
+    last = pixels(browser)
+    for _ in range(60):
+        time.sleep(0.3)
+        now = pixels(browser)
+        if (now == last).all() and now.std() > 10:
+            return now
+        last = now
+    raise TimeoutError("the page does not come to rest")
+
+
+def find(kind, text):
+    """A JavaScript expression for the last element of a kind whose text is that."""
+    return f"[...document.querySelectorAll('{kind}')].filter(each => each.textContent.trim() === '{text}').pop()"
+
+
+def test_slider_moves_the_cloth(shown, browser):
+    """By the keyboard, in a real browser: the state, the cloth and the picture follow, and the console stays silent."""
+    _, state = shown
+    state.rest()
+    before, joint = still(browser), state.rig.joint_names.index(JOINT)
+    start = state.pose.positions[joint]
+    browser.click(find("[role=tab]", "Pose"))
+    browser.wait(f"{find('*', 'left arm')} !== undefined")
+    browser.click(find("*", "left arm"))
+    slider = "[...document.querySelectorAll('[role=slider]')].find(each => each.checkVisibility())"
+    browser.wait(f"{slider} !== undefined", seconds=20)
+    browser.value(f"{slider}.focus()")
+    for _ in range(12):
+        browser.press("ArrowRight", 39)
+    end = time.monotonic() + 20
+    while state.pose.positions[joint] - start < np.radians(8) and time.monotonic() < end:
+        time.sleep(0.1)
+    assert state.posed_by_hand and state.pose.positions[joint] - start >= np.radians(8)
+    changed = (np.abs(still(browser) - before).max(axis=2) > 40).mean()
+    assert 0.001 < changed < 0.3
+    assert browser.errors == []
+
+
+def test_error_is_a_notice(shown, browser):
+    """What a callback raises shows in one sentence; the page goes on drawing."""
+    page, state = shown
+    page.guarded(state.choose_motion)("nosuch")
+    browser.wait("document.body.textContent.includes(\"no bundled motion 'nosuch'\")")
+    state.set_joint(0, 0.1)
+    end = time.monotonic() + 20
+    while state.advance(0.0) is not None and time.monotonic() < end:  # given to the page, or to us: the page draws on
+        time.sleep(0.1)
+    assert browser.errors == []
+
+
+def test_tick_error_is_told_once(shown):
+    """One that comes again with each tick does not flood whoever looks."""
+    page, told, count = Page(port=8390), [], iter(range(100))
+    page.report = told.append
+
+    def tick(seconds):
+        if next(count) == 5:
+            page.end()
+        raise ValueError("a sentence")
+
+    page.run(tick)
+    assert [str(error) for error in told] == ["a sentence"] and next(count) == 6
+
+
+def test_uploads_stay_in_their_folder():
+    uploads = Uploads()
+    path = uploads.keep("../../evil/me.glb", b"x")
+    assert path.name == "me.glb" and path.parent == uploads.keep("C:\\here\\you.obj", b"y").parent
+    assert Uploads.is_companion(uploads.keep("02.asf", b"z")) and not Uploads.is_companion(path)
+    with pytest.raises(ValueError, match="is no name of a file"):
+        uploads.keep("..", b"x")
+    with pytest.raises(ValueError, match="me.glb is empty"):
+        uploads.keep("me.glb", b"")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["-g", "nosuch"], "no garment model 'nosuch'"),
+        (["nosuch.glb"], "no such file"),
+        (["--motion", "nosuch"], "no bundled motion 'nosuch'"),
+        (["-g", "tshirt", "--tucked", "skirt"], "none of the garments"),
+    ],
+)
+def test_errors_before_there_is_a_page_are_one_line(arguments, reason, capsys):
+    assert cli.main(["view", "--no-browser", *arguments]) == 2
+    assert reason in capsys.readouterr().err.splitlines()[-1]

@@ -1,0 +1,188 @@
+"""What the page shows, without a page."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from physkin_core import (
+    BUNDLED_AVATAR,
+    Draper,
+    Outfit,
+    avatar_from_body,
+    load_avatar,
+    load_body_model,
+    load_garment_model,
+    load_motion,
+)
+from physkin_core.view.scene.joint_groups import joint_groups
+from physkin_core.view.scene.motion_player import MotionPlayer
+from physkin_core.view.scene.scene_state import SceneState
+
+
+@pytest.fixture(scope="module")
+def shared():
+    """One T-shirt, for tests that set all that they need."""
+    return SceneState(["tshirt"])
+
+
+@pytest.fixture
+def state(shared):
+    shared.choose_motion("walk")
+    shared.show_plain, shared.speed = False, 1.0
+    return shared
+
+
+def test_frame_is_what_the_core_drapes(state):
+    """At a frame of the motion: cloth, body, garment nodes and the root's place in the world."""
+    motion = load_motion("walk")
+    state.scrub(20 / motion.rate_hz)
+    frame = state.advance(1.0)
+    draper = Draper(load_garment_model("tshirt"), load_avatar(BUNDLED_AVATAR, state.rig))
+    positions = motion.positions_for(state.rig)[20]
+    np.testing.assert_allclose(frame.cloth[0], draper.drape(positions, motion.gravity[20]), atol=1e-5)
+    body = draper.avatar.posed_vertices(draper.bone_transforms(positions))
+    np.testing.assert_allclose(frame.body, body, atol=1e-5)
+    np.testing.assert_allclose(frame.nodes[0], draper.node_transforms()[..., 3], atol=1e-5)
+    np.testing.assert_allclose(frame.pose.root_orientation, motion.root_orientation[20], atol=1e-5)
+    way = frame.pose.root_position / motion.root_position[20]
+    assert way[0] == pytest.approx(way[2], abs=1e-3) and 0.8 < way[2] < 1.2
+    assert frame.plain == () and frame.microseconds > 0
+
+
+def test_soles_stay_on_the_floor_whatever_the_body(state):
+    """A motion's ways are scaled by the height of the hips: walking, the lowest point is within 4 cm of Z = 0."""
+    for seconds in (0.1, 0.5, 0.9):
+        state.scrub(seconds)
+        frame = state.advance(0.0)
+        assert abs(frame.body[:, 2].min() + frame.pose.root_position[2]) < 0.04
+
+
+def test_nothing_is_drawn_twice(state):
+    """A paused pose is given once; a redraw gives it again."""
+    state.scrub(0.5)
+    assert state.advance(0.1) is not None and state.advance(0.1) is None
+    state.redraw()
+    assert state.advance(0.1) is not None
+
+
+def test_motion_plays_at_its_speed_and_begins_anew(state):
+    state.play()
+    state.speed = 0.5
+    state.advance(0.4)
+    assert state.seconds == pytest.approx(0.2)
+    state.advance(2 * state.duration)
+    assert state.seconds == pytest.approx(0.2, abs=1e-6)
+    state.pause()
+    assert state.advance(0.1) is None
+
+
+def test_player_is_smooth_between_frames():
+    """Halfway between two frames lies the mean of both; times beyond the ends are the ends."""
+    motion, model = load_motion("dance"), load_garment_model("tshirt")
+    player = MotionPlayer(motion, model.rig, load_avatar(BUNDLED_AVATAR, model.rig))
+    halfway = player.pose(10.5 / motion.rate_hz)
+    np.testing.assert_allclose(halfway.positions, motion.positions[10:12].mean(axis=0), atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(halfway.root_orientation), 1.0, atol=1e-9)
+    np.testing.assert_allclose(player.pose(5 / motion.rate_hz).gravity, motion.gravity[5], atol=1e-6)
+    np.testing.assert_array_equal(player.pose(-1.0).positions, motion.positions[0])
+    np.testing.assert_array_equal(player.pose(99.0).positions, motion.positions[-1])
+
+
+def test_joint_moves_the_cloth_and_stops_the_motion(state):
+    joint = state.rig.joint_names.index("upperarm01.L_x")
+    state.play()
+    before = state.advance(0.1).cloth[0].copy()
+    state.set_joint(joint, state.rig.upper[joint])
+    after = state.advance(0.1)
+    assert not state.playing and state.posed_by_hand
+    assert np.linalg.norm(after.cloth[0] - before, axis=1).max() > 0.02
+    state.set_joint(joint, 99.0)
+    assert state.pose.positions[joint] == pytest.approx(state.rig.upper[joint], abs=1e-6)
+    state.rest()
+    np.testing.assert_allclose(state.pose.positions, state.rig.rest, atol=1e-6)
+
+
+def test_plain_skinning_is_computed_where_asked_for(state):
+    state.show_plain = True
+    state.scrub(0.6)
+    frame = state.advance(0.0)
+    assert frame.plain[0].shape == frame.cloth[0][:, :3].shape
+    assert 0.002 < np.linalg.norm(frame.plain[0] - frame.cloth[0][:, :3], axis=1).max() < 0.3
+
+
+def test_outfit_in_order_with_colours():
+    """Garments from the skin outwards, one tucked; what was chosen for a garment stays with it."""
+    state = SceneState(["tshirt", "trousers"], tucked=["tshirt"])
+    assert isinstance(state.outfit, Outfit) and [model.name for model in state.outfit.models] == ["tshirt", "trousers"]
+    state.recolour(body=(0.1, 0.2, 0.3), cloth=[(1.0, 0.0, 0.0), state.cloth_colours[1]])
+    state.wear(["trousers", "tshirt"])
+    frame = state.advance(0.0)
+    assert state.tucked == frozenset() and frame.colours[2] == (1.0, 0.0, 0.0) and frame.colours[0] == (0.1, 0.2, 0.3)
+    assert len(frame.cloth) == 2 and frame.outfit is state.outfit
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda state, folder: state.wear([]), "choose at least one garment"),
+        (lambda state, folder: state.wear(["tshirt", "tshirt"]), "tshirt"),
+        (lambda state, folder: state.wear(["tshirt"], tucked=["skirt"]), "--tucked skirt: none of the garments"),
+        (lambda state, folder: state.wear(["nosuch"]), "no garment model 'nosuch'"),
+        (lambda state, folder: state.put_on(folder / "me.fbx"), "unknown extension '.fbx'"),
+        (lambda state, folder: state.put_on(folder / "broken.glb"), "broken.glb"),
+        (lambda state, folder: state.choose_motion(folder / "broken.bvh"), "broken.bvh"),
+        (lambda state, folder: state.choose_motion("nosuch"), "no bundled motion 'nosuch'"),
+    ],
+)
+def test_what_cannot_be_shown_changes_nothing(state, change, reason, tmp_path):
+    for name in ("broken.glb", "broken.bvh"):
+        (tmp_path / name).write_text("nothing of that kind")
+    before = (state.outfit, state.garments, state.body, state.motion)
+    with pytest.raises(ValueError, match=reason):
+        change(state, tmp_path)
+    assert (state.outfit, state.garments, state.body, state.motion) == before
+
+
+def test_nothing_to_play(state):
+    state.choose_motion(None)
+    with pytest.raises(ValueError, match="choose a motion"):
+        state.play()
+    assert state.duration == 0 and state.motion is None
+
+
+def test_another_body(state, tmp_path):
+    """A file of one's own under another name; the motion goes on with it."""
+    own = tmp_path / "me.glb"
+    shutil.copy(BUNDLED_AVATAR, own)
+    before = state.outfit
+    state.play()
+    state.put_on(own)
+    frame = state.advance(0.1)
+    assert state.body == own and frame.outfit is state.outfit is not before and state.motion.name == "walk"
+    assert state.playing and frame.outfit.avatar.source.endswith("me.glb")
+    state.put_on(BUNDLED_AVATAR)
+
+
+def test_tall_bodies_take_longer_steps():
+    """By as much as their hips are higher."""
+    body, motion = load_body_model(), load_motion("walk")
+    height = [-body.vertices(shape)[:, 2].min() for shape in (body.garment_body, 1.5 * body.garment_body)]
+    steps = []
+    for shape in (body.garment_body, 1.5 * body.garment_body):
+        player = MotionPlayer(motion, body.rig, avatar_from_body(body, shape))
+        steps.append(player.pose(player.duration).root_position - player.pose(0.0).root_position)
+    assert np.linalg.norm(steps[1]) / np.linalg.norm(steps[0]) == pytest.approx(height[1] / height[0], rel=1e-4)
+    assert abs(height[1] / height[0] - 1) > 0.005
+
+
+def test_joints_by_part_of_the_body(shared):
+    """Every joint once, collar bones with their arm."""
+    groups = joint_groups(shared.rig)
+    assert list(groups) == ["trunk", "head and neck", "left arm", "right arm", "left leg", "right leg"]
+    assert sorted(joint for joints in groups.values() for joint in joints) == list(range(len(shared.rig.dofs)))
+    names = {part: {shared.rig.joint_names[joint] for joint in joints} for part, joints in groups.items()}
+    assert "clavicle.L_x" in names["left arm"] and "foot.R_y" in names["right leg"]
+    assert "spine03_x" in names["trunk"] and "neck01_x" in names["head and neck"]

@@ -1,0 +1,64 @@
+"""What `physkin doctor` says of ROS 2: this machine's, and ones that are made to be broken."""
+
+import shutil
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
+
+from physkin_ros.middleware import doctor
+from physkin_ros.middleware.transport import FASTDDS_PROFILE, PROFILE_VARIABLES, free_domain_id
+
+
+@pytest.fixture(autouse=True)
+def private(monkeypatch):
+    """A domain of its own and no profile chosen; what is looked at leaves this environment as it was."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain_id()))
+    for variable in PROFILE_VARIABLES:
+        monkeypatch.setenv(variable, "")
+
+
+def found():
+    return {finding.subject: finding for finding in doctor.look()}
+
+
+def test_machine_that_takes_part(monkeypatch):
+    """A node can be made; the profile is the shipped one, also where it is chosen by its path."""
+    findings = found()
+    assert findings["rclpy"].state == "good" and "rmw_" in findings["rclpy"].said
+    assert findings["Fast DDS"].state == "good" and str(FASTDDS_PROFILE) in findings["Fast DDS"].said
+    monkeypatch.setenv(PROFILE_VARIABLES[0], str(FASTDDS_PROFILE))
+    assert doctor._profile().said.startswith("the shipped one")
+
+
+def test_profiles_of_ones_own(monkeypatch, tmp_path):
+    """One that is not there is broken; another one is left alone."""
+    monkeypatch.setenv(PROFILE_VARIABLES[0], str(tmp_path / "mine.xml"))
+    assert doctor._profile().state == "broken" and "no such file" in doctor._profile().said
+    (tmp_path / "mine.xml").write_text("<dds/>")
+    assert doctor._profile().state == "good" and "segment_size" in doctor._profile().remedy
+
+
+def test_middleware_that_refuses(monkeypatch):
+    monkeypatch.setattr("rclpy.create_node", lambda *_, **__: 1 / 0)
+    finding = doctor._participant()
+    assert finding.state == "broken" and "division" in finding.said and "RMW_IMPLEMENTATION" in finding.remedy
+
+
+def test_messages_that_are_missing(monkeypatch):
+    """They cost topics, not clouds: absent, with the command that installs them."""
+    text = "physkin_msgs is not installed: there are no x. To install it: build"
+    monkeypatch.setattr(doctor, "missing_interfaces", lambda: text)
+    finding = doctor._messages()
+    assert (finding.state, finding.remedy) == ("absent", "To install it: build")
+
+
+def test_shared_memory_that_is_too_small_or_littered(monkeypatch, tmp_path):
+    monkeypatch.setattr(doctor, "SHARED_MEMORY", tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=64_000_000))
+    (tmp_path / "fastrtps_1").write_bytes(bytes(2_000_000))
+    monkeypatch.setattr(doctor, "leftovers", lambda: {"fastrtps_1"})
+    small, littered = doctor._shared_memory()
+    assert small.state == "broken" and "64 MB free" in small.said and "--shm-size" in small.remedy
+    assert littered.said == "2 MB left by processes that were killed" and "fastdds shm clean" in littered.remedy

@@ -1,0 +1,74 @@
+"""The pages as a site, and what of them is made from the code: neither is stale."""
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from types import SimpleNamespace
+
+import pytest
+from source_links import on_page_markdown
+
+from import_graph import PACKAGES, ROOT
+from ros_reference import REFERENCE, reference
+
+SITE = ROOT / "docs" / "site"
+
+
+def test_site_builds_without_a_warning(tmp_path):
+    """Every page is in the navigation, every link and anchor leads somewhere; nothing is fetched from elsewhere."""
+    pytest.importorskip("mkdocs", reason="needs mkdocs-material: pip install 'physkin[docs]'")
+    pytest.importorskip("material", reason="needs mkdocs-material: pip install 'physkin[docs]'")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", SITE / "mkdocs.yml", "-d", tmp_path]
+    run = subprocess.run(command, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    pages = {path.parent.name for path in tmp_path.rglob("index.html")}
+    assert {path.stem for path in (ROOT / "docs").rglob("*.md")} - {"README"} <= pages
+    home = (tmp_path / "index.html").read_text()
+    assert not re.findall(r'(?:src|href)="https?://(?!squidfunk)[^"]*', home)
+
+
+@pytest.mark.parametrize(
+    ("url", "expected"),
+    [
+        (None, "see bob and [b](b.md#c)"),
+        ("https://x.org/p", "see [bob](https://x.org/p/blob/main/native/b.h) and [b](b.md#c)"),
+    ],
+)
+def test_links_to_sources_leave_the_site(url, expected):
+    page = SimpleNamespace(file=SimpleNamespace(src_uri="notebook/a.md"))
+    text = "see [bob](../../native/b.h) and [b](b.md#c)"
+    assert on_page_markdown(text, page, SimpleNamespace(repo_url=url), None) == expected
+
+
+def test_ros_reference_is_of_this_code():
+    """Else: python docs/ros_reference.py"""
+    assert REFERENCE.read_text() == reference()
+
+
+def test_reference_has_what_there_is():
+    """Each parameter once, interfaces with every field, also those that share a comment."""
+    text = reference()
+    for name in ("executor", "joint_map", "tucked"):
+        assert len(re.findall(rf"^\| `{name}`", text, re.MULTILINE)) == 1
+    for path in [*(ROOT / "msg_defs").glob("msg/*.msg"), *(ROOT / "msg_defs").glob("srv/*.srv")]:
+        declared = [line for line in path.read_text().splitlines() if line and line[0] not in "#-"]
+        part = text.split(f"### {path.stem}\n")[1].split("\n### ")[0]
+        assert len(re.findall(r"^\| `", part, re.MULTILINE)) == len(declared), path
+
+
+def sentences() -> Iterator[str]:
+    """The sources, with texts that go over several lines in one piece."""
+    for folder in (*PACKAGES.values(), "native"):
+        for suffix in ("py", "cpp", "txt"):
+            for path in (ROOT / folder).rglob(f"*.{suffix}"):
+                yield re.sub(r'"\s*\n\s*f?"', "", path.read_text())
+
+
+def test_troubleshooting_quotes_what_the_code_says():
+    """First cells that are quoted whole are parts of error sentences."""
+    text = (ROOT / "docs" / "troubleshooting.md").read_text()
+    quoted = re.findall(r"^\| `([^`]+)` \|", text, re.MULTILINE)
+    sources = list(sentences())
+    assert len(quoted) > 20
+    assert [part for part in quoted if not any(part in source for source in sources)] == []

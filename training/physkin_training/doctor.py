@@ -1,0 +1,34 @@
+"""What `physkin doctor` looks at where training is installed: torch and Warp, and whether they see a GPU."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import torch
+import warp
+
+from physkin_core.doctor.finding import Finding
+
+__all__ = ["look"]
+
+CPU_ONLY = "training on a CPU takes hours; for an NVIDIA GPU: its driver, and torch built for CUDA (pytorch.org)"
+
+
+def look() -> Iterator[Finding]:
+    """One finding after the other."""
+    if torch.cuda.is_available():
+        names = ", ".join(torch.cuda.get_device_name(k) for k in range(torch.cuda.device_count()))
+        yield Finding("torch", "good", f"{torch.__version__} on {names}")
+    else:
+        yield Finding("torch", "absent", f"{torch.__version__} sees no GPU", CPU_ONLY)
+    warp.config.log_level = warp.LOG_ERROR
+    warp.init()
+    devices = [device.name for device in warp.get_cuda_devices()]
+    if devices:
+        yield Finding("warp", "good", f"{warp.config.version} on {', '.join(devices)}")
+    elif torch.cuda.is_available():
+        yield Finding(
+            "warp", "broken", f"{warp.config.version} sees no GPU, torch does", "update warp-lang, or the driver"
+        )
+    else:
+        yield Finding("warp", "absent", f"{warp.config.version} sees no GPU", CPU_ONLY)
