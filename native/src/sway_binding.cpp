@@ -12,7 +12,7 @@ namespace physkin {
 namespace {
 
 using Vector = nb::ndarray<double, nb::shape<3>, nb::c_contig, nb::device::cpu>;
-using GivenVector = nb::ndarray<const double, nb::shape<3>, nb::c_contig, nb::device::cpu>;
+using Given = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 }  // namespace
 
@@ -27,10 +27,12 @@ void bind_sway(nb::module_& module) {
           "frequency"_a, "damping"_a, "gain"_a, "lift_frequency"_a, "lift_gain"_a, "air_drag"_a)
       .def("reset", &Pendulum::reset)
       .def(
-          "move", [](Pendulum& self, double time, const GivenVector& position) { self.move(time, position.data()); },
-          "time"_a, "position"_a)
-      .def(
-          "deflection", [](const Pendulum& self, const Vector& out) { self.deflection(out.data()); }, "out"_a);
+          "felt",
+          [](Pendulum& self, double time, const Given& root, double amount, const Vector& out) {
+            if (root.shape(0) != 7) throw nb::value_error("root must be 7 numbers: x, y, z and a quaternion x, y, z, w");
+            if (const char* wrong = self.felt(time, root.data(), amount, out.data())) throw nb::value_error(wrong);
+          },
+          "time"_a, "root"_a, "amount"_a, "out"_a);
 }
 
 }  // namespace physkin

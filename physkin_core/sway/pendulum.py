@@ -6,8 +6,9 @@ gravity, each as an oscillator of its own,
     y'' = -w^2 (y - y_eq) - D y',    y_eq = -gain (a + c v),
 
 v and a the velocity and acceleration of the root, c the drag of still air: under steady acceleration or at constant
-speed y ends at y_eq. The root moves on a straight line from one pose to the next, so that its acceleration is a jump of
-v at each; between them the equation is solved in closed form, whatever time has passed: nothing depends on a rate.
+speed y ends at y_eq. Of a deflection that is hardly there less is felt, as cloth rubs at itself. The root moves on a
+straight line from one pose to the next, so that its acceleration is a jump of v at each; between them the equation is
+solved in closed form, whatever time has passed: nothing depends on a rate.
 """
 
 from __future__ import annotations
@@ -23,8 +24,15 @@ LARGEST_GAP = 0.25
 """Poses farther apart [s] than this say nothing of how the root moved between them."""
 LARGEST_CHANGE = 8.0
 """[m/s] a change of velocity from pose to pose beyond this is a jump of the root, not a motion."""
-LARGEST_DEFLECTION = 2 * 9.81
+GRAVITY = 9.81
+LARGEST_DEFLECTION = 2 * GRAVITY
 """[m/s2] what the deflection that is felt never reaches."""
+LEAST_DEFLECTION = 0.25
+"""[m/s2] of a deflection of this size half is felt, of smaller ones the less."""
+LARGEST_FELT = 3 * GRAVITY
+"""[m/s2] training knows no more."""
+FARTHEST = 1e9
+"""[m] that the root may be from the world's origin."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +45,8 @@ class PendulumSettings:
     """
 
     frequency: float = 1.5
-    damping: float = 5.0
-    gain: float = 2.0
+    damping: float = 4.0
+    gain: float = 3.5
     lift_frequency: float = 5.0
     lift_gain: float = 1.0
     air_drag: float = 2.0
@@ -68,9 +76,26 @@ class ReferencePendulum:
         self._time: float | None = None
         self._position, self._velocity = np.zeros(3), None
 
-    def deflection(self, out: np.ndarray) -> None:
-        """Write the deflection (3,) float64 [m/s2] in the world frame, bounded, to `out`."""
-        out[:] = self._deflection / math.sqrt(1 + self._deflection @ self._deflection / LARGEST_DEFLECTION**2)
+    def felt(self, time: float, root: np.ndarray, amount: float, out: np.ndarray) -> None:
+        """Move the root, then write effective gravity (3,) [m/s2] in its frame to `out`; see `Sway.felt`."""
+        if len(root) != 7 or not (math.isfinite(time) and np.isfinite(root).all()):
+            raise ValueError(f"time {time} and root {root} must be finite, root x, y, z and a quaternion x, y, z, w")
+        length = np.linalg.norm(root[3:])
+        if abs(length - 1) > 0.01:
+            raise ValueError(f"the quaternion of root must be of length 1, got {root[3:]}")
+        if np.abs(root[:3]).max() > FARTHEST:
+            raise ValueError(f"the root must be within {FARTHEST:g} m, got {root[:3]}")
+        self.move(time, root[:3])
+        felt = amount * self._felt_deflection() - [0, 0, GRAVITY]
+        axis, w = root[3:6] / length, root[6] / length
+        across = np.cross(axis, felt)
+        felt = felt + 2 * np.cross(axis, across) - 2 * w * across
+        out[:] = felt * min(1.0, LARGEST_FELT / max(np.linalg.norm(felt), 1e-9))
+
+    def _felt_deflection(self) -> np.ndarray:
+        square = self._deflection @ self._deflection
+        share = square / (square + LEAST_DEFLECTION**2)
+        return self._deflection * share / math.sqrt(1 + square / LARGEST_DEFLECTION**2)
 
     def move(self, time: float, position: np.ndarray) -> None:
         """The root is at `position` (3,) [m] in the world at `time` [s].

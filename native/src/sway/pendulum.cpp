@@ -9,7 +9,11 @@ namespace {
 constexpr double kPi = 3.14159265358979323846;
 constexpr double kLargestGap = 0.25;
 constexpr double kLargestChange = 8.0;
-constexpr double kLargestDeflection = 2 * 9.81;
+constexpr double kGravity = 9.81;
+constexpr double kLargestDeflection = 2 * kGravity;
+constexpr double kLeastDeflection = 0.25;
+constexpr double kLargestFelt = 3 * kGravity;
+constexpr double kFarthest = 1e9;
 
 double squared(const double* v) { return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]; }
 
@@ -82,9 +86,35 @@ void Pendulum::swing(double passed, const double* equilibrium) noexcept {
   }
 }
 
-void Pendulum::deflection(double* out) const noexcept {
-  const double bound = std::sqrt(1 + squared(deflection_) / (kLargestDeflection * kLargestDeflection));
-  for (int k = 0; k < 3; ++k) out[k] = deflection_[k] / bound;
+void Pendulum::felt_deflection(double* out) const noexcept {
+  const double square = squared(deflection_);
+  const double share = square / (square + kLeastDeflection * kLeastDeflection);
+  const double scale = share / std::sqrt(1 + square / (kLargestDeflection * kLargestDeflection));
+  for (int k = 0; k < 3; ++k) out[k] = deflection_[k] * scale;
+}
+
+const char* Pendulum::felt(double time, const double* root, double amount, double* out) noexcept {
+  bool finite = std::isfinite(time);
+  for (int k = 0; k < 7; ++k) finite = finite && std::isfinite(root[k]);
+  if (!finite) return "time and root must be finite, root x, y, z and a quaternion x, y, z, w";
+  const double length = std::sqrt(squared(root + 3) + root[6] * root[6]);
+  if (!(std::abs(length - 1) <= 0.01)) return "the quaternion of root must be of length 1";
+  for (int k = 0; k < 3; ++k) {
+    if (std::abs(root[k]) > kFarthest) return "the root must be within 1e+09 m";
+  }
+  move(time, root);
+  double v[3];
+  felt_deflection(v);
+  for (double& value : v) value *= amount;
+  v[2] -= kGravity;
+  const double x = root[3] / length, y = root[4] / length, z = root[5] / length, w = root[6] / length;
+  const double p = y * v[2] - z * v[1], q = z * v[0] - x * v[2], r = x * v[1] - y * v[0];  // axis x v
+  out[0] = v[0] + 2 * (y * r - z * q) - 2 * w * p;
+  out[1] = v[1] + 2 * (z * p - x * r) - 2 * w * q;
+  out[2] = v[2] + 2 * (x * q - y * p) - 2 * w * r;
+  const double shrink = std::min(1.0, kLargestFelt / std::max(std::sqrt(squared(out)), 1e-9));
+  for (int k = 0; k < 3; ++k) out[k] *= shrink;
+  return nullptr;
 }
 
 }  // namespace physkin

@@ -22,10 +22,12 @@ class Pendulum {
   // The root is at position (3) [m] in the world at time [s]; both must be finite.
   void move(double time, const double* position) noexcept;
 
-  // Deflection (3) [m/s2] in the world frame, bounded.
-  void deflection(double* out) const noexcept;
+  // Moves the root (7), a position and a quaternion x, y, z, w, world <- root, then writes effective gravity (3) [m/s2]
+  // in its frame. What is wrong with time or root, or null; nothing has changed then.
+  const char* felt(double time, const double* root, double amount, double* out) noexcept;
 
  private:
+  void felt_deflection(double* out) const noexcept;
   void swing(double passed, const double* equilibrium) noexcept;
 
   double frequency_[3], damping_[3], gain_[3], air_drag_;
