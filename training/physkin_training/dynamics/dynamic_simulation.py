@@ -21,7 +21,6 @@ from physkin_training.dynamics.incremental_potential import Dynamics, Incrementa
 from physkin_training.dynamics.step_solver import Step, StepSolver
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.networks.made_to_measure import MadeToMeasure
-from physkin_training.physics.energy_hessian import EnergyHessian
 from physkin_training.physics.full_space_solver import FullSpaceSolver, Solution
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
@@ -226,10 +225,6 @@ class DynamicSimulation:
         """Pose the bodies, and return gravity (B, 3) in the root frames."""
         self._bones = self.posed_bodies.pose(self._positions[self.scene, step], self.body)
         return self.gravity(step)
-
-    def static_hessian(self) -> EnergyHessian:
-        """Of the energies at rest alone."""
-        return EnergyHessian(self.model.garment, self.potential, self.samples, self.device)
 
     def gravity(self, step: int) -> torch.Tensor:
         """Direction (B, 3) in the root frames."""

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-import numpy as np
 import torch
 import warp as wp
 
@@ -149,8 +148,6 @@ class IncrementalPotential(PhysicsLosses):
             raise ValueError(f"step must be positive and finite, got {step} s")
         super().__init__(garment, material, samples, device, **options)
         self.step, self.dynamics = step, dynamics
-        wearing = options.get("wearing")
-        self.band_vertices = np.empty(0, dtype=np.int64) if wearing is None else wearing.band.astype(np.int64)
         if rest_row is not None:
             self.rest_row.copy_(rest_row)
         n = len(garment.vertices)

@@ -12,7 +12,6 @@ from __future__ import annotations
 import numpy as np
 import torch
 import warp as wp
-from scipy.sparse import bsr_array
 
 from physkin_core.model.garment import Garment
 from physkin_training.physics.physics_losses import PhysicsLosses
@@ -381,12 +380,6 @@ class EnergyHessian:
     def diagonal_blocks(self) -> torch.Tensor:
         """(B, n, 3, 3), of the shape that `add_to_diagonal` takes: the inverses it made last."""
         return self._inverse
-
-    def mean_matrix(self) -> bsr_array:
-        """Mean over the samples of what was assembled last, (3 n, 3 n) float64 [N/m]."""
-        blocks = self._blocks.mean(dim=0).double().cpu().numpy()
-        n = self._inverse.shape[1]
-        return bsr_array((blocks, self._columns.numpy(), self._row_start.numpy()), shape=(3 * n, 3 * n))
 
     def _matrices(self, tensor: torch.Tensor) -> wp.array:
         return wp.from_torch(tensor, dtype=wp.mat33)
