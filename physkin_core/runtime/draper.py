@@ -24,7 +24,7 @@ from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import make_evaluator
 from physkin_core.runtime.rest_look import RestLook, look_at_rest
 from physkin_core.separation.limb_separator import LimbSeparator
-from physkin_core.sway.sway import Sway, gravity_at
+from physkin_core.sway.sway import Sway
 
 __all__ = ["BACKENDS", "STANDARD_GRAVITY", "UPRIGHT_GRAVITY", "Draper", "in_units_of_gravity"]
 
@@ -37,8 +37,6 @@ LARGEST_EFFECTIVE_GRAVITY = 3.0
 """In units of gravity; training knows no more."""
 UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
 """Gravity direction in the root frame of an upright body."""
-LEAST_DIRECTED = 2.0
-"""[m/s2] a model that knows directions alone does not follow an effective gravity below this."""
 FULL_TURN = 2 * np.pi
 
 
@@ -173,7 +171,8 @@ class Draper:
         Raises ValueError on wrong lengths, unknown joints or values that are not finite, naming the joint.
         """
         if time is not None or root is not None:
-            gravity, effective_gravity = self._sway_gravity(time, root, effective_gravity)
+            known = self.model.accelerated
+            gravity, effective_gravity = self._sway.gravity(time, root, effective_gravity, accelerated=known)
         positions, down = self.checked_pose(joint_positions, gravity, effective_gravity)
         if out is None:
             out = np.empty((self.vertex_count, 6), dtype=np.float32)
@@ -231,17 +230,6 @@ class Draper:
             self._bone_rotations[skeleton] = BoneRotations(self.model.rig, skeleton=skeleton)
         positions = self._bone_rotations[skeleton].joint_positions(rotations)
         return self.drape(positions, gravity, effective_gravity=effective_gravity, out=out)
-
-    def _sway_gravity(
-        self, time: float | None, root: np.ndarray | None, effective_gravity: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Gravity, and effective gravity where the model knows it, at a time and place of the root."""
-        if time is None or root is None or effective_gravity is not None:
-            raise ValueError("give time and root together, and no effective gravity: it follows from them")
-        felt = self._sway.felt(time, root)
-        if self.model.accelerated and self.sway > 0:
-            return UPRIGHT_GRAVITY, felt
-        return (felt if self.sway > 0 and felt @ felt > LEAST_DIRECTED**2 else gravity_at(root)), None
 
     def _separate_limbs(self) -> LimbSeparator:
         separator = LimbSeparator(self.model.rig, self.avatar, backend=self.backend)

@@ -10,7 +10,10 @@ import numpy as np
 
 from physkin_core.sway.pendulum import PendulumSettings, ReferencePendulum
 
-__all__ = ["Sway", "gravity_at"]
+__all__ = ["Sway"]
+
+LEAST_DIRECTED = 2.0
+"""[m/s2] a model that knows directions alone does not follow an effective gravity below this."""
 
 
 class Sway:
@@ -55,8 +58,26 @@ class Sway:
         self._pendulum.felt(time, np.ascontiguousarray(root, dtype=np.float64), self._amount, felt)
         return felt
 
+    def gravity(
+        self, time: float | None, root: np.ndarray | None, given: np.ndarray | None, *, accelerated: bool
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """What garments are draped under at a time and place of the root: gravity's direction (3,), and effective
+        gravity (3,) [m/s2] where their models know `accelerated` roots and sway is above 0, else None.
 
-def gravity_at(root: Sequence[float] | np.ndarray) -> np.ndarray:
+        given: effective gravity that was given besides, which may not be. Raises ValueError as `felt` does, and where
+        only one of time and root is there.
+        """
+        if time is None or root is None or given is not None:
+            raise ValueError("give time and root together, and no effective gravity: it follows from them")
+        felt, still = self.felt(time, root), _gravity_at(root)
+        if self._amount == 0:
+            return still, None
+        if accelerated:
+            return still, felt
+        return (felt if felt @ felt > LEAST_DIRECTED**2 else still), None
+
+
+def _gravity_at(root: Sequence[float] | np.ndarray) -> np.ndarray:
     """Unit gravity direction (3,) float32 in the frame of a root (7,), as of `Sway.felt`, that stands still."""
     x, y, z, w = np.asarray(root, dtype=np.float32)[3:]
     down = [2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1]

@@ -80,3 +80,19 @@ def test_the_root_tells_gravity(skirt):
 def test_time_and_root_come_together_and_alone(skirt, given):
     with pytest.raises(ValueError, match="time and root together"):
         skirt.drape(skirt.model.rig.rest, **given)
+
+
+def test_an_outfit_swings_as_its_garments_do(skirt):
+    outfit = physkin.Outfit([skirt.model], skirt.avatar, hide=False)
+    walk = physkin.load_motion("walk")
+    outfit.reset(), skirt.reset()
+    for k, (q, root) in enumerate(zip(walk.positions_for(skirt.model.rig)[:40], roots(walk))):
+        (worn,), alone = outfit.drape(q, time=k / 60, root=root), skirt.drape(q, time=k / 60, root=root)
+    assert np.allclose(worn, alone, atol=1e-6)
+    assert np.abs(worn - skirt.drape(q, walk.gravity[39])).max() > 5e-3
+    twin = outfit.twin()
+    (still,) = twin.drape(q, time=0.0, root=root)
+    assert np.allclose(still, skirt.drape(q, walk.gravity[39]), atol=1e-5), "a twin's cloth has not moved yet"
+    outfit.sway = 0.0
+    (none,) = outfit.drape(q, time=5.0, root=root)
+    assert np.allclose(none, still, atol=1e-5)
