@@ -29,7 +29,7 @@ LARGEST_DEFLECTION = 2 * GRAVITY
 """[m/s2] what the deflection that is felt never reaches."""
 LEAST_DEFLECTION = 0.25
 """[m/s2] of a deflection of this size half is felt, of smaller ones the less."""
-LARGEST_FELT = 3 * GRAVITY
+LARGEST_FELT = 2.999 * GRAVITY
 """[m/s2] training knows no more."""
 FARTHEST = 1e9
 """[m] that the root may be from the world's origin."""

@@ -12,7 +12,7 @@ constexpr double kLargestChange = 8.0;
 constexpr double kGravity = 9.81;
 constexpr double kLargestDeflection = 2 * kGravity;
 constexpr double kLeastDeflection = 0.25;
-constexpr double kLargestFelt = 3 * kGravity;
+constexpr double kLargestFelt = 2.999 * kGravity;
 constexpr double kFarthest = 1e9;
 
 double squared(const double* v) { return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]; }
