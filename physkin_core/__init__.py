@@ -11,6 +11,8 @@ from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.outfit.layers import OutfitGarment
 from physkin_core.outfit.outfit import Outfit
+from physkin_core.points.splat_draper import SplatDraper
+from physkin_core.points.splats import Splats
 from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.rig.rig import DegreeOfFreedom, Rig, RigError
 from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
@@ -44,6 +46,8 @@ __all__ = [
     "PendulumSettings",
     "Rig",
     "RigError",
+    "SplatDraper",
+    "Splats",
     "Sway",
     "avatar_from_body",
     "bundled_motions",

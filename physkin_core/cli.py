@@ -36,6 +36,10 @@ FORWARDED = {
     "check": ("physkin_core.check.command", "say how garments sit on an avatar: a verdict, figures, a picture"),
     "export": ("physkin_core.export.command", "write a draped motion as glTF (.glb) or USD, for other tools"),
     "render": ("physkin_core.render.command", "film a draped motion: .mp4, .gif, .webp or numbered .png"),
+    "bind-points": (
+        "physkin_core.points.command",
+        "carry a garment to another mesh, a point cloud or Gaussian splats; write them draped",
+    ),
     "doctor": ("physkin_core.doctor.command", "look whether this installation works; say what to do where not"),
     "view": ("physkin_core.view.command", "show an avatar and its outfit live, on a page in the browser"),
     "node": ("physkin_ros.node.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
@@ -52,6 +56,10 @@ FORWARDED = {
         "check, train and report on a garment of one's own",
     ),
     "train": ("physkin_training.train.train", "train a garment from its mesh and physics"),
+    "train-catalogue": (
+        "physkin_training.catalogue.command",
+        "check, train and report on every garment of a folder, on a Ray cluster",
+    ),
     "bench": ("physkin_bench", "time a frame, its stages and other engines on this machine"),
     "simulate": ("physkin_training.evaluate.simulate", "drape a garment on an avatar by minimising its energy"),
     "evaluate": ("physkin_training.evaluate.command", "measure a garment model or outfits on bodies it has not seen"),

@@ -19,7 +19,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import AvatarError
 
-__all__ = ["RigFile", "axes_to_root_frame", "read_rig_file"]
+__all__ = ["AXES", "RigFile", "axes_to_root_frame", "read_rig_file"]
 
 RIG_FILE_KEYS = ("bones", "dofs", "influence_bones", "influence_weights", "up", "forward", "scale")
 AXES = {sign + axis: (-1 if sign else 1) * np.eye(3)["XYZ".index(axis)] for axis in "XYZ" for sign in ("", "-")}

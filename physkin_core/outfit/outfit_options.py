@@ -10,19 +10,31 @@ from physkin_core.fit_option import add_fit_option
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.outfit.layers import OutfitGarment
 
-__all__ = ["add_garment_option", "add_limbs_option", "add_outfit_options", "add_tucked_option", "chosen_garments"]
+__all__ = [
+    "add_avatar_options",
+    "add_garment_option",
+    "add_limbs_option",
+    "add_outfit_options",
+    "add_tucked_option",
+    "chosen_garments",
+]
 
 
 def add_outfit_options(parser: argparse.ArgumentParser) -> None:
     """Add who wears what, for commands whose avatar is an option: `--avatar`, `--rig`, `--garment`, `--tucked`,
     `--fit`."""
+    add_avatar_options(parser)
+    add_garment_option(parser)
+    add_tucked_option(parser)
+    add_fit_option(parser)
+
+
+def add_avatar_options(parser: argparse.ArgumentParser) -> None:
+    """Add `--avatar` and `--rig`."""
     parser.add_argument(
         "--avatar", metavar="AVATAR", default=BUNDLED_AVATAR, help="body file (default: the bundled one)"
     )
     parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
-    add_garment_option(parser)
-    add_tucked_option(parser)
-    add_fit_option(parser)
 
 
 def add_garment_option(parser: argparse.ArgumentParser) -> None:

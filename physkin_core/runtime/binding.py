@@ -30,12 +30,12 @@ from physkin_core.runtime.layers_beneath import LayerBeneath
 from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
 from physkin_core.runtime.worn_garment import wear
 
-__all__ = ["bind_garment", "bind_points", "encode_body"]
+__all__ = ["FARTHEST_POINT", "bind_garment", "bind_points", "encode_body"]
 
 log = logging.getLogger(__name__)
 
 FARTHEST_POINT = 0.05
-"""A point farther [m] than this from the trained garment's surface is refused by `bind_points`."""
+"""A point farther [m] than this from the trained garment's surface is refused by `bind_points` by default."""
 UNLIKE = 0.005
 """[m] Cloth gets room to move on an avatar whose skin or pivots are farther than this from those of the body that
 networks see."""
@@ -145,16 +145,17 @@ def bind_points(
     *,
     normals: np.ndarray | None = None,
     rest: np.ndarray | None = None,
+    farthest: float = FARTHEST_POINT,
 ) -> dict[str, np.ndarray]:
     """Skin other points of the same garment to the trained garment nodes.
 
     points: (n, 3) [m] in the model's canonical space. normals: (n, 3) of any length but zero, turned as those of the
     trained surface are by being fitted to drapes; default these. rest: rest shape of the model's mesh, its vertices
-    [m], that points and normals are carried to; default its own.
+    [m], that points and normals are carried to; default its own. farthest: [m] from the garment that a point may be.
     Returns the fields of `BoundGarment` to replace: vertices, normals, influence_nodes, influence_weights, and faces,
     of which there are none.
     Raises ValueError when points or normals are not finite, normals are not one a point or have no length, or points
-    lie farther than 5 cm from the trained garment.
+    lie farther than that from the trained garment.
     """
     from point_cloud_utils import closest_points_on_mesh
 
@@ -166,10 +167,12 @@ def bind_points(
     garment = model.garment
     low, high = garment.vertices.min(axis=0), garment.vertices.max(axis=0)
     beyond = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0), axis=1)
-    _reject_far_points(beyond, "at least ", model.name)  # at once, where closest points of centimetres take minutes
+    _reject_far_points(
+        beyond, farthest, "at least ", model.name
+    )  # at once, where closest points of centimetres take minutes
     faces = garment.faces.astype(np.int64)
     distance, face, barycentric = closest_points_on_mesh(np.ascontiguousarray(points), garment.vertices, faces)
-    _reject_far_points(distance, "", model.name)
+    _reject_far_points(distance, farthest, "", model.name)
     corners = garment.faces[face]
 
     def there(of_vertices: np.ndarray) -> np.ndarray:
@@ -217,11 +220,12 @@ def _checked_normals(normals: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     return normals
 
 
-def _reject_far_points(distance: np.ndarray, bound: str, garment: str) -> None:
-    if distance.max() > FARTHEST_POINT:
+def _reject_far_points(distance: np.ndarray, farthest: float, bound: str, garment: str) -> None:
+    if (count := int((distance > farthest).sum())) > 0:
         raise ValueError(
             f"point {int(distance.argmax())} is {bound}{distance.max() * 100:.1f} cm from garment {garment!r}, at most "
-            f"{FARTHEST_POINT * 100:.0f} cm allowed: is the mesh in the model's canonical space, in metres?"
+            f"{farthest * 100:.0f} cm allowed; {bound}{count} of {len(distance)} points are too far: are they in the "
+            "model's canonical space, in metres?"
         )
 
 

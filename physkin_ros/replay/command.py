@@ -17,10 +17,11 @@ from physkin_ros.joints.joint_naming import PRESETS
 from physkin_ros.messages.conversions import gravity_direction
 from physkin_ros.replay.bags import STORAGES, BagWriter
 from physkin_ros.replay.figures import describe, load_baseline, regressions, summary
+from physkin_ros.replay.many_bags import holds_bags, replay_all
 from physkin_ros.replay.replay import GARMENT_TOPIC, replay
 from physkin_ros.replay.report import thumbnails, write_report
 
-__all__ = ["command_parser", "main"]
+__all__ = ["command_parser", "main", "replay_one"]
 
 CONTACT_CLOUDS = 24  # measured against the body, unless --contact-every says otherwise
 LIVE = (
@@ -31,6 +32,15 @@ LIVE = (
 def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0, or 1 when something is worse than in the baseline, which is then told."""
     options = command_parser().parse_args(argv)
+    if holds_bags(options.bag):
+        return replay_all(options, replay_one)
+    if options.processes is not None:
+        raise BagError(f"--processes {options.processes}: {options.bag} is no folder of bags")
+    return replay_one(options)
+
+
+def replay_one(options: argparse.Namespace) -> int:
+    """Drape one bag, write and tell what the options of `command_parser` ask for. Returns as `main` does."""
     gravity = gravity_direction(options.gravity)
     baseline = load_baseline(options.baseline) if options.baseline else None
     output = BagWriter(options.output, storage=options.storage) if options.output else nullcontext()
@@ -72,7 +82,9 @@ def _draper(options: argparse.Namespace) -> Draper:
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin replay`."""
     parser = argparse.ArgumentParser(prog="physkin replay", description=__doc__.splitlines()[0], epilog=LIVE)
-    parser.add_argument("bag", type=Path, help="folder with metadata.yaml, or a .mcap or .db3 file")
+    parser.add_argument(
+        "bag", type=Path, help="folder with metadata.yaml, or a .mcap or .db3 file; or a folder of such bags"
+    )
     parser.add_argument("--model", default="tshirt", help="garment model: a file or a shipped name (default tshirt)")
     parser.add_argument(
         "--avatar", default=BUNDLED_AVATAR, help="body: GLB, glTF, VRM, OBJ, PLY, STL (default: bundled)"
@@ -93,7 +105,12 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--separate-limbs", action="store_true", help="move arms and legs out of this body's trunk and each other"
     )
-    parser.add_argument("-o", "--output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3; of many bags, a folder"
+    )
+    parser.add_argument(
+        "--processes", type=whole_number(1), metavar="N", help="of a folder of bags, so many at once (default 1)"
+    )
     parser.add_argument("--storage", choices=STORAGES, help="of an output folder (default mcap)")
     parser.add_argument("--garment-topic", default=GARMENT_TOPIC, help="of the clouds (default %(default)s)")
     parser.add_argument("--frame-id", default="base_link", help="of the clouds (default %(default)s)")

@@ -10,6 +10,7 @@ import html
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,7 +21,7 @@ from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, render, save_
 from physkin_ros.replay.figures import LABELS, SPREAD
 from physkin_ros.replay.replay import Replay
 
-__all__ = ["thumbnails", "write_report"]
+__all__ = ["thumbnails", "write_overview", "write_report"]
 
 PICTURE_SIZE = (240, 320)
 PLOTS = {
@@ -92,8 +93,32 @@ def write_report(
             f"<figure>{_image(png, f'garment at {caption}', width)}<figcaption>{caption}</figcaption></figure>"
         )
     parts += [f"<p>{html.escape(remark)}</p>", _plots(figures["series"])]
-    page = f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
-    path.write_text(page + f"<style>{STYLE}</style>\n" + "\n".join(parts) + "\n</html>\n", "utf-8")
+    path.write_text(_page(title, parts), "utf-8")
+
+
+def write_overview(path: Path, bags: Sequence[tuple[str, str, Mapping | None, str]]) -> None:
+    """Write the page over many bags. bags: of each its name, the address of its own page, its figures from `describe`,
+    None while there are none, and why it could not be replayed, empty where it could."""
+    rows, failed = [], []
+    for name, address, figures, reason in bags:
+        if figures is None:
+            rows.append([html.escape(name)])
+            failed += [f'<p class="worse">{html.escape(name)}: {html.escape(reason)}</p>'] if reason else []
+            continue
+        counts = figures["counts"]
+        means = [figures["figures"][figure]["mean"] for figure in LABELS]
+        link = f'<a href="{quote(address)}">{html.escape(name)}</a>'
+        shown = ["" if mean is None else f"{mean:.3f}" for mean in means]
+        rows.append([link, counts["draped"], counts["rejected"], f"{figures['bag']['duration_s']:.2f}", *shown])
+    header = ["bag", "draped", "rejected", "s", *LABELS.values()]
+    title = f"{len(bags)} bags"
+    parts = [f"<h1>{title}</h1>", *failed, "<p>Means over clouds.</p>", tabulate(rows, header, tablefmt="unsafehtml")]
+    path.write_text(_page(title, parts), "utf-8")
+
+
+def _page(title: str, parts: Sequence[str]) -> str:
+    head = f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
+    return head + f"<style>{STYLE}</style>\n" + "\n".join(parts) + "\n</html>\n"
 
 
 def _counts_table(figures: Mapping) -> str:

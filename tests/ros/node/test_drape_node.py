@@ -1,4 +1,4 @@
-"""A drape node in the tests' own process: what it makes of good and bad joint states."""
+"""A drape node in the tests' own process: its topics, and what it makes of good and bad joint states."""
 
 from __future__ import annotations
 
@@ -14,9 +14,12 @@ from geometry_msgs.msg import Quaternion, Transform  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import MultiDOFJointState  # noqa: E402
 
+from physkin_ros.messages.topics import TOPICS  # noqa: E402
 from physkin_ros.node.avatar_stream import MOST_UNKNOWN  # noqa: E402
 
 STAMPS = ((sec, 0) for sec in count(1000))  # one for each joint state whose stamp does not matter
+OWN = ("physkin_msgs", "sensor_msgs", "geometry_msgs", "visualization_msgs", "diagnostic_msgs")
+"""Packages of our types; those of others (parameters, lifecycle, clock) every node of ROS has."""
 
 
 @pytest.fixture(scope="module")
@@ -166,3 +169,30 @@ def test_gravity_can_change_while_running(peer, shared_node, draper):
         assert not result.successful and f"gravity is {wrong!r}" in result.reason
     (result,) = shared_node.set_parameters([Parameter("backend", value="numpy")])
     assert not result.successful
+
+
+@pytest.mark.parametrize("orientation", ["gravity", "imu"])
+def test_every_topic_is_listed_with_its_type(orientation, running_node, model_path):
+    """What usage text and reference name, no more and no less, with all that parameters open."""
+    pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
+    wanted = {"model": str(model_path), "orientation": orientation, "marker": True, "separate_limbs": True}
+    with running_node(wanted, connect=False) as node:
+        opened = {("out", each.topic_name, named(each.msg_type)) for each in node.publishers}
+        opened |= {("in", each.topic_name, named(each.msg_type)) for each in node.subscriptions}
+    listed = {
+        (topic.direction, resolved(topic.name), topic.type)
+        for topic in TOPICS
+        if topic.direction != "service"  # a node of their own has them
+        and (not topic.needs.startswith("orientation") or topic.needs.endswith(orientation))
+    }
+    assert {each for each in opened if each[2].startswith(OWN)} == listed
+
+
+def named(kind: type) -> str:
+    """package/Type of a message or service class."""
+    return f"{kind.__module__.split('.')[0]}/{kind.__name__}"
+
+
+def resolved(name: str) -> str:
+    """What a node of the default name makes of it."""
+    return name.replace("~", "/drape_node") if name[0] in "~/" else f"/{name}"

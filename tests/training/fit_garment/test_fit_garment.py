@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
+import signal
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from training.small_runs import small_config, write_belly_band
+from training.small_runs import SIZES, small_config, write_belly_band
 
 from physkin_core import load_garment, load_garment_model
 from physkin_core.cli import main
@@ -80,6 +82,47 @@ def test_from_mesh_to_report(band, recipe, tmp_path, capsys):
     printed = capsys.readouterr().out
     assert re.search(r"\| units +\| repaired +\|", printed) and "band.html" in printed
     assert load_config(tmp_path / "band" / "config.toml").optimisation.steps == 12, "the run can be resumed"
+
+
+def test_a_stopped_run_goes_on_and_is_reported(band, recipe, tmp_path, monkeypatch, capsys):
+    """Ctrl-C in the eighth of twelve steps; then the same command with --resume takes the other four."""
+    output = tmp_path / "band.safetensors"
+    arguments = ["fit-garment", str(band), "-o", str(output), "--no-pictures", "--device", "cpu", "--steps", "12"]
+    arguments += ["--bodies", "1", "--poses", "2", "--resume"]
+    run = Trainer.run
+
+    def interrupted(trainer, steps):
+        for step in run(trainer, steps):
+            if step == 8:
+                signal.raise_signal(signal.SIGINT)
+            yield step
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "run", interrupted)
+        assert main([*arguments, "--recipe", str(recipe)]) == 130
+    assert not output.exists()
+    assert main(arguments) == 0, "with the recipe that was chosen"
+    assert load_garment_model(output).training["networks"] == asdict(SIZES)
+    losses = tmp_path / "band" / "losses.jsonl"
+    steps = [json.loads(line)["step"] for line in losses.read_text().splitlines()]
+    assert steps == [1, 2, 3, 4, 5, 6, 7, *range(9, 13)], "the step of Ctrl-C is saved, not reported"
+    found = json.loads((tmp_path / "band" / "figures.json").read_text())
+    assert found["seconds"] > report.recorded_seconds(losses) > 0 and "model" in found["figures"]
+    assert "12 steps" in (tmp_path / "band.html").read_text()
+
+
+def test_lost_steps_count_once_in_the_curve_and_in_full_in_the_time(tmp_path):
+    path = tmp_path / "losses.jsonl"
+    rows = [(10, 4.0), (20, 8.0), (30, 12.0), (20, 3.0), (30, 6.0), (40, 9.0)]
+    path.write_text("".join(json.dumps({"step": step, "seconds": seconds}) + "\n" for step, seconds in rows))
+    assert [(row["step"], row["seconds"]) for row in report.read_losses(path)] == [
+        (10, 4.0),
+        (20, 3.0),
+        (30, 6.0),
+        (40, 9.0),
+    ]
+    assert report.recorded_seconds(path) == 12 + 9
+    assert report.recorded_seconds(tmp_path / "nosuch") == 0 and report.read_losses(tmp_path / "nosuch") == []
 
 
 @pytest.mark.slow
@@ -223,6 +266,7 @@ def test_a_refused_mesh_is_told_in_one_line(tmp_path, capsys):
         (["-o", "{tmp}/band.glb"], "band.glb"),
         (["-o", "{tmp}/band.safetensors", "--minutes", "0"], "--minutes 0.0"),
         (["-o", "{tmp}/band.safetensors", "--steps", "0"], "--steps 0"),
+        (["-o", "{tmp}/band.safetensors", "--checkpoint-every", "0"], "--checkpoint-every 0 must be above 0"),
         (["-o", "{tmp}/band.safetensors", "--avatar", "{tmp}/nosuch.glb"], "nosuch.glb"),
         (["-o", "{tmp}/band.safetensors", "--device", "tpu"], "tpu"),
     ],

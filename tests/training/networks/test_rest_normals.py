@@ -30,8 +30,8 @@ def test_shipped_models_carry_fitted_normals(name):
     """Nearer to the draped mesh's than its own normals carried, in the middle and at the worst, and nowhere farther,
     but where the worst is small.
 
-    A sixteenth of what was measured for the documentation. The worst of the skirt, 130 degrees and more, are folds that
-    lie the other way round, which no rest normal follows.
+    A sixteenth of what was measured for the documentation. The worst of skirt and dress, 130 degrees and more, are
+    folds that lie the other way round, which no rest normal follows.
     """
     model = load_garment_model(name)
     fitted, own = (normal_errors(each, bodies=1, frames=4) for each in (model, replace(model, rest_normals=None)))
@@ -39,7 +39,7 @@ def test_shipped_models_carry_fitted_normals(name):
         assert errors.median < 1.05 * own[take].median
         assert errors.p99 < max(1.06 * own[take].p99, 30.0)
     assert fitted["uniform"].median < 0.9 * own["uniform"].median
-    assert fitted["uniform"].p99 < (0.99 if name == "skirt" else 0.93) * own["uniform"].p99
+    assert fitted["uniform"].p99 < (0.99 if name in ("skirt", "dress") else 0.93) * own["uniform"].p99
 
 
 def test_where_one_node_carries_everything_the_normals_are_the_mesh_s_own(tshirt):

@@ -7,6 +7,7 @@ and writes a one-page HTML report: all in the minutes given.
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import math
 import re
@@ -26,13 +27,14 @@ from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.pictures import placement_picture
-from physkin_training.fit_garment.report import write_report
+from physkin_training.fit_garment.report import longer_or_not, read_losses, recorded_seconds, write_report
 from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.verdicts import verdict_table
 from physkin_training.train import train
+from physkin_training.train.checkpoint import checkpoint_step
 from physkin_training.train.trainer import Trainer
 
-__all__ = ["as_toml", "choose_steps", "command_parser", "main"]
+__all__ = ["FIGURES", "as_toml", "choose_steps", "command_parser", "main"]
 
 log = logging.getLogger(__name__)
 DEFAULT_MINUTES = {"cuda": 15.0, "cpu": 480.0}
@@ -46,6 +48,8 @@ FEWEST_STEPS = 100
 """Shorter runs do not even get through the warm-up."""
 ADVICE = "give more, or a smaller recipe with --recipe"
 REFUSED = 1
+FIGURES = "figures.json"
+"""In the run's folder: `seconds` of training, `checks`, `figures` as of `physkin evaluate --json`, `advice`."""
 
 
 def choose_steps(config: TrainingConfig, device: torch.device, budget: TimeBudget) -> int:
@@ -122,6 +126,14 @@ def command_parser() -> argparse.ArgumentParser:
     )
     length.add_argument("--steps", type=int, help="of training, instead of minutes; the report comes on top")
     parser.add_argument("--recipe", type=Path, metavar="TOML", help="training configuration to take all else from")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on from the checkpoint of a stopped run, where there is one, with its steps and recipe",
+    )
+    parser.add_argument(
+        "--checkpoint-every", type=float, default=5.0, metavar="MINUTES", help="while it trains (default 5)"
+    )
     parser.add_argument("--bodies", type=int, default=8, help="held-out bodies of the report's figures (default 8)")
     parser.add_argument("--poses", type=int, default=64, help="poses a body of the report's figures (default 64)")
     parser.add_argument("--no-pictures", action="store_true", help="tables only")
@@ -137,6 +149,8 @@ def _fit(options: argparse.Namespace) -> int:
         raise ValueError(f"--minutes {options.minutes} must be above 0")
     if options.steps is not None and options.steps < 1:
         raise ValueError(f"--steps {options.steps} must be at least 1")
+    if not options.checkpoint_every > 0:
+        raise ValueError(f"--checkpoint-every {options.checkpoint_every:g} must be above 0 minutes")
     device = resolve_device(options.device)
     minutes = math.inf if options.steps else options.minutes or DEFAULT_MINUTES[device.type]
     budget = TimeBudget(minutes)
@@ -201,26 +215,29 @@ def _train_and_report(
     budget: TimeBudget,
 ) -> int:
     output, folder = options.output, mesh.parent
-    own = TrainingConfig(output.stem, mesh, optimisation=OptimisationConfig(fit="both"))
-    recipe = load_config(options.recipe) if options.recipe else own
-    recipe = replace(recipe, name=output.stem, garment=mesh)
-    steps = options.steps or choose_steps(recipe, device, budget)
-    config = replace(recipe, optimisation=replace(recipe.optimisation, steps=steps, minutes=0.0))
-    configuration = folder / "config.toml"
-    configuration.write_text(as_toml(config))
-    (folder / "losses.jsonl").unlink(missing_ok=True)
+    configuration, losses, checkpoint = folder / "config.toml", folder / "losses.jsonl", folder / "checkpoint"
+    resumed = options.resume and configuration.exists() and checkpoint_step(checkpoint) is not None
+    if resumed:
+        config, earlier, budget = load_config(configuration), recorded_seconds(losses), TimeBudget()
+    else:
+        config, earlier = _configuration(options, mesh, device, budget), 0.0
+        configuration.write_text(as_toml(config))
+        losses.unlink(missing_ok=True)
     began = budget.spent
     arguments = ["--config", str(configuration), "--output", str(folder), "--device", options.device]
-    arguments += ["--log-every", str(max(1, min(200, steps // 200)))]
-    if not options.steps:
+    arguments += ["--log-every", str(max(1, min(200, config.optimisation.steps // 200)))]
+    arguments += ["--checkpoint-every", str(options.checkpoint_every)]
+    if resumed:
+        arguments += ["--resume", str(checkpoint)]
+    elif not options.steps:
         arguments += ["--within", str(max(_for_training(budget), 1.0) / 60)]
     status = train.main(arguments)
     if status:
         return status
-    seconds = budget.spent - began
+    seconds = earlier + budget.spent - began
     (folder / f"{config.name}.safetensors").replace(output)
     report = output.with_suffix(".html")
-    write_report(
+    scores = write_report(
         report,
         load_garment_model(output),
         checked,
@@ -228,14 +245,26 @@ def _train_and_report(
         avatar if options.avatar else None,
         device,
         budget,
-        losses=folder / "losses.jsonl",
+        losses=losses,
         seconds=seconds,
         bodies=options.bodies,
         poses=options.poses,
         pictures=not options.no_pictures,
     )
+    found = {"seconds": seconds, "checks": [vars(verdict) for verdict in checked.verdicts]}
+    found |= {"figures": scores, "advice": longer_or_not(read_losses(losses))}
+    (folder / FIGURES).write_text(json.dumps(found, indent=1))
     print(f"wrote {output} and {report}, {budget.spent / 60:.1f} minutes in all")
     return 0
+
+
+def _configuration(options: argparse.Namespace, mesh: Path, device: torch.device, budget: TimeBudget) -> TrainingConfig:
+    """Of a new run: the recipe, with as many steps as were asked for or as there is time for."""
+    own = TrainingConfig(options.output.stem, mesh, optimisation=OptimisationConfig(fit="both"))
+    recipe = load_config(options.recipe) if options.recipe else own
+    recipe = replace(recipe, name=options.output.stem, garment=mesh)
+    steps = options.steps or choose_steps(recipe, device, budget)
+    return replace(recipe, optimisation=replace(recipe.optimisation, steps=steps, minutes=0.0))
 
 
 if __name__ == "__main__":

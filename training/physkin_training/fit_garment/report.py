@@ -6,6 +6,7 @@ import base64
 import html
 import io
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,16 @@ from physkin_training.fit_garment.pictures import front_and_back
 from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.verdicts import COLUMNS
 
-__all__ = ["html_table", "longer_or_not", "loss_curve", "write_report"]
+__all__ = [
+    "badge",
+    "html_page",
+    "html_table",
+    "longer_or_not",
+    "loss_curve",
+    "read_losses",
+    "recorded_seconds",
+    "write_report",
+]
 
 FIRST_POSES = 2
 """Poses a body that are evaluated first, to see how many there is time for."""
@@ -64,8 +74,9 @@ def write_report(
     bodies: int,
     poses: int,
     pictures: bool,
-) -> None:
-    """Evaluate the model on held-out bodies and write the page; the sheet of drapes also as PNG beside it.
+) -> dict:
+    """Evaluate the model on held-out bodies and write the page; the sheet of drapes also as PNG beside it. Returns the
+    figures, of `evaluate_model`.
 
     avatar: the user's own body, draped too; None for none. losses: the training's record. seconds: how long it took.
     bodies, poses: see `evaluate_model`; there are fewer poses and pictures where the budget has no time for all.
@@ -84,7 +95,7 @@ def write_report(
         scores = evaluate(more)
     optimisation = model.training["optimisation"]
     steps, samples = optimisation["steps"], optimisation["samples"]
-    rows = _read_losses(losses)
+    rows = read_losses(losses)
     counts = "{bodies} held-out bodies, {poses} poses each".format(**scores["counts"])
     parts = [
         f"<h1>{html.escape(model.name)}</h1>",
@@ -100,8 +111,19 @@ def write_report(
         loss_curve(rows),
         f"<p>{longer_or_not(rows)}</p>",
     ]
-    page = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(model.name)}</title>'
-    path.write_text(f"{page}<style>{STYLE}</style><body>\n" + "\n".join(parts) + "\n</body></html>\n", encoding="utf-8")
+    path.write_text(html_page(model.name, parts), encoding="utf-8")
+    return scores
+
+
+def html_page(title: str, parts: Sequence[str], *, head: str = "") -> str:
+    """A whole page in this project's style. parts: its body, HTML. head: more of its head, HTML."""
+    page = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>{head}'
+    return f"{page}<style>{STYLE}</style><body>\n" + "\n".join(parts) + "\n</body></html>\n"
+
+
+def badge(text: str, outcome: str) -> str:
+    """A word in the colour of an outcome of a check, HTML."""
+    return f'<span class="outcome" style="background:{COLOURS[outcome]}">{html.escape(text)}</span>'
 
 
 def _pictures(
@@ -139,8 +161,13 @@ def _note(text: str) -> str:
 def _verdicts(checked: CheckedGarment) -> str:
     rows = []
     for verdict in checked.verdicts:
-        badge = f'<span class="outcome" style="background:{COLOURS[verdict.outcome]}">{verdict.outcome}</span>'
-        rows.append([html.escape(verdict.check), badge, *map(html.escape, (verdict.found, verdict.allowed))])
+        rows.append(
+            [
+                html.escape(verdict.check),
+                badge(verdict.outcome, verdict.outcome),
+                *map(html.escape, (verdict.found, verdict.allowed)),
+            ]
+        )
     return tabulate(rows, COLUMNS, tablefmt="unsafehtml")
 
 
@@ -194,8 +221,21 @@ def longer_or_not(rows: list[dict]) -> str:
     )
 
 
-def _read_losses(path: Path) -> list[dict]:
+def recorded_seconds(losses: Path) -> float:
+    """How long a run has trained by its record, over all times that it went on."""
+    rows = _read_rows(losses)
+    last = [row["seconds"] for row, after in zip(rows, rows[1:]) if after["seconds"] < row["seconds"]]
+    return sum(last) + (rows[-1]["seconds"] if rows else 0.0)
+
+
+def _read_rows(path: Path) -> list[dict]:
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def read_losses(path: Path) -> list[dict]:
+    """The rows of a training's record, in order of the steps, without those that were lost and taken again."""
+    rows = {row["step"]: row for row in _read_rows(path)}
+    return [rows[step] for step in sorted(rows)]
 
 
 def _how_it_sits(worn: Draper) -> str:

@@ -22,7 +22,15 @@ from physkin_training.train.processes import Processes
 from physkin_training.train.soap import SIDES, Soap
 from physkin_training.train.validation import BestModel
 
-__all__ = ["CheckpointError", "Progress", "load_checkpoint", "load_drape", "save_checkpoint", "saved_steps"]
+__all__ = [
+    "CheckpointError",
+    "Progress",
+    "checkpoint_step",
+    "load_checkpoint",
+    "load_drape",
+    "save_checkpoint",
+    "saved_steps",
+]
 
 OPTIMISER_FILES = ("exp_avg", "exp_avg_sq", *(f"{kind}_{side}" for kind in ("covariance", "basis") for side in SIDES))
 TENSOR_FILES = ("drape", "average", "best", *OPTIMISER_FILES, "random")
@@ -156,6 +164,14 @@ def load_drape(folder: Path, drape: Drape) -> dict:
     drape.load_state_dict(tensors | learnt)
     run = state["config"] | {"step": state["best"]["step"] if state["best"] else state["step"]}
     return run | ({"started_from": state["started_from"]} if state.get("started_from") else {})
+
+
+def checkpoint_step(folder: Path) -> int | None:
+    """The step a checkpoint is of, also where a save was interrupted; None where there is none that can be read."""
+    try:
+        return _read_state(folder)["step"]
+    except CheckpointError:
+        return None
 
 
 def saved_steps(folder: Path) -> int:

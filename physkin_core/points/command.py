@@ -1,0 +1,131 @@
+"""`physkin bind-points`: a finer mesh, a point cloud or Gaussian splats of a trained garment, draped as it is."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from physkin_core.avatar.loading import load_avatar
+from physkin_core.avatar.rig_file import AXES, axes_to_root_frame
+from physkin_core.fit_option import add_fit_option
+from physkin_core.model.model_file import load_garment_model
+from physkin_core.motion.loading import load_motion
+from physkin_core.motion.motion import Motion
+from physkin_core.motion.reading_progress import reading_progress
+from physkin_core.outfit.outfit_options import add_avatar_options
+from physkin_core.points.point_files import POINT_FILES, PointFile, read_points
+from physkin_core.points.splat_draper import SplatDraper
+from physkin_core.progress import progress_line
+from physkin_core.runtime.draper import Draper
+
+__all__ = ["command_parser", "main"]
+
+WriteFrame = Callable[[Path, np.ndarray, np.ndarray], None]
+"""Writes a file with the points in the pose of joint positions and gravity."""
+
+
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin bind-points`."""
+    parser = argparse.ArgumentParser(prog="physkin bind-points", description=__doc__.split("`: ")[1])
+    parser.add_argument("garment", metavar="GARMENT", help="garment model: a file or a shipped name")
+    kinds = ", ".join(POINT_FILES)
+    parser.add_argument("points", metavar="POINTS", type=Path, help=f"what lies where the garment's mesh lies: {kinds}")
+    add_avatar_options(parser)
+    add_fit_option(parser)
+    parser.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
+    frames = parser.add_mutually_exclusive_group()
+    frames.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
+    frames.add_argument("--all", action="store_true", help="every frame: x.ply becomes x_0000.ply, ...")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own)")
+    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="metres a unit of POINTS (default 1)")
+    parser.add_argument("--up", metavar="AXIS", help="axis of POINTS that is up (default: Z; Y for .glb)")
+    parser.add_argument(
+        "--forward",
+        metavar="AXIS",
+        help="axis of POINTS that is forward, as --forward=-Y (default: X where Z is up, Z where Y is)",
+    )
+    parser.add_argument(*("-o", "--output"), type=Path, required=True, help="file to write, of the kind of POINTS")
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """Command line. Returns 0; errors are raised."""
+    options = command_parser().parse_args(argv)
+    if options.output.suffix.lower() != options.points.suffix.lower():
+        raise ValueError(f"cannot write {options.output}: the name must end in {options.points.suffix}, as POINTS does")
+    file = read_points(options.points)
+    to_root = _to_root(options, file)
+    model = load_garment_model(options.garment)
+    motion = load_motion(options.motion, watch=reading_progress(options.motion))
+    if options.rate is not None:
+        motion = motion.resampled(options.rate)
+    outputs = _outputs(options, motion)
+    avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
+    garment = Draper(model, avatar, fit=options.fit)
+    for warning in garment.avatar.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    try:
+        write = _splat_writer(garment, file, to_root) if file.splats else _point_writer(garment, file, to_root)
+    except ValueError as error:
+        raise ValueError(f"{options.points}: {error}") from error
+    positions = motion.positions_for(model.rig)
+    watch = progress_line(f"writing {len(outputs)} files")
+    for done, (frame, output) in enumerate(outputs.items(), 1):
+        write(output, positions[frame], motion.gravity[frame])
+        watch(done / len(outputs))
+    first, *others = outputs.values()
+    kind = "splats" if file.splats else "points"
+    print(f"wrote {first}{f' to {others[-1].name}' if others else ''}: {len(file.points)} {kind}")
+    return 0
+
+
+def _to_root(options: argparse.Namespace, file: PointFile) -> np.ndarray:
+    """(3, 3) from the file's axes and unit to the root frame's."""
+    if not (math.isfinite(options.scale) and options.scale > 0):
+        raise ValueError(f"--scale is {options.scale}; allowed: a number above 0")
+    up, forward = options.up or file.up, options.forward
+    if up not in AXES or forward not in (None, *AXES) or (forward and up[-1] == forward[-1]):
+        said = f"--up {up}" + (f" --forward {forward}" if forward else "")
+        raise ValueError(f"{said}: allowed are two different axes of {', '.join(AXES)}")
+    return options.scale * axes_to_root_frame(up, forward)
+
+
+def _outputs(options: argparse.Namespace, motion: Motion) -> dict[int, Path]:
+    """What to write of which frame."""
+    path = options.output
+    if options.all:
+        return {frame: path.with_stem(f"{path.stem}_{frame:04d}") for frame in range(motion.frame_count)}
+    if not 0 <= options.frame < motion.frame_count:
+        raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
+    return {options.frame: path}
+
+
+def _point_writer(garment: Draper, file: PointFile, to_root: np.ndarray) -> WriteFrame:
+    points, normals = file.points @ to_root.T, None if file.normals is None else file.normals @ to_root.T
+    known = {"fit": garment.fit, "binding": garment.bound}
+    draper = Draper(garment.model, garment.avatar, points=points, point_normals=normals, **known)
+    to_file = np.linalg.inv(to_root)
+    turn_back = to_root.T / np.cbrt(np.linalg.det(to_root))
+
+    def write(path: Path, positions: np.ndarray, gravity: np.ndarray) -> None:
+        cloud = draper.drape(positions, gravity).astype(np.float64)
+        turned = None if normals is None else cloud[:, 3:] @ turn_back.T
+        file.write(path, cloud[:, :3] @ to_file.T, turned)
+
+    return write
+
+
+def _splat_writer(garment: Draper, file: PointFile, to_root: np.ndarray) -> WriteFrame:
+    splats = file.splats.transformed(to_root)
+    draper = SplatDraper(garment.model, garment.avatar, splats, fit=garment.fit, binding=garment.bound)
+    to_file = np.linalg.inv(to_root)
+
+    def write(path: Path, positions: np.ndarray, gravity: np.ndarray) -> None:
+        file.write_splats(path, draper.drape(positions, gravity).transformed(to_file))
+
+    return write

@@ -1,0 +1,150 @@
+"""Files of a garment's other representations: read, moved, and written with all else that is in them.
+
+Dimensions: `n` points. Arrays are float64, in the file's own frame and unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from physkin_core.points.ply_file import PlyFile, read_ply
+from physkin_core.points.splats import Splats
+
+__all__ = ["POINT_FILES", "PointFile", "read_points"]
+
+POSITION, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
+ROTATION, SCALE = ("rot_1", "rot_2", "rot_3", "rot_0"), ("scale_0", "scale_1", "scale_2")
+"""Of a splat: a quaternion x, y, z, w, and logarithms of standard deviations."""
+
+
+@dataclass(frozen=True)
+class PointFile:
+    """points: (n, 3). normals: (n, 3) unit, where the file has any that must move with the points. splats: what the
+    points are, if they are splats. up: axis of the file that is up, if its format says so. faces: how many there are.
+
+    write: writes the file to a path with other points, and other normals or None; write_splats: with other splats.
+    """
+
+    points: np.ndarray
+    write: Callable[[Path, np.ndarray, np.ndarray | None], None]
+    normals: np.ndarray | None = None
+    splats: Splats | None = None
+    write_splats: Callable[[Path, Splats], None] | None = None
+    up: str = "Z"
+
+
+def read_points(path: str | Path) -> PointFile:
+    """Read a mesh, point cloud or splats.
+
+    PLY: anything; vertices with `rot_0` to `rot_3` and `scale_0` to `scale_2` are splats. OBJ, GLB: meshes.
+    Raises ValueError naming what is wrong with the file and what is allowed, OSError where it cannot be opened.
+    """
+    path = Path(path)
+    read = POINT_FILES.get(path.suffix.lower())
+    if read is None:
+        raise ValueError(f"cannot read {path}: allowed are {', '.join(POINT_FILES)}")
+    if not path.is_file():
+        raise ValueError(f"cannot read {path}: no such file")
+    file = read(path)
+    if len(file.points) == 0 or not np.isfinite(file.points).all():
+        raise ValueError(f"cannot use {path}: its {len(file.points)} points must be at least one, and finite")
+    return file
+
+
+def _read_ply(path: Path) -> PointFile:
+    ply = read_ply(path)
+    points, normals = ply.columns(POSITION), ply.columns(NORMAL)
+    rotations, scales = ply.columns(ROTATION), ply.columns(SCALE)
+    if rotations is not None and scales is not None:
+        with np.errstate(over="ignore"):
+            splats = Splats(points, rotations, np.exp(scales))
+        return PointFile(points, _ply_writer(ply), splats=splats, write_splats=_ply_splat_writer(ply))
+    if normals is not None and (np.linalg.norm(normals, axis=1) < 1e-9).any():
+        normals = None  # a column of zeros is how many tools leave them out
+    return PointFile(points, _ply_writer(ply), normals=normals)
+
+
+def _ply_writer(ply: PlyFile) -> Callable[[Path, np.ndarray, np.ndarray | None], None]:
+    def write(path: Path, points: np.ndarray, normals: np.ndarray | None) -> None:
+        columns = dict(zip(POSITION, points.T))
+        if normals is not None:
+            columns |= zip(NORMAL, normals.T)
+        ply.with_columns(columns).write(path)
+
+    return write
+
+
+def _ply_splat_writer(ply: PlyFile) -> Callable[[Path, Splats], None]:
+    def write(path: Path, splats: Splats) -> None:
+        columns = dict(zip(POSITION, splats.centres.T))
+        columns |= zip(ROTATION, splats.rotations.T)
+        columns |= zip(SCALE, np.log(splats.scales.T))
+        ply.with_columns(columns).write(path)
+
+    return write
+
+
+def _read_obj(path: Path) -> PointFile:
+    """Normals are left out, which readers make anew."""
+    lines = path.read_text(encoding="utf-8", errors="surrogateescape").replace("\\\n", " ").splitlines()
+    kept = [line for line in lines if not line.startswith("vn")]
+    kept = [_without_normals(line) if line.startswith(("f ", "f\t")) else line for line in kept]
+    places = [index for index, line in enumerate(kept) if line.startswith(("v ", "v\t"))]
+    try:
+        points = np.array([kept[index].split()[1:4] for index in places], dtype=np.float64).reshape(-1, 3)
+    except ValueError as error:
+        raise ValueError(f"cannot read {path}: each of its vertices must be three numbers") from error
+
+    def write(to: Path, moved: np.ndarray, normals: np.ndarray | None) -> None:
+        written = kept.copy()
+        for index, (x, y, z) in zip(places, moved.tolist()):
+            colours = "".join(f" {word}" for word in kept[index].split()[4:])
+            written[index] = f"v {x:.7g} {y:.7g} {z:.7g}{colours}"
+        to.write_text("\n".join(written) + "\n", encoding="utf-8", errors="surrogateescape")
+
+    return PointFile(points, write)
+
+
+def _without_normals(face: str) -> str:
+    """A face line with its vertices and places in textures alone."""
+    word, *corners = face.split("#")[0].split()
+    return " ".join([word, *("/".join(corner.split("/")[:2]).rstrip("/") for corner in corners)])
+
+
+def _read_glb(path: Path) -> PointFile:
+    """All meshes of the scene, in its frame. Skins and animations are left out."""
+    import trimesh
+
+    try:
+        scene = trimesh.load_scene(path, process=False)
+        placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
+        found = [(scene.geometry[name], transform) for transform, name in placed]
+        meshes = [  # the cache has the file's own normals
+            mesh.copy(include_cache=True).apply_transform(transform)
+            for mesh, transform in found
+            if isinstance(mesh, trimesh.Trimesh)
+        ]
+    except Exception as error:  # whatever the parser trips over, the file is not a readable mesh
+        raise ValueError(f"cannot read {path}: {error}") from error
+    if not meshes:
+        raise ValueError(f"cannot read {path}: it holds no mesh")
+    ends = np.cumsum([len(mesh.vertices) for mesh in meshes])[:-1]
+    normals = np.concatenate([mesh.vertex_normals for mesh in meshes])
+    normals[np.linalg.norm(normals, axis=1) < 1e-9] = [0, 1, 0]  # of vertices without a face
+
+    def write(to: Path, moved: np.ndarray, moved_normals: np.ndarray | None) -> None:
+        written = trimesh.Scene()
+        for mesh, points, turned in zip(meshes, np.split(moved, ends), np.split(moved_normals, ends)):
+            look = {"visual": mesh.visual, "process": False}
+            written.add_geometry(trimesh.Trimesh(points, mesh.faces, vertex_normals=turned, **look))
+        to.write_bytes(written.export(file_type="glb", include_normals=True))
+
+    return PointFile(np.concatenate([mesh.vertices for mesh in meshes]), write, normals=normals, up="Y")
+
+
+POINT_FILES = {".ply": _read_ply, ".obj": _read_obj, ".glb": _read_glb}
+"""What reads each kind of file."""

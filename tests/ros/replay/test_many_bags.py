@@ -1,0 +1,84 @@
+"""`physkin replay` of a folder of bags: each into a folder of its own, one page over all, nothing done twice."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[replay]'")
+
+from physkin_core import cli  # noqa: E402
+
+
+@pytest.fixture
+def bags(bag, tmp_path):
+    """Two bags and a file that is none."""
+    folder = tmp_path / "bags"
+    folder.mkdir()
+    for name in ("one.mcap", "two.mcap"):
+        shutil.copy(bag, folder / name)
+    (folder / "broken.mcap").write_text("no bag")
+    (folder / "notes.txt").write_text("spring")
+    return folder
+
+
+def command(bags, *more, output="out"):
+    return ["replay", str(bags), "-o", str(bags.parent / output), "--contact-every", "0", "--pictures", "0", *more]
+
+
+def test_every_bag_is_replayed_once(bags, quick, leaning_model_path, tmp_path, capsys):
+    """One that cannot be read is a row with the reason; what is finished is done again only with other settings."""
+    model = ["--model", str(leaning_model_path)]
+    assert cli.main(command(bags, *model)) == 1
+    printed = capsys.readouterr().out
+    assert "3 bags, 0 of them finished" in printed and "2 of 3: one.mcap: replayed" in printed
+    out = tmp_path / "out"
+    page = (out / "replay.html").read_text()
+    assert page.count("<tr>") == 1 + 3 and 'href="two.mcap/report.html"' in page and "broken.mcap" in page
+    assert 'class="worse">broken.mcap: bag ' in page
+    figures = json.loads((out / "one.mcap" / "figures.json").read_text())
+    assert figures["counts"]["draped"] == 12 and (out / "one.mcap" / "clouds").is_dir()
+    assert f"{figures['figures']['edge_strain_percent']['mean']:.3f}" in page
+    (bags / "broken.mcap").unlink()
+    written = (out / "one.mcap" / "figures.json").stat().st_mtime_ns
+    assert cli.main(command(bags, *model)) == 0
+    assert "2 bags, 2 of them finished" in capsys.readouterr().out
+    assert (out / "one.mcap" / "figures.json").stat().st_mtime_ns == written
+    shutil.copy(bags / "one.mcap", bags / "two.mcap")
+    assert cli.main(command(bags, *model)) == 0
+    assert "2 bags, 1 of them finished" in capsys.readouterr().out, "its file is a newer one"
+    assert cli.main(command(bags, *model, "--normals", "faces")) == 0
+    assert "2 bags, 0 of them finished" in capsys.readouterr().out
+    assert sorted(path.name for path in bags.iterdir()) == ["notes.txt", "one.mcap", "two.mcap"]
+
+
+@pytest.mark.slow
+def test_processes_give_the_same_clouds(bags, leaning_model_path, tmp_path, capsys):
+    (bags / "broken.mcap").unlink()
+    model = ["--model", str(leaning_model_path)]
+    assert cli.main(command(bags, *model)) == 0
+    assert cli.main(command(bags, *model, "--processes", "2", output="two")) == 0
+    found = [json.loads((tmp_path / name / "two.mcap" / "figures.json").read_text()) for name in ("out", "two")]
+    assert found[0]["clouds_sha256"] == found[1]["clouds_sha256"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["{bags}"], "is a folder of bags: --output FOLDER is needed"),
+        (["{bags}", "-o", "{bags}"], "is the folder of the bags itself"),
+        (["{bags}", "-o", "{bags}/notes.txt"], "notes.txt is a file; of a folder of bags a folder is needed"),
+        (["{bags}", "-o", "{tmp}/out", "--json", "{tmp}/x.json"], "--json is for one bag"),
+        (["{bags}", "-o", "{tmp}/out", "--baseline", "{tmp}/x.json"], "--baseline is for one bag"),
+        (["{bags}/one.mcap", "--processes", "2"], "--processes 2: {bags}/one.mcap is no folder of bags"),
+        (["{tmp}/empty", "-o", "{tmp}/out"], "empty is no bag and holds none"),
+    ],
+)
+def test_refusals(arguments, said, bags, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    assert cli.main(["replay", *(text.format(tmp=tmp_path, bags=bags) for text in arguments)]) == 2
+    error = capsys.readouterr().err
+    assert said.format(bags=bags) in error and error.count("\n") == 1
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,173 @@
+"""What a catalogue run has to do, without Ray and without training."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from physkin_training.catalogue.page import write_page
+from physkin_training.catalogue.plan import (
+    CatalogueError,
+    Status,
+    find_jobs,
+    read_status,
+    stage,
+    steps_taken,
+    write_status,
+)
+
+MESH = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+
+
+@pytest.fixture
+def shop(tmp_path):
+    """Three meshes, one of them with a recipe."""
+    folder = tmp_path / "shop"
+    folder.mkdir()
+    for name in ("coat.obj", "hat.ply", "shirt.obj"):
+        (folder / name).write_text(MESH + name)
+    (folder / "hat.toml").write_text("seed = 1\n")
+    (folder / "notes.txt").write_text("spring\n")
+    return folder
+
+
+def jobs_of(shop, **settings):
+    return {job.name: job for job in find_jobs(shop, shop.parent / "models", **settings)}
+
+
+def note(job, state, **more):
+    write_status(job, Status(job.fingerprint, state, **more))
+
+
+def save_checkpoint(job, folder="checkpoint"):
+    (job.folder / folder).mkdir(parents=True)
+    (job.folder / folder / "state.json").write_text('{"step": 7, "config": {}}')
+
+
+def test_a_job_for_each_mesh(shop, tmp_path):
+    recipe = tmp_path / "all.toml"
+    recipe.write_text("seed = 2\n")
+    jobs = jobs_of(shop, recipe=recipe, length=["--steps=9"])
+    assert list(jobs) == ["coat", "hat", "shirt"]
+    assert jobs["coat"].arguments == ("--steps=9", "--recipe", str(recipe))
+    assert jobs["hat"].arguments == ("--steps=9", "--recipe", str(shop / "hat.toml")), "its own goes before"
+    assert jobs["hat"].output == tmp_path / "models" / "hat.safetensors"
+    assert len({job.fingerprint for job in jobs.values()}) == 3
+
+
+def test_what_is_finished_what_resumes_and_what_is_new(shop):
+    jobs = jobs_of(shop)
+    assert {stage(job) for job in jobs.values()} == {"new"}
+    note(jobs["coat"], "finished")
+    assert stage(jobs["coat"]) == "new", "its model is not there"
+    jobs["coat"].output.write_text("model")
+    assert stage(jobs["coat"]) == "finished"
+    note(jobs["hat"], "training")
+    assert stage(jobs["hat"]) == "new", "nothing to go on from"
+    save_checkpoint(jobs["hat"], "checkpoint.previous")
+    assert stage(jobs["hat"]) == "resumes", "the save of a checkpoint was interrupted"
+    note(jobs["shirt"], "failed", reason="diverged")
+    save_checkpoint(jobs["shirt"])
+    assert stage(jobs["shirt"]) == "resumes", "what failed is tried again"
+
+
+def test_another_mesh_recipe_or_length_is_trained_anew(shop, tmp_path):
+    avatar = tmp_path / "me.glb"
+    avatar.write_text("one")
+    settings = {"length": ["--steps=9"], "avatar": str(avatar)}
+    for job in jobs_of(shop, **settings).values():
+        note(job, "finished")
+        job.output.write_text("model")
+
+    def stages(**other):
+        return [stage(job) for job in jobs_of(shop, **(settings | other)).values()]
+
+    assert stages(arguments=["--poses=2"]) == ["finished"] * 3, "the report is no part of the model"
+    assert stages(length=["--steps=10"]) == ["new"] * 3
+    (shop / "hat.toml").write_text("seed = 3\n")
+    assert stages() == ["finished", "new", "finished"]
+    (shop / "coat.obj").write_text(MESH)
+    assert stages() == ["new", "new", "finished"]
+    avatar.write_text("two")
+    assert stages() == ["new"] * 3
+
+
+def test_a_damaged_status_is_none(shop):
+    job = jobs_of(shop)["coat"]
+    note(job, "finished", starts=2, resumed_at=[40])
+    assert read_status(job) == Status(job.fingerprint, "finished", starts=2, resumed_at=[40])
+    for text in ("", "[]", '{"state": "finished"}', '{"unknown": 1}'):
+        (job.folder / "status.json").write_text(text)
+        assert read_status(job) is None
+
+
+def test_steps_taken(shop):
+    job = jobs_of(shop)["coat"]
+    assert steps_taken(job) is None
+    job.folder.mkdir(parents=True)
+    (job.folder / "losses.jsonl").write_text('{"step": 10}\n{"step": 20}\n')
+    assert steps_taken(job) is None, "no configuration"
+    (job.folder / "config.toml").write_text('name = "coat"\ngarment = "coat.obj"\n[optimisation]\nsteps = 80\n')
+    assert steps_taken(job) == (20, 80)
+
+
+def test_folders_that_are_refused(shop, tmp_path):
+    with pytest.raises(CatalogueError, match="nosuch is not a folder"):
+        find_jobs(shop / "nosuch", tmp_path)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(CatalogueError, match="empty holds no garment mesh; allowed: .obj, "):
+        find_jobs(tmp_path / "empty", tmp_path)
+    (shop / "typo.toml").write_text("")
+    with pytest.raises(CatalogueError, match="typo.toml belongs to no garment: there is no typo.obj"):
+        find_jobs(shop, tmp_path)
+    assert len(find_jobs(shop, tmp_path, recipe=shop / "typo.toml")) == 3, "it is the recipe of all"
+    (shop / "coat.stl").write_text("")
+    with pytest.raises(CatalogueError, match=r"coat.obj and .*coat.stl would both become coat.safetensors"):
+        find_jobs(shop, tmp_path, recipe=shop / "typo.toml")
+
+
+def test_the_page_has_a_row_each(shop, tmp_path):
+    """Waiting, stopped on the way, refused with its reason; read again while there is more to come."""
+    jobs = jobs_of(shop)
+    note(jobs["hat"], "stopped", starts=3, resumed_at=[40, 60])
+    note(jobs["shirt"], "failed", reason="units: 5 < 6 & odd")
+    write_page(tmp_path / "page.html", list(jobs.values()), refresh=15)
+    page = (tmp_path / "page.html").read_text()
+    assert page.count("<tr>") == 1 + 3 and "1 waiting, 1 stopped, 1 failed" in page
+    assert 'content="15"' in page and "units: 5 &lt; 6 &amp; odd" in page and 'href="shirt/log.txt"' in page
+    assert "begun 3 times" in page and "gone on at step 60" in page
+    figures = {"model": {}, "skinning": {}}
+    for number, row in enumerate(figures.values()):
+        row |= {f"{name}_percent": 10 * number + 2.0 for name in ("edge_strain", "area_strain", "inside")}
+    job = jobs["coat"]
+    sits = {"edge_strain_percent": 3.25, "inside_percent": 0.5, "deepest_mm": 4.0}
+    note(job, "finished", check={"verdict": "usable", "everyday": sits, "rest": {"inside_percent": 0.125}})
+    checks = [{"check": "units", "outcome": "repaired"}, {"check": "winding", "outcome": "ok"}]
+
+    (job.folder / "figures.json").write_text(
+        json.dumps({"seconds": 90, "checks": checks, "figures": figures, "advice": "train <longer>"})
+    )
+    (job.folder / "picture.jpg").write_bytes(b"\xff\xd8\xff")
+    write_page(tmp_path / "page.html", list(jobs.values()))
+    page = (tmp_path / "page.html").read_text()
+    for words in (
+        "usable</span>",
+        "edges 3.2 %",
+        "edges 2.0 %, skinning 12.0 %",
+        "1.5 minutes",
+        "train &lt;longer&gt;",
+        "units",
+        'href="coat.html"',
+    ):
+        assert words in page
+    assert "winding" not in page and "refresh" not in page and page.count("data:image/jpeg;base64,/9j/") == 1
+
+
+def test_status_of_another_state_is_kept_whole(shop):
+    """A reader never finds half a file."""
+    job = jobs_of(shop)["coat"]
+    note(job, "training")
+    write_status(job, replace(read_status(job), state="failed", reason="x"))
+    assert [path.name for path in job.folder.iterdir()] == ["status.json"]

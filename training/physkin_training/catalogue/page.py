@@ -1,0 +1,137 @@
+"""The page of a catalogue: a picture, figures and a verdict for each garment, in one HTML file."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from tabulate import tabulate
+
+from physkin_training.catalogue.garment_run import LOG, PICTURE
+from physkin_training.catalogue.plan import Job, Status, read_status, steps_taken
+from physkin_training.fit_garment.fit_garment import FIGURES
+from physkin_training.fit_garment.report import badge, html_page
+
+__all__ = ["write_page"]
+
+COLUMNS = (
+    "",
+    "garment",
+    "it sits",
+    "on the avatar, everyday poses",
+    "held-out bodies, all poses",
+    "training",
+    "the mesh",
+)
+COLOURS = {
+    "waiting": "unsure",
+    "stopped": "unsure",
+    "training": "repaired",
+    "failed": "refused",
+    "good": "ok",
+    "usable": "warning",
+    "bad": "refused",
+}
+"""State or verdict -> outcome of a check that has its colour."""
+PICTURES = {PICTURE: "jpeg", "placement.png": "png"}
+"""In a garment's folder, the best first, and its format."""
+WIDTH = 300
+SHOWN_OUTCOMES = ("repaired", "warning", "unsure", "refused")
+
+
+def write_page(path: Path, jobs: Sequence[Job], *, refresh: int = 0) -> None:
+    """Write the page from what lies on disk. refresh: seconds after which a browser reads it again; 0 for never."""
+    statuses = {job: read_status(job) for job in jobs}
+    counts = Counter(status.state if status else "waiting" for status in statuses.values())
+    said = ", ".join(f"{count} {state}" for state, count in counts.items())
+    rows = [_row(job, status) for job, status in statuses.items()]
+    parts = [
+        f"<h1>{len(jobs)} garments</h1><p>{said}.</p>",
+        tabulate(rows, COLUMNS, tablefmt="unsafehtml", disable_numparse=True),
+    ]
+    head = f'<meta http-equiv="refresh" content="{refresh}">' if refresh else ""
+    partial = path.with_suffix(".partial")
+    partial.write_text(html_page(f"{len(jobs)} garments", parts, head=head), encoding="utf-8")
+    partial.replace(path)
+
+
+def _row(job: Job, status: Status | None) -> list[str]:
+    state = status.state if status else "waiting"
+    name = html.escape(job.name)
+    if state == "finished":
+        name = f'<a href="{job.output.with_suffix(".html").name}">{name}</a>'
+    verdict = status.check["verdict"] if status and status.check else state
+    found = _read(job.folder / FIGURES) if state == "finished" else {}
+    cells = [
+        _picture(job) if status else "",
+        name,
+        badge(verdict, COLOURS[verdict]),
+        _on_avatar(status.check) if status and status.check else "",
+        _held_out(found["figures"]) if found else "",
+        _training(job, status, found) if status else "",
+        _mesh(found["checks"]) if found else "",
+    ]
+    if state == "failed":
+        log = f'<a href="{job.folder.name}/{LOG}">log</a>'
+        cells[3] = f"{html.escape(status.reason)} ({log})"
+    return cells
+
+
+def _read(path: Path) -> dict:
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+def _picture(job: Job) -> str:
+    for name, kind in PICTURES.items():
+        if (job.folder / name).exists():
+            data = base64.b64encode((job.folder / name).read_bytes()).decode()
+            style = f'style="width: {WIDTH}px; max-width: none"'
+            return f'<img {style} src="data:image/{kind};base64,{data}" alt="{html.escape(job.name)}">'
+    return ""
+
+
+def _on_avatar(check: dict) -> str:
+    everyday, rest = check["everyday"], check["rest"]
+    return _lines(
+        [
+            f"edges {everyday['edge_strain_percent']:.1f} %",
+            f"inside {everyday['inside_percent']:.2f} %, {everyday['deepest_mm']:.0f} mm deep",
+            f"inside at rest {rest['inside_percent']:.2f} %",
+        ]
+    )
+
+
+def _held_out(figures: dict) -> str:
+    """Strains of the model and of plain skinning."""
+    words = (("edges", "edge_strain_percent"), ("areas", "area_strain_percent"), ("inside", "inside_percent"))
+    return _lines(
+        [f"{word} {figures['model'][key]:.1f} %, skinning {figures['skinning'][key]:.1f} %" for word, key in words]
+    )
+
+
+def _training(job: Job, status: Status, found: dict) -> str:
+    lines = []
+    if taken := steps_taken(job):
+        lines.append("{:,} of {:,} steps".format(*taken))
+    if found:
+        lines += [f"{found['seconds'] / 60:.1f} minutes", html.escape(found["advice"])]
+    if status.starts > 1:
+        lines.append(f"begun {status.starts} times")
+    lines += [f"gone on at step {step:,}" for step in status.resumed_at]
+    return f'<div style="min-width: 14em">{"<br>".join(lines)}</div>'
+
+
+def _mesh(checks: Sequence[dict]) -> str:
+    """What was not simply right."""
+    shown = [check for check in checks if check["outcome"] in SHOWN_OUTCOMES]
+    lines = [f"{badge(check['outcome'], check['outcome'])} {html.escape(check['check'])}" for check in shown]
+    return _lines(lines or ["all is well"])
+
+
+def _lines(lines: Sequence[str]) -> str:
+    """Short lines below each other, HTML."""
+    return "".join(f'<div style="white-space: nowrap">{line}</div>' for line in lines)
