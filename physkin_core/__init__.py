@@ -17,6 +17,8 @@ from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.rig.rig import DegreeOfFreedom, Rig, RigError
 from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
 from physkin_core.separation.limb_separator import LimbSeparator
+from physkin_core.sway.pendulum import PendulumSettings
+from physkin_core.sway.sway import Sway
 
 __all__ = [
     "BACKENDS",
@@ -41,10 +43,12 @@ __all__ = [
     "MotionError",
     "Outfit",
     "OutfitGarment",
+    "PendulumSettings",
     "Rig",
     "RigError",
     "SplatDraper",
     "Splats",
+    "Sway",
     "avatar_from_body",
     "bundled_motions",
     "load_avatar",

@@ -8,6 +8,7 @@
 #include "outfit_binding.hpp"
 #include "python_arrays.hpp"
 #include "separation_binding.hpp"
+#include "sway_binding.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -262,6 +263,7 @@ NB_MODULE(_native, module) {
   physkin::bind_motion(module);
   physkin::bind_outfit(module);
   physkin::bind_separation(module);
+  physkin::bind_sway(module);
   nb::class_<MachineProbe>(module, "MachineProbe")
       .def("__init__",
            [](MachineProbe* self, std::int64_t bytes, const Text& instruction_set) {

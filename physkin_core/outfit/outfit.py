@@ -29,6 +29,7 @@ from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
 from physkin_core.separation.limb_separator import LimbSeparator
+from physkin_core.sway.sway import Sway
 
 __all__ = ["Outfit"]
 
@@ -104,6 +105,7 @@ class Outfit:
         """Make what a frame writes to."""
         rig = self.models[0].rig
         self._evaluator = self._new_evaluator()
+        self._sway = Sway(backend=self.backend)
         self._separated = rig.rest.astype(np.float32)
         self._limb_separator = LimbSeparator(rig, self.avatar, backend=self.backend) if self._separates else None
 
@@ -167,15 +169,21 @@ class Outfit:
         gravity: np.ndarray = UPRIGHT_GRAVITY,
         *,
         effective_gravity: np.ndarray | None = None,
+        time: float | None = None,
+        root: np.ndarray | None = None,
         outs: Sequence[np.ndarray] | None = None,
     ) -> list[np.ndarray]:
         """Deform all garments for one pose.
 
-        joint_positions, gravity, effective_gravity: as of `Draper.drape`. outs: writable float32 views, one a garment,
+        joint_positions, gravity, effective_gravity, time, root: as of `Draper.drape`; where one garment's model knows
+        no accelerated roots, all of them follow the direction alone. outs: writable float32 views, one a garment,
         all (v, 6) or all (v, 3), any row stride; default new (v, 6). Returns `outs`: x, y, z [m], then unit normals;
         row k of a garment is its vertex `visible[garment][k]`.
         Raises ValueError as `Draper.drape` does. Order is kept from one frame to the next: give frames in their order.
         """
+        if time is not None or root is not None:
+            known = all(model.accelerated for model in self.models)
+            gravity, effective_gravity = self._sway.gravity(time, root, effective_gravity, accelerated=known)
         for draper in self._drapers:
             positions, down = draper.checked_pose(joint_positions, gravity, effective_gravity)
         if self._limb_separator is not None:
@@ -184,6 +192,19 @@ class Outfit:
             outs = [np.empty((count, 6), dtype=np.float32) for count in self.vertex_counts]
         self._evaluator.evaluate(positions, down, outs)
         return list(outs)
+
+    @property
+    def sway(self) -> float:
+        """How much the garments swing where `drape` is told time and root, 0 to 1, as of `Draper`."""
+        return self._sway.amount
+
+    @sway.setter
+    def sway(self, amount: float) -> None:
+        self._sway.amount = amount
+
+    def reset(self) -> None:
+        """Let the cloth hang still, as if the next frame were the first; see `Sway.reset`."""
+        self._sway.reset()
 
     def bind_step(
         self, joint_positions: np.ndarray, gravity: np.ndarray, outs: Sequence[np.ndarray]

@@ -24,6 +24,7 @@ from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import make_evaluator
 from physkin_core.runtime.rest_look import RestLook, look_at_rest
 from physkin_core.separation.limb_separator import LimbSeparator
+from physkin_core.sway.sway import Sway
 
 __all__ = ["BACKENDS", "STANDARD_GRAVITY", "UPRIGHT_GRAVITY", "Draper", "in_units_of_gravity"]
 
@@ -93,6 +94,7 @@ class Draper:
         self.avatar = avatar
         self.backend = backend
         self.bound: BoundGarment = bound
+        self._sway = Sway(backend=backend)
         self._degrees_told = False
         self._bone_rotations: dict[str, BoneRotations] = {}
         self._evaluator = make_evaluator(backend, bound, precision=precision, normals=normals)
@@ -151,6 +153,8 @@ class Draper:
         gravity: np.ndarray = UPRIGHT_GRAVITY,
         *,
         effective_gravity: np.ndarray | None = None,
+        time: float | None = None,
+        root: np.ndarray | None = None,
         out: np.ndarray | None = None,
     ) -> np.ndarray:
         """Deform the garment for one pose.
@@ -159,15 +163,34 @@ class Draper:
         gravity: (3,) direction in the root frame, any length but zero, of a root that is not accelerated.
         effective_gravity: (3,) [m/s2] in the root frame, of one that is: gravity less the root's acceleration, zero in
         free fall, at most three times gravity; takes the place of `gravity`, for models that have learnt it
-        (`GarmentModel.accelerated`). out: (n, 6) or (n, 3) writable float32 view, any row stride; default a new (n, 6).
+        (`GarmentModel.accelerated`). time [s] and root (7,): when this is, and where the root is in the world, as of
+        `Sway.felt`, which then tells gravity: cloth lags, swings and settles as much as `sway` says. Of a model that
+        knows no accelerated roots only gravity's direction changes. Frames are then to be given in their order.
+        out: (n, 6) or (n, 3) writable float32 view, any row stride; default a new (n, 6).
         Returns `out`: x, y, z [m], then the unit normal.
         Raises ValueError on wrong lengths, unknown joints or values that are not finite, naming the joint.
         """
+        if time is not None or root is not None:
+            known = self.model.accelerated
+            gravity, effective_gravity = self._sway.gravity(time, root, effective_gravity, accelerated=known)
         positions, down = self.checked_pose(joint_positions, gravity, effective_gravity)
         if out is None:
             out = np.empty((self.vertex_count, 6), dtype=np.float32)
         self._evaluator.evaluate(positions, down, out)
         return out
+
+    @property
+    def sway(self) -> float:
+        """How much the cloth swings where `drape` is told time and root: 0 not at all, 1 (the default) all of it."""
+        return self._sway.amount
+
+    @sway.setter
+    def sway(self, amount: float) -> None:
+        self._sway.amount = amount
+
+    def reset(self) -> None:
+        """Let the cloth hang still, as if the next frame were the first; see `Sway.reset`."""
+        self._sway.reset()
 
     def checked_pose(
         self,

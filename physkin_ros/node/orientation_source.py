@@ -9,6 +9,7 @@ from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Imu
 
+from physkin_core import Sway
 from physkin_core.runtime.draper import in_units_of_gravity
 from physkin_ros.messages.conversions import gravity_direction
 from physkin_ros.node.garment_stream import stream_quality
@@ -26,7 +27,8 @@ Taker = Callable[[np.ndarray, int], None]
 class OrientationSource:
     """Calls back with what messages say, and their stamps, or with why one says nothing.
 
-    on_gravity: takes gravity's unit direction. on_felt: takes effective gravity in units of gravity. tree: the TF tree
+    on_gravity: takes gravity's unit direction. on_felt: takes effective gravity in units of gravity, from its topic, or
+    as poses of the root sway cloth, until the topic has told one. tree: the TF tree
     of orientation tf, to be asked for every joint state; else None.
     Raises SettingsError for orientation tf without tf2_msgs.
     """
@@ -39,10 +41,13 @@ class OrientationSource:
         self._subscriptions = []
         below = f"~/{avatar.id}" if avatar.id else "~"
         topic = avatar.effective_gravity_topic or f"{below}/effective_gravity"
-        self._listen(Vector3Stamped, topic, lambda message: _felt(message.vector), on_felt, sensor=True)
+        swings = avatar.orientation == "pose" and avatar.sway > 0
+        self._sway = Sway(amount=avatar.sway) if swings else None
+        self._on_felt = on_felt
+        self._listen(Vector3Stamped, topic, self._told, on_felt, sensor=True)
         kinds = {
             "gravity": (Vector3Stamped, lambda message: _from_vector(message.vector)),
-            "pose": (PoseStamped, lambda message: _from_pose(message.pose.orientation)),
+            "pose": (PoseStamped, self._from_pose),
             "imu": (Imu, gravity_from_imu),
         }
         if avatar.orientation in kinds:
@@ -69,6 +74,20 @@ class OrientationSource:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
+    def _told(self, message: Vector3Stamped) -> np.ndarray:
+        felt = in_units_of_gravity([message.vector.x, message.vector.y, message.vector.z])
+        self._sway = None  # who tells it knows better
+        return felt
+
+    def _from_pose(self, message: PoseStamped) -> np.ndarray:
+        place, turn, stamp = message.pose.position, message.pose.orientation, message.header.stamp
+        down = gravity_from_quaternion((turn.x, turn.y, turn.z, turn.w))
+        if self._sway is not None:
+            root = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
+            felt = in_units_of_gravity(self._sway.felt(stamp.sec + 1e-9 * stamp.nanosec, root))
+            self._on_felt(felt.astype(np.float32), stamp.sec * 1_000_000_000 + stamp.nanosec)
+        return down
+
     def _listen(self, kind: type, topic: str, read: Callable, take: Taker, *, sensor: bool) -> None:
         """sensor: the topic's publishers may be best effort, as sensor drivers are."""
 
@@ -88,11 +107,3 @@ class OrientationSource:
 def _from_vector(vector) -> np.ndarray:
     down = gravity_direction([vector.x, vector.y, vector.z])
     return down / np.linalg.norm(down)
-
-
-def _felt(vector) -> np.ndarray:
-    return in_units_of_gravity([vector.x, vector.y, vector.z])
-
-
-def _from_pose(turn) -> np.ndarray:
-    return gravity_from_quaternion((turn.x, turn.y, turn.z, turn.w))

@@ -160,6 +160,12 @@ class AvatarSettings:
         "topic of what an accelerated root feels: gravity less the root's acceleration, root frame [m/s2]. While it "
         "comes it takes the place of the direction; default ~/effective_gravity, with avatars ~/ID/effective_gravity",
     )
+    sway: float = _key(
+        1.0,
+        "how much cloth lags, swings and settles as the poses of orientation pose move the root: 0 not at all, 1 all",
+        low=0,
+        high=1,
+    )
     world_frame: str = _key("world", "upright TF frame, for orientation tf", may_be_empty=False)
     cloud_rate: float = _key(
         0.0,

@@ -19,6 +19,7 @@ from physkin_ros.node.orientation import (
     gravity_from_quaternion,
     gravity_from_tilt,
 )
+from physkin_ros.node.orientation_source import OrientationSource
 
 DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -130,3 +131,48 @@ def test_effective_gravity_counts_while_it_is_fresh():
         assert felt.at(round(stamp * SECOND), 1001 + FRESH) is None
     felt.add(np.float32([3, 0, 0]), 12 * SECOND, 2000 + FRESH)
     assert felt.at(round(11.5 * SECOND), 2000 + FRESH)[0] == 3
+
+
+class Wired:
+    """An orientation source without a node: what it is sent, and what it then says."""
+
+    def __init__(self, **settings):
+        self.callbacks, self.gravity, self.felt, self.bad = {}, [], [], []
+        avatar = Message(
+            id="", prefix="", orientation="pose", orientation_topic="", effective_gravity_topic="", **settings
+        )
+        node = Message(create_subscription=lambda kind, topic, take, **_: self.callbacks.setdefault(topic, take))
+        takers = (lambda down, stamp: self.gravity.append(down), lambda felt, stamp: self.felt.append(felt))
+        self.source = OrientationSource(node, avatar, *takers, self.bad.append)
+
+    def pose(self, seconds, position):
+        whole = int(seconds)
+        stamp = Message(sec=whole, nanosec=round(1e9 * (seconds - whole)))
+        pose = Message(position=vector(position), orientation=turned((0.0, 0.0, 0.0, 1.0)))
+        self.callbacks["pose"](Message(header=Message(stamp=stamp), pose=pose))
+
+
+def test_a_root_that_sets_off_lets_cloth_trail():
+    wired, still = Wired(sway=1.0), Wired(sway=0.0)
+    for k in range(60):
+        for source in (wired, still):
+            source.pose(1000 + k / 60, (1.5 * (k / 60) ** 2, 0, 0))
+    assert wired.felt[0] == pytest.approx(DOWN) and wired.felt[-1][0] < -0.3
+    assert len(wired.gravity) == 60 and wired.gravity[-1] == pytest.approx(DOWN)
+    assert still.felt == [] and len(still.gravity) == 60
+
+
+def test_effective_gravity_that_is_told_takes_the_place_of_sway():
+    wired = Wired(sway=1.0)
+    wired.pose(1.0, (0, 0, 0))
+    header = Message(stamp=Message(sec=1, nanosec=0))
+    wired.callbacks["~/effective_gravity"](Message(header=header, vector=vector((0, 0, -4.905))))
+    wired.pose(1.1, (9, 0, 0))
+    assert [felt.tolist() for felt in wired.felt] == [[0, 0, -1], [0, 0, -0.5]]
+    assert wired.bad == []
+
+
+def test_poses_nowhere_are_told():
+    wired = Wired(sway=1.0)
+    wired.pose(1.0, (np.nan, 0, 0))
+    assert len(wired.bad) == 1 and "finite" in wired.bad[0]

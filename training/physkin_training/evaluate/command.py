@@ -15,7 +15,7 @@ from physkin_core.motion.reading_progress import reading_progress
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.evaluate.evaluate import evaluate_model
 from physkin_training.evaluate.outfit_evaluation import evaluate_outfits, parse_outfit
-from physkin_training.evaluate.score_table import outfit_table, table
+from physkin_training.evaluate.score_table import dynamics_table, outfit_table, table
 
 __all__ = ["command_parser", "main"]
 
@@ -27,6 +27,8 @@ OF_OUTFITS = {"bodies": 3, "stride": 60}
 def main(argv: list[str] | None = None) -> int:
     """Command line entry: `physkin evaluate MODEL`, `physkin evaluate --outfit GARMENT,GARMENT`."""
     arguments = command_parser().parse_args(argv)
+    if arguments.dynamic:
+        return _score_dynamics(arguments)
     try:
         options = _options(arguments)
         if arguments.json and not arguments.json.resolve().parent.is_dir():
@@ -71,6 +73,8 @@ def command_parser() -> argparse.ArgumentParser:
         "--minimum", type=int, metavar="PAIRS", help="also minimise that many uniform pairs, and of motion"
     )
     parser.add_argument("--minimum-steps", type=int)
+    parser.add_argument("--dynamic", action="store_true", help="instead: cloth in motion, against simulated references")
+    parser.add_argument("--references", type=Path, metavar="FOLDER", help="of those (default: the source's own)")
     parser.add_argument("--device", default=DEFAULT_DEVICE)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
     parser.add_argument("--store", type=Path, metavar="FILE", help="write the model with its scores there")
@@ -88,6 +92,26 @@ def _options(arguments: argparse.Namespace) -> dict:
             raise ValueError(f"--{name.replace('_', '-')} is an option of {of}, not of {instead}")
     given = {name: getattr(arguments, name) for name in known}
     return {name: known[name] if value is None else value for name, value in given.items()}
+
+
+def _score_dynamics(arguments: argparse.Namespace) -> int:
+    from physkin_training.evaluate.dynamic_evaluation import REFERENCES, evaluate_dynamics, references_of
+
+    try:
+        if not arguments.model or arguments.outfit:
+            raise ValueError("cloth in motion is measured of one garment: physkin evaluate GARMENT --dynamic")
+        if arguments.json and not arguments.json.resolve().parent.is_dir():
+            raise ValueError(f"cannot write {arguments.json}: no such directory")
+        model = load_garment_model(arguments.model)
+        references = references_of(model.name, arguments.references or REFERENCES)
+        scores = evaluate_dynamics(model, references, resolve_device(arguments.device))
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(dynamics_table(scores))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(scores, indent=1))
+    return 0
 
 
 def _score_model(arguments: argparse.Namespace, options: dict, motions: list[Motion]) -> dict:

@@ -26,8 +26,8 @@ from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet
 from physkin_core.quality import edge_strain
 from physkin_core.rig.rig import Rig
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
-from physkin_training.evaluate.chosen_bodies import bodies_by_girth
 from physkin_training.evaluate.evaluate import Evaluation
+from physkin_training.sampling.chosen_bodies import bodies_by_girth
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 
 __all__ = ["Drapes", "chosen_bodies", "chosen_poses", "command_parser", "drape_all", "draw"]

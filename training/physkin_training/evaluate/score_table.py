@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from tabulate import tabulate
 
-__all__ = ["outfit_table", "table"]
+__all__ = ["dynamics_table", "outfit_table", "table"]
 
 LARGEST_LIFT = 0.2
 """Mean rise [m] of the garment above plain skinning from which on it is taken to have left the body."""
@@ -93,6 +93,34 @@ def outfit_table(scores: Mapping) -> str:
         cells += [[name, *(row.get(column) for column in OUTFIT_COLUMNS)] for name, row in rows.items()]
     of = "{bodies} bodies, {frames} runs of {run} frames from {clips} clips".format(**scores["counts"])
     return tabulate(cells, ["", *OUTFIT_COLUMNS.values()], tablefmt="pipe", floatfmt=".3f") + f"\n\n{of}"
+
+
+def dynamics_table(scores: Mapping) -> str:
+    """Rows of `evaluate_dynamics` as Markdown: each scene without and with sway; the other figures below."""
+    total, kinds = scores["dynamic"], ("simulated", "quasi_static", "swaying")
+    columns = ("rmse_mm", "moving_rmse_mm", "velocity_rmse_ms", "potential_ratio")
+    cells = []
+    for name, row in {"all": total, **scores["scenes"]}.items():
+        pairs = [value for column in columns for value in (row["quasi_static"][column], row[column])]
+        cells.append([name, row["at_rest_mm"], *pairs])
+    headers = ["scene", "at rest mm", *(f"{column}{of}" for column in columns for of in (", still", ", sway"))]
+    lines = [tabulate(cells, headers, tablefmt="pipe", floatfmt=".2f"), ""]
+    for what, by_kind in (
+        {f"swing at {k} Hz": v for k, v in total["swings"].items()}
+        | {name: total[name] for name in ("stop", "turn") if name in total}
+    ).items():
+        said = (", ".join(f"{k} {v:.2f}" for k, v in by_kind[kind].items()) for kind in kinds)
+        lines.append(f"{what}: " + "; ".join(f"{kind} {text}" for kind, text in zip(kinds, said)))
+    others = (
+        "rate_divergence_mm",
+        "drop_divergence_mm",
+        "still_mm",
+        "strain_percent",
+        "added_strain_points",
+        "added_us",
+    )
+    lines += ["", ", ".join(f"{name} {total[name]:.3f}" for name in others)]
+    return "\n".join(lines)
 
 
 def _motion_rows(motion: Mapping | None) -> dict[str, dict]:

@@ -159,6 +159,11 @@ class DrapeSimulation:
 
 def main(argv: list[str] | None = None) -> int:
     """Command line entry: `physkin simulate GARMENT`. Returns 0, 1 when a drape did not converge, 2 after an error."""
+    arguments = sys.argv[1:] if argv is None else argv
+    if "--dynamic" in arguments:
+        from physkin_training.dynamics.command import main as simulate_dynamically
+
+        return simulate_dynamically(arguments)
     options = command_parser().parse_args(argv)
     try:
         return _simulate(options)
@@ -179,6 +184,7 @@ def command_parser() -> argparse.ArgumentParser:
     )
     pose.add_argument("--motion", help="bundled motion or a motion file (default: the canonical pose)")
     parser.add_argument("--frame", type=int, nargs="+", default=[0], metavar="K", help="frames of the motion")
+    parser.add_argument("--dynamic", action="store_true", help="with inertia: other options, see --dynamic --help")
     parser.add_argument("--start-from", metavar="MODEL", help="trained garment to start from (default: plain skinning)")
     parser.add_argument("--stages", type=int, help="steps from the canonical pose (default: 8; 0 with --start-from)")
     for entry in fields(Material):

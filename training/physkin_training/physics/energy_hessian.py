@@ -376,6 +376,11 @@ class EnergyHessian:
         """Inverse of the diagonal blocks times x (B, n, 3)."""
         return (self._inverse * x[:, :, None, :]).sum(dim=-1)
 
+    @property
+    def diagonal_blocks(self) -> torch.Tensor:
+        """(B, n, 3, 3), of the shape that `add_to_diagonal` takes: the inverses it made last."""
+        return self._inverse
+
     def _matrices(self, tensor: torch.Tensor) -> wp.array:
         return wp.from_torch(tensor, dtype=wp.mat33)
 

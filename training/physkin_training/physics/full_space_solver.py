@@ -104,7 +104,8 @@ class FullSpaceSolver:
     """Minimises the energy of `losses` over the vertices of their garment.
 
     The force scale is the garment's weight: at a tolerance of 0.01 the residual forces of all vertices together are a
-    hundredth of what the garment weighs. held: (n,) bool, vertices that stay where they are; default none.
+    hundredth of what the garment weighs. held: (n,) bool, vertices that stay where they are; default none. hessian: of
+    losses that have terms of their own.
     """
 
     def __init__(
@@ -115,10 +116,11 @@ class FullSpaceSolver:
         device: torch.device,
         *,
         held: torch.Tensor | None = None,
+        hessian: EnergyHessian | None = None,
     ) -> None:
         self.losses = losses
         self.force_scale = float(garment.vertex_areas.sum()) * losses.material.density * STANDARD_GRAVITY
-        self._hessian = EnergyHessian(garment, losses, samples, device)
+        self._hessian = hessian or EnergyHessian(garment, losses, samples, device)
         free = torch.ones(len(garment.vertices), device=device)
         self._free = (free if held is None else free * ~held.to(device))[:, None]
         self._patience = 1 if device.type == "cpu" else SYNCHRONISE_EVERY

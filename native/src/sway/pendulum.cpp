@@ -1,0 +1,120 @@
+#include "sway/pendulum.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace physkin {
+namespace {
+
+constexpr double kPi = 3.14159265358979323846;
+constexpr double kLargestGap = 0.25;
+constexpr double kLargestChange = 8.0;
+constexpr double kGravity = 9.81;
+constexpr double kLargestDeflection = 2 * kGravity;
+constexpr double kLeastDeflection = 0.25;
+constexpr double kLargestFelt = 2.999 * kGravity;
+constexpr double kFarthest = 1e9;
+
+double squared(const double* v) { return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]; }
+
+}  // namespace
+
+Pendulum::Pendulum(const PendulumSettings& s) : air_drag_(s.air_drag) {
+  const double sideways = 2 * kPi * s.frequency, along = 2 * kPi * s.lift_frequency;
+  for (int k = 0; k < 3; ++k) {
+    frequency_[k] = k < 2 ? sideways : along;
+    damping_[k] = k < 2 ? s.damping : 2 * along;
+    gain_[k] = k < 2 ? s.gain : s.lift_gain;
+  }
+  reset();
+}
+
+void Pendulum::reset() noexcept {
+  std::fill_n(deflection_, 3, 0.0);
+  std::fill_n(rate_, 3, 0.0);
+  std::fill_n(position_, 3, 0.0);
+  std::fill_n(velocity_, 3, 0.0);
+  time_ = 0;
+  has_time_ = has_velocity_ = false;
+}
+
+void Pendulum::move(double time, const double* position) noexcept {
+  if (has_time_ && time == time_) return;
+  const bool had_time = has_time_;
+  const double passed = time - time_;
+  time_ = time;
+  has_time_ = true;
+  double velocity[3], change[3], equilibrium[3] = {0, 0, 0};
+  bool known = had_time && passed > 0 && passed <= kLargestGap;
+  if (known) {
+    for (int k = 0; k < 3; ++k) {
+      velocity[k] = (position[k] - position_[k]) / passed;
+      change[k] = velocity[k] - velocity_[k];
+    }
+    if (has_velocity_ && squared(change) > kLargestChange * kLargestChange) known = false;
+  }
+  std::copy_n(position, 3, position_);
+  if (known) {
+    for (int k = 0; k < 3; ++k) {
+      if (has_velocity_) rate_[k] -= gain_[k] * frequency_[k] * frequency_[k] * change[k];
+      equilibrium[k] = -gain_[k] * air_drag_ * velocity[k];
+      velocity_[k] = velocity[k];
+    }
+  }
+  has_velocity_ = known;
+  if (had_time && passed > 0) swing(passed, equilibrium);
+}
+
+void Pendulum::swing(double passed, const double* equilibrium) noexcept {
+  for (int k = 0; k < 3; ++k) {
+    const double half = damping_[k] / 2, square = frequency_[k] * frequency_[k] - half * half;
+    const double root = std::sqrt(std::abs(square));
+    double cosine, sine;
+    if (square > 0) {
+      const double decay = std::exp(-half * passed);
+      cosine = decay * std::cos(root * passed);
+      sine = decay * std::sin(root * passed) / std::max(root, 1e-9);
+    } else {  // the decay is inside, as cosh alone overflows
+      const double slow = std::exp(-(half - root) * passed), fast = std::exp(-(half + root) * passed);
+      cosine = (slow + fast) / 2;
+      sine = (slow - fast) / (2 * std::max(root, 1e-9));
+    }
+    if (root * passed < 1e-6) sine = std::exp(-half * passed) * passed;
+    const double away = deflection_[k] - equilibrium[k], rate = rate_[k];
+    deflection_[k] = (cosine + half * sine) * away + sine * rate + equilibrium[k];
+    rate_[k] = -frequency_[k] * frequency_[k] * sine * away + (cosine - half * sine) * rate;
+  }
+}
+
+void Pendulum::felt_deflection(double* out) const noexcept {
+  const double square = squared(deflection_);
+  const double share = square / (square + kLeastDeflection * kLeastDeflection);
+  const double scale = share / std::sqrt(1 + square / (kLargestDeflection * kLargestDeflection));
+  for (int k = 0; k < 3; ++k) out[k] = deflection_[k] * scale;
+}
+
+const char* Pendulum::felt(double time, const double* root, double amount, double* out) noexcept {
+  bool finite = std::isfinite(time);
+  for (int k = 0; k < 7; ++k) finite = finite && std::isfinite(root[k]);
+  if (!finite) return "time and root must be finite, root x, y, z and a quaternion x, y, z, w";
+  const double length = std::sqrt(squared(root + 3) + root[6] * root[6]);
+  if (!(std::abs(length - 1) <= 0.01)) return "the quaternion of root must be of length 1";
+  for (int k = 0; k < 3; ++k) {
+    if (std::abs(root[k]) > kFarthest) return "the root must be within 1e+09 m";
+  }
+  move(time, root);
+  double v[3];
+  felt_deflection(v);
+  for (double& value : v) value *= amount;
+  v[2] -= kGravity;
+  const double x = root[3] / length, y = root[4] / length, z = root[5] / length, w = root[6] / length;
+  const double p = y * v[2] - z * v[1], q = z * v[0] - x * v[2], r = x * v[1] - y * v[0];  // axis x v
+  out[0] = v[0] + 2 * (y * r - z * q) - 2 * w * p;
+  out[1] = v[1] + 2 * (z * p - x * r) - 2 * w * q;
+  out[2] = v[2] + 2 * (x * q - y * p) - 2 * w * r;
+  const double shrink = std::min(1.0, kLargestFelt / std::max(std::sqrt(squared(out)), 1e-9));
+  for (int k = 0; k < 3; ++k) out[k] *= shrink;
+  return nullptr;
+}
+
+}  // namespace physkin

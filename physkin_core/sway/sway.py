@@ -1,0 +1,100 @@
+"""Sway: from a root that moves through the world to the effective gravity that its garments feel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import astuple
+from typing import Literal
+
+import numpy as np
+
+from physkin_core.sway.pendulum import PendulumSettings, ReferencePendulum
+
+__all__ = ["Sway"]
+
+LEAST_DIRECTED = 2.0
+"""[m/s2] a model that knows directions alone does not follow an effective gravity below this."""
+
+
+class Sway:
+    """How the cloth of one avatar swings, kept from frame to frame.
+
+    amount: 0, cloth hangs as if nothing had moved, to 1, all of it; may be changed at any time.
+    settings: of the pendulum. backend: "native" or "numpy". Raises ValueError for an amount or backend not allowed.
+    """
+
+    def __init__(
+        self,
+        *,
+        amount: float = 1.0,
+        settings: PendulumSettings | None = None,
+        backend: Literal["native", "numpy"] = "native",
+    ) -> None:
+        self.amount = amount
+        self.settings = settings or PendulumSettings()
+        self._pendulum = _pendulum(backend, self.settings)
+
+    @property
+    def amount(self) -> float:
+        return self._amount
+
+    @amount.setter
+    def amount(self, value: float) -> None:
+        self._amount = _checked_amount(value)
+
+    def reset(self) -> None:
+        """Cloth hangs still, as at the beginning; for another avatar, or after the root was moved by hand."""
+        self._pendulum.reset()
+
+    def felt(self, time: float, root: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Effective gravity (3,) float64 [m/s2] in the root frame, at most three times gravity.
+
+        time: [s], of any clock; frames may come at any rate. root: (7,) where the root is, x, y, z [m], and its unit
+        quaternion x, y, z, w, world <- root; the world has Z up. A doubled message changes nothing. After more than a
+        quarter of a second without one, a jump of the root or a clock that goes back, cloth comes to rest by itself.
+        Raises ValueError for values that are not finite, another number of them, or a quaternion of no length.
+        """
+        felt = np.empty(3)
+        self._pendulum.felt(time, np.ascontiguousarray(root, dtype=np.float64), self._amount, felt)
+        return felt
+
+    def gravity(
+        self, time: float | None, root: np.ndarray | None, given: np.ndarray | None, *, accelerated: bool
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """What garments are draped under at a time and place of the root: gravity's direction (3,), and effective
+        gravity (3,) [m/s2] where their models know `accelerated` roots and sway is above 0, else None.
+
+        given: effective gravity that was given besides, which may not be. Raises ValueError as `felt` does, and where
+        only one of time and root is there.
+        """
+        if time is None or root is None or given is not None:
+            raise ValueError("give time and root together, and no effective gravity: it follows from them")
+        felt, still = self.felt(time, root), _gravity_at(root)
+        if self._amount == 0:
+            return still, None
+        if accelerated:
+            return still, felt
+        return (felt if felt @ felt > LEAST_DIRECTED**2 else still), None
+
+
+def _gravity_at(root: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Unit gravity direction (3,) float32 in the frame of a root (7,), as of `Sway.felt`, that stands still."""
+    x, y, z, w = np.asarray(root, dtype=np.float32)[3:]
+    down = [2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1]
+    return np.array(down, dtype=np.float32)
+
+
+def _checked_amount(value: float) -> float:
+    if not (isinstance(value, (int, float)) and 0 <= value <= 1):
+        raise ValueError(f"sway must be from 0 to 1, got {value!r}")
+    return float(value)
+
+
+def _pendulum(backend: str, settings: PendulumSettings):
+    if backend == "numpy":
+        return ReferencePendulum(settings)
+    if backend != "native":
+        raise ValueError(f"unknown backend {backend!r}; allowed: native, numpy")
+    from physkin_core._native import Pendulum
+
+    return Pendulum(*astuple(settings))

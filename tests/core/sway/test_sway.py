@@ -1,0 +1,172 @@
+"""Cloth that swings: the pendulum against its equation, its twins against each other, and what messages may do."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+import physkin_core as physkin
+from physkin_core.sway.pendulum import LARGEST_GAP, PendulumSettings, ReferencePendulum
+
+STILL = (0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0)
+
+
+def rooted(position, orientation=(0.0, 0.0, 0.0, 1.0)):
+    return np.array([*position, *orientation])
+
+
+def strolling(t):
+    """Position of a root that walks, sways and stops."""
+    ahead = 1.2 * min(t, 2.0)
+    return np.array([ahead, 0.08 * math.sin(2 * math.pi * 1.3 * t), 0.9 + 0.03 * math.cos(2 * math.pi * 2.0 * t)])
+
+
+def seen(deflection):
+    """What is felt of a deflection along one axis."""
+    share = deflection**2 / (deflection**2 + 0.25**2)
+    return share * deflection / math.sqrt(1 + (deflection / 19.62) ** 2)
+
+
+def felt_at_end(times, path=strolling, **options):
+    sway = physkin.Sway(**options)
+    for t in times:
+        felt = sway.felt(t, rooted(path(t)))
+    return felt
+
+
+@pytest.mark.parametrize("settings", [PendulumSettings(), PendulumSettings(damping=60.0), PendulumSettings(damping=0)])
+def test_the_closed_form_is_the_equation(settings):
+    """A root at constant acceleration, against an integrator of small steps."""
+    acceleration, dt, steps = 1.5, 1 / 240, 480
+    pendulum, felt = ReferencePendulum(settings), np.empty(3)
+    for k in range(steps + 1):
+        t = k * dt
+        pendulum.felt(t, rooted((acceleration * t * t / 2, 0.0, 0.0)), 1.0, felt)
+    w = 2 * math.pi * settings.frequency
+
+    def equation(t, state):
+        equilibrium = -settings.gain * (acceleration + settings.air_drag * acceleration * t)
+        return state[1], -(w**2) * (state[0] - equilibrium) - settings.damping * state[1]
+
+    exact = solve_ivp(equation, (0, steps * dt), (0.0, 0.0), rtol=1e-9, atol=1e-9).y[0, -1]
+    assert felt[0] == pytest.approx(seen(exact), abs=0.03 * (1 + abs(exact)))
+    assert felt[1] == 0
+
+
+def test_native_and_reference_agree():
+    generator = np.random.default_rng(3)
+    pair = [physkin.Sway(backend=backend) for backend in ("native", "numpy")]
+    t = 0.0
+    for _ in range(500):
+        t += generator.choice([1 / 120, 1 / 60, 1 / 15, 0.0, -0.1, 0.5])
+        turn = Rotation.random(random_state=generator).as_quat()
+        root = rooted(generator.normal(size=3) * generator.choice([0.01, 0.1, 2.0]), turn)
+        native, reference = (sway.felt(t, root) for sway in pair)
+        assert np.allclose(native, reference, atol=1e-9)
+
+
+def test_at_any_rate_the_same():
+    at = [felt_at_end(np.arange(round(1.8 * rate) + 1) / rate) for rate in (15, 30, 60, 120)]
+    largest = max(np.linalg.norm(a - b) for a in at for b in at)
+    assert largest < 0.1 * np.linalg.norm(at[-1] - [0, 0, -9.81])
+
+
+def test_standing_it_feels_gravity_alone_and_walking_it_trails():
+    assert felt_at_end(np.arange(60) / 60, lambda t: np.zeros(3)) == pytest.approx([0, 0, -9.81], abs=1e-12)
+    steady = felt_at_end(np.arange(600) / 60, lambda t: np.array([t, 0.0, 0.0]))
+    settings = PendulumSettings()
+    trailing = -settings.gain * settings.air_drag
+    assert steady[0] == pytest.approx(seen(trailing), rel=1e-6)
+    assert steady[2] == pytest.approx(-9.81)
+
+
+def test_after_a_stop_it_swings_on_and_comes_to_rest():
+    sway, ahead = physkin.Sway(), []
+    for k in range(480):
+        ahead.append(sway.felt(k / 60, rooted((1.4 * min(k / 60, 2.0), 0, 0)))[0])
+    assert min(ahead[:120]) < -2
+    assert max(ahead[120:]) > 2, "cloth does not swing ahead when its wearer stops"
+    assert max(abs(value) for value in ahead[300:]) < 0.02
+
+
+def test_it_is_felt_in_the_root_frame():
+    down = physkin.Sway().felt(0.0, rooted((1, 2, 3), Rotation.from_euler("xyz", (0.4, -0.9, 2.0)).as_quat()))
+    assert down == pytest.approx(Rotation.from_euler("xyz", (0.4, -0.9, 2.0)).inv().apply([0, 0, -9.81]))
+
+
+def test_amount_is_between_nothing_and_all():
+    times = np.arange(100) / 60
+    whole, half, none = (felt_at_end(times, amount=amount) for amount in (1.0, 0.5, 0.0))
+    assert none == pytest.approx([0, 0, -9.81])
+    assert half == pytest.approx((whole + none) / 2)
+
+
+@pytest.mark.parametrize("disturbance", ["gap", "jump", "back", "twice"])
+def test_disturbed_messages_do_not_pop(disturbance):
+    """From one frame to the next cloth never feels more of a change than in undisturbed motion."""
+    sway, path = physkin.Sway(), []
+    t, shift = 0.0, np.zeros(3)
+    for k in range(240):
+        t += 1 / 60
+        if k == 120:
+            t += {"gap": 2 * LARGEST_GAP, "back": -5.0}.get(disturbance, 0.0)
+            shift += {"jump": [0.0, 5.0, 0.0]}.get(disturbance, [0.0, 0.0, 0.0])
+        root = rooted(strolling(k / 60) + shift)
+        felt = sway.felt(t, root)
+        if disturbance == "twice":
+            assert (sway.felt(t, root) == felt).all()
+        path.append(felt)
+    change = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    longest = 2 * LARGEST_GAP * 60 if disturbance == "gap" else 1  # a gap is that many frames long
+    assert change[119] <= longest * change[:100].max()
+    assert change[120:].max() <= 1.5 * change[:118].max()
+
+
+def test_an_hour_of_anything_stays_finite_and_bounded():
+    generator, sway, t = np.random.default_rng(0), physkin.Sway(), 0.0
+    steps = generator.choice([1e-9, 1 / 120, 1 / 60, 0.2, 3.0, -1.0, 0.0], size=20000)
+    places = generator.normal(size=(20000, 3)) * generator.choice([1e-3, 1.0, 1e6], size=(20000, 1))
+    for step, place in zip(steps, places):
+        t += step
+        felt = sway.felt(t, rooted(place))
+        assert np.isfinite(felt).all() and np.linalg.norm(felt) <= 3 * 9.81 + 1e-9
+
+
+def test_reset_forgets():
+    sway, fresh = physkin.Sway(), physkin.Sway()
+    for k in range(60):
+        sway.felt(k / 60, rooted(strolling(k / 60)))
+    sway.reset()
+    assert (sway.felt(7.0, STILL) == fresh.felt(7.0, STILL)).all()
+
+
+@pytest.mark.parametrize(
+    ("time", "root", "said"),
+    [
+        (math.nan, STILL, "finite"),
+        (0.0, (*STILL[:6], math.inf), "finite"),
+        (0.0, STILL[:6], "quaternion"),
+        (0.0, (1e12, *STILL[1:]), "within"),
+        (0.0, (0, 0, 0, 0, 0, 0, 0), "length 1"),
+    ],
+)
+@pytest.mark.parametrize("backend", ["native", "numpy"])
+def test_bad_roots_are_refused(time, root, said, backend):
+    with pytest.raises(ValueError, match=said):
+        physkin.Sway(backend=backend).felt(time, root)
+
+
+@pytest.mark.parametrize(("name", "value"), [("frequency", 0.0), ("damping", -1.0), ("gain", math.nan)])
+def test_bad_settings_are_refused(name, value):
+    with pytest.raises(ValueError, match=name):
+        PendulumSettings(**{name: value})
+
+
+def test_bad_amounts_and_backends_are_refused():
+    for amount in (-0.1, 1.1, math.nan, "all"):
+        with pytest.raises(ValueError, match="from 0 to 1"):
+            physkin.Sway(amount=amount)
+    with pytest.raises(ValueError, match="allowed: native, numpy"):
+        physkin.Sway(backend="cuda")

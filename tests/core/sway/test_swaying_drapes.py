@@ -1,0 +1,98 @@
+"""Drapes that are told time and root."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import physkin_core as physkin
+
+
+@pytest.fixture(scope="module")
+def skirt():
+    model = physkin.load_garment_model("skirt")
+    return physkin.Draper(model, physkin.load_avatar(physkin.BUNDLED_AVATAR, model.rig))
+
+
+def roots(motion):
+    return np.concatenate([motion.root_position, motion.root_orientation], axis=1)
+
+
+def played(draper, motion, **options):
+    draper.reset()
+    frames = zip(motion.positions_for(draper.model.rig), roots(motion))
+    return np.stack(
+        [draper.drape(q, time=k / motion.rate_hz, root=root, **options) for k, (q, root) in enumerate(frames)]
+    )
+
+
+def test_without_sway_it_is_the_drape_under_gravity_bit_for_bit(skirt):
+    walk = physkin.load_motion("walk")
+    skirt.sway = 0.0
+    try:
+        still = played(skirt, walk)
+    finally:
+        skirt.sway = 1.0
+    plain = [skirt.drape(q, down) for q, down in zip(walk.positions_for(skirt.model.rig), walk.gravity)]
+    assert (still == np.stack(plain)).all()
+
+
+def test_a_skirt_trails_swings_ahead_and_hangs_still(skirt):
+    rest = skirt.model.rig.rest
+    hem = skirt.rest_garment.vertices[:, 2] < -0.25
+    skirt.reset()
+    ahead = []
+    for k in range(330):
+        cloud = skirt.drape(rest, time=k / 60, root=(1.4 * min(k / 60, 2.0), 0, 0.9, 0, 0, 0, 1))
+        ahead.append(cloud[hem, 0].mean())
+    still = skirt.drape(rest)[hem, 0].mean()
+    assert min(ahead[60:120]) < still - 0.01
+    assert max(ahead[120:180]) > still + 0.005
+    assert np.abs(np.diff(ahead[300:])).max() < 5e-5
+    assert abs(ahead[-1] - still) < 5e-4
+
+
+def test_of_a_model_without_accelerated_roots_the_direction_changes(skirt):
+    from dataclasses import replace
+
+    model = replace(skirt.model, training={})
+    assert not model.accelerated
+    draper = physkin.Draper(model, skirt.avatar, binding=skirt.bound)
+    for k in range(30):
+        swung = draper.drape(model.rig.rest, time=k / 60, root=(1.5 * (k / 60) ** 2, 0, 0, 0, 0, 0, 1))
+    assert np.abs(swung[:, :3] - draper.drape(model.rig.rest)[:, :3]).max() > 1e-3
+
+
+def test_the_root_tells_gravity(skirt):
+    skirt.reset()
+    turn = Rotation.from_euler("y", 0.6)
+    leaning = skirt.drape(skirt.model.rig.rest, time=0.0, root=(0, 0, 0, *turn.as_quat()))
+    assert np.allclose(leaning, skirt.drape(skirt.model.rig.rest, turn.inv().apply([0, 0, -1])), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"time": 0.0},
+        {"root": (0, 0, 0, 0, 0, 0, 1)},
+        {"time": 0.0, "root": (0,) * 6 + (1,), "effective_gravity": (0, 0, -9.81)},
+    ],
+)
+def test_time_and_root_come_together_and_alone(skirt, given):
+    with pytest.raises(ValueError, match="time and root together"):
+        skirt.drape(skirt.model.rig.rest, **given)
+
+
+def test_an_outfit_swings_as_its_garments_do(skirt):
+    outfit = physkin.Outfit([skirt.model], skirt.avatar, hide=False)
+    walk = physkin.load_motion("walk")
+    outfit.reset(), skirt.reset()
+    for k, (q, root) in enumerate(zip(walk.positions_for(skirt.model.rig)[:40], roots(walk))):
+        (worn,), alone = outfit.drape(q, time=k / 60, root=root), skirt.drape(q, time=k / 60, root=root)
+    assert np.allclose(worn, alone, atol=1e-6)
+    assert np.abs(worn - skirt.drape(q, walk.gravity[39])).max() > 5e-3
+    twin = outfit.twin()
+    (still,) = twin.drape(q, time=0.0, root=root)
+    assert np.allclose(still, skirt.drape(q, walk.gravity[39]), atol=1e-5), "a twin's cloth has not moved yet"
+    outfit.sway = 0.0
+    (none,) = outfit.drape(q, time=5.0, root=root)
+    assert np.allclose(none, still, atol=1e-5)

@@ -1,0 +1,239 @@
+"""Cloth that moves: one garment on several bodies in several scenes, all at once, by implicit Euler on the full mesh.
+
+The state is kept in the world; each step is solved in the root frame that it ends in, where the bodies are.
+Dimensions: `B` samples, `n` garment vertices, `d` degrees of freedom, `T` frames, `k` steps a frame. Metres, seconds.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from physkin_core.avatar.body_model import BodyModel
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.motion.motion import Motion
+from physkin_training.dynamics.incremental_potential import Dynamics, IncrementalHessian, IncrementalPotential
+from physkin_training.dynamics.step_solver import Step, StepSolver
+from physkin_training.networks.export import drape_from_model, encode_bodies
+from physkin_training.networks.made_to_measure import MadeToMeasure
+from physkin_training.physics.full_space_solver import FullSpaceSolver, Solution
+from physkin_training.physics.rest_data import RestData
+from physkin_training.physics.wearing import Wearing
+from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
+
+__all__ = ["TOLERANCE", "DynamicSimulation", "Frame"]
+
+REACH = 0.1
+"""The body is looked for up to this distance [m]."""
+TOLERANCE = 1e-3
+"""Residual force of a step over the garment's weight."""
+FIRST_TOLERANCE, FIRST_ITERATIONS = 5e-3, 80
+"""Of the drape at rest that a scene begins with."""
+UNSETTLED = 0.02
+"""Residual force of a step over the weight from which on the next one does not begin with the same acceleration."""
+LARGEST_EXTENT = 3.0
+"""[m] a garment with a vertex farther from the root is lost."""
+FASTEST = 20.0
+"""[m/s] no cloth is faster in the world."""
+A_LONG_TIME = 1e3
+"""A step [s] in which inertia is nothing."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Frame `index` of all samples: vertices (B, n, 3) [m] in the root frames; energies (B,) [J] by term, those of
+    motion as if the frame were one step from the two before; gradient norm (B,) [N] and Newton steps (B,) there."""
+
+    index: int
+    vertices: torch.Tensor
+    energies: dict[str, torch.Tensor]
+    gradient_norm: torch.Tensor
+    iterations: torch.Tensor
+
+
+class DynamicSimulation:
+    """A garment on every body in every scene: sample `s` is body `s // scenes` in scene `s % scenes`.
+
+    bodies: (S, c) shape coefficients of `body_model`. scenes: motions of one length and rate. steps: in a frame.
+    held_above: [m] in the canonical pose; vertices above, as those of a bodice, stay as the model drapes them. fit: as
+    in `Draper`. `lost_at` (B,) is the first frame in which a sample was nowhere, `frame_count` for the others.
+    Raises ValueError for scenes of different lengths or rates, and as `GarmentModel.checked_fit`.
+    """
+
+    def __init__(
+        self,
+        model: GarmentModel,
+        body_model: BodyModel,
+        bodies: np.ndarray,
+        scenes: Sequence[Motion],
+        device: torch.device,
+        *,
+        steps: int = 4,
+        dynamics: Dynamics | None = None,
+        held_above: float = float("inf"),
+        fit: float | None = None,
+    ) -> None:
+        if len({(scene.frame_count, scene.rate_hz) for scene in scenes}) != 1:
+            raise ValueError("scenes that are simulated together must have the same number of frames and rate")
+        self.fit = fit = model.checked_fit(fit)
+        self.model, self.device, self.steps = model, device, steps
+        self.frame_count, rate = scenes[0].frame_count, scenes[0].rate_hz
+        self.samples = len(bodies) * len(scenes)
+        index = torch.arange(self.samples, device=device)
+        self.body, self.scene = index // len(scenes), index % len(scenes)
+        fine = [scene.resampled(rate * steps) if steps > 1 else scene for scene in scenes]
+        self.step = 1 / (rate * steps)
+
+        def tensor(arrays: Sequence[np.ndarray], dtype=torch.float32) -> torch.Tensor:
+            return torch.as_tensor(np.stack(arrays), dtype=dtype, device=device)
+
+        self._positions = tensor([motion.positions_for(model.rig) for motion in fine])
+        turns = [Rotation.from_quat(motion.root_orientation).as_matrix() for motion in fine]
+        self._turn = tensor(turns, torch.float64)
+        self._place = tensor([motion.root_position for motion in fine], torch.float64)
+
+        self.body_set = BodySet(body_model, bodies, device)
+        wearing = Wearing.of(model.garment, body_model).worn_faces()  # as in training
+        self.posed_bodies = PosedBodies(body_model, self.body_set, self.samples, faces=wearing.faces)
+        self.lost_at = torch.full((self.samples,), self.frame_count, device=device)
+        self._drape = drape_from_model(model).to(device).eval()
+        fits = MadeToMeasure(model.garment, self._drape, self.body_set, body_model, fit=fit)
+        self._worn = fits.worn(self.body, torch.full_like(self.body, fit > 0, dtype=torch.bool))
+        self.rest = RestData(model.garment, model.material, device, shapes=fits.shapes)
+        self._modulation = encode_bodies(self._drape, self.body_set.vertices.cpu().numpy(), body_model.faces, fit=fit)
+
+        def potential(step: float) -> IncrementalPotential:
+            return IncrementalPotential(
+                *(model.garment, model.material, self.samples, device),
+                step=step,
+                dynamics=dynamics or Dynamics(),
+                wearing=wearing,
+                reach=REACH,
+                rest=self.rest,
+                rest_row=self._worn.rows,
+            )
+
+        self.potential, self.frame_potential = potential(self.step), potential(1 / rate)
+        hessian = IncrementalHessian(model.garment, self.potential, self.samples, device)
+        self._held = torch.as_tensor(model.garment.vertices[:, 2] > held_above, device=device)
+        self._holds = bool(self._held.any())
+        self._solver = FullSpaceSolver(
+            model.garment, self.potential, self.samples, device, held=self._held, hessian=hessian
+        )
+        self.force_scale = self._solver.force_scale
+        self._step_solver = StepSolver(self.potential, hessian, ~self._held)
+
+    def run(
+        self,
+        watch: Callable[[Frame], None],
+        *,
+        tolerance: float = TOLERANCE,
+        iterations: int = 3,
+        products: int = 48,
+        seconds: float = float("inf"),
+    ) -> int:
+        """Simulate, telling `watch` every frame, and return how many there were.
+
+        tolerance: of a step's residual force over the weight. iterations: Newton steps in a step of time, at most.
+        products: of the second derivative in one Newton step, at most. seconds: after which no further frame is begun.
+        A sample that is `lost` goes on from the model's drape.
+        """
+        until = time.monotonic() + seconds
+        with torch.no_grad():
+            solution = self.at_rest()
+            here = before_last = last_frame = self._to_world(solution.vertices, 0)
+            velocity, acceleration = torch.zeros_like(here), torch.zeros_like(here)
+            watch(self._frame(0, solution, solution.iterations, last_frame, before_last))
+            for frame in range(1, self.frame_count):
+                if time.monotonic() > until:
+                    return frame
+                taken = torch.zeros(self.samples, dtype=torch.int64, device=self.device)
+                for step in range((frame - 1) * self.steps + 1, frame * self.steps + 1):
+                    gravity = self._pose(step)
+                    before = self._to_root(here, step)
+                    forecast = self._to_root(here + self.step * velocity, step)
+                    self.potential.begin(before, forecast)
+                    start = self._to_root(here + self.step * velocity + self.step**2 * acceleration, step)
+                    solution = self._step_solver.minimise(
+                        self._with_held(start, step),
+                        *(gravity, *self.bodies),
+                        tolerance=tolerance * self.force_scale,
+                        iterations=iterations,
+                        products=products,
+                    )
+                    there = self._to_world(solution.vertices, step)
+                    last, velocity, here = velocity, (there - here) / self.step, there
+                    velocity = velocity * (FASTEST / velocity.norm(dim=2, keepdim=True).clamp_min(FASTEST))
+                    settled = solution.gradient_norm < UNSETTLED * self.force_scale
+                    acceleration = settled[:, None, None] * (velocity - last) / self.step
+                    taken += solution.iterations
+                lost = ~(solution.vertices.abs().amax(dim=(1, 2)) < LARGEST_EXTENT)  # or not finite
+                if lost.any():
+                    begun = self._to_world(self._model_drape(step), step)
+                    here = torch.where(lost[:, None, None], begun, here)
+                    velocity, acceleration = (
+                        torch.where(lost[:, None, None], 0.0, field) for field in (velocity, acceleration)
+                    )
+                    self.lost_at = torch.where(lost, self.lost_at.clamp_max(frame), self.lost_at)
+                watch(self._frame(frame, solution, taken, last_frame, before_last))
+                last_frame, before_last = here, last_frame
+        return self.frame_count
+
+    def at_rest(self) -> Solution:
+        """Drapes at rest in the first frame, from the model's. Inertia is off: nothing has moved for a long time."""
+        gravity = self._pose(0)
+        local = self._model_drape(0)
+        step, self.potential.step = self.potential.step, A_LONG_TIME
+        self.potential.begin(local, local)
+        solution = self._solver.minimise(
+            local, gravity, *self.bodies, tolerance=FIRST_TOLERANCE, iterations=FIRST_ITERATIONS
+        )
+        self.potential.step = step
+        return solution
+
+    def _model_drape(self, step: int) -> torch.Tensor:
+        """What the model makes of the bodies posed last, (B, n, 3)."""
+        posed = self._drape.posed_nodes(self._bones, self._worn.node_positions)
+        modulation, positions = self._modulation[self.body], self._positions[self.scene, step]
+        return self._drape(modulation, positions, self.gravity(step), posed, self._worn.rest)
+
+    def _with_held(self, local: torch.Tensor, step: int) -> torch.Tensor:
+        if not self._holds:
+            return local
+        return torch.where(self._held[:, None], self._model_drape(step), local)
+
+    def _frame(
+        self, index: int, solution: Solution | Step, taken: torch.Tensor, last: torch.Tensor, before_last: torch.Tensor
+    ) -> Frame:
+        """last, before_last: (B, n, 3) in the world, the two frames before."""
+        step = index * self.steps
+        self.frame_potential.begin(self._to_root(last, step), self._to_root(2 * last - before_last, step))
+        energies, _ = self.frame_potential.evaluate(solution.vertices, self.gravity(step), *self.bodies)
+        return Frame(index, solution.vertices, energies, solution.gradient_norm, taken)
+
+    @property
+    def bodies(self):
+        """Contact mesh of all bodies, and where each is in it; see `PosedBodies`."""
+        return self.posed_bodies.mesh, self.posed_bodies.offset
+
+    def _pose(self, step: int) -> torch.Tensor:
+        """Pose the bodies, and return gravity (B, 3) in the root frames."""
+        self._bones = self.posed_bodies.pose(self._positions[self.scene, step], self.body)
+        return self.gravity(step)
+
+    def gravity(self, step: int) -> torch.Tensor:
+        """Direction (B, 3) in the root frames."""
+        return -self._turn[self.scene, step, 2].float()
+
+    def _to_root(self, world: torch.Tensor, step: int) -> torch.Tensor:
+        """(B, n, 3) float64 world to float32 root frame."""
+        return ((world - self._place[self.scene, step, None]) @ self._turn[self.scene, step]).float()
+
+    def _to_world(self, local: torch.Tensor, step: int) -> torch.Tensor:
+        turned = local.double() @ self._turn[self.scene, step].transpose(1, 2)
+        return turned + self._place[self.scene, step, None]

@@ -1,0 +1,72 @@
+"""The incremental potential of drapes at chosen frames of a scene, as if each frame were one step from the two before.
+
+Dimensions: `T` frames of the scene, `F` chosen ones, `n` garment vertices. Metres, root frames.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from physkin_core.avatar.body_model import BodyModel
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.motion.motion import Motion
+from physkin_core.runtime.garment_grading import GarmentGrading
+from physkin_training.dynamics.dynamic_simulation import REACH
+from physkin_training.dynamics.incremental_potential import Dynamics, IncrementalPotential
+from physkin_training.physics.rest_data import RestData
+from physkin_training.physics.wearing import Wearing
+from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
+
+__all__ = ["frame_potentials"]
+
+
+def frame_potentials(
+    model: GarmentModel,
+    body_model: BodyModel,
+    coefficients: np.ndarray,
+    motion: Motion,
+    drapes: np.ndarray,
+    frames: np.ndarray,
+    device: torch.device,
+    *,
+    dynamics: Dynamics | None = None,
+) -> dict[str, np.ndarray]:
+    """Energies (F,) [J] by term, those of motion among them, of drapes (T, n, 3) on a body at frames (F,), 2 or later.
+
+    The garment is made to measure for the body where the model has learnt that.
+    """
+    garment, count = model.garment, len(frames)
+    wearing = Wearing.of(garment, body_model).worn_faces()
+    shapes = garment.vertices[None]
+    if model.made_to_measure:
+        shapes = GarmentGrading(garment, body_model).graded(coefficients[None])
+    bodies = PosedBodies(body_model, BodySet(body_model, coefficients[None], device), count, faces=wearing.faces)
+    potential = IncrementalPotential(
+        *(garment, model.material, count, device),
+        step=1 / motion.rate_hz,
+        dynamics=dynamics or Dynamics(),
+        wearing=wearing,
+        reach=REACH,
+        rest=RestData(garment, model.material, device, shapes=shapes),
+    )
+    turn = Rotation.from_quat(motion.root_orientation).as_matrix()
+    place = motion.root_position.astype(np.float64)
+
+    def tensor(array: np.ndarray) -> torch.Tensor:
+        return torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32, device=device)
+
+    def in_world(which: np.ndarray) -> np.ndarray:
+        return drapes[which] @ turn[which].transpose(0, 2, 1) + place[which, None]
+
+    def in_root(world: np.ndarray) -> torch.Tensor:
+        return tensor((world - place[frames, None]) @ turn[frames])
+
+    last, before_last = in_world(frames - 1), in_world(frames - 2)
+    bodies.pose(tensor(motion.positions_for(model.rig)[frames]))
+    potential.begin(in_root(last), in_root(2 * last - before_last))
+    with torch.no_grad():
+        gravity = tensor(-turn[frames, 2])
+        energies, _ = potential.evaluate(tensor(drapes[frames]), gravity, bodies.mesh, bodies.offset)
+    return {name: values.cpu().numpy() for name, values in energies.items()}

@@ -1,0 +1,59 @@
+"""How points of a hem swing: amplitude and phase of a swinging root, overshoot and settling after a stop.
+
+Dimensions: `T` frames, `k` points. Metres, root frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from physkin_core.motion.motion import Motion
+
+__all__ = ["settling", "swing"]
+
+LOWEST = 0.34
+"""Share of the points, the lowest, that are looked at."""
+SETTLED = 0.1
+"""Cloth has settled when it stays within this share of the simulation's largest displacement after the stop."""
+STEADY_FROM = 1.6
+"""[s] from the beginning of a scene until the root's swing is steady."""
+
+
+def swing(points: np.ndarray, motion: Motion, rate_hz: float) -> dict[str, float]:
+    """Amplitude [mm] of the lowest points (of (T, k, 3)) sideways against the root, and phase [degrees] after the
+    root's displacement, at the rate of the root."""
+    sideways = _low(points)[:, :, 1].mean(axis=1)
+    times = np.arange(len(sideways)) / motion.rate_hz
+    steady = times >= STEADY_FROM
+    basis = np.stack([np.sin(2 * np.pi * rate_hz * times), np.cos(2 * np.pi * rate_hz * times), np.ones_like(times)], 1)
+
+    def fitted(signal: np.ndarray) -> complex:
+        sine, cosine, _ = np.linalg.lstsq(basis[steady], signal[steady], rcond=None)[0]
+        return complex(sine, cosine)
+
+    cloth, root = fitted(sideways), fitted(motion.root_position[: len(sideways), 1].astype(np.float64))
+    return {"amplitude_mm": 1000 * abs(cloth), "phase_degrees": float(np.degrees(np.angle(cloth / root)))}
+
+
+def settling(points: np.ndarray, simulated: np.ndarray, motion: Motion) -> dict[str, float]:
+    """After the root's stop: the largest displacement [mm] of the lowest points (of (T, k, 3)) from where they end, and
+    the time [s] from which they stay within a tenth of the simulation's largest."""
+    moves = np.abs(np.diff(motion.root_position[: len(points)], axis=0)).max(axis=1)
+    turns = np.abs(np.diff(motion.root_orientation[: len(points)], axis=0)).max(axis=1)
+    stop = int(np.flatnonzero(np.maximum(moves, turns) > 1e-5).max(initial=0)) + 1
+
+    def displacement(of: np.ndarray) -> np.ndarray:
+        low = _low(of)[stop:].astype(np.float64)
+        return np.sqrt(((low - low[-1]) ** 2).sum(axis=2).mean(axis=1))
+
+    own, limit = displacement(points), SETTLED * displacement(simulated).max()
+    outside = np.flatnonzero(own > limit)
+    return {
+        "overshoot_mm": 1000 * float(own.max()),
+        "settling_s": float((outside.max() + 1) / motion.rate_hz) if len(outside) else 0.0,
+    }
+
+
+def _low(points: np.ndarray) -> np.ndarray:
+    order = np.argsort(points[0, :, 2])
+    return points[:, order[: max(1, round(LOWEST * points.shape[1]))]]
