@@ -13,7 +13,7 @@ from physkin_core.export.usd_motion import write_usd_motion
 from physkin_core.motion.loading import load_motion
 from physkin_core.motion.reading_progress import reading_progress
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.outfit.outfit_options import add_outfit_options, chosen_garments
+from physkin_core.outfit.outfit_options import add_outfit_options, add_sway_option, chosen_garments
 
 __all__ = ["command_parser", "main"]
 
@@ -30,6 +30,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin export", description=__doc__.split("`: ")[1])
     parser.add_argument("motion", metavar="MOTION", help="bundled motion or a motion file")
     add_outfit_options(parser)
+    add_sway_option(parser)
     parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own)")
     parser.add_argument(
         *("-o", "--output"),
@@ -54,6 +55,7 @@ def main(argv: list[str]) -> int:
         motion = motion.resampled(options.rate)
     avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
     outfit = Outfit(garments, avatar, fit=options.fit)
+    outfit.sway = options.sway
     for warning in outfit.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     WRITERS[kind](options.output, outfit, motion)

@@ -36,12 +36,14 @@ def write_gltf_motion(path: Path, outfit: Outfit, motion: Motion) -> None:
     """
     rig, drapers = outfit.models[0].rig, outfit.drapers
     bones, nodes = [], [[] for _ in drapers]
-    for positions, gravity in zip(motion.positions_for(rig), motion.gravity):
+    for draper in drapers:
+        draper.sway = outfit.sway
+    for positions, time, root_now in zip(motion.positions_for(rig), motion.times, motion.root):
         bones.append(outfit.bone_transforms(positions))
         for draper, transforms in zip(drapers, nodes):
-            draper.drape(positions, gravity)
+            draper.drape(positions, time=time, root=root_now)
             transforms.append(draper.node_transforms())
-    scene = _Scene(np.arange(motion.frame_count) / motion.rate_hz)
+    scene = _Scene(motion.times)
     root = scene.add_node("root", translation=motion.root_position[:, None], rotation=motion.root_orientation[:, None])
     scene.roots.append(root)
     scene.add_avatar(outfit.avatar, rig, np.array(bones), outfit.body_mask, root)

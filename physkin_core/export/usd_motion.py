@@ -43,8 +43,8 @@ def write_usd_motion(path: Path, outfit: Outfit, motion: Motion) -> None:
         mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
         meshes.append(mesh)
     rig = outfit.models[0].rig
-    for frame, (positions, gravity) in enumerate(zip(motion.positions_for(rig), motion.gravity)):
-        clouds = outfit.drape(positions, gravity)
+    for frame, (positions, time, root_now) in enumerate(zip(motion.positions_for(rig), motion.times, motion.root)):
+        clouds = outfit.drape(positions, time=time, root=root_now)
         body = outfit.avatar.posed_vertices(outfit.bone_transforms(positions))
         for mesh, points in zip(meshes, [body, *clouds]):
             points = np.ascontiguousarray(points, dtype=np.float32)

@@ -84,6 +84,16 @@ class Motion:
         return np.stack(down, axis=1)
 
     @property
+    def times(self) -> np.ndarray:
+        """(T,) [s] from the first frame on."""
+        return np.arange(self.frame_count) / self.rate_hz
+
+    @property
+    def root(self) -> np.ndarray:
+        """(T, 7) where the root is: x, y, z [m] and its quaternion x, y, z, w, as drapes that sway take it."""
+        return np.concatenate([self.root_position, self.root_orientation], axis=1)
+
+    @property
     def is_cycle(self) -> bool:
         """Whether the last frame is the first again, wherever the body has walked meanwhile."""
         if self.frame_count == 1:

@@ -15,6 +15,7 @@ __all__ = [
     "add_garment_option",
     "add_limbs_option",
     "add_outfit_options",
+    "add_sway_option",
     "add_tucked_option",
     "chosen_garments",
 ]
@@ -62,6 +63,13 @@ def add_limbs_option(parser: argparse.ArgumentParser) -> None:
     """Add `--separate-limbs`."""
     parser.add_argument(
         "--separate-limbs", action="store_true", help="move arms and legs out of this body's trunk and each other"
+    )
+
+
+def add_sway_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--sway`, as `Outfit.sway` takes it."""
+    parser.add_argument(
+        "--sway", type=float, default=1.0, metavar="S", help="how much cloth swings with the root, 0 to 1 (default 1)"
     )
 
 

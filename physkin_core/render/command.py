@@ -11,7 +11,7 @@ from physkin_core.avatar.loading import load_avatar
 from physkin_core.motion.loading import load_motion
 from physkin_core.motion.reading_progress import reading_progress
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.outfit.outfit_options import add_limbs_option, add_outfit_options, chosen_garments
+from physkin_core.outfit.outfit_options import add_limbs_option, add_outfit_options, add_sway_option, chosen_garments
 from physkin_core.progress import progress_line
 from physkin_core.render.film_files import FILM_KINDS, check_film, write_film
 from physkin_core.render.filming import Camera, film
@@ -41,6 +41,7 @@ def main(argv: list[str]) -> int:
     check_film(options.output, size=camera.size, rate_hz=rate)
     avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
     outfit = Outfit(garments, avatar, fit=options.fit, separate_limbs=options.separate_limbs)
+    outfit.sway = options.sway
     for warning in outfit.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     pictures = film(outfit, motion, camera, watch=progress_line(f"drawing {motion.frame_count} frames"))
@@ -57,6 +58,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("motion", metavar="MOTION", help="bundled motion or a motion file")
     add_outfit_options(parser)
     add_limbs_option(parser)
+    add_sway_option(parser)
     usual = Camera()
     parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: 30, or the motion's own)")
     parser.add_argument(

@@ -40,8 +40,9 @@ class Camera:
 def film(outfit: Outfit, motion: Motion, camera: Camera, *, watch: Watch = lambda share: None) -> Iterator[np.ndarray]:
     """Pictures (h, w, 3) uint8 of each frame. watch: told how much is drawn.
 
-    Everything is draped twice, which takes little beside drawing: first to see how much room it needs. The floor is
-    where the lowest vertex of all frames is. Raises PictureError as `picture.render` does.
+    Cloth sways as `Outfit.sway` says. Everything is draped twice, which takes little beside drawing: first to see how
+    much room it needs. The floor is where the lowest vertex of all frames is. Raises PictureError as `picture.render`
+    does.
     """
     places = motion.root_position * [1, 1, 0] if camera.follow else np.zeros((motion.frame_count, 3))
     corners = []
@@ -69,8 +70,9 @@ def _frames(outfit: Outfit, motion: Motion) -> Iterator[list[Mesh]]:
     """Body and garments of each frame, in the world."""
     turns = Rotation.from_quat(motion.root_orientation)
     positions = motion.positions_for(outfit.models[0].rig)
-    for pose, gravity, turn, place in zip(positions, motion.gravity, turns, motion.root_position):
-        cloth = outfit.drape(pose, gravity)
+    outfit.reset()
+    for pose, time, root, turn, place in zip(positions, motion.times, motion.root, turns, motion.root_position):
+        cloth = outfit.drape(pose, time=time, root=root)
         body = outfit.avatar.posed_vertices(outfit.bone_transforms(pose))
         yield dressed_meshes(outfit, *_moved(turn, place, [body, *cloth]))
 

@@ -94,9 +94,13 @@ def test_an_engine_sees_what_is_draped(tmp_path, motion, worn):
     positions = motion.positions_for(worn[0].rig)
     np.testing.assert_allclose(np.diff(reader.times), 1 / RATE, atol=1e-6)
     assert len(reader.times) == motion.frame_count
-    for frame in (0, motion.frame_count // 2):
-        for model, draper, visible in zip(worn, outfit.drapers, outfit.visible):
-            cloud = draper.drape(positions[frame], motion.gravity[frame])[visible, :3]
+    drapers = outfit.drapers
+    for frame in range(motion.frame_count // 2 + 1):
+        draped = [draper.drape(positions[frame], time=frame / RATE, root=motion.root[frame]) for draper in drapers]
+        if frame not in (0, motion.frame_count // 2):
+            continue
+        for model, cloud, visible in zip(worn, draped, outfit.visible):
+            cloud = cloud[visible, :3]
             distance = reader.skinned(model.name, frame) - in_gltf_world(cloud, motion, frame)
             assert np.linalg.norm(distance, axis=1).max() < 2e-4, model.name
         body = avatar.posed_vertices(outfit.bone_transforms(positions[frame]))
@@ -107,17 +111,18 @@ def test_an_engine_sees_what_is_draped(tmp_path, motion, worn):
 
 
 def test_usd_has_every_vertex(tmp_path, motion, worn):
-    """Points of body and garments, layers in order, to a float's rounding; the root moves; metres, Z up."""
+    """Points of body and garments, layers in order and swaying, to a float's rounding; the root moves; metres, Z up."""
     pytest.importorskip("pxr", reason="needs the extra [usd]")
     from pxr import Usd, UsdGeom
 
-    export(tmp_path / "walk.usdc")
+    export(tmp_path / "walk.usdc", "--sway", "0.5")
     stage = Usd.Stage.Open(str(tmp_path / "walk.usdc"))
     assert UsdGeom.GetStageUpAxis(stage) == "Z" and UsdGeom.GetStageMetersPerUnit(stage) == 1
     assert (stage.GetTimeCodesPerSecond(), stage.GetEndTimeCode()) == (RATE, motion.frame_count - 1)
     outfit = Outfit(worn, load_avatar(BUNDLED_AVATAR, worn[0].rig))
-    for frame, (positions, gravity) in enumerate(zip(motion.positions_for(worn[0].rig), motion.gravity)):
-        clouds = outfit.drape(positions, gravity)
+    outfit.sway = 0.5
+    for frame, positions in enumerate(motion.positions_for(worn[0].rig)):
+        clouds = outfit.drape(positions, time=frame / RATE, root=motion.root[frame])
         for name, cloud, faces in zip(("trousers", "tshirt"), clouds, outfit.faces):
             mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/avatar/{name}"))
             np.testing.assert_allclose(np.array(mesh.GetPointsAttr().Get(frame)), cloud[:, :3], atol=1e-7)

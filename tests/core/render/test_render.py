@@ -68,8 +68,8 @@ def outfit():
 @needs_native
 @pytest.mark.parametrize("follow", [True, False])
 def test_camera_takes_everything_from_one_distance(follow, outfit, monkeypatch):
-    """The box filmed has one size, holds each frame's cloth and body as they are in the world, and, following, goes
-    with the root."""
+    """The box filmed has one size, holds each frame's cloth and body as they are in the world, swaying, and, following,
+    goes with the root."""
     motion = load_motion("run").resampled(8.0)
     taken = []
     monkeypatch.setattr(filming, "render", lambda meshes, **options: taken.append((meshes, options)))
@@ -82,11 +82,12 @@ def test_camera_takes_everything_from_one_distance(follow, outfit, monkeypatch):
     np.testing.assert_allclose(boxes[:, 0, :2] - boxes[0, 0, :2], walked + np.zeros((len(boxes), 2)), atol=1e-6)
     lowest = min(mesh.vertices[:, 2].min() for meshes, _ in taken for mesh in meshes)
     positions = motion.positions_for(outfit.models[0].rig)
+    outfit.reset()
     for frame, (meshes, options) in enumerate(taken):
         points = np.concatenate([mesh.vertices for mesh in meshes])
         assert (points >= options["bounds"][0] - 1e-9).all() and (points <= options["bounds"][1] + 1e-9).all()
         assert options["floor"] == pytest.approx(lowest)
-        draped = outfit.drape(positions[frame], motion.gravity[frame])[0][:, :3]
+        draped = outfit.drape(positions[frame], time=motion.times[frame], root=motion.root[frame])[0][:, :3]
         turn = Rotation.from_quat(motion.root_orientation[frame])
         np.testing.assert_allclose(meshes[1].vertices, turn.apply(draped) + motion.root_position[frame], atol=1e-6)
 
