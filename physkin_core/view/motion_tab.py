@@ -1,4 +1,4 @@
-"""Widgets: which motion, play and pause, its time and speed."""
+"""Widgets: which motion, play and pause, its time and speed, and how much cloth sways."""
 
 from __future__ import annotations
 
@@ -38,6 +38,8 @@ class MotionTab:
         self._time.on_update(page.by_hand(self._scrub))
         speed = gui.add_slider("speed", SLOWEST, FASTEST, 0.05, 1.0, marks=((0.1, "0.1"), (1.0, "1"), (2.0, "2")))
         speed.on_update(page.by_hand(lambda: setattr(state, "speed", speed.value)))
+        sway = gui.add_slider("sway", 0.0, 1.0, 0.05, state.sway)
+        sway.on_update(page.by_hand(lambda: setattr(state, "sway", sway.value)))
         hint = "BVH, AMC (send its ASF before it), a bag's .mcap or .db3 file"
         self._upload = gui.add_upload_button("Load a motion", hint=hint, icon="upload")
         self._upload.on_upload(page.guarded(self._load))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock, RLock
@@ -31,6 +31,8 @@ __all__ = ["Frame", "SceneState"]
 
 TIMED_FRAMES = 60
 """Frames whose times the read-out is the median of."""
+SETTLES_WITHIN = 3.0
+"""[s] after a motion has paused, cloth that sways hangs still."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,8 @@ class SceneState:
     garments: names of shipped models or files, from the skin outwards; tucked: those of them whose hem is under the
     next one's waistband. body: an avatar file; rig_file: of one without a skin. motion: as `load_motion` takes it, or
     None. fit, separate_limbs: as of `Outfit`.
-    playing, speed: of the motion; seconds: its time. pose: shown now; posed_by_hand: whether a joint was set last.
-    show_plain: compute plain skinning too.
+    playing, speed: of the motion; seconds: its time. sway: as of `Outfit`. pose: shown now; posed_by_hand: whether a
+    joint was set last. show_plain: compute plain skinning too.
     Raises what loading raises; what is shown is then as it was.
     """
 
@@ -80,6 +82,8 @@ class SceneState:
         self._changed = True
         self._player: MotionPlayer | None = None
         self.playing, self.speed, self.seconds = False, 1.0, 0.0
+        self.sway = 1.0
+        self._clock = self._settling = 0.0
         self.posed_by_hand = False
         self.show_plain = False
         self.body_colour: Colour = BODY_COLOUR
@@ -131,11 +135,8 @@ class SceneState:
             self._begin()
 
     def _begin(self) -> None:
-        """Bind a frame to its arrays."""
-        self._positions = self.pose.positions.copy()
-        self._gravity = self.pose.gravity.copy()
+        """Make what a frame writes to."""
         self._cloth = tuple(np.zeros((count, 6), dtype=np.float32) for count in self.outfit.vertex_counts)
-        self._step: Callable[[], None] = self.outfit.bind_step(self._positions, self._gravity, self._cloth)
         self._times: deque[float] = deque(maxlen=TIMED_FRAMES)
         self._changed = True
 
@@ -233,19 +234,24 @@ class SceneState:
         """What is to be seen after so much more time [s], or None where that is what was given last."""
         with self._lock:
             if self.playing and self._player is not None and self.duration > 0:
-                self.seconds = (self.seconds + self.speed * seconds) % self.duration
+                seconds *= self.speed
+                self.seconds = (self.seconds + seconds) % self.duration
                 self.pose = self._player.pose(self.seconds)
                 self.posed_by_hand, self._changed = False, True
-            if not self._changed:
+                self._settling = SETTLES_WITHIN if self.sway else 0.0
+            self._clock += seconds
+            if not self._changed and self._settling <= 0:
                 return None
+            self._settling -= seconds
             self._changed = False
             return self._frame()
 
     def _frame(self) -> Frame:
         outfit, pose = self.outfit, self.pose
-        self._positions[:], self._gravity[:] = pose.positions, pose.gravity
+        outfit.sway = self.sway
+        root = np.concatenate([pose.root_position, pose.root_orientation])
         began = perf_counter()
-        self._step()
+        outfit.drape(pose.positions, time=self._clock, root=root, outs=self._cloth)
         self._times.append(1e6 * (perf_counter() - began))
         bones = outfit.bone_transforms(pose.positions)
         return Frame(

@@ -38,6 +38,7 @@ def state(shared):
 def test_frame_is_what_the_core_drapes(state):
     """At a frame of the motion: cloth, body, garment nodes and the root's place in the world."""
     motion = load_motion("walk")
+    state.sway = 0.0
     state.scrub(20 / motion.rate_hz)
     frame = state.advance(1.0)
     draper = Draper(load_garment_model("tshirt"), load_avatar(BUNDLED_AVATAR, state.rig))
@@ -77,6 +78,26 @@ def test_motion_plays_at_its_speed_and_begins_anew(state):
     assert state.seconds == pytest.approx(0.2, abs=1e-6)
     state.pause()
     assert state.advance(0.1) is None
+
+
+def test_cloth_sways_and_settles(state):
+    """Playing, as an outfit that is told time and root; paused, it moves on for some seconds, then no more is given."""
+    motion = load_motion("walk")
+    state.scrub(0.0)
+    state.speed, state.sway = 1.0, 1.0
+    state.outfit.reset()
+    state.play()
+    frames = [state.advance(1 / motion.rate_hz).cloth[0].copy() for _ in range(12)]
+    same = Outfit([load_garment_model("tshirt")], load_avatar(BUNDLED_AVATAR, state.rig))
+    scale = state.pose.root_position[2] / motion.root_position[12, 2]
+    for k in range(1, 13):
+        root = [*(scale * motion.root_position[k]), *motion.root_orientation[k]]
+        cloth = same.drape(motion.positions_for(state.rig)[k], time=motion.times[k], root=root)[0]
+    np.testing.assert_allclose(frames[-1], cloth, atol=2e-4)
+    state.pause()
+    moved = [state.advance(0.1) for _ in range(40)]
+    assert moved[5] is not None and moved[-1] is None
+    state.sway = 0.0
 
 
 def test_player_is_smooth_between_frames():
