@@ -19,6 +19,7 @@ import warp as wp
 from physkin_core.model.garment import Garment
 from physkin_core.runtime.draper import STANDARD_GRAVITY
 from physkin_training.physics.energy_hessian import EnergyHessian, corner_gradient
+from physkin_training.physics.energy_kernels import add_membrane_forces, deformation_columns
 from physkin_training.physics.physics_losses import PhysicsLosses
 
 __all__ = ["Dynamics", "IncrementalHessian", "IncrementalPotential"]
@@ -43,14 +44,8 @@ class Dynamics:
 
 
 @wp.func
-def strain(
-    x: wp.array2d(dtype=wp.vec3), s: wp.int32, a: wp.int32, b: wp.int32, c: wp.int32, inverse: wp.mat22
-) -> wp.vec3:
-    """Entries 11, 22, 12 of a face's Green strain."""
-    d1 = x[s, b] - x[s, a]
-    d2 = x[s, c] - x[s, a]
-    f1 = d1 * inverse[0, 0] + d2 * inverse[1, 0]
-    f2 = d1 * inverse[0, 1] + d2 * inverse[1, 1]
+def strain(f1: wp.vec3, f2: wp.vec3) -> wp.vec3:
+    """Entries 11, 22, 12 of the Green strain of a deformation gradient with these columns."""
     return wp.vec3(0.5 * (wp.dot(f1, f1) - 1.0), 0.5 * (wp.dot(f2, f2) - 1.0), 0.5 * wp.dot(f1, f2))
 
 
@@ -72,23 +67,13 @@ def strain_rate_kernel(
     a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
     inverse = rest_inverse[rest_row[s], t]
     area = rest_area[rest_row[s], t]
-    e = strain(x, s, a, b, c, inverse) - strain(before, s, a, b, c, inverse)
+    f1, f2 = deformation_columns(x[s, b] - x[s, a], x[s, c] - x[s, a], inverse)
+    was1, was2 = deformation_columns(before[s, b] - before[s, a], before[s, c] - before[s, a], inverse)
+    e = strain(f1, f2) - strain(was1, was2)
     trace = e[0] + e[1]
     energy[s, t] = area * (mu * (e[0] * e[0] + e[1] * e[1] + 2.0 * e[2] * e[2]) + 0.5 * lam * trace * trace)
-    d1 = x[s, b] - x[s, a]
-    d2 = x[s, c] - x[s, a]
-    f1 = d1 * inverse[0, 0] + d2 * inverse[1, 0]
-    f2 = d1 * inverse[0, 1] + d2 * inverse[1, 1]
-    s11 = 2.0 * mu * e[0] + lam * trace
-    s22 = 2.0 * mu * e[1] + lam * trace
-    s12 = 2.0 * mu * e[2]
-    p1 = (f1 * s11 + f2 * s12) * area
-    p2 = (f1 * s12 + f2 * s22) * area
-    g1 = p1 * inverse[0, 0] + p2 * inverse[0, 1]
-    g2 = p1 * inverse[1, 0] + p2 * inverse[1, 1]
-    wp.atomic_add(gradient, s, b, g1)
-    wp.atomic_add(gradient, s, c, g2)
-    wp.atomic_add(gradient, s, a, -g1 - g2)
+    stress = wp.vec3(2.0 * mu * e[0] + lam * trace, 2.0 * mu * e[1] + lam * trace, 2.0 * mu * e[2])
+    add_membrane_forces(gradient, s, wp.vec3i(a, b, c), f1, f2, stress, inverse, area)
 
 
 @wp.kernel
@@ -109,12 +94,9 @@ def strain_rate_hessian_kernel(
     if not active[s]:
         return
     x0 = x[s, faces[t, 0]]
-    d1 = x[s, faces[t, 1]] - x0
-    d2 = x[s, faces[t, 2]] - x0
     inverse = rest_inverse[rest_row[s], t]
     area = rest_area[rest_row[s], t]
-    f1 = d1 * inverse[0, 0] + d2 * inverse[1, 0]
-    f2 = d1 * inverse[0, 1] + d2 * inverse[1, 1]
+    f1, f2 = deformation_columns(x[s, faces[t, 1]] - x0, x[s, faces[t, 2]] - x0, inverse)
     left = wp.outer(f1, f1) + wp.outer(f2, f2)
     for a in range(3):
         ga = corner_gradient(inverse, a)

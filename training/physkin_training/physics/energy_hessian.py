@@ -14,6 +14,7 @@ import torch
 import warp as wp
 
 from physkin_core.model.garment import Garment
+from physkin_training.physics.energy_kernels import deformation_columns
 from physkin_training.physics.physics_losses import PhysicsLosses
 
 __all__ = ["EnergyHessian"]
@@ -68,8 +69,7 @@ def stretch_hessian_kernel(
     d2 = x[s, faces[t, 2]] - x0
     inverse = rest_inverse[rest_row[s], t]
     area = rest_area[rest_row[s], t]
-    f1 = d1 * inverse[0, 0] + d2 * inverse[1, 0]
-    f2 = d1 * inverse[0, 1] + d2 * inverse[1, 1]
+    f1, f2 = deformation_columns(d1, d2, inverse)
     e11 = 0.5 * (wp.dot(f1, f1) - 1.0)
     e22 = 0.5 * (wp.dot(f2, f2) - 1.0)
     trace = e11 + e22

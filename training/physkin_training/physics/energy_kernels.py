@@ -12,9 +12,11 @@ __all__ = [
     "BAND_STIFFNESS",
     "DEEP",
     "LED_BACK_BEYOND",
+    "add_membrane_forces",
     "band_kernel",
     "bend_kernel",
     "collision_kernel",
+    "deformation_columns",
     "gravity_kernel",
     "stretch_kernel",
 ]
@@ -31,6 +33,33 @@ BAND_STIFFNESS = 1.0e5
 
 BAND_SLACK = 0.015
 """How far [m] a vertex of the band may move from its place on the body before it is held."""
+
+
+@wp.func
+def deformation_columns(d1: wp.vec3, d2: wp.vec3, inverse: wp.mat22) -> tuple[wp.vec3, wp.vec3]:
+    """Columns of a face's deformation gradient F, of its sides d1 = x_b - x_a and d2 = x_c - x_a."""
+    return d1 * inverse[0, 0] + d2 * inverse[1, 0], d1 * inverse[0, 1] + d2 * inverse[1, 1]
+
+
+@wp.func
+def add_membrane_forces(
+    gradient: wp.array2d(dtype=wp.vec3),
+    s: wp.int32,
+    corners: wp.vec3i,
+    f1: wp.vec3,
+    f2: wp.vec3,
+    stress: wp.vec3,
+    inverse: wp.mat22,
+    area: wp.float32,
+):
+    """Add a face's A F S to the gradient at its corners. f1, f2: columns of F. stress: entries 11, 22, 12 of S."""
+    p1 = (f1 * stress[0] + f2 * stress[2]) * area
+    p2 = (f1 * stress[2] + f2 * stress[1]) * area
+    g1 = p1 * inverse[0, 0] + p2 * inverse[0, 1]
+    g2 = p1 * inverse[1, 0] + p2 * inverse[1, 1]
+    wp.atomic_add(gradient, s, corners[1], g1)
+    wp.atomic_add(gradient, s, corners[2], g2)
+    wp.atomic_add(gradient, s, corners[0], -g1 - g2)
 
 
 @wp.kernel
@@ -54,23 +83,14 @@ def stretch_kernel(
     d2 = x[s, c] - x0
     inverse = rest_inverse[rest_row[s], t]
     area = rest_area[rest_row[s], t]
-    f1 = d1 * inverse[0, 0] + d2 * inverse[1, 0]
-    f2 = d1 * inverse[0, 1] + d2 * inverse[1, 1]
+    f1, f2 = deformation_columns(d1, d2, inverse)
     e11 = 0.5 * (wp.dot(f1, f1) - 1.0)
     e22 = 0.5 * (wp.dot(f2, f2) - 1.0)
     e12 = 0.5 * wp.dot(f1, f2)
     trace = e11 + e22
     energy[s, t] = area * (mu * (e11 * e11 + e22 * e22 + 2.0 * e12 * e12) + 0.5 * lam * trace * trace)
-    s11 = 2.0 * mu * e11 + lam * trace
-    s22 = 2.0 * mu * e22 + lam * trace
-    s12 = 2.0 * mu * e12
-    p1 = (f1 * s11 + f2 * s12) * area
-    p2 = (f1 * s12 + f2 * s22) * area
-    g1 = p1 * inverse[0, 0] + p2 * inverse[0, 1]
-    g2 = p1 * inverse[1, 0] + p2 * inverse[1, 1]
-    wp.atomic_add(gradient, s, b, g1)
-    wp.atomic_add(gradient, s, c, g2)
-    wp.atomic_add(gradient, s, a, -g1 - g2)
+    stress = wp.vec3(2.0 * mu * e11 + lam * trace, 2.0 * mu * e22 + lam * trace, 2.0 * mu * e12)
+    add_membrane_forces(gradient, s, wp.vec3i(a, b, c), f1, f2, stress, inverse, area)
     normal = wp.cross(d1, d2)
     wp.atomic_add(normals, s, a, normal)
     wp.atomic_add(normals, s, b, normal)
