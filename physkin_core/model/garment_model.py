@@ -68,8 +68,8 @@ class GarmentModel:
     engine_nodes, engine_weights: (n, k), the same with the few influences that engines take, learnt beside; or None.
     rest_normals: (n, 3), 1e-3 long at least, what skinning carries to the draped garment's normals. Default those
     of the mesh; fitted to drapes they come out truer, for cloth does not deform as skinning's linear part says.
-    hyper_modulator: arrays by name (see `physkin_core.model.hyper_modulator`), "fit" among them only where made to
-    measure was learnt. pose_modulator, node_deformer: layers.
+    hyper_modulator: arrays by name (see `physkin_core.model.hyper_modulator`), "fit" and "bend" among them only
+    where made to measure and other bending stiffness were learnt. pose_modulator, node_deformer: layers.
     training, scores: plain data on how it was trained (seed, bodies, steps) and how it measured up.
     """
 
@@ -135,6 +135,11 @@ class GarmentModel:
     def made_to_measure(self) -> bool:
         """Whether the networks have learnt rest shapes graded to the body (`fit` above 0), too."""
         return "fit" in self.hyper_modulator
+
+    @property
+    def learnt_bending(self) -> bool:
+        """Whether the networks have learnt cloth that bends otherwise, too (see `physkin_core.model.fabric`)."""
+        return "bend" in self.hyper_modulator
 
     @property
     def accelerated(self) -> bool:
@@ -248,8 +253,8 @@ def _expect_hyper_modulator(network: Mapping[str, np.ndarray], outputs: int) -> 
         raise GarmentModelError(f"hyper_modulator lacks {error}") from None
     if width % 4:
         raise GarmentModelError(f"hyper_modulator token width {width} is not a multiple of its 4 heads")
-    if "fit" in network:
-        _expect("hyper_modulator.fit", network["fit"], (width,))
-    known = {f"{name}.{part}" for name in shapes for part in ("weight", "bias")} | {"fit"}
+    for name in {"fit", "bend"} & network.keys():
+        _expect(f"hyper_modulator.{name}", network[name], (width,))
+    known = {f"{name}.{part}" for name in shapes for part in ("weight", "bias")} | {"fit", "bend"}
     if unknown := sorted(set(network) - known):
         raise GarmentModelError(f"hyper_modulator has unknown arrays: {', '.join(unknown)}")

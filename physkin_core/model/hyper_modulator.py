@@ -9,15 +9,28 @@ Dimensions: `N` points, `D` token width, `H` heads.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 
-__all__ = ["ENCODING_FREQUENCIES", "POINT_COUNT", "at_fit", "body_modulation", "encode_points", "token_features"]
+__all__ = [
+    "BENDING_OCTAVES",
+    "ENCODING_FREQUENCIES",
+    "POINT_COUNT",
+    "at_fit",
+    "bending_code",
+    "body_modulation",
+    "encode_points",
+    "token_features",
+    "with_bending",
+]
 
 POINT_COUNT = 4096
 ENCODING_FREQUENCIES = 6
 HEADS = 4
+BENDING_OCTAVES = (-2.0, 4.0)
+"""How much softer and stiffer than the trained cloth others bend, as powers of two."""
 QUERY_CHUNK = 256
 
 
@@ -42,10 +55,32 @@ def at_fit(network: Mapping[str, np.ndarray], fit: float) -> dict[str, np.ndarra
 
     Every token is shifted by fit times the learnt vector "fit" (D,), which goes into a bias. At 0 any network will do.
     """
-    folded = {name: array for name, array in network.items() if name != "fit"}
-    if fit:
-        folded["embed.bias"] = network["embed.bias"] + np.float32(fit) * network["fit"]
+    return _shifted(_without(network, "bend"), "fit", fit)
+
+
+def bending_code(stiffer: float) -> float:
+    """The number that stands for cloth which bends `stiffer` times as stiffly as the trained one: 0 for that one."""
+    return math.log2(stiffer) / BENDING_OCTAVES[1]
+
+
+def with_bending(network: Mapping[str, np.ndarray], stiffer: float) -> dict[str, np.ndarray]:
+    """The hyper modulator of cloth that bends `stiffer` times as stiffly as the trained one.
+
+    Every token is shifted by `bending_code` times the learnt vector "bend" (D,).
+    """
+    return _shifted(network, "bend", bending_code(stiffer))
+
+
+def _shifted(network: Mapping[str, np.ndarray], name: str, amount: float) -> dict[str, np.ndarray]:
+    """All tokens shifted by `amount` times the vector of that name, which goes into a bias."""
+    folded = _without(network, name)
+    if amount:
+        folded["embed.bias"] = network["embed.bias"] + np.float32(amount) * network[name]
     return folded
+
+
+def _without(network: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
+    return {key: array for key, array in network.items() if key != name}
 
 
 def body_modulation(network: Mapping[str, np.ndarray], points: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -57,6 +57,7 @@ class OptimisationConfig:
     from one measurement of the average to the next, once range and influences are final; the best one is exported.
     `steadiness` [J/m2]: weight of garment nodes that jump between poses beside each other (see `Steadiness`). `fit`:
     "template", one rest shape for all bodies; "both": every second body of a step wears it made to measure.
+    `other_bending`: share of the bodies whose cloth bends otherwise, from a quarter to 16 times as stiffly.
     """
 
     steps: Count = 100000
@@ -81,6 +82,7 @@ class OptimisationConfig:
     average: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.999
     validate_every: Count = 500
     fit: Literal["template", "both"] = "template"
+    other_bending: Share = 0.0
 
     def __post_init__(self) -> None:
         if self.prune_at < self.prune_from:

@@ -33,7 +33,8 @@ class Drape(nn.Module):
     """Pose, body modulation and bone transforms to deformed vertices; skinning weights are a softmax of logits.
 
     Skinning is one dense product: a vertex's basis is w_vi (x_v - chi-bar_i, 1) over all garment nodes.
-    made_to_measure: the networks learn rest shapes graded to the body, too. for_engines: the same garment nodes carry
+    made_to_measure, other_bending: the networks learn rest shapes graded to the body, and cloth that bends otherwise,
+    too. for_engines: the same garment nodes carry
     the garment by a second set of skinning weights, of fewer influences a vertex, as engines want them.
     """
 
@@ -45,11 +46,16 @@ class Drape(nn.Module):
         config: NetworkConfig,
         *,
         made_to_measure: bool = False,
+        other_bending: bool = False,
         for_engines: bool = False,
     ) -> None:
         super().__init__()
         self.networks = Networks(
-            config, pose_size=rig.pose_size, node_count=len(nodes.rest), made_to_measure=made_to_measure
+            config,
+            pose_size=rig.pose_size,
+            node_count=len(nodes.rest),
+            made_to_measure=made_to_measure,
+            other_bending=other_bending,
         )
         self.skinning_logits = nn.Parameter(_tensor(np.log(np.maximum(nodes.influence_weights, 1e-12))))
         self.register_buffer("influence_nodes", _tensor(nodes.influence_nodes, torch.int64))

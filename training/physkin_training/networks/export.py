@@ -100,8 +100,14 @@ def model_from_drape(
 def drape_from_model(model: GarmentModel) -> Drape:
     """The torch drape of a garment model (for evaluation, or to train on)."""
     nodes = GarmentNodeSet(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
-    config, both = network_config(model), model.made_to_measure
-    drape = Drape(model.garment, nodes, model.rig, config, made_to_measure=both)
+    drape = Drape(
+        model.garment,
+        nodes,
+        model.rig,
+        network_config(model),
+        made_to_measure=model.made_to_measure,
+        other_bending=model.learnt_bending,
+    )
     state = {f"hyper_modulator.{key}": array for key, array in model.hyper_modulator.items()}
     for network in ("pose_modulator", "node_deformer"):
         for index, (weight, bias) in enumerate(getattr(model, network)):

@@ -53,9 +53,12 @@ class ModulatedMLP(nn.Module):
 
 
 class HyperModulator(nn.Module):
-    """Body points to modulation of the pose modulator. made_to_measure: it also learns what the fit changes."""
+    """Body points to modulation of the pose modulator. made_to_measure, other_bending: it also learns what the fit, and
+    what the bending stiffness of the cloth changes."""
 
-    def __init__(self, config: NetworkConfig, outputs: int, *, made_to_measure: bool = False) -> None:
+    def __init__(
+        self, config: NetworkConfig, outputs: int, *, made_to_measure: bool = False, other_bending: bool = False
+    ) -> None:
         super().__init__()
         width = config.token_width
         self.embed = nn.Linear(token_features(), width)
@@ -76,14 +79,24 @@ class HyperModulator(nn.Module):
         nn.init.zeros_(self.output.bias)
         if made_to_measure:
             self.fit = nn.Parameter(torch.zeros(width))
+        if other_bending:
+            self.bend = nn.Parameter(torch.zeros(width))
 
-    def forward(self, points: torch.Tensor, normals: torch.Tensor, fit: torch.Tensor | None = None) -> torch.Tensor:
+    def forward(
+        self,
+        points: torch.Tensor,
+        normals: torch.Tensor,
+        fit: torch.Tensor | None = None,
+        bending: torch.Tensor | None = None,
+    ) -> torch.Tensor:
         """points, normals: (S, N, 3), canonical pose [m]. fit: (S,), 0 (the template) to 1 (made to measure), default
-        0. Returns (S, outputs)."""
+        0. bending: (S,), see `physkin_core.model.hyper_modulator.bending_code`, default 0. Returns (S, outputs)."""
         bodies, count, _ = points.shape
         tokens = self.embed(encode_points(points, normals))
         if fit is not None:
             tokens = tokens + fit[:, None, None] * self.fit
+        if bending is not None:
+            tokens = tokens + bending[:, None, None] * self.bend
         projected = self.attention["input"](tokens).view(bodies, count, 3, HEADS, -1)
         query, key, value = projected.permute(2, 0, 3, 1, 4)
         if tokens.is_cuda:  # the fused attention kernel takes half-width numbers
@@ -105,14 +118,20 @@ class Networks(nn.Module):
     """The three networks chained: (body points, pose vector, posed garment nodes) -> raw delta-chi.
 
     The node deformer sees node transforms shifted and scaled to about unit variance (`normalise_nodes`); the model file
-    holds its first layer with both folded in. made_to_measure: see `HyperModulator`. A code concatenated to a network's
-    input adds its product with the first layer's network weights for it: to modulation that is a shift of the first
-    layer, and nothing for all others. So a network's last layer gives that product at once, and the model file holds it
-    filled up with zeros.
+    holds its first layer with both folded in. made_to_measure, other_bending: see `HyperModulator`. A code concatenated
+    to a network's input adds its product with the first layer's network weights for it: to modulation that is a shift
+    of the first layer, and nothing for all others. So a network's last layer gives that product at once, and the model
+    file holds it filled up with zeros.
     """
 
     def __init__(
-        self, config: NetworkConfig, *, pose_size: int, node_count: int, made_to_measure: bool = False
+        self,
+        config: NetworkConfig,
+        *,
+        pose_size: int,
+        node_count: int,
+        made_to_measure: bool = False,
+        other_bending: bool = False,
     ) -> None:
         super().__init__()
         self.node_deformer = ModulatedMLP(
@@ -132,7 +151,9 @@ class Networks(nn.Module):
             config.activation,
         )
         outputs = config.pose_hidden if concatenated else self.pose_modulator.modulation_size
-        self.hyper_modulator = HyperModulator(config, outputs, made_to_measure=made_to_measure)
+        self.hyper_modulator = HyperModulator(
+            config, outputs, made_to_measure=made_to_measure, other_bending=other_bending
+        )
         if concatenated:  # they are part of a first layer, and start as one
             self.pose_modulator.layers[-1].reset_parameters()
             self.hyper_modulator.output.reset_parameters()

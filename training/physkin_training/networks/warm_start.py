@@ -44,11 +44,12 @@ def take_over_model(model: GarmentModel, drape: Drape) -> dict:
                 f"cannot start from model {model.name!r}: {name} is {tuple(tensor.shape)}, expected {expected}"
             )
     drape.networks.load_state_dict(own | state)
-    logits = torch.as_tensor(_logits(model, drape.influence_nodes.cpu().numpy()))
+    influences = drape.influence_nodes.cpu().numpy()
     with torch.no_grad():
-        drape.skinning_logits.copy_(logits)
+        drape.skinning_logits.copy_(torch.as_tensor(_logits(model, influences)))
         if drape.for_engines:
-            drape.engine_logits.copy_(logits)
+            of_engines = model if model.engine_nodes is None else model.for_engines()
+            drape.engine_logits.copy_(torch.as_tensor(_logits(of_engines, influences)))
     return {"model": model.name} | dict(model.training)
 
 

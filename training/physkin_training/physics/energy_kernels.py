@@ -104,6 +104,7 @@ def bend_kernel(
     hinges: wp.array2d(dtype=wp.int32),
     rest_angle: wp.array2d(dtype=wp.float32),
     stiffness: wp.array2d(dtype=wp.float32),
+    stiffer: wp.array(dtype=wp.float32),
     energy: wp.array2d(dtype=wp.float32),
     gradient: wp.array2d(dtype=wp.vec3),
 ):
@@ -119,7 +120,7 @@ def bend_kernel(
     nb2 = wp.max(wp.dot(nb, nb), 1.0e-16)
     angle = wp.atan2(wp.dot(wp.cross(na, nb), edge) / length, wp.dot(na, nb)) - rest_angle[rest_row[s], t]
     angle = angle - 2.0 * wp.pi * wp.round(angle / (2.0 * wp.pi))
-    k = stiffness[rest_row[s], t]
+    k = stiffness[rest_row[s], t] * stiffer[s]
     energy[s, t] = k * angle * angle
     slope = 2.0 * k * angle
     ga = na * (slope / na2)

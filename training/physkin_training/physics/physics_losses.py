@@ -65,7 +65,7 @@ class PhysicsLosses:
     worn on; a sample's gradient is weighted by 1 / sqrt(1 + E / heavy_energy) of its energy E [J] without gravity, so
     that the few heaviest poses do not outweigh all others.
     rest: the garment's rest shapes, default its own alone; `rest_row` (B,) int32 says which of them each sample has,
-    the first one until it is changed in place.
+    the first one until it is changed in place; `stiffer` (B,) says how many times as stiffly its cloth bends.
     """
 
     def __init__(
@@ -96,6 +96,7 @@ class PhysicsLosses:
         self._hinges = self._array(garment.hinges, wp.int32)
         self.rest = rest or RestData(garment, material, device)
         self.rest_row = torch.zeros(samples, dtype=torch.int32, device=device)
+        self.stiffer = torch.ones(samples, device=device)
 
         def buffer(count: int) -> torch.Tensor:
             return torch.zeros(samples, count, device=device)
@@ -164,7 +165,7 @@ class PhysicsLosses:
             dim=(samples, self._hinges.shape[0]),
             inputs=[
                 *(points, row, self._hinges),
-                *(wp.from_torch(rest.hinge_angle), wp.from_torch(rest.bend_stiffness)),
+                *(wp.from_torch(rest.hinge_angle), wp.from_torch(rest.bend_stiffness), wp.from_torch(self.stiffer)),
             ],
             outputs=[element["bend"], forces],
             device=self.device,

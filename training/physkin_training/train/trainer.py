@@ -31,8 +31,10 @@ from physkin_training.networks.warm_start import take_over_model
 from physkin_training.physics.physics_losses import TERMS, PhysicsLosses
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
+from physkin_training.sampling.bending import drawn_bending
 from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
+from physkin_training.sampling.training_bodies import training_bodies
 from physkin_training.train.checkpoint import Progress, load_checkpoint, load_drape, save_checkpoint
 from physkin_training.train.processes import Processes
 from physkin_training.train.recorded_step import RecordedStep
@@ -46,12 +48,8 @@ __all__ = ["Trainer", "TrainingDiverged"]
 
 NORMALISING_POSES = 2048
 """Poses from which the node deformer's inputs are scaled."""
-LARGEST_SWELLING = 0.015
-"""[m] how much may be worn under the garment."""
 ENGINE_SHARE = 1 / 8
 """Share of a body's poses that are skinned by the weights for engines; one at least."""
-COVERED_PARTS = 0.7
-"""Share of a swollen body's parts that are."""
 
 
 class TrainingDiverged(RuntimeError):
@@ -104,9 +102,17 @@ class Trainer:
         self.nodes = nodes
         both = optimisation.made_to_measure
         engines = config.garment_nodes.engine_influences > 0
-        drape = Drape(self.garment, nodes, self.rig, config.networks, made_to_measure=both, for_engines=engines)
+        drape = Drape(
+            self.garment,
+            nodes,
+            self.rig,
+            config.networks,
+            made_to_measure=both,
+            other_bending=optimisation.other_bending > 0,
+            for_engines=engines,
+        )
         self.drape = drape.to(device)
-        bodies, swelling = self._training_bodies()
+        bodies, swelling = training_bodies(body_model, config.train_bodies, swollen=config.swollen, seed=config.seed)
         self.bodies = BodySet(body_model, bodies, device, swelling=swelling)
         self.node_positions = self.drape.node_positions(self.bodies)
         self.fits = MadeToMeasure(self.garment, self.drape, self.bodies, body_model) if both else None
@@ -310,15 +316,6 @@ class Trainer:
             self.started_from = load_drape(path, self.drape)
         self.averaged.load_state_dict(self.drape.state_dict())
 
-    def _training_bodies(self) -> tuple[np.ndarray, np.ndarray]:
-        """Shape coefficients (S, c) and swelling (S, b) [m]: of the bodies as they are, then of swollen ones."""
-        bodies = self.body_model.train_bodies[: self.config.train_bodies]
-        again = bodies[: round(self.config.swollen * len(bodies))]
-        random = np.random.default_rng(self.config.seed)
-        shape = (len(again), self.rig.bone_count)
-        swelling = LARGEST_SWELLING * random.random(shape) * (random.random(shape) < COVERED_PARTS)
-        return np.concatenate([bodies, again]), np.concatenate([np.zeros((len(bodies), shape[1])), swelling])
-
     def _normalise_nodes(self) -> None:
         """Scale the node deformer's inputs by their spread over poses of the full range."""
         posed = []
@@ -390,7 +387,11 @@ class Trainer:
                 node_positions, fit, rest = worn.node_positions, self._made.float(), worn.rest
                 self.losses.rest_row.copy_(worn.rows)
             posed_nodes = self.drape.posed_nodes(bone_transforms, node_positions)
-        modulation = self.drape.networks.hyper_modulator(*surface, fit).repeat_interleave(per_body, dim=0)
+            bending = None
+            if optimisation.other_bending:
+                bending, stiffer = drawn_bending(self._bodies, optimisation.other_bending, self.device)
+                self.losses.stiffer.copy_(stiffer.repeat_interleave(per_body))
+        modulation = self.drape.networks.hyper_modulator(*surface, fit, bending).repeat_interleave(per_body, dim=0)
         nodes = self.drape.draped_nodes(modulation, positions, gravity, posed_nodes)
         loss = self.objective(self.skinned(nodes, rest), gravity)
         if optimisation.steadiness:

@@ -1,0 +1,112 @@
+"""What cloth a garment is made of, chosen when it is put on: nothing a frame.
+
+A drape at rest hangs on ratios alone. Cloth that weighs twice as much, or stretches twice as easily and bends half as
+stiffly, hangs like the trained one under twice the gravity, which models with accelerated roots know; what is left is
+how stiffly it bends against how stiffly it stretches, which networks learn (`optimisation.other_bending`). So weight
+goes into the network weights for gravity, and bending into a bias of the hyper modulator.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from numbers import Real
+
+import numpy as np
+
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.hyper_modulator import BENDING_OCTAVES, with_bending
+
+__all__ = ["FABRICS", "Fabric", "fabric_of", "made_of"]
+
+HEAVIEST = 1.5
+"""Weight over stretch, in those of the trained cloth, that a garment may have."""
+
+
+@dataclass(frozen=True)
+class Fabric:
+    """stretch: Young's modulus of the cloth [N/m]. bend: stiffness of the dihedral energy [J]. density [kg/m2].
+
+    Raises ValueError naming a value that is not above 0.
+    """
+
+    stretch: float
+    bend: float
+    density: float
+
+    def __post_init__(self) -> None:
+        for name in (entry.name for entry in fields(self)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, Real) or not 0 < value < math.inf:
+                raise ValueError(f"fabric {name} is {value!r}, allowed: a finite number above 0")
+            object.__setattr__(self, name, float(value))
+
+
+FABRICS = {
+    "silk": Fabric(stretch=60.0, bend=7.0e-6, density=0.08),
+    "jersey": Fabric(stretch=60.0, bend=2.5e-5, density=0.2),
+    "denim": Fabric(stretch=120.0, bend=3.0e-4, density=0.4),
+    "leather": Fabric(stretch=150.0, bend=1.0e-3, density=0.7),
+}
+"""Cloth by name. Jersey is the reference material; weights are usual ones, stiffness is relative to it."""
+
+
+def fabric_of(text: str) -> Fabric:
+    """A fabric by its name, or by numbers: "stretch=120,bend=3e-4,density=0.4". What is left out is jersey's.
+
+    Raises ValueError saying what is allowed.
+    """
+    if text in FABRICS:
+        return FABRICS[text]
+    values = {}
+    for part in text.split(","):
+        name, equals, number = part.partition("=")
+        try:
+            values[name.strip()] = float(number)
+        except ValueError:
+            equals = ""
+        if not equals or name.strip() not in (entry.name for entry in fields(Fabric)):
+            raise ValueError(
+                f"no fabric {text!r}; allowed: {', '.join(FABRICS)}, or numbers as in stretch=120,bend=3e-4,density=0.4"
+            )
+    return replace(FABRICS["jersey"], **values)
+
+
+def made_of(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
+    """The garment made of another fabric, by name (see `FABRICS`) or by numbers: a model like any other.
+
+    Raises ValueError for a fabric that the model has not learnt, saying what is allowed.
+    """
+    fabric = fabric_of(fabric) if isinstance(fabric, str) else fabric
+    material = model.material
+    stretch = fabric.stretch / material.youngs_modulus
+    heavier = fabric.density / material.density / stretch
+    stiffer = fabric.bend / material.bending / stretch if material.bending else math.inf
+    if not model.accelerated and not math.isclose(heavier, 1.0, rel_tol=1e-3):
+        raise ValueError(
+            f"garment model {model.name!r} was not trained with accelerated roots, so that its cloth cannot weigh "
+            f"{heavier:.3g} times as much for its stretch; train it with poses.accelerated"
+        )
+    if heavier > HEAVIEST:
+        raise ValueError(
+            f"density {fabric.density:g} kg/m2 at stretch {fabric.stretch:g} N/m is too heavy, allowed: up to "
+            f"{HEAVIEST * stretch * material.density:.3g} kg/m2"
+        )
+    least, most = (2.0**octave for octave in BENDING_OCTAVES) if model.learnt_bending else (1.0, 1.0)
+    if not least * 0.999 <= stiffer <= most * 1.001:
+        hint = "" if model.learnt_bending else "; train it with optimisation.other_bending to allow others"
+        allowed = " to ".join(f"{times * stretch * material.bending:.2g}" for times in sorted({least, most}))
+        raise ValueError(
+            f"bend {fabric.bend:g} J at stretch {fabric.stretch:g} N/m is not what {model.name!r} has learnt, "
+            f"allowed: {allowed} J{hint}"
+        )
+    weight, bias = model.pose_modulator[0]
+    weight = weight.copy()
+    weight[:, -3:] *= np.float32(heavier)
+    hyper = with_bending(model.hyper_modulator, stiffer) if model.learnt_bending else model.hyper_modulator
+    return replace(
+        model,
+        hyper_modulator=hyper,
+        pose_modulator=((weight, bias), *model.pose_modulator[1:]),
+        material=replace(material, youngs_modulus=fabric.stretch, bending=fabric.bend, density=fabric.density),
+    )
