@@ -10,12 +10,15 @@ import io
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from physkin_core.model.garment import GarmentError
-from physkin_training.physics.surface_queries import BodySurface
+from physkin_core.quality import closest_points
+
+if TYPE_CHECKING:
+    from trimesh.visual.material import PBRMaterial
 
 __all__ = ["Look", "MeshFile", "read_mesh", "write_obj"]
 
@@ -47,11 +50,13 @@ class Look:
     def on(self, source: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> Look:
         """The look of another mesh of the same surface: each face has that of the closest face of the source's vertices
         and faces, wherever cut, turned over or welded."""
+        from trimesh.triangles import points_to_barycentric
+
         corners = vertices[faces]
-        closest = BodySurface(*source).closest(corners.mean(axis=1)).face
+        _, closest, _ = closest_points(corners.mean(axis=1), *source)
         triangles = source[0][source[1][closest]]
         flat = np.repeat(triangles, 3, axis=0)
-        shares = trimesh.triangles.points_to_barycentric(flat, corners.reshape(-1, 3)).reshape(-1, 3, 3)
+        shares = points_to_barycentric(flat, corners.reshape(-1, 3)).reshape(-1, 3, 3)
         uv = np.einsum("fck,fku->fcu", shares, self.uv[closest])
         return Look(uv, self.material[closest], self.part[closest], self.materials, self.parts, self.files)
 
@@ -183,6 +188,8 @@ def _library(folder: Path, names: list[str]) -> dict[str, bytes]:
 
 def _read_scene(path: Path) -> MeshFile:
     """What trimesh reads; where there are textures or several meshes, vertices at equal places are one."""
+    import trimesh
+
     scene = trimesh.load_scene(path, process=False)
     vertices, faces, uv, looks, parts, count = [], [], [], [], [], 0
     library = _Library()
@@ -217,7 +224,7 @@ class _Library:
         self.names: list[str] = []
         self.files: dict[str, bytes] = {}
 
-    def add(self, material: trimesh.visual.material.PBRMaterial | None) -> int:
+    def add(self, material: PBRMaterial | None) -> int:
         """Its number in `names`, -1 for none."""
         if material is None:
             return -1
