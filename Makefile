@@ -13,7 +13,7 @@ PYTEST := $(VENV)/bin/pytest
 BUILT_FROM := pyproject.toml constraints.txt $(shell find native -type f -not -path '*/__pycache__/*')
 MESSAGES := $(shell find msg_defs -type f -not -path '*/__pycache__/*')
 
-.PHONY: demo test test-slow bench docs wheel lint format clean
+.PHONY: demo test test-slow bench docs gallery wheel lint format clean
 
 # VIEW=1: a page in the browser in its place.
 demo: $(VENV)/installed-demo
@@ -37,6 +37,10 @@ bench: $(VENV)/installed-bench
 # A site, in build/site.
 docs: $(VENV)/installed-docs
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet --config-file docs/site/mkdocs.yml
+
+# The pictures and plots of docs/, made anew: some minutes.
+gallery: $(VENV)/installed-test
+	for script in docs/draw_*.py; do $(VENV)/bin/python $$script || exit 1; done
 
 # For this Python, tagged by the oldest system that it runs on: dist/physkin-*-manylinux_*.whl
 wheel: $(VENV)/installed-wheel
