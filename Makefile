@@ -15,11 +15,12 @@ MESSAGES := $(shell find msg_defs -type f -not -path '*/__pycache__/*')
 
 .PHONY: demo test test-slow bench docs gallery wheel lint format clean
 
-# VIEW=1: a page in the browser in its place.
-demo: $(VENV)/installed-demo
+# VIEW=1: a page in the browser in its place, which needs no ROS.
 ifdef VIEW
+demo: $(VENV)/installed-view
 	$(VENV)/bin/physkin view --motion dance
 else
+demo: $(VENV)/installed-demo
 	$(VENV)/bin/physkin demo --seconds $(DEMO_SECONDS) --output demo.png
 endif
 
@@ -65,6 +66,10 @@ $(VENV)/bin/python:
 
 $(VENV)/installed-demo: $(BUILT_FROM) | $(VENV)/bin/python
 	$(PIP) --editable ".[ros,view]"
+	touch $@ $(VENV)/installed-view
+
+$(VENV)/installed-view: $(BUILT_FROM) | $(VENV)/bin/python
+	$(PIP) --editable ".[view]"
 	touch $@
 
 # The message package is built beside the installation. torch goes first and alone, so that the build the user's pip is
@@ -73,7 +78,7 @@ $(VENV)/installed-test: $(BUILT_FROM) $(MESSAGES) | $(VENV)/bin/python
 	$(VENV)/bin/python msg_defs/wheel/build.py & messages=$$!; \
 	$(PIP) torch && $(PIP) --editable ".[completion,compressed,docs,ros,replay,training,usd,view,test]" && wait $$messages
 	$(VENV)/bin/python msg_defs/wheel/build.py --install
-	touch $@ $(VENV)/installed-demo $(VENV)/installed-docs $(VENV)/installed-lint
+	touch $@ $(VENV)/installed-demo $(VENV)/installed-view $(VENV)/installed-docs $(VENV)/installed-lint
 
 $(VENV)/installed-bench: $(BUILT_FROM) | $(VENV)/bin/python
 	$(PIP) --editable ".[bench]"
