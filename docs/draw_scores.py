@@ -61,6 +61,7 @@ def bars(axes: Axes, title: str, unit: str, by_garment: list[dict[str, float]], 
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(axis="y", color="#e4e4e4")
     axes.set_axisbelow(True)
+    axes.margins(y=0.22)
     axes.legend(frameon=False, fontsize=9)
 
 
