@@ -85,7 +85,8 @@ class MeshFile:
 
 
 def read_mesh(path: Path) -> MeshFile:
-    """All meshes of a garment file as one. Raises GarmentError when it holds none."""
+    """All meshes of a garment file as one. Raises GarmentError when it holds none, ModuleNotFoundError where texture
+    places of a GLB or glTF need pillow."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise GarmentError(f"garment {path} has the unknown extension {path.suffix!r}; allowed: {', '.join(SUFFIXES)}")
@@ -93,6 +94,8 @@ def read_mesh(path: Path) -> MeshFile:
         raise GarmentError(f"garment {path}: no such file")
     try:
         mesh = _read_obj(path) if suffix == ".obj" else _read_scene(path)
+    except ModuleNotFoundError:
+        raise
     except Exception as error:  # whatever the parser trips over, the file is not a readable mesh
         raise GarmentError(f"cannot read garment mesh {path}: {error}") from error
     if len(mesh.faces) == 0:
@@ -201,6 +204,8 @@ def _read_scene(path: Path) -> MeshFile:
         vertices.append(trimesh.transform_points(mesh.vertices, transform))
         corners = np.asarray(mesh.faces)[:, :: -1 if np.linalg.det(transform[:3, :3]) < 0 else 1]
         places = getattr(mesh.visual, "uv", None)
+        if places is not None and path.suffix.lower() in SCENE_SUFFIXES:
+            import PIL.Image  # noqa: F401 (where it is missing, trimesh leaves pictures out without a word)
         uv.append(np.full((len(corners), 3, 2), np.nan) if places is None else np.asarray(places)[corners])
         material = getattr(mesh.visual, "material", None) if path.suffix.lower() in SCENE_SUFFIXES else None
         looks.append(np.tile([library.add(material), len(parts)], (len(corners), 1)))

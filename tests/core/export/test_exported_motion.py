@@ -55,6 +55,24 @@ def test_an_engine_sees_what_is_draped(tmp_path, motion, worn):
     assert len(faces) == 3 * (~outfit.body_mask).sum(), "skin under cloth is left out"
 
 
+def test_joints_rest_where_meshes_are_bound(tmp_path):
+    """Else Blender, which skins to the joints at rest first, shows garments a centimetre off."""
+    export(tmp_path / "walk.glb")
+    reader = Reader(tmp_path / "walk.glb")
+    nodes = reader.file.nodes
+
+    def place(node):
+        if nodes[node].name == "root":
+            return np.zeros(3)
+        assert nodes[node].rotation is None and nodes[node].scale is None
+        return place(reader.parents[node]) + np.array(nodes[node].translation)
+
+    for skin in reader.file.skins:
+        bind = reader.array(skin.inverseBindMatrices).reshape(-1, 4, 4).transpose(0, 2, 1)
+        np.testing.assert_allclose(bind[:, :3, :3], np.tile(np.eye(3), (len(bind), 1, 1)))
+        np.testing.assert_allclose([place(joint) for joint in skin.joints], -bind[:, :3, 3], atol=1e-6)
+
+
 def test_usd_has_every_vertex(tmp_path, motion, worn):
     """Points of body and garments, layers in order and swaying, to a float's rounding; the root moves; metres, Z up."""
     pytest.importorskip("pxr", reason="needs the extra [usd]")
