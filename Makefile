@@ -13,13 +13,14 @@ PYTEST := $(VENV)/bin/pytest
 BUILT_FROM := pyproject.toml constraints.txt $(shell find native -type f -not -path '*/__pycache__/*')
 MESSAGES := $(shell find msg_defs -type f -not -path '*/__pycache__/*')
 
-.PHONY: demo test test-slow bench docs wheel lint format clean
+.PHONY: demo test test-slow bench docs gallery wheel lint format clean
 
-# VIEW=1: a page in the browser in its place.
-demo: $(VENV)/installed-demo
+# VIEW=1: a page in the browser in its place, which needs no ROS.
 ifdef VIEW
+demo: $(VENV)/installed-view
 	$(VENV)/bin/physkin view --motion dance
 else
+demo: $(VENV)/installed-demo
 	$(VENV)/bin/physkin demo --seconds $(DEMO_SECONDS) --output demo.png
 endif
 
@@ -37,6 +38,10 @@ bench: $(VENV)/installed-bench
 # A site, in build/site.
 docs: $(VENV)/installed-docs
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet --config-file docs/site/mkdocs.yml
+
+# The pictures and plots of docs/, made anew: some minutes.
+gallery: $(VENV)/installed-test
+	for script in docs/draw_*.py; do $(VENV)/bin/python $$script || exit 1; done
 
 # For this Python, tagged by the oldest system that it runs on: dist/physkin-*-manylinux_*.whl
 wheel: $(VENV)/installed-wheel
@@ -61,6 +66,10 @@ $(VENV)/bin/python:
 
 $(VENV)/installed-demo: $(BUILT_FROM) | $(VENV)/bin/python
 	$(PIP) --editable ".[ros,view]"
+	touch $@ $(VENV)/installed-view
+
+$(VENV)/installed-view: $(BUILT_FROM) | $(VENV)/bin/python
+	$(PIP) --editable ".[view]"
 	touch $@
 
 # The message package is built beside the installation. torch goes first and alone, so that the build the user's pip is
@@ -69,7 +78,7 @@ $(VENV)/installed-test: $(BUILT_FROM) $(MESSAGES) | $(VENV)/bin/python
 	$(VENV)/bin/python msg_defs/wheel/build.py & messages=$$!; \
 	$(PIP) torch && $(PIP) --editable ".[completion,compressed,docs,ros,replay,training,usd,view,test]" && wait $$messages
 	$(VENV)/bin/python msg_defs/wheel/build.py --install
-	touch $@ $(VENV)/installed-demo $(VENV)/installed-docs $(VENV)/installed-lint
+	touch $@ $(VENV)/installed-demo $(VENV)/installed-view $(VENV)/installed-docs $(VENV)/installed-lint
 
 $(VENV)/installed-bench: $(BUILT_FROM) | $(VENV)/bin/python
 	$(PIP) --editable ".[bench]"

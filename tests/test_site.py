@@ -9,7 +9,9 @@ from types import SimpleNamespace
 import pytest
 from source_links import on_page_markdown
 
+from draw_flow import FLOW, flow
 from import_graph import PACKAGES, ROOT
+from physkin_core import load_garment_model
 from ros_reference import REFERENCE, reference
 
 SITE = ROOT / "docs" / "site"
@@ -44,6 +46,11 @@ def test_links_to_sources_leave_the_site(url, expected):
 def test_ros_reference_is_of_this_code():
     """Else: python docs/ros_reference.py"""
     assert REFERENCE.read_text() == reference()
+
+
+def test_flow_is_of_the_shipped_model():
+    """Else: python docs/draw_flow.py"""
+    assert FLOW.read_text() == flow(load_garment_model("tshirt"))
 
 
 def test_reference_has_what_there_is():

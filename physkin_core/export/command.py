@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from physkin_core.avatar.loading import load_avatar
+from physkin_core.export.garment_looks import garment_looks
 from physkin_core.export.gltf_motion import write_gltf_motion
 from physkin_core.export.usd_motion import write_usd_motion
 from physkin_core.motion.loading import load_motion
@@ -32,6 +33,14 @@ def command_parser() -> argparse.ArgumentParser:
     add_outfit_options(parser)
     add_sway_option(parser)
     parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own)")
+    parser.add_argument(
+        "--look",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="MESH",
+        help="texture places and materials of a garment: its mesh (fit-garment's garment.obj); one for each garment",
+    )
     parser.add_argument(
         *("-o", "--output"),
         type=Path,
@@ -58,7 +67,7 @@ def main(argv: list[str]) -> int:
     outfit.sway = options.sway
     for warning in outfit.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    WRITERS[kind](options.output, outfit, motion)
+    WRITERS[kind](options.output, outfit, motion, looks=garment_looks(options.look, outfit))
     size = options.output.stat().st_size / 1e6
     print(f"wrote {options.output}: {motion.frame_count} frames at {motion.rate_hz:g} Hz, {size:.1f} MB")
     return 0

@@ -15,7 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.export.affine_joints import as_joint_chains
+from physkin_core.export.garment_looks import ROUGHNESS, Picture, Surface, linear, split_at_seams, surfaces_of
 from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences, write_glb
+from physkin_core.mesh_file import Look
 from physkin_core.model.garment import vertex_normals
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
@@ -25,14 +27,15 @@ from physkin_core.runtime.bound_garment import BoundGarment
 
 __all__ = ["write_gltf_motion"]
 
-ROUGHNESS = 0.9
 
-
-def write_gltf_motion(path: Path, outfit: Outfit, motion: Motion) -> None:
+def write_gltf_motion(
+    path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None] | None = None
+) -> None:
     """Write avatar and garments in motion as one .glb, the root where the motion has it.
 
     outfit: of models `for_engines`; vertices that it hides are left out. Order between layers and tucks move vertices,
-    not garment nodes, and are not in the file. Raises OSError when it cannot be written.
+    not garment nodes, and are not in the file. looks: of each garment, as of `garment_looks`; default a colour each.
+    Raises OSError when it cannot be written.
     """
     rig, drapers = outfit.models[0].rig, outfit.drapers
     bones, nodes = [], [[] for _ in drapers]
@@ -44,12 +47,12 @@ def write_gltf_motion(path: Path, outfit: Outfit, motion: Motion) -> None:
             draper.drape(positions, time=time, root=root_now)
             transforms.append(draper.node_transforms())
     scene = _Scene(motion.times)
-    root = scene.add_node("root", translation=motion.root_position[:, None], rotation=motion.root_orientation[:, None])
-    scene.roots.append(root)
+    root = scene.add_root(translation=motion.root_position[:, None], rotation=motion.root_orientation[:, None])
     scene.add_avatar(outfit.avatar, rig, np.array(bones), outfit.body_mask, root)
     colours = layer_colours(len(drapers))
-    for model, bound, transforms, colour in zip(outfit.models, outfit.bounds, nodes, colours):
-        scene.add_garment(model.name, bound, np.array(transforms), colour, root)
+    looks = looks or [None] * len(drapers)
+    for model, bound, transforms, colour, look in zip(outfit.models, outfit.bounds, nodes, colours, looks):
+        scene.add_garment(model.name, bound, np.array(transforms), root, colour, look)
     write_glb(path, scene.finished())
 
 
@@ -63,15 +66,18 @@ class _Scene:
         self._meshes: list[dict] = []
         self._skins: list[dict] = []
         self._materials: list[dict] = []
+        self._pictures: dict[Picture, int] = {}
         self._channels: list[dict] = []
         self._samplers: list[dict] = []
         self._times = self.builder.add_accessor(times.astype(np.float32))
         span = {"min": [float(np.float32(times[0]))], "max": [float(np.float32(times[-1]))]}
         self.builder.document["accessors"][self._times] |= span
 
-    def add_node(self, name: str, *, parent: int | None = None, **paths: np.ndarray) -> int:
-        """One node; paths: translation (T, 1, 3) [m], rotation (T, 1, 4) or scale (T, 1, 3), by name."""
-        return self._add_joints([name], parent=parent, **paths)[0]
+    def add_root(self, **paths: np.ndarray) -> int:
+        """What all else hangs on. paths: translation (T, 1, 3) [m] and rotation (T, 1, 4)."""
+        self.roots.append(len(self.nodes))
+        self._add_joints(["root"], parent=None, **paths)
+        return self.roots[-1]
 
     def add_avatar(self, avatar: Avatar, rig: Rig, bones: np.ndarray, hidden: np.ndarray, root: int) -> None:
         """The body on its skeleton. bones: (T, b, 3, 4) canonical to posed; hidden: (F,) faces that cloth covers."""
@@ -80,38 +86,56 @@ class _Scene:
         posed = np.einsum("tbij,bj->tbi", turned, heads) + bones[..., 3]
         first = len(self.nodes)
         for bone, (name, parent) in enumerate(zip(rig.bone_names, rig.parents)):
-            rotation, place = turned[:, bone], posed[:, bone]
+            rotation, place, rest = turned[:, bone], posed[:, bone], heads[bone]
             if parent >= 0:
+                rest = rest - heads[parent]
                 back = np.swapaxes(turned[:, parent], 1, 2)
                 rotation, place = back @ rotation, np.einsum("tij,tj->ti", back, place - posed[:, parent])
-            self.add_node(
-                name,
+            self._add_joints(
+                [name],
                 parent=first + parent if parent >= 0 else root,
+                rest=rest[None],
                 translation=place[:, None],
                 rotation=Rotation.from_matrix(rotation).as_quat()[:, None],
             )
         joints = list(range(first, first + len(heads)))
-        normals = vertex_normals(avatar.vertices, avatar.faces)
-        influences = avatar.influence_bones, avatar.influence_weights
-        self._add_skinned(
-            "body", avatar.vertices, normals, avatar.faces[~hidden], influences, joints, heads, BODY_COLOUR
+        attributes = self._skinned_attributes(
+            avatar.vertices,
+            vertex_normals(avatar.vertices, avatar.faces),
+            strongest_influences(avatar.influence_bones, avatar.influence_weights),
         )
+        faces = avatar.faces[~hidden]
+        surfaces = surfaces_of(None, "body", linear(BODY_COLOUR), len(faces))
+        self._add_mesh("body", attributes, faces, surfaces, joints, heads)
 
     def add_garment(
-        self, name: str, bound: BoundGarment, transforms: np.ndarray, colour: tuple[float, float, float], root: int
+        self,
+        name: str,
+        bound: BoundGarment,
+        transforms: np.ndarray,
+        root: int,
+        colour: tuple[float, float, float],
+        look: Look | None,
     ) -> None:
-        """A garment on its garment nodes. transforms: (T, m, 3, 4)."""
+        """A garment on its garment nodes. transforms: (T, m, 3, 4). colour: sRGB, of what has no material."""
         chains = as_joint_chains(transforms)
         names = [f"{name}_{node}" for node in range(transforms.shape[1])]
-        outer = self._add_joints(
-            names, parent=root, translation=chains.translation, rotation=chains.rotation, scale=chains.scale
-        )
-        inner = [
-            self.add_node(f"{each}_inner", parent=joint, rotation=chains.inner_rotation[:, [k]])
-            for k, (each, joint) in enumerate(zip(names, outer))
-        ]
-        influences = bound.influence_nodes, bound.influence_weights
-        self._add_skinned(name, bound.vertices, bound.normals, bound.faces, influences, inner, bound.node_rest, colour)
+        moved = {"translation": chains.translation, "rotation": chains.rotation, "scale": chains.scale}
+        outer = self._add_joints(names, parent=root, rest=bound.node_rest, **moved)
+        inner = []
+        for k, (each, joint) in enumerate(zip(names, outer)):
+            turn = chains.inner_rotation[:, [k]]
+            inner += self._add_joints([f"{each}_inner"], parent=joint, rest=np.zeros((1, 3)), rotation=turn)
+        surfaces = surfaces_of(look, name, linear(colour), len(bound.faces))
+        faces, skinned = bound.faces, [bound.vertices, bound.normals]
+        influences = strongest_influences(bound.influence_nodes, bound.influence_weights)
+        attributes = {}
+        if look is not None:
+            own, places, faces = split_at_seams(look, faces)
+            skinned, influences = [each[own] for each in skinned], tuple(each[own] for each in influences)
+            attributes["TEXCOORD_0"] = self.builder.add_accessor((places * [1, -1] + [0, 1]).astype(np.float32))
+        attributes |= self._skinned_attributes(*skinned, influences)
+        self._add_mesh(name, attributes, faces, surfaces, inner, bound.node_rest)
 
     def finished(self) -> GltfBuilder:
         """The document, whole."""
@@ -124,16 +148,32 @@ class _Scene:
             "materials": self._materials,
             "animations": [{"name": "motion", "channels": self._channels, "samplers": self._samplers}],
         }
+        if self._pictures:
+            images = [
+                {"name": each.name, "mimeType": each.kind, "bufferView": view} for each, view in self._pictures.items()
+            ]
+            textures = [{"source": image} for image in range(len(images))]
+            self.builder.document |= {"images": images, "textures": textures}
         return self.builder
 
-    def _add_joints(self, names: Sequence[str], *, parent: int | None, **paths: np.ndarray) -> list[int]:
-        """Nodes with arrays (T, j, width) of what moves them; the first frame is where they are at rest."""
+    def _add_joints(
+        self, names: Sequence[str], *, parent: int | None, rest: np.ndarray | None = None, **paths: np.ndarray
+    ) -> list[int]:
+        """Nodes with arrays (T, j, width) of what moves them. rest: (j, 3) where in their parent they are, unturned,
+        when nothing does; default where they are in the first frame.
+
+        Blender skins a mesh to the joints at rest and from there to the motion. That is the same as at once only if
+        they rest where the mesh was bound.
+        """
         first = len(self.nodes)
         for joint, name in enumerate(names):
             node: dict = {"name": name}
+            if rest is not None:
+                node["translation"] = _in_gltf_frame("translation", rest[[joint]])[0].tolist()
             for path, values in paths.items():
                 moved = _in_gltf_frame(path, values[:, joint])
-                node[path] = moved[0].tolist()
+                if rest is None:
+                    node[path] = moved[0].tolist()
                 self._channels.append(
                     {"sampler": len(self._samplers), "target": {"node": len(self.nodes), "path": path}}
                 )
@@ -143,29 +183,56 @@ class _Scene:
             self.nodes.append(node)
         return list(range(first, len(self.nodes)))
 
-    def _add_skinned(self, name, vertices, normals, faces, influences, joints, rest, colour) -> None:
-        """A mesh (v, 3) skinned by joints that are at `rest` (j, 3) when it is as given."""
+    def _skinned_attributes(
+        self, vertices: np.ndarray, normals: np.ndarray, influences: tuple[np.ndarray, np.ndarray]
+    ) -> dict[str, int]:
+        """Accessors of vertices (v, 3), normals (v, 3) and `strongest_influences`."""
         add = self.builder.add_accessor
-        bind = np.tile(np.eye(4), (len(rest), 1, 1))
-        bind[:, :3, 3] = -rest @ FROM_ROOT_FRAME.T
-        stored, weights = strongest_influences(*influences)
+        joints, weights = influences
         normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-        attributes = {
+        return {
             "POSITION": add((vertices @ FROM_ROOT_FRAME.T).astype(np.float32)),
             "NORMAL": add((normals @ FROM_ROOT_FRAME.T).astype(np.float32)),
-            "JOINTS_0": add(stored),
+            "JOINTS_0": add(joints),
             "WEIGHTS_0": add(weights, normalized=True),
         }
-        indices = add(faces.astype(np.uint32).reshape(-1))
-        inverse = add(bind.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32))
-        linear = [float(channel) ** 2.2 for channel in colour]
-        surface = {"baseColorFactor": [*linear, 1.0], "metallicFactor": 0.0, "roughnessFactor": ROUGHNESS}
-        self._materials.append({"name": name, "pbrMetallicRoughness": surface, "doubleSided": True})
-        primitive = {"attributes": attributes, "indices": indices, "material": len(self._materials) - 1}
-        self._meshes.append({"name": name, "primitives": [primitive]})
+
+    def _add_mesh(
+        self,
+        name: str,
+        attributes: dict[str, int],
+        faces: np.ndarray,
+        surfaces: Sequence[Surface],
+        joints: Sequence[int],
+        rest: np.ndarray,
+    ) -> None:
+        """A mesh skinned by joints that are at `rest` (j, 3) when it is as given."""
+        primitives = []
+        for surface in surfaces:
+            indices = self.builder.add_accessor(faces[surface.faces].astype(np.uint32).reshape(-1))
+            material = self._add_material(surface)
+            primitives.append({"attributes": attributes, "indices": indices, "material": material})
+        bind = np.tile(np.eye(4), (len(rest), 1, 1))
+        bind[:, :3, 3] = -rest @ FROM_ROOT_FRAME.T
+        inverse = self.builder.add_accessor(bind.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32))
+        self._meshes.append({"name": name, "primitives": primitives})
         self._skins.append({"joints": joints, "inverseBindMatrices": inverse})
         self.roots.append(len(self.nodes))
         self.nodes.append({"name": name, "mesh": len(self._meshes) - 1, "skin": len(self._skins) - 1})
+
+    def _add_material(self, surface: Surface) -> int:
+        """Its index."""
+        shading = {"baseColorFactor": [*surface.colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": ROUGHNESS}
+        if surface.picture is not None:
+            shading["baseColorTexture"] = {"index": self._texture_of(surface.picture)}
+        self._materials.append({"name": surface.name, "pbrMetallicRoughness": shading, "doubleSided": True})
+        return len(self._materials) - 1
+
+    def _texture_of(self, picture: Picture) -> int:
+        """Its index; a picture is in the file once."""
+        if picture not in self._pictures:
+            self._pictures[picture] = self.builder.add_view(np.frombuffer(picture.content, dtype=np.uint8))
+        return list(self._pictures).index(picture)
 
 
 def _in_gltf_frame(path: str, values: np.ndarray) -> np.ndarray:

@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from physkin_core.export.garment_looks import ROUGHNESS, Surface, linear, surfaces_of
+from physkin_core.mesh_file import Look
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.picture import BODY_COLOUR, layer_colours
 
+if TYPE_CHECKING:
+    from pxr import UsdGeom, UsdShade
+
 __all__ = ["write_usd_motion"]
 
 
-def write_usd_motion(path: Path, outfit: Outfit, motion: Motion) -> None:
+def write_usd_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None] | None = None) -> None:
     """Write avatar and garments in motion as .usd, .usda or .usdc: meshes under a moving root, metres, Z up, with all
-    points at each frame. Raises ModuleNotFoundError without usd-core, OSError when it cannot be written."""
+    points at each frame.
+
+    looks: of each garment, as of `garment_looks`; default a colour each. Their pictures are written into a folder
+    beside the file, `walk_pictures` for `walk.usdc`.
+    Raises ModuleNotFoundError without usd-core, OSError when it cannot be written.
+    """
     from pxr import Gf, Usd, UsdGeom
 
     stage = Usd.Stage.CreateInMemory()
@@ -33,7 +45,8 @@ def write_usd_motion(path: Path, outfit: Outfit, motion: Motion) -> None:
     names = ["body", *(_as_identifier(model.name) for model in outfit.models)]
     faces = [outfit.avatar.faces[~outfit.body_mask], *outfit.faces]
     meshes = []
-    for name, triangles, colour in zip(names, faces, colours):
+    looks = [None, *(looks or [None] * len(outfit.models))]
+    for name, triangles, colour, look in zip(names, faces, colours, looks):
         mesh = UsdGeom.Mesh.Define(stage, f"/avatar/{name}")
         mesh.CreateFaceVertexCountsAttr(np.full(len(triangles), 3, dtype=np.int32))
         mesh.CreateFaceVertexIndicesAttr(triangles.reshape(-1).astype(np.int32))
@@ -41,6 +54,7 @@ def write_usd_motion(path: Path, outfit: Outfit, motion: Motion) -> None:
         mesh.CreateDoubleSidedAttr(True)
         mesh.CreateDisplayColorAttr([Gf.Vec3f(*colour)])
         mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+        _paint(mesh, look, linear(colour), len(triangles), path)
         meshes.append(mesh)
     rig = outfit.models[0].rig
     for frame, (positions, time, root_now) in enumerate(zip(motion.positions_for(rig), motion.times, motion.root)):
@@ -57,6 +71,57 @@ def write_usd_motion(path: Path, outfit: Outfit, motion: Motion) -> None:
         place.Set(Gf.Vec3d(*map(float, motion.root_position[frame])), frame)
     if not stage.Export(str(path)):
         raise OSError(f"cannot write {path}")
+
+
+def _paint(mesh: UsdGeom.Mesh, look: Look | None, colour: tuple[float, ...], count: int, path: Path) -> None:
+    """Give a mesh of `count` faces its texture places, and its materials by subsets of faces. colour: linear RGB."""
+    from pxr import Sdf, UsdGeom, UsdShade, Vt
+
+    if look is not None:
+        kind = Sdf.ValueTypeNames.TexCoord2fArray
+        places = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", kind, UsdGeom.Tokens.faceVarying)
+        places.Set(np.nan_to_num(look.uv).reshape(-1, 2).astype(np.float32))
+    binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
+    for surface in surfaces_of(look, mesh.GetPrim().GetName(), colour, count):
+        name = _as_identifier(surface.name)
+        subset = binding.CreateMaterialBindSubset(
+            f"faces_{name}", Vt.IntArray.FromNumpy(surface.faces.astype(np.int32))
+        )
+        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(_material(mesh, name, surface, path))
+
+
+def _material(mesh: UsdGeom.Mesh, name: str, surface: Surface, path: Path) -> UsdShade.Material:
+    from pxr import Gf, Sdf, UsdShade
+
+    stage, place = mesh.GetPrim().GetStage(), mesh.GetPath().AppendChild(name)
+    material = UsdShade.Material.Define(stage, place)
+
+    def shader(kind: str, **inputs) -> UsdShade.Shader:
+        made = UsdShade.Shader.Define(stage, place.AppendChild(kind))
+        made.CreateIdAttr(kind)
+        for key, (of_type, value) in inputs.items():
+            made.CreateInput(key, of_type).Set(value)
+        return made
+
+    types = Sdf.ValueTypeNames
+    colour = Gf.Vec3f(*surface.colour)
+    preview = shader("UsdPreviewSurface", roughness=(types.Float, ROUGHNESS), diffuseColor=(types.Color3f, colour))
+    material.CreateSurfaceOutput().ConnectToSource(preview.ConnectableAPI(), "surface")
+    if surface.picture is not None:
+        folder = path.with_name(f"{path.stem}_pictures")
+        folder.mkdir(parents=True, exist_ok=True)
+        picture = folder / f"{mesh.GetPrim().GetName()}_{surface.picture.name}"  # two garments may have a knit.png
+        picture.write_bytes(surface.picture.content)
+        asset = Sdf.AssetPath(f"./{folder.name}/{picture.name}")
+        scale = Gf.Vec4f(*surface.colour, 1.0)
+        texture = shader("UsdUVTexture", file=(types.Asset, asset), scale=(types.Float4, scale))
+        texture.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
+        for side in ("wrapS", "wrapT"):
+            texture.CreateInput(side, types.Token).Set("repeat")
+        reader = shader("UsdPrimvarReader_float2", varname=(types.String, "st"))
+        texture.CreateInput("st", types.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+        preview.GetInput("diffuseColor").ConnectToSource(texture.ConnectableAPI(), "rgb")
+    return material
 
 
 def _as_identifier(name: str) -> str:

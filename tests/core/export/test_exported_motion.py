@@ -2,19 +2,15 @@
 
 import numpy as np
 import pytest
-from pygltflib import GLTF2
+from core.export.gltf_reader import Reader, in_gltf_world
 from random_models import needs_native
-from scipy.spatial.transform import Rotation
 
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
 from physkin_core.cli import main
-from physkin_core.export.gltf_builder import FROM_ROOT_FRAME
 
 pytestmark = needs_native
 
 RATE = 10.0
-TYPES = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
-WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
 @pytest.fixture(scope="module")
@@ -32,57 +28,6 @@ def export(path, *options):
         main(["export", "walk", "-g", "trousers", "-g", "tshirt", "--rate", f"{RATE:g}", *options, "-o", str(path)])
         == 0
     )
-
-
-class Reader:
-    """A glTF file as an engine computes it: nodes by their animation, meshes by their skins."""
-
-    def __init__(self, path):
-        self.file = GLTF2().load(str(path))
-        self.binary = self.file.binary_blob()
-        self.parents = {child: node for node, each in enumerate(self.file.nodes) for child in each.children or []}
-        animation = self.file.animations[0]
-        self.moved = {
-            (channel.target.node, channel.target.path): self.array(animation.samplers[channel.sampler].output)
-            for channel in animation.channels
-        }
-        self.times = self.array(animation.samplers[0].input)[:, 0]
-
-    def array(self, index):
-        accessor = self.file.accessors[index]
-        view = self.file.bufferViews[accessor.bufferView]
-        count = accessor.count * WIDTHS[accessor.type]
-        values = np.frombuffer(self.binary, TYPES[accessor.componentType], count, view.byteOffset)
-        return values.reshape(accessor.count, -1)
-
-    def world(self, node, frame):
-        """(4, 4) of a node in a frame."""
-        matrix = np.eye(4)
-        if (node, "rotation") in self.moved:
-            matrix[:3, :3] = Rotation.from_quat(self.moved[node, "rotation"][frame]).as_matrix()
-        if (node, "scale") in self.moved:
-            matrix[:3, :3] *= self.moved[node, "scale"][frame]
-        if (node, "translation") in self.moved:
-            matrix[:3, 3] = self.moved[node, "translation"][frame]
-        return self.world(self.parents[node], frame) @ matrix if node in self.parents else matrix
-
-    def skinned(self, name, frame):
-        """(v, 3) a mesh in a frame, in glTF's world."""
-        node = next(node for node in self.file.nodes if node.name == name and node.mesh is not None)
-        attributes = self.file.meshes[node.mesh].primitives[0].attributes
-        skin = self.file.skins[node.skin]
-        bind = self.array(skin.inverseBindMatrices).reshape(-1, 4, 4).transpose(0, 2, 1)
-        joints = np.array([self.world(joint, frame) for joint in skin.joints]) @ bind
-        points = np.pad(self.array(attributes.POSITION), ((0, 0), (0, 1)), constant_values=1.0)
-        weights = self.array(attributes.WEIGHTS_0) / 65535
-        each = np.einsum("vkij,vj->vki", joints[self.array(attributes.JOINTS_0)], points)
-        return np.einsum("vk,vki->vi", weights, each)[:, :3]
-
-
-def in_gltf_world(points, motion, frame):
-    """Points of the root frame where glTF has them."""
-    turned = Rotation.from_quat(motion.root_orientation[frame]).apply(points) + motion.root_position[frame]
-    return turned @ FROM_ROOT_FRAME.T
 
 
 def test_an_engine_sees_what_is_draped(tmp_path, motion, worn):
@@ -108,6 +53,24 @@ def test_an_engine_sees_what_is_draped(tmp_path, motion, worn):
         assert np.linalg.norm(distance, axis=1).max() < 2e-4
     faces = reader.array(reader.file.meshes[0].primitives[0].indices)
     assert len(faces) == 3 * (~outfit.body_mask).sum(), "skin under cloth is left out"
+
+
+def test_joints_rest_where_meshes_are_bound(tmp_path):
+    """Else Blender, which skins to the joints at rest first, shows garments a centimetre off."""
+    export(tmp_path / "walk.glb")
+    reader = Reader(tmp_path / "walk.glb")
+    nodes = reader.file.nodes
+
+    def place(node):
+        if nodes[node].name == "root":
+            return np.zeros(3)
+        assert nodes[node].rotation is None and nodes[node].scale is None
+        return place(reader.parents[node]) + np.array(nodes[node].translation)
+
+    for skin in reader.file.skins:
+        bind = reader.array(skin.inverseBindMatrices).reshape(-1, 4, 4).transpose(0, 2, 1)
+        np.testing.assert_allclose(bind[:, :3, :3], np.tile(np.eye(3), (len(bind), 1, 1)))
+        np.testing.assert_allclose([place(joint) for joint in skin.joints], -bind[:, :3, 3], atol=1e-6)
 
 
 def test_usd_has_every_vertex(tmp_path, motion, worn):

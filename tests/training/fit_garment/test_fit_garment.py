@@ -19,12 +19,12 @@ from training.small_runs import SIZES, small_config, write_belly_band
 
 from physkin_core import load_garment, load_garment_model
 from physkin_core.cli import main
+from physkin_core.mesh_file import Look
 from physkin_core.model.garment import vertex_normals
 from physkin_training.config import TrainingConfig, load_config
 from physkin_training.fit_garment import fit_garment, report
 from physkin_training.fit_garment.checks import CheckedGarment
 from physkin_training.fit_garment.fit_garment import as_toml
-from physkin_training.fit_garment.mesh_file import Look
 from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.verdicts import Verdict
 from physkin_training.train import run_reports, train

@@ -10,12 +10,15 @@ import io
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from physkin_core.model.garment import GarmentError
-from physkin_training.physics.surface_queries import BodySurface
+from physkin_core.quality import closest_points
+
+if TYPE_CHECKING:
+    from trimesh.visual.material import PBRMaterial
 
 __all__ = ["Look", "MeshFile", "read_mesh", "write_obj"]
 
@@ -47,11 +50,13 @@ class Look:
     def on(self, source: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> Look:
         """The look of another mesh of the same surface: each face has that of the closest face of the source's vertices
         and faces, wherever cut, turned over or welded."""
+        from trimesh.triangles import points_to_barycentric
+
         corners = vertices[faces]
-        closest = BodySurface(*source).closest(corners.mean(axis=1)).face
+        _, closest, _ = closest_points(corners.mean(axis=1), *source)
         triangles = source[0][source[1][closest]]
         flat = np.repeat(triangles, 3, axis=0)
-        shares = trimesh.triangles.points_to_barycentric(flat, corners.reshape(-1, 3)).reshape(-1, 3, 3)
+        shares = points_to_barycentric(flat, corners.reshape(-1, 3)).reshape(-1, 3, 3)
         uv = np.einsum("fck,fku->fcu", shares, self.uv[closest])
         return Look(uv, self.material[closest], self.part[closest], self.materials, self.parts, self.files)
 
@@ -80,7 +85,8 @@ class MeshFile:
 
 
 def read_mesh(path: Path) -> MeshFile:
-    """All meshes of a garment file as one. Raises GarmentError when it holds none."""
+    """All meshes of a garment file as one. Raises GarmentError when it holds none, ModuleNotFoundError where texture
+    places of a GLB or glTF need pillow."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise GarmentError(f"garment {path} has the unknown extension {path.suffix!r}; allowed: {', '.join(SUFFIXES)}")
@@ -88,6 +94,8 @@ def read_mesh(path: Path) -> MeshFile:
         raise GarmentError(f"garment {path}: no such file")
     try:
         mesh = _read_obj(path) if suffix == ".obj" else _read_scene(path)
+    except ModuleNotFoundError:
+        raise
     except Exception as error:  # whatever the parser trips over, the file is not a readable mesh
         raise GarmentError(f"cannot read garment mesh {path}: {error}") from error
     if len(mesh.faces) == 0:
@@ -183,6 +191,8 @@ def _library(folder: Path, names: list[str]) -> dict[str, bytes]:
 
 def _read_scene(path: Path) -> MeshFile:
     """What trimesh reads; where there are textures or several meshes, vertices at equal places are one."""
+    import trimesh
+
     scene = trimesh.load_scene(path, process=False)
     vertices, faces, uv, looks, parts, count = [], [], [], [], [], 0
     library = _Library()
@@ -194,6 +204,8 @@ def _read_scene(path: Path) -> MeshFile:
         vertices.append(trimesh.transform_points(mesh.vertices, transform))
         corners = np.asarray(mesh.faces)[:, :: -1 if np.linalg.det(transform[:3, :3]) < 0 else 1]
         places = getattr(mesh.visual, "uv", None)
+        if places is not None and path.suffix.lower() in SCENE_SUFFIXES:
+            import PIL.Image  # noqa: F401 (where it is missing, trimesh leaves pictures out without a word)
         uv.append(np.full((len(corners), 3, 2), np.nan) if places is None else np.asarray(places)[corners])
         material = getattr(mesh.visual, "material", None) if path.suffix.lower() in SCENE_SUFFIXES else None
         looks.append(np.tile([library.add(material), len(parts)], (len(corners), 1)))
@@ -217,7 +229,7 @@ class _Library:
         self.names: list[str] = []
         self.files: dict[str, bytes] = {}
 
-    def add(self, material: trimesh.visual.material.PBRMaterial | None) -> int:
+    def add(self, material: PBRMaterial | None) -> int:
         """Its number in `names`, -1 for none."""
         if material is None:
             return -1

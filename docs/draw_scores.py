@@ -1,0 +1,82 @@
+"""Draw `docs/scores.svg` from the scores that the shipped models' files hold: python docs/draw_scores.py
+
+Needs the extra `[view]`.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from import_graph import ROOT
+from physkin_core import load_garment_model
+
+PLOT = ROOT / "docs" / "scores.svg"
+GARMENTS = {
+    "tshirt": "T-shirt",
+    "longsleeve": "long sleeve",
+    "trousers": "trousers",
+    "skirt": "skirt",
+    "dress": "dress",
+}
+COLOURS = {"plain skinning": "#c9cdd2", "one size": "#7fb0cf", "made to measure": "#286b94"}
+CLIP_COLOURS = ("#286b94", "#7fb0cf", "#e0a458", "#b5483a", "#6b8f5e")
+
+
+def by_kind(everyday_or_any: str, figure: str) -> list[dict[str, float]]:
+    """A figure of each garment by kind of drape. everyday_or_any: "motion", or "" for any pose."""
+    found = []
+    for name in GARMENTS:
+        scores = load_garment_model(name).scores
+        one_size, measured = scores, scores["made_to_measure"]
+        if everyday_or_any:
+            one_size, measured = one_size[everyday_or_any], measured[everyday_or_any]
+        drapes = zip(COLOURS, (one_size["skinning"], one_size["model"], measured["model"]))
+        found.append({kind: figures[figure] for kind, figures in drapes})
+    return found
+
+
+def by_clip(name: str) -> dict[str, float]:
+    """Mean edge strain [%] of a garment at three places of each everyday clip, made to measure."""
+    places = defaultdict(list)
+    for place, scored in load_garment_model(name).scores["made_to_measure"]["motion"]["clips"].items():
+        places[place.split("@")[0]].append(scored["model"]["edge_strain_percent"])
+    return {clip: float(np.mean(values)) for clip, values in places.items()}
+
+
+def bars(axes: Axes, title: str, unit: str, by_garment: list[dict[str, float]], colours: dict[str, str]) -> None:
+    """A group of bars a garment."""
+    width = 0.8 / len(colours)
+    for k, (kind, colour) in enumerate(colours.items()):
+        places = np.arange(len(by_garment)) + (k - (len(colours) - 1) / 2) * width
+        axes.bar(places, [each[kind] for each in by_garment], 0.9 * width, color=colour, label=kind)
+    axes.set_title(title, fontsize=11)
+    axes.set_xticks(range(len(by_garment)), GARMENTS.values())
+    axes.tick_params(length=0)
+    axes.set_ylabel(unit)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(axis="y", color="#e4e4e4")
+    axes.set_axisbelow(True)
+    axes.margins(y=0.22)
+    axes.legend(frameon=False, fontsize=9)
+
+
+def main() -> None:
+    """Write the plot."""
+    matplotlib.rcParams |= {"svg.hashsalt": "scores", "font.size": 9, "font.family": "sans-serif"}
+    figure, axes = plt.subplots(3, 1, figsize=(7.5, 8.4), layout="constrained")
+    strain = "change of edge lengths, %"
+    bars(axes[0], "every joint anywhere in its range", strain, by_kind("", "edge_strain_percent"), COLOURS)
+    bars(axes[1], "everyday motion", "inside the body, %", by_kind("motion", "inside_percent"), COLOURS)
+    clips = [by_clip(name) for name in GARMENTS]
+    bars(axes[2], "everyday motion by clip, made to measure", strain, clips, dict(zip(clips[0], CLIP_COLOURS)))
+    figure.savefig(PLOT, metadata={"Date": None})
+    print(f"wrote {PLOT}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""A glTF file, read by pygltflib and computed as engines do."""
+
+import numpy as np
+from pygltflib import GLTF2
+from scipy.spatial.transform import Rotation
+
+from physkin_core.export.gltf_builder import FROM_ROOT_FRAME
+
+TYPES = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+
+class Reader:
+    """A glTF file as an engine computes it: nodes by their animation, meshes by their skins."""
+
+    def __init__(self, path):
+        self.file = GLTF2().load(str(path))
+        self.binary = self.file.binary_blob()
+        self.parents = {child: node for node, each in enumerate(self.file.nodes) for child in each.children or []}
+        animation = self.file.animations[0]
+        self.moved = {
+            (channel.target.node, channel.target.path): self.array(animation.samplers[channel.sampler].output)
+            for channel in animation.channels
+        }
+        self.times = self.array(animation.samplers[0].input)[:, 0]
+
+    def array(self, index):
+        accessor = self.file.accessors[index]
+        view = self.file.bufferViews[accessor.bufferView]
+        count = accessor.count * WIDTHS[accessor.type]
+        values = np.frombuffer(self.binary, TYPES[accessor.componentType], count, view.byteOffset)
+        return values.reshape(accessor.count, -1)
+
+    def world(self, node, frame):
+        """(4, 4) of a node in a frame."""
+        matrix = np.eye(4)
+        if (node, "rotation") in self.moved:
+            matrix[:3, :3] = Rotation.from_quat(self.moved[node, "rotation"][frame]).as_matrix()
+        if (node, "scale") in self.moved:
+            matrix[:3, :3] *= self.moved[node, "scale"][frame]
+        if (node, "translation") in self.moved:
+            matrix[:3, 3] = self.moved[node, "translation"][frame]
+        return self.world(self.parents[node], frame) @ matrix if node in self.parents else matrix
+
+    def attributes(self, name):
+        """Accessors of a mesh, which all its primitives share."""
+        return next(mesh for mesh in self.file.meshes if mesh.name == name).primitives[0].attributes
+
+    def skinned(self, name, frame):
+        """(v, 3) a mesh in a frame, in glTF's world."""
+        node = next(node for node in self.file.nodes if node.name == name and node.mesh is not None)
+        attributes = self.attributes(name)
+        skin = self.file.skins[node.skin]
+        bind = self.array(skin.inverseBindMatrices).reshape(-1, 4, 4).transpose(0, 2, 1)
+        joints = np.array([self.world(joint, frame) for joint in skin.joints]) @ bind
+        points = np.pad(self.array(attributes.POSITION), ((0, 0), (0, 1)), constant_values=1.0)
+        weights = self.array(attributes.WEIGHTS_0) / 65535
+        each = np.einsum("vkij,vj->vki", joints[self.array(attributes.JOINTS_0)], points)
+        return np.einsum("vk,vki->vi", weights, each)[:, :3]
+
+
+def in_gltf_world(points, motion, frame):
+    """Points of the root frame where glTF has them."""
+    turned = Rotation.from_quat(motion.root_orientation[frame]).apply(points) + motion.root_position[frame]
+    return turned @ FROM_ROOT_FRAME.T

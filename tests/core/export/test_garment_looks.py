@@ -1,0 +1,160 @@
+"""`physkin export --look`: texture places and materials of a garment's mesh are in the files, and cloth stays whole."""
+
+import io
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from core.export.gltf_reader import Reader, in_gltf_world
+from PIL import Image
+from random_models import needs_native
+from scipy.spatial import cKDTree
+
+from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
+from physkin_core.cli import main
+from physkin_core.export.garment_looks import LIES_ON, garment_looks
+from physkin_core.mesh_file import LIBRARY, Look, write_obj
+
+pytestmark = needs_native
+
+RATE = 5.0
+RED = (0.8, 0.05, 0.1)
+
+
+@pytest.fixture(scope="module")
+def shirt():
+    return load_garment_model("tshirt")
+
+
+@pytest.fixture(scope="module")
+def worn(shirt):
+    return Outfit([shirt.for_engines()], load_avatar(BUNDLED_AVATAR, shirt.rig))
+
+
+def unrolled(vertices, faces):
+    """(f, 3, 2) texture places: unrolled about the upright axis, cut at the back."""
+    turn = (np.arctan2(vertices[:, 1], vertices[:, 0]) / (2 * np.pi))[faces]
+    turn -= np.round(turn - turn[:, :1])
+    return np.stack([turn, vertices[faces][..., 2]], axis=-1)
+
+
+def picture(kind="PNG"):
+    buffer = io.BytesIO()
+    Image.new("RGB", (8, 8), "green").save(buffer, format=kind)
+    return buffer.getvalue()
+
+
+def write_look(folder, model, *, library=None, files=None, vertices=None):
+    """`garment.obj` of a model as fit-garment writes it: the left half is knit, with a picture, the right half red."""
+    folder.mkdir(exist_ok=True)
+    vertices, faces = model.garment.vertices if vertices is None else vertices, model.garment.faces
+    right = (vertices[faces][..., 1].mean(axis=1) < 0).astype(int)
+    text = library or f"newmtl knit\nmap_Kd knit.png\nnewmtl red\nKd {' '.join(map(str, RED))}\n"
+    files = {LIBRARY: text.encode()} | ({"knit.png": picture()} if files is None else files)
+    look = Look(unrolled(vertices, faces), right, np.full(len(faces), -1), ("knit", "red"), (), files)
+    write_obj(folder / "garment.obj", vertices, faces, look, header="test")
+    return folder / "garment.obj"
+
+
+def export(path, *options):
+    return main(["export", "walk", "-g", "tshirt", "--rate", f"{RATE:g}", *map(str, options), "-o", str(path)])
+
+
+def test_gltf_has_the_look_and_no_seam_opens(tmp_path, shirt, worn):
+    """Every vertex has the place of its point of the garment, twice at the seam, where both move alike."""
+    assert export(tmp_path / "walk.glb", "--look", write_look(tmp_path / "look", shirt)) == 0
+    reader, motion = Reader(tmp_path / "walk.glb"), load_motion("walk").resampled(RATE)
+    frame = 2
+    for k in range(frame + 1):
+        cloud = worn.drapers[0].drape(
+            motion.positions_for(shirt.rig)[k], time=motion.times[k], root=motion.root[k]
+        )[worn.visible[0], :3]  # fmt: skip
+    skinned = reader.skinned("tshirt", frame)
+    distance, closest = cKDTree(in_gltf_world(cloud, motion, frame)).query(skinned)
+    which = worn.visible[0][closest]
+    assert distance.max() < 2e-4
+    assert len(cloud) + 10 < len(skinned) < 1.1 * len(cloud) and len(np.unique(which)) == len(cloud)
+    rest = shirt.garment.vertices[which]
+    u, v = reader.array(reader.attributes("tshirt").TEXCOORD_0).T
+    np.testing.assert_allclose(1 - v, rest[:, 2], atol=1e-5)
+    turn = np.arctan2(rest[:, 1], rest[:, 0]) / (2 * np.pi)
+    np.testing.assert_allclose(u - turn, np.round(u - turn), atol=1e-4)
+    mesh = next(mesh for mesh in reader.file.meshes if mesh.name == "tshirt")
+    knit, red = (reader.file.materials[primitive.material] for primitive in mesh.primitives)
+    counts = [len(reader.array(primitive.indices)) // 3 for primitive in mesh.primitives]
+    assert sum(counts) == len(worn.faces[0]) and min(counts) > 0.4 * sum(counts)
+    np.testing.assert_allclose(red.pbrMetallicRoughness.baseColorFactor[:3], RED)
+    image = reader.file.images[reader.file.textures[knit.pbrMetallicRoughness.baseColorTexture.index].source]
+    view = reader.file.bufferViews[image.bufferView]
+    assert image.mimeType == "image/png"
+    assert reader.binary[view.byteOffset : view.byteOffset + view.byteLength] == picture()
+
+
+def test_usd_has_the_look(tmp_path, shirt):
+    """Places by corner, materials by faces, the picture beside the file."""
+    pytest.importorskip("pxr", reason="needs the extra [usd]")
+    from pxr import Usd, UsdGeom, UsdShade
+
+    assert export(tmp_path / "walk.usdc", "--look", write_look(tmp_path / "look", shirt)) == 0
+    stage = Usd.Stage.Open(str(tmp_path / "walk.usdc"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/avatar/tshirt"))
+    places = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
+    assert places.GetInterpolation() == "faceVarying"
+    faces = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+    expected = unrolled(shirt.garment.vertices, faces)
+    found = np.array(places.Get()).reshape(-1, 3, 2)
+    np.testing.assert_allclose(found - expected, np.round(found - expected), atol=1e-4)
+    subsets = UsdShade.MaterialBindingAPI(mesh).GetMaterialBindSubsets()
+    assert sum(len(subset.GetIndicesAttr().Get()) for subset in subsets) == len(faces)
+    files = [prim.GetAttribute("inputs:file").Get() for prim in stage.Traverse() if prim.GetName() == "UsdUVTexture"]
+    assert [file.path for file in files] == ["./walk_pictures/tshirt_knit.png"]
+    assert (tmp_path / files[0].path).read_bytes() == picture()
+
+
+def far_off(folder, model):
+    return write_look(folder, model, vertices=model.garment.vertices + [0, 0, 0.1])
+
+
+def plain(folder, model):
+    bare = write_look(folder, replace(model), library="", files={})
+    lines = [line for line in bare.read_text().splitlines() if line[:2] in ("v ", "f ")]
+    bare.write_text("\n".join(" ".join(word.split("/")[0] for word in line.split()) for line in lines))
+    return bare
+
+
+@pytest.mark.parametrize(
+    "write, told",
+    [
+        (
+            far_off,
+            r"is no mesh of a garment worn: tshirt is the closest, \d\d mm off on average, at most 2 are allowed",
+        ),
+        (plain, "has neither texture places nor materials"),
+        (lambda *to: write_look(*to, files={}), "the picture of material 'knit' is missing: knit.png"),
+        (
+            lambda *to: write_look(*to, files={"knit.png": b"GIF89a"}),
+            "the picture of material 'knit', knit.png, must be",
+        ),
+    ],
+)
+def test_looks_that_cannot_be_used_are_told(tmp_path, shirt, worn, write, told):
+    path = write(tmp_path / "look", shirt)
+    with pytest.raises(ValueError, match=told):
+        garment_looks([path], worn)
+
+
+def test_a_garment_has_one_look(tmp_path, shirt, worn):
+    path = write_look(tmp_path / "look", shirt, vertices=shirt.garment.vertices + [0, 0, LIES_ON / 2])
+    with pytest.raises(ValueError, match="is a second look for tshirt"):
+        garment_looks([path, path], worn)
+
+
+def test_pictures_are_not_lost_without_pillow(tmp_path, shirt, monkeypatch, capsys):
+    """trimesh would read a GLB without them."""
+    trimesh.load(write_look(tmp_path / "look", shirt), process=False).export(tmp_path / "look.glb")
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    monkeypatch.setitem(sys.modules, "PIL.Image", None)
+    assert export(tmp_path / "walk.glb", "--look", tmp_path / "look.glb") == 2
+    assert "pip install 'physkin[view]'" in capsys.readouterr().err
