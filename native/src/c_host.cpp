@@ -14,6 +14,7 @@
 #include "file_format/tensor_file.hpp"
 #include "kernels/dispatch.hpp"
 #include "physkin.h"
+#include "sway/sway.hpp"
 
 struct physkin_garment {
   physkin_garment(const physkin::BoundFile& file, const physkin::Kernels& kernels,
@@ -28,6 +29,7 @@ struct physkin_garment {
         faces(file.garment.faces, file.garment.faces + 3 * std::size_t(file.garment.face_count)) {}
 
   physkin::Evaluator evaluator;
+  physkin::Sway sway;
   std::vector<std::string> joint_names;
   bool accelerated;
   std::vector<float> lower, rest, upper, axes;
@@ -212,6 +214,29 @@ physkin_status physkin_step_accelerated(physkin_garment* garment, const float* j
     return fail(PHYSKIN_BAD_ARGUMENT, "%s", "the garment was not trained with accelerated roots; use physkin_step");
   }
   return physkin_step(garment, joint_positions, felt, out, columns, stride);
+}
+
+physkin_status physkin_step_moving(physkin_garment* garment, const float* joint_positions, double time,
+                                   const double* root, float* out, int32_t columns, ptrdiff_t stride) {
+  if (garment == nullptr || root == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment or root is null");
+  float gravity[3];
+  if (const char* wrong = garment->sway.gravity(time, root, garment->accelerated, gravity)) {
+    return fail(PHYSKIN_BAD_POSE, "%s", wrong);
+  }
+  return physkin_step(garment, joint_positions, gravity, out, columns, stride);
+}
+
+physkin_status physkin_set_sway(physkin_garment* garment, double amount) {
+  if (garment == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment is null");
+  if (!(amount >= 0 && amount <= 1)) return fail(PHYSKIN_BAD_ARGUMENT, "sway must be from 0 to 1, got %g", amount);
+  garment->sway.set_amount(amount);
+  return PHYSKIN_OK;
+}
+
+physkin_status physkin_reset(physkin_garment* garment) {
+  if (garment == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment is null");
+  garment->sway.reset();
+  return PHYSKIN_OK;
 }
 
 int32_t physkin_accelerated(const physkin_garment* garment) { return garment->accelerated; }

@@ -16,7 +16,8 @@ class BoundOutfit {
   BoundOutfit(const nb::list& garments, const nb::list& orders, const Text& instruction_set, const Text& precision,
               const std::string& normals)
       : outfit_(evaluator_of<OutfitEvaluator>(garments, instruction_set, precision, normals)),
-        joint_positions_(std::size_t(outfit_[0].dofs())) {
+        joint_positions_(std::size_t(outfit_[0].dofs())),
+        gravity_(3 * std::size_t(outfit_.count())) {
     PythonReader reader;
     for (nb::handle order : orders) {
       LayerOrderData data = read_layer_order(reader.fields_of(order));
@@ -28,11 +29,16 @@ class BoundOutfit {
 
   void evaluate(const AnyArray& joint_positions, const AnyArray& gravity, const std::vector<OutputArray>& outs) {
     read_vector(joint_positions, "joint_positions", outfit_[0].dofs(), joint_positions_.data());
-    read_vector(gravity, "gravity", 3, gravity_);
-    step(joint_positions_.data(), gravity_, rows_of(outs));
+    const bool each = gravity.ndim() != 1;
+    if (each) {
+      read_array(gravity, "gravity", {outfit_.count(), 3}, gravity_.data());
+    } else {
+      read_vector(gravity, "gravity", 3, gravity_.data());
+    }
+    step(joint_positions_.data(), {gravity_.data(), each}, rows_of(outs));
   }
 
-  void step(const float* joint_positions, const float* gravity, const std::vector<VertexRows>& rows) {
+  void step(const float* joint_positions, const Gravities& gravity, const std::vector<VertexRows>& rows) {
     if (const Rejection bad = outfit_.step(joint_positions, gravity, rows.data())) {
       throw nb::value_error(("garment " + std::to_string(outfit_.rejected()) + ": " + bad.message()).c_str());
     }
@@ -57,8 +63,7 @@ class BoundOutfit {
 
  private:
   OutfitEvaluator outfit_;
-  std::vector<float> joint_positions_;
-  float gravity_[3] = {};
+  std::vector<float> joint_positions_, gravity_;
 };
 
 // Of the last frame, a view that lives as long as the outfit.
@@ -74,8 +79,9 @@ nb::ndarray<nb::numpy, const float, nb::shape<-1, 3, 4>> node_transforms(BoundOu
 class BoundOutfitStep {
  public:
   using InputArray = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+  using GravityArray = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
 
-  BoundOutfitStep(nb::handle outfit, InputArray joint_positions, InputArray gravity, std::vector<OutputArray> outs)
+  BoundOutfitStep(nb::handle outfit, InputArray joint_positions, GravityArray gravity, std::vector<OutputArray> outs)
       : owner_(nb::borrow(outfit)),
         bound_(nb::cast<BoundOutfit&>(outfit)),
         joint_positions_(std::move(joint_positions)),
@@ -83,10 +89,14 @@ class BoundOutfitStep {
         outs_(std::move(outs)),
         rows_(bound_.rows_of(outs_)) {
     check_shape(joint_positions_, "joint_positions", {bound_.outfit()[0].dofs()});
-    check_shape(gravity_, "gravity", {3});
+    if (gravity_.ndim() == 1) {
+      check_shape(gravity_, "gravity", {3});
+    } else {
+      check_shape(gravity_, "gravity", {bound_.outfit().count(), 3});
+    }
   }
 
-  void step() { bound_.step(joint_positions_.data(), gravity_.data(), rows_); }
+  void step() { bound_.step(joint_positions_.data(), {gravity_.data(), gravity_.ndim() != 1}, rows_); }
   void skin() { bound_.outfit().skin(rows_.data()); }
   void keep() {
     if (rows_[0].with_normals) bound_.outfit().keep(rows_.data());
@@ -95,7 +105,8 @@ class BoundOutfitStep {
  private:
   nb::object owner_;
   BoundOutfit& bound_;
-  InputArray joint_positions_, gravity_;
+  InputArray joint_positions_;
+  GravityArray gravity_;
   std::vector<OutputArray> outs_;
   std::vector<VertexRows> rows_;
 };
@@ -113,7 +124,7 @@ void bind_outfit(nb::module_& module) {
       .def_prop_ro("instruction_set", [](BoundOutfit& self) { return self.outfit()[0].instruction_set(); })
       .def_prop_ro("precision", [](BoundOutfit& self) { return precision_name(self.outfit()[0].precision()); });
   nb::class_<BoundOutfitStep>(module, "OutfitStep")
-      .def(nb::init<nb::handle, BoundOutfitStep::InputArray, BoundOutfitStep::InputArray, std::vector<OutputArray>>(),
+      .def(nb::init<nb::handle, BoundOutfitStep::InputArray, BoundOutfitStep::GravityArray, std::vector<OutputArray>>(),
            "outfit"_a, "joint_positions"_a.noconvert(), "gravity"_a.noconvert(), "outs"_a.noconvert())
       .def("step", &BoundOutfitStep::step, "Computes one frame from what the bound input arrays hold now.")
       .def("skin", &BoundOutfitStep::skin)

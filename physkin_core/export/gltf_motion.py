@@ -39,8 +39,8 @@ def write_gltf_motion(
     """
     rig, drapers = outfit.models[0].rig, outfit.drapers
     bones, nodes = [], [[] for _ in drapers]
-    for draper in drapers:
-        draper.sway = outfit.sway
+    for draper, sway in zip(drapers, outfit.sways):
+        draper.sway = sway
     for positions, time, root_now in zip(motion.positions_for(rig), motion.times, motion.root):
         bones.append(outfit.bone_transforms(positions))
         for draper, transforms in zip(drapers, nodes):

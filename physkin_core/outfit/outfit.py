@@ -29,7 +29,7 @@ from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
 from physkin_core.separation.limb_separator import LimbSeparator
-from physkin_core.sway.sway import Sway
+from physkin_core.sway.sway import Sway, checked_amount
 
 __all__ = ["Outfit"]
 
@@ -106,6 +106,7 @@ class Outfit:
         rig = self.models[0].rig
         self._evaluator = self._new_evaluator()
         self._sway = Sway(backend=self.backend)
+        self._sways = (1.0,) * len(self.models)
         self._separated = rig.rest.astype(np.float32)
         self._limb_separator = LimbSeparator(rig, self.avatar, backend=self.backend) if self._separates else None
 
@@ -181,11 +182,13 @@ class Outfit:
         row k of a garment is its vertex `visible[garment][k]`.
         Raises ValueError as `Draper.drape` does. Order is kept from one frame to the next: give frames in their order.
         """
+        felt = [(gravity, effective_gravity)] * len(self._drapers)
         if time is not None or root is not None:
-            known = all(model.accelerated for model in self.models)
-            gravity, effective_gravity = self._sway.gravity(time, root, effective_gravity, accelerated=known)
-        for draper in self._drapers:
-            positions, down = draper.checked_pose(joint_positions, gravity, effective_gravity)
+            felt = self._swaying(time, root, effective_gravity)
+        poses = [draper.checked_pose(joint_positions, *each) for draper, each in zip(self._drapers, felt)]
+        positions, down = poses[-1]
+        if isinstance(self.sway, tuple):
+            down = np.stack([each for _, each in poses])
         if self._limb_separator is not None:
             positions, _ = self._limb_separator.separate(positions, out=self._separated)
         if outs is None:
@@ -193,14 +196,33 @@ class Outfit:
         self._evaluator.evaluate(positions, down, outs)
         return list(outs)
 
+    def _swaying(self, time: float | None, root: np.ndarray | None, given: np.ndarray | None) -> list[tuple]:
+        """Gravity and effective gravity of each garment, as `Sway.gravity` tells them."""
+        tell = partial(
+            self._sway.gravity, time, root, given, accelerated=all(model.accelerated for model in self.models)
+        )
+        if isinstance(self.sway, tuple):  # the root moves once: asked again at that time, only the amount differs
+            return [tell(amount=amount) for amount in self.sways]
+        return [tell(amount=self.sway)] * len(self._drapers)
+
     @property
-    def sway(self) -> float:
-        """How much the garments swing where `drape` is told time and root, 0 to 1, as of `Draper`."""
-        return self._sway.amount
+    def sway(self) -> float | tuple[float, ...]:
+        """How much the garments swing where `drape` is told time and root, 0 to 1, as of `Draper`: one number for all,
+        or, where they differ, one each from the skin outwards. Raises ValueError, when set, for other numbers, or
+        another number of them."""
+        return self._sways if len(set(self._sways)) > 1 else self._sways[0]
 
     @sway.setter
-    def sway(self, amount: float) -> None:
-        self._sway.amount = amount
+    def sway(self, amount: float | Sequence[float]) -> None:
+        amounts = tuple(amount) if isinstance(amount, Sequence | np.ndarray) else (amount,) * len(self.models)
+        if len(amounts) != len(self.models):
+            raise ValueError(f"sway has {len(amounts)} numbers; expected one for each of {len(self.models)} garments")
+        self._sways = tuple(checked_amount(each) for each in amounts)
+
+    @property
+    def sways(self) -> tuple[float, ...]:
+        """`sway` of each garment."""
+        return self._sways
 
     def reset(self) -> None:
         """Let the cloth hang still, as if the next frame were the first; see `Sway.reset`."""

@@ -51,8 +51,8 @@ class NativeOutfitEvaluator:
         return self._outfit.precision
 
     def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, outs: Sequence[np.ndarray]) -> None:
-        """Compute one frame. joint_positions: (d,) [rad]. gravity: (3,). outs: one a layer, writable float32, all
-        (n, 6) for x, y, z [m] and normals, or all (n, 3); any row stride.
+        """Compute one frame. joint_positions: (d,) [rad]. gravity: (3,), or (layers, 3), one each. outs: one a layer,
+        writable float32, all (n, 6) for x, y, z [m] and normals, or all (n, 3); any row stride.
 
         Raises TypeError for another dtype; ValueError for a wrong shape or where a value is not finite (nothing is
         written then).
@@ -110,9 +110,10 @@ class ReferenceOutfitEvaluator:
         if len(outs) != len(self._bounds):
             raise ValueError(f"out has {len(outs)} arrays; expected one for each of {len(self._bounds)} garments")
         layers = [np.empty((len(bound.vertices), 6), dtype=np.float32) for bound in self._bounds]
-        for evaluator, layer in zip(self._evaluators, layers):
-            evaluator.evaluate(joint_positions, gravity, layer)
-        pose = np.concatenate([joint_positions, gravity]).astype(np.float32)
+        gravities = np.broadcast_to(gravity, (len(layers), 3))
+        for evaluator, down, layer in zip(self._evaluators, gravities, layers):
+            evaluator.evaluate(joint_positions, down, layer)
+        pose = np.concatenate([joint_positions, gravities.ravel()]).astype(np.float32)
         jumps = self._last_pose is None or not np.abs(pose - self._last_pose).max() < JUMP
         self._last_pose = pose
         for k in range(len(layers)):

@@ -10,7 +10,7 @@ import numpy as np
 
 from physkin_core.sway.pendulum import PendulumSettings, ReferencePendulum
 
-__all__ = ["Sway"]
+__all__ = ["Sway", "checked_amount"]
 
 LEAST_DIRECTED = 2.0
 """[m/s2] a model that knows directions alone does not follow an effective gravity below this."""
@@ -40,7 +40,7 @@ class Sway:
 
     @amount.setter
     def amount(self, value: float) -> None:
-        self._amount = _checked_amount(value)
+        self._amount = checked_amount(value)
 
     def reset(self) -> None:
         """Cloth hangs still, as at the beginning; for another avatar, or after the root was moved by hand."""
@@ -54,23 +54,33 @@ class Sway:
         quarter of a second without one, a jump of the root or a clock that goes back, cloth comes to rest by itself.
         Raises ValueError for values that are not finite, another number of them, or a quaternion of no length.
         """
+        return self._felt(time, root, self._amount)
+
+    def _felt(self, time: float, root: Sequence[float] | np.ndarray, amount: float) -> np.ndarray:
         felt = np.empty(3)
-        self._pendulum.felt(time, np.ascontiguousarray(root, dtype=np.float64), self._amount, felt)
+        self._pendulum.felt(time, np.ascontiguousarray(root, dtype=np.float64), amount, felt)
         return felt
 
     def gravity(
-        self, time: float | None, root: np.ndarray | None, given: np.ndarray | None, *, accelerated: bool
+        self,
+        time: float | None,
+        root: np.ndarray | None,
+        given: np.ndarray | None,
+        *,
+        accelerated: bool,
+        amount: float | None = None,
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """What garments are draped under at a time and place of the root: gravity's direction (3,), and effective
         gravity (3,) [m/s2] where their models know `accelerated` roots and sway is above 0, else None.
 
-        given: effective gravity that was given besides, which may not be. Raises ValueError as `felt` does, and where
-        only one of time and root is there.
+        given: effective gravity that was given besides, which may not be. amount: of one garment, in place of the own.
+        Raises ValueError as `felt` does, and where only one of time and root is there.
         """
         if time is None or root is None or given is not None:
             raise ValueError("give time and root together, and no effective gravity: it follows from them")
-        felt, still = self.felt(time, root), _gravity_at(root)
-        if self._amount == 0:
+        amount = self._amount if amount is None else amount
+        felt, still = self._felt(time, root, amount), _gravity_at(root)
+        if amount == 0:
             return still, None
         if accelerated:
             return still, felt
@@ -84,7 +94,8 @@ def _gravity_at(root: Sequence[float] | np.ndarray) -> np.ndarray:
     return np.array(down, dtype=np.float32)
 
 
-def _checked_amount(value: float) -> float:
+def checked_amount(value: float) -> float:
+    """How much something sways, as a float. Raises ValueError unless it is a number from 0 to 1."""
     if not (isinstance(value, (int, float)) and 0 <= value <= 1):
         raise ValueError(f"sway must be from 0 to 1, got {value!r}")
     return float(value)

@@ -41,6 +41,7 @@ static int older_options_are_taken(const char* path) {
 int main(int argc, char** argv) {
   physkin_garment* garment;
   const float gravity[3] = {0.0f, 0.0f, -1.0f}, crash[3] = {100.0f, 0.0f, -9.81f};
+  double root[7] = {0, 0, 0.9, 0, 0, 0, 1};
   float* pose;
   float* out;
   long before;
@@ -54,6 +55,11 @@ int main(int argc, char** argv) {
     if (physkin_step(garment, pose, gravity, out, 6, 6) != PHYSKIN_OK) return 1;
     if (physkin_step_accelerated(garment, pose, gravity, out, 6, 6) != PHYSKIN_OK) return 1;
     if (physkin_step_accelerated(garment, pose, crash, out, 6, 6) != PHYSKIN_BAD_POSE) return 1;
+    root[0] += 0.02;
+    if (physkin_step_moving(garment, pose, k / 60.0, root, out, 6, 6) != PHYSKIN_OK) return 1;
+    if (physkin_step_moving(garment, pose, NAN, root, out, 6, 6) != PHYSKIN_BAD_POSE) return 1;
+    if (physkin_set_sway(garment, 0.5) != PHYSKIN_OK || physkin_set_sway(garment, 2) != PHYSKIN_BAD_ARGUMENT) return 1;
+    if (physkin_reset(garment) != PHYSKIN_OK) return 1;
     pose[0] = NAN;
     if (physkin_step(garment, pose, gravity, out, 3, 6) != PHYSKIN_BAD_POSE) return 1;
   }

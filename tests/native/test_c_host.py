@@ -48,7 +48,9 @@ def c():
     loaded.physkin_joint_name.argtypes = [ctypes.c_void_p, ctypes.c_int32]
     for name in ("physkin_step", "physkin_step_accelerated"):
         getattr(loaded, name).argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int32, ctypes.c_ssize_t]
-    loaded.physkin_accelerated.argtypes = [ctypes.c_void_p]
+    loaded.physkin_step_moving.argtypes = [*[ctypes.c_void_p] * 2, ctypes.c_double, *loaded.physkin_step.argtypes[2:]]
+    loaded.physkin_set_sway.argtypes = [ctypes.c_void_p, ctypes.c_double]
+    loaded.physkin_accelerated.argtypes = loaded.physkin_reset.argtypes = [ctypes.c_void_p]
     loaded.physkin_open_memory.argtypes = [ctypes.c_char_p, ctypes.c_size_t, ctypes.c_void_p, ctypes.c_void_p]
     return loaded
 
@@ -177,6 +179,61 @@ def test_effective_gravity(learnt, c, tmp_path):
         assert step_accelerated(c, garment, pose, np.float32(felt), out) == BAD_POSE
         assert b"must be finite and at most 29.4 long" in c.physkin_last_error()
     assert c.physkin_step_accelerated(garment, pose.ctypes.data, None, out.ctypes.data, 6, 6) == BAD_ARGUMENT
+    assert (out == 7).all()
+    c.physkin_close(garment)
+
+
+def step_moving(c, garment, pose, time, root, out):
+    root = np.array(root, dtype=np.float64)
+    return c.physkin_step_moving(garment, pose.ctypes.data, time, root.ctypes.data, out.ctypes.data, 6, 6)
+
+
+@pytest.mark.parametrize("learnt", [True, False])
+def test_a_root_that_moves(learnt, c, tmp_path):
+    """As Python's drapes with time and root, for every amount of sway, over a jump, a gap and a reset."""
+    rng = np.random.default_rng(61)
+    model = replace(random_model(rng), training={"poses": {"accelerated": 0.3}} if learnt else {})
+    draper, pose = Draper(model, random_avatar(rng, model.rig)), random_pose(rng, model.rig)[0]
+    draper.save_bound(tmp_path / "g")
+    _, garment = load(c, (tmp_path / "g").read_bytes())
+    out, plain = (np.full((draper.vertex_count, 6), 7, dtype=np.float32) for _ in range(2))
+    largest = 0.0
+    for k in range(60):
+        time = k / 60 + (k > 40)
+        turn = np.array([0.0, np.sin(0.01 * k), 0.0, np.cos(0.01 * k)])
+        root = np.array([0.002 * k * k + 5 * (k > 30), 0.0, 0.9, *turn])
+        draper.sway = (1.0, 0.4, 0.0)[k // 20]
+        assert c.physkin_set_sway(garment, draper.sway) == OK
+        if k == 50:
+            draper.reset()
+            assert c.physkin_reset(garment) == OK
+        assert step_moving(c, garment, pose, time, root, out) == OK, c.physkin_last_error()
+        assert np.allclose(out, draper.drape(pose, time=time, root=root), atol=1e-5)
+        down = np.float32([2 * turn[1] * turn[3], 0, 2 * turn[1] ** 2 - 1])
+        assert step(c, garment, pose, down, plain) == OK
+        assert draper.sway > 0 or np.allclose(out, plain, atol=1e-5)
+        largest = max(largest, np.abs(out - plain).max())
+    assert largest > 1e-3, "nothing sways"
+    c.physkin_close(garment)
+
+
+def test_bad_roots_write_nothing_and_say_why(c, small_bound_file):
+    _, garment = load(c, small_bound_file.read_bytes())
+    pose, out = np.zeros(7, np.float32), np.full((50, 6), 7, dtype=np.float32)
+    still = [0.0] * 6 + [1.0]
+    for time, root, message in (
+        (np.nan, still, b"finite"),
+        (0.0, [np.inf, *still[1:]], b"finite"),
+        (0.0, [0.0] * 7, b"length 1"),
+        (0.0, [1e10, *still[1:]], b"within"),
+    ):
+        assert step_moving(c, garment, pose, time, root, out) == BAD_POSE
+        assert message in c.physkin_last_error()
+    assert c.physkin_step_moving(garment, pose.ctypes.data, 0.0, None, out.ctypes.data, 6, 6) == BAD_ARGUMENT
+    for amount in (-0.1, 1.1, np.nan):
+        assert c.physkin_set_sway(garment, amount) == BAD_ARGUMENT
+        assert b"from 0 to 1" in c.physkin_last_error()
+    assert c.physkin_set_sway(None, 1.0) == c.physkin_reset(None) == BAD_ARGUMENT
     assert (out == 7).all()
     c.physkin_close(garment)
 

@@ -79,9 +79,10 @@ void Evaluator::pose(const float* joint_positions, const float* gravity) noexcep
   gather_deformer_input();
 }
 
-void Evaluator::pose_as(const Evaluator& other) noexcept {
+void Evaluator::pose_as(const Evaluator& other, const float* gravity) noexcept {
   std::copy_n(other.bone_transforms_, 12 * bone_count_, bone_transforms_);
-  std::copy_n(other.pose_, rig_.dofs() + 3, pose_);
+  std::copy_n(other.pose_, rig_.dofs(), pose_);
+  std::copy_n(gravity, 3, pose_ + rig_.dofs());
   gather_deformer_input();
 }
 

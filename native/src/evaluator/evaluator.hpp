@@ -45,7 +45,8 @@ class Evaluator {
 
   // The stages of a frame, in order, each from what the last one left; `step` checks what lies between them.
   void pose(const float* joint_positions, const float* gravity) noexcept;
-  void pose_as(const Evaluator& other) noexcept;  // takes over what `pose` left there: another garment on the same body
+  // Takes over what `pose` left in another garment on the same body, under a gravity of its own.
+  void pose_as(const Evaluator& other, const float* gravity) noexcept;
   const float* run_networks() noexcept;  // corrections (nodes, 9 or 12)
   void compose_nodes(const float* corrections) noexcept;
   void compute_normals(const VertexRows& rows) noexcept;  // from faces; does nothing if they are skinned

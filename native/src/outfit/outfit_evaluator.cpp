@@ -37,7 +37,7 @@ OutfitEvaluator::OutfitEvaluator(const std::vector<BoundGarment>& garments, cons
     auto* own = reinterpret_cast<unsigned char*>(arena_.take<float>(size));
     own_rows_.push_back({own, kColumns, true});
   }
-  last_pose_.assign(std::size_t(garments.front().dofs) + 3, std::numeric_limits<float>::infinity());
+  last_pose_.assign(std::size_t(garments.front().dofs) + 3 * garments.size(), std::numeric_limits<float>::infinity());
 }
 
 void OutfitEvaluator::keep_order(LayerPair layers, const LayerOrderData& order) {
@@ -51,14 +51,15 @@ void OutfitEvaluator::keep_order(LayerPair layers, const LayerOrderData& order) 
                                                           (*this)[yielding].vertex_count(), arena_)});
 }
 
-Rejection OutfitEvaluator::step(const float* joint_positions, const float* gravity, const VertexRows* rows) noexcept {
+Rejection OutfitEvaluator::step(const float* joint_positions, const Gravities& gravity,
+                                const VertexRows* rows) noexcept {
   Evaluator& first = *evaluators_.front();
   rejected_ = 0;
-  if (const auto bad = first.check_inputs(joint_positions, gravity)) return bad;
-  first.pose(joint_positions, gravity);
+  first.pose(joint_positions, gravity.of(0));
   for (; rejected_ < count(); ++rejected_) {
     Evaluator& e = *evaluators_[std::size_t(rejected_)];
-    if (rejected_ > 0) e.pose_as(first);
+    if (const auto bad = e.check_inputs(joint_positions, gravity.of(rejected_))) return bad;
+    if (rejected_ > 0) e.pose_as(first, gravity.of(rejected_));
     e.run_networks();
     if (const auto bad = e.check_corrections()) return bad;
     e.compose_nodes(e.corrections_);
@@ -95,7 +96,7 @@ void OutfitEvaluator::keep(const VertexRows* rows) noexcept {
   for (int k = 0; k < count(); ++k) keep_under(k, rows, false);
 }
 
-bool OutfitEvaluator::jumps(const float* joint_positions, const float* gravity) noexcept {
+bool OutfitEvaluator::jumps(const float* joint_positions, const Gravities& gravity) noexcept {
   float most = 0.0f;
   const auto compare = [&](float now, float& last) {
     most = std::max(most, std::fabs(now - last));
@@ -103,7 +104,7 @@ bool OutfitEvaluator::jumps(const float* joint_positions, const float* gravity) 
   };
   const int dofs = evaluators_.front()->dofs();
   for (int k = 0; k < dofs; ++k) compare(joint_positions[k], last_pose_[std::size_t(k)]);
-  for (int k = 0; k < 3; ++k) compare(gravity[k], last_pose_[std::size_t(dofs + k)]);
+  for (int k = 0; k < 3 * count(); ++k) compare(gravity.of(k / 3)[k % 3], last_pose_[std::size_t(dofs + k)]);
   return !(most < kJump);
 }
 

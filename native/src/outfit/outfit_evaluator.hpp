@@ -14,6 +14,14 @@ struct LayerPair {
   int steady = 0, yielding = 0;
 };
 
+// Gravity (3) of all garments, or (garments, 3), one each.
+struct Gravities {
+  const float* values;
+  bool each = false;
+
+  const float* of(int garment) const { return values + (each ? 3 * garment : 0); }
+};
+
 class OutfitEvaluator {
  public:
   // Garments on one body, the innermost first. Throws std::invalid_argument if there is none, one is malformed, or they
@@ -28,7 +36,7 @@ class OutfitEvaluator {
 
   // One frame; rows one a garment. Bone transforms and pose vector are computed once. At a rejection the rows are as
   // they were, and `rejected` is the garment's index.
-  Rejection step(const float* joint_positions, const float* gravity, const VertexRows* rows) noexcept;
+  Rejection step(const float* joint_positions, const Gravities& gravity, const VertexRows* rows) noexcept;
 
   // Of the last frame, for timing: every garment skinned into its rows; then the order of all layers.
   void skin(const VertexRows* rows) noexcept;
@@ -45,14 +53,14 @@ class OutfitEvaluator {
     std::unique_ptr<LayerOrder> order;
   };
 
-  bool jumps(const float* joint_positions, const float* gravity) noexcept;
+  bool jumps(const float* joint_positions, const Gravities& gravity) noexcept;
   void keep_under(int outer, const VertexRows* rows, bool look_at_all) noexcept;
 
   Arena arena_;
   std::vector<std::unique_ptr<Evaluator>> evaluators_;
   std::vector<Kept> orders_;
   std::vector<VertexRows> own_rows_;  // with normals, where the caller's have none
-  std::vector<float> last_pose_;  // joint positions and gravity
+  std::vector<float> last_pose_;  // joint positions, then gravity of each garment
   int rejected_ = -1;
 };
 

@@ -4,12 +4,12 @@
 namespace physkin {
 
 struct PendulumSettings {
-  double frequency;       // Hz, sideways
-  double damping;         // 1/s, sideways
-  double gain;            // sideways
-  double lift_frequency;  // Hz, along gravity, damped without overshoot
-  double lift_gain;
-  double air_drag;  // 1/s
+  double frequency = 1.5;       // Hz, sideways
+  double damping = 4.0;         // 1/s, sideways
+  double gain = 3.5;            // sideways
+  double lift_frequency = 5.0;  // Hz, along gravity, damped without overshoot
+  double lift_gain = 1.0;
+  double air_drag = 2.0;  // 1/s
 };
 
 class Pendulum {

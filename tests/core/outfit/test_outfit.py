@@ -171,6 +171,29 @@ def test_a_bound_step_and_positions_alone_are_the_same_frame(models, avatar, ove
         np.testing.assert_array_equal(position, cloud[:, :3])
 
 
+@pytest.mark.parametrize("backend", ["native", "numpy"])
+def test_each_garment_may_have_its_own_gravity(over_trousers, backend, motion):
+    """The first as where all have the first's; other shapes are refused. Native: a bound step gives the same."""
+    kinds = {"native": NativeOutfitEvaluator, "numpy": ReferenceOutfitEvaluator}
+    evaluator = kinds[backend](over_trousers.bounds, [])
+    positions, down, leaning = motion[0][60].astype(np.float32), np.float32([0, 0, -1]), np.float32([0.3, 0, -0.95])
+    mixed, same, other, stepped = (
+        [np.empty((n, 6), np.float32) for n in over_trousers.vertex_counts] for _ in range(4)
+    )
+    evaluator.evaluate(positions, np.stack([down, leaning]), mixed)
+    evaluator.evaluate(positions, down, same)
+    evaluator.evaluate(positions, leaning, other)
+    assert (mixed[0] == same[0]).all() and (mixed[1] == other[1]).all()
+    assert np.abs(same[1] - other[1]).max() > 1e-3
+    with pytest.raises(ValueError):
+        evaluator.evaluate(positions, np.zeros((3, 3), np.float32), mixed)
+    if backend == "native":
+        evaluator.bind_step(positions, np.stack([down, leaning]), stepped).step()
+        assert all((a == b).all() for a, b in zip(stepped, mixed))
+        with pytest.raises(ValueError, match="gravity must have shape"):
+            evaluator.bind_step(positions, np.zeros((3, 3), np.float32), mixed)
+
+
 def test_garment_nodes_skin_to_what_is_not_moved(tucked, over_trousers, motion):
     """Those of each garment, of the last frame; skinned, they are the cloud where nothing is moved afterwards."""
     positions, gravity = motion[0][30], motion[1][30]

@@ -96,3 +96,29 @@ def test_an_outfit_swings_as_its_garments_do(skirt):
     outfit.sway = 0.0
     (none,) = outfit.drape(q, time=5.0, root=root)
     assert np.allclose(none, still, atol=1e-5)
+
+
+@pytest.mark.parametrize("backend", ["native", "numpy"])
+def test_garments_of_an_outfit_sway_as_much_as_each_is_told(backend, skirt):
+    """Each as where all sway so much; the root moves once for both."""
+    shirt = physkin.load_garment_model("tshirt")
+    outfit = physkin.Outfit([physkin.OutfitGarment(shirt, tucked=True), skirt.model], skirt.avatar, backend=backend)
+    all_of_it, none = outfit.twin(), outfit.twin()
+    outfit.sway, all_of_it.sway, none.sway = (0.0, 0.7), 0.7, 0.0
+    assert outfit.sway == outfit.sways == (0.0, 0.7) and all_of_it.sways == (0.7, 0.7)
+    for k in range(8):
+        moved = {"time": k / 20, "root": (0.02 * k**2, 0, 0.9, 0, 0, 0, 1)}
+        mixed, swaying, still = (each.drape(skirt.model.rig.rest, **moved) for each in (outfit, all_of_it, none))
+    assert np.allclose(mixed[1], swaying[1], atol=1e-6)
+    assert np.abs(mixed[1] - still[1]).max() > 0.01
+    sleeves = np.abs(still[0][:, 1]) > 0.2  # away from the skirt, which moves what is tucked
+    assert np.allclose(mixed[0][sleeves], still[0][sleeves], atol=1e-6)
+    assert np.abs(swaying[0] - still[0])[sleeves].max() > 1e-4
+
+
+def test_outfits_refuse_other_sways(skirt):
+    outfit = physkin.Outfit([skirt.model], skirt.avatar, hide=False)
+    for wrong in (1.5, (0.5, -0.1), "all", (0.5, 0.5)):
+        with pytest.raises(ValueError, match="from 0 to 1|one for each of 1"):
+            outfit.sway = wrong
+    assert outfit.sway == 1.0

@@ -1,0 +1,28 @@
+// From a root that moves to the gravity that networks take; physkin_core/sway/sway.py is its readable twin.
+#pragma once
+
+#include "sway/pendulum.hpp"
+
+namespace physkin {
+
+class Sway {
+ public:
+  Sway() : pendulum_(PendulumSettings{}) {}
+
+  // 0: cloth hangs as if nothing had moved, to 1: all of it.
+  void set_amount(double amount) noexcept { amount_ = amount; }
+
+  // Cloth hangs still, and nothing is known of the root.
+  void reset() noexcept { pendulum_.reset(); }
+
+  // Moves the root (7), a position and a quaternion x, y, z, w, world <- root, then writes gravity (3) in its frame, as
+  // Evaluator::step takes it: in units of gravity for networks that know `accelerated` roots, else its direction. What
+  // is wrong with time or root, or null; nothing has changed then.
+  const char* gravity(double time, const double* root, bool accelerated, float* out) noexcept;
+
+ private:
+  Pendulum pendulum_;
+  double amount_ = 1;
+};
+
+}  // namespace physkin
