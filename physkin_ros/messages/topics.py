@@ -39,15 +39,24 @@ TOPICS = (
         "pose",
         "in",
         "geometry_msgs/PoseStamped",
-        "the body's root in an upright frame, in place of gravity",
+        "the body's root in an upright frame, in place of gravity; tells sway how it moves",
         needs="orientation: pose",
     ),
+    Topic(
+        "odometry",
+        "in",
+        "nav_msgs/Odometry",
+        "as pose; twist and covariance are not read. Best effort will do",
+        needs="orientation: odometry",
+    ),
+    Topic("/tf", "in", "tf2_msgs/TFMessage", "as pose: the way from world_frame to frame_id", needs="orientation: tf"),
+    Topic("/tf_static", "in", "tf2_msgs/TFMessage", "what of that way never changes", needs="orientation: tf"),
     Topic(
         "imu",
         "in",
         "sensor_msgs/Imu",
-        "an IMU mounted like the root, in place of gravity: its orientation, or without one what it feels at rest. "
-        "Best effort, as drivers publish it",
+        "an IMU mounted like the root, in place of gravity: its orientation, or without one what it feels; and its "
+        "linear acceleration (at rest 9.81 m/s2 up), smoothed, as effective gravity. Best effort will do",
         needs="orientation: imu",
     ),
     Topic(
@@ -71,6 +80,7 @@ TOPICS = (
         "joint positions that were draped [rad], for whoever draws the body; stamp of the joint state",
         needs="separate_limbs",
     ),
+    Topic("/tf", "out", "tf2_msgs/TFMessage", "frame_id in the frame of its pose, with its stamp", needs="publish_tf"),
     Topic("~/marker", "out", "visualization_msgs/Marker", "the garment's triangles, for RViz", needs="marker"),
     Topic(
         "~/mesh",

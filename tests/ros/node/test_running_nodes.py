@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from itertools import count
 from threading import Event
@@ -15,11 +14,15 @@ from physkin_core.model.model_file import MODELS_PATH
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
+from builtin_interfaces.msg import Time  # noqa: E402
 from drape_site import scaled_body  # noqa: E402
+from geometry_msgs.msg import Quaternion, TransformStamped  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import qos_profile_sensor_data  # noqa: E402
 from sensor_msgs.msg import Imu  # noqa: E402
+from std_msgs.msg import Header  # noqa: E402
 from visualization_msgs.msg import Marker  # noqa: E402
 
 from physkin_ros.joints.joint_states import JointStateReader  # noqa: E402
@@ -237,13 +240,51 @@ def test_other_orientations(peer, running_node, leaning_model_path, leaning_drap
         np.testing.assert_allclose(cloud, leaning_draper.drape(rest, tilted), atol=1e-5)
 
 
-def test_tf_needs_its_messages(peer, running_node, model_path):
-    """Where they are not installed, the parameter is refused with what would do."""
-    if importlib.util.find_spec("tf2_msgs"):
-        pytest.skip("tf2_msgs is installed")
-    with pytest.raises(ValueError, match="tf2_msgs"):
-        with running_node({"model": str(model_path), "orientation": "tf"}):
-            pass
+@pytest.mark.parametrize("orientation", ["odometry", "tf"])
+def test_where_the_root_is(peer, running_node, leaning_model_path, leaning_draper, orientation):
+    """By odometry, which may be told on as TF, or by TF; a bad message is told and leaves the last good one."""
+    messages = pytest.importorskip("tf2_msgs.msg", reason="needs tf2_msgs: python msg_defs/wheel/build.py --install")
+    names, rest = list(leaning_draper.joint_names), leaning_draper.model.rig.rest
+    by_odometry = orientation == "odometry"
+    parameters = {"model": str(leaning_model_path), "orientation": orientation, "publish_tf": by_odometry}
+    parameters |= {"frame_id": "hips", "world_frame": "map"}
+    heard = []
+    with running_node(parameters, gravity=False):
+        kind, topic = (Odometry, "odometry") if by_odometry else (messages.TFMessage, "/tf")
+        publisher = peer.node.create_publisher(kind, topic, 10)
+        subscription = peer.node.create_subscription(
+            messages.TFMessage, "/tf", lambda message: heard.extend(message.transforms), 10
+        )
+
+        def send(half: float, sec: int) -> None:
+            turn = Quaternion(y=np.sin(half), w=np.cos(half))
+            header = Header(stamp=Time(sec=sec), frame_id="map")
+            if by_odometry:
+                message = Odometry(header=header)
+                message.pose.pose.position.x, message.pose.pose.orientation = 2.5, turn
+            else:
+                message = TransformStamped(header=header, child_frame_id="hips")
+                message.transform.translation.x, message.transform.rotation = 2.5, turn
+                message = messages.TFMessage(transforms=[message])
+            publisher.publish(message)
+            peer.spin(0.2)
+
+        peer.until(publisher.get_subscription_count, "subscription")
+        peer.until(subscription.get_publisher_count, "publisher of TF")
+        if not by_odometry:
+            peer.cloud(names, rest, (1, 0))
+            peer.until_told("last rejection", "no transform from 'map' to 'hips'")
+        send(0.3, 2)
+        tilted = np.array([np.sin(0.6), 0.0, -np.cos(0.6)])
+        for sec in (2, 3):
+            np.testing.assert_allclose(peer.cloud(names, rest, (sec, 0)), leaning_draper.drape(rest, tilted), atol=1e-5)
+            send(np.nan, 3)
+            peer.until_told("last rejection", "unit quaternion")
+        assert peer.frame_ids == {"hips"}
+        told = [(each.header.frame_id, each.child_frame_id, each.transform.translation.x) for each in heard]
+        assert told[:1] == [("map", "hips", 2.5)] and (not by_odometry or len(told) == 1)
+        peer.node.destroy_publisher(publisher)
+        peer.node.destroy_subscription(subscription)
 
 
 def test_without_autostart_and_interfaces(peer, running_node, model_path, draper, monkeypatch, capfd):
