@@ -81,6 +81,23 @@ TOPICS = (
         needs="separate_limbs",
     ),
     Topic("/tf", "out", "tf2_msgs/TFMessage", "frame_id in the frame of its pose, with its stamp", needs="publish_tf"),
+    Topic(
+        "~/splats",
+        "out",
+        "sensor_msgs/PointCloud2",
+        "the splats of points, draped, 28 bytes each, to readers only: x, y, z [m], float32; rot_x, rot_y, rot_z, "
+        "rot_w, a unit quaternion, int16 in 1/32767; scale_0, scale_1, scale_2, int16, natural logarithms of standard "
+        "deviations [m] in 1/1000",
+        needs="points",
+    ),
+    Topic(
+        "~/splat_look",
+        "out",
+        "sensor_msgs/PointCloud2",
+        "what else the file says of each splat, under its names (opacity, f_dc_0, ...), in the same order; latched, "
+        "once",
+        needs="points",
+    ),
     Topic("~/marker", "out", "visualization_msgs/Marker", "the garment's triangles, for RViz", needs="marker"),
     Topic(
         "~/mesh",

@@ -95,6 +95,11 @@ class GarmentSettings:
         choices=NORMALS,
     )
     namespace: str = _key("", "what the garment's topics are below; default ~, with avatars ~/ID/NAME")
+    points: str = _key(
+        "",
+        "PLY file of Gaussian splats that lie on this garment, as physkin bind-points takes it: ~/splats carries them "
+        "draped; for one garment, or with outfit false",
+    )
     marker: bool = _key(False, "publish a visualization_msgs/Marker TRIANGLE_LIST too, for RViz")
 
 

@@ -195,6 +195,11 @@ def _check_outfit(prefix: str, garments: list[GarmentSettings]) -> None:
     first, *others = garments
     if not prefix and first.tucked:
         raise SettingsError("parameter tucked is for one of several garments: avatars.ID.garments.NAME.tucked")
+    if with_points := [garment.prefix for garment in garments if garment.points]:
+        raise SettingsError(
+            f"parameter {with_points[0]}points: splats follow one garment, not the layers of an outfit; allowed with "
+            f"{prefix}outfit false"
+        )
     for other in others:
         for key in ("precision", "normals"):
             ours, theirs = getattr(first, key), getattr(other, key)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
+from core.points.splat_files import splat_ply  # noqa: E402
 from geometry_msgs.msg import Quaternion, Transform  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import MultiDOFJointState  # noqa: E402
@@ -175,11 +176,14 @@ def test_gravity_can_change_while_running(peer, shared_node, draper):
 
 
 @pytest.mark.parametrize("orientation", ["gravity", "pose", "odometry", "imu", "tf"])
-def test_every_topic_is_listed_with_its_type(orientation, running_node, model_path):
+def test_every_topic_is_listed_with_its_type(orientation, running_node, model_path, garment_model, tmp_path):
     """What usage text and reference name, no more and no less, with all that parameters open."""
     pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
     pytest.importorskip("tf2_msgs", reason="needs tf2_msgs: python msg_defs/wheel/build.py --install")
     wanted = {"model": str(model_path), "orientation": orientation, "marker": True, "separate_limbs": True}
+    splats = tmp_path / "splats.ply"
+    splats.write_bytes(splat_ply("binary_little_endian", garment_model.garment.vertices[:20]))
+    wanted["points"] = str(splats)
     wanted["publish_tf"] = publishes = orientation in ("pose", "odometry")
     with running_node(wanted, connect=False) as node:
         opened = {("out", each.topic_name, named(each.msg_type)) for each in node.publishers}

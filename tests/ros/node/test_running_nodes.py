@@ -9,25 +9,28 @@ from threading import Event
 import numpy as np
 import pytest
 
-from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
+from physkin_core import BUNDLED_AVATAR, Draper, SplatDraper, load_avatar, load_garment_model
 from physkin_core.model.model_file import MODELS_PATH
+from physkin_core.points.point_files import read_points
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
 from builtin_interfaces.msg import Time  # noqa: E402
+from core.points.splat_files import splat_ply  # noqa: E402
 from drape_site import scaled_body  # noqa: E402
 from geometry_msgs.msg import Quaternion, TransformStamped  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.qos import qos_profile_sensor_data  # noqa: E402
-from sensor_msgs.msg import Imu  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data  # noqa: E402
+from sensor_msgs.msg import Imu, PointCloud2  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 from visualization_msgs.msg import Marker  # noqa: E402
 
 from physkin_ros.joints.joint_states import JointStateReader  # noqa: E402
 from physkin_ros.joints.ros4hri import Ros4hriNaming  # noqa: E402
 from physkin_ros.messages.interfaces import missing_interfaces  # noqa: E402
+from physkin_ros.messages.splat_cloud import read_splats  # noqa: E402
 from physkin_ros.node.asset_loading import DraperLoader  # noqa: E402
 
 STAMPS = ((sec, 0) for sec in count(1000))  # one for each joint state whose stamp does not matter
@@ -284,6 +287,53 @@ def test_where_the_root_is(peer, running_node, leaning_model_path, leaning_drape
         told = [(each.header.frame_id, each.child_frame_id, each.transform.translation.x) for each in heard]
         assert told[:1] == [("map", "hips", 2.5)] and (not by_odometry or len(told) == 1)
         peer.node.destroy_publisher(publisher)
+        peer.node.destroy_subscription(subscription)
+
+
+def test_splats(peer, running_node, leaning_model_path, leaning_draper, tmp_path, capfd):
+    """Draped as the cloud is, what does not move once; a file that will not do is one sentence."""
+    model, rest = leaning_draper.model, leaning_draper.model.rig.rest
+    path, far, plain = tmp_path / "splats.ply", tmp_path / "far.ply", tmp_path / "plain.ply"
+    path.write_bytes(splat_ply("binary_big_endian", model.garment.vertices[::5]))
+    far.write_bytes(splat_ply("ascii", model.garment.vertices[:9] + 1))
+    plain.write_text("ply\nformat ascii 1.0\nelement vertex 1\n" + "property float x\nproperty float y\n"
+                     "property float z\nend_header\n0 0 0\n")  # fmt: skip
+    parameters = {"model": str(leaning_model_path), "frame_id": "hips"}
+    for wrong, reason in (
+        (tmp_path / "none.ply", "no such file"),
+        (far, "cm from garment"),
+        (plain, "they are no Gaussian splats"),
+    ):
+        with pytest.raises(ValueError, match=f"parameter points.*{reason}") as error:
+            with running_node(parameters | {"points": str(wrong)}):
+                pass
+        assert "\n" not in str(error.value)
+    heard, looks = [], []
+    with running_node(parameters | {"points": str(path)}):
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        subscriptions = [
+            peer.node.create_subscription(PointCloud2, "drape_node/splats", heard.append, 10),
+            peer.node.create_subscription(PointCloud2, "drape_node/splat_look", looks.append, latched),
+        ]
+        peer.until(lambda: looks, "what does not move")
+        peer.until(subscriptions[0].get_publisher_count, "splats")
+        peer.spin(0.3)
+        tilted = np.array([np.sin(0.6), 0.0, -np.cos(0.6)])
+        peer.send_gravity(tilted)
+        cloud = peer.cloud(model.rig.joint_names, rest, (7, 8))
+        peer.until(lambda: heard, "draped splats")
+    (message, *_), (look, *_) = heard, looks
+    assert (message.header.stamp.sec, message.header.stamp.nanosec, message.header.frame_id) == (7, 8, "hips")
+    file, splats = read_points(path), read_splats(message)
+    expected = SplatDraper(model, leaning_draper.avatar, file.splats, binding=leaning_draper.bound).drape(rest, tilted)
+    np.testing.assert_allclose(splats.centres, expected.centres, atol=1e-6)
+    np.testing.assert_allclose(splats.centres, cloud[::5, :3], atol=2e-3)
+    np.testing.assert_allclose(splats.scales, expected.scales, rtol=1e-3)
+    np.testing.assert_allclose(splats.rotations, expected.rotations, atol=1e-4)
+    column = [field.name for field in look.fields].index("opacity")
+    table = np.frombuffer(look.data, dtype=np.float32).reshape(look.width, len(look.fields))
+    np.testing.assert_array_equal(table[:, column], file.look["opacity"])
+    for subscription in subscriptions:
         peer.node.destroy_subscription(subscription)
 
 
