@@ -11,13 +11,14 @@ from sensor_msgs.msg import Imu
 
 from physkin_core.runtime.draper import in_units_of_gravity
 from physkin_ros.messages.conversions import gravity_direction
+from physkin_ros.messages.interfaces import missing_tf
 from physkin_ros.node.garment_stream import stream_quality
 from physkin_ros.node.settings import AvatarSettings, SettingsError
 from physkin_ros.root.gravity import gravity_from_imu
 from physkin_ros.root.imu_acceleration import ImuAcceleration
 from physkin_ros.root.quaternions import Quaternion, Vector, quaternion_of, vector_of
 from physkin_ros.root.root_motion import RootMotion
-from physkin_ros.root.tf_topics import RootBroadcaster, TfListener, missing_tf
+from physkin_ros.root.tf_topics import RootBroadcaster, TfListener
 from physkin_ros.root.transform_tree import TransformTree
 
 __all__ = ["OrientationSource", "check_orientation"]
@@ -33,7 +34,7 @@ def check_orientation(avatar: AvatarSettings) -> None:
     asked = {"orientation is 'tf'": avatar.orientation == "tf", "publish_tf is true": avatar.publish_tf}
     for text in (text for text, wanted in asked.items() if wanted):
         if missing := missing_tf():
-            raise SettingsError(f"parameter {avatar.prefix}{text}, which needs {missing}")
+            raise SettingsError(f"parameter {avatar.prefix}{text}, but {missing}")
 
 
 class OrientationSource:

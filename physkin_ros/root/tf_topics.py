@@ -9,22 +9,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from physkin_ros.root.quaternions import OrientationError, Quaternion, Vector, unit_quaternion
 
-__all__ = ["RootBroadcaster", "TfListener", "missing_tf"]
+__all__ = ["RootBroadcaster", "TfListener"]
 
 DEPTH = 100
 """As TF is published and listened to elsewhere."""
-
-
-def missing_tf() -> str:
-    """What to do where `tf2_msgs` is not installed; "" where it is."""
-    try:
-        from tf2_msgs.msg import TFMessage  # noqa: F401
-    except ImportError:
-        return (
-            "the package tf2_msgs, which is not installed (apt: ros-jazzy-tf2-msgs; with the wheels, in a clone of "
-            "PhySkin: python msg_defs/wheel/build.py --install)"
-        )
-    return ""
 
 
 class TfListener:

@@ -24,9 +24,10 @@ from physkin_core.view.page import Page
 from physkin_core.view.readout import Readout
 from physkin_core.view.surface_node import SurfaceNode
 from physkin_ros.messages.conversions import read_cloud
+from physkin_ros.messages.interfaces import missing_tf
 from physkin_ros.middleware.transport import use_shipped_profile
 from physkin_ros.root.quaternions import OrientationError, Quaternion, Vector
-from physkin_ros.root.tf_topics import TfListener, missing_tf
+from physkin_ros.root.tf_topics import TfListener
 from physkin_ros.root.transform_tree import TransformTree
 
 __all__ = ["BodySeen", "CloudListener", "GarmentSeen", "RosPage", "show"]

@@ -13,7 +13,6 @@ pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
 from physkin_ros.node.orientation_source import OrientationSource, check_orientation  # noqa: E402
 from physkin_ros.node.settings import AVATAR_SETTINGS, SettingsError  # noqa: E402
-from physkin_ros.root import tf_topics  # noqa: E402
 
 DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -153,11 +152,6 @@ def test_tf_of_the_root_is_published(kind):
 def test_what_tf_needs(asked, monkeypatch):
     """Where its messages are not installed, the parameter is refused with what would do."""
     check_orientation(settings(**asked))
-    monkeypatch.setattr("physkin_ros.node.orientation_source.missing_tf", lambda: "the package tf2_msgs")
-    with pytest.raises(SettingsError, match=f"parameter {list(asked)[-1]}.*needs the package tf2_msgs"):
-        check_orientation(settings(**asked))
-
-
-def test_missing_messages_are_told(monkeypatch):
     monkeypatch.setitem(sys.modules, "tf2_msgs.msg", None)
-    assert "build.py --install" in tf_topics.missing_tf()
+    with pytest.raises(SettingsError, match=f"parameter {list(asked)[-1]}.*tf2_msgs is not installed.*--install"):
+        check_orientation(settings(**asked))

@@ -37,16 +37,21 @@ def test_every_message_arrives(peer, start, bag):
     path, motion = bag
     states, directions, times, places, transforms = [], [], [], [], []
     node = peer.node
-    node.create_subscription(
-        JointState, "/arm/joints", lambda m: (states.append(m), times.append(time.monotonic())), 100
-    )
-    node.create_subscription(Vector3Stamped, "/down", directions.append, 100)
-    node.create_subscription(Odometry, "/odom", places.append, 100)
-    node.create_subscription(tf.TFMessage, "/tf", transforms.append, 100)
+    subscriptions = [
+        node.create_subscription(kind, topic, take, 100)
+        for kind, topic, take in (
+            (JointState, "/arm/joints", lambda m: (states.append(m), times.append(time.monotonic()))),
+            (Vector3Stamped, "/down", directions.append),
+            (Odometry, "/odom", places.append),
+            (tf.TFMessage, "/tf", transforms.append),
+        )
+    ]
     player = start("physkin_core.cli", "replay", str(path), "--live", "--rate", "4", "--gravity-topic", "/down")
     received = (states, directions, places, transforms)
     peer.until(lambda: all(len(each) == motion.frame_count for each in received), "all messages")
     assert player.wait(20) == 0
+    for subscription in subscriptions:  # another test wants nobody to listen
+        node.destroy_subscription(subscription)
     assert player.stdout.read().startswith(f"sent {4 * motion.frame_count} messages, late by p50 ")
     np.testing.assert_array_equal([state.position for state in states], motion.positions.astype(np.float64))
     assert states[0].name == list(motion.joint_names)
