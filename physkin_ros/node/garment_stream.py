@@ -59,7 +59,7 @@ class GarmentStream:
         if settings.marker:
             self.marker_publisher = node.create_publisher(Marker, f"{topics}/marker", **stream_quality())
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.splat_publisher = self._look_publisher = None
+        self.splat_publisher = self._look_publisher = self._splats = None
         if settings.points:
             self.splat_publisher = node.create_publisher(PointCloud2, f"{topics}/splats", **stream_quality())
             self._look_publisher = node.create_publisher(PointCloud2, f"{topics}/splat_look", latched)
@@ -70,12 +70,13 @@ class GarmentStream:
             self.nodes_publisher = node.create_publisher(GarmentNodes, f"{topics}/garment_nodes", **stream_quality())
             self._mesh_publisher = node.create_publisher(GarmentMesh, f"{topics}/mesh", latched)
 
-    @cached_property
-    def splats(self) -> Splats:
-        """Of the parameter `points`, where they lie on the garment; what else is known of them is published.
+    def show_splats(self) -> Splats:
+        """The splats of the parameter `points`, where they lie on the garment; publishes what else is known of them.
 
         Raises ValueError naming what is wrong with the file.
         """
+        if self._splats is not None:
+            return self._splats
         path = self.settings.points
         file = read_points(path)
         if file.splats is None:
@@ -84,6 +85,7 @@ class GarmentStream:
             message = splat_look(file.look, self.frame_id)
             message.header.stamp = self._node.get_clock().now().to_msg()
             self._look_publisher.publish(message)
+        self._splats = file.splats
         return file.splats
 
     def show_mesh(self, draper: Draper | OutfitLayer, revision: int) -> None:
@@ -156,10 +158,11 @@ class WornSplats:
     def __init__(self, stream: GarmentStream, draper: Draper) -> None:
         try:
             settings = {"fit": draper.fit, "backend": draper.backend, "binding": draper.bound}
-            self._draper = SplatDraper(draper.model, draper.avatar, stream.splats, **settings)
+            self._draper = SplatDraper(draper.model, draper.avatar, stream.show_splats(), **settings)
         except ValueError as error:
             raise ValueError(f"parameter {stream.settings.prefix}points, {stream.settings.points}: {error}") from error
         self._cloud = SplatCloud(self._draper.splat_count, stream.frame_id)
+        self._step: Callable[[], Splats] | None = None
         self._free_ns = 0
 
     def follow(self, pose: np.ndarray, gravity: np.ndarray) -> None:

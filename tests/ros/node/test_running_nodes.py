@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 from itertools import count
 from threading import Event
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from physkin_core import BUNDLED_AVATAR, Draper, SplatDraper, load_avatar, load_garment_model
+from physkin_core import BUNDLED_AVATAR, Draper, SplatDraper, Splats, load_avatar, load_garment_model
 from physkin_core.model.model_file import MODELS_PATH
 from physkin_core.points.point_files import read_points
 
@@ -31,6 +32,7 @@ from physkin_ros.joints.joint_states import JointStateReader  # noqa: E402
 from physkin_ros.joints.ros4hri import Ros4hriNaming  # noqa: E402
 from physkin_ros.messages.interfaces import missing_interfaces  # noqa: E402
 from physkin_ros.messages.splat_cloud import read_splats  # noqa: E402
+from physkin_ros.node import garment_stream  # noqa: E402
 from physkin_ros.node.asset_loading import DraperLoader  # noqa: E402
 
 STAMPS = ((sec, 0) for sec in count(1000))  # one for each joint state whose stamp does not matter
@@ -335,6 +337,23 @@ def test_splats(peer, running_node, leaning_model_path, leaning_draper, tmp_path
     np.testing.assert_array_equal(table[:, column], file.look["opacity"])
     for subscription in subscriptions:
         peer.node.destroy_subscription(subscription)
+
+
+def test_splats_leave_half_of_the_time_to_clouds(draper, monkeypatch):
+    """After frames that took long, none are made for as long."""
+    points = draper.model.garment.vertices[:4]
+    splats = Splats(points, np.tile([0.0, 0, 0, 1], (4, 1)), np.full((4, 3), 0.004))
+    stream = SimpleNamespace(frame_id="root", show_splats=lambda: splats)
+    worn, published = garment_stream.WornSplats(stream, draper), []
+    worn.follow(draper.model.rig.rest.astype(np.float32), np.array([0, 0, -1], dtype=np.float32))
+    publisher = SimpleNamespace(handle=SimpleNamespace(publish_raw=published.append))
+    times = iter([100, 130, 140, 159, 160, 161, 161, 162])  # a frame reads the clock at its end, too
+    monkeypatch.setattr(garment_stream, "perf_counter_ns", lambda: next(times))
+    counts = []
+    for _ in range(5):
+        worn.publish(publisher, 1, 2)
+        counts.append(len(published))
+    assert counts == [1, 1, 1, 2, 2]
 
 
 def test_without_autostart_and_interfaces(peer, running_node, model_path, draper, monkeypatch, capfd):
