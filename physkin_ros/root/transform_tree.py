@@ -27,8 +27,9 @@ KEPT = 64
 """Places of a frame that are kept."""
 MOST_FRAMES = 10_000
 """Frames beyond these are not taken: who invents names must not fill the memory."""
-STILL = 250_000_000
-"""[ns] A frame that nobody has moved for so long, while others moved, stands still and is not waited for."""
+STILL = 100_000_000
+"""[ns] A frame that nobody has moved for so long, while others moved, stands still and is not waited for: slower ones
+are corrections mostly, which must not hold up the rest."""
 
 
 @dataclass
