@@ -125,7 +125,7 @@ class WornGarment:
             self._nodes = NodesMessage(len(self.draper.bound.node_rest), stream.frame_id, self.revision)
         if stream.marker_publisher is not None and len(self.draper.faces):
             self._marker = TriangleMarker(self.draper.faces, stream.frame_id, stream.name)
-        self._splats = WornSplats(stream, draper) if stream.settings.points else None
+        self._splats = None if stream.splat_publisher is None else WornSplats(stream, draper)
 
     @property
     def accelerated(self) -> bool:
