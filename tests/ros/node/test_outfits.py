@@ -317,7 +317,7 @@ def test_effective_gravity_counts_for_all_or_none(models, avatar):
     from physkin_ros.node.garment_stream import WornGarment
 
     class NoStream:
-        frame_id, nodes_publisher, marker_publisher = "base_link", None, None
+        frame_id, nodes_publisher, marker_publisher, splat_publisher = "base_link", None, None, None
 
     learnt = {"poses": {"accelerated": 0.3}}
     shirt, trousers = (replace(models[name], training=learnt) for name in ("tshirt", "trousers"))

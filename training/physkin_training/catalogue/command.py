@@ -85,7 +85,8 @@ def _train(options: argparse.Namespace, jobs: list[Job], to_do: list[Job], page:
                     ended += 1
                     failed += status.state == "failed"
                     said = status.check["verdict"] if status.check else status.reason
-                    print(f"{ended} of {len(to_do)}: {job.name} {status.state}: {said}")
+                    begun = f", begun {status.starts} times" if status.starts > 1 else ""
+                    print(f"{ended} of {len(to_do)}: {job.name} {status.state}{begun}: {said}")
                 if outcome or time.monotonic() > written + PAGE_EVERY:
                     write_page(page, jobs, refresh=PAGE_EVERY)
                     written = time.monotonic()
