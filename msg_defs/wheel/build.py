@@ -4,8 +4,8 @@
     python msg_defs/wheel/build.py --install
 
 builds for the Python it runs under, keeps the result in `build/physkin_msgs` and installs it into that Python's
-environment. A wheel that is already there for the same messages is not built again. Where ROS 2 is installed, build
-`msg_defs` with colcon instead.
+environment; and with it tf2_msgs, of which there is no wheel elsewhere, unless that Python has it. A wheel that is
+already there for the same messages is not built again. Where ROS 2 is installed, build `msg_defs` with colcon instead.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from __future__ import annotations
 import argparse
 import base64
 import hashlib
+import importlib.metadata
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -24,6 +26,7 @@ from xml.etree import ElementTree
 
 WHEEL_FILES = Path(__file__).resolve().parent
 PACKAGE = WHEEL_FILES.parent
+TF_PACKAGE = PACKAGE / "tf2_msgs"
 DEFAULT_WORK = PACKAGE.parent / "build" / "physkin_msgs"
 REQUIREMENTS = ("ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces")
 
@@ -39,22 +42,23 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--install", action="store_true", help="install the wheel into this Python's environment")
     arguments = parser.parse_args(argv)
     try:
-        wheel = build_wheel(arguments.work.resolve())
+        packages = [PACKAGE] if _has_tf_messages_of_others() else [PACKAGE, TF_PACKAGE]
+        wheels = [str(build_wheel(arguments.work.resolve(), package)) for package in packages]
         if arguments.install:
-            _run([sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--force-reinstall", str(wheel)])
+            _run([sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--force-reinstall", *wheels])
     except BuildError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    print(wheel)
+    print("\n".join(wheels))
     return 0
 
 
-def build_wheel(work: Path) -> Path:
-    """Path of the wheel for the present sources and Python, built if it is not there. Raises BuildError."""
+def build_wheel(work: Path, package: Path = PACKAGE) -> Path:
+    """Path of a package's wheel for its present sources and Python, built if it is not there. Raises BuildError."""
     work.mkdir(parents=True, exist_ok=True)
     (work / "COLCON_IGNORE").touch()  # what is installed in here are packages too, ours a second time
-    folder = work / _fingerprint()
-    wheel = folder / _wheel_name()
+    folder = work / _fingerprint(package)
+    wheel = folder / _wheel_name(package)
     if wheel.exists():
         return wheel
     python = _build_environment(work)
@@ -63,15 +67,15 @@ def build_wheel(work: Path) -> Path:
     environment["PATH"] = f"{python.parent}{os.pathsep}{environment['PATH']}"
     environment["CMAKE_PREFIX_PATH"] = environment["AMENT_PREFIX_PATH"] = str(prefix)
     shutil.rmtree(folder, ignore_errors=True)
-    name, _ = _name_and_version()
+    name, _ = _name_and_version(package)
     configure = [
-        *("cmake", "-S", str(PACKAGE), "-B", str(folder / "cmake"), "-G", "Ninja", "-DCMAKE_BUILD_TYPE=Release"),
+        *("cmake", "-S", str(package), "-B", str(folder / "cmake"), "-G", "Ninja", "-DCMAKE_BUILD_TYPE=Release"),
         *(f"-DCMAKE_INSTALL_PREFIX={folder / 'prefix'}", "-DBUILD_TESTING=OFF", "-DPython3_FIND_VIRTUALENV=ONLY"),
         f"-DCMAKE_PROJECT_{name}_INCLUDE={WHEEL_FILES / 'targets_fix.cmake'}",
     ]
     _run(configure, environment)
     _run(["cmake", "--build", str(folder / "cmake"), "--target", "install"], environment)
-    _pack(folder / "prefix", wheel)
+    _pack(folder / "prefix", wheel, package)
     return wheel
 
 
@@ -89,9 +93,9 @@ def _build_environment(work: Path) -> Path:
     return python
 
 
-def _pack(prefix: Path, wheel: Path) -> None:
+def _pack(prefix: Path, wheel: Path, package: Path) -> None:
     """Write the wheel as the ROS 2 wheels are laid out: the Python package, and lib, share and include as data."""
-    name, version = _name_and_version()
+    name, version = _name_and_version(package)
     files: dict[str, bytes] = {}
     site = next(prefix.glob("lib/python3*/site-packages"))
     for path in sorted((site / name).rglob("*")):
@@ -117,24 +121,34 @@ def _pack(prefix: Path, wheel: Path) -> None:
     partial.replace(wheel)
 
 
-def _name_and_version() -> tuple[str, str]:
-    package = ElementTree.parse(PACKAGE / "package.xml").getroot()
-    return package.findtext("name", ""), package.findtext("version", "")
+def _has_tf_messages_of_others() -> bool:
+    """Whether this Python has tf2_msgs from elsewhere than a wheel of ours."""
+    if importlib.util.find_spec(TF_PACKAGE.name) is None:
+        return False
+    try:
+        return "Generator: physkin" not in (importlib.metadata.distribution(TF_PACKAGE.name).read_text("WHEEL") or "")
+    except importlib.metadata.PackageNotFoundError:
+        return True
+
+
+def _name_and_version(package: Path) -> tuple[str, str]:
+    root = ElementTree.parse(package / "package.xml").getroot()
+    return root.findtext("name", ""), root.findtext("version", "")
 
 
 def _python_tag() -> str:
     return "-".join([f"cp{sys.version_info.major}{sys.version_info.minor}"] * 2)
 
 
-def _wheel_name() -> str:
-    return f"{'-'.join(_name_and_version())}-{_python_tag()}-linux_{os.uname().machine}.whl"
+def _wheel_name(package: Path = PACKAGE) -> str:
+    return f"{'-'.join(_name_and_version(package))}-{_python_tag()}-linux_{os.uname().machine}.whl"
 
 
-def _fingerprint() -> str:
+def _fingerprint(package: Path = PACKAGE) -> str:
     """Changes with every source of the wheel."""
     digest = hashlib.sha256()
     for path in sorted(
-        [*PACKAGE.glob("*.*"), *PACKAGE.glob("msg/*"), *PACKAGE.glob("srv/*"), *WHEEL_FILES.glob("*.*")]
+        [*package.glob("*.*"), *package.glob("msg/*"), *package.glob("srv/*"), *WHEEL_FILES.glob("*.*")]
     ):
         digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()[:12]

@@ -48,7 +48,7 @@ def load_bag_motion(path: str | Path) -> Motion:
     """
     kept: dict[str, list[_Sample]] = {"joint_state": [], "gravity": [], "odometry": []}
     left_out = 0
-    with BagReader(path, root="odometry") as bag:
+    with BagReader(path, root=["odometry"]) as bag:
         for message in bag:
             try:
                 kept[message.kind].append(_sample(message))

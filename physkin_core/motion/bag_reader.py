@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import struct
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,8 +57,8 @@ class BagReader:
     """The joint states of a bag and the gravity directions between them.
 
     topic: of joint states; None: `/joint_states`, or the bag's only topic of that type. gravity_topic: None: `/gravity`
-    if the bag has one. root: "odometry" for messages of `/odom`, too, "transforms" for those of `/tf` and `/tf_static`,
-    where the bag has them. Use in a `with` block.
+    if the bag has one. root: "odometry" among these for messages of `/odom`, too, "transforms" for those of `/tf` and
+    `/tf_static`, where the bag has them. Use in a `with` block.
     Raises BagError for a bag that cannot be read and for a topic that is missing, ambiguous or of another type.
     """
 
@@ -68,7 +68,7 @@ class BagReader:
         *,
         topic: str | None = None,
         gravity_topic: str | None = None,
-        root: Literal["odometry", "transforms"] | None = None,
+        root: Collection[Literal["odometry", "transforms"]] = (),
     ) -> None:
         self.path = Path(path)
         with bag_errors(self.path):
@@ -81,7 +81,7 @@ class BagReader:
         except BagError:
             self._reader.close()
             raise
-        self._kinds = {name: root for name in ROOT_TOPICS.get(root, ()) if types.get(name) == KINDS[root]}
+        self._kinds = {name: kind for kind in root for name in ROOT_TOPICS[kind] if types.get(name) == KINDS[kind]}
         self._kinds[self.topic] = "joint_state"
         if self.gravity_topic is not None:
             self._kinds[self.gravity_topic] = "gravity"
@@ -91,6 +91,11 @@ class BagReader:
 
     def __exit__(self, *exception) -> None:
         self._reader.close()
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Topic -> what its messages are of, of those that are read."""
+        return dict(self._kinds)
 
     @property
     def joint_state_count(self) -> int:

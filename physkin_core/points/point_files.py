@@ -27,6 +27,7 @@ class PointFile:
     points are, if they are splats. up: axis of the file that is up, if its format says so. faces: how many there are.
 
     write: writes the file to a path with other points, and other normals or None; write_splats: with other splats.
+    look: (n,) records of all else that a splat has, such as opacity and colour, where there is any.
     """
 
     points: np.ndarray
@@ -34,6 +35,7 @@ class PointFile:
     normals: np.ndarray | None = None
     splats: Splats | None = None
     write_splats: Callable[[Path, Splats], None] | None = None
+    look: np.ndarray | None = None
     up: str = "Z"
 
 
@@ -62,7 +64,9 @@ def _read_ply(path: Path) -> PointFile:
     if rotations is not None and scales is not None:
         with np.errstate(over="ignore"):
             splats = Splats(points, rotations, np.exp(scales))
-        return PointFile(points, _ply_writer(ply), splats=splats, write_splats=_ply_splat_writer(ply))
+        rest = [name for name in ply.vertices.dtype.names if name not in (*POSITION, *ROTATION, *SCALE)]
+        look = ply.vertices[rest] if rest else None
+        return PointFile(points, _ply_writer(ply), splats=splats, write_splats=_ply_splat_writer(ply), look=look)
     if normals is not None and (np.linalg.norm(normals, axis=1) < 1e-9).any():
         normals = None  # a column of zeros is how many tools leave them out
     return PointFile(points, _ply_writer(ply), normals=normals)

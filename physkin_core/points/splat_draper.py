@@ -8,7 +8,7 @@ Dimensions: `n` splats, `d` scalar degrees of freedom.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Literal
 
@@ -65,6 +65,20 @@ class SplatDraper:
         effective_gravity: np.ndarray | None = None,
     ) -> Splats:
         """The splats in one pose, given as to `Draper.drape`, in the root frame. Raises ValueError as that does."""
-        cloud = self._draper.drape(joint_positions, gravity, effective_gravity=effective_gravity)
+        return self._splats(self._draper.drape(joint_positions, gravity, effective_gravity=effective_gravity))
+
+    def bind_step(self, joint_positions: np.ndarray, gravity: np.ndarray) -> Callable[[], Splats]:
+        """A frame bound to its arrays, as of `Draper.bind_step`: `step()` returns the splats in the pose they hold."""
+        cloud = np.empty((self._draper.vertex_count, 6), dtype=np.float32)
+        drape = self._draper.bind_step(joint_positions, gravity, cloud)
+
+        def step() -> Splats:
+            drape()
+            return self._splats(cloud)
+
+        return step
+
+    def _splats(self, cloud: np.ndarray) -> Splats:
+        """Of the draped centres and ends of axes (4 n, 6)."""
         centres, *ends = cloud[:, :3].reshape(4, -1, 3)
         return moved_splats(centres, (np.stack(ends) - centres) / np.float32(STEP), self._scales)

@@ -26,7 +26,10 @@ from physkin_core.runtime.rest_look import RestLook, look_at_rest
 from physkin_core.separation.limb_separator import LimbSeparator
 from physkin_core.sway.sway import Sway
 
-__all__ = ["BACKENDS", "STANDARD_GRAVITY", "UPRIGHT_GRAVITY", "Draper", "in_units_of_gravity"]
+__all__ = [
+    *("BACKENDS", "LARGEST_EFFECTIVE_GRAVITY", "STANDARD_GRAVITY", "UPRIGHT_GRAVITY"),
+    *("Draper", "in_units_of_gravity"),
+]
 
 log = logging.getLogger(__name__)
 

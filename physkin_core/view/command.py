@@ -74,7 +74,11 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("--motion", default="walk", help="bundled motion, motion file or none (default %(default)s)")
     parser.add_argument("--ros", action="store_true", help="show what a running ROS 2 node publishes")
     parser.add_argument(
-        "--joint-states", default="joint_states", metavar="TOPIC", help="with --ros and AVATAR: poses of the body"
+        "--joint-states",
+        action="append",
+        metavar="TOPIC",
+        help="with --ros and AVATAR: poses of the body; given several times (/alice/joint_states), several bodies "
+        "(default joint_states)",
     )
     parser.add_argument("--host", default="127.0.0.1", help="address to listen at (default: this machine alone)")
     parser.add_argument("--port", type=int, default=8080, help="or the next free one (default %(default)s)")

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from physkin_core import Draper
-from physkin_ros.messages.serialised import SerialisedMessage
+from physkin_ros.messages.point_cloud import point_cloud
+from physkin_ros.messages.serialised import MARKER, SerialisedMessage
 
 if TYPE_CHECKING:
     from rclpy.publisher import Publisher
@@ -30,7 +31,6 @@ __all__ = [
 
 CLOUD_FIELDS = ("x", "y", "z", "normal_x", "normal_y", "normal_z")
 FLOAT32 = 7  # sensor_msgs/PointField.FLOAT32
-MARKER = 1.2345678e-30  # fills a payload until its place among the bytes is known
 CLOTH_COLOUR = (0.36, 0.50, 0.70)
 
 
@@ -41,23 +41,10 @@ class GarmentCloud:
     """
 
     def __init__(self, point_count: int, frame_id: str) -> None:
-        from sensor_msgs.msg import PointCloud2, PointField
-
-        step = 4 * len(CLOUD_FIELDS)
-        fields = [PointField(name=name, offset=4 * i, datatype=FLOAT32, count=1) for i, name in enumerate(CLOUD_FIELDS)]
+        records = np.dtype([(name, "f4") for name in CLOUD_FIELDS])
         marker = np.full((point_count, len(CLOUD_FIELDS)), MARKER, dtype=np.float32)
-        message = PointCloud2(
-            height=1,
-            width=point_count,
-            fields=fields,
-            is_bigendian=sys.byteorder == "big",
-            point_step=step,
-            row_step=step * point_count,
-            data=array("B", marker.tobytes()),
-            is_dense=True,  # a frame that is not finite is never published
-        )
-        message.header.frame_id = frame_id
-        kept = SerialisedMessage(message, marker)
+        # a frame that is not finite is never published
+        kept = SerialisedMessage(point_cloud(records, point_count, marker.tobytes(), frame_id), marker)
         self.points, self.stamped, self.publish = kept.payload, kept.stamped, kept.publish
 
 

@@ -14,7 +14,10 @@ import numpy as np
 if TYPE_CHECKING:
     from rclpy.publisher import Publisher
 
-__all__ = ["SerialisedMessage"]
+__all__ = ["MARKER", "SerialisedMessage"]
+
+MARKER = 1.2345678e-30
+"""Fills a payload of floating point until its place among the bytes is known."""
 
 STAMP_OFFSET = 4  # after the encapsulation, in any message that begins with a header
 

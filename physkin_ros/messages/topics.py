@@ -39,15 +39,24 @@ TOPICS = (
         "pose",
         "in",
         "geometry_msgs/PoseStamped",
-        "the body's root in an upright frame, in place of gravity",
+        "the body's root in an upright frame, in place of gravity; tells sway how it moves",
         needs="orientation: pose",
     ),
+    Topic(
+        "odometry",
+        "in",
+        "nav_msgs/Odometry",
+        "as pose; twist and covariance are not read. Best effort will do",
+        needs="orientation: odometry",
+    ),
+    Topic("/tf", "in", "tf2_msgs/TFMessage", "as pose: the way from world_frame to frame_id", needs="orientation: tf"),
+    Topic("/tf_static", "in", "tf2_msgs/TFMessage", "what of that way never changes", needs="orientation: tf"),
     Topic(
         "imu",
         "in",
         "sensor_msgs/Imu",
-        "an IMU mounted like the root, in place of gravity: its orientation, or without one what it feels at rest. "
-        "Best effort, as drivers publish it",
+        "an IMU mounted like the root, in place of gravity: its orientation, or without one what it feels; and its "
+        "linear acceleration (at rest 9.81 m/s2 up), smoothed, as effective gravity. Best effort will do",
         needs="orientation: imu",
     ),
     Topic(
@@ -70,6 +79,24 @@ TOPICS = (
         "sensor_msgs/JointState",
         "joint positions that were draped [rad], for whoever draws the body; stamp of the joint state",
         needs="separate_limbs",
+    ),
+    Topic("/tf", "out", "tf2_msgs/TFMessage", "frame_id in the frame of its pose, with its stamp", needs="publish_tf"),
+    Topic(
+        "~/splats",
+        "out",
+        "sensor_msgs/PointCloud2",
+        "the splats of points, draped, 28 bytes each, to readers only: x, y, z [m], float32; rot_x, rot_y, rot_z, "
+        "rot_w, a unit quaternion, int16 in 1/32767; scale_0, scale_1, scale_2, int16, natural logarithms of standard "
+        "deviations [m] in 1/1000",
+        needs="points",
+    ),
+    Topic(
+        "~/splat_look",
+        "out",
+        "sensor_msgs/PointCloud2",
+        "what else the file says of each splat, under its names (opacity, f_dc_0, ...), in the same order; latched, "
+        "once",
+        needs="points",
     ),
     Topic("~/marker", "out", "visualization_msgs/Marker", "the garment's triangles, for RViz", needs="marker"),
     Topic(

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from physkin_core.doctor.finding import Finding
-from physkin_ros.messages.interfaces import missing_interfaces
+from physkin_ros.messages.interfaces import missing_interfaces, missing_tf
 from physkin_ros.middleware.shared_memory import SHARED_MEMORY, leftovers
 from physkin_ros.middleware.transport import FASTDDS_PROFILE, PROFILE_VARIABLES, use_shipped_profile
 
@@ -24,13 +24,14 @@ def look() -> Iterator[Finding]:
     yield _profile()
     use_shipped_profile()
     yield _participant()
-    yield _messages()
+    yield _messages("physkin_msgs", missing_interfaces())
+    yield _messages("tf2_msgs", missing_tf())
     yield from _shared_memory()
 
 
-def _messages() -> Finding:
-    said, _, remedy = missing_interfaces().partition(". ")
-    return Finding("physkin_msgs", "absent", said, remedy) if said else Finding("physkin_msgs", "good", "installed")
+def _messages(package: str, missing: str) -> Finding:
+    said, _, remedy = missing.partition(". ")
+    return Finding(package, "absent", said, remedy) if said else Finding(package, "good", "installed")
 
 
 def _participant() -> Finding:

@@ -25,10 +25,11 @@ from physkin_ros.joints.vrm_naming import VRM
 from physkin_ros.node.asset_loading import DraperLoader, LoadedDraper, Outfitting
 from physkin_ros.node.diagnostics import AvatarStatistics, Health, HealthReporter
 from physkin_ros.node.garment_stream import Attire, GarmentStream, WornGarment, passes_of, same_mesh, stream_quality
-from physkin_ros.node.orientation import EffectiveGravity, GravityByStamp, OrientationError, gravity_from_tilt
 from physkin_ros.node.orientation_source import OrientationSource
 from physkin_ros.node.separated_joint_states import SeparatedJointStates
 from physkin_ros.node.settings import AvatarSettings
+from physkin_ros.root.gravity import EffectiveGravity, GravityByStamp, gravity_from_tilt
+from physkin_ros.root.quaternions import OrientationError
 
 __all__ = ["AvatarStream"]
 
@@ -59,7 +60,7 @@ class AvatarStream:
         self._gravity_by_stamp = GravityByStamp(self.gravity.copy())
         self._effective_gravity = EffectiveGravity()
         self._direction_only: set[str] = set()
-        self._follows = settings.orientation in ("joints", "tf")
+        self._follows = settings.orientation == "joints"
         self._unknown: set[str] = set()
         self._node, self._loader = node, loader
         self._naming: tuple[JointNaming, tuple[str, ...]] | None = None
@@ -318,7 +319,7 @@ class AvatarStream:
             self._load[0] = load = float(np.linalg.norm(felt))
             if load > WEIGHTLESS:  # else the last direction stays
                 self.gravity[:] = felt / load
-        elif self._follows:
+        elif self._follows or self._orientation.fault:
             self._load[0] = 1.0
             self._follow_orientation(wire)
         elif (down := self._gravity_by_stamp.at(stamp_ns)) is self._down:
@@ -329,25 +330,21 @@ class AvatarStream:
         np.multiply(self.gravity, self._load, out=self.felt)
 
     def _follow_orientation(self, wire: JointStateWire | None) -> None:
-        if self._orientation.tree is not None:
-            try:
-                down = self._orientation.tree.gravity(self.settings.frame_id, self.settings.world_frame)
-            except OrientationError as error:
-                self._on_bad_orientation(str(error))
-                return
-        elif wire is None:  # bones have no root tilt: the last one counts
+        if self._orientation.fault:
+            self._on_bad_orientation(self._orientation.fault)
             return
-        else:
-            index = wire.selection.index
-            roll, pitch = self.settings.orientation_joints
-            if roll not in index or pitch not in index:
-                missing = roll if roll not in index else pitch
-                self._on_bad_orientation(f"the joint state has no joint {missing!r} (parameter orientation_joints)")
-                return
-            try:
-                down = gravity_from_tilt(float(wire.values[index[roll]]), float(wire.values[index[pitch]]))
-            except OrientationError as error:
-                raise JointStateError(str(error)) from None
+        if wire is None:  # bones have no root tilt: the last one counts
+            return
+        index = wire.selection.index
+        roll, pitch = self.settings.orientation_joints
+        if roll not in index or pitch not in index:
+            missing = roll if roll not in index else pitch
+            self._on_bad_orientation(f"the joint state has no joint {missing!r} (parameter orientation_joints)")
+            return
+        try:
+            down = gravity_from_tilt(float(wire.values[index[roll]]), float(wire.values[index[pitch]]))
+        except OrientationError as error:
+            raise JointStateError(str(error)) from None
         self.gravity[:] = down
 
     def _on_bad_orientation(self, reason: str) -> None:

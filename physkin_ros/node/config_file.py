@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from physkin_ros.node.settings import NodeSettings, SettingsError, check_names, read_settings
+from physkin_ros.node.settings import NodeSettings, SettingsError
+from physkin_ros.node.settings_reading import check_names, read_settings
 
 __all__ = ["load_config"]
 

@@ -24,6 +24,7 @@ from physkin_ros.middleware.shared_memory import leftovers, remove_shared_memory
 from physkin_ros.node.asset_loading import AssetRoots, DraperLoader, Outfitting
 from physkin_ros.node.avatar_stream import AvatarStream
 from physkin_ros.node.body_discovery import BodyDiscovery, body_publishers
+from physkin_ros.node.orientation_source import check_orientation
 from physkin_ros.node.parameters import declare_settings
 from physkin_ros.node.reports import Reports
 from physkin_ros.node.settings import (
@@ -31,9 +32,8 @@ from physkin_ros.node.settings import (
     NodeSettings,
     SettingsError,
     check_setting,
-    model_names,
-    read_settings,
 )
+from physkin_ros.node.settings_reading import model_names, read_settings
 
 __all__ = ["DrapeNode"]
 
@@ -261,6 +261,7 @@ class DrapeNode(LifecycleNode):
     def _configure(self) -> None:
         self._settings = self._read_settings()
         for avatar in self._settings.avatars:
+            check_orientation(avatar)  # a body that comes later must not fail for it
             if avatar.discover:
                 self._templates.append((avatar, BodyDiscovery(self._settings.most_bodies)))
             else:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 
-from physkin_core import Sway
 from physkin_core.runtime.draper import in_units_of_gravity
 from physkin_ros.messages.conversions import gravity_direction
+from physkin_ros.messages.interfaces import missing_tf
 from physkin_ros.node.garment_stream import stream_quality
-from physkin_ros.node.orientation import TransformTree, gravity_from_imu, gravity_from_quaternion
 from physkin_ros.node.settings import AvatarSettings, SettingsError
+from physkin_ros.root.gravity import gravity_from_imu
+from physkin_ros.root.imu_acceleration import ImuAcceleration
+from physkin_ros.root.quaternions import Quaternion, Vector, quaternion_of, vector_of
+from physkin_ros.root.root_motion import RootMotion
+from physkin_ros.root.tf_topics import RootBroadcaster, TfListener
+from physkin_ros.root.transform_tree import TransformTree
 
-__all__ = ["OrientationSource"]
+__all__ = ["OrientationSource", "check_orientation"]
 
 SENSOR_QUEUE = 50  # of a sensor, while the machine is busy
 
@@ -24,86 +29,124 @@ Taker = Callable[[np.ndarray, int], None]
 """Takes what a message says (3,) and its stamp [ns]."""
 
 
+def check_orientation(avatar: AvatarSettings) -> None:
+    """Raises SettingsError for what needs `tf2_msgs` where that is not installed."""
+    asked = {"orientation is 'tf'": avatar.orientation == "tf", "publish_tf is true": avatar.publish_tf}
+    for text in (text for text, wanted in asked.items() if wanted):
+        if missing := missing_tf():
+            raise SettingsError(f"parameter {avatar.prefix}{text}, but {missing}")
+
+
 class OrientationSource:
     """Calls back with what messages say, and their stamps, or with why one says nothing.
 
     on_gravity: takes gravity's unit direction. on_felt: takes effective gravity in units of gravity, from its topic, or
-    as poses of the root sway cloth, until the topic has told one. tree: the TF tree
-    of orientation tf, to be asked for every joint state; else None.
-    Raises SettingsError for orientation tf without tf2_msgs.
+    as the root's motion or an IMU tells it, until the topic has told one. fault: why TF does not say where the root is
+    at the moment, "" where it does or is not asked.
     """
 
     def __init__(
         self, node, avatar: AvatarSettings, on_gravity: Taker, on_felt: Taker, on_bad: Callable[[str], None]
     ) -> None:
-        self.tree: TransformTree | None = None
-        self._node, self._on_bad = node, on_bad
+        self.fault = ""
+        self._node, self._on_gravity, self._on_felt, self._on_bad = node, on_gravity, on_felt, on_bad
+        self._frames = avatar.frame_id, avatar.world_frame
         self._subscriptions = []
+        self._motion = RootMotion(avatar.sway)
+        self._acceleration = ImuAcceleration(delay=avatar.imu_delay, sway=avatar.sway) if avatar.sway else None
+        self._listener = self._broadcaster = None
         below = f"~/{avatar.id}" if avatar.id else "~"
-        topic = avatar.effective_gravity_topic or f"{below}/effective_gravity"
-        swings = avatar.orientation == "pose" and avatar.sway > 0
-        self._sway = Sway(amount=avatar.sway) if swings else None
-        self._on_felt = on_felt
-        self._listen(Vector3Stamped, topic, self._told, on_felt, sensor=True)
+        self._listen(
+            Vector3Stamped, avatar.effective_gravity_topic or f"{below}/effective_gravity", self._on_told, sensor=True
+        )
         kinds = {
-            "gravity": (Vector3Stamped, lambda message: _from_vector(message.vector)),
-            "pose": (PoseStamped, self._from_pose),
-            "imu": (Imu, gravity_from_imu),
+            "gravity": (Vector3Stamped, self._on_direction),
+            "pose": (PoseStamped, lambda message: self._on_pose(message, message.pose)),
+            "odometry": (Odometry, lambda message: self._on_pose(message, message.pose.pose)),
+            "imu": (Imu, self._on_imu),
         }
         if avatar.orientation in kinds:
-            kind, read = kinds[avatar.orientation]
+            kind, take = kinds[avatar.orientation]
             default = f"{avatar.id}/{avatar.orientation}" if avatar.id else avatar.orientation
-            self._listen(kind, avatar.orientation_topic or default, read, on_gravity, sensor=kind is Imu)
-        elif avatar.orientation == "tf":
-            try:
-                from tf2_msgs.msg import TFMessage
-            except ModuleNotFoundError:
-                raise SettingsError(
-                    f"parameter {avatar.prefix}orientation is 'tf', which needs the package tf2_msgs (apt: "
-                    "ros-jazzy-tf2-msgs); allowed without it: gravity, pose, imu, joints, fixed"
-                ) from None
-            tree = self.tree = TransformTree()
-            latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-            for topic, quality in (("/tf", QoSProfile(depth=100)), ("/tf_static", latched)):
-                self._subscriptions.append(
-                    node.create_subscription(TFMessage, topic, lambda message: tree.update(message.transforms), quality)
-                )
+            sensor = avatar.orientation in ("odometry", "imu")
+            self._listen(kind, avatar.orientation_topic or default, take, sensor=sensor)
+        if avatar.publish_tf:
+            self._broadcaster = RootBroadcaster(node, frame_id=avatar.frame_id, world_frame=avatar.world_frame)
+        if avatar.orientation == "tf":
+            self._tree = TransformTree()
+            self._listener = TfListener(node, self._on_transforms)
+            self._on_transforms((), static=False)
 
     def close(self) -> None:
         """Stop listening."""
+        self._motion.still()  # what is native in it must not outlive the interpreter
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
+        for each in (self._listener, self._broadcaster):
+            if each is not None:
+                each.close()
 
-    def _told(self, message: Vector3Stamped) -> np.ndarray:
-        felt = in_units_of_gravity([message.vector.x, message.vector.y, message.vector.z])
-        self._sway = None  # who tells it knows better
-        return felt
+    def _on_told(self, message: Vector3Stamped) -> None:
+        felt = in_units_of_gravity(vector_of(message.vector))
+        self._motion.still()  # who tells it knows better
+        self._acceleration = None
+        self._tell(self._on_felt, felt, _stamp_ns(message))
 
-    def _from_pose(self, message: PoseStamped) -> np.ndarray:
-        place, turn, stamp = message.pose.position, message.pose.orientation, message.header.stamp
-        down = gravity_from_quaternion((turn.x, turn.y, turn.z, turn.w))
-        if self._sway is not None:
-            root = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
-            felt = in_units_of_gravity(self._sway.felt(stamp.sec + 1e-9 * stamp.nanosec, root))
-            self._on_felt(felt.astype(np.float32), stamp.sec * 1_000_000_000 + stamp.nanosec)
-        return down
+    def _on_direction(self, message: Vector3Stamped) -> None:
+        down = gravity_direction(list(vector_of(message.vector)))
+        self._tell(self._on_gravity, down / np.linalg.norm(down), _stamp_ns(message))
 
-    def _listen(self, kind: type, topic: str, read: Callable, take: Taker, *, sensor: bool) -> None:
+    def _on_imu(self, message: Imu) -> None:
+        stamp_ns = _stamp_ns(message)
+        felt = None if self._acceleration is None else self._acceleration.felt(message, stamp_ns)
+        self._tell(self._on_gravity, gravity_from_imu(message), stamp_ns)
+        if felt is not None:
+            self._tell(self._on_felt, felt, stamp_ns)
+
+    def _on_pose(self, message: PoseStamped | Odometry, pose) -> None:
+        place, turn, stamp_ns = vector_of(pose.position), quaternion_of(pose.orientation), _stamp_ns(message)
+        new = self._motion.follows(stamp_ns)
+        self._move(stamp_ns, place, turn)
+        if self._broadcaster is not None and new:
+            self._broadcaster.publish(message.header, place, turn)
+
+    def _on_transforms(self, transforms: Iterable, static: bool) -> None:
+        wrong = self._tree.update(transforms, static=static)
+        try:
+            frames = self._tree.chain(*self._frames)
+            stamp_ns, place, turn = self._tree.pose(*self._frames)
+            if self._motion.follows(stamp_ns):
+                self._move(stamp_ns, place, turn)
+        except ValueError as error:
+            self.fault = str(error)
+        else:
+            self.fault = ""
+            for frame in wrong.keys() & frames:
+                self._on_bad(wrong[frame])
+
+    def _move(self, stamp_ns: int, place: Vector, turn: Quaternion) -> None:
+        down, felt = self._motion.move(stamp_ns, place, turn)
+        if felt is not None:
+            self._tell(self._on_felt, felt, stamp_ns)
+        self._tell(self._on_gravity, down, stamp_ns)
+
+    @staticmethod
+    def _tell(take: Taker, found: np.ndarray, stamp_ns: int) -> None:
+        take(found.astype(np.float32), stamp_ns)
+
+    def _listen(self, kind: type, topic: str, take: Callable[..., None], *, sensor: bool = False) -> None:
         """sensor: the topic's publishers may be best effort, as sensor drivers are."""
 
         def on_message(message) -> None:
             try:
-                found = read(message)
+                take(message)
             except ValueError as error:
                 self._on_bad(str(error))
-            else:
-                stamp = message.header.stamp
-                take(found.astype(np.float32), stamp.sec * 1_000_000_000 + stamp.nanosec)
 
         quality = stream_quality(SENSOR_QUEUE, reliable=False) if sensor else stream_quality()
         self._subscriptions.append(self._node.create_subscription(kind, topic, on_message, **quality))
 
 
-def _from_vector(vector) -> np.ndarray:
-    down = gravity_direction([vector.x, vector.y, vector.z])
-    return down / np.linalg.norm(down)
+def _stamp_ns(message) -> int:
+    stamp = message.header.stamp
+    return stamp.sec * 1_000_000_000 + stamp.nanosec

@@ -10,9 +10,8 @@ from physkin_ros.node.settings import (
     GARMENT_SETTINGS,
     NODE_SETTINGS,
     Setting,
-    avatar_prefixes,
-    check_names,
 )
+from physkin_ros.node.settings_reading import avatar_prefixes, check_names
 
 __all__ = ["declare_settings"]
 

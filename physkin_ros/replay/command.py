@@ -45,7 +45,7 @@ def replay_one(options: argparse.Namespace) -> int:
     baseline = load_baseline(options.baseline) if options.baseline else None
     output = BagWriter(options.output, storage=options.storage) if options.output else nullcontext()
     topics = {"topic": options.topic, "gravity_topic": options.gravity_topic}
-    with output as writer, BagReader(options.bag, root="transforms", **topics) as bag:
+    with output as writer, BagReader(options.bag, root=["transforms"], **topics) as bag:
         draper, every = _draper(options), options.contact_every
         if every is None:
             every = max(1, -(-bag.joint_state_count // CONTACT_CLOUDS))

@@ -24,8 +24,8 @@ from physkin_core.runtime.bound_garment import plain_skinning
 from physkin_ros.joints.joint_naming import load_naming
 from physkin_ros.joints.joint_states import JointStateReader
 from physkin_ros.messages.conversions import gravity_direction
-from physkin_ros.node.orientation import GravityByStamp
 from physkin_ros.replay.bags import BagWriter
+from physkin_ros.root.gravity import GravityByStamp
 
 __all__ = ["GARMENT_TOPIC", "Replay", "replay"]
 

@@ -1,4 +1,4 @@
-"""`physkin replay --live`: the joint states and gravity of a bag, played to their topics as they were recorded."""
+"""`physkin replay --live`: a bag's joint states, gravity and root, played to their topics as they were recorded."""
 
 from __future__ import annotations
 
@@ -9,16 +9,20 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from geometry_msgs.msg import Vector3Stamped
+from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 
 from physkin_core.motion.bag_reader import BagError, BagReader
 from physkin_ros.arguments import positive
+from physkin_ros.messages.interfaces import missing_tf
 from physkin_ros.middleware.subscriber_discovery import wait_for_subscribers
 from physkin_ros.middleware.transport import use_shipped_profile
 
 __all__ = ["main", "play"]
+
+PASSING, LATCHED = QoSProfile(depth=100), QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -30,7 +34,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--topic", help="joint states (default /joint_states, or the only one)")
     parser.add_argument("--gravity-topic", help="gravity's direction (default /gravity, if the bag has it)")
     options = parser.parse_args(argv)
-    with BagReader(options.bag, topic=options.topic, gravity_topic=options.gravity_topic) as bag:
+    root = ["odometry"] if missing_tf() else ["odometry", "transforms"]
+    with BagReader(options.bag, topic=options.topic, gravity_topic=options.gravity_topic, root=root) as bag:
         late = 1e3 * play(bag, rate=options.rate)
     if not len(late):
         raise BagError(f"bag {bag.path} holds no message on {bag.topic}")
@@ -49,20 +54,30 @@ def play(bag: BagReader, *, rate: float = 1.0) -> np.ndarray:
     rclpy.init(args=[])
     node = rclpy.create_node("physkin_replay")
     try:
-        publishers = {"joint_state": node.create_publisher(JointState, bag.topic, QoSProfile(depth=100))}
-        if bag.gravity_topic is not None:
-            publishers["gravity"] = node.create_publisher(Vector3Stamped, bag.gravity_topic, QoSProfile(depth=100))
-        wait_for_subscribers(publishers["joint_state"])
+        publishers = {
+            topic: node.create_publisher(_message(kind), topic, LATCHED if topic == "/tf_static" else PASSING)
+            for topic, kind in bag.topics.items()
+        }
+        wait_for_subscribers(publishers[bag.topic])
         late, begin, first = [], time.monotonic(), None
         for message in bag:
             first = message.time_ns if first is None else first
             due = begin + (message.time_ns - first) / 1e9 / rate
             time.sleep(max(0.0, due - time.monotonic()))
             late.append(time.monotonic() - due)
-            publishers[message.kind].publish(message.data)
+            publishers[message.topic].publish(message.data)
         for publisher in publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=5))
         return np.array(late)
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _message(kind: str) -> type:
+    """The class of what a bag's messages are of."""
+    if kind == "transforms":
+        from tf2_msgs.msg import TFMessage
+
+        return TFMessage
+    return {"joint_state": JointState, "gravity": Vector3Stamped, "odometry": Odometry}[kind]

@@ -6,7 +6,8 @@ import argparse
 import signal
 import sys
 import threading
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import rclpy
@@ -23,22 +24,30 @@ from physkin_core.view.page import Page
 from physkin_core.view.readout import Readout
 from physkin_core.view.surface_node import SurfaceNode
 from physkin_ros.messages.conversions import read_cloud
+from physkin_ros.messages.interfaces import missing_tf
 from physkin_ros.middleware.transport import use_shipped_profile
+from physkin_ros.root.quaternions import OrientationError, Quaternion, Vector
+from physkin_ros.root.tf_topics import TfListener
+from physkin_ros.root.transform_tree import TransformTree
 
-__all__ = ["CloudListener", "GarmentSeen", "RosPage", "show"]
+__all__ = ["BodySeen", "CloudListener", "GarmentSeen", "RosPage", "show"]
 
 MESH_TYPE, CLOUD_TYPE = "physkin_msgs/msg/GarmentMesh", "sensor_msgs/msg/PointCloud2"
 LOOK_FOR_TOPICS, READ_OUT = 1.0, 0.5
 """[s]"""
 POINT_SIZE = 0.006  # [m]
+PELVIS = 0.95  # [m] above the floor, of a figure of which nobody says where it is
+APART = 1.2  # [m] such figures stand
 
 
 @dataclass
 class GarmentSeen:
-    """What is known of one garment. points: (n, 6) of its last cloud; faces: (f, 3) of its last mesh, if one came;
-    layer: in its outfit; layers: garments of that. clouds: how many came; drawn: how many of them were shown."""
+    """What is known of one garment. points: (n, 6) of its last cloud; frame_id: that it is in; faces: (f, 3) of its
+    last mesh, if one came; layer: in its outfit; layers: garments of that. clouds: how many came; drawn: how many of
+    them were shown."""
 
     points: np.ndarray | None = None
+    frame_id: str = ""
     faces: np.ndarray | None = None
     layer: int = 0
     layers: int = 1
@@ -47,19 +56,31 @@ class GarmentSeen:
     fault: str = ""
 
 
-class CloudListener(Node):
-    """Subscribes to every garment cloud of the ROS graph, topics `.../garment`, and to the mesh beside it.
+@dataclass
+class BodySeen:
+    """A body by its joint states. positions: by joint name, of the last ones [rad]. avatar: id that the topic says."""
 
-    garments: by topic. joint_positions: by name, of the last joint state on `joint_states`. Both change while the node
-    is spun.
+    avatar: str
+    positions: dict[str, float] = field(default_factory=dict)
+
+
+class CloudListener(Node):
+    """Subscribes to every garment cloud of the ROS graph, topics `.../garment`, to the mesh beside it, and to TF.
+
+    joint_states: topics, one for a body. arguments: as `rclpy.node.Node` takes them. garments, bodies: by topic. They
+    change while the node is spun.
     """
 
-    def __init__(self, joint_states: str = "joint_states") -> None:
-        super().__init__("physkin_view")
+    def __init__(self, joint_states: Sequence[str] = ("joint_states",), **arguments) -> None:
+        super().__init__("physkin_view", **arguments)
         self.garments: dict[str, GarmentSeen] = {}
-        self.joint_positions: dict[str, float] = {}
+        self.bodies = {topic: BodySeen(_avatar_of(topic)) for topic in joint_states}
         self._latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.create_subscription(JointState, joint_states, self._on_joints, 1)
+        for topic, body in self.bodies.items():
+            self.create_subscription(JointState, topic, lambda state, body=body: self._on_joints(body, state), 1)
+        self._tree, self._tree_lock = TransformTree(), threading.Lock()
+        if not missing_tf():
+            TfListener(self, self._on_transforms)
         self.create_timer(LOOK_FOR_TOPICS, self.look_for_topics)
         self.look_for_topics()
 
@@ -71,6 +92,25 @@ class CloudListener(Node):
                 self.create_subscription(PointCloud2, topic, lambda cloud, seen=seen: self._on_cloud(seen, cloud), 1)
                 self._subscribe_to_mesh(topic.removesuffix("garment") + "mesh", seen)
 
+    def place(self, frame_id: str) -> tuple[Vector, Quaternion] | None:
+        """Where a frame is in the uppermost of TF's above it; None where TF does not know it."""
+        with self._tree_lock:
+            try:
+                world = self._tree.top(frame_id)
+                return None if world == frame_id else self._tree.pose(frame_id, world)[1:]
+            except OrientationError:
+                return None
+
+    def frame_of(self, avatar: str) -> str | None:
+        """The frame of the clouds whose topic names an avatar's id, else of the first; None before there are any."""
+        seen = {topic: each.frame_id for topic, each in self.garments.items() if each.points is not None}
+        named = (frame for topic, frame in seen.items() if avatar and avatar in topic.split("/"))
+        return next(named, next(iter(seen.values()), None))
+
+    def _on_transforms(self, transforms, static: bool) -> None:
+        with self._tree_lock:
+            self._tree.update(transforms, static=static)
+
     def _subscribe_to_mesh(self, topic: str, seen: GarmentSeen) -> None:
         try:
             from physkin_msgs.msg import GarmentMesh
@@ -80,7 +120,7 @@ class CloudListener(Node):
 
     def _on_cloud(self, seen: GarmentSeen, cloud: PointCloud2) -> None:
         try:
-            seen.points = read_cloud(cloud).copy()
+            seen.points, seen.frame_id = read_cloud(cloud).copy(), cloud.header.frame_id
             seen.clouds += 1
         except ValueError as error:
             seen.fault = str(error)
@@ -92,22 +132,33 @@ class CloudListener(Node):
             return
         seen.faces, seen.layer, seen.layers = faces, mesh.layer, mesh.layers
 
-    def _on_joints(self, message: JointState) -> None:
-        self.joint_positions.update(zip(message.name, message.position))
+    @staticmethod
+    def _on_joints(body: BodySeen, message: JointState) -> None:
+        body.positions.update(zip(message.name, message.position))
+
+
+def _avatar_of(topic: str) -> str:
+    """An avatar's id, of the joint states below it."""
+    *_, avatar, _ = ["", *topic.split("/")]
+    return avatar
 
 
 class RosPage:
-    """Draws what a listener has. body: avatar file whose joint states are shown too, or None."""
+    """Draws what a listener has. body: avatar file whose joint states are shown too, or None.
+
+    What is in one frame is a figure. It stands where TF says, and the page looks at the middle of all such; figures
+    that TF does not know stand in a row.
+    """
 
     def __init__(self, page: Page, listener: CloudListener, *, body: str | None = None, rig_file=None) -> None:
         self._page, self._listener = page, listener
         self._readout = Readout(page)
         self._rig = load_body_model().rig
         self._avatar = None if body is None else load_avatar(body, self._rig, rig_file=rig_file)
-        self._body: SurfaceNode | None = None
+        self._bodies: dict[str, tuple[str, SurfaceNode]] = {}
         self._cloths: dict[str, tuple[object, np.ndarray | None, int]] = {}
+        self._figures: dict[str, object] = {}
         self._counted, self._waited = 0, 0.0
-        page.figure.position = (0.0, 0.0, 0.95)  # clouds are in the root frame
 
     def tick(self, seconds: float) -> None:
         """Draw what is new. Raises ValueError for a garment whose messages are malformed, once each."""
@@ -120,7 +171,9 @@ class RosPage:
                 if seen.fault:
                     faults.append(f"{topic}: {seen.fault}")
                     seen.fault = ""
-            self._draw_body()
+            for topic, body in self._listener.bodies.items():
+                self._draw_body(topic, body)
+            self._place_figures()
         self._waited += seconds
         if self._waited >= READ_OUT:
             self._read_out()
@@ -142,7 +195,7 @@ class RosPage:
 
     def _added(self, topic: str, seen: GarmentSeen, points: np.ndarray):
         """A surface where its mesh is known, else points."""
-        colour, place = layer_colours(seen.layers)[seen.layer], f"/world/figure{topic}"
+        colour, place = layer_colours(seen.layers)[seen.layer], f"{self._figure(seen.frame_id)}{topic}"
         if seen.faces is None or not len(seen.faces) or seen.faces.max() >= len(points):
             tint = tuple(round(255 * channel) for channel in colour)
             return self._page.server.scene.add_point_cloud(
@@ -152,18 +205,42 @@ class RosPage:
         surface.show(points)
         return surface
 
-    def _draw_body(self) -> None:
-        if self._avatar is None:
+    def _figure(self, frame_id: str) -> str:
+        """Name of the scene's frame for a frame of TF."""
+        if frame_id not in self._figures:
+            name = f"/world/figure{len(self._figures)}"
+            self._figures[frame_id] = self._page.server.scene.add_frame(name, show_axes=False)
+        return self._figures[frame_id].name
+
+    def _place_figures(self) -> None:
+        places = {frame_id: self._listener.place(frame_id) for frame_id in self._figures}
+        unknown = [frame_id for frame_id, place in places.items() if place is None]
+        for frame_id, figure in self._figures.items():
+            if places[frame_id] is None:
+                row = unknown.index(frame_id) - (len(unknown) - 1) / 2
+                figure.position, figure.wxyz = (0.0, APART * row, PELVIS), (1.0, 0.0, 0.0, 0.0)
+            else:
+                place, (x, y, z, w) = places[frame_id]
+                figure.position, figure.wxyz = place, (w, x, y, z)
+        if known := [place[0] for place in places.values() if place is not None]:
+            x, y, _ = np.mean(known, axis=0).tolist()
+            self._page.world.position = (-x, -y, 0.0)  # the floor moves in the camera's place
+
+    def _draw_body(self, topic: str, seen: BodySeen) -> None:
+        frame_id = self._listener.frame_of(seen.avatar)
+        if self._avatar is None or frame_id is None:
             return
-        known = {name: self._listener.joint_positions.get(name) for name in self._rig.joint_names}
+        known = {name: seen.positions.get(name) for name in self._rig.joint_names}
         positions = self._rig.joint_positions({name: value for name, value in known.items() if value is not None})
         bones = self._rig.bone_transforms(positions, heads=self._avatar.bone_heads)
-        if self._body is None:
-            faces = self._avatar.faces
-            self._body = SurfaceNode(
-                self._page.server, "/world/figure/body", len(self._avatar.vertices), faces, BODY_COLOUR
-            )
-        self._body.show(self._avatar.posed_vertices(bones))
+        before, body = self._bodies.get(topic, ("", None))
+        if before != frame_id:
+            if body is not None:  # the clouds that bear its name came later than others
+                body.remove()
+            avatar, name = self._avatar, f"{self._figure(frame_id)}/body{topic}"
+            body = SurfaceNode(self._page.server, name, len(avatar.vertices), avatar.faces, BODY_COLOUR)
+            self._bodies[topic] = frame_id, body
+        body.show(self._avatar.posed_vertices(bones))
 
     def _read_out(self) -> None:
         seen = self._listener.garments
@@ -179,7 +256,7 @@ def show(options: argparse.Namespace) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     use_shipped_profile()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # Ctrl+C ends the page, and that this
-    listener = CloudListener(options.joint_states)
+    listener = CloudListener(options.joint_states or ["joint_states"])
     page = Page(host=options.host, port=options.port, title="PhySkin, ROS")
     drawn = RosPage(page, listener, body=options.avatar, rig_file=options.rig)
     executor = SingleThreadedExecutor()

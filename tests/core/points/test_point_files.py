@@ -37,6 +37,9 @@ def test_splats_keep_all_other_properties(layout, tmp_path):
     w = FIELDS.index("rot_0")
     order = [w + 1, w + 2, w + 3, w]
     np.testing.assert_allclose(file.splats.rotations, table[:, order], atol=1e-5)
+    look = [name for name in FIELDS if not name.startswith(("x", "y", "z", "rot", "scale"))]
+    assert list(file.look.dtype.names) == look
+    np.testing.assert_allclose(file.look["opacity"], table[:, FIELDS.index("opacity")], rtol=1e-6)
     moved = file.splats.transformed(np.diag([2.0, 2.0, 2.0]))
     file.write_splats(out, moved)
     again = read_points(out)

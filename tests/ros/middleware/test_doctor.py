@@ -1,6 +1,7 @@
 """What `physkin doctor` says of ROS 2: this machine's, and ones that are made to be broken."""
 
 import shutil
+import sys
 from types import SimpleNamespace
 
 import pytest
@@ -46,12 +47,13 @@ def test_middleware_that_refuses(monkeypatch):
     assert finding.state == "broken" and "division" in finding.said and "RMW_IMPLEMENTATION" in finding.remedy
 
 
-def test_messages_that_are_missing(monkeypatch):
+@pytest.mark.parametrize("package", ["physkin_msgs", "tf2_msgs"])
+def test_messages_that_are_missing(monkeypatch, package):
     """They cost topics, not clouds: absent, with the command that installs them."""
-    text = "physkin_msgs is not installed: there are no x. To install it: build"
-    monkeypatch.setattr(doctor, "missing_interfaces", lambda: text)
-    finding = doctor._messages()
-    assert (finding.state, finding.remedy) == ("absent", "To install it: build")
+    monkeypatch.setitem(sys.modules, f"{package}.msg", None)
+    finding = found()[package]
+    assert (finding.state, "is not installed" in finding.said) == ("absent", True)
+    assert "build.py --install" in finding.remedy
 
 
 def test_shared_memory_that_is_too_small_or_littered(monkeypatch, tmp_path):

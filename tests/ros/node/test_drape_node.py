@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
+from core.points.splat_files import splat_ply  # noqa: E402
 from geometry_msgs.msg import Quaternion, Transform  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import MultiDOFJointState  # noqa: E402
@@ -18,7 +19,10 @@ from physkin_ros.messages.topics import TOPICS  # noqa: E402
 from physkin_ros.node.avatar_stream import MOST_UNKNOWN  # noqa: E402
 
 STAMPS = ((sec, 0) for sec in count(1000))  # one for each joint state whose stamp does not matter
-OWN = ("physkin_msgs", "sensor_msgs", "geometry_msgs", "visualization_msgs", "diagnostic_msgs")
+OWN = (
+    *("diagnostic_msgs", "geometry_msgs", "nav_msgs", "physkin_msgs"),
+    *("sensor_msgs", "tf2_msgs", "visualization_msgs"),
+)
 """Packages of our types; those of others (parameters, lifecycle, clock) every node of ROS has."""
 
 
@@ -171,11 +175,16 @@ def test_gravity_can_change_while_running(peer, shared_node, draper):
     assert not result.successful
 
 
-@pytest.mark.parametrize("orientation", ["gravity", "imu"])
-def test_every_topic_is_listed_with_its_type(orientation, running_node, model_path):
+@pytest.mark.parametrize("orientation", ["gravity", "pose", "odometry", "imu", "tf"])
+def test_every_topic_is_listed_with_its_type(orientation, running_node, model_path, garment_model, tmp_path):
     """What usage text and reference name, no more and no less, with all that parameters open."""
     pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
+    pytest.importorskip("tf2_msgs", reason="needs tf2_msgs: python msg_defs/wheel/build.py --install")
     wanted = {"model": str(model_path), "orientation": orientation, "marker": True, "separate_limbs": True}
+    splats = tmp_path / "splats.ply"
+    splats.write_bytes(splat_ply("binary_little_endian", garment_model.garment.vertices[:20]))
+    wanted["points"] = str(splats)
+    wanted["publish_tf"] = publishes = orientation in ("pose", "odometry")
     with running_node(wanted, connect=False) as node:
         opened = {("out", each.topic_name, named(each.msg_type)) for each in node.publishers}
         opened |= {("in", each.topic_name, named(each.msg_type)) for each in node.subscriptions}
@@ -183,7 +192,8 @@ def test_every_topic_is_listed_with_its_type(orientation, running_node, model_pa
         (topic.direction, resolved(topic.name), topic.type)
         for topic in TOPICS
         if topic.direction != "service"  # a node of their own has them
-        and (not topic.needs.startswith("orientation") or topic.needs.endswith(orientation))
+        and (not topic.needs.startswith("orientation") or topic.needs.endswith(f" {orientation}"))
+        and (publishes or topic.needs != "publish_tf")
     }
     assert {each for each in opened if each[2].startswith(OWN)} == listed
 

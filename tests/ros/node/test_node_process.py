@@ -49,8 +49,10 @@ def test_clouds_equal_the_core(start, peer, garment_model, model_path, executor)
 
 def test_interrupted_in_a_callback(start, model_path):
     """SIGINT ends the node without a word though a timer of a kilohertz keeps it in callbacks."""
-    for _ in range(2):
-        node = start("physkin_ros", "--ros-args", "-p", f"model:={model_path}", "-p", "cloud_rate:=1000.0")
+    for orientation in ("gravity", "pose"):
+        parameters = {"model": model_path, "cloud_rate": 1000.0, "orientation": orientation}
+        set_all = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+        node = start("physkin_ros", "--ros-args", *set_all)
         lines = iter(node.stdout.readline, "")
         assert any("->" in line for line in lines), "the node did not start"
         time.sleep(0.3)

@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from itertools import count
 from threading import Event
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
+from physkin_core import BUNDLED_AVATAR, Draper, SplatDraper, Splats, load_avatar, load_garment_model
 from physkin_core.model.model_file import MODELS_PATH
+from physkin_core.points.point_files import read_points
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
+from builtin_interfaces.msg import Time  # noqa: E402
+from core.points.splat_files import splat_ply  # noqa: E402
 from drape_site import scaled_body  # noqa: E402
+from geometry_msgs.msg import Quaternion, TransformStamped  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.qos import qos_profile_sensor_data  # noqa: E402
-from sensor_msgs.msg import Imu  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data  # noqa: E402
+from sensor_msgs.msg import Imu, PointCloud2  # noqa: E402
+from std_msgs.msg import Header  # noqa: E402
 from visualization_msgs.msg import Marker  # noqa: E402
 
 from physkin_ros.joints.joint_states import JointStateReader  # noqa: E402
 from physkin_ros.joints.ros4hri import Ros4hriNaming  # noqa: E402
 from physkin_ros.messages.interfaces import missing_interfaces  # noqa: E402
+from physkin_ros.messages.splat_cloud import read_splats  # noqa: E402
+from physkin_ros.node import garment_stream  # noqa: E402
 from physkin_ros.node.asset_loading import DraperLoader  # noqa: E402
 
 STAMPS = ((sec, 0) for sec in count(1000))  # one for each joint state whose stamp does not matter
@@ -237,13 +245,115 @@ def test_other_orientations(peer, running_node, leaning_model_path, leaning_drap
         np.testing.assert_allclose(cloud, leaning_draper.drape(rest, tilted), atol=1e-5)
 
 
-def test_tf_needs_its_messages(peer, running_node, model_path):
-    """Where they are not installed, the parameter is refused with what would do."""
-    if importlib.util.find_spec("tf2_msgs"):
-        pytest.skip("tf2_msgs is installed")
-    with pytest.raises(ValueError, match="tf2_msgs"):
-        with running_node({"model": str(model_path), "orientation": "tf"}):
-            pass
+@pytest.mark.parametrize("orientation", ["odometry", "tf"])
+def test_where_the_root_is(peer, running_node, leaning_model_path, leaning_draper, orientation):
+    """By odometry, which may be told on as TF, or by TF; a bad message is told and leaves the last good one."""
+    messages = pytest.importorskip("tf2_msgs.msg", reason="needs tf2_msgs: python msg_defs/wheel/build.py --install")
+    names, rest = list(leaning_draper.joint_names), leaning_draper.model.rig.rest
+    by_odometry = orientation == "odometry"
+    parameters = {"model": str(leaning_model_path), "orientation": orientation, "publish_tf": by_odometry}
+    parameters |= {"frame_id": "hips", "world_frame": "map"}
+    heard = []
+    with running_node(parameters, gravity=False):
+        kind, topic = (Odometry, "odometry") if by_odometry else (messages.TFMessage, "/tf")
+        publisher = peer.node.create_publisher(kind, topic, 10)
+        subscription = peer.node.create_subscription(
+            messages.TFMessage, "/tf", lambda message: heard.extend(message.transforms), 10
+        )
+
+        def send(half: float, sec: int) -> None:
+            turn = Quaternion(y=np.sin(half), w=np.cos(half))
+            header = Header(stamp=Time(sec=sec), frame_id="map")
+            if by_odometry:
+                message = Odometry(header=header)
+                message.pose.pose.position.x, message.pose.pose.orientation = 2.5, turn
+            else:
+                message = TransformStamped(header=header, child_frame_id="hips")
+                message.transform.translation.x, message.transform.rotation = 2.5, turn
+                message = messages.TFMessage(transforms=[message])
+            publisher.publish(message)
+            peer.spin(0.2)
+
+        peer.until(publisher.get_subscription_count, "subscription")
+        peer.until(subscription.get_publisher_count, "publisher of TF")
+        if not by_odometry:
+            peer.cloud(names, rest, (1, 0))
+            peer.until_told("last rejection", "no transform from 'map' to 'hips'")
+        send(0.3, 2)
+        tilted = np.array([np.sin(0.6), 0.0, -np.cos(0.6)])
+        for sec in (2, 3):
+            np.testing.assert_allclose(peer.cloud(names, rest, (sec, 0)), leaning_draper.drape(rest, tilted), atol=1e-5)
+            send(np.nan, 3)
+            peer.until_told("last rejection", "unit quaternion")
+        assert peer.frame_ids == {"hips"}
+        told = [(each.header.frame_id, each.child_frame_id, each.transform.translation.x) for each in heard]
+        assert told[:1] == [("map", "hips", 2.5)] and (not by_odometry or len(told) == 1)
+        peer.node.destroy_publisher(publisher)
+        peer.node.destroy_subscription(subscription)
+
+
+def test_splats(peer, running_node, leaning_model_path, leaning_draper, tmp_path, capfd):
+    """Draped as the cloud is, what does not move once; a file that will not do is one sentence."""
+    model, rest = leaning_draper.model, leaning_draper.model.rig.rest
+    path, far, plain = tmp_path / "splats.ply", tmp_path / "far.ply", tmp_path / "plain.ply"
+    path.write_bytes(splat_ply("binary_big_endian", model.garment.vertices[::5]))
+    far.write_bytes(splat_ply("ascii", model.garment.vertices[:9] + 1))
+    plain.write_text("ply\nformat ascii 1.0\nelement vertex 1\n" + "property float x\nproperty float y\n"
+                     "property float z\nend_header\n0 0 0\n")  # fmt: skip
+    parameters = {"model": str(leaning_model_path), "frame_id": "hips"}
+    for wrong, reason in (
+        (tmp_path / "none.ply", "no such file"),
+        (far, "cm from garment"),
+        (plain, "they are no Gaussian splats"),
+    ):
+        with pytest.raises(ValueError, match=f"parameter points.*{reason}") as error:
+            with running_node(parameters | {"points": str(wrong)}):
+                pass
+        assert "\n" not in str(error.value)
+    heard, looks = [], []
+    with running_node(parameters | {"points": str(path)}):
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        subscriptions = [
+            peer.node.create_subscription(PointCloud2, "drape_node/splats", heard.append, 10),
+            peer.node.create_subscription(PointCloud2, "drape_node/splat_look", looks.append, latched),
+        ]
+        peer.until(lambda: looks, "what does not move")
+        peer.until(subscriptions[0].get_publisher_count, "splats")
+        peer.spin(0.3)
+        tilted = np.array([np.sin(0.6), 0.0, -np.cos(0.6)])
+        peer.send_gravity(tilted)
+        cloud = peer.cloud(model.rig.joint_names, rest, (7, 8))
+        peer.until(lambda: heard, "draped splats")
+    (message, *_), (look, *_) = heard, looks
+    assert (message.header.stamp.sec, message.header.stamp.nanosec, message.header.frame_id) == (7, 8, "hips")
+    file, splats = read_points(path), read_splats(message)
+    expected = SplatDraper(model, leaning_draper.avatar, file.splats, binding=leaning_draper.bound).drape(rest, tilted)
+    np.testing.assert_allclose(splats.centres, expected.centres, atol=1e-6)
+    np.testing.assert_allclose(splats.centres, cloud[::5, :3], atol=2e-3)
+    np.testing.assert_allclose(splats.scales, expected.scales, rtol=1e-3)
+    np.testing.assert_allclose(splats.rotations, expected.rotations, atol=1e-4)
+    column = [field.name for field in look.fields].index("opacity")
+    table = np.frombuffer(look.data, dtype=np.float32).reshape(look.width, len(look.fields))
+    np.testing.assert_array_equal(table[:, column], file.look["opacity"])
+    for subscription in subscriptions:
+        peer.node.destroy_subscription(subscription)
+
+
+def test_splats_leave_half_of_the_time_to_clouds(draper, monkeypatch):
+    """After frames that took long, none are made for as long."""
+    points = draper.model.garment.vertices[:4]
+    splats = Splats(points, np.tile([0.0, 0, 0, 1], (4, 1)), np.full((4, 3), 0.004))
+    stream = SimpleNamespace(frame_id="root", show_splats=lambda: splats)
+    worn, published = garment_stream.WornSplats(stream, draper), []
+    worn.follow(draper.model.rig.rest.astype(np.float32), np.array([0, 0, -1], dtype=np.float32))
+    publisher = SimpleNamespace(handle=SimpleNamespace(publish_raw=published.append))
+    times = iter([100, 130, 140, 159, 160, 161, 161, 162])  # a frame reads the clock at its end, too
+    monkeypatch.setattr(garment_stream, "perf_counter_ns", lambda: next(times))
+    counts = []
+    for _ in range(5):
+        worn.publish(publisher, 1, 2)
+        counts.append(len(published))
+    assert counts == [1, 1, 1, 2, 2]
 
 
 def test_without_autostart_and_interfaces(peer, running_node, model_path, draper, monkeypatch, capfd):

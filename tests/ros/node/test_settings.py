@@ -136,6 +136,18 @@ drape_node: {ros__parameters: {avatars: {
             "{avatars: {ann: {garments: {a: {precision: int8}, b: {model: skirt}}}}}",
             "garments.b.precision is '' and avatars.ann.garments.a.precision 'int8'; the garments of an outfit share",
         ),
+        (
+            "{avatars: {ann: {publish_tf: true, orientation: tf, garments: {a: {model: dress}}}}}",
+            "avatars.ann.publish_tf is true and avatars.ann.orientation 'tf'; allowed with pose or odometry",
+        ),
+        (
+            "{avatars: {ann: {imu_delay: -1, garments: {a: {model: dress}}}}}",
+            "imu_delay is -1; allowed: a number",
+        ),
+        (
+            "{avatars: {ann: {garments: {a: {points: a.ply}, b: {model: skirt}}}}}",
+            "avatars.ann.garments.a.points: splats follow one garment, not the layers of an outfit; allowed with",
+        ),
         ("{avatars: {ann: {orientation_joints: [a], garments: {top: {model: a}}}}}", "allowed: two names"),
         (
             "{avatars: {ann: {garments: {a: {namespace: /x}, b: {namespace: /x}}}}}",

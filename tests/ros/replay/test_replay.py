@@ -54,7 +54,7 @@ def test_clouds_hang_in_the_world(draper, motion, tmp_path):
         write_motion(writer, motion, frame_id="base_link", world_frame="world")
     found = []
     for name in ("bare", "in"):
-        with BagReader(tmp_path / name, root="transforms") as source, BagWriter(tmp_path / f"{name}_out") as writer:
+        with BagReader(tmp_path / name, root=["transforms"]) as source, BagWriter(tmp_path / f"{name}_out") as writer:
             found.append(replay(draper, source, writer))
     assert found[0].bag_sha256 == found[1].bag_sha256 and found[0].clouds_sha256 == found[1].clouds_sha256
     sent, came = ([e for e in recorded(tmp_path / name) if e[0] == "/tf"] for name in ("in", "in_out"))

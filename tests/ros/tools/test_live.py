@@ -13,6 +13,7 @@ pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[replay]'")
 
 from geometry_msgs.msg import Vector3Stamped  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
 from physkin_ros.replay.bags import BagWriter, write_motion  # noqa: E402
@@ -24,29 +25,42 @@ def bag(tmp_path_factory):
     path = tmp_path_factory.mktemp("bags") / "walk.mcap"
     motion = load_motion("walk").resampled(30.0).looped(2.0)
     with BagWriter(path) as writer:
-        write_motion(writer, motion, topic="/arm/joints", gravity_topic="/down", frame_id="torso")
+        names = {"topic": "/arm/joints", "gravity_topic": "/down", "frame_id": "torso", "world_frame": "hall"}
+        write_motion(writer, motion, **names)
     return path, motion
 
 
 @pytest.mark.slow
 def test_every_message_arrives(peer, start, bag):
-    """Joint states and gravity as recorded, stamps too, in a quarter of the time."""
+    """Joint states, gravity and where the root is as recorded, stamps too, in a quarter of the time."""
+    tf = pytest.importorskip("tf2_msgs.msg", reason="needs tf2_msgs: python msg_defs/wheel/build.py --install")
     path, motion = bag
-    states, directions, times = [], [], []
+    states, directions, times, places, transforms = [], [], [], [], []
     node = peer.node
-    node.create_subscription(
-        JointState, "/arm/joints", lambda m: (states.append(m), times.append(time.monotonic())), 100
-    )
-    node.create_subscription(Vector3Stamped, "/down", directions.append, 100)
+    subscriptions = [
+        node.create_subscription(kind, topic, take, 100)
+        for kind, topic, take in (
+            (JointState, "/arm/joints", lambda m: (states.append(m), times.append(time.monotonic()))),
+            (Vector3Stamped, "/down", directions.append),
+            (Odometry, "/odom", places.append),
+            (tf.TFMessage, "/tf", transforms.append),
+        )
+    ]
     player = start("physkin_core.cli", "replay", str(path), "--live", "--rate", "4", "--gravity-topic", "/down")
-    peer.until(lambda: len(states) == len(directions) == motion.frame_count, "all messages")
+    received = (states, directions, places, transforms)
+    peer.until(lambda: all(len(each) == motion.frame_count for each in received), "all messages")
     assert player.wait(20) == 0
-    assert player.stdout.read().startswith(f"sent {2 * motion.frame_count} messages, late by p50 ")
+    for subscription in subscriptions:  # another test wants nobody to listen
+        node.destroy_subscription(subscription)
+    assert player.stdout.read().startswith(f"sent {4 * motion.frame_count} messages, late by p50 ")
     np.testing.assert_array_equal([state.position for state in states], motion.positions.astype(np.float64))
     assert states[0].name == list(motion.joint_names)
     stamps = [state.header.stamp.sec + state.header.stamp.nanosec / 1e9 for state in states]
     np.testing.assert_allclose(stamps, 1 + np.arange(motion.frame_count) / 30, atol=1e-6)
     np.testing.assert_allclose([d.vector.z for d in directions], motion.gravity[:, 2])
+    np.testing.assert_allclose([place.pose.pose.position.x for place in places], motion.root_position[:, 0])
+    (last,) = transforms[-1].transforms
+    assert (last.header.frame_id, last.child_frame_id) == ("hall", "torso")
     assert times[-1] - times[0] == pytest.approx((motion.frame_count - 1) / 30 / 4, abs=0.2)
 
 

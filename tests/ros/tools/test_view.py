@@ -16,13 +16,14 @@ pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/
 import rclpy  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+from root_messages import transform  # noqa: E402
 from sensor_msgs.msg import JointState, PointCloud2  # noqa: E402
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model  # noqa: E402
 from physkin_core.view.page import Page  # noqa: E402
 from physkin_core.view.surface_node import SurfaceNode  # noqa: E402
 from physkin_ros.messages.conversions import GarmentCloud, garment_mesh  # noqa: E402
-from physkin_ros.tools.view import CloudListener, RosPage  # noqa: E402
+from physkin_ros.tools.view import CloudListener, GarmentSeen, RosPage  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +77,8 @@ def test_clouds_and_mesh_are_drawn(listening):
             cloud.publish(topics["cloud"], 1, 2)
             topics["joints"].publish(joints)
 
-        until(lambda: seen() and seen().points is not None and listener.joint_positions, send)
+        body = listener.bodies["joint_states"]
+        until(lambda: seen() and seen().points is not None and body.positions, send)
         drawn.tick(1.0)
         assert not isinstance(drawn._cloths["/drape_node/garment"][0], SurfaceNode)
         topics["mesh"].publish(garment_mesh(draper, "root"))
@@ -85,7 +87,7 @@ def test_clouds_and_mesh_are_drawn(listening):
         drawn.tick(0.1)
         assert isinstance(drawn._cloths["/drape_node/garment"][0], SurfaceNode)
         np.testing.assert_array_equal(seen().points, cloud.points)
-        assert listener.joint_positions == {"spine03_x": pytest.approx(0.15)}
+        assert body.positions == {"spine03_x": pytest.approx(0.15)} and list(drawn._bodies) == ["joint_states"]
         topics["cloud"].publish(PointCloud2())
         until(lambda: seen().fault)
         with pytest.raises(ValueError, match="/drape_node/garment: no garment cloud"):
@@ -93,6 +95,43 @@ def test_clouds_and_mesh_are_drawn(listening):
         drawn.tick(0.1)
     finally:
         page.server.stop()
+
+
+def test_figures_stand_where_tf_says(domain):
+    """In the world that TF is of, seen from their middle; bodies in the frame of the clouds that bear their name; what
+    TF does not know stands in a row."""
+    pytest.importorskip("tf2_msgs", reason="needs tf2_msgs: python msg_defs/wheel/build.py --install")
+    context = rclpy.Context()
+    rclpy.init(context=context, args=[], domain_id=domain)
+    listener = CloudListener(["/alice/joint_states", "/bob/joint_states"], context=context)
+    page = Page(port=8492)
+    try:
+        drawn = RosPage(page, listener, body=str(BUNDLED_AVATAR))
+        for avatar in ("alice", "bob", "carol", "dan"):
+            points = np.zeros((3, 6), dtype=np.float32)
+            listener.garments[f"/drape_node/{avatar}/top/garment"] = GarmentSeen(points, f"{avatar}_root", clouds=1)
+            drawn.tick(0.1)
+        rows = [drawn._figures[f"{avatar}_root"].position.tolist() for avatar in ("alice", "bob", "carol", "dan")]
+        np.testing.assert_allclose(rows, [(0, y, 0.95) for y in (-1.8, -0.6, 0.6, 1.8)])
+        turn = (0.0, 0.0, 0.6, 0.8)
+        listener._on_transforms([transform("map", "alice_root", place=(3, 1, 1))], False)
+        listener._on_transforms([transform("map", "bob_root", place=(5, 1, 1), quaternion=turn)], True)
+        drawn.tick(0.1)
+        figures = {name: figure.position.tolist() for name, figure in drawn._figures.items()}
+        assert figures["alice_root"] == [3, 1, 1] and figures["bob_root"] == [5, 1, 1]
+        np.testing.assert_allclose(drawn._figures["bob_root"].wxyz, (0.8, 0, 0, 0.6))
+        assert figures["carol_root"] == pytest.approx([0, -0.6, 0.95])
+        assert page.world.position.tolist() == [-4, -1, 0]
+        listener._on_transforms([transform("map", "alice_root", seconds=2.0, place=(4, 1, 1))], False)
+        drawn.tick(0.1)
+        assert drawn._figures["alice_root"].position.tolist() == [4, 1, 1]
+        assert page.world.position.tolist() == [-4.5, -1, 0]
+        bodies = {topic: frame for topic, (frame, _) in drawn._bodies.items()}
+        assert bodies == {f"/{who}/joint_states": f"{who}_root" for who in ("alice", "bob")}
+    finally:
+        page.server.stop()
+        listener.destroy_node()
+        rclpy.shutdown(context=context)
 
 
 def test_the_core_reaches_it_by_name():

@@ -1,4 +1,4 @@
-"""Where down is, in the body's root frame: from a pose, an IMU, two joints, or TF; and what accelerated roots feel.
+"""Where down is, in the body's root frame: from an orientation, an IMU or two joints; and what accelerated roots feel.
 
 Quaternions are x, y, z, w and turn the root frame into an upright one (Z up), as ROS gives orientations.
 """
@@ -12,36 +12,29 @@ from collections.abc import Sequence
 import numpy as np
 
 from physkin_ros.messages.conversions import gravity_direction
+from physkin_ros.root.quaternions import OrientationError, quaternion_of, unit_quaternion, vector_of
 
 __all__ = [
+    "SAME_CLOCK",
     "EffectiveGravity",
     "GravityByStamp",
-    "OrientationError",
-    "TransformTree",
     "gravity_from_imu",
     "gravity_from_quaternion",
     "gravity_from_tilt",
 ]
 
-DEEPEST_CHAIN = 64
 MOST_DIRECTIONS = 256
 """Directions of gravity that are kept: a quarter of a second of a fast IMU."""
 FRESH = 500_000_000
 """[ns] Effective gravity counts for so long after it came."""
-SAME_CLOCK = 1_000_000_000  # [ns] stamps farther apart than this, the wrong way round, are of different clocks
-
-
-class OrientationError(ValueError):
-    """A message gives no direction of gravity; the text says why."""
+SAME_CLOCK = 1_000_000_000
+"""[ns] Stamps farther apart than this, the wrong way round, are of different clocks."""
 
 
 def gravity_from_quaternion(quaternion: Sequence[float]) -> np.ndarray:
     """Unit direction of gravity (3,) in a frame of this orientation. Raises OrientationError for no rotation."""
-    x, y, z, w = quaternion
-    square = x * x + y * y + z * z + w * w
-    if not (math.isfinite(square) and abs(square - 1.0) < 0.1):
-        raise OrientationError(f"orientation is {[x, y, z, w]}; it must be a unit quaternion x, y, z, w")
-    return np.array([2 * (w * y - x * z), -2 * (y * z + w * x), 2 * (x * x + y * y) - square]) / square
+    x, y, z, w = unit_quaternion(quaternion)
+    return np.array([2 * (w * y - x * z), -2 * (y * z + w * x), 2 * (x * x + y * y) - 1])
 
 
 def gravity_from_imu(message) -> np.ndarray:
@@ -49,14 +42,13 @@ def gravity_from_imu(message) -> np.ndarray:
     none (the body is then taken to be at rest). Raises OrientationError.
     """
     if message.orientation_covariance[0] != -1.0:
-        turn = message.orientation
-        return gravity_from_quaternion((turn.x, turn.y, turn.z, turn.w))
-    felt = message.linear_acceleration
+        return gravity_from_quaternion(quaternion_of(message.orientation))
+    felt = vector_of(message.linear_acceleration)
     try:
-        down = gravity_direction([-felt.x, -felt.y, -felt.z])
+        down = gravity_direction([-number for number in felt])
     except ValueError:
         raise OrientationError(
-            f"the IMU gives no orientation (covariance -1) and feels {[felt.x, felt.y, felt.z]} m/s2; one is needed"
+            f"the IMU gives no orientation (covariance -1) and feels {list(felt)} m/s2; one is needed"
         ) from None
     return down / np.linalg.norm(down)
 
@@ -132,45 +124,3 @@ class EffectiveGravity:
         if self._by_stamp is None or now_ns - self._came > FRESH:
             return None
         return self._by_stamp.at(stamp_ns)
-
-
-class TransformTree:
-    """The latest rotations of TF, without tf2: each frame's parent and its orientation there."""
-
-    def __init__(self) -> None:
-        self._parents: dict[str, tuple[str, tuple[float, float, float, float]]] = {}
-
-    def update(self, transforms) -> None:
-        """Take over a list of `geometry_msgs/TransformStamped`."""
-        for transform in transforms:
-            turn = transform.transform.rotation
-            self._parents[transform.child_frame_id.lstrip("/")] = (
-                transform.header.frame_id.lstrip("/"),
-                (turn.x, turn.y, turn.z, turn.w),
-            )
-
-    def gravity(self, frame: str, world: str) -> np.ndarray:
-        """Unit direction of gravity (3,) in `frame`, the upright `world` frame being above it.
-
-        Raises OrientationError when there is no chain of transforms, or one of them is no rotation.
-        """
-        turn, at = (0.0, 0.0, 0.0, 1.0), frame
-        for _ in range(DEEPEST_CHAIN):
-            if at == world:
-                return gravity_from_quaternion(turn)
-            if at not in self._parents:
-                raise OrientationError(f"no transform from {world!r} to {frame!r}: nothing is known above {at!r}")
-            at, outer = self._parents[at]
-            turn = _product(outer, turn)
-        raise OrientationError(f"the transforms above {frame!r} go round in a circle")
-
-
-def _product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, float]:
-    ax, ay, az, aw = a
-    bx, by, bz, bw = b
-    return (
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-        aw * bw - ax * bx - ay * by - az * bz,
-    )

@@ -6,36 +6,21 @@ from types import SimpleNamespace as Message
 
 import numpy as np
 import pytest
+from root_messages import turned, vector
 from scipy.spatial.transform import Rotation
 
-from physkin_ros.node.orientation import (
+from physkin_ros.root.gravity import (
     FRESH,
     MOST_DIRECTIONS,
     EffectiveGravity,
     GravityByStamp,
-    OrientationError,
-    TransformTree,
     gravity_from_imu,
     gravity_from_quaternion,
     gravity_from_tilt,
 )
-from physkin_ros.node.orientation_source import OrientationSource
+from physkin_ros.root.quaternions import OrientationError
 
 DOWN = np.array([0.0, 0.0, -1.0])
-
-
-def vector(values):
-    return Message(x=values[0], y=values[1], z=values[2])
-
-
-def turned(values):
-    return Message(x=values[0], y=values[1], z=values[2], w=values[3])
-
-
-def transform(parent: str, child: str, rotation: Rotation):
-    return Message(
-        header=Message(frame_id=parent), child_frame_id=child, transform=Message(rotation=turned(rotation.as_quat()))
-    )
 
 
 def test_any_orientation():
@@ -77,22 +62,6 @@ def test_imu():
     np.testing.assert_allclose(gravity_from_imu(message), expected, atol=1e-12)
 
 
-def test_chain_of_transforms():
-    """The latest of each; frames may bear a slash."""
-    tree, world, hips = TransformTree(), Rotation.from_euler("x", 0.7), Rotation.from_euler("yz", [0.4, 1.0])
-    tree.update([transform("map", "person", Rotation.identity())])
-    tree.update(
-        [transform("/map", "/person", world), transform("person", "root", hips), transform("root", "arm", hips)]
-    )
-    np.testing.assert_allclose(tree.gravity("root", "map"), (world * hips).inv().apply(DOWN), atol=1e-12)
-    np.testing.assert_allclose(tree.gravity("map", "map"), DOWN)
-    with pytest.raises(OrientationError, match="no transform from 'odom' to 'root': nothing is known above 'map'"):
-        tree.gravity("root", "odom")
-    tree.update([transform("root", "map", hips)])
-    with pytest.raises(OrientationError, match="go round in a circle"):
-        tree.gravity("root", "odom")
-
-
 SECOND = 1_000_000_000
 
 
@@ -131,48 +100,3 @@ def test_effective_gravity_counts_while_it_is_fresh():
         assert felt.at(round(stamp * SECOND), 1001 + FRESH) is None
     felt.add(np.float32([3, 0, 0]), 12 * SECOND, 2000 + FRESH)
     assert felt.at(round(11.5 * SECOND), 2000 + FRESH)[0] == 3
-
-
-class Wired:
-    """An orientation source without a node: what it is sent, and what it then says."""
-
-    def __init__(self, **settings):
-        self.callbacks, self.gravity, self.felt, self.bad = {}, [], [], []
-        avatar = Message(
-            id="", prefix="", orientation="pose", orientation_topic="", effective_gravity_topic="", **settings
-        )
-        node = Message(create_subscription=lambda kind, topic, take, **_: self.callbacks.setdefault(topic, take))
-        takers = (lambda down, stamp: self.gravity.append(down), lambda felt, stamp: self.felt.append(felt))
-        self.source = OrientationSource(node, avatar, *takers, self.bad.append)
-
-    def pose(self, seconds, position):
-        whole = int(seconds)
-        stamp = Message(sec=whole, nanosec=round(1e9 * (seconds - whole)))
-        pose = Message(position=vector(position), orientation=turned((0.0, 0.0, 0.0, 1.0)))
-        self.callbacks["pose"](Message(header=Message(stamp=stamp), pose=pose))
-
-
-def test_a_root_that_sets_off_lets_cloth_trail():
-    wired, still = Wired(sway=1.0), Wired(sway=0.0)
-    for k in range(60):
-        for source in (wired, still):
-            source.pose(1000 + k / 60, (1.5 * (k / 60) ** 2, 0, 0))
-    assert wired.felt[0] == pytest.approx(DOWN) and wired.felt[-1][0] < -0.3
-    assert len(wired.gravity) == 60 and wired.gravity[-1] == pytest.approx(DOWN)
-    assert still.felt == [] and len(still.gravity) == 60
-
-
-def test_effective_gravity_that_is_told_takes_the_place_of_sway():
-    wired = Wired(sway=1.0)
-    wired.pose(1.0, (0, 0, 0))
-    header = Message(stamp=Message(sec=1, nanosec=0))
-    wired.callbacks["~/effective_gravity"](Message(header=header, vector=vector((0, 0, -4.905))))
-    wired.pose(1.1, (9, 0, 0))
-    assert [felt.tolist() for felt in wired.felt] == [[0, 0, -1], [0, 0, -0.5]]
-    assert wired.bad == []
-
-
-def test_poses_nowhere_are_told():
-    wired = Wired(sway=1.0)
-    wired.pose(1.0, (np.nan, 0, 0))
-    assert len(wired.bad) == 1 and "finite" in wired.bad[0]

@@ -1,0 +1,49 @@
+"""From where the root is in the world, message by message, to what its garments feel."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from physkin_core import Sway
+from physkin_core.runtime.draper import in_units_of_gravity
+from physkin_ros.root.gravity import SAME_CLOCK, gravity_from_quaternion
+from physkin_ros.root.quaternions import OrientationError, Quaternion, Vector, unit_quaternion
+
+__all__ = ["RootMotion"]
+
+
+class RootMotion:
+    """sway: how much cloth lags, swings and settles as the root moves, 0 to 1."""
+
+    def __init__(self, sway: float) -> None:
+        self._sway = Sway(amount=sway) if sway else None
+        self._last_ns = 0
+
+    def still(self) -> None:
+        """Let the motion count no more, only gravity's direction: who tells effective gravity knows better."""
+        self._sway = None
+
+    def follows(self, stamp_ns: int) -> bool:
+        """Whether a message of this stamp comes after the last; a clock that begins anew, or no stamp, does, too."""
+        return not stamp_ns or not 0 <= self._last_ns - stamp_ns <= SAME_CLOCK
+
+    def move(self, stamp_ns: int, place: Vector, turn: Quaternion) -> tuple[np.ndarray, np.ndarray | None]:
+        """The root is at `place` [m] in an upright frame, turned by a quaternion (x, y, z, w), root to that frame.
+
+        Returns the direction of gravity (3,) in the root frame, and effective gravity (3,) in units of gravity, None
+        where there is no sway, or no stamp to know it by.
+        Raises OrientationError for what is not finite or no rotation, and for a stamp before the last; ValueError for a
+        place too far from the origin. The last good state then stays.
+        """
+        turn = unit_quaternion(turn)
+        if not all(map(math.isfinite, place)):
+            raise OrientationError(f"the root's position is {list(place)}; it must be finite [m]")
+        if stamp_ns != self._last_ns and not self.follows(stamp_ns):
+            raise OrientationError(f"the root's pose is stamped {1e-9 * (self._last_ns - stamp_ns):.3f} s back")
+        self._last_ns = stamp_ns
+        felt = None
+        if self._sway is not None and stamp_ns:
+            felt = in_units_of_gravity(self._sway.felt(1e-9 * stamp_ns, (*place, *turn)))
+        return gravity_from_quaternion(turn), felt

@@ -1,0 +1,71 @@
+"""TF's topics: listening to all of them, and telling where one root is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from geometry_msgs.msg import TransformStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from physkin_ros.root.quaternions import OrientationError, Quaternion, Vector, unit_quaternion
+
+__all__ = ["RootBroadcaster", "TfListener"]
+
+DEPTH = 100
+"""As TF is published and listened to elsewhere."""
+
+
+class TfListener:
+    """Calls back with the transforms of each message, and whether they are static. Needs `tf2_msgs`."""
+
+    def __init__(self, node, on_transforms: Callable[[Iterable[TransformStamped], bool], None]) -> None:
+        from tf2_msgs.msg import TFMessage
+
+        latched = QoSProfile(depth=DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._node = node
+        self._subscriptions = [
+            node.create_subscription(
+                TFMessage, topic, lambda message, static=static: on_transforms(message.transforms, static), quality
+            )
+            for topic, static, quality in (("/tf", False, QoSProfile(depth=DEPTH)), ("/tf_static", True, latched))
+        ]
+
+    def close(self) -> None:
+        """Stop listening."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+
+
+class RootBroadcaster:
+    """Publishes `frame_id`, the root, in the frame that its poses are given in, `world_frame` where they name none.
+
+    Needs `tf2_msgs`.
+    """
+
+    def __init__(self, node, *, frame_id: str, world_frame: str) -> None:
+        from tf2_msgs.msg import TFMessage
+
+        self._node, self._message = node, TFMessage
+        self._frame_id, self._world_frame = frame_id, world_frame
+        self._publisher = node.create_publisher(TFMessage, "/tf", QoSProfile(depth=DEPTH))
+
+    def publish(self, header, place: Vector, turn: Quaternion) -> None:
+        """Tell of a pose with its header's stamp, or of now if it has none.
+
+        Raises OrientationError for a pose that is given in the root's own frame, or turned by no rotation.
+        """
+        parent = header.frame_id.lstrip("/") or self._world_frame
+        if parent == self._frame_id:
+            raise OrientationError(f"the root's pose is given in frame {parent!r}, which is the root's own (frame_id)")
+        told = TransformStamped(child_frame_id=self._frame_id)
+        told.header.frame_id = parent
+        stamped = header.stamp.sec or header.stamp.nanosec
+        told.header.stamp = header.stamp if stamped else self._node.get_clock().now().to_msg()
+        shift, rotation = told.transform.translation, told.transform.rotation
+        shift.x, shift.y, shift.z = place
+        rotation.x, rotation.y, rotation.z, rotation.w = unit_quaternion(turn)
+        self._publisher.publish(self._message(transforms=[told]))
+
+    def close(self) -> None:
+        """Take the topic down."""
+        self._node.destroy_publisher(self._publisher)

@@ -1,0 +1,157 @@
+"""What an orientation source makes of messages, without ROS nodes."""
+
+from __future__ import annotations
+
+import sys
+from types import SimpleNamespace as Message
+
+import numpy as np
+import pytest
+from root_messages import header, imu, odometry, pose, transform, vector
+
+pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
+
+from physkin_ros.node.orientation_source import OrientationSource, check_orientation  # noqa: E402
+from physkin_ros.node.settings import AVATAR_SETTINGS, SettingsError  # noqa: E402
+
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def settings(**given):
+    defaults = {name: setting.default for name, setting in AVATAR_SETTINGS.items()}
+    return Message(**{**defaults, "id": "", "prefix": "", "frame_id": "root", **given})
+
+
+class Wired:
+    """An orientation source without a node: what it is sent, and what it then says."""
+
+    def __init__(self, **given):
+        self.callbacks, self.gravity, self.felt, self.bad, self.sent = {}, [], [], [], []
+        node = Message(
+            create_subscription=lambda kind, topic, take, *_, **__: self.callbacks.setdefault(topic, take),
+            create_publisher=lambda kind, topic, *_: Message(
+                publish=lambda message: self.sent.extend(message.transforms)
+            ),
+        )
+        takers = (lambda down, stamp: self.gravity.append(down), lambda felt, stamp: self.felt.append(felt))
+        self.source = OrientationSource(node, settings(**given), *takers, self.bad.append)
+
+    def send(self, topic: str, message):
+        self.callbacks[topic](message)
+
+
+def as_pose(wired: Wired, seconds: float, place):
+    wired.send("pose", pose(seconds, place))
+
+
+def as_odometry(wired: Wired, seconds: float, place):
+    wired.send("odometry", odometry(seconds, place))
+
+
+def as_tf(wired: Wired, seconds: float, place):
+    wired.send("/tf", Message(transforms=[transform("world", "root", seconds=seconds, place=place)]))
+
+
+SOURCES = {"pose": as_pose, "odometry": as_odometry, "tf": as_tf}
+
+
+@pytest.fixture(autouse=True)
+def tf_messages():
+    pytest.importorskip("tf2_msgs", reason="needs tf2_msgs: python msg_defs/wheel/build.py --install")
+
+
+@pytest.mark.parametrize("kind", SOURCES)
+def test_a_root_that_sets_off_lets_cloth_trail(kind):
+    """The same by pose, odometry and TF; without sway gravity alone is told."""
+    wired, still = Wired(orientation=kind), Wired(orientation=kind, sway=0.0)
+    by_pose = Wired(orientation="pose")
+    for k in range(60):
+        for source in (wired, still):
+            SOURCES[kind](source, 1000 + k / 60, (1.5 * (k / 60) ** 2, 0, 0))
+        as_pose(by_pose, 1000 + k / 60, (1.5 * (k / 60) ** 2, 0, 0))
+    assert wired.felt[0] == pytest.approx(DOWN) and wired.felt[-1][0] < -0.3
+    np.testing.assert_array_equal(wired.felt, by_pose.felt)
+    assert len(wired.gravity) == 60 and wired.gravity[-1] == pytest.approx(DOWN)
+    assert still.felt == [] and len(still.gravity) == 60
+    assert wired.bad == [] and wired.source.fault == ""
+
+
+def test_an_imu_that_is_pushed_leans_cloth():
+    wired, still = Wired(orientation="imu"), Wired(orientation="imu", sway=0.0)
+    for k in range(60):
+        for source in (wired, still):
+            source.send("imu", imu(1000 + k / 60, (3.0 if k else 0.0, 0, 9.81), (0.0, 0.0, 0.0, 1.0)))
+    assert wired.felt[0] == pytest.approx(DOWN) and wired.felt[-1] == pytest.approx([-3 / 9.81, 0, -1], abs=1e-4)
+    assert wired.gravity[-1] == pytest.approx(DOWN)
+    assert still.felt == [] and len(still.gravity) == 60
+    wired.send("imu", imu(1002, (np.nan, 0, 9.81)))
+    assert len(wired.bad) == 1 and len(wired.felt) == len(wired.gravity) == 60
+
+
+@pytest.mark.parametrize("kind", ["pose", "imu"])
+def test_effective_gravity_that_is_told_takes_the_place_of_sway(kind):
+    wired = Wired(orientation=kind)
+    move = {"pose": as_pose, "imu": lambda wired, t, _: wired.send("imu", imu(t, (0, 0, 9.81)))}[kind]
+    move(wired, 1.0, (0, 0, 0))
+    wired.send("~/effective_gravity", Message(header=header(1.0), vector=vector((0, 0, -4.905))))
+    move(wired, 1.1, (9, 0, 0))
+    assert [felt.tolist() for felt in wired.felt] == [[0, 0, -1], [0, 0, -0.5]]
+    assert wired.bad == [] and len(wired.gravity) == 2
+
+
+def test_bad_poses_are_told():
+    """And leave what was known."""
+    wired = Wired(orientation="pose")
+    as_pose(wired, 1.0, (0, 0, 0))
+    for message in (
+        pose(1.1, (np.nan, 0, 0)),
+        pose(1.1, (0, 0, 0), (0.0, 0.0, 0.0, 0.0)),
+        pose(0.9, (0, 0, 0)),
+    ):
+        wired.send("pose", message)
+    assert ["finite" in wired.bad[0], "quaternion" in wired.bad[1], "0.100 s back" in wired.bad[2]] == [True] * 3
+    assert len(wired.gravity) == 1
+
+
+def test_tf_that_does_not_lead_there_is_told():
+    """Until it does; a bad transform of these frames is told, one of others is not."""
+    wired = Wired(orientation="tf")
+    assert "no transform from 'world' to 'root'" in wired.source.fault
+    as_tf(wired, 1.0, (0, 0, 0))
+    assert wired.source.fault == "" and len(wired.gravity) == 1
+    nowhere = {"place": (np.nan, 0, 0), "seconds": 1.1}
+    wired.send("/tf", Message(transforms=[transform("world", "root", **nowhere), transform("a", "b", **nowhere)]))
+    assert len(wired.bad) == 1 and "'world' to 'root'" in wired.bad[0]
+    wired.send("/tf_static", Message(transforms=[transform("nowhere", "root")]))
+    assert "nothing is known above 'nowhere'" in wired.source.fault
+    wired.send("/tf_static", Message(transforms=[transform("world", "nowhere")]))
+    assert wired.source.fault == ""
+    assert len(wired.gravity) == 2 and wired.gravity[-1] == pytest.approx(DOWN)
+
+
+@pytest.mark.parametrize("kind", ["pose", "odometry"])
+def test_tf_of_the_root_is_published(kind):
+    """Of each good pose, once, in the frame it names; of no other."""
+    wired, quiet = Wired(orientation=kind, publish_tf=True), Wired(orientation=kind)
+    make = {"pose": pose, "odometry": odometry}[kind]
+    named = make(3.5, (1, 2, 3), (0.0, 0.0, np.sin(0.1), np.cos(0.1)))
+    named.header.frame_id = "/map"
+    for message in (make(2.0, (1, 0, 0)), make(2.0, (1, 0, 0)), make(1.9, (5, 0, 0)), make(3, (np.nan, 0, 0)), named):
+        wired.send(kind, message)
+        quiet.send(kind, message)
+    told = [(each.header.frame_id, each.child_frame_id, each.header.stamp.sec) for each in wired.sent]
+    assert told == [("world", "root", 2), ("map", "root", 3)] and quiet.sent == []
+    last = wired.sent[-1].transform
+    assert (last.translation.x, last.translation.z, last.rotation.z) == pytest.approx((1, 3, np.sin(0.1)))
+    named.header = header(4.0, "root")
+    wired.send(kind, named)
+    assert len(wired.sent) == 2 and "is the root's own" in wired.bad[-1]
+
+
+@pytest.mark.parametrize("asked", [{"orientation": "tf"}, {"orientation": "pose", "publish_tf": True}])
+def test_what_tf_needs(asked, monkeypatch):
+    """Where its messages are not installed, the parameter is refused with what would do."""
+    check_orientation(settings(**asked))
+    monkeypatch.setitem(sys.modules, "tf2_msgs.msg", None)
+    with pytest.raises(SettingsError, match=f"parameter {list(asked)[-1]}.*tf2_msgs is not installed.*--install"):
+        check_orientation(settings(**asked))

@@ -1,0 +1,73 @@
+"""What an IMU's acceleration comes to."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from root_messages import imu
+from scipy.spatial.transform import Rotation
+
+from physkin_ros.root.imu_acceleration import ImuAcceleration
+from physkin_ros.root.quaternions import OrientationError
+
+DELAY = 0.2
+
+
+def pushed(rate: float, seconds: float = 0.5, *, oriented: bool = True, turn: Rotation | None = None, **settings):
+    """What is felt last, of an upright root that is at rest, then accelerated by 4 m/s2 along the world's X."""
+    turn = turn or Rotation.identity()
+    acceleration = ImuAcceleration(**{"delay": DELAY, "sway": 1.0, **settings})
+    quaternion = tuple(turn.as_quat().tolist()) if oriented else None
+    felt = acceleration.felt(imu(1.0, turn.inv().apply([0, 0, 9.81]).tolist(), quaternion), 1_000_000_000)
+    np.testing.assert_allclose(felt, turn.inv().apply([0, 0, -1]), atol=1e-9)
+    force = turn.inv().apply([4.0, 0.0, 9.81]).tolist()
+    for k in range(1, round(seconds * rate) + 1):
+        felt = acceleration.felt(imu(1.0, force, quaternion), 1_000_000_000 + round(1e9 * k / rate))
+    return felt
+
+
+@pytest.mark.parametrize("oriented", [True, False])
+def test_first_order_low_pass(oriented):
+    """The step comes through as one less an exponential of the stated delay, whatever the rate and the orientation."""
+    turn = Rotation.from_euler("xyz", [0.3, -0.8, 1.0])
+    share = 1 - np.exp(-0.5 / DELAY)
+    for rate in (20.0, 400.0):
+        felt = pushed(rate, oriented=oriented, turn=turn)
+        np.testing.assert_allclose(turn.apply(felt), [-share * 4 / 9.81, 0, -1], atol=1e-6)
+    np.testing.assert_allclose(pushed(50.0, delay=0.0), [-4 / 9.81, 0, -1], atol=1e-9)
+    np.testing.assert_allclose(pushed(50.0, sway=0.5, delay=0.0), [-2 / 9.81, 0, -1], atol=1e-9)
+
+
+def test_gravity_turns_at_once():
+    """With an orientation the low pass holds back no turn of a root at rest."""
+    acceleration = ImuAcceleration(delay=DELAY, sway=1.0)
+    for k in range(20):
+        turn = Rotation.from_euler("y", 0.1 * k)
+        force = turn.inv().apply([0, 0, 9.81]).tolist()
+        felt = acceleration.felt(imu(0, force, tuple(turn.as_quat().tolist())), 1_000_000_000 + k * 10_000_000)
+        np.testing.assert_allclose(felt, turn.inv().apply([0, 0, -1]), atol=1e-9)
+
+
+def test_gaps_and_stamps():
+    """After a pause, or on a new clock, the root is at rest; doubled, late and unstamped messages say nothing."""
+    acceleration, push = ImuAcceleration(delay=0.0, sway=1.0), imu(0, (4.0, 0, 9.81), (0.0, 0.0, 0.0, 1.0))
+    at = lambda seconds: acceleration.felt(push, round(1e9 * seconds))  # noqa: E731
+    assert at(100)[0] == 0 and at(100.1)[0] < -0.4
+    assert at(100.1) is None and at(100.05) is None and at(0) is None
+    assert at(100.7)[0] == 0 and at(100.8)[0] < -0.4 and at(50)[0] == 0
+    nothing = imu(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    assert acceleration.felt(nothing, 51_000_000_000) is None
+    push.linear_acceleration_covariance[0] = -1.0
+    assert at(51) is None
+
+
+def test_at_most_three_times_gravity():
+    """As training knows no more; beyond what is measured on a body it is refused."""
+    felt = pushed(50.0, delay=0.0)
+    acceleration = ImuAcceleration(delay=0.0, sway=1.0)
+    for k in range(2):
+        felt = acceleration.felt(imu(0, (0.0, 0.0, 99.0)), 1_000_000_000 + k * 10_000_000)
+    np.testing.assert_allclose(felt, [0, 0, -3])
+    for wrong in ((np.nan, 0, 0), (0, 0, 2000.0), (np.inf, 0, 0)):
+        with pytest.raises(OrientationError, match="linear acceleration is"):
+            acceleration.felt(imu(0, wrong), 2_000_000_000)

@@ -1,0 +1,102 @@
+"""TF's frames, against SciPy's rotations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from root_messages import transform
+from scipy.spatial.transform import Rotation
+
+from physkin_ros.root import transform_tree
+from physkin_ros.root.quaternions import OrientationError
+from physkin_ros.root.transform_tree import KEPT, TransformTree
+
+SECOND = 1_000_000_000
+
+
+def test_chain_of_transforms():
+    """The latest of each; frames may bear a slash; stamps do not matter where nothing moves."""
+    tree, generator = TransformTree(), np.random.default_rng(4)
+    turns, places = Rotation.random(3, rng=generator), generator.normal(size=(3, 3))
+    first, *others = [
+        transform(parent, child, place=place.tolist(), quaternion=turn.as_quat().tolist())
+        for parent, child, turn, place in zip(("/map", "person", "root"), ("/person", "root", "arm"), turns, places)
+    ]
+    assert tree.update([transform("map", "person", place=(9, 9, 9))]) == {}
+    tree.update([first])
+    tree.update(others, static=True)
+    stamp, place, turn = tree.pose("root", "map")
+    assert stamp == 0
+    np.testing.assert_allclose(place, places[0] + turns[0].apply(places[1]), atol=1e-12)
+    np.testing.assert_allclose(Rotation.from_quat(turn).as_matrix(), (turns[0] * turns[1]).as_matrix(), atol=1e-12)
+    assert tree.pose("map", "map") == (0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    assert tree.chain("arm", "map") == ["arm", "root", "person"]
+    assert tree.top("arm") == "map" and tree.top("nowhere") == "nowhere"
+
+
+def test_frames_without_a_way_are_told():
+    tree = TransformTree()
+    tree.update([transform("map", "person"), transform("person", "root")])
+    with pytest.raises(OrientationError, match="no transform from 'odom' to 'root': nothing is known above 'map'"):
+        tree.pose("root", "odom")
+    tree.update([transform("root", "map")])
+    with pytest.raises(OrientationError, match="go round in a circle"):
+        tree.pose("root", "odom")
+    with pytest.raises(OrientationError, match="circle"):
+        tree.top("root")
+
+
+def test_all_frames_are_taken_at_one_time():
+    """The latest that both are known at, between messages by a straight line; one that stands still is not waited
+    for."""
+    tree = TransformTree()
+    half = Rotation.from_euler("z", 20, degrees=True).as_quat().tolist()
+    tree.update([transform("map", "odom", seconds=10.0, place=(0, 0, 0))])
+    tree.update([transform("map", "odom", seconds=10.1, place=(2, 0, 0), quaternion=half)])
+    tree.update([transform("odom", "root", seconds=10.05, place=(0, 1, 0))])
+    stamp, place, turn = tree.pose("root", "map")
+    assert stamp == round(10.05 * SECOND)
+    expected = Rotation.from_euler("z", 10, degrees=True)
+    np.testing.assert_allclose(turn, expected.as_quat(), atol=1e-4)
+    np.testing.assert_allclose(place, [1, 0, 0] + expected.apply([0, 1, 0]), atol=1e-3)
+    tree.update([transform("odom", "root", seconds=11.0, place=(0, 3, 0))])
+    stamp, place, _ = tree.pose("root", "map")
+    assert stamp == 11 * SECOND
+    np.testing.assert_allclose(place, [2, 0, 0] + Rotation.from_quat(half).apply([0, 3, 0]))
+
+
+def test_late_messages_change_nothing_and_a_new_clock_begins_anew():
+    tree = TransformTree()
+    for seconds, x in ((10.0, 1), (9.9, 5), (10.0, 2)):
+        tree.update([transform("map", "root", seconds=seconds, place=(x, 0, 0))])
+    assert tree.pose("root", "map")[:2] == (10 * SECOND, (2, 0, 0))
+    tree.update([transform("map", "root", seconds=3.0, place=(7, 0, 0))])
+    assert tree.pose("root", "map")[:2] == (3 * SECOND, (7, 0, 0))
+    for k in range(3 * KEPT):
+        tree.update([transform("map", "root", seconds=4 + k / 100)])
+    assert len(tree._frames["root"].stamps) == len(tree._frames["root"].places) == KEPT
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"quaternion": (0, 0, 0, 0)}, "unit quaternion"),
+        ({"quaternion": (np.nan, 0, 0, 1)}, "unit quaternion"),
+        ({"place": (0, np.inf, 0)}, "must be finite"),
+    ],
+)
+def test_what_is_no_place_leaves_the_last_good_one(wrong, told):
+    tree = TransformTree()
+    tree.update([transform("map", "root", seconds=1.0, place=(1, 2, 3))])
+    answer = tree.update([transform("map", "root", seconds=2.0, **wrong), transform("root", "arm", seconds=2.0)])
+    assert list(answer) == ["root"] and told in answer["root"] and "'map' to 'root'" in answer["root"]
+    assert tree.pose("arm", "root")[0] == 2 * SECOND and tree.pose("root", "map")[1] == (1, 2, 3)
+
+
+def test_invented_frames_fill_no_memory(monkeypatch):
+    monkeypatch.setattr(transform_tree, "MOST_FRAMES", 3)
+    tree = TransformTree()
+    tree.update([transform("map", f"frame{k}") for k in range(9)])
+    assert len(tree._frames) == 3
+    tree.update([transform("map", "frame0", place=(1, 0, 0))])
+    assert tree.pose("frame0", "map")[1] == (1, 0, 0)
