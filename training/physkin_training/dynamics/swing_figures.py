@@ -1,4 +1,5 @@
-"""How points of a hem swing: amplitude and phase of a swinging root, overshoot and settling after a stop.
+"""How points of a hem swing: amplitude and phase of a swinging root, overshoot and settling after a stop, twist and
+flare in a turn.
 
 Dimensions: `T` frames, `k` points. Metres, root frame.
 """
@@ -9,7 +10,7 @@ import numpy as np
 
 from physkin_core.motion.motion import Motion
 
-__all__ = ["settling", "swing"]
+__all__ = ["settling", "swing", "turning"]
 
 LOWEST = 0.34
 """Share of the points, the lowest, that are looked at."""
@@ -52,6 +53,15 @@ def settling(points: np.ndarray, simulated: np.ndarray, motion: Motion) -> dict[
         "overshoot_mm": 1000 * float(own.max()),
         "settling_s": float((outside.max() + 1) / motion.rate_hz) if len(outside) else 0.0,
     }
+
+
+def turning(points: np.ndarray) -> dict[str, float]:
+    """How far the lowest points (of (T, k, 3)) turn about the root's vertical at most [degrees], and how far outwards
+    [mm], both their mean against the first frame."""
+    across = _low(points).astype(np.float64) @ np.array([1.0, 1.0j, 0.0])
+    twist = np.angle(across * across[0].conj()).mean(axis=1)
+    outwards = (np.abs(across) - np.abs(across[0])).mean(axis=1)
+    return {"twist_degrees": float(np.degrees(np.abs(twist).max())), "flare_mm": 1000 * float(outwards.max())}
 
 
 def _low(points: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from physkin_core.quality import edge_strain
 from physkin_core.runtime.draper import Draper
 from physkin_training.dynamics.frame_potential import frame_potentials
 from physkin_training.dynamics.reference import Reference, load_reference
-from physkin_training.dynamics.swing_figures import settling, swing
+from physkin_training.dynamics.swing_figures import settling, swing, turning
 
 __all__ = ["REFERENCES", "evaluate_dynamics", "played", "references_of"]
 
@@ -78,9 +78,10 @@ def evaluate_dynamics(model: GarmentModel, references: Sequence[Reference], devi
 
     In `dynamic`: `rmse_mm`, `moving_rmse_mm`, `velocity_rmse_ms`, `potential_ratio` (incremental potential over the
     simulation's, gravity counted from there), with the same of drapes without sway under `quasi_static`; `at_rest_mm`;
-    `stop` and `turn` with overshoot and settling, `swings` with amplitude and phase by frequency, each `simulated`,
-    `quasi_static` and `swaying`; `rate_divergence_mm`, `drop_divergence_mm`; `strain_percent`, `added_strain_points`;
-    `still_mm`, how far cloth still moves in a frame three seconds after a stop; `added_us`.
+    `stop` and `turn` with overshoot and settling, `turn` also with twist and flare, `swings` with amplitude and phase
+    by frequency, each `simulated`, `quasi_static` and `swaying`; `rate_divergence_mm`, `drop_divergence_mm`;
+    `strain_percent`, `added_strain_points`; `still_mm`, how far cloth still moves in a frame three seconds after a
+    stop; `added_us`.
     """
     body_model = load_body_model()
     drapers: dict[bytes, Draper] = {}
@@ -179,11 +180,13 @@ def _swinging(rows: list[Played]) -> dict:
                 for kind in kinds
             }
         elif name in ("stop", "turn"):
-            found[name] = {
-                kind: _mean([settling(getattr(row, kind), row.simulated, row.reference.motion) for row in of_scene])
-                for kind in kinds
-            }
+            found[name] = {kind: _mean([_ended(row, getattr(row, kind)) for row in of_scene]) for kind in kinds}
     return found
+
+
+def _ended(row: Played, points: np.ndarray) -> dict[str, float]:
+    settled = settling(points, row.simulated, row.reference.motion)
+    return settled | turning(points) if row.reference.motion.name == "turn" else settled
 
 
 def _mean(values: list[dict[str, float]]) -> dict[str, float]:
