@@ -295,6 +295,11 @@ class AvatarStream:
         self.gravity[:] = _unit(down)
         self._gravity_by_stamp.add(self.gravity.copy(), 0)
 
+    def set_sway(self, sway: float) -> None:
+        """Let cloth swing as much from now on, 0 to 1."""
+        if self._orientation is not None:
+            self._orientation.set_sway(sway)
+
     def effective_gravity(self, now_ns: int) -> np.ndarray | None:
         """The latest (3,) [m/s2], root frame; None when none is fresh. now_ns: monotonic."""
         felt = self._effective_gravity.at(0, now_ns)

@@ -136,6 +136,8 @@ class DrapeNode(LifecycleNode):
                 continue
             if avatar.prefix + "gravity" in names:
                 stream.set_gravity(avatar.gravity)
+            if avatar.prefix + "sway" in names:
+                stream.set_sway(avatar.sway)
             if self._wish(stream) is not None:
                 self._worker.submit(self._grant_wishes, stream)
         self._templates = [

@@ -53,7 +53,7 @@ class OrientationSource:
         self._frames = avatar.frame_id, avatar.world_frame
         self._subscriptions = []
         self._motion = RootMotion(avatar.sway)
-        self._acceleration = ImuAcceleration(delay=avatar.imu_delay, sway=avatar.sway) if avatar.sway else None
+        self._acceleration: ImuAcceleration | None = ImuAcceleration(delay=avatar.imu_delay, sway=avatar.sway)
         self._listener = self._broadcaster = None
         below = f"~/{avatar.id}" if avatar.id else "~"
         self._listen(
@@ -77,6 +77,12 @@ class OrientationSource:
             self._listener = TfListener(node, self._on_transforms)
             self._on_transforms((), static=False)
 
+    def set_sway(self, sway: float) -> None:
+        """Let the root's motion, or an IMU, count as much from now on, 0 to 1."""
+        self._motion.set_sway(sway)
+        if self._acceleration is not None:
+            self._acceleration.sway = sway
+
     def close(self) -> None:
         """Stop listening."""
         self._motion.still()  # what is native in it must not outlive the interpreter
@@ -98,7 +104,9 @@ class OrientationSource:
 
     def _on_imu(self, message: Imu) -> None:
         stamp_ns = _stamp_ns(message)
-        felt = None if self._acceleration is None else self._acceleration.felt(message, stamp_ns)
+        felt = None
+        if self._acceleration is not None and self._acceleration.sway:
+            felt = self._acceleration.felt(message, stamp_ns)
         self._tell(self._on_gravity, gravity_from_imu(message), stamp_ns)
         if felt is not None:
             self._tell(self._on_felt, felt, stamp_ns)

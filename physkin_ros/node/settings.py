@@ -166,6 +166,7 @@ class AvatarSettings:
         1.0,
         "how much cloth lags, swings and settles as pose, odometry or tf move the root, or leans as an IMU says: 0 not "
         "at all, 1 all",
+        changes=True,
         low=0,
         high=1,
     )

@@ -24,11 +24,12 @@ class ImuAcceleration:
 
     The acceleration goes through a first-order low pass, in the world where the IMU knows its orientation, so that
     gravity turns with the body at once; else, gravity with it, in the IMU's own frame. Stamps count, not rates.
-    delay: [s] time constant of the low pass, by which slow changes come late. sway: 0 to 1, how much of it is felt.
+    delay: [s] time constant of the low pass, by which slow changes come late. sway: 0 to 1, how much of it is felt; may
+    be changed at any time.
     """
 
     def __init__(self, *, delay: float, sway: float) -> None:
-        self._delay, self._sway = delay, sway
+        self._delay, self.sway = delay, sway
         self._last_ns = 0
         self._in_world = True
         self._smooth = np.zeros(3)
@@ -66,5 +67,5 @@ class ImuAcceleration:
             felt = down - np.array(rotated(inverse(turn), self._smooth)) / STANDARD_GRAVITY
         else:
             felt = -self._smooth / STANDARD_GRAVITY
-        felt = down + self._sway * (felt - down)
+        felt = down + self.sway * (felt - down)
         return felt * min(1.0, LARGEST_EFFECTIVE_GRAVITY / max(float(np.linalg.norm(felt)), 1e-9))

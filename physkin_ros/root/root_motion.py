@@ -18,8 +18,13 @@ class RootMotion:
     """sway: how much cloth lags, swings and settles as the root moves, 0 to 1."""
 
     def __init__(self, sway: float) -> None:
-        self._sway = Sway(amount=sway) if sway else None
+        self._sway: Sway | None = Sway(amount=sway)
         self._last_ns = 0
+
+    def set_sway(self, sway: float) -> None:
+        """Another one, from now on."""
+        if self._sway is not None:
+            self._sway.amount = sway
 
     def still(self) -> None:
         """Let the motion count no more, only gravity's direction: who tells effective gravity knows better."""
@@ -44,6 +49,6 @@ class RootMotion:
             raise OrientationError(f"the root's pose is stamped {1e-9 * (self._last_ns - stamp_ns):.3f} s back")
         self._last_ns = stamp_ns
         felt = None
-        if self._sway is not None and stamp_ns:
+        if self._sway is not None and self._sway.amount and stamp_ns:
             felt = in_units_of_gravity(self._sway.felt(1e-9 * stamp_ns, (*place, *turn)))
         return gravity_from_quaternion(turn), felt

@@ -175,6 +175,16 @@ def test_gravity_can_change_while_running(peer, shared_node, draper):
     assert not result.successful
 
 
+def test_sway_can_change_while_running(shared_node):
+    for sway in (0.0, 0.5, 1):
+        (result,) = shared_node.set_parameters([Parameter("sway", value=sway)])
+        assert result.successful
+    for wrong in (-0.1, 1.5, "much"):
+        (result,) = shared_node.set_parameters([Parameter("sway", value=wrong)])
+        assert not result.successful and "sway" in result.reason
+    assert shared_node.get_parameter("sway").value == 1
+
+
 @pytest.mark.parametrize("orientation", ["gravity", "pose", "odometry", "imu", "tf"])
 def test_every_topic_is_listed_with_its_type(orientation, running_node, model_path, garment_model, tmp_path):
     """What usage text and reference name, no more and no less, with all that parameters open."""

@@ -76,6 +76,31 @@ def test_a_root_that_sets_off_lets_cloth_trail(kind):
     assert wired.bad == [] and wired.source.fault == ""
 
 
+@pytest.mark.parametrize("kind", SOURCES)
+def test_sway_may_change_while_running(kind):
+    """Nothing is felt while it is 0; turned on again, cloth begins as if it had hung still."""
+    wired = Wired(orientation=kind)
+    told = []
+    for k in range(180):
+        if k in (60, 120):
+            wired.source.set_sway(float(k == 120))
+        SOURCES[kind](wired, 1000 + k / 60, (1.5 * (k / 60) ** 2, 0, 0))
+        told.append(len(wired.felt))
+    assert told[59] == told[119] == 60 and told[-1] == 120 and len(wired.gravity) == 180
+    assert wired.felt[59][0] < -0.3 and abs(wired.felt[60][0]) < abs(wired.felt[59][0]) < -2 * wired.felt[-1][0]
+    assert wired.bad == []
+
+
+def test_an_imu_leans_cloth_no_more_without_sway():
+    wired = Wired(orientation="imu")
+    for k in range(90):
+        if k in (30, 60):
+            wired.source.set_sway(0.5 * (k == 60))
+        wired.send("imu", imu(1000 + k / 60, (3.0 if k else 0.0, 0, 9.81), (0.0, 0.0, 0.0, 1.0)))
+    assert len(wired.felt) == 60 and len(wired.gravity) == 90
+    assert wired.felt[-1][0] == pytest.approx(0.5 * wired.felt[29][0], rel=0.15)
+
+
 def test_an_imu_that_is_pushed_leans_cloth():
     wired, still = Wired(orientation="imu"), Wired(orientation="imu", sway=0.0)
     for k in range(60):
