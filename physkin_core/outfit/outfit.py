@@ -24,6 +24,7 @@ from physkin_core.outfit.coverage import Cover, covered, faces_of
 from physkin_core.outfit.layer_order import LayerOrder, bind_layer_order
 from physkin_core.outfit.layers import Layer, OutfitGarment, drapes, put_on
 from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
+from physkin_core.outfit.taking_in import taken_in
 from physkin_core.outfit.tuck import DEEP
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
@@ -70,13 +71,15 @@ class Outfit:
         if backend == "numpy" and precision not in (None, "fp32"):
             raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
         layers, tucks, worth_saying = put_on(self.garments, avatar, fit=fit, backend=backend)
-        self._drapers = [layer.draper for layer in layers]
         self.at_rest = tuple(layer.at_rest for layer in layers)
         self.fits = tuple(layer.draper.fit for layer in layers)
         rig = layers[0].garment.model.rig
         poses, checked = _poses_to_look_at(rig)
         if not checked and len(layers) > 1:
             worth_saying.append("everyday poses are of the default rig: with this one nothing of an outfit is hidden")
+        for inner, outer in tucks:
+            layers[inner] = taken_in(layers[inner], layers[outer], poses)
+        self._drapers = [layer.draper for layer in layers]
         cloth = drapes(layers, tucks, poses)
         self.hidden, body_hidden = _hidden(layers, cloth, poses, avatar)
         if not checked:
