@@ -24,7 +24,7 @@ from physkin_core.runtime.draper import Draper
 from physkin_core.runtime.layers_beneath import LayerBeneath
 from physkin_core.runtime.rest_look import RestLook, look_at_rest
 
-__all__ = ["MOST_LAYERS", "Layer", "OutfitGarment", "drapes", "put_on", "standing_out"]
+__all__ = ["MOST_LAYERS", "Layer", "OutfitGarment", "drapes", "put_on", "standing_out", "tuck_in"]
 
 MOST_LAYERS = 4
 DEEPEST_TUCK = 0.3
@@ -111,11 +111,11 @@ def drapes(
     which layer is tucked into which."""
     cloth = [[layer.draper.drape(*pose) for layer in layers] for pose in poses]
     for inner, outer in tucks:
-        _tuck_in(layers[inner], layers[outer], [(drawn[inner], drawn[outer]) for drawn in cloth])
+        tuck_in(layers[inner], layers[outer], [(drawn[inner], drawn[outer]) for drawn in cloth])
     return cloth
 
 
-def _tuck_in(under: Layer, over: Layer, drawn: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
+def tuck_in(under: Layer, over: Layer, drawn: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
     """Move the inner layer (n, 6) inside the outer one (r, 6) in all poses; the inner ones are written."""
     rest, faces = (over.rest[:, :3], under.rest[:, :3]), (over.draper.faces, under.draper.faces)
     order = bind_layer_order(1, 0, rest, faces, [(outer, inner) for inner, outer in drawn])
@@ -164,7 +164,7 @@ def _tucked_in(under: Layer, over: Layer) -> Layer:
             f"waistband, at most {100 * DEEPEST_TUCK:.0f} cm fit"
         )
     rest = under.rest.copy()
-    _tuck_in(under, over, [(rest, over.rest)])
+    tuck_in(under, over, [(rest, over.rest)])
     hem = np.concatenate(openings(under.bound.vertices, under.draper.faces))
     hems = path_lengths(under.bound.vertices, under.draper.faces, hem[depth[hem] == 0])
     return replace(under, rest=rest, hem_distance=hems, tucked_depth=depth)

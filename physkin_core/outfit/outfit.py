@@ -24,7 +24,8 @@ from physkin_core.outfit.coverage import Cover, covered, faces_of
 from physkin_core.outfit.layer_order import LayerOrder, bind_layer_order
 from physkin_core.outfit.layers import Layer, OutfitGarment, drapes, put_on
 from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
-from physkin_core.outfit.tuck import DEEP
+from physkin_core.outfit.taking_in import taken_in
+from physkin_core.outfit.tuck import DEEP, SLIDES
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
@@ -70,13 +71,15 @@ class Outfit:
         if backend == "numpy" and precision not in (None, "fp32"):
             raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
         layers, tucks, worth_saying = put_on(self.garments, avatar, fit=fit, backend=backend)
-        self._drapers = [layer.draper for layer in layers]
         self.at_rest = tuple(layer.at_rest for layer in layers)
         self.fits = tuple(layer.draper.fit for layer in layers)
         rig = layers[0].garment.model.rig
         poses, checked = _poses_to_look_at(rig)
         if not checked and len(layers) > 1:
             worth_saying.append("everyday poses are of the default rig: with this one nothing of an outfit is hidden")
+        for inner, outer in tucks:
+            layers[inner] = taken_in(layers[inner], layers[outer], poses)
+        self._drapers = [layer.draper for layer in layers]
         cloth = drapes(layers, tucks, poses)
         self.hidden, body_hidden = _hidden(layers, cloth, poses, avatar)
         if not checked:
@@ -295,11 +298,17 @@ def _hidden(layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: list,
         skin = np.concatenate([skin, vertex_normals(skin, avatar.faces)], axis=1)
         for mask, points, over in [
             (body, skin, covers),
-            *((hidden[k], drawn[k], covers[k + 1 :]) for k in range(len(layers))),
+            *((hidden[k], drawn[k], _over(layers[k], covers[k + 1 :])) for k in range(len(layers))),
         ]:
             left = np.flatnonzero(mask)
             mask[left] = covered(points[left, :3], points[left, 3:], over)
     return tuple(mask | (layer.tucked_depth > DEEP) for layer, mask in zip(layers, hidden)), body
+
+
+def _over(layer: Layer, covers: Sequence[Cover]) -> list[Cover]:
+    """What covers a layer. A tucked one may slide up, so that more of it, below a waistband, counts as near that."""
+    slides = SLIDES if layer.garment.tucked else 0
+    return [replace(cover, hem_distance=cover.hem_distance - slides) for cover in covers]
 
 
 def _given(layers: Sequence[Layer], hidden: Sequence[np.ndarray]):

@@ -11,14 +11,16 @@ from physkin_core.model.garment import vertex_normals
 from physkin_core.model.surface_paths import openings, path_lengths
 from physkin_core.quality import closest_points
 
-__all__ = ["DEEP", "tucked_depths"]
+__all__ = ["DEEP", "SLIDES", "tucked_depths"]
 
 BELOW = 0.002
 """[m] below the waistband from where cloth is tucked."""
 GOES_OVER = 0.015
 """[m] Cloth that goes over a waistband has vertices at most this far below it."""
-DEEP = 0.1
-"""[m] below the waistband from where nobody sees tucked cloth: in everyday motion it slides up by less than 5 cm."""
+DEEP = 0.12
+"""[m] below the waistband from where nobody sees tucked cloth: with a raised arm it slides up by 10 cm."""
+SLIDES = 0.04
+"""[m] by which tucked cloth slides up in everyday motion, beyond what everyday poses show."""
 FARTHEST = 0.2
 """[m] Cloth farther from the layer over it at rest is not tucked into it."""
 

@@ -30,7 +30,7 @@ from physkin_core.runtime.layers_beneath import LayerBeneath
 from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
 from physkin_core.runtime.worn_garment import wear
 
-__all__ = ["FARTHEST_POINT", "bind_garment", "bind_points", "encode_body"]
+__all__ = ["FARTHEST_POINT", "bind_garment", "bind_points", "encode_body", "rest_normals"]
 
 log = logging.getLogger(__name__)
 
@@ -116,7 +116,7 @@ def bind_garment(
         node_positions=_float(worn.node_positions),
         node_rest=_float(worn.node_rest),
         vertices=_float(worn.garment.vertices),
-        normals=_float(_rest_normals(model, worn.garment.vertices)),
+        normals=rest_normals(model, worn.garment.vertices),
         influence_nodes=np.ascontiguousarray(model.influence_nodes, dtype=np.int32),
         influence_weights=_float(model.influence_weights),
         activation=model.activation,
@@ -136,7 +136,7 @@ def bind_garment(
         clear = replace(bound, vertices=_float(vertices))
         evaluator = make_evaluator(backend, clear, precision="fp32")
         vertices = vertices + room_to_move(clear, avatar, evaluator=evaluator)
-    return replace(bound, vertices=_float(vertices), normals=_float(_rest_normals(model, vertices)))
+    return replace(bound, vertices=_float(vertices), normals=rest_normals(model, vertices))
 
 
 def bind_points(
@@ -178,7 +178,7 @@ def bind_points(
     def there(of_vertices: np.ndarray) -> np.ndarray:
         return np.einsum("nc,nci->ni", barycentric, of_vertices[corners])
 
-    fitted = unit(there(_rest_normals(model, garment.vertices if rest is None else rest)))
+    fitted = unit(there(rest_normals(model, garment.vertices if rest is None else rest)))
     if normals is None:
         normals = fitted
     else:
@@ -196,11 +196,11 @@ def bind_points(
     }
 
 
-def _rest_normals(model: GarmentModel, vertices: np.ndarray) -> np.ndarray:
-    """Unit rest normals (n, 3) of the garment reshaped to vertices (n, 3): the model's, turned as the mesh's are."""
+def rest_normals(model: GarmentModel, vertices: np.ndarray) -> np.ndarray:
+    """Unit rest normals (n, 3) float32 of the garment reshaped to vertices (n, 3): the model's, turned as it is."""
     faces = model.garment.faces
     start, end = vertex_normals(model.garment.vertices, faces), vertex_normals(vertices, faces)
-    return unit(_turned(model.rest_normals.astype(np.float64), start, end))
+    return _float(unit(_turned(model.rest_normals.astype(np.float64), start, end)))
 
 
 def _turned(vectors: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:

@@ -11,8 +11,9 @@ namespace physkin {
 typedef float Quad __attribute__((vector_size(16)));
 typedef std::int32_t QuadInts __attribute__((vector_size(16)));
 
-inline float sum(Quad v) { return (v[0] + v[1]) + (v[2] + v[3]); }
-inline Quad at_least_zero(Quad v) { return v > 0.0f ? v : Quad{}; }
+inline Quad smaller(Quad a, Quad b) { return a < b ? a : b; }
+inline Quad larger(Quad a, Quad b) { return a > b ? a : b; }
+inline Quad clamp01(Quad v) { return smaller(larger(v, Quad{}), Quad{} + 1.0f); }
 
 // Of four points, the sum of each one's first three numbers.
 inline Quad sums_of_three(Quad a, Quad b, Quad c, Quad d) {
@@ -20,6 +21,23 @@ inline Quad sums_of_three(Quad a, Quad b, Quad c, Quad d) {
   const Quad high_ab = __builtin_shufflevector(a, b, 2, 6, 3, 7), high_cd = __builtin_shufflevector(c, d, 2, 6, 3, 7);
   return __builtin_shufflevector(low_ab, low_cd, 0, 1, 4, 5) + __builtin_shufflevector(low_ab, low_cd, 2, 3, 6, 7) +
          __builtin_shufflevector(high_ab, high_cd, 0, 1, 4, 5);
+}
+
+// Of four points, all first numbers in one register, all second ones in the next, and so on.
+struct Transposed {
+  Quad first, second, third, fourth;
+};
+
+inline Transposed transposed(Quad a, Quad b, Quad c, Quad d) {
+  const Quad low_ab = __builtin_shufflevector(a, b, 0, 4, 1, 5), low_cd = __builtin_shufflevector(c, d, 0, 4, 1, 5);
+  const Quad high_ab = __builtin_shufflevector(a, b, 2, 6, 3, 7), high_cd = __builtin_shufflevector(c, d, 2, 6, 3, 7);
+  return {__builtin_shufflevector(low_ab, low_cd, 0, 1, 4, 5), __builtin_shufflevector(low_ab, low_cd, 2, 3, 6, 7),
+          __builtin_shufflevector(high_ab, high_cd, 0, 1, 4, 5), __builtin_shufflevector(high_ab, high_cd, 2, 3, 6, 7)};
+}
+
+inline Quad sums(Quad a, Quad b, Quad c, Quad d) {
+  const Transposed t = transposed(a, b, c, d);
+  return (t.first + t.second) + (t.third + t.fourth);
 }
 
 // Rows x y z nx ny nz, of no alignment. Four floats from the start of a row, and from its third on, stay within the row.
@@ -45,6 +63,17 @@ struct ClothRows {
 
   unsigned char* data;
   std::ptrdiff_t stride;
+};
+
+// Four rows, number by number.
+struct FourRows {
+  FourRows(const ClothRows& rows, const std::int32_t* four) {
+    const Transposed a = transposed(rows.position(four[0]), rows.position(four[1]), rows.position(four[2]), rows.position(four[3]));
+    const Transposed b = transposed(rows.normal(four[0]), rows.normal(four[1]), rows.normal(four[2]), rows.normal(four[3]));
+    x = a.first, y = a.second, z = a.third, nx = a.fourth, ny = b.second, nz = b.third;
+  }
+
+  Quad x, y, z, nx, ny, nz;
 };
 
 // How far four points are outside planes, and the squares of how far they are along these.

@@ -51,8 +51,6 @@ struct Closest {
   }
 };
 
-inline float clamp01(float v) { return std::min(std::max(v, 0.0f), 1.0f); }
-
 }  // namespace
 
 LayerOrderData read_layer_order(FieldSource& source) {
@@ -216,15 +214,18 @@ void LayerOrder::walk(std::int32_t c, float stray, const ClothRows& steady, cons
 
 bool LayerOrder::push_lacking(const ClothRows& steady, const ClothRows& yielding) noexcept {
   bool any = false;
-  for (int k = 0; k < near_count_; ++k) {
-    const std::int32_t c = near_[k];
-    const float wanted = lack(c, steady, yielding);
-    if (!(wanted > 0.0f)) continue;
-    if (!any) std::fill_n(push_, moved_count_, 0.0f);
-    any = true;
-    for (std::int32_t at = push_start_[c]; at < push_start_[c + 1]; ++at) {
-      float& push = push_[push_to_[at]];
-      push = std::max(push, wanted * push_share_[at]);
+  for (int k = near_count_; k < near_count_ + 3; ++k) near_[k] = near_count_ > 0 ? near_[near_count_ - 1] : 0;
+  for (int first = 0; first < near_count_; first += 4) {
+    const Quad wanted = lack(near_ + first, steady, yielding);
+    for (int k = 0; k < std::min(4, near_count_ - first); ++k) {
+      if (!(wanted[k] > 0.0f)) continue;
+      if (!any) std::fill_n(push_, moved_count_, 0.0f);
+      any = true;
+      const std::int32_t c = near_[first + k];
+      for (std::int32_t at = push_start_[c]; at < push_start_[c + 1]; ++at) {
+        float& push = push_[push_to_[at]];
+        push = std::max(push, wanted[k] * push_share_[at]);
+      }
     }
   }
   if (!any) return false;
@@ -238,33 +239,33 @@ bool LayerOrder::push_lacking(const ClothRows& steady, const ClothRows& yielding
   return true;
 }
 
-float LayerOrder::lack(std::int32_t c, const ClothRows& steady, const ClothRows& yielding) const noexcept {
-  const Quad at = yielding.position(contact_[c]), own = yielding.normal(contact_[c]);
-  const std::int32_t partner = partner_[c], first = plane_start_[partner];
+Quad LayerOrder::lack(const std::int32_t* four, const ClothRows& steady, const ClothRows& yielding) const noexcept {
   const float reach = 1.0f / ((kPlaneReach * edge_) * (kPlaneReach * edge_));
-  Quad totals = {}, gaps = {}, alikes = {};
-  QuadInts left = plane_count_[partner] - QuadInts{0, 1, 2, 3};
-  for (std::int32_t group = first; group < plane_start_[partner + 1]; group += 4, left -= 4) {
-    Quad gap[4], normal[4];
-    for (int k = 0; k < 4; ++k) {
-      gap[k] = at - steady.position(plane_[group + k]);
-      normal[k] = steady.normal(plane_[group + k]);
+  Quad totals[4], gaps[4], alikes[4];
+  for (int k = 0; k < 4; ++k) {
+    const Quad at = yielding.position(contact_[four[k]]), own = yielding.normal(contact_[four[k]]);
+    const std::int32_t partner = partner_[four[k]];
+    totals[k] = gaps[k] = alikes[k] = Quad{};
+    QuadInts left = plane_count_[partner] - QuadInts{0, 1, 2, 3};
+    for (std::int32_t group = plane_start_[partner]; group < plane_start_[partner + 1]; group += 4, left -= 4) {
+      const FourRows planes(steady, plane_ + group);
+      const Quad x = at[0] - planes.x, y = at[1] - planes.y, z = at[2] - planes.z;
+      const Quad off = x * planes.nx + y * planes.ny + z * planes.nz;
+      const Quad near = larger(1.0f - (x * x + y * y + z * z - off * off) * reach, Quad{});
+      const Quad share = left > 0 ? near * near : Quad{};
+      totals[k] += share;
+      gaps[k] += share * off;
+      alikes[k] += share * (own[0] * planes.nx + own[1] * planes.ny + own[2] * planes.nz);
     }
-    const OffPlanes planes = off_planes(gap, normal);
-    const Quad near = at_least_zero(1.0f - planes.aside_square * reach);
-    const Quad share = left > 0 ? near * near : Quad{};
-    totals += share;
-    gaps += share * planes.off;
-    alikes += share * sums_of_three(own * normal[0], own * normal[1], own * normal[2], own * normal[3]);
   }
-  const float total = sum(totals), safe = std::max(total, 1e-6f);
-  const float gap = side_ * sum(gaps) / safe, alike = sum(alikes) / safe;
-  const float wanted = kOrderGap + kSoft - gap;
-  if (!(wanted > 0.0f)) return 0.0f;
-  float lack = wanted < 2.0f * kSoft ? wanted * wanted / (4.0f * kSoft) : wanted - kSoft;
-  lack *= std::min(total / kFullShare, 1.0f) * clamp01((kDeepest + gap) / kFade);
-  lack *= clamp01(4.0f * alike) / std::max(alike, 0.5f);
-  return std::min(lack, kMostPush);
+  const Quad total = sums(totals[0], totals[1], totals[2], totals[3]), safe = larger(total, Quad{} + 1e-6f);
+  const Quad gap = side_ * sums(gaps[0], gaps[1], gaps[2], gaps[3]) / safe;
+  const Quad alike = sums(alikes[0], alikes[1], alikes[2], alikes[3]) / safe;
+  const Quad wanted = larger(kOrderGap + kSoft - gap, Quad{});
+  Quad lack = wanted < 2.0f * kSoft ? wanted * wanted / (4.0f * kSoft) : wanted - kSoft;
+  lack *= smaller(total / kFullShare, Quad{} + 1.0f) * clamp01((kDeepest + gap) / kFade);
+  lack *= clamp01(4.0f * alike) / larger(alike, Quad{} + 0.5f);
+  return smaller(lack, Quad{} + kMostPush);
 }
 
 }  // namespace physkin

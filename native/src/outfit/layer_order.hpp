@@ -50,7 +50,8 @@ class LayerOrder {
   void walk(std::int32_t contact, float stray, const ClothRows& steady, const ClothRows& yielding) noexcept;
   // Moves what near contacts lack, and says whether any did.
   bool push_lacking(const ClothRows& steady, const ClothRows& yielding) noexcept;
-  float lack(std::int32_t contact, const ClothRows& steady, const ClothRows& yielding) const noexcept;
+  // What each of four contacts lacks [m].
+  Quad lack(const std::int32_t* four, const ClothRows& steady, const ClothRows& yielding) const noexcept;
 
   float side_;  // 1 outside, -1 inside
   int contacts_, moved_count_;

@@ -19,7 +19,7 @@ from physkin_core import (
 )
 from physkin_core.outfit.coverage import FROM_HEM, hem_distances
 from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
-from physkin_core.outfit.tuck import tucked_depths
+from physkin_core.outfit.tuck import DEEP, SLIDES, tucked_depths
 from physkin_core.quality import signed_distance
 from physkin_core.runtime.native_skinner import NativeSkinner
 
@@ -123,19 +123,41 @@ def test_a_shirt_over_trousers_is_wider_where_they_are(models, avatar, over_trou
     assert moved[bare[:, 2] > np.quantile(bare[:, 2], 0.7)].max() < 1e-3
 
 
-def test_a_tucked_hem_is_inside_the_waistband_in_every_frame(tucked, motion):
-    """All of the shirt that is given well below the waistband is inside the trousers, and would not be by itself; much
-    of it is not given."""
-    rests = [draper.drape(draper.model.rig.rest)[:, :3] for draper in tucked.drapers]
+def test_a_tucked_hem_is_inside_the_waistband_in_every_frame(models, avatar, tucked, motion):
+    """All of the shirt that is given well below the waistband is inside the trousers, and would not be by itself; the
+    deepest of it is not given."""
+    alone = Draper(models["tshirt"], avatar)
+    rests = [draper.drape(draper.model.rig.rest)[:, :3] for draper in (alone, tucked.drapers[1])]
     depth = tucked_depths(rests, tuple(draper.faces for draper in tucked.drapers))
     below = np.flatnonzero(depth[tucked.visible[0]] > 0.01)
-    assert 0 < len(below) < 0.7 * (depth > 0.01).sum()
+    assert 0 < len(below) < (depth > 0.01).sum()
+    assert tucked.hidden[0][depth > DEEP].all() and not tucked.hidden[0][depth < SLIDES].any()
     for frame in range(0, len(motion[0]), 15):
         shirt, trousers = tucked.drape(motion[0][frame], motion[1][frame])
         inside = signed_distance(shirt[below, :3], trousers[:, :3], tucked.faces[1])
         assert (inside < 0).mean() > 0.97 and inside.max() < 0.01
-        loose = tucked.drapers[0].drape(motion[0][frame], motion[1][frame])[tucked.visible[0][below], :3]
+        loose = alone.drape(motion[0][frame], motion[1][frame])[tucked.visible[0][below], :3]
         assert (signed_distance(loose, trousers[:, :3], tucked.faces[1]) > 0).mean() > 0.3
+
+
+def test_a_tucked_shirt_is_taken_in(models, avatar, tucked, motion):
+    """Its rest shape is another below the waistband and as before at the chest; it is outside the trousers half
+    as often by itself."""
+    alone, taken_in = Draper(models["tshirt"], avatar), tucked.drapers[0]
+    depth = tucked_depths(
+        [draper.drape(draper.model.rig.rest)[:, :3] for draper in (alone, tucked.drapers[1])],
+        (alone.faces, tucked.drapers[1].faces),
+    )
+    moved = np.linalg.norm(taken_in.rest_garment.vertices - alone.rest_garment.vertices, axis=1)
+    assert moved[depth > 0.03].mean() > 0.004
+    assert moved[alone.rest_garment.vertices[:, 2] > np.quantile(alone.rest_garment.vertices[:, 2], 0.5)].max() < 1e-3
+    outside = {alone: 0, taken_in: 0}
+    for frame in range(0, len(motion[0]), 30):
+        _, trousers = tucked.drape(motion[0][frame], motion[1][frame])
+        for draper in outside:
+            hem = draper.drape(motion[0][frame], motion[1][frame])[depth > 0.01, :3]
+            outside[draper] += (signed_distance(hem, trousers[:, :3], tucked.faces[1]) > 0).sum()
+    assert outside[taken_in] < 0.5 * outside[alone]
 
 
 @pytest.mark.parametrize("kind", ["over_trousers", "tucked"])
