@@ -3,6 +3,7 @@
 from physkin_core.avatar.avatar import Avatar, AvatarError, AvatarWarning, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
+from physkin_core.model.fabric import FABRICS, Fabric, made_of
 from physkin_core.model.garment import Garment, GarmentError, load_garment
 from physkin_core.model.garment_model import GarmentModel, GarmentModelError, Material
 from physkin_core.model.model_file import ModelFileError, load_garment_model, save_garment_model
@@ -23,6 +24,7 @@ from physkin_core.sway.sway import Sway
 __all__ = [
     "BACKENDS",
     "BUNDLED_AVATAR",
+    "FABRICS",
     "NORMALS",
     "UPRIGHT_GRAVITY",
     "Avatar",
@@ -32,6 +34,7 @@ __all__ = [
     "BoneRotations",
     "DegreeOfFreedom",
     "Draper",
+    "Fabric",
     "Garment",
     "GarmentError",
     "GarmentModel",
@@ -56,5 +59,6 @@ __all__ = [
     "load_garment",
     "load_garment_model",
     "load_motion",
+    "made_of",
     "save_garment_model",
 ]

@@ -163,11 +163,13 @@ def random_model(
     width: int = 8,
     correction: float = 0.1,
     made_to_measure: bool = False,
+    learnt_fabrics: bool = False,
 ) -> GarmentModel:
     """A garment model with random networks and smooth random skinning weights.
 
     rig, garment: default a random rig of `bones` and `dofs`, and a `tube` of `rings` by `segments`. correction: about
-    how large the node deformer's numbers are. made_to_measure: it has learnt a fit.
+    how large the node deformer's numbers are. made_to_measure: it has learnt a fit. learnt_fabrics: other bending and
+    accelerated roots.
     """
     rig = random_rig(rng, bones=bones, dofs=dofs) if rig is None else rig
     garment = tube(rings=rings, segments=segments) if garment is None else garment
@@ -184,6 +186,8 @@ def random_model(
     hyper = random_hyper_modulator(rng, 2 * sum(pose_widths), width=width)
     if made_to_measure:
         hyper["fit"] = rng.normal(size=width).astype(np.float32)
+    if learnt_fabrics:
+        hyper["bend"] = rng.normal(size=width).astype(np.float32)
     return GarmentModel(
         name="random",
         rig=rig,
@@ -196,7 +200,7 @@ def random_model(
         pose_modulator=pose,
         node_deformer=deformer,
         activation=activation,
-        training={"seed": 7, "bodies": 3},
+        training={"seed": 7, "bodies": 3} | ({"poses": {"accelerated": 0.3}} if learnt_fabrics else {}),
         scores={"edge_strain_percent": 3.5},
     )
 

@@ -17,13 +17,21 @@ from pathlib import Path
 
 import numpy as np
 
+from physkin_core.model.fabric import made_of
 from physkin_core.model.garment import Garment, GarmentError
 from physkin_core.model.garment_model import INDEX_ARRAYS, GarmentModel, GarmentModelError, Material
 from physkin_core.model.mlp import Layer
 from physkin_core.model.packed_weights import pack_weight, unpack_weights
 from physkin_core.rig.rig import Rig, RigError
 
-__all__ = ["SCHEMA_VERSION", "ModelFileError", "load_garment_model", "save_garment_model", "shipped_models"]
+__all__ = [
+    "SCHEMA_VERSION",
+    "ModelFileError",
+    "load_garment_model",
+    "save_garment_model",
+    "shipped_models",
+    "split_fabric",
+]
 
 FORMAT = "physkin-garment"
 SCHEMA_VERSION = 3
@@ -42,13 +50,26 @@ class ModelFileError(ValueError):
 
 def load_garment_model(path: str | Path) -> GarmentModel:
     """Read and check a garment model; the bare name of a shipped one ("tshirt") means that, whatever files there are.
+    With a colon and a fabric behind it ("skirt:denim", "my.safetensors:bend=1e-4") it is made of that, see `made_of`.
 
     Raises ModelFileError when the file is missing, truncated, altered, of a newer schema version, or holds an array of
-    an unknown name, the wrong shape or type, an index out of range or a value that is not finite.
+    an unknown name, the wrong shape or type, an index out of range or a value that is not finite; ValueError for a
+    fabric that is unknown, or that the model has not learnt.
     """
+    file, fabric = split_fabric(path)
+    model = _read(_resolve(file))
+    return made_of(model, fabric) if fabric else model
+
+
+def split_fabric(name: str | Path) -> tuple[str, str]:
+    """What `load_garment_model` takes: the file or shipped name, and the fabric, empty where none is named."""
+    file, colon, fabric = str(name).rpartition(":")
+    return (file, fabric) if colon and file and not Path(name).is_file() else (str(name), "")
+
+
+def _read(path: Path) -> GarmentModel:
     from safetensors import SafetensorError, safe_open
 
-    path = _resolve(path)
     try:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}

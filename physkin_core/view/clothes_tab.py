@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR
-from physkin_core.model.model_file import shipped_models
+from physkin_core.model.fabric import FABRICS
+from physkin_core.model.model_file import shipped_models, split_fabric
 from physkin_core.outfit.layers import MOST_LAYERS
 from physkin_core.view.page import Page
 from physkin_core.view.scene.scene_state import SceneState
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["ClothesTab"]
 
 NOTHING = "nothing"
+AS_TRAINED = "as trained"
 BUNDLED = "bundled avatar"
 
 
@@ -28,7 +30,8 @@ class ClothesTab:
         self._page, self._state, self._uploads = page, state, uploads
         gui = page.server.gui
         self._models = {name: name for name in shipped_models()}
-        self._models |= {Path(name).stem: name for name in state.garments if name not in self._models}
+        files = [split_fabric(name)[0] for name in state.garments]
+        self._models |= {Path(name).stem: name for name in files if name not in self._models}
         self._bodies: dict[str, Path] = {BUNDLED: BUNDLED_AVATAR}
         if state.body != BUNDLED_AVATAR:
             self._bodies[state.body.name] = state.body
@@ -37,12 +40,14 @@ class ClothesTab:
         for layer in range(MOST_LAYERS):
             label = "On the skin" if layer == 0 else f"Layer {layer + 1}"
             garment = gui.add_dropdown(label, (NOTHING, *self._models), hint="garments, from the skin outwards")
+            fabric = gui.add_dropdown("fabric", (AS_TRAINED, *FABRICS), hint="what it is made of")
             tucked = gui.add_checkbox("tucked in", False, hint="its hem is under the next one's waistband")
             colour = gui.add_rgb("colour", (0, 0, 0))
             garment.on_update(page.by_hand(self._wear))
+            fabric.on_update(page.by_hand(self._wear))
             tucked.on_update(page.by_hand(self._wear))
             colour.on_update(page.by_hand(self._recolour))
-            self._layers.append((garment, tucked, colour))
+            self._layers.append((garment, fabric, tucked, colour))
         self._model_upload = gui.add_upload_button("Load a garment model", hint="a .safetensors file", icon="upload")
         self._model_upload.on_upload(page.guarded(self._load_model))
         with gui.add_folder("Body"):
@@ -62,10 +67,15 @@ class ClothesTab:
     def show_what_is_worn(self) -> None:
         """Set the widgets to the state."""
         state, worn = self._state, {name: label for label, name in self._models.items()}
-        for layer, (garment, tucked, colour) in enumerate(self._layers):
+        for layer, (garment, fabric, tucked, colour) in enumerate(self._layers):
             name = state.garments[layer] if layer < len(state.garments) else None
-            garment.value = NOTHING if name is None else worn[name]
+            file, made_of = (None, "") if name is None else split_fabric(name)
+            garment.value = NOTHING if file is None else worn[file]
             garment.visible = layer <= len(state.garments)
+            if made_of and made_of not in fabric.options:  # numbers, from the command line
+                fabric.options = (*fabric.options, made_of)
+            fabric.value = made_of or AS_TRAINED
+            fabric.visible = name is not None
             tucked.visible = name is not None and layer + 1 < len(state.garments)
             colour.visible = name is not None
             tucked.value = name in state.tucked
@@ -86,9 +96,13 @@ class ClothesTab:
             self._page.notice("How it sits", warning, kind="warning")
 
     def _wear(self) -> None:
-        chosen = [(garment.value, tucked.value) for garment, tucked, _ in self._layers if garment.value != NOTHING]
-        names = [self._models[label] for label, _ in chosen]
-        tucked = [self._models[label] for label, is_tucked in chosen[:-1] if is_tucked]
+        chosen = [
+            (self._models[garment.value] + ("" if fabric.value == AS_TRAINED else f":{fabric.value}"), tucked.value)
+            for garment, fabric, tucked, _ in self._layers
+            if garment.value != NOTHING
+        ]
+        names = [name for name, _ in chosen]
+        tucked = [name for name, is_tucked in chosen[:-1] if is_tucked]
         if (tuple(names), frozenset(tucked)) != (self._state.garments, self._state.tucked):
             self._dressing("Dressing", lambda: self._state.wear(names, tucked=tucked))
 
@@ -102,7 +116,7 @@ class ClothesTab:
 
     def _recolour(self) -> None:
         shown = self._layers[: len(self._state.garments)]
-        cloth = [_shares(colour.value) for _, _, colour in shown]
+        cloth = [_shares(colour.value) for *_, colour in shown]
         self._state.recolour(body=_shares(self._skin.value), cloth=cloth)
 
     def _load_model(self, event: viser.GuiEvent) -> None:
@@ -114,7 +128,7 @@ class ClothesTab:
         except Exception:
             del self._models[path.stem]
             raise
-        for garment, _, _ in self._layers:
+        for garment, *_ in self._layers:
             garment.options = (NOTHING, *self._models)
 
     def _load_body(self, event: viser.GuiEvent) -> None:

@@ -29,8 +29,10 @@ from physkin_core import (
     OutfitGarment,
     load_avatar,
     load_garment_model,
+    made_of,
 )
-from physkin_core.model.model_file import MODELS_PATH, shipped_models
+from physkin_core.model.fabric import fabric_of
+from physkin_core.model.model_file import MODELS_PATH, shipped_models, split_fabric
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.rest_look import RestLook
 from physkin_ros.joints.nearest_names import nearest_names
@@ -89,12 +91,15 @@ class Outfitting:
 
     def check(self, roots: AssetRoots) -> None:
         """Raises AssetError for a file that may not be used while the node runs."""
-        if self.model and self.model not in shipped_models():  # shipped names win over files of the working folder
-            if "/" not in self.model and not Path(self.model).suffix:
-                near = nearest_names(self.model, shipped_models())
+        file, fabric = split_fabric(self.model)
+        if fabric:
+            fabric_of(fabric)
+        if file and file not in shipped_models():  # shipped names win over files of the working folder
+            if "/" not in file and not Path(file).suffix:
+                near = nearest_names(file, shipped_models())
                 hint = f"did you mean {near}?" if near else f"allowed: a file, or {', '.join(shipped_models())}"
-                raise AssetError(f"no garment model {self.model!r}; {hint}")
-            roots.check(self.model)
+                raise AssetError(f"no garment model {file!r}; {hint}")
+            roots.check(file)
         for path in (self.body_mesh, self.body_rig):
             if path and Path(path) != BUNDLED_AVATAR:
                 roots.check(path)
@@ -251,12 +256,13 @@ class DraperLoader:
             ]
 
     def _model(self, wanted: Outfitting) -> tuple[GarmentModel, str, str]:
-        """Garment model, its rig as text, and what it is known by: its content."""
-        name = wanted.model
+        """Garment model, its rig as text, and what it is known by: its content and its fabric."""
+        name, fabric = split_fabric(wanted.model)
         source = MODELS_PATH / f"{name}.safetensors" if name in shipped_models() else Path(name)
-        key = _digest(source) if source.is_file() else name
+        key = f"{_digest(source)}:{fabric}" if source.is_file() else name
         if key not in self._models:
             model = load_garment_model(source if source.is_file() else name)
+            model = made_of(model, fabric) if fabric else model
             _keep(self._models, key, (model, json.dumps(model.rig.to_json())))
         return *self._models[key], key
 

@@ -73,7 +73,7 @@ class DrapeNode(LifecycleNode):
                 for file in (
                     avatar.body_mesh,
                     avatar.body_rig,
-                    *(each.model for each in avatar.garments if each.model not in shipped_models()),
+                    *(each.file for each in avatar.garments if each.file not in shipped_models()),
                 )
             ),
         )

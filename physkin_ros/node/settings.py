@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from physkin_core import BACKENDS, NORMALS, UPRIGHT_GRAVITY
+from physkin_core.model.model_file import split_fabric
 from physkin_core.runtime.native_evaluator import PRECISIONS
 from physkin_ros.messages.conversions import gravity_direction
 
@@ -101,6 +102,11 @@ class GarmentSettings:
         "draped; for one garment, or with outfit false",
     )
     marker: bool = _key(False, "publish a visualization_msgs/Marker TRIANGLE_LIST too, for RViz")
+
+    @property
+    def file(self) -> str:
+        """Of the model, or a shipped name, without the fabric."""
+        return split_fabric(self.model)[0]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,6 +17,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import AvatarWarning
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
+from physkin_core.model.model_file import split_fabric
 from physkin_core.motion.loading import load_motion
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
@@ -144,14 +145,19 @@ class SceneState:
     def cloth_colours(self) -> tuple[Colour, ...]:
         """Of each garment, sRGB in [0, 1]: chosen, or by its place in the outfit."""
         usual = layer_colours(len(self.garments))
-        return tuple(self._chosen_colours.get(name, colour) for name, colour in zip(self.garments, usual))
+        return tuple(self._chosen_colours.get(file, colour) for file, colour in zip(self._files, usual))
+
+    @property
+    def _files(self) -> list[str]:
+        """Of the garments, whatever fabric they are of."""
+        return [split_fabric(name)[0] for name in self.garments]
 
     def recolour(self, *, body: Colour, cloth: Sequence[Colour]) -> None:
         """Choose colours of the body and of each garment worn."""
         with self._lock:
             self.body_colour = body
             changed = [k for k, (old, new) in enumerate(zip(self.cloth_colours, cloth)) if old != new]
-            self._chosen_colours |= {self.garments[k]: cloth[k] for k in changed}
+            self._chosen_colours |= {self._files[k]: cloth[k] for k in changed}
             self._changed = True
 
     @property
