@@ -273,6 +273,7 @@ def _info(options: argparse.Namespace) -> int:
         "garment": f"{len(garment.vertices)} vertices, {len(garment.faces)} faces, {garment.face_areas.sum():.3f} m2",
         "garment nodes": f"{len(model.node_rest)}, {model.influence_nodes.shape[1]} influences a vertex",
         "made to measure": "learnt: fit 0 to 1, by default 1" if model.made_to_measure else "not learnt: fit 0 only",
+        "fabrics": "learnt" if model.learnt_bending else "bending not learnt",
         "rig": f"{rig.bone_count} bones, {len(rig.dofs)} joints",
         "joints": ", ".join(rig.joint_names),
         **sizes,

@@ -19,8 +19,8 @@ from physkin_core.model.hyper_modulator import BENDING_OCTAVES, with_bending
 
 __all__ = ["FABRICS", "Fabric", "fabric_of", "made_of"]
 
-HEAVIEST = 1.5
-"""Weight over stretch, in those of the trained cloth, that a garment may have."""
+LIGHTEST, HEAVIEST = 0.75, 1.25
+"""Weight over stretch, in those of the trained cloth, that a garment may have: lighter cloth comes out no better."""
 
 
 @dataclass(frozen=True)
@@ -42,33 +42,33 @@ class Fabric:
             object.__setattr__(self, name, float(value))
 
 
+KEYS = {entry.name for entry in fields(Fabric)}
 FABRICS = {
-    "silk": Fabric(stretch=60.0, bend=7.0e-6, density=0.08),
     "jersey": Fabric(stretch=60.0, bend=2.5e-5, density=0.2),
-    "denim": Fabric(stretch=120.0, bend=3.0e-4, density=0.4),
-    "leather": Fabric(stretch=150.0, bend=1.0e-3, density=0.7),
+    "wool": Fabric(stretch=90.0, bend=1.5e-4, density=0.3),
+    "denim": Fabric(stretch=120.0, bend=4.0e-4, density=0.4),
+    "leather": Fabric(stretch=200.0, bend=1.3e-3, density=0.7),
 }
 """Cloth by name. Jersey is the reference material; weights are usual ones, stiffness is relative to it."""
 
 
 def fabric_of(text: str) -> Fabric:
-    """A fabric by its name, or by numbers: "stretch=120,bend=3e-4,density=0.4". What is left out is jersey's.
+    """A fabric by its name, or by numbers: "stretch=120+bend=3e-4+density=0.4". What is left out is jersey's.
 
     Raises ValueError saying what is allowed.
     """
     if text in FABRICS:
         return FABRICS[text]
-    values = {}
-    for part in text.split(","):
-        name, equals, number = part.partition("=")
-        try:
-            values[name.strip()] = float(number)
-        except ValueError:
-            equals = ""
-        if not equals or name.strip() not in (entry.name for entry in fields(Fabric)):
-            raise ValueError(
-                f"no fabric {text!r}; allowed: {', '.join(FABRICS)}, or numbers as in stretch=120,bend=3e-4,density=0.4"
-            )
+    try:
+        pairs = [(name.strip(), float(number)) for name, number in (part.split("=") for part in text.split("+"))]
+    except ValueError:
+        pairs = []
+    values = dict(pairs)
+    if not pairs or len(values) < len(pairs) or not values.keys() <= KEYS:
+        raise ValueError(
+            f"no fabric {text!r}; allowed: {', '.join(FABRICS)}, or numbers, each once, as in "
+            "stretch=120+bend=3e-4+density=0.4"
+        )
     return replace(FABRICS["jersey"], **values)
 
 
@@ -87,14 +87,19 @@ def made_of(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
             f"garment model {model.name!r} was not trained with accelerated roots, so that its cloth cannot weigh "
             f"{heavier:.3g} times as much for its stretch; train it with poses.accelerated"
         )
-    if heavier > HEAVIEST:
+    if not LIGHTEST * 0.999 <= heavier <= HEAVIEST * 1.001:
+        allowed = " to ".join(f"{times * stretch * material.density:.3g}" for times in (LIGHTEST, HEAVIEST))
         raise ValueError(
-            f"density {fabric.density:g} kg/m2 at stretch {fabric.stretch:g} N/m is too heavy, allowed: up to "
-            f"{HEAVIEST * stretch * material.density:.3g} kg/m2"
+            f"density {fabric.density:g} kg/m2 at stretch {fabric.stretch:g} N/m is not what {model.name!r} has "
+            f"learnt, allowed: {allowed} kg/m2"
         )
     least, most = (2.0**octave for octave in BENDING_OCTAVES) if model.learnt_bending else (1.0, 1.0)
     if not least * 0.999 <= stiffer <= most * 1.001:
-        hint = "" if model.learnt_bending else "; train it with optimisation.other_bending to allow others"
+        hint = ""
+        if not model.learnt_bending:
+            made_of_another = (model.training.get("optimisation") or {}).get("other_bending")
+            known = "it is of another fabric already, take the model as it was trained"
+            hint = f"; {known}" if made_of_another else "; train it with optimisation.other_bending"
         allowed = " to ".join(f"{times * stretch * material.bending:.2g}" for times in sorted({least, most}))
         raise ValueError(
             f"bend {fabric.bend:g} J at stretch {fabric.stretch:g} N/m is not what {model.name!r} has learnt, "

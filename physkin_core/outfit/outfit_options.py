@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR
 from physkin_core.fit_option import add_fit_option
-from physkin_core.model.model_file import load_garment_model
+from physkin_core.model.model_file import load_garment_model, split_fabric
 from physkin_core.outfit.layers import OutfitGarment
 
 __all__ = [
@@ -44,7 +44,8 @@ def add_garment_option(parser: argparse.ArgumentParser) -> None:
         *("-g", "--garment"),
         action="append",
         metavar="MODEL",
-        help="a file or a shipped name (default tshirt); several, from the skin outwards, are an outfit",
+        help="a file or a shipped name (default tshirt), of another fabric with that behind it, as skirt:denim; several, "
+        "from the skin outwards, are an outfit",
     )
 
 
@@ -78,7 +79,11 @@ def chosen_garments(names: Sequence[str] | None, tucked: Sequence[str]) -> list[
 
     Raises ValueError when one is tucked that is not worn, or a file is no model."""
     names = names or ["tshirt"]
+    files = [split_fabric(name)[0] for name in names]
     for name in tucked:
-        if name not in names:
+        if name not in names and name not in files:
             raise ValueError(f"--tucked {name}: none of the garments, which are {', '.join(names)}")
-    return [OutfitGarment(load_garment_model(name), tucked=name in tucked) for name in names]
+    return [
+        OutfitGarment(load_garment_model(name), tucked=name in tucked or file in tucked)
+        for name, file in zip(names, files)
+    ]

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from physkin_core.model.model_file import split_fabric
 from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.node.settings import (
     AVATAR_SETTINGS,
@@ -174,7 +175,7 @@ def _one_or_several(garment: GarmentSettings, layers: tuple[str, ...]) -> list[G
         return [garment]
     below, names = garment.namespace or "~", []
     for model in models:
-        name = re.sub(r"\W", "_", Path(model).stem, flags=re.ASCII)
+        name = re.sub(r"\W", "_", Path(split_fabric(model)[0]).stem, flags=re.ASCII)
         name = name if IDENTIFIER.fullmatch(name) else f"garment_{name}"
         names.append(name if name not in names else f"{name}_{len(names) + 1}")
     return [replace(garment, name=name, model=model, namespace=f"{below}/{name}") for name, model in zip(names, models)]

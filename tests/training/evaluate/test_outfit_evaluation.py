@@ -113,7 +113,7 @@ def test_names_of_outfits():
     ]
     for text, message in {
         "tshirt": "at least two garments, got 1",
-        "tshirt:in,trousers": "'tshirt:in' is no garment; write NAME or NAME:tucked",
+        "tshirt:in,trousers": "no fabric 'in'",
         "tshirt,": "",
     }.items():
         with pytest.raises(ValueError, match=message):

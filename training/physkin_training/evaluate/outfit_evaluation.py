@@ -44,13 +44,11 @@ LEAD = 8
 
 def parse_outfit(text: str) -> list[OutfitGarment]:
     """Garments from the skin outwards, as `tshirt:tucked,trousers` names shipped or other models. Raises ValueError for
-    less than two, and for another word after a colon than `tucked`; and as `load_garment_model` does."""
+    less than two, and as `load_garment_model` does."""
     garments = []
     for part in text.split(","):
-        name, *how = part.rsplit(":", 1)
-        if how and how != ["tucked"]:
-            raise ValueError(f"--outfit {text}: {part!r} is no garment; write NAME or NAME:tucked")
-        garments.append(OutfitGarment(load_garment_model(name), tucked=bool(how)))
+        name = part.removesuffix(":tucked")
+        garments.append(OutfitGarment(load_garment_model(name), tucked=name != part))
     if len(garments) < 2:
         raise ValueError(f"--outfit {text}: an outfit that is measured has at least two garments, got {len(garments)}")
     return garments

@@ -260,7 +260,7 @@ def _train_and_report(
 
 def _configuration(options: argparse.Namespace, mesh: Path, device: torch.device, budget: TimeBudget) -> TrainingConfig:
     """Of a new run: the recipe, with as many steps as were asked for or as there is time for."""
-    own = TrainingConfig(options.output.stem, mesh, optimisation=OptimisationConfig(fit="both"))
+    own = TrainingConfig(options.output.stem, mesh, optimisation=OptimisationConfig(fit="both", other_bending=0.5))
     recipe = load_config(options.recipe) if options.recipe else own
     recipe = replace(recipe, name=options.output.stem, garment=mesh)
     steps = options.steps or choose_steps(recipe, device, budget)
