@@ -44,8 +44,8 @@ def add_garment_option(parser: argparse.ArgumentParser) -> None:
         *("-g", "--garment"),
         action="append",
         metavar="MODEL",
-        help="a file or a shipped name (default tshirt), of another fabric with that behind it, as skirt:denim; several, "
-        "from the skin outwards, are an outfit",
+        help="a file or a shipped name (default tshirt), of another fabric as in skirt:denim; several, from the skin "
+        "outwards, are an outfit",
     )
 
 
