@@ -256,13 +256,13 @@ class AvatarStream:
             began = perf_counter_ns()
             try:
                 each.step()
+                took = perf_counter_ns() - began
+                for worn in each.garments:
+                    worn.stream.statistics.draped(took)
+                    worn.publish(sec, nanosec)  # which drapes splats
             except ValueError as error:
                 self._reject(attire, error)
                 return False
-            took = perf_counter_ns() - began
-            for worn in each.garments:
-                worn.publish(sec, nanosec)
-                worn.stream.statistics.draped(took)
         if change is not None:
             self.statistics.separate(change)
             self._separated.publish(attire.separator.joint_names, attire.draped, sec, nanosec)

@@ -128,12 +128,10 @@ class DrapeNode(LifecycleNode):
         if not names & self._changeable.keys():
             return
         self._settings = settings = self._read_settings()
+        by_prefix = {avatar.prefix: avatar for avatar in settings.avatars}
         for stream in self._streams.values():
             stream.deadline_ns = round(1e9 * settings.deadline)
-        for avatar in settings.avatars:
-            stream = self._streams.get(avatar.id)
-            if avatar.discover or stream is None:
-                continue
+            avatar = by_prefix[stream.settings.prefix]  # of bodies that were discovered, their template
             if avatar.prefix + "gravity" in names:
                 stream.set_gravity(avatar.gravity)
             if avatar.prefix + "sway" in names:
