@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from time import monotonic_ns
 
 import numpy as np
@@ -19,8 +19,8 @@ from physkin_ros.root.gravity import FRESH, gravity_from_imu
 from physkin_ros.root.imu_acceleration import ImuAcceleration
 from physkin_ros.root.quaternions import Quaternion, Vector, quaternion_of, vector_of
 from physkin_ros.root.root_motion import RootMotion
-from physkin_ros.root.tf_topics import RootBroadcaster, TfListener
-from physkin_ros.root.transform_tree import MOST_FRAMES, TransformTree
+from physkin_ros.root.tf_topics import FollowedTransforms, RootBroadcaster
+from physkin_ros.root.transform_tree import MOST_FRAMES
 
 __all__ = ["OrientationSource", "check_orientation"]
 
@@ -47,16 +47,23 @@ class OrientationSource:
     """
 
     def __init__(
-        self, node, avatar: AvatarSettings, on_gravity: Taker, on_felt: Taker, on_bad: Callable[[str], None]
+        self,
+        node,
+        avatar: AvatarSettings,
+        transforms: FollowedTransforms,
+        on_gravity: Taker,
+        on_felt: Taker,
+        on_bad: Callable[[str], None],
     ) -> None:
         self.fault = ""
+        self._transforms, self._follows_tf = transforms, False
         self._node, self._on_gravity, self._on_felt, self._on_bad = node, on_gravity, on_felt, on_bad
         self._frames = avatar.frame_id, avatar.world_frame
         self._subscriptions = []
         self._motion = RootMotion(avatar.sway)
         self._acceleration = ImuAcceleration(delay=avatar.imu_delay, sway=avatar.sway)
         self._told_until = 0  # [ns], monotonic: whoever tells effective gravity knows better than we
-        self._listener = self._broadcaster = None
+        self._broadcaster = None
         below = f"~/{avatar.id}" if avatar.id else "~"
         self._listen(
             Vector3Stamped, avatar.effective_gravity_topic or f"{below}/effective_gravity", self._on_told, sensor=True
@@ -75,9 +82,10 @@ class OrientationSource:
         if avatar.publish_tf:
             self._broadcaster = RootBroadcaster(node, frame_id=avatar.frame_id, world_frame=avatar.world_frame)
         if avatar.orientation == "tf":
-            self._tree = TransformTree()
-            self._listener = TfListener(node, self._on_transforms)
-            self._on_transforms((), static=False)
+            self._left_out = ""
+            self._follows_tf = True
+            transforms.follow(self._on_transforms)
+            self._on_transforms({})
 
     def set_sway(self, sway: float) -> None:
         """Let the root's motion, or an IMU, count as much from now on, 0 to 1."""
@@ -89,9 +97,10 @@ class OrientationSource:
         self._motion.still()  # what is native in it must not outlive the interpreter
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
-        for each in (self._listener, self._broadcaster):
-            if each is not None:
-                each.close()
+        if self._follows_tf:
+            self._transforms.leave(self._on_transforms)
+        if self._broadcaster is not None:
+            self._broadcaster.close()
 
     def _on_told(self, message: Vector3Stamped) -> None:
         felt = in_units_of_gravity(vector_of(message.vector))
@@ -117,15 +126,14 @@ class OrientationSource:
         if self._broadcaster is not None and new:
             self._broadcaster.publish(message.header, place, turn)
 
-    def _on_transforms(self, transforms: Iterable, static: bool) -> None:
-        left_out = self._tree.left_out
-        wrong = self._tree.update(transforms, static=static)
-        if self._tree.left_out != left_out:  # once, the first
-            name = self._tree.left_out[:60]
-            self._on_bad(f"frame {name!r} of TF and further ones are left out: {MOST_FRAMES} are known")
+    def _on_transforms(self, wrong: Mapping[str, str]) -> None:
+        tree = self._transforms.tree
+        if tree.left_out != self._left_out:  # once, the first
+            self._left_out = tree.left_out
+            self._on_bad(f"frame {self._left_out[:60]!r} of TF and further ones are left out: {MOST_FRAMES} are known")
         try:
-            frames = self._tree.chain(*self._frames)
-            stamp_ns, place, turn = self._tree.pose(*self._frames)
+            frames = tree.chain(*self._frames)
+            stamp_ns, place, turn = tree.pose(*self._frames)
             if self._motion.follows(stamp_ns):
                 self._move(stamp_ns, place, turn)
         except ValueError as error:

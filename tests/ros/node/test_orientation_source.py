@@ -16,6 +16,7 @@ from physkin_ros.node.orientation_source import OrientationSource, check_orienta
 from physkin_ros.node.settings import AVATAR_SETTINGS, SettingsError  # noqa: E402
 from physkin_ros.root import transform_tree  # noqa: E402
 from physkin_ros.root.gravity import FRESH  # noqa: E402
+from physkin_ros.root.tf_topics import FollowedTransforms  # noqa: E402
 
 DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -36,14 +37,17 @@ class Wired:
         if given["orientation"] == "tf" or given.get("publish_tf"):
             needs_tf_messages()
         self.callbacks, self.gravity, self.felt, self.bad, self.sent = {}, [], [], [], []
+        self.closed = []
         node = Message(
             create_subscription=lambda kind, topic, take, *_, **__: self.callbacks.setdefault(topic, take),
+            destroy_subscription=lambda subscription: self.closed.append(subscription),
             create_publisher=lambda kind, topic, *_: Message(
                 publish=lambda message: self.sent.extend(message.transforms)
             ),
         )
         takers = (lambda down, stamp: self.gravity.append(down), lambda felt, stamp: self.felt.append(felt))
-        self.source = OrientationSource(node, settings(**given), *takers, self.bad.append)
+        self.transforms = FollowedTransforms(node)
+        self.source = OrientationSource(node, settings(**given), self.transforms, *takers, self.bad.append)
 
     def send(self, topic: str, message):
         self.callbacks[topic](message)
@@ -165,6 +169,26 @@ def test_tf_that_does_not_lead_there_is_told():
     wired.send("/tf_static", Message(transforms=[transform("world", "nowhere")]))
     assert wired.source.fault == ""
     assert len(wired.gravity) == 2 and wired.gravity[-1] == pytest.approx(DOWN)
+
+
+def test_avatars_share_what_is_read_of_tf():
+    """One that comes later knows all at once; the topics go with the last."""
+    wired, told = Wired(orientation="tf"), []
+    as_tf(wired, 1.0, (0, 0, 0))
+    topics = len(wired.callbacks)
+    other = settings(orientation="tf", id="other", frame_id="arm")
+    wired.send("/tf_static", Message(transforms=[transform("root", "arm")]))
+    takers = (lambda down, stamp: told.append(stamp), lambda felt, stamp: None)
+    source = OrientationSource(wired.source._node, other, wired.transforms, *takers, wired.bad.append)
+    assert told == [1_000_000_000] and source.fault == ""
+    assert len(wired.callbacks) == topics + 1  # effective gravity
+    as_tf(wired, 2.0, (0, 0, 0))
+    assert len(told) == 2 and len(wired.gravity) == 2
+    tf = [wired.callbacks[topic] for topic in ("/tf", "/tf_static")]
+    wired.source.close()
+    assert not set(tf) & set(wired.closed)
+    source.close()
+    assert set(tf) <= set(wired.closed)
 
 
 def test_frames_that_are_left_out_are_told_once(monkeypatch):
