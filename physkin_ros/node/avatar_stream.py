@@ -30,6 +30,7 @@ from physkin_ros.node.separated_joint_states import SeparatedJointStates
 from physkin_ros.node.settings import AvatarSettings
 from physkin_ros.root.gravity import EffectiveGravity, GravityByStamp, gravity_from_tilt
 from physkin_ros.root.quaternions import OrientationError
+from physkin_ros.root.tf_topics import FollowedTransforms
 
 __all__ = ["AvatarStream"]
 
@@ -47,10 +48,19 @@ class AvatarStream:
 
     gravity: (3,) unit direction. felt: (3,) the same, as large as the root feels it, in units of gravity. active:
     whether joint states are answered. deadline_ns: from the arrival of a joint state to its last cloud, 0 for none.
-    settings: with the body that is worn. Raises ValueError for a joint map that cannot be read.
+    transforms: TF, of all avatars. settings: with the body that is worn.
+    Raises ValueError for a joint map that cannot be read.
     """
 
-    def __init__(self, node, settings: AvatarSettings, loader: DraperLoader, *, deadline_ns: int = 0) -> None:
+    def __init__(
+        self,
+        node,
+        settings: AvatarSettings,
+        loader: DraperLoader,
+        transforms: FollowedTransforms,
+        *,
+        deadline_ns: int = 0,
+    ) -> None:
         self.settings, self.deadline_ns, self.active = settings, deadline_ns, False
         self.statistics = AvatarStatistics()
         self.gravity = _unit(settings.gravity)
@@ -62,7 +72,7 @@ class AvatarStream:
         self._direction_only: set[str] = set()
         self._follows = settings.orientation == "joints"
         self._unknown: set[str] = set()
-        self._node, self._loader = node, loader
+        self._node, self._loader, self._transforms = node, loader, transforms
         self._naming: tuple[JointNaming, tuple[str, ...]] | None = None
         self._attire: Attire | None = None
         self._closed = False
@@ -85,7 +95,7 @@ class AvatarStream:
         node, settings = self._node, self.settings
         # before the joint states: when both have messages waiting, executors serve the older subscription first
         takers = (self._gravity_by_stamp.add, self._on_effective_gravity, self._on_bad_orientation)
-        self._orientation = OrientationSource(node, settings, *takers)
+        self._orientation = OrientationSource(node, settings, self._transforms, *takers)
         self._subscriptions = [
             node.create_subscription(JointState, self.topic, self._on_joint_state, raw=True, **stream_quality(QUEUE)),
             node.create_subscription(
@@ -256,13 +266,13 @@ class AvatarStream:
             began = perf_counter_ns()
             try:
                 each.step()
+                took = perf_counter_ns() - began
+                for worn in each.garments:
+                    worn.stream.statistics.draped(took)
+                    worn.publish(sec, nanosec)  # which drapes splats
             except ValueError as error:
                 self._reject(attire, error)
                 return False
-            took = perf_counter_ns() - began
-            for worn in each.garments:
-                worn.publish(sec, nanosec)
-                worn.stream.statistics.draped(took)
         if change is not None:
             self.statistics.separate(change)
             self._separated.publish(attire.separator.joint_names, attire.draped, sec, nanosec)

@@ -34,6 +34,7 @@ from physkin_ros.node.settings import (
     check_setting,
 )
 from physkin_ros.node.settings_reading import model_names, read_settings
+from physkin_ros.root.tf_topics import FollowedTransforms
 
 __all__ = ["DrapeNode"]
 
@@ -54,6 +55,7 @@ class DrapeNode(LifecycleNode):
         """arguments: as `rclpy.node.Node` takes them, such as `context` and `parameter_overrides`."""
         super().__init__("drape_node", **arguments)
         self._streams: dict[str, AvatarStream] = {}
+        self._transforms = FollowedTransforms(self)
         self._templates: list[tuple[AvatarSettings, BodyDiscovery]] = []
         self._reports = self._services_of_swaps = self._body_timer = None
         self._failure: Exception | None = None
@@ -128,12 +130,10 @@ class DrapeNode(LifecycleNode):
         if not names & self._changeable.keys():
             return
         self._settings = settings = self._read_settings()
+        by_prefix = {avatar.prefix: avatar for avatar in settings.avatars}
         for stream in self._streams.values():
             stream.deadline_ns = round(1e9 * settings.deadline)
-        for avatar in settings.avatars:
-            stream = self._streams.get(avatar.id)
-            if avatar.discover or stream is None:
-                continue
+            avatar = by_prefix[stream.settings.prefix]  # of bodies that were discovered, their template
             if avatar.prefix + "gravity" in names:
                 stream.set_gravity(avatar.gravity)
             if avatar.prefix + "sway" in names:
@@ -279,7 +279,8 @@ class DrapeNode(LifecycleNode):
             self._body_timer = self.create_timer(0.5, self._look_for_bodies)
 
     def _open(self, avatar: AvatarSettings) -> AvatarStream:
-        stream = AvatarStream(self, avatar, self._loader, deadline_ns=round(1e9 * self._settings.deadline))
+        deadline_ns = round(1e9 * self._settings.deadline)
+        stream = AvatarStream(self, avatar, self._loader, self._transforms, deadline_ns=deadline_ns)
         self._streams[avatar.id] = stream
         stream.active = self._active
         return stream

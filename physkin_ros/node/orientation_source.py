@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
+from time import monotonic_ns
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
@@ -14,12 +15,12 @@ from physkin_ros.messages.conversions import gravity_direction
 from physkin_ros.messages.interfaces import missing_tf
 from physkin_ros.node.garment_stream import stream_quality
 from physkin_ros.node.settings import AvatarSettings, SettingsError
-from physkin_ros.root.gravity import gravity_from_imu
+from physkin_ros.root.gravity import FRESH, gravity_from_imu
 from physkin_ros.root.imu_acceleration import ImuAcceleration
 from physkin_ros.root.quaternions import Quaternion, Vector, quaternion_of, vector_of
 from physkin_ros.root.root_motion import RootMotion
-from physkin_ros.root.tf_topics import RootBroadcaster, TfListener
-from physkin_ros.root.transform_tree import TransformTree
+from physkin_ros.root.tf_topics import FollowedTransforms, RootBroadcaster
+from physkin_ros.root.transform_tree import MOST_FRAMES
 
 __all__ = ["OrientationSource", "check_orientation"]
 
@@ -41,20 +42,28 @@ class OrientationSource:
     """Calls back with what messages say, and their stamps, or with why one says nothing.
 
     on_gravity: takes gravity's unit direction. on_felt: takes effective gravity in units of gravity, from its topic, or
-    as the root's motion or an IMU tells it, until the topic has told one. fault: why TF does not say where the root is
-    at the moment, "" where it does or is not asked.
+    as the root's motion or an IMU tells it, while the topic tells none that is fresh. fault: why TF does not say where
+    the root is at the moment, "" where it does or is not asked.
     """
 
     def __init__(
-        self, node, avatar: AvatarSettings, on_gravity: Taker, on_felt: Taker, on_bad: Callable[[str], None]
+        self,
+        node,
+        avatar: AvatarSettings,
+        transforms: FollowedTransforms,
+        on_gravity: Taker,
+        on_felt: Taker,
+        on_bad: Callable[[str], None],
     ) -> None:
         self.fault = ""
+        self._transforms, self._follows_tf = transforms, False
         self._node, self._on_gravity, self._on_felt, self._on_bad = node, on_gravity, on_felt, on_bad
         self._frames = avatar.frame_id, avatar.world_frame
         self._subscriptions = []
         self._motion = RootMotion(avatar.sway)
-        self._acceleration: ImuAcceleration | None = ImuAcceleration(delay=avatar.imu_delay, sway=avatar.sway)
-        self._listener = self._broadcaster = None
+        self._acceleration = ImuAcceleration(delay=avatar.imu_delay, sway=avatar.sway)
+        self._told_until = 0  # [ns], monotonic: whoever tells effective gravity knows better than we
+        self._broadcaster = None
         below = f"~/{avatar.id}" if avatar.id else "~"
         self._listen(
             Vector3Stamped, avatar.effective_gravity_topic or f"{below}/effective_gravity", self._on_told, sensor=True
@@ -73,29 +82,29 @@ class OrientationSource:
         if avatar.publish_tf:
             self._broadcaster = RootBroadcaster(node, frame_id=avatar.frame_id, world_frame=avatar.world_frame)
         if avatar.orientation == "tf":
-            self._tree = TransformTree()
-            self._listener = TfListener(node, self._on_transforms)
-            self._on_transforms((), static=False)
+            self._left_out = ""
+            self._follows_tf = True
+            transforms.follow(self._on_transforms)
+            self._on_transforms({})
 
     def set_sway(self, sway: float) -> None:
         """Let the root's motion, or an IMU, count as much from now on, 0 to 1."""
         self._motion.set_sway(sway)
-        if self._acceleration is not None:
-            self._acceleration.sway = sway
+        self._acceleration.sway = sway
 
     def close(self) -> None:
         """Stop listening."""
         self._motion.still()  # what is native in it must not outlive the interpreter
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
-        for each in (self._listener, self._broadcaster):
-            if each is not None:
-                each.close()
+        if self._follows_tf:
+            self._transforms.leave(self._on_transforms)
+        if self._broadcaster is not None:
+            self._broadcaster.close()
 
     def _on_told(self, message: Vector3Stamped) -> None:
         felt = in_units_of_gravity(vector_of(message.vector))
-        self._motion.still()  # who tells it knows better
-        self._acceleration = None
+        self._told_until = monotonic_ns() + FRESH
         self._tell(self._on_felt, felt, _stamp_ns(message))
 
     def _on_direction(self, message: Vector3Stamped) -> None:
@@ -105,11 +114,10 @@ class OrientationSource:
     def _on_imu(self, message: Imu) -> None:
         stamp_ns = _stamp_ns(message)
         felt = None
-        if self._acceleration is not None and self._acceleration.sway:
+        if self._acceleration.sway:
             felt = self._acceleration.felt(message, stamp_ns)
         self._tell(self._on_gravity, gravity_from_imu(message), stamp_ns)
-        if felt is not None:
-            self._tell(self._on_felt, felt, stamp_ns)
+        self._sway(felt, stamp_ns)
 
     def _on_pose(self, message: PoseStamped | Odometry, pose) -> None:
         place, turn, stamp_ns = vector_of(pose.position), quaternion_of(pose.orientation), _stamp_ns(message)
@@ -118,11 +126,14 @@ class OrientationSource:
         if self._broadcaster is not None and new:
             self._broadcaster.publish(message.header, place, turn)
 
-    def _on_transforms(self, transforms: Iterable, static: bool) -> None:
-        wrong = self._tree.update(transforms, static=static)
+    def _on_transforms(self, wrong: Mapping[str, str]) -> None:
+        tree = self._transforms.tree
+        if tree.left_out != self._left_out:  # once, the first
+            self._left_out = tree.left_out
+            self._on_bad(f"frame {self._left_out[:60]!r} of TF and further ones are left out: {MOST_FRAMES} are known")
         try:
-            frames = self._tree.chain(*self._frames)
-            stamp_ns, place, turn = self._tree.pose(*self._frames)
+            frames = tree.chain(*self._frames)
+            stamp_ns, place, turn = tree.pose(*self._frames)
             if self._motion.follows(stamp_ns):
                 self._move(stamp_ns, place, turn)
         except ValueError as error:
@@ -134,9 +145,12 @@ class OrientationSource:
 
     def _move(self, stamp_ns: int, place: Vector, turn: Quaternion) -> None:
         down, felt = self._motion.move(stamp_ns, place, turn)
-        if felt is not None:
-            self._tell(self._on_felt, felt, stamp_ns)
+        self._sway(felt, stamp_ns)
         self._tell(self._on_gravity, down, stamp_ns)
+
+    def _sway(self, felt: np.ndarray | None, stamp_ns: int) -> None:
+        if felt is not None and monotonic_ns() > self._told_until:
+            self._tell(self._on_felt, felt, stamp_ns)
 
     @staticmethod
     def _tell(take: Taker, found: np.ndarray, stamp_ns: int) -> None:

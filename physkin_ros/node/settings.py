@@ -71,8 +71,8 @@ class GarmentSettings:
     name: str
     model: str = _key(
         "tshirt",
-        "garment model: a .safetensors file, or the name of a shipped one; without avatars also several, joined by "
-        "commas, from the skin outwards",
+        "garment model: a .safetensors file, or the name of a shipped one, with a fabric behind it as skirt:denim or "
+        "skirt:bend=1e-4+density=0.18; without avatars also several, joined by commas, from the skin outwards",
         changes=True,
         may_be_empty=False,
     )
@@ -99,7 +99,7 @@ class GarmentSettings:
     points: str = _key(
         "",
         "PLY file of Gaussian splats that lie on this garment, as physkin bind-points takes it: ~/splats carries them "
-        "draped; for one garment, or with outfit false",
+        "draped; for one garment, or with avatars and outfit false",
     )
     marker: bool = _key(False, "publish a visualization_msgs/Marker TRIANGLE_LIST too, for RViz")
 

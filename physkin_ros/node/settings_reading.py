@@ -141,6 +141,8 @@ def read_settings(given: Mapping[str, object]) -> NodeSettings:
                 f"parameter {prefix}publish_tf is true and {prefix}orientation {values['orientation']!r}; allowed with "
                 f"{' or '.join(POSE_SOURCES)}, which say where the root is"
             )
+        for key in ("frame_id", "world_frame"):
+            values[key] = values[key].lstrip("/")  # as in messages of ROS 1's time
         if values["discover"] and not prefix:
             raise SettingsError("parameter discover is for avatars: avatars.ID.discover")
         if prefix:
@@ -173,6 +175,11 @@ def _one_or_several(garment: GarmentSettings, layers: tuple[str, ...]) -> list[G
         raise SettingsError(f"parameter model is {garment.model!r}; allowed: models joined by commas")
     if len(models) == 1:
         return [garment]
+    if garment.points:
+        raise SettingsError(
+            f"parameter points is {garment.points!r} and model names {len(models)} garments; splats lie on one: "
+            "avatars.ID.garments.NAME.points"
+        )
     below, names = garment.namespace or "~", []
     for model in models:
         name = re.sub(r"\W", "_", Path(split_fabric(model)[0]).stem, flags=re.ASCII)

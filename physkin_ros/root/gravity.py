@@ -15,6 +15,7 @@ from physkin_ros.messages.conversions import gravity_direction
 from physkin_ros.root.quaternions import OrientationError, quaternion_of, unit_quaternion, vector_of
 
 __all__ = [
+    "FRESH",
     "SAME_CLOCK",
     "EffectiveGravity",
     "GravityByStamp",

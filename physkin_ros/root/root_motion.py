@@ -27,7 +27,7 @@ class RootMotion:
             self._sway.amount = sway
 
     def still(self) -> None:
-        """Let the motion count no more, only gravity's direction: who tells effective gravity knows better."""
+        """Let the motion count no more, only gravity's direction."""
         self._sway = None
 
     def follows(self, stamp_ns: int) -> bool:

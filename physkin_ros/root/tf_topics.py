@@ -8,8 +8,9 @@ from geometry_msgs.msg import TransformStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from physkin_ros.root.quaternions import OrientationError, Quaternion, Vector, unit_quaternion
+from physkin_ros.root.transform_tree import TransformTree
 
-__all__ = ["RootBroadcaster", "TfListener"]
+__all__ = ["FollowedTransforms", "RootBroadcaster", "TfListener"]
 
 DEPTH = 100
 """As TF is published and listened to elsewhere."""
@@ -34,6 +35,36 @@ class TfListener:
         """Stop listening."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
+
+
+class FollowedTransforms:
+    """The frames of TF for all avatars of a ROS node that ask for them: read once, however many these are. Nothing is
+    subscribed to while nobody asks."""
+
+    def __init__(self, node) -> None:
+        self.tree = TransformTree()
+        self._node = node
+        self._listener: TfListener | None = None
+        self._followers: list[Callable[[dict[str, str]], None]] = []
+
+    def follow(self, on_change: Callable[[dict[str, str]], None]) -> None:
+        """Call back after each message with what was wrong in it, as `TransformTree.update` tells."""
+        if self._listener is None:
+            self.tree = TransformTree()
+            self._listener = TfListener(self._node, self._on_transforms)
+        self._followers.append(on_change)
+
+    def leave(self, on_change: Callable[[dict[str, str]], None]) -> None:
+        """Call back no more."""
+        self._followers.remove(on_change)
+        if not self._followers:
+            self._listener.close()
+            self._listener = None
+
+    def _on_transforms(self, transforms: Iterable[TransformStamped], static: bool) -> None:
+        wrong = self.tree.update(transforms, static=static)
+        for on_change in tuple(self._followers):
+            on_change(wrong)
 
 
 class RootBroadcaster:

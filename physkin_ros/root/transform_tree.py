@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -20,28 +21,33 @@ from physkin_ros.root.quaternions import (
     vector_of,
 )
 
-__all__ = ["TransformTree"]
+__all__ = ["MOST_FRAMES", "TransformTree"]
 
 DEEPEST_CHAIN = 64
-KEPT = 64
-"""Places of a frame that are kept."""
-MOST_FRAMES = 10_000
-"""Frames beyond these are not taken: who invents names must not fill the memory."""
-STILL = 100_000_000
-"""[ns] A frame that nobody has moved for so long, while others moved, stands still and is not waited for: slower ones
-are corrections mostly, which must not hold up the rest."""
+KEPT = 32
+"""Places of a frame that are kept: corrections are stamped a second ahead, at up to some 30 Hz."""
+MOST_FRAMES = 1000
+"""Frames beyond these are not taken, some 14 MB: who invents names must not fill the memory."""
+PACE = 4
+"""The messages by which frames are compared: the faster one's so many-th last came later."""
+LATEST = 100_000_000
+"""[ns] How long a frame that comes often, too, is waited for: gravity is not older than that for it."""
 
 
 @dataclass
 class _Frame:
-    """Where a frame is in its parent: stamps [ns] in order, places [m] and turns at them. static: at any time."""
+    """Where a frame is in its parent: stamps [ns] in order, places [m] and turns at them. static: at any time.
+
+    arrivals: of its last messages, which ones they were among all of the tree's.
+    """
 
     parent: str
     static: bool
     stamps: list[int] = field(default_factory=list)
     places: list[tuple[Vector, Quaternion]] = field(default_factory=list)
+    arrivals: deque[int] = field(default_factory=lambda: deque(maxlen=PACE))
 
-    def put(self, stamp_ns: int, place: tuple[Vector, Quaternion]) -> None:
+    def put(self, stamp_ns: int, place: tuple[Vector, Quaternion], arrival: int) -> None:
         stamps = self.stamps
         if self.static or (stamps and stamp_ns < stamps[-1] - SAME_CLOCK):
             stamps.clear()
@@ -51,14 +57,15 @@ class _Frame:
         if stamps and stamp_ns == stamps[-1]:
             self.places[-1] = place
             return
+        self.arrivals.append(arrival)
         stamps.append(stamp_ns)
         self.places.append(place)
         del stamps[:-KEPT], self.places[:-KEPT]
 
     def at(self, stamp_ns: int) -> tuple[Vector, Quaternion]:
-        """Between two messages on the way, before the first and after the last as there."""
+        """Between two messages on the way, before the first and after the last as there; the last of another clock."""
         after = bisect_right(self.stamps, stamp_ns)
-        if self.static or after == len(self.stamps):
+        if self.static or after == len(self.stamps) or self.stamps[0] - stamp_ns > SAME_CLOCK:
             return self.places[-1]
         if after == 0:
             return self.places[0]
@@ -69,10 +76,12 @@ class _Frame:
 
 
 class TransformTree:
-    """The frames of TF."""
+    """The frames of TF. left_out: the first frame that was not taken as there are `MOST_FRAMES` already, or ""."""
 
     def __init__(self) -> None:
+        self.left_out = ""
         self._frames: dict[str, _Frame] = {}
+        self._arrived = 0
 
     def update(self, transforms: Iterable, *, static: bool = False) -> dict[str, str]:
         """Take over `geometry_msgs/TransformStamped`s. static: those of /tf_static.
@@ -93,9 +102,11 @@ class TransformTree:
             known = self._frames.get(child)
             if known is None or known.parent != parent or known.static != static:
                 if known is None and len(self._frames) >= MOST_FRAMES:
+                    self.left_out = self.left_out or child
                     continue
                 known = self._frames[child] = _Frame(parent, static)
-            known.put(stamp.sec * 1_000_000_000 + stamp.nanosec, (shift, turn))
+            self._arrived += 1
+            known.put(stamp.sec * 1_000_000_000 + stamp.nanosec, (shift, turn), self._arrived)
         return wrong
 
     def top(self, frame: str) -> str:
@@ -112,19 +123,26 @@ class TransformTree:
     def pose(self, frame: str, world: str) -> tuple[int, Vector, Quaternion]:
         """Where `frame` is in `world`: the stamp that this is of [ns], 0 for any, its place [m] and turn.
 
-        The time is the latest that all frames between them are known at, but for those that stand still.
+        The time is the last of the frame nearest `frame` that comes often, or as much before as another such frame is
+        late, `LATEST` at most. All others, late or stamped ahead, are taken at what is known of them nearest that time.
         Raises OrientationError as `chain` does.
         """
         chain = [self._frames[name] for name in self.chain(frame, world)]
-        latest = [each.stamps[-1] for each in chain if not each.static and each.stamps[-1]]
-        newest = max(latest, default=0)
-        stamp = min((each for each in latest if newest - each <= STILL), default=0)
+        moving = [each for each in chain if not each.static and each.stamps[-1]]
+        last = [each.stamps[-1] for each in self._often(moving)]
+        stamp = min((each for each in last if 0 <= last[0] - each <= LATEST), default=0)
         place, turn = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
         for each in chain:
-            shift, outer = each.at(stamp or newest)
+            shift, outer = each.at(stamp)
             place = tuple(a + b for a, b in zip(shift, rotated(outer, place)))
             turn = product(outer, turn)
         return stamp, place, turn
+
+    def _often(self, frames: list[_Frame]) -> list[_Frame]:
+        """Those that come at least a third as often as the fastest; all, while none has come `PACE` times. Counted in
+        messages, not by stamps: what is stamped ahead, or by an old clock, is no faster for it."""
+        spans = [self._arrived + 1 - each.arrivals[0] if len(each.arrivals) == PACE else math.inf for each in frames]
+        return [each for each, span in zip(frames, spans) if span <= 3 * min(spans)]
 
     def _above(self, frame: str, world: str | None) -> tuple[list[str], str]:
         chain = []

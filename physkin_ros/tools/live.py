@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from pathlib import Path
 
@@ -34,7 +35,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--topic", help="joint states (default /joint_states, or the only one)")
     parser.add_argument("--gravity-topic", help="gravity's direction (default /gravity, if the bag has it)")
     options = parser.parse_args(argv)
-    root = ["odometry"] if missing_tf() else ["odometry", "transforms"]
+    root = ["odometry", "transforms"]
+    if missing := missing_tf():
+        root.remove("transforms")
+        print(f"/tf and /tf_static, if the bag has them, are not played: {missing}", file=sys.stderr)
     with BagReader(options.bag, topic=options.topic, gravity_topic=options.gravity_topic, root=root) as bag:
         late = 1e3 * play(bag, rate=options.rate)
     if not len(late):

@@ -13,10 +13,12 @@ pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 from core.points.splat_files import splat_ply  # noqa: E402
 from geometry_msgs.msg import Quaternion, Transform  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
-from sensor_msgs.msg import MultiDOFJointState  # noqa: E402
+from sensor_msgs.msg import JointState, MultiDOFJointState  # noqa: E402
 
 from physkin_ros.messages.topics import TOPICS  # noqa: E402
 from physkin_ros.node.avatar_stream import MOST_UNKNOWN  # noqa: E402
+from physkin_ros.node.garment_stream import WornGarment  # noqa: E402
+from physkin_ros.node.orientation_source import OrientationSource  # noqa: E402
 
 STAMPS = ((sec, 0) for sec in count(1000))  # one for each joint state whose stamp does not matter
 OWN = (
@@ -175,14 +177,57 @@ def test_gravity_can_change_while_running(peer, shared_node, draper):
     assert not result.successful
 
 
-def test_sway_can_change_while_running(shared_node):
+@pytest.fixture
+def swaying(monkeypatch):
+    """The sways that orientation sources are told."""
+    told = []
+    monkeypatch.setattr(OrientationSource, "set_sway", lambda self, sway: told.append(sway))
+    return told
+
+
+def test_sway_can_change_while_running(shared_node, swaying):
     for sway in (0.0, 0.5, 1):
         (result,) = shared_node.set_parameters([Parameter("sway", value=sway)])
-        assert result.successful
+        assert result.successful and swaying[-1] == sway
+    assert len(swaying) == 3
     for wrong in (-0.1, 1.5, "much"):
         (result,) = shared_node.set_parameters([Parameter("sway", value=wrong)])
         assert not result.successful and "sway" in result.reason
-    assert shared_node.get_parameter("sway").value == 1
+    assert shared_node.get_parameter("sway").value == 1 and len(swaying) == 3
+
+
+def test_sway_of_discovered_bodies_can_change(running_node, peer, model_path, swaying):
+    """Of those that are there already, and of no other avatar."""
+    guests, host = "avatars.guests.", "avatars.host."
+    wanted = {guests + "discover": "ros4hri"} | {
+        f"{each}garments.top.model": str(model_path) for each in (guests, host)
+    }
+    with running_node(wanted, connect=False) as node:
+        publisher = peer.node.create_publisher(JointState, "/humans/bodies/zoe/joint_states", 10)
+        peer.until(publisher.get_subscription_count, "subscription to the body")
+        for prefix, sway in ((guests, 0.25), (host, 0.75)):
+            (result,) = node.set_parameters([Parameter(f"{prefix}sway", value=sway)])
+            assert result.successful
+        peer.node.destroy_publisher(publisher)
+    assert swaying == [0.25, 0.75]
+
+
+def test_what_fails_in_publishing_ends_nothing(peer, shared_node, draper, monkeypatch):
+    """Splats are draped then, which may come out as no numbers."""
+
+    def fail(*_):
+        raise ValueError("splats are not finite")
+
+    names, rest = draper.joint_names, draper.model.rig.rest.astype(np.float32)
+    expected = peer.cloud(names, rest, next(STAMPS))
+    peer.until(lambda: peer.reports, "diagnostics")
+    before = int(peer.latest("joint states rejected"))
+    with monkeypatch.context() as patch:
+        patch.setattr(WornGarment, "publish", fail)
+        peer.send(names, rest, next(STAMPS))
+        peer.until_told("joint states rejected", str(before + 1))
+    assert peer.latest("last rejection") == "splats are not finite"
+    np.testing.assert_array_equal(peer.cloud(names, rest, next(STAMPS)), expected)
 
 
 @pytest.mark.parametrize("orientation", ["gravity", "pose", "odometry", "imu", "tf"])

@@ -11,8 +11,12 @@ from root_messages import header, imu, odometry, pose, transform, vector
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
+from physkin_ros.node import orientation_source  # noqa: E402
 from physkin_ros.node.orientation_source import OrientationSource, check_orientation  # noqa: E402
 from physkin_ros.node.settings import AVATAR_SETTINGS, SettingsError  # noqa: E402
+from physkin_ros.root import transform_tree  # noqa: E402
+from physkin_ros.root.gravity import FRESH  # noqa: E402
+from physkin_ros.root.tf_topics import FollowedTransforms  # noqa: E402
 
 DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -22,19 +26,28 @@ def settings(**given):
     return Message(**{**defaults, "id": "", "prefix": "", "frame_id": "root", **given})
 
 
+def needs_tf_messages():
+    pytest.importorskip("tf2_msgs", reason="needs tf2_msgs: python msg_defs/wheel/build.py --install")
+
+
 class Wired:
     """An orientation source without a node: what it is sent, and what it then says."""
 
     def __init__(self, **given):
+        if given["orientation"] == "tf" or given.get("publish_tf"):
+            needs_tf_messages()
         self.callbacks, self.gravity, self.felt, self.bad, self.sent = {}, [], [], [], []
+        self.closed = []
         node = Message(
             create_subscription=lambda kind, topic, take, *_, **__: self.callbacks.setdefault(topic, take),
+            destroy_subscription=lambda subscription: self.closed.append(subscription),
             create_publisher=lambda kind, topic, *_: Message(
                 publish=lambda message: self.sent.extend(message.transforms)
             ),
         )
         takers = (lambda down, stamp: self.gravity.append(down), lambda felt, stamp: self.felt.append(felt))
-        self.source = OrientationSource(node, settings(**given), *takers, self.bad.append)
+        self.transforms = FollowedTransforms(node)
+        self.source = OrientationSource(node, settings(**given), self.transforms, *takers, self.bad.append)
 
     def send(self, topic: str, message):
         self.callbacks[topic](message)
@@ -53,11 +66,6 @@ def as_tf(wired: Wired, seconds: float, place):
 
 
 SOURCES = {"pose": as_pose, "odometry": as_odometry, "tf": as_tf}
-
-
-@pytest.fixture(autouse=True)
-def tf_messages():
-    pytest.importorskip("tf2_msgs", reason="needs tf2_msgs: python msg_defs/wheel/build.py --install")
 
 
 @pytest.mark.parametrize("kind", SOURCES)
@@ -114,14 +122,23 @@ def test_an_imu_that_is_pushed_leans_cloth():
 
 
 @pytest.mark.parametrize("kind", ["pose", "imu"])
-def test_effective_gravity_that_is_told_takes_the_place_of_sway(kind):
+def test_effective_gravity_that_is_told_takes_the_place_of_sway(kind, monkeypatch):
+    """Until it is half a second old: then cloth sways again."""
+    now = [10**12]
+    monkeypatch.setattr(orientation_source, "monotonic_ns", lambda: now[0])
     wired = Wired(orientation=kind)
     move = {"pose": as_pose, "imu": lambda wired, t, _: wired.send("imu", imu(t, (0, 0, 9.81)))}[kind]
     move(wired, 1.0, (0, 0, 0))
     wired.send("~/effective_gravity", Message(header=header(1.0), vector=vector((0, 0, -4.905))))
     move(wired, 1.1, (9, 0, 0))
     assert [felt.tolist() for felt in wired.felt] == [[0, 0, -1], [0, 0, -0.5]]
-    assert wired.bad == [] and len(wired.gravity) == 2
+    now[0] += FRESH
+    move(wired, 1.2, (9, 0, 0))
+    assert len(wired.felt) == 2
+    now[0] += 1
+    move(wired, 1.3, (9, 0, 0))
+    assert len(wired.felt) == 3 and np.isfinite(wired.felt[-1]).all()
+    assert wired.bad == [] and len(wired.gravity) == 4
 
 
 def test_bad_poses_are_told():
@@ -154,6 +171,36 @@ def test_tf_that_does_not_lead_there_is_told():
     assert len(wired.gravity) == 2 and wired.gravity[-1] == pytest.approx(DOWN)
 
 
+def test_avatars_share_what_is_read_of_tf():
+    """One that comes later knows all at once; the topics go with the last."""
+    wired, told = Wired(orientation="tf"), []
+    as_tf(wired, 1.0, (0, 0, 0))
+    topics = len(wired.callbacks)
+    other = settings(orientation="tf", id="other", frame_id="arm")
+    wired.send("/tf_static", Message(transforms=[transform("root", "arm")]))
+    takers = (lambda down, stamp: told.append(stamp), lambda felt, stamp: None)
+    source = OrientationSource(wired.source._node, other, wired.transforms, *takers, wired.bad.append)
+    assert told == [1_000_000_000] and source.fault == ""
+    assert len(wired.callbacks) == topics + 1  # effective gravity
+    as_tf(wired, 2.0, (0, 0, 0))
+    assert len(told) == 2 and len(wired.gravity) == 2
+    tf = [wired.callbacks[topic] for topic in ("/tf", "/tf_static")]
+    wired.source.close()
+    assert not set(tf) & set(wired.closed)
+    source.close()
+    assert set(tf) <= set(wired.closed)
+
+
+def test_frames_that_are_left_out_are_told_once(monkeypatch):
+    monkeypatch.setattr(transform_tree, "MOST_FRAMES", 1)
+    wired = Wired(orientation="tf")
+    for k in range(3):
+        as_tf(wired, 1.0 + k, (0, 0, 0))
+        wired.send("/tf", Message(transforms=[transform("world", f"invented{k}")]))
+    assert len(wired.bad) == 1 and "frame 'invented0' of TF and further ones are left out" in wired.bad[0]
+    assert len(wired.gravity) == 3
+
+
 @pytest.mark.parametrize("kind", ["pose", "odometry"])
 def test_tf_of_the_root_is_published(kind):
     """Of each good pose, once, in the frame it names; of no other."""
@@ -176,6 +223,7 @@ def test_tf_of_the_root_is_published(kind):
 @pytest.mark.parametrize("asked", [{"orientation": "tf"}, {"orientation": "pose", "publish_tf": True}])
 def test_what_tf_needs(asked, monkeypatch):
     """Where its messages are not installed, the parameter is refused with what would do."""
+    needs_tf_messages()
     check_orientation(settings(**asked))
     monkeypatch.setitem(sys.modules, "tf2_msgs.msg", None)
     with pytest.raises(SettingsError, match=f"parameter {list(asked)[-1]}.*tf2_msgs is not installed.*--install"):

@@ -9,6 +9,7 @@ import pytest
 from physkin_ros.node import settings
 from physkin_ros.node.config_file import load_config
 from physkin_ros.node.settings import SettingsError
+from physkin_ros.node.settings_reading import read_settings
 
 CONFIG = Path(settings.__file__).parents[1] / "config"
 
@@ -74,6 +75,21 @@ drape_node: {ros__parameters: {avatars: {
     ]
 
 
+def test_topics_do_not_bear_the_fabric():
+    (avatar,) = read_settings({"model": "trousers:denim,tshirt,a/skirt.safetensors:bend=1e-4+density=0.18"}).avatars
+    assert [each.namespace for each in avatar.garments] == ["~/trousers", "~/tshirt", "~/skirt"]
+    assert [each.model for each in avatar.garments][::2] == [
+        "trousers:denim",
+        "a/skirt.safetensors:bend=1e-4+density=0.18",
+    ]
+
+
+def test_frames_may_bear_a_slash():
+    """In parameters as in messages."""
+    (avatar,) = read_settings({"frame_id": "/base", "world_frame": "/map"}).avatars
+    assert (avatar.frame_id, avatar.world_frame) == ("base", "map")
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
@@ -126,6 +142,10 @@ drape_node: {ros__parameters: {avatars: {
         ("drape_node: {ros__parameters: {model: 'a,,b'}}", "model is 'a,,b'; allowed: models joined by commas"),
         ("drape_node: {ros__parameters: {model: 'a,b', tucked: true}}", "tucked is for one of several garments"),
         ("drape_node: {ros__parameters: {tucked: true}}", "tucked is true; allowed in an outfit of several garments"),
+        (
+            "drape_node: {ros__parameters: {model: 'a,b', points: a.ply, outfit: false}}",
+            "points is 'a.ply' and model names 2 garments; splats lie on one: avatars.ID.garments.NAME.points",
+        ),
         ("drape_node: {ros__parameters: {model: 'a,b', layers: [b, a]}}", "layers is for avatars"),
         ("{avatars: {ann: {garments: {a: {tucked: true}}}}}", "garments.a.tucked is true; allowed in an outfit"),
         (

@@ -65,6 +65,55 @@ def test_all_frames_are_taken_at_one_time():
     np.testing.assert_allclose(place, [2, 0, 0] + Rotation.from_quat(half).apply([0, 3, 0]))
 
 
+def followed(correction_hz: float, ahead: float = 0.0):
+    """Stamps that a root of 100 Hz is told at for two seconds, and where, under a corrected frame (x of both: time)."""
+    tree, told = TransformTree(), []
+    period = round(100 / correction_hz)
+    for k in range(200):
+        now = 50 + k / 100
+        if k % period == 0:
+            tree.update([transform("map", "odom", seconds=now + ahead, place=(now, 0, 0))])
+        tree.update([transform("odom", "root", seconds=now, place=(0, now, 0))])
+        stamp, place, _ = tree.pose("root", "map")
+        told.append((round(stamp / SECOND - 50, 3), place))
+    return told
+
+
+@pytest.mark.parametrize("ahead", [0.0, 1.0, -0.5])
+def test_corrections_do_not_hold_up_the_root(ahead):
+    """Ones that are slow, stamped ahead as AMCL does, or late: the root is told at its own stamps."""
+    told = followed(5.0, ahead)
+    assert [stamp for stamp, _ in told[5:]] == [round(k / 100, 3) for k in range(5, 200)]
+    stamp, place = told[-1]
+    assert place[1] == pytest.approx(50 + stamp) and 50 <= place[0] <= 50 + stamp
+    told = followed(50.0, ahead)
+    assert len({stamp for stamp, _ in told}) >= 99 and told[-1][0] >= 1.98
+
+
+def test_a_clock_that_goes_back_is_followed_at_once():
+    """As a bag that loops; also by frames that never come again, which stay where they were last."""
+    tree = TransformTree()
+    tree.update([transform("map", "site", seconds=109.0, place=(0, 0, 5))])
+    for start in (100, 3):
+        for k in range(100):
+            now = start + k / 100
+            if start == 100:
+                tree.update([transform("site", "odom", seconds=now, place=(k, 0, 0))])
+            tree.update([transform("odom", "root", seconds=now, place=(0, now, 0))])
+            stamp, place, _ = tree.pose("root", "map")
+            assert stamp == round(now * SECOND) or k == 0
+            assert place == pytest.approx((k if start == 100 else 99, now, 5)) or k == 0
+
+
+def test_a_frame_near_the_root_that_stops_is_not_waited_for():
+    tree = TransformTree()
+    for k in range(100):
+        if k < 10:
+            tree.update([transform("base", "root", seconds=k / 100 + 1)])
+        tree.update([transform("map", "base", seconds=k / 100 + 1)])
+    assert tree.pose("root", "map")[0] == round(1.99 * SECOND)
+
+
 def test_late_messages_change_nothing_and_a_new_clock_begins_anew():
     tree = TransformTree()
     for seconds, x in ((10.0, 1), (9.9, 5), (10.0, 2)):
@@ -97,6 +146,6 @@ def test_invented_frames_fill_no_memory(monkeypatch):
     monkeypatch.setattr(transform_tree, "MOST_FRAMES", 3)
     tree = TransformTree()
     tree.update([transform("map", f"frame{k}") for k in range(9)])
-    assert len(tree._frames) == 3
+    assert len(tree._frames) == 3 and tree.left_out == "frame3"
     tree.update([transform("map", "frame0", place=(1, 0, 0))])
     assert tree.pose("frame0", "map")[1] == (1, 0, 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 
 import numpy as np
@@ -73,9 +74,12 @@ def test_options_that_mean_nothing_are_refused(bag, arguments, capsys):
 
 
 def test_nobody_listens(bag, domain, monkeypatch, capsys):
-    """Told in one line."""
+    """Told in one line; and that TF is left out where its messages are not installed."""
+    monkeypatch.setitem(sys.modules, "tf2_msgs.msg", None)
     from physkin_ros.middleware import subscriber_discovery
 
     monkeypatch.setattr(subscriber_discovery, "DISCOVERY_SECONDS", 0.2)
     assert cli.main(["replay", str(bag[0]), "--live"]) == 2
-    assert "nobody has subscribed to /arm/joints" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "nobody has subscribed to /arm/joints" in told
+    assert "/tf and /tf_static, if the bag has them, are not played: tf2_msgs is not installed" in told
