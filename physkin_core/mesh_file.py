@@ -20,7 +20,7 @@ from physkin_core.quality import closest_points
 if TYPE_CHECKING:
     from trimesh.visual.material import PBRMaterial
 
-__all__ = ["Look", "MeshFile", "read_mesh", "write_obj"]
+__all__ = ["LIBRARY", "SUFFIXES", "Look", "MeshFile", "read_mesh", "write_obj"]
 
 SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 SCENE_SUFFIXES = (".glb", ".gltf")
@@ -180,13 +180,25 @@ def _library(folder: Path, names: list[str]) -> dict[str, bytes]:
         if not (folder / name).is_file():
             continue
         for line in (folder / name).read_text(encoding="utf-8", errors="replace").splitlines():
-            found = re.match(r"\s*((?:map_|bump|disp|norm)\S*\s+(?:-\S+\s+[\d.]+\s+)*)(\S.*)$", line)
-            picture = folder / found[2].strip() if found else None
-            if picture is not None and picture.is_file():
+            before, picture = _named_picture(folder, line)
+            if picture is not None:
                 files[picture.name] = picture.read_bytes()
-                line = found[1] + picture.name
+                line = before + picture.name
             lines.append(line)
     return {LIBRARY: ("\n".join(lines) + "\n").encode(), **files} if lines else {}
+
+
+def _named_picture(folder: Path, line: str) -> tuple[str, Path | None]:
+    """The picture that a line of a library names, None for none, and what stands before its name: keyword and options.
+
+    Options take words and any count of numbers, and file names have spaces: it is the longest end that is a file."""
+    line = line.strip()
+    if re.match(r"map_|bump|disp|norm", line):
+        for gap in re.finditer(r"\s+", line):
+            picture = folder / line[gap.end() :]
+            if picture.is_file():
+                return line[: gap.end()], picture
+    return line, None
 
 
 def _read_scene(path: Path) -> MeshFile:

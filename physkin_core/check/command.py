@@ -40,7 +40,7 @@ def command_parser() -> argparse.ArgumentParser:
         *("-g", "--garment"),
         action="append",
         metavar="MODEL",
-        help="a file or a shipped name (default tshirt); repeatable",
+        help="a file or a shipped name (default tshirt), of another fabric as in skirt:denim; repeatable",
     )
     parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
     add_fit_option(parser)

@@ -50,7 +50,8 @@ def garment_looks(paths: Sequence[Path], outfit: Outfit) -> list[Look | None]:
 
     paths: meshes that lie where the garments' own do, as `physkin fit-garment` writes them. Which is whose is told by
     that. Raises GarmentError for what is no readable mesh, and ValueError for a mesh of no garment, a second one of
-    the same garment, one without texture places and materials, and pictures that are missing or not PNG or JPEG.
+    the same garment, one without texture places and materials, colours that are not three numbers from 0 to 1, and
+    pictures that are missing or not PNG or JPEG.
     """
     looks: list[Look | None] = [None] * len(outfit.models)
     for path in paths:
@@ -70,7 +71,10 @@ def garment_looks(paths: Sequence[Path], outfit: Outfit) -> list[Look | None]:
             raise ValueError(f"{path} is a second look for {name}; a garment has one")
         given = outfit.models[k].garment.vertices[outfit.visible[k]]
         looks[k] = mesh.look.on((mesh.vertices, mesh.faces), given, outfit.faces[k])
-        surfaces_of(looks[k], name, (1.0, 1.0, 1.0), len(outfit.faces[k]))  # what is wrong is told before hours of work
+        try:  # what is wrong is told before hours of work
+            surfaces_of(looks[k], name, (1.0, 1.0, 1.0), len(outfit.faces[k]))
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
     return looks
 
 
@@ -104,19 +108,33 @@ def _materials(look: Look) -> dict[str, tuple[tuple[float, ...], Picture | None]
     found = {name: ((1.0, 1.0, 1.0), None) for name in look.materials}
     name = None
     for line in look.files.get(LIBRARY, b"").decode("utf-8", "replace").splitlines():
-        word, _, rest = line.strip().partition(" ")
+        word, rest = [*line.split(None, 1), "", ""][:2]
         if word == "newmtl":
-            name = rest.strip()
+            name = " ".join(rest.split())  # as `usemtl` is read
         elif name in found and word == "Kd":
-            found[name] = tuple(float(value) for value in rest.split()[:3]), found[name][1]
+            found[name] = _colour(name, rest), found[name][1]
         elif name in found and word == "map_Kd":
             found[name] = found[name][0], _picture(look, name, rest)
     return found
 
 
+def _colour(material: str, told: str) -> tuple[float, ...]:
+    """told: what follows the keyword."""
+    try:
+        colour = tuple(float(value) for value in told.split()[:3])
+    except ValueError:
+        colour = ()
+    if len(colour) != 3 or not all(0 <= channel <= 1 for channel in colour):
+        raise ValueError(
+            f"the colour Kd of material {material!r} must be three numbers from 0 to 1, got {told.strip()!r}"
+        )
+    return colour
+
+
 def _picture(look: Look, material: str, named: str) -> Picture:
     """named: what follows the keyword, a file name after options."""
-    name = max((each for each in look.files if named.endswith(each)), key=len, default=None)
+    end = " " + " ".join(named.split())
+    name = max((each for each in look.files if end.endswith(" " + " ".join(each.split()))), key=len, default=None)
     if name is None:
         raise ValueError(f"the picture of material {material!r} is missing: {named.strip()}")
     content = look.files[name]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -42,7 +43,7 @@ def write_usd_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Seque
     place = root.AddTranslateOp()
     turn = root.AddOrientOp()
     colours = [BODY_COLOUR, *layer_colours(len(outfit.models))]
-    names = ["body", *(_as_identifier(model.name) for model in outfit.models)]
+    names = _as_identifiers(["body", *(model.name for model in outfit.models)])
     faces = [outfit.avatar.faces[~outfit.body_mask], *outfit.faces]
     meshes = []
     looks = [None, *(looks or [None] * len(outfit.models))]
@@ -82,11 +83,12 @@ def _paint(mesh: UsdGeom.Mesh, look: Look | None, colour: tuple[float, ...], cou
         places = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", kind, UsdGeom.Tokens.faceVarying)
         places.Set(np.nan_to_num(look.uv).reshape(-1, 2).astype(np.float32))
     binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
-    for surface in surfaces_of(look, mesh.GetPrim().GetName(), colour, count):
-        name = _as_identifier(surface.name)
-        subset = binding.CreateMaterialBindSubset(
-            f"faces_{name}", Vt.IntArray.FromNumpy(surface.faces.astype(np.int32))
-        )
+    surfaces = surfaces_of(look, mesh.GetPrim().GetName(), colour, count)
+    wanted = [surface.name for surface in surfaces]
+    names = _as_identifiers([*wanted, *(f"faces_{name}" for name in wanted)])  # both stand beneath the mesh
+    for surface, name, subset_name in zip(surfaces, names, names[len(surfaces) :]):
+        indices = Vt.IntArray.FromNumpy(surface.faces.astype(np.int32))
+        subset = binding.CreateMaterialBindSubset(subset_name, indices)
         UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(_material(mesh, name, surface, path))
 
 
@@ -124,7 +126,13 @@ def _material(mesh: UsdGeom.Mesh, name: str, surface: Surface, path: Path) -> Us
     return material
 
 
-def _as_identifier(name: str) -> str:
-    """A garment's name as USD allows: letters, digits and underscores, no digit first."""
-    plain = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name)
-    return plain if not plain[:1].isdigit() else f"_{plain}"
+def _as_identifiers(names: Sequence[str]) -> list[str]:
+    """Names as USD allows, letters, digits and underscores, no digit first; of those that would be the same, all but
+    the first with a number behind."""
+    found: list[str] = []
+    for name in names:
+        plain = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name)
+        plain = plain if plain and not plain[0].isdigit() else f"_{plain}"
+        alike = (f"{plain}_{k}" for k in itertools.count(2))
+        found.append(plain if plain not in found else next(each for each in alike if each not in found))
+    return found

@@ -49,9 +49,9 @@ class OutfitGarment:
 class Layer:
     """A garment as it is worn here, whole.
 
-    draper: bound over what lies under it. at_rest: how it sits on the skin. rest: (n, 6) float32 vertices and normals
-    of the drape at rest, tucked in. hem_distance: (n,) [m] along the cloth to its closest opening; tucked hems are
-    none. tucked_depth: (n,) [m] below the waistband that it is tucked into, 0 above.
+    draper: bound over what lies under it. at_rest: how it sits on the skin, before it is tucked in. rest: (n, 6)
+    float32 vertices and normals of the drape at rest, tucked in. hem_distance: (n,) [m] along the cloth to its closest
+    opening; tucked hems are none. tucked_depth: (n,) [m] below the waistband that it is tucked into, 0 above.
     """
 
     garment: OutfitGarment

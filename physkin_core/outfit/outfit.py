@@ -46,8 +46,9 @@ class Outfit:
     backend, precision, fit, normals, separate_limbs: as of `Draper`; fit of garments without their own.
     hidden: (n,) bool of each garment, what is covered in all everyday poses; visible: (v,) int32, the vertices that are
     given; faces: (f, 3) int32 of these. body_mask: (F,) bool, the body's faces that are covered. at_rest: how each
-    garment sits on the skin; fits: what each is worn in. bounds, orders: what a frame needs: bound garments of the
-    vertices given, and what keeps layers in order.
+    garment sits on the skin, a tucked one before it is tucked and taken in: that puts some of the hem into the skin
+    below the waistband, where nobody sees it. fits: what each is worn in. bounds, orders: what a frame needs: bound
+    garments of the vertices given, and what keeps layers in order.
     What can be worn but looks odd is issued as AvatarWarning, which `warnings` keeps.
     Raises TypeError for anything but garments and an avatar; ValueError, in one sentence, for what cannot be worn (a
     garment twice, more than four, several rigs, a tuck or an order that does not go) and for what `Draper` refuses.
@@ -93,6 +94,7 @@ class Outfit:
         self.backend = backend
         self.avatar = avatar
         self._separates = separate_limbs
+        self._sways = (1.0,) * len(self.models)
         self._begin()
         if self._limb_separator is not None:
             worth_saying.extend(self._limb_separator.warnings)
@@ -109,12 +111,12 @@ class Outfit:
         rig = self.models[0].rig
         self._evaluator = self._new_evaluator()
         self._sway = Sway(backend=self.backend)
-        self._sways = (1.0,) * len(self.models)
         self._separated = rig.rest.astype(np.float32)
         self._limb_separator = LimbSeparator(rig, self.avatar, backend=self.backend) if self._separates else None
 
     def twin(self) -> Outfit:
-        """The same outfit on the same body with frames of its own, for another performer; nothing is bound anew."""
+        """The same outfit on the same body with frames of its own, for another performer; nothing is bound anew, and
+        `sway` is as it is here now."""
         twin = copy(self)
         twin._begin()
         return twin
@@ -217,7 +219,8 @@ class Outfit:
 
     @sway.setter
     def sway(self, amount: float | Sequence[float]) -> None:
-        amounts = tuple(amount) if isinstance(amount, Sequence | np.ndarray) else (amount,) * len(self.models)
+        many = isinstance(amount, Sequence) or np.ndim(amount) > 0
+        amounts = tuple(amount) if many else (amount,) * len(self.models)
         if len(amounts) != len(self.models):
             raise ValueError(f"sway has {len(amounts)} numbers; expected one for each of {len(self.models)} garments")
         self._sways = tuple(checked_amount(each) for each in amounts)

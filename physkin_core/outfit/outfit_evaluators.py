@@ -110,6 +110,8 @@ class ReferenceOutfitEvaluator:
         if len(outs) != len(self._bounds):
             raise ValueError(f"out has {len(outs)} arrays; expected one for each of {len(self._bounds)} garments")
         layers = [np.empty((len(bound.vertices), 6), dtype=np.float32) for bound in self._bounds]
+        if np.shape(gravity) not in ((3,), (len(layers), 3)):
+            raise ValueError(f"gravity must have shape (3,) or {(len(layers), 3)}, got {np.shape(gravity)}")
         gravities = np.broadcast_to(gravity, (len(layers), 3))
         for evaluator, down, layer in zip(self._evaluators, gravities, layers):
             evaluator.evaluate(joint_positions, down, layer)

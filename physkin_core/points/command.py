@@ -32,7 +32,8 @@ WriteFrame = Callable[[Path, np.ndarray, np.ndarray], None]
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin bind-points`."""
     parser = argparse.ArgumentParser(prog="physkin bind-points", description=__doc__.split("`: ")[1])
-    parser.add_argument("garment", metavar="GARMENT", help="garment model: a file or a shipped name")
+    told = "garment model: a file or a shipped name, of another fabric as in skirt:denim"
+    parser.add_argument("garment", metavar="GARMENT", help=told)
     kinds = ", ".join(POINT_FILES)
     parser.add_argument("points", metavar="POINTS", type=Path, help=f"what lies where the garment's mesh lies: {kinds}")
     add_avatar_options(parser)

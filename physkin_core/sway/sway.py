@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import astuple
+from numbers import Real
 from typing import Literal
 
 import numpy as np
@@ -96,8 +97,8 @@ def _gravity_at(root: Sequence[float] | np.ndarray) -> np.ndarray:
 
 def checked_amount(value: float) -> float:
     """How much something sways, as a float. Raises ValueError unless it is a number from 0 to 1."""
-    if not (isinstance(value, (int, float)) and 0 <= value <= 1):
-        raise ValueError(f"sway must be from 0 to 1, got {value!r}")
+    if not (isinstance(value, Real) and 0 <= value <= 1):
+        raise ValueError(f"sway must be a number from 0 to 1, got {value!r}")
     return float(value)
 
 

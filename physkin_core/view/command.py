@@ -66,7 +66,8 @@ def command_parser() -> argparse.ArgumentParser:
         *("-g", "--garment"),
         action="append",
         metavar="MODEL",
-        help="a file or a shipped name; several, from the skin outwards, are an outfit (default trousers, tshirt)",
+        help="a file or a shipped name, of another fabric as in skirt:denim; several, from the skin outwards, are an "
+        "outfit (default trousers, tshirt)",
     )
     add_tucked_option(parser)
     add_fit_option(parser)

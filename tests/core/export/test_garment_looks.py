@@ -14,8 +14,9 @@ from scipy.spatial import cKDTree
 
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
 from physkin_core.cli import main
-from physkin_core.export.garment_looks import LIES_ON, garment_looks
-from physkin_core.mesh_file import LIBRARY, Look, write_obj
+from physkin_core.export.garment_looks import LIES_ON, garment_looks, surfaces_of
+from physkin_core.export.usd_motion import _as_identifiers
+from physkin_core.mesh_file import LIBRARY, Look, read_mesh, write_obj
 
 pytestmark = needs_native
 
@@ -113,6 +114,48 @@ def test_usd_has_the_look(tmp_path, shirt):
     assert (tmp_path / files[0].path).read_bytes() == picture()
 
 
+def test_usd_tells_materials_of_like_names_apart(tmp_path, shirt):
+    """Each has faces and a colour of its own, though USD would write both names as one."""
+    pytest.importorskip("pxr", reason="needs the extra [usd]")
+    from pxr import Usd, UsdGeom, UsdShade
+
+    look = write_look(tmp_path / "look", shirt, library="newmtl a b\nKd 1 0 0\nnewmtl a-b\nKd 0 1 0\n")
+    look.write_text(look.read_text().replace("usemtl knit", "usemtl a b").replace("usemtl red", "usemtl a-b"))
+    assert export(tmp_path / "walk.usdc", "--look", look) == 0
+    stage = Usd.Stage.Open(str(tmp_path / "walk.usdc"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/avatar/tshirt"))
+    subsets = UsdShade.MaterialBindingAPI(mesh).GetMaterialBindSubsets()
+    assert sum(len(subset.GetIndicesAttr().Get()) for subset in subsets) == len(mesh.GetFaceVertexCountsAttr().Get())
+    bound = [UsdShade.MaterialBindingAPI(subset).ComputeBoundMaterial()[0] for subset in subsets]
+    shaders = [material.GetPrim().GetChild("UsdPreviewSurface") for material in bound]
+    colours = {tuple(shader.GetAttribute("inputs:diffuseColor").Get()) for shader in shaders}
+    assert colours == {(1, 0, 0), (0, 1, 0)}
+
+
+def test_usd_names_are_unique():
+    assert _as_identifiers(["a b", "a-b", "a_b_2", "a.b", "2d", ""]) == ["a_b", "a_b_2", "a_b_2_2", "a_b_3", "_2d", "_"]
+
+
+@pytest.mark.parametrize("options", ["", "-s 1 1 1 ", "-o 0.5 -0.5 0 -clamp on\t", "-mm 0 1 -blendu off "])
+def test_a_picture_is_found_after_any_options(tmp_path, shirt, options):
+    """Under the longest name that is a file, here one with a space; a file named by its last word alone is not it."""
+    library = f"newmtl knit\n  map_Kd\t{options}my knit.png\n"
+    path = write_look(tmp_path / "look", shirt, library=library, files={"my knit.png": picture(), "knit.png": b"no"})
+    look = read_mesh(path).look
+    assert sorted(look.files) == [LIBRARY, "my knit.png"]
+    knit = next(each for each in surfaces_of(look, "tshirt", RED, len(look.material)) if each.name == "knit")
+    assert knit.picture.content == picture()
+
+
+def test_words_of_a_library_may_stand_after_tabs(tmp_path, shirt):
+    look = read_mesh(write_look(tmp_path / "look", shirt, library="\tnewmtl\tred\nKd\t0.5\t0.25 0\n")).look
+    surfaces = {each.name: each for each in surfaces_of(look, "tshirt", RED, len(look.material))}
+    assert surfaces["red"].colour == (0.5, 0.25, 0.0) and surfaces["knit"].colour == (1.0, 1.0, 1.0)
+
+
+LACKS_ONE = "newmtl knit\nmap_Kd nit.png\nnewmtl red\nmap_Kd red knit.png\n"
+
+
 def far_off(folder, model):
     return write_look(folder, model, vertices=model.garment.vertices + [0, 0, 0.1])
 
@@ -136,6 +179,17 @@ def plain(folder, model):
         (
             lambda *to: write_look(*to, files={"knit.png": b"GIF89a"}),
             "the picture of material 'knit', knit.png, must be",
+        ),
+        (
+            lambda *to: write_look(*to, library=LACKS_ONE, files={"nit.png": picture()}),
+            "look/garment.obj: the picture of material 'red' is missing: red knit.png",
+        ),
+        *(
+            (
+                lambda *to, colour=colour: write_look(*to, library=f"newmtl red\nKd {colour}\n"),
+                f"look/garment.obj: the colour Kd of material 'red' must be three numbers from 0 to 1, got '{colour}'",
+            )
+            for colour in ("0.5", "2 -1 0", "red", "0 nan 0")
         ),
     ],
 )

@@ -164,9 +164,14 @@ def test_bad_settings_are_refused(name, value):
         PendulumSettings(**{name: value})
 
 
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.int64])
+def test_numbers_of_numpy_are_amounts(kind):
+    assert physkin.Sway(amount=kind(1)).amount == 1.0
+
+
 def test_bad_amounts_and_backends_are_refused():
-    for amount in (-0.1, 1.1, math.nan, "all"):
-        with pytest.raises(ValueError, match="from 0 to 1"):
+    for amount in (-0.1, 1.1, math.nan, "all", None, np.array(0.5), np.array([0.5])):
+        with pytest.raises(ValueError, match="must be a number from 0 to 1, got"):
             physkin.Sway(amount=amount)
     with pytest.raises(ValueError, match="allowed: native, numpy"):
         physkin.Sway(backend="cuda")

@@ -118,7 +118,15 @@ def test_garments_of_an_outfit_sway_as_much_as_each_is_told(backend, skirt):
 
 def test_outfits_refuse_other_sways(skirt):
     outfit = physkin.Outfit([skirt.model], skirt.avatar, hide=False)
-    for wrong in (1.5, (0.5, -0.1), "all", (0.5, 0.5)):
-        with pytest.raises(ValueError, match="from 0 to 1|one for each of 1"):
+    for wrong in (1.5, (0.5, -0.1), "all", (0.5, 0.5), np.array(0.5), [[0.5]], None):
+        with pytest.raises(ValueError, match="a number from 0 to 1|one for each of 1"):
             outfit.sway = wrong
     assert outfit.sway == 1.0
+
+
+def test_outfits_take_numbers_of_numpy_and_twins_keep_them(skirt):
+    outfit = physkin.Outfit([skirt.model], skirt.avatar, hide=False)
+    for given in (np.float32(0.5), np.array([0.5], dtype=np.float32), [np.float64(0.5)]):
+        outfit.sway = given
+        assert outfit.sway == outfit.twin().sway == 0.5
+        outfit.sway = 1.0

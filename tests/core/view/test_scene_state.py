@@ -145,6 +145,17 @@ def test_outfit_in_order_with_colours():
     assert len(frame.cloth) == 2 and frame.outfit is state.outfit
 
 
+def test_a_colour_stays_with_a_garment_of_another_fabric():
+    """Chosen for the skirt, it is the denim skirt's, and the jersey one's again."""
+    state = SceneState(["skirt"])
+    red = (1.0, 0.0, 0.0)
+    state.recolour(body=state.body_colour, cloth=[red])
+    state.wear(["skirt:denim"])
+    assert state.garments == ("skirt:denim",) and state.cloth_colours == (red,)
+    state.wear(["skirt"])
+    assert state.cloth_colours == (red,)
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
