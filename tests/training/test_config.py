@@ -54,23 +54,26 @@ def test_shipped_configurations_load(path):
 
 @pytest.mark.parametrize("name", shipped_models())
 def test_shipped_models_are_runs_of_their_configurations(name):
-    """But for how the number of steps came about, and for a contact that is gone."""
+    """From nothing, then with other fabrics. But for how the number of steps came about, and a contact that is gone."""
     told = load_garment_model(name).training
-    config = load_config(FOLDER / f"{name}.toml").as_plain_data()
-    before = {  # what no key said, there was not
-        "swollen": 0.0,
-        "optimisation": {"steadiness": 0.0},
-        "garment_nodes": {"engine_influences": 0},
-        "poses": {"everyday": 0.0, "accelerated": 0.0},
-    }
-    ran = {
-        key: before.get(key, {}) | told[key] if isinstance(config[key], dict) else told.get(key, before.get(key))
-        for key in config
-    }
-    ran["optimisation"]["minutes"] = 0.0
-    ran["optimisation"].pop("other_limbs", None)
-    assert config == ran
-    assert 0 < told["step"] <= config["optimisation"]["steps"]
+    for training, path in ((told["started_from"], f"{name}.toml"), (told, f"fabrics/{name}.toml")):
+        config = load_config(FOLDER / path).as_plain_data()
+        before = {  # what no key said, there was not
+            "swollen": 0.0,
+            "optimisation": {"steadiness": 0.0, "other_bending": 0.0},
+            "garment_nodes": {"engine_influences": 0},
+            "poses": {"everyday": 0.0, "accelerated": 0.0},
+        }
+        ran = {
+            key: before.get(key, {}) | training[key]
+            if isinstance(config[key], dict)
+            else training.get(key, before.get(key))
+            for key in config
+        }
+        ran["optimisation"]["minutes"] = 0.0
+        ran["optimisation"].pop("other_limbs", None)
+        assert config == ran
+        assert 0 < training["step"] <= config["optimisation"]["steps"]
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,7 @@ from physkin_training.networks.draping import Drape
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.physics.area_normals import area_normals
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
+from physkin_training.sampling.everyday_poses import EverydayPoses
 from physkin_training.sampling.posed_bodies import BodySet
 
 __all__ = ["NormalErrors", "fitted_rest_normals", "main", "normal_errors"]
@@ -50,9 +51,9 @@ def fitted_rest_normals(
 ) -> np.ndarray:
     """Unit rest normals (n, 3) float32 of the template, least squares over drapes on training bodies.
 
-    Poses are uniform in the joint limits, shrunk around the canonical pose by 0 to 1, by little in few of them: motion
-    is seldom far out. Raises ValueError for another rig than the body model's, and when bodies or poses are below 1 or
-    there are not so many training bodies.
+    Half of the poses are everyday ones. The others are uniform in the joint limits, shrunk around the canonical pose by
+    0 to 1, by little in few of them: motion is seldom far out. Raises ValueError for another rig than the body model's,
+    and when bodies or poses are below 1 or there are not so many training bodies.
     """
     body_model = load_body_model()
     if rig.to_json() != body_model.rig.to_json():
@@ -71,10 +72,14 @@ def fitted_rest_normals(
     squares = share * torch.eye(3, device=device).repeat(len(own), 1, 1)
     products = share * own
     generator = np.random.default_rng(seed)
-    gravity = torch.tensor([0.0, 0.0, -1.0], device=device).expand(poses, 3)
-    shrunk = np.linspace(0, 1, poses)[:, None] ** 2
+    everyday, drawn = EverydayPoses(rig, torch.device("cpu")), torch.Generator().manual_seed(seed)
+    far = poses - poses // 2
+    shrunk = np.linspace(0, 1, far)[:, None] ** 2
     for body in range(bodies):
-        joints = rig.rest + shrunk * (generator.uniform(rig.lower, rig.upper, (poses, len(rig.rest))) - rig.rest)
+        joints = rig.rest + shrunk * (generator.uniform(rig.lower, rig.upper, (far, len(rig.rest))) - rig.rest)
+        known, downs = everyday.sample(poses // 2, generator=drawn)
+        joints = np.concatenate([joints, known.numpy()])
+        gravity = torch.cat([torch.tensor([[0.0, 0.0, -1.0]]).expand(far, 3), downs]).to(device)
         transforms = np.stack([rig.bone_transforms(pose, heads=heads[body]) for pose in joints])
         bones, positions = (torch.as_tensor(a, dtype=torch.float32, device=device) for a in (transforms, joints))
         posed = drape.posed_nodes(bones, node_positions[body].expand(poses, -1, -1))
