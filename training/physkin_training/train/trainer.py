@@ -359,7 +359,10 @@ class Trainer:
         if self.step % optimisation.validate_every and self.step != optimisation.steps:
             return
         last = Schedule.at(self.step - 1, self.config)
-        if last.pose_range < 1 or last.influences > self.config.garment_nodes.influences:
+        nodes = self.config.garment_nodes
+        if last.pose_range < 1 or last.influences > nodes.influences:
+            return
+        if self.drape.for_engines and last.engine_influences > nodes.engine_influences:
             return
         with self._recorded.beside():
             self.validation_energy = self.validation.energy(self.averaged, self.node_positions)
