@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -117,6 +118,17 @@ def test_the_lowest_is_kept_once_range_and_influences_are_final(tmp_path, monkey
     assert torch.equal(best.skinning_logits, averages[10]) and not torch.equal(averages[10], averages[12])
     assert torch.equal(best.influence_bias, trainer.averaged.influence_bias)
     assert torch.equal(trainer.averaged.skinning_logits, averages[12])
+
+
+def test_the_best_waits_for_the_influences_of_engines(tmp_path, monkeypatch):
+    """Though nothing else is pruned: what is cut off at export was never measured."""
+    config = small_config(tmp_path, growth=0.0, prune_at=0.65, validate_every=1, full_encoding=1.0)
+    nodes = replace(config.garment_nodes, influences=config.garment_nodes.initial_influences)
+    trainer = Trainer(replace(config, garment_nodes=nodes), CPU)
+    remaining = spoken(monkeypatch, [5.0, 4.0, 3.0, 2.0, 1.0])
+    best = [trainer.best and trainer.best.step for _ in trainer.run(12)]
+    assert not remaining
+    assert best == [None] * 7 + [8, 9, 10, 11, 12]
 
 
 def test_the_export_is_the_best_model(tmp_path, monkeypatch, unfitted_normals):
