@@ -29,7 +29,6 @@ from physkin_core import (
     OutfitGarment,
     load_avatar,
     load_garment_model,
-    made_of,
 )
 from physkin_core.model.fabric import fabric_of
 from physkin_core.model.model_file import MODELS_PATH, shipped_models, split_fabric
@@ -261,8 +260,7 @@ class DraperLoader:
         source = MODELS_PATH / f"{name}.safetensors" if name in shipped_models() else Path(name)
         key = f"{_digest(source)}:{fabric}" if source.is_file() else name
         if key not in self._models:
-            model = load_garment_model(source if source.is_file() else name)
-            model = made_of(model, fabric) if fabric else model
+            model = load_garment_model(wanted.model)
             _keep(self._models, key, (model, json.dumps(model.rig.to_json())))
         return *self._models[key], key
 

@@ -132,7 +132,6 @@ class OrientationSource:
             self._left_out = tree.left_out
             self._on_bad(f"frame {self._left_out[:60]!r} of TF and further ones are left out: {MOST_FRAMES} are known")
         try:
-            frames = tree.chain(*self._frames)
             stamp_ns, place, turn = tree.pose(*self._frames)
             if self._motion.follows(stamp_ns):
                 self._move(stamp_ns, place, turn)
@@ -140,8 +139,9 @@ class OrientationSource:
             self.fault = str(error)
         else:
             self.fault = ""
-            for frame in wrong.keys() & frames:
-                self._on_bad(wrong[frame])
+            if wrong:
+                for frame in wrong.keys() & tree.chain(*self._frames):
+                    self._on_bad(wrong[frame])
 
     def _move(self, stamp_ns: int, place: Vector, turn: Quaternion) -> None:
         down, felt = self._motion.move(stamp_ns, place, turn)
