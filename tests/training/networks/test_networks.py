@@ -7,7 +7,7 @@ import pytest
 import torch
 from random_models import random_hyper_modulator, random_model, unit_rows
 
-from physkin_core.model.hyper_modulator import at_fit, body_modulation
+from physkin_core.model.hyper_modulator import at_fit, bending_code, body_modulation, with_bending
 from physkin_core.model.mlp import modulation_size
 from physkin_training.config import NetworkConfig
 from physkin_training.networks.networks import HyperModulator, Networks
@@ -52,6 +52,25 @@ def test_the_fit_shifts_tokens_as_at_the_run_time():
         result, plain = twin(*pair, torch.tensor(fits)).numpy(), twin(*pair).numpy()
     for body, fit in enumerate(fits):
         expected = body_modulation(at_fit(arrays, fit), points[body], normals[body])
+        np.testing.assert_allclose(result[body], expected, atol=3e-5)
+    np.testing.assert_array_equal(plain[0], result[0])
+    assert np.abs(result[2] - result[0]).max() > 0.01
+
+
+def test_bending_shifts_tokens_as_at_the_run_time():
+    """Each body in cloth of its own, against the NumPy network with that folded in; without any as trained."""
+    rng = np.random.default_rng(3)
+    arrays = random_hyper_modulator(rng, 20) | {"bend": rng.normal(size=8).astype(np.float32)}
+    twin = HyperModulator(NetworkConfig(token_width=8, feed_forward=16, residual_blocks=2), 20, other_bending=True)
+    twin.load_state_dict({name: torch.as_tensor(array) for name, array in arrays.items()})
+    points = rng.uniform(-1, 1, size=(1, 60, 3)).astype(np.float32).repeat(3, axis=0)
+    normals = unit_rows(rng, 60).astype(np.float32)[None].repeat(3, axis=0)
+    pair, times = (torch.as_tensor(points), torch.as_tensor(normals)), [1.0, 0.5, 16.0]
+    with torch.no_grad():
+        result = twin(*pair, None, torch.tensor([bending_code(each) for each in times])).numpy()
+        plain = twin(*pair).numpy()
+    for body, stiffer in enumerate(times):
+        expected = body_modulation(with_bending(arrays, stiffer), points[body], normals[body])
         np.testing.assert_allclose(result[body], expected, atol=3e-5)
     np.testing.assert_array_equal(plain[0], result[0])
     assert np.abs(result[2] - result[0]).max() > 0.01

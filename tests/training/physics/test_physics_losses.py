@@ -65,6 +65,25 @@ def oracle_terms(scene, x, sample):
     }
 
 
+def test_cloth_of_a_sample_may_bend_more_stiffly(scene):
+    """As if the material said so, of that sample alone."""
+    garment, _, x, offset, mesh, gravity = scene
+    leaf, down, places = (torch.as_tensor(np.asarray(a), dtype=torch.float32) for a in (x, gravity, offset))
+    losses = PhysicsLosses(garment, MATERIAL, SAMPLES, torch.device("cpu"))
+    before, gradient = losses.evaluate(leaf, down, mesh, places)
+    before = {name: energy.clone() for name, energy in before.items()}
+    stiffer = PhysicsLosses(garment, replace(MATERIAL, bending=4 * MATERIAL.bending), SAMPLES, torch.device("cpu"))
+    expected, expected_gradient = stiffer.evaluate(leaf, down, mesh, places)
+    losses.stiffer.copy_(torch.tensor([1.0, 4.0]))
+    after, changed = losses.evaluate(leaf, down, mesh, places)
+    assert after["bend"][1].item() == pytest.approx(4 * before["bend"][1].item(), rel=1e-5)
+    for name in before:
+        torch.testing.assert_close(after[name][0], before[name][0])
+        torch.testing.assert_close(after[name][1], expected[name][1])
+    torch.testing.assert_close(changed[0], gradient[0], atol=1e-6, rtol=1e-4)
+    torch.testing.assert_close(changed[1], expected_gradient[1], atol=1e-6, rtol=1e-4)
+
+
 def test_energies_and_gradient_match_the_oracle(scene):
     energies, gradient = run(scene, scene[2], times=3)
     for sample in range(SAMPLES):
