@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,7 +21,7 @@ from physkin_core.quality import closest_points
 if TYPE_CHECKING:
     from trimesh.visual.material import PBRMaterial
 
-__all__ = ["LIBRARY", "SUFFIXES", "Look", "MeshFile", "read_mesh", "write_obj"]
+__all__ = ["LIBRARY", "SUFFIXES", "Look", "MaterialLibrary", "MeshFile", "read_mesh", "write_obj"]
 
 SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 SCENE_SUFFIXES = (".glb", ".gltf")
@@ -59,6 +60,12 @@ class Look:
         shares = points_to_barycentric(flat, corners.reshape(-1, 3)).reshape(-1, 3, 3)
         uv = np.einsum("fck,fku->fcu", shares, self.uv[closest])
         return Look(uv, self.material[closest], self.part[closest], self.materials, self.parts, self.files)
+
+    def of_corners(self, corners: np.ndarray) -> Look:
+        """The look of faces by the numbers (f, 3) of their corners here, three a face, some left out or turned over."""
+        face = corners[:, 0] // 3
+        uv = self.uv.reshape(-1, 2)[corners]
+        return Look(uv, self.material[face], self.part[face], self.materials, self.parts, self.files)
 
     def __str__(self) -> str:
         """What there is, in words."""
@@ -207,7 +214,7 @@ def _read_scene(path: Path) -> MeshFile:
 
     scene = trimesh.load_scene(path, process=False)
     vertices, faces, uv, looks, parts, count = [], [], [], [], [], 0
-    library = _Library()
+    library = MaterialLibrary()
     for node in scene.graph.nodes_geometry:
         transform, name = scene.graph[node]
         mesh = scene.geometry[name]
@@ -220,7 +227,7 @@ def _read_scene(path: Path) -> MeshFile:
             import PIL.Image  # noqa: F401 (where it is missing, trimesh leaves pictures out without a word)
         uv.append(np.full((len(corners), 3, 2), np.nan) if places is None else np.asarray(places)[corners])
         material = getattr(mesh.visual, "material", None) if path.suffix.lower() in SCENE_SUFFIXES else None
-        looks.append(np.tile([library.add(material), len(parts)], (len(corners), 1)))
+        looks.append(np.tile([_add_material(library, material), len(parts)], (len(corners), 1)))
         parts.append(str(node))
         faces.append(corners + count)
         count += len(mesh.vertices)
@@ -234,26 +241,40 @@ def _read_scene(path: Path) -> MeshFile:
     return MeshFile(points, faces, 0, Look(uv, material, part, tuple(library.names), tuple(parts), library.files))
 
 
-class _Library:
-    """Materials of a glTF file as a material library: `names`, `files` as in `Look`."""
+def _add_material(library: MaterialLibrary, material: PBRMaterial | None) -> int:
+    """Its number in the library, -1 for none; one of a known name is that."""
+    if material is None:
+        return -1
+    name = library.plain_name(material.name or "material")
+    if name in library.names:
+        return library.names.index(name)
+    colour = [255, 255, 255] if material.baseColorFactor is None else material.baseColorFactor[:3]
+    picture = None
+    if material.baseColorTexture is not None:
+        buffer = io.BytesIO()
+        material.baseColorTexture.save(buffer, format="PNG")
+        picture = buffer.getvalue()
+    return library.add(name, [value / 255 for value in colour], picture, suffix="png")
+
+
+class MaterialLibrary:
+    """Materials as a material library while it grows: `names`, `files` as in `Look`."""
 
     def __init__(self) -> None:
         self.names: list[str] = []
         self.files: dict[str, bytes] = {}
 
-    def add(self, material: PBRMaterial | None) -> int:
-        """Its number in `names`, -1 for none."""
-        if material is None:
-            return -1
-        name = re.sub(r"[^\w.-]+", "_", material.name or "material")
-        if name not in self.names:
-            self.names.append(name)
-            colour = [255, 255, 255] if material.baseColorFactor is None else material.baseColorFactor[:3]
-            text = f"newmtl {name}\nKd " + " ".join(f"{value / 255:.4f}" for value in colour) + "\n"
-            if material.baseColorTexture is not None:
-                picture = io.BytesIO()
-                material.baseColorTexture.save(picture, format="PNG")
-                self.files[f"{name}.png"] = picture.getvalue()
-                text += f"map_Kd {name}.png\n"
-            self.files[LIBRARY] = self.files.get(LIBRARY, b"") + text.encode()
-        return self.names.index(name)
+    @staticmethod
+    def plain_name(name: str) -> str:
+        """A name in letters, digits, underscores, points and dashes, which is that of a file, too."""
+        return re.sub(r"[^\w.-]+", "_", name)
+
+    def add(self, name: str, colour: Sequence[float], picture: bytes | None, *, suffix: str) -> int:
+        """Its number in `names`. name: plain, and new. colour: linear RGB. picture: a file of that suffix."""
+        self.names.append(name)
+        text = f"newmtl {name}\nKd " + " ".join(f"{value:.4f}" for value in colour) + "\n"
+        if picture is not None:
+            self.files[f"{name}.{suffix}"] = picture
+            text += f"map_Kd {name}.{suffix}\n"
+        self.files[LIBRARY] = self.files.get(LIBRARY, b"") + text.encode()
+        return len(self.names) - 1

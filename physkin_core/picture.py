@@ -43,6 +43,7 @@ LAMP_DISTANCE = 5000.0  # [m]
 UPRIGHT_GAIN = 1.4  # an upright surface gets less light than the floor
 FLOOR_RADIUS = 40.0  # [m]
 BLANK_FROM = 5.0  # times the meshes' own reach
+FACE_COLOUR = "face_color"  # mitsuba's name for an attribute of faces
 GUIDE_SAMPLES = 4  # a pixel, for colours, normals and positions
 
 
@@ -52,11 +53,12 @@ class PictureError(RuntimeError):
 
 @dataclass(frozen=True)
 class Mesh:
-    """A surface to draw: vertices (n, 3) [m], Z up; faces (f, 3) vertex indices; colour (3,) sRGB in [0, 1]."""
+    """A surface to draw: vertices (n, 3) [m], Z up; faces (f, 3) vertex indices; colour (3,) sRGB in [0, 1], or (f, 3)
+    of each face."""
 
     vertices: np.ndarray
     faces: np.ndarray
-    colour: tuple[float, float, float] = BODY_COLOUR
+    colour: tuple[float, float, float] | np.ndarray = BODY_COLOUR
 
 
 def layer_colours(count: int) -> tuple[tuple[float, float, float], ...]:
@@ -159,6 +161,8 @@ def _checked(mesh: Mesh) -> np.ndarray:
     vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
         raise ValueError(f"a mesh needs vertices (n, 3) and faces (f, 3), got {vertices.shape} and {faces.shape}")
+    if np.shape(mesh.colour) not in ((3,), faces.shape):
+        raise ValueError(f"a mesh needs one colour (3,) or one a face {faces.shape}, got {np.shape(mesh.colour)}")
     if not np.isfinite(vertices).all():
         raise ValueError("a mesh to draw has vertices that are not finite")
     if faces.min() < 0 or faces.max() >= len(vertices):
@@ -168,12 +172,18 @@ def _checked(mesh: Mesh) -> np.ndarray:
 
 def _surface(mi, mesh: Mesh, lit: float):
     """A mitsuba mesh with smooth normals, shown in about its own colour where it stands upright."""
-    reflectance = {"type": "rgb", "value": [UPRIGHT_GAIN * _to_linear(channel) / lit for channel in mesh.colour]}
+    colours = UPRIGHT_GAIN * _to_linear(np.array(mesh.colour, dtype=np.float32)) / lit
+    of_faces = colours.ndim == 2
+    reflectance = (
+        {"type": "mesh_attribute", "name": FACE_COLOUR} if of_faces else {"type": "rgb", "value": colours.tolist()}
+    )
     properties = mi.Properties()
     cloth = {"type": "principled", "base_color": reflectance, "roughness": 0.7, "specular": 0.25}
     properties["bsdf"] = mi.load_dict({"type": "twosided", "side": cloth})
     used, faces = np.unique(mesh.faces, return_inverse=True)  # vertices without a face would have no normal
     surface = mi.Mesh("mesh", len(used), len(mesh.faces), properties, has_vertex_normals=True)
+    if of_faces:
+        surface.add_attribute(FACE_COLOUR, 3, colours.ravel())
     buffers = mi.traverse(surface)
     buffers["vertex_positions"] = np.ascontiguousarray(mesh.vertices[used], dtype=np.float32).ravel()
     buffers["faces"] = faces.astype(np.uint32).ravel()
@@ -246,8 +256,8 @@ def _denoised(light: np.ndarray, albedo: np.ndarray, normals: np.ndarray) -> np.
     return pyoidn.denoise(light, np.ascontiguousarray(albedo), np.ascontiguousarray(normals), hdr=True)
 
 
-def _to_linear(value: float) -> float:
-    return value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4
+def _to_linear(value: float | np.ndarray) -> np.ndarray:
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
 def _to_srgb(radiance: np.ndarray) -> np.ndarray:

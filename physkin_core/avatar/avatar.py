@@ -34,6 +34,8 @@ class Avatar:
     source: where it came from. warnings: what was assumed or repaired on the way, for the user to read.
     bone_names: (b,) of the rig it is bound to; where left out, `Draper` can only compare the number of bones.
     file_vertices: (V, 3) float64, where its file shows them, in the file's frame and unit; None where there is no file.
+    file_corners: (f, 3) int, which corner of the file's triangles each face's corner is, counted over the whole file:
+    where its texture places are.
     """
 
     vertices: np.ndarray
@@ -46,6 +48,7 @@ class Avatar:
     warnings: tuple[str, ...] = ()
     bone_names: tuple[str, ...] = ()
     file_vertices: np.ndarray | None = None
+    file_corners: np.ndarray | None = None
 
     def posed_vertices(self, bone_transforms: np.ndarray) -> np.ndarray:
         """Body surface in a pose, by linear blend skinning.

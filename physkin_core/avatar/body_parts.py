@@ -96,6 +96,7 @@ def take_body(mesh: SkinnedMesh, joint_bones: np.ndarray, rig: Rig, *, scale: fl
         warnings=(*mesh.warnings, _report(mesh.part_names, kinds, taken)),
         face_parts=mesh.face_parts[kept],
         file_vertices=None if mesh.file_vertices is None else mesh.file_vertices[used],
+        file_corners=None if mesh.file_corners is None else mesh.file_corners[kept],
     )
 
 

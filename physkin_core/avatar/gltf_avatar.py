@@ -19,7 +19,7 @@ from physkin_core.avatar.skinned_mesh import SkinnedMesh, Surface, clean_surface
 from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
 from physkin_core.rig.rig import Rig
 
-__all__ = ["load_gltf"]
+__all__ = ["load_gltf", "primitives"]
 
 # Rows: X forward, Y left, Z up. glTF and VRM 1.0 are Y up and face +Z; VRM 0.x faces -Z.
 TO_ROOT_FRAME = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -52,9 +52,8 @@ def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None) -> Av
 def _plain_mesh(file: GltfFile) -> Surface:
     """All meshes of a file without skins, in glTF's frame."""
     parts, names, start = [], [], 0
-    for node, primitive, positions in _primitives(file):
+    for node, primitive, positions, faces, _ in primitives(file):
         world = file.node_worlds[node]
-        faces = _faces(file, primitive, positions, mirrored=np.linalg.det(world[:3, :3]) < 0)
         parts.append((positions @ world[:3, :3].T + world[:3, 3], faces + start))
         names.append(_part_names(file, node, primitive))
         start += len(positions)
@@ -69,10 +68,10 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
     joint_nodes, node_joint = _joints(file, humanoid or {})
     frame = _frame(file)
     warnings, parts, names, start = [], [], [], 0
-    for node, primitive, positions in _primitives(file):
+    for node, primitive, positions, faces, corners in primitives(file):
         label = file.document.nodes[node].name or f"node {node}"
         skin = file.document.nodes[node].skin
-        world, mirrored = file.node_worlds[node], False
+        world = file.node_worlds[node]
         if skin is not None:
             joints, weights, unbound = _skin_influences(file, primitive, skin, len(positions), label)
             if unbound:
@@ -84,17 +83,15 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
             if carrier is None:
                 warnings.append(f"mesh {label!r} has no skin and hangs on no joint: left out")
                 continue
-            mirrored = bool(np.linalg.det(world[:3, :3]) < 0)
             positions = positions @ world[:3, :3].T + world[:3, 3]
             joints, weights = np.full((len(positions), 1), carrier), np.ones((len(positions), 1))
-        faces = _faces(file, primitive, positions, mirrored=mirrored)
-        parts.append((positions, faces + start, joints, weights))
+        parts.append((positions, faces + start, joints, weights, corners))
         names.append(_part_names(file, node, primitive))
         start += len(positions)
     if not parts:
         raise AvatarError(f"avatar {file.path} has no faces on its skeleton; a triangle mesh is needed")
     influences = max(part[2].shape[1] for part in parts)
-    vertices, faces = (np.concatenate([part[index] for part in parts]) for index in (0, 1))
+    vertices, faces, corners = (np.concatenate([part[index] for part in parts]) for index in (0, 1, 4))
     joints, weights = (
         np.concatenate([np.pad(part[index], ((0, 0), (0, influences - part[index].shape[1]))) for part in parts])
         for index in (2, 3)
@@ -119,11 +116,14 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
         part_names=tuple(names),
         face_parts=face_parts[kept],
         file_vertices=vertices,
+        file_corners=corners[kept],
     )
 
 
-def _primitives(file: GltfFile):
-    """Every (node, primitive, positions (V, 3) in mesh space with default morph weights applied) of the scene."""
+def primitives(file: GltfFile):
+    """Everything with faces in the scene: node, primitive, positions (V, 3) in mesh space with default morph weights
+    applied, faces (f, 3) as the scene shows them, and numbers of their corners (f, 3), counted over the whole file."""
+    count = 0
     for node in file.scene_nodes():
         if file.document.nodes[node].mesh is None:
             continue
@@ -137,7 +137,10 @@ def _primitives(file: GltfFile):
                 offset = target.get("POSITION") if isinstance(target, dict) else target.POSITION
                 if weight and offset is not None:
                     positions = positions + weight * file.accessor(offset)
-            yield node, primitive, positions
+            mirrored = file.document.nodes[node].skin is None and np.linalg.det(file.node_worlds[node][:3, :3]) < 0
+            faces = _faces(file, primitive, positions, mirrored=mirrored)
+            yield node, primitive, positions, faces, count + np.arange(faces.size).reshape(-1, 3)
+            count += faces.size
 
 
 def _part_names(file: GltfFile, node: int, primitive) -> tuple[str, ...]:

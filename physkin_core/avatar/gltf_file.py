@@ -101,6 +101,14 @@ class GltfFile:
             return strip
         return np.empty((0, 3), dtype=np.int64)
 
+    def picture(self, index: int) -> bytes:
+        """The file of an image."""
+        image = self._item("image", self.document.images, index)
+        if image.bufferView is None:
+            return self._content(f"image {index}", image.uri or "", LARGEST_BUFFER)
+        view, data, first = self._view_bytes(image.bufferView)
+        return bytes(data[first : first + view.byteLength])
+
     def scene_nodes(self) -> list[int]:
         """Nodes of the default scene, parents first; all of them when the file names no scene."""
         scenes = self.document.scenes
@@ -156,32 +164,32 @@ class GltfFile:
             data = blob or b"" if index == 0 else b""
             if compressed is not None and compressed.get("fallback"):  # views of it are decompressed from another
                 return data
-        elif uri.startswith("data:"):
-            data = base64.b64decode(uri.split(",", 1)[1])
-        elif "://" in uri:
-            raise AvatarError(f"avatar {self.path}: buffer {index} is at {uri}; only files beside the avatar are read")
         else:
-            data = self._read_beside(index, unquote(uri), buffer.byteLength)
+            data = self._content(f"buffer {index}", uri, buffer.byteLength)
         if len(data) < buffer.byteLength:
             raise AvatarError(
                 f"avatar {self.path} is truncated: buffer {index} has {len(data)} of {buffer.byteLength} bytes"
             )
         return data
 
-    def _read_beside(self, index: int, name: str, length: int) -> bytes:
-        """The first `length` bytes of a buffer's file, which must lie in the avatar's folder, links followed."""
+    def _content(self, what: str, uri: str, length: int) -> bytes:
+        """What a URI holds; of a file the first `length` bytes."""
+        if uri.startswith("data:"):
+            return base64.b64decode(uri.split(",", 1)[1])
+        if "://" in uri:
+            raise AvatarError(f"avatar {self.path}: {what} is at {uri}; only files beside the avatar are read")
+        return self._read_beside(what, unquote(uri), length)
+
+    def _read_beside(self, what: str, name: str, length: int) -> bytes:
+        """The first `length` bytes of a file, which must lie in the avatar's folder, links followed."""
         folder = self.path.parent.resolve()
         beside = (folder / name).resolve()
         if not beside.is_relative_to(folder):
-            raise AvatarError(
-                f"avatar {self.path}: buffer {index} is {name!r}, outside the avatar's folder; it must be in it"
-            )
+            raise AvatarError(f"avatar {self.path}: {what} is {name!r}, outside the avatar's folder; it must be in it")
         if not beside.is_file():
-            raise AvatarError(f"avatar {self.path}: its buffer file {beside} does not exist")
+            raise AvatarError(f"avatar {self.path}: {what} is {name!r}, but {beside} does not exist")
         if not 0 <= length <= LARGEST_BUFFER:
-            raise AvatarError(
-                f"avatar {self.path}: buffer {index} has {length} bytes, allowed are 0 to {LARGEST_BUFFER}"
-            )
+            raise AvatarError(f"avatar {self.path}: {what} has {length} bytes, allowed are 0 to {LARGEST_BUFFER}")
         with open(beside, "rb") as file:
             return file.read(length)
 

@@ -65,15 +65,16 @@ def retarget_plain_mesh(surface: Surface, rig: Rig, *, path: Path, rig_file: str
     parts = {"part_names": surface.part_names, "warnings": warnings}
     parts["face_parts"] = None if surface.face_parts is None else surface.face_parts[kept]
     in_file, vertices = vertices, vertices @ to_root.T
+    origin = {"file_vertices": in_file, "file_corners": np.arange(surface.faces.size).reshape(-1, 3)[kept]}
     if not description.bones:
         check_size(vertices, source)
         fitted = _fitted(vertices, faces, rig, source, **parts)
-        return retarget(replace(fitted, file_vertices=in_file), rig)
+        return retarget(replace(fitted, **origin), rig)
     bones, weights = attributes or (np.zeros((len(vertices), 1), dtype=np.int64), np.ones((len(vertices), 1)))
     names, parents, heads, tails = zip(*description.bones)
     joints = (names, np.array(parents), np.array(heads) @ to_root.T, np.array(tails) @ to_root.T)
     _check_bones_lie_in_mesh(vertices, joints[2], chosen, path)
-    mesh = SkinnedMesh(vertices, faces, *joints, bones, weights, source, **parts, file_vertices=in_file)
+    mesh = SkinnedMesh(vertices, faces, *joints, bones, weights, source, **parts, **origin)
     return retarget(mesh if attributes else _with_template_weights(mesh, rig), rig)
 
 

@@ -43,9 +43,10 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
     root_joint = bone_joint.get(rig.bone_names[0]) if naming == OWN_NAMES else None
     heads, tails, root = place_bones(mesh, bone_joint, rig, root_joint=root_joint)
     bones, weights = _rig_influences(mesh, bone_joint, rig, heads, tails)
+    outward = slice(None, None, _orientation(mesh.vertices, mesh.faces))
     return Avatar(
         vertices=(mesh.vertices - root).astype(np.float32),
-        faces=_outward(mesh.vertices, mesh.faces).astype(np.int32),
+        faces=mesh.faces[:, outward].astype(np.int32),
         bone_heads=(heads - root).astype(np.float32),
         bone_tails=(tails - root).astype(np.float32),
         influence_bones=bones,
@@ -54,6 +55,7 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
         warnings=mesh.warnings,
         bone_names=rig.bone_names,
         file_vertices=mesh.file_vertices,
+        file_corners=None if mesh.file_corners is None else mesh.file_corners[:, outward],
     )
 
 
@@ -212,7 +214,7 @@ def _spread_along_chain(dense, bone, rig, bone_joint, vertices, heads, tails) ->
     dense[rows[:, None], chain] = dense[rows, bone, None] * shares
 
 
-def _outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Faces, all turned over when the enclosed volume is negative (mirrored transforms, inside-out meshes)."""
+def _orientation(vertices: np.ndarray, faces: np.ndarray) -> int:
+    """1, or -1 where the enclosed volume is negative (mirrored transforms, inside-out meshes)."""
     a, b, c = np.moveaxis(vertices[faces] - vertices.mean(axis=0), 1, 0)
-    return faces if np.einsum("fi,fi->", a, np.cross(b, c)) >= 0 else faces[:, ::-1]
+    return 1 if np.einsum("fi,fi->", a, np.cross(b, c)) >= 0 else -1

@@ -34,7 +34,7 @@ class SkinnedMesh:
     influence_joints: (V, K) integers; influence_weights: (V, K), rows sum to 1.
     humanoid: joint by VRM humanoid bone, for files that state it. warnings: as in `Avatar`.
     part_names: names of each part of the mesh, the most telling first, and face_parts: (f,) the part of each face; None
-    for a mesh of one part. file_vertices: (V, 3) in the file's own frame and unit.
+    for a mesh of one part. file_vertices: (V, 3) in the file's own frame and unit. file_corners: as in `Avatar`.
     """
 
     vertices: np.ndarray
@@ -51,6 +51,7 @@ class SkinnedMesh:
     part_names: tuple[tuple[str, ...], ...] = ()
     face_parts: np.ndarray | None = None
     file_vertices: np.ndarray | None = None
+    file_corners: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from physkin_core.avatar.loading import load_avatar
 from physkin_core.export.garment_looks import garment_looks
 from physkin_core.export.gltf_motion import write_gltf_motion
 from physkin_core.export.usd_motion import write_usd_motion
+from physkin_core.look.avatar_look import avatar_look
 from physkin_core.motion.loading import load_motion
 from physkin_core.motion.reading_progress import reading_progress
 from physkin_core.outfit.outfit import Outfit
@@ -67,7 +68,8 @@ def main(argv: list[str]) -> int:
     outfit.sway = options.sway
     for warning in outfit.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    WRITERS[kind](options.output, outfit, motion, looks=garment_looks(options.look, outfit))
+    body_look = avatar_look(outfit.avatar, ~outfit.body_mask)
+    WRITERS[kind](options.output, outfit, motion, looks=garment_looks(options.look, outfit), body_look=body_look)
     size = options.output.stat().st_size / 1e6
     print(f"wrote {options.output}: {motion.frame_count} frames at {motion.rate_hz:g} Hz, {size:.1f} MB")
     return 0

@@ -1,48 +1,21 @@
-"""What garments look like in exported files: texture places and materials of a mesh of each, laid on what is worn.
-
-A texture has seams where cloth has none. Files of one texture place a vertex get such vertices twice; both are skinned
-alike, so that nothing opens. Dimensions: `f` faces, `v` vertices given of a garment, `w` of them with repetitions.
-"""
+"""What garments look like in exported files: texture places and materials of a mesh of each, laid on what is worn."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from physkin_core.mesh_file import LIBRARY, Look, read_mesh
+from physkin_core.look.surfaces import surfaces_of
+from physkin_core.mesh_file import Look, read_mesh
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.quality import closest_points
 
-__all__ = ["ROUGHNESS", "Picture", "Surface", "garment_looks", "linear", "split_at_seams", "surfaces_of"]
+__all__ = ["garment_looks"]
 
-ROUGHNESS = 0.9
-"""Of cloth and skin."""
 LIES_ON = 0.002
 """[m] on average: so close to a garment lies a mesh of it. A finer or repaired one does, another size does not."""
-KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
-"""Beginnings of the pictures that glTF and USD both take."""
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A picture file. kind: its media type."""
-
-    name: str
-    content: bytes
-    kind: str
-
-
-@dataclass(frozen=True)
-class Surface:
-    """A material. colour: (3,) linear RGB in [0, 1], which multiplies the picture's. faces: (k,) those that have it."""
-
-    name: str
-    colour: tuple[float, ...]
-    faces: np.ndarray
-    picture: Picture | None = None
 
 
 def garment_looks(paths: Sequence[Path], outfit: Outfit) -> list[Look | None]:
@@ -76,69 +49,3 @@ def garment_looks(paths: Sequence[Path], outfit: Outfit) -> list[Look | None]:
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
     return looks
-
-
-def linear(colour: tuple[float, float, float]) -> tuple[float, ...]:
-    """Linear RGB of sRGB, both in [0, 1]."""
-    return tuple(float(channel) ** 2.2 for channel in colour)
-
-
-def surfaces_of(look: Look | None, name: str, colour: tuple[float, ...], count: int) -> list[Surface]:
-    """Materials that cover a garment's `count` faces. name, colour: of faces without one, or all without a look."""
-    material = np.full(count, -1) if look is None else look.material
-    library = {} if look is None else _materials(look)
-    found = []
-    for index in np.unique(material):
-        faces = np.flatnonzero(material == index)
-        own = (name, colour, None) if index < 0 else (look.materials[index], *library[look.materials[index]])
-        found.append(Surface(own[0], own[1], faces, own[2]))
-    return found
-
-
-def split_at_seams(look: Look, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One texture place a vertex: which vertex each is (w,), its place (w, 2) with the origin at the lower left, 0
-    where there is none, and faces (f, 3) of these."""
-    corners = np.column_stack([faces.reshape(-1), np.nan_to_num(look.uv).reshape(-1, 2).round(6)])
-    unique, split = np.unique(corners, axis=0, return_inverse=True)
-    return unique[:, 0].astype(np.int32), unique[:, 1:], split.reshape(faces.shape)
-
-
-def _materials(look: Look) -> dict[str, tuple[tuple[float, ...], Picture | None]]:
-    """Colour and picture of each material named, from the material library; white where that says nothing."""
-    found = {name: ((1.0, 1.0, 1.0), None) for name in look.materials}
-    name = None
-    for line in look.files.get(LIBRARY, b"").decode("utf-8", "replace").splitlines():
-        word, rest = [*line.split(None, 1), "", ""][:2]
-        if word == "newmtl":
-            name = " ".join(rest.split())  # as `usemtl` is read
-        elif name in found and word == "Kd":
-            found[name] = _colour(name, rest), found[name][1]
-        elif name in found and word == "map_Kd":
-            found[name] = found[name][0], _picture(look, name, rest)
-    return found
-
-
-def _colour(material: str, told: str) -> tuple[float, ...]:
-    """told: what follows the keyword."""
-    try:
-        colour = tuple(float(value) for value in told.split()[:3])
-    except ValueError:
-        colour = ()
-    if len(colour) != 3 or not all(0 <= channel <= 1 for channel in colour):
-        raise ValueError(
-            f"the colour Kd of material {material!r} must be three numbers from 0 to 1, got {told.strip()!r}"
-        )
-    return colour
-
-
-def _picture(look: Look, material: str, named: str) -> Picture:
-    """named: what follows the keyword, a file name after options."""
-    end = " " + " ".join(named.split())
-    name = max((each for each in look.files if end.endswith(" " + " ".join(each.split()))), key=len, default=None)
-    if name is None:
-        raise ValueError(f"the picture of material {material!r} is missing: {named.strip()}")
-    content = look.files[name]
-    kind = next((kind for start, kind in KINDS.items() if content.startswith(start)), None)
-    if kind is None:
-        raise ValueError(f"the picture of material {material!r}, {name}, must be PNG or JPEG")
-    return Picture(name, content, kind)

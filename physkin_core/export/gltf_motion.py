@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.export.affine_joints import as_joint_chains
-from physkin_core.export.garment_looks import ROUGHNESS, Picture, Surface, linear, split_at_seams, surfaces_of
 from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences, write_glb
+from physkin_core.look.surfaces import ROUGHNESS, Picture, Surface, linear, split_at_seams, surfaces_of
 from physkin_core.mesh_file import Look
 from physkin_core.model.garment import vertex_normals
 from physkin_core.motion.motion import Motion
@@ -29,13 +29,18 @@ __all__ = ["write_gltf_motion"]
 
 
 def write_gltf_motion(
-    path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None] | None = None
+    path: Path,
+    outfit: Outfit,
+    motion: Motion,
+    *,
+    looks: Sequence[Look | None] | None = None,
+    body_look: Look | None = None,
 ) -> None:
     """Write avatar and garments in motion as one .glb, the root where the motion has it.
 
     outfit: of models `for_engines`; vertices that it hides are left out. Order between layers and tucks move vertices,
     not garment nodes, and are not in the file. looks: of each garment, as of `garment_looks`; default a colour each.
-    Raises OSError when it cannot be written.
+    body_look: of the body's faces that are shown, as of `avatar_look`. Raises OSError when it cannot be written.
     """
     rig, drapers = outfit.models[0].rig, outfit.drapers
     bones, nodes = [], [[] for _ in drapers]
@@ -48,7 +53,7 @@ def write_gltf_motion(
             transforms.append(draper.node_transforms())
     scene = _Scene(motion.times)
     root = scene.add_root(translation=motion.root_position[:, None], rotation=motion.root_orientation[:, None])
-    scene.add_avatar(outfit.avatar, rig, np.array(bones), outfit.body_mask, root)
+    scene.add_avatar(outfit.avatar, rig, np.array(bones), outfit.body_mask, root, body_look)
     colours = layer_colours(len(drapers))
     looks = looks or [None] * len(drapers)
     for model, bound, transforms, colour, look in zip(outfit.models, outfit.bounds, nodes, colours, looks):
@@ -79,8 +84,11 @@ class _Scene:
         self._add_joints(["root"], parent=None, **paths)
         return self.roots[-1]
 
-    def add_avatar(self, avatar: Avatar, rig: Rig, bones: np.ndarray, hidden: np.ndarray, root: int) -> None:
-        """The body on its skeleton. bones: (T, b, 3, 4) canonical to posed; hidden: (F,) faces that cloth covers."""
+    def add_avatar(
+        self, avatar: Avatar, rig: Rig, bones: np.ndarray, hidden: np.ndarray, root: int, look: Look | None
+    ) -> None:
+        """The body on its skeleton. bones: (T, b, 3, 4) canonical to posed; hidden: (F,) faces that cloth covers; look:
+        of the others."""
         heads = avatar.bone_heads.astype(np.float64)
         turned = bones[..., :3].astype(np.float64)
         posed = np.einsum("tbij,bj->tbi", turned, heads) + bones[..., 3]
@@ -99,14 +107,9 @@ class _Scene:
                 rotation=Rotation.from_matrix(rotation).as_quat()[:, None],
             )
         joints = list(range(first, first + len(heads)))
-        attributes = self._skinned_attributes(
-            avatar.vertices,
-            vertex_normals(avatar.vertices, avatar.faces),
-            strongest_influences(avatar.influence_bones, avatar.influence_weights),
-        )
-        faces = avatar.faces[~hidden]
-        surfaces = surfaces_of(None, "body", linear(BODY_COLOUR), len(faces))
-        self._add_mesh("body", attributes, faces, surfaces, joints, heads)
+        vertices = avatar.vertices, vertex_normals(avatar.vertices, avatar.faces)
+        influences = strongest_influences(avatar.influence_bones, avatar.influence_weights)
+        self._add_mesh("body", vertices, influences, avatar.faces[~hidden], BODY_COLOUR, look, joints, heads)
 
     def add_garment(
         self,
@@ -126,16 +129,9 @@ class _Scene:
         for k, (each, joint) in enumerate(zip(names, outer)):
             turn = chains.inner_rotation[:, [k]]
             inner += self._add_joints([f"{each}_inner"], parent=joint, rest=np.zeros((1, 3)), rotation=turn)
-        surfaces = surfaces_of(look, name, linear(colour), len(bound.faces))
-        faces, skinned = bound.faces, [bound.vertices, bound.normals]
+        vertices = bound.vertices, bound.normals
         influences = strongest_influences(bound.influence_nodes, bound.influence_weights)
-        attributes = {}
-        if look is not None:
-            own, places, faces = split_at_seams(look, faces)
-            skinned, influences = [each[own] for each in skinned], tuple(each[own] for each in influences)
-            attributes["TEXCOORD_0"] = self.builder.add_accessor((places * [1, -1] + [0, 1]).astype(np.float32))
-        attributes |= self._skinned_attributes(*skinned, influences)
-        self._add_mesh(name, attributes, faces, surfaces, inner, bound.node_rest)
+        self._add_mesh(name, vertices, influences, bound.faces, colour, look, inner, bound.node_rest)
 
     def finished(self) -> GltfBuilder:
         """The document, whole."""
@@ -183,30 +179,33 @@ class _Scene:
             self.nodes.append(node)
         return list(range(first, len(self.nodes)))
 
-    def _skinned_attributes(
-        self, vertices: np.ndarray, normals: np.ndarray, influences: tuple[np.ndarray, np.ndarray]
-    ) -> dict[str, int]:
-        """Accessors of vertices (v, 3), normals (v, 3) and `strongest_influences`."""
-        add = self.builder.add_accessor
-        joints, weights = influences
-        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-        return {
-            "POSITION": add((vertices @ FROM_ROOT_FRAME.T).astype(np.float32)),
-            "NORMAL": add((normals @ FROM_ROOT_FRAME.T).astype(np.float32)),
-            "JOINTS_0": add(joints),
-            "WEIGHTS_0": add(weights, normalized=True),
-        }
-
     def _add_mesh(
         self,
         name: str,
-        attributes: dict[str, int],
+        vertices: tuple[np.ndarray, np.ndarray],
+        influences: tuple[np.ndarray, np.ndarray],
         faces: np.ndarray,
-        surfaces: Sequence[Surface],
+        colour: tuple[float, float, float],
+        look: Look | None,
         joints: Sequence[int],
         rest: np.ndarray,
     ) -> None:
-        """A mesh skinned by joints that are at `rest` (j, 3) when it is as given."""
+        """A mesh skinned by joints that are at `rest` (j, 3) when it is as given. vertices: positions (v, 3) and
+        normals (v, 3). influences: as of `strongest_influences`."""
+        surfaces = surfaces_of(look, name, linear(colour), len(faces))
+        add, attributes = self.builder.add_accessor, {}
+        if look is not None:
+            own, places, faces = split_at_seams(look, faces)
+            vertices, influences = (tuple(each[own] for each in pair) for pair in (vertices, influences))
+            attributes["TEXCOORD_0"] = add((places * [1, -1] + [0, 1]).astype(np.float32))
+        positions, normals = vertices
+        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        attributes |= {
+            "POSITION": add((positions @ FROM_ROOT_FRAME.T).astype(np.float32)),
+            "NORMAL": add((normals @ FROM_ROOT_FRAME.T).astype(np.float32)),
+            "JOINTS_0": add(influences[0]),
+            "WEIGHTS_0": add(influences[1], normalized=True),
+        }
         primitives = []
         for surface in surfaces:
             indices = self.builder.add_accessor(faces[surface.faces].astype(np.uint32).reshape(-1))

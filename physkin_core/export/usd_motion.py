@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from physkin_core.export.garment_looks import ROUGHNESS, Surface, linear, surfaces_of
+from physkin_core.look.surfaces import ROUGHNESS, Surface, linear, surfaces_of
 from physkin_core.mesh_file import Look
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
@@ -21,12 +21,19 @@ if TYPE_CHECKING:
 __all__ = ["write_usd_motion"]
 
 
-def write_usd_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None] | None = None) -> None:
+def write_usd_motion(
+    path: Path,
+    outfit: Outfit,
+    motion: Motion,
+    *,
+    looks: Sequence[Look | None] | None = None,
+    body_look: Look | None = None,
+) -> None:
     """Write avatar and garments in motion as .usd, .usda or .usdc: meshes under a moving root, metres, Z up, with all
     points at each frame.
 
-    looks: of each garment, as of `garment_looks`; default a colour each. Their pictures are written into a folder
-    beside the file, `walk_pictures` for `walk.usdc`.
+    looks: of each garment, as of `garment_looks`; default a colour each. body_look: of the body's faces that are shown,
+    as of `avatar_look`. Their pictures are written into a folder beside the file, `walk_pictures` for `walk.usdc`.
     Raises ModuleNotFoundError without usd-core, OSError when it cannot be written.
     """
     from pxr import Gf, Usd, UsdGeom
@@ -46,7 +53,7 @@ def write_usd_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Seque
     names = _as_identifiers(["body", *(model.name for model in outfit.models)])
     faces = [outfit.avatar.faces[~outfit.body_mask], *outfit.faces]
     meshes = []
-    looks = [None, *(looks or [None] * len(outfit.models))]
+    looks = [body_look, *(looks or [None] * len(outfit.models))]
     for name, triangles, colour, look in zip(names, faces, colours, looks):
         mesh = UsdGeom.Mesh.Define(stage, f"/avatar/{name}")
         mesh.CreateFaceVertexCountsAttr(np.full(len(triangles), 3, dtype=np.int32))

@@ -1,4 +1,5 @@
-"""A dressed avatar as surfaces to draw: skin that cloth does not cover, garments in the colours of their layers."""
+"""A dressed avatar as surfaces to draw: skin that cloth does not cover in its own colours, garments in those of their
+layers."""
 
 from __future__ import annotations
 
@@ -6,8 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from physkin_core.look.face_colours import avatar_colours
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.picture import Mesh, layer_colours
+from physkin_core.picture import BODY_COLOUR, Mesh, layer_colours
 
 __all__ = ["dressed_meshes"]
 
@@ -15,7 +17,8 @@ __all__ = ["dressed_meshes"]
 def dressed_meshes(outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]) -> list[Mesh]:
     """Surfaces of one frame. body: (V, 3) the avatar's vertices; cloth: (v, 3 or more) of each garment, positions
     first; all [m] in one frame with Z up."""
-    several = len(cloth) > 1
-    skin = outfit.avatar.faces[~outfit.body_mask] if several else outfit.avatar.faces
+    shown = ~outfit.body_mask if len(cloth) > 1 else slice(None)
+    colours = avatar_colours(outfit.avatar)
+    skin = Mesh(body, outfit.avatar.faces[shown], BODY_COLOUR if colours is None else colours[shown])
     worn = [Mesh(np.asarray(p)[:, :3], f, c) for p, f, c in zip(cloth, outfit.faces, layer_colours(len(cloth)))]
-    return [Mesh(body, skin), *worn]
+    return [skin, *worn]

@@ -53,7 +53,7 @@ class ClothesTab:
         with gui.add_folder("Body"):
             self._body = gui.add_dropdown("avatar", tuple(self._bodies))
             self._body.on_update(page.by_hand(self._change_body))
-            self._skin = gui.add_rgb("colour", _bytes(state.body_colour))
+            self._skin = gui.add_rgb("colour", _bytes(state.body_colour), hint="where it is not shown in its own")
             self._skin.on_update(page.by_hand(self._recolour))
             self._separate = gui.add_checkbox(
                 "separate limbs", state.separate_limbs, hint="move arms and legs out of the trunk and each other"

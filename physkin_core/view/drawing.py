@@ -8,7 +8,7 @@ import numpy as np
 
 from physkin_core.view.page import Page
 from physkin_core.view.scene.figures import OutfitFigures
-from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Colour
+from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Bands, Colour, own_bands
 from physkin_core.view.scene.scene_state import Frame
 from physkin_core.view.surface_node import SurfaceNode
 
@@ -23,13 +23,14 @@ NORMAL_COLOUR, NORMAL_LENGTH, MOST_NORMALS = (0.10, 0.10, 0.10), 0.02, 900
 
 @dataclass
 class Switches:
-    """What is drawn beside or over the figure. heat: "strain", "skin" or None. follow: the world moves, so that the
-    figure stays in the picture."""
+    """What is drawn beside or over the figure. heat: "strain", "skin" or None. own_colours: of the body, where its file
+    has materials. follow: the world moves, so that the figure stays in the picture."""
 
     nodes: bool = False
     wireframe: bool = False
     normals: bool = False
     heat: str | None = None
+    own_colours: bool = True
     follow: bool = True
 
 
@@ -42,6 +43,7 @@ class Drawing:
         self.switches = Switches()
         self.figures: OutfitFigures | None = None
         self.skin_shows: np.ndarray | None = None
+        self._own: tuple[Bands | None, np.ndarray | None] = (None, None)
         self._surfaces: list[SurfaceNode] = []
         self._plain: list[SurfaceNode] = []
         self._marks: dict[str, object] = {}
@@ -65,13 +67,14 @@ class Drawing:
         for surface in (*self._surfaces, *self._plain):
             surface.remove()
         self.figures, self.skin_shows = OutfitFigures(frame.outfit), None
+        self._own = own_bands(frame.outfit.avatar, _shown(frame))
         self._surfaces = self._new_surfaces("/world/figure", frame)
         self._plain = []
 
     def _new_surfaces(self, where: str, frame: Frame) -> list[SurfaceNode]:
         """The body and each garment."""
         outfit, server = frame.outfit, self._page.server
-        shown = outfit.avatar.faces[~outfit.body_mask] if len(frame.cloth) > 1 else outfit.avatar.faces
+        shown = outfit.avatar.faces[_shown(frame)]
         names = ["body", *(f"cloth{k}" for k in range(len(frame.cloth)))]
         counts = [len(frame.body), *map(len, frame.cloth)]
         return [
@@ -91,12 +94,11 @@ class Drawing:
 
     def _paint(self, frame: Frame) -> None:
         body, *cloth = self._surfaces
-        heat, outfit = self.switches.heat, frame.outfit
+        heat = self.switches.heat
         if heat == "skin" and self.skin_shows is not None:
-            shown = self.skin_shows[~outfit.body_mask] if len(cloth) > 1 else self.skin_shows
-            body.paint(SKIN_BANDS, shown.astype(float), frame.body)
+            body.paint(SKIN_BANDS, self.skin_shows[_shown(frame)].astype(float), frame.body)
         else:
-            body.paint(None, None, frame.body)
+            body.paint(*self._body_paint, frame.body)
         strains = self.figures.strains_of_faces(frame) if heat == "strain" else [None] * len(cloth)
         for surface, points, strain in zip(cloth, frame.cloth, strains):
             surface.paint(None if strain is None else STRAIN_BANDS, strain, points[:, :3])
@@ -108,8 +110,14 @@ class Drawing:
             for surface in self._plain:
                 surface.remove()
             self._plain = []
-        for surface, vertices in zip(self._plain, (frame.body, *frame.plain)):
+        for surface, vertices in zip(self._plain[1:], frame.plain):
             surface.show(vertices)
+        for surface in self._plain[:1]:
+            surface.paint(*self._body_paint, frame.body)
+
+    @property
+    def _body_paint(self) -> tuple[Bands | None, np.ndarray | None]:
+        return self._own if self.switches.own_colours else (None, None)
 
     def _show_marks(self, frame: Frame) -> None:
         """Garment nodes and normals."""
@@ -157,6 +165,11 @@ class Drawing:
     def _unmark(self, name: str) -> None:
         if name in self._marks:
             self._marks.pop(name).remove()
+
+
+def _shown(frame: Frame) -> np.ndarray | slice:
+    """Faces of the body that are drawn: under several layers not those that they hide."""
+    return ~frame.outfit.body_mask if len(frame.cloth) > 1 else slice(None)
 
 
 def _normal_lines(points: np.ndarray) -> np.ndarray:

@@ -26,6 +26,7 @@ class LookTab:
             ("nodes", "garment nodes", "the frames that carry the cloth"),
             ("wireframe", "wireframe", "the cloth's triangles"),
             ("normals", "normals", "of some of the cloth's vertices"),
+            ("own_colours", "avatar's own colours", "by its file's materials, where it has any"),
             ("follow", "camera follows", "the figure stays where you look"),
         ):
             box = gui.add_checkbox(label, getattr(switches, name), hint=hint)

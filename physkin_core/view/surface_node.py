@@ -27,6 +27,7 @@ class SurfaceNode:
         self._count, self._faces = vertex_count, faces
         self._colour, self._wireframe = colour, False
         self._bands: Bands | None = None
+        self._values: np.ndarray | None = None
         self._handles: list = []
         self._parts = self._whole()
 
@@ -67,14 +68,16 @@ class SurfaceNode:
                 handle.vertices = vertices[part.vertices]
 
     def paint(self, bands: Bands | None, values: np.ndarray | None, vertices: np.ndarray) -> None:
-        """Give faces the colours of their values (f,), or with None the mesh's own; vertices (n, 3) as for `show`."""
+        """Give faces the colours of their values (f,), or with None the mesh's own; vertices (n, 3) as for `show`.
+        Values are looked at anew when they are another array."""
+        same, self._values = values is self._values, values
         if bands is not self._bands:
             self.remove()
             self._bands = bands
             self._parts = self._whole() if bands is None else self._banded(values)
             self.show(vertices)
             return
-        if bands is not None:
+        if not same:
             self._parts = self._banded(values)
             for handle, part in zip(self._handles, self._parts):
                 handle.faces, handle.vertices = _arrays(part, vertices)

@@ -22,6 +22,7 @@ from physkin_core.picture import BODY_COLOUR, layer_colours
 from physkin_core.view.command import begin
 from physkin_core.view.page import Page
 from physkin_core.view.readout import Readout
+from physkin_core.view.scene.heat_map import own_bands
 from physkin_core.view.surface_node import SurfaceNode
 from physkin_ros.messages.conversions import read_cloud
 from physkin_ros.messages.interfaces import missing_tf
@@ -155,6 +156,7 @@ class RosPage:
         self._readout = Readout(page)
         self._rig = load_body_model().rig
         self._avatar = None if body is None else load_avatar(body, self._rig, rig_file=rig_file)
+        self._own = (None, None) if self._avatar is None else own_bands(self._avatar)
         self._bodies: dict[str, tuple[str, SurfaceNode]] = {}
         self._cloths: dict[str, tuple[object, np.ndarray | None, int]] = {}
         self._figures: dict[str, object] = {}
@@ -240,7 +242,7 @@ class RosPage:
             avatar, name = self._avatar, f"{self._figure(frame_id)}/body{topic}"
             body = SurfaceNode(self._page.server, name, len(avatar.vertices), avatar.faces, BODY_COLOUR)
             self._bodies[topic] = frame_id, body
-        body.show(self._avatar.posed_vertices(bones))
+        body.paint(*self._own, self._avatar.posed_vertices(bones))
 
     def _read_out(self) -> None:
         seen = self._listener.garments

@@ -55,6 +55,16 @@ def test_everything_fits():
         assert not (seen[0].any() or seen[-1].any() or seen[:, 0].any() or seen[:, -1].any())
 
 
+def test_faces_have_their_own_colours():
+    """Of a cube seen from the front, Y (its left, on the picture's right) is red and the rest the cloth's blue."""
+    pytest.importorskip("mitsuba")
+    red = CORNERS[CUBE.faces].mean(axis=1)[:, 1] > 0.4
+    colours = np.where(red[:, None], (0.8, 0.1, 0.1), CLOTH_COLOUR)
+    image = render([Mesh(CORNERS, CUBE.faces, colours)], azimuth=45, elevation=0, floor=None, **SMALL).astype(int)
+    assert (image[25:35, 28:34, 0] > image[25:35, 28:34, 2] + 40).all()
+    assert (image[25:35, 14:20, 2] > image[25:35, 14:20, 0] + 15).all()
+
+
 @pytest.mark.parametrize(
     ("mesh", "message"),
     [
@@ -62,6 +72,7 @@ def test_everything_fits():
         (Mesh(np.zeros((3, 3)), np.zeros((0, 3), dtype=int)), "faces"),
         (Mesh(np.full((3, 3), np.nan), np.array([[0, 1, 2]])), "not finite"),
         (Mesh(np.zeros((3, 3)), np.array([[0, 1, 3]])), "0 to 3.*3 vertices"),
+        (Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]), np.zeros((2, 3))), r"one a face \(1, 3\), got \(2, 3\)"),
     ],
 )
 def test_meshes_that_cannot_be_drawn(mesh, message):

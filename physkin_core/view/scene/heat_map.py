@@ -1,4 +1,5 @@
-"""Bands of colour for values of faces. The page's meshes have one colour each, so a heat map is a mesh a band."""
+"""Bands of colour for values of faces, or of a body's own colours. The page's meshes have one colour each, so a mesh a
+band is drawn."""
 
 from __future__ import annotations
 
@@ -6,7 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["SKIN_BANDS", "STRAIN_BANDS", "Bands", "Colour", "Part", "parts_of"]
+from physkin_core.avatar.avatar import Avatar
+from physkin_core.look.face_colours import avatar_colours, few_colours
+
+__all__ = ["SKIN_BANDS", "STRAIN_BANDS", "Bands", "Colour", "Part", "own_bands", "parts_of"]
 
 Colour = tuple[float, float, float]
 """sRGB in [0, 1]."""
@@ -42,6 +46,20 @@ STRAIN_BANDS = Bands(
 
 SKIN_BANDS = Bands(limits=(0.5,), colours=(None, (0.85, 0.10, 0.20)), labels=("covered or bare", "shows"))
 """Of skin, 1 where it shows."""
+
+MOST_COLOURS = 16
+"""Of a body: each is a mesh of its own."""
+
+
+def own_bands(avatar: Avatar, faces: np.ndarray | slice = slice(None)) -> tuple[Bands | None, np.ndarray | None]:
+    """The colours of an avatar's own materials, few enough to draw, and which of them each of its faces has, as values
+    of the bands. None, twice, where its file has no materials. faces: (f,) a mask of those that are drawn."""
+    colours = avatar_colours(avatar)
+    if colours is None:
+        return None, None
+    palette, index = few_colours(colours[faces], MOST_COLOURS)
+    limits = tuple(np.arange(1, len(palette)) - 0.5)
+    return Bands(limits, tuple(map(tuple, palette.tolist())), labels=()), index.astype(float)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""What avatars and garments look like: materials, texture places, and colours read off pictures."""

@@ -1,0 +1,114 @@
+"""The look of an avatar by its own file: glTF, VRM and OBJ. It is read when somebody looks, not with the body.
+
+Dimensions: `F` triangles of the file, `f` faces of the avatar.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar, AvatarError, AvatarWarning
+from physkin_core.avatar.gltf_avatar import primitives
+from physkin_core.avatar.gltf_file import GltfFile
+from physkin_core.look.surfaces import picture_kind
+from physkin_core.mesh_file import Look, MaterialLibrary, read_mesh
+
+__all__ = ["avatar_look"]
+
+TRANSFORM, WEBP = "KHR_texture_transform", "EXT_texture_webp"
+
+
+def avatar_look(avatar: Avatar, faces: np.ndarray | slice = slice(None)) -> Look | None:
+    """Materials and texture places of an avatar's faces, or of some; None where its file has no materials.
+
+    Base colours and their pictures are kept; vertex colours and other maps are not. A picture in a format that is not
+    read is left out with an AvatarWarning. faces: (f,) a mask or indices. Raises AvatarError for a file that has
+    become unreadable since the avatar was loaded.
+    """
+    path = Path(avatar.source)
+    if avatar.file_corners is None:
+        return None
+    if not path.is_file():
+        raise AvatarError(f"avatar {path} is no longer there: its materials cannot be read")
+    if path.suffix.lower() == ".obj":
+        look = read_mesh(path).look
+    elif path.suffix.lower() in (".glb", ".gltf", ".vrm"):
+        look = _gltf_look(GltfFile(path))
+    else:
+        return None
+    return look.of_corners(avatar.file_corners[faces]) if look.materials else None
+
+
+def _gltf_look(file: GltfFile) -> Look:
+    """Of all triangles of the scene (F,), in the order of `primitives`."""
+    library, places, material = MaterialLibrary(), [], []
+    number: dict[int, int] = {}
+    for _, primitive, _, faces, _ in primitives(file):
+        index = primitive.material
+        if index is not None and index not in number:
+            number[index] = _add_material(library, file, index)
+        material.append(np.full(len(faces), -1 if index is None else number[index]))
+        places.append(_places(file, primitive)[faces])
+    count = sum(map(len, material))
+    return Look(
+        np.concatenate(places), np.concatenate(material), np.full(count, -1), tuple(library.names), (), library.files
+    )
+
+
+def _places(file: GltfFile, primitive) -> np.ndarray:
+    """(V, 2) where the vertices of a primitive are in its base colour's picture, origin at the lower left; NaN where
+    the file does not say."""
+    used = None if primitive.material is None else _base_picture(file, primitive.material)
+    transform = {} if used is None else (used.extensions or {}).get(TRANSFORM, {})
+    channel = 0 if used is None else transform.get("texCoord", used.texCoord or 0)
+    found = file.attribute(primitive, f"TEXCOORD_{channel}")
+    if found is None:
+        return np.full((len(file.attribute(primitive, "POSITION")), 2), np.nan)
+    found = found * transform.get("scale", (1, 1)) + transform.get("offset", (0, 0))
+    return found * [1, -1] + [0, 1]
+
+
+def _base_picture(file: GltfFile, material: int):
+    """pygltflib's `TextureInfo` of a material's base colour, if there is one."""
+    shading = file.document.materials[material].pbrMetallicRoughness
+    return None if shading is None else shading.baseColorTexture
+
+
+def _add_material(library: MaterialLibrary, file: GltfFile, index: int) -> int:
+    """Its number in the library; materials of one name are told apart."""
+    material = file.document.materials[index]
+    shading = material.pbrMetallicRoughness
+    colour = (shading.baseColorFactor if shading is not None else None) or (1, 1, 1)
+    name = library.plain_name(material.name or f"material_{index}")
+    name = f"{name}_{index}" if name in library.names else name
+    content, used = None, _base_picture(file, index)
+    if used is not None:
+        content = _readable(_picture(file, file.document.textures[used.index]))
+        if content is None:
+            told = f"the picture of material {name!r} is neither PNG, JPEG nor WebP: its colour alone is shown"
+            warnings.warn(f"avatar {file.path}: {told}", AvatarWarning, stacklevel=4)
+    suffix = "jpg" if content is not None and picture_kind(content) == "image/jpeg" else "png"
+    return library.add(name, np.clip(colour[:3], 0, 1), content, suffix=suffix)
+
+
+def _picture(file: GltfFile, texture) -> bytes:
+    source = (texture.extensions or {}).get(WEBP, {}).get("source", texture.source)
+    return b"" if source is None else file.picture(source)
+
+
+def _readable(content: bytes) -> bytes | None:
+    """A picture as PNG or JPEG; None where it cannot be made one."""
+    if picture_kind(content) is not None:
+        return content
+    try:
+        from PIL import Image
+
+        buffer = io.BytesIO()
+        Image.open(io.BytesIO(content)).save(buffer, format="PNG")
+    except (ImportError, OSError):
+        return None
+    return buffer.getvalue()

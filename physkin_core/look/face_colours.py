@@ -1,0 +1,73 @@
+"""One colour a face, read off the pictures of a look: for what draws no textures.
+
+Dimensions: `f` faces, `k` colours.
+"""
+
+from __future__ import annotations
+
+import io
+from functools import lru_cache
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar
+from physkin_core.look.avatar_look import avatar_look
+from physkin_core.look.surfaces import Surface, linear, surfaces_of
+from physkin_core.mesh_file import Look
+from physkin_core.picture import BODY_COLOUR, PictureError
+
+__all__ = ["avatar_colours", "face_colours", "few_colours"]
+
+SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / [[3], [6], [6], [6]]
+"""Where in a triangle a picture is looked at: shares of its corners."""
+LARGEST_PICTURE = 512
+"""[pixels] a side; larger ones are made smaller first, so that a sample is the mean of what is about it."""
+ROUNDS = 20
+
+
+@lru_cache(maxsize=4)  # a film asks for the same avatar in every frame
+def avatar_colours(avatar: Avatar) -> np.ndarray | None:
+    """(f, 3) sRGB in [0, 1] of an avatar's faces by its own file; None where that has no materials.
+
+    Raises AvatarError as `avatar_look` does, PictureError where pictures need pillow.
+    """
+    look = avatar_look(avatar)
+    return None if look is None else face_colours(look, BODY_COLOUR)
+
+
+def face_colours(look: Look, colour: tuple[float, float, float]) -> np.ndarray:
+    """(f, 3) sRGB in [0, 1] of a look's faces. colour: sRGB, of faces without a material."""
+    found = np.empty((len(look.material), 3))
+    for surface in surfaces_of(look, "plain", linear(colour), len(found)):
+        found[surface.faces] = surface.colour * _picture_colours(surface, look.uv[surface.faces])
+    return found ** (1 / 2.2)
+
+
+def few_colours(colours: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """At most so many colours that stand for those of faces (f, 3): (k, 3), and which (f,) each face has."""
+    from scipy.cluster.vq import kmeans2
+
+    different, index = np.unique(colours.round(2), axis=0, return_inverse=True)
+    if len(different) <= most:
+        return different, index.reshape(-1)
+    centres, nearest = kmeans2(colours, most, iter=ROUNDS, minit="++", rng=0)
+    used, index = np.unique(nearest, return_inverse=True)
+    return centres[used], index.reshape(-1)
+
+
+def _picture_colours(surface: Surface, uv: np.ndarray) -> np.ndarray:
+    """(k, 3) linear RGB of faces with texture places (k, 3, 2); ones without a picture."""
+    if surface.picture is None:
+        return np.ones((len(uv), 3))
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise PictureError("an avatar's pictures need pillow: pip install 'physkin[view]'") from error
+    image = Image.open(io.BytesIO(surface.picture.content)).convert("RGB")
+    image.thumbnail((LARGEST_PICTURE, LARGEST_PICTURE), Image.Resampling.BOX)
+    pixels = (np.asarray(image) / 255.0) ** 2.2
+    u, v = np.moveaxis(np.einsum("sc,kcu->ksu", SAMPLES, np.nan_to_num(uv)), 2, 0)
+    rows, columns = pixels.shape[:2]
+    row = np.floor((1 - v) % 1 * rows).astype(int) % rows
+    column = np.floor(u % 1 * columns).astype(int) % columns
+    return pixels[row, column].mean(axis=1)

@@ -1,0 +1,217 @@
+"""An avatar's own materials: each face keeps its own through loading, in exported files and as a colour."""
+
+import base64
+import io
+import warnings
+
+import numpy as np
+import pytest
+from core.export.gltf_reader import Reader
+from gltf_person import PERSON, RIG, load_document, person_document
+from PIL import Image
+from random_models import needs_native
+
+from physkin_core import BUNDLED_AVATAR, AvatarError, load_avatar
+from physkin_core.avatar.avatar import AvatarWarning
+from physkin_core.cli import main
+from physkin_core.export.gltf_builder import write_gltf
+from physkin_core.look.avatar_look import avatar_look
+from physkin_core.look.face_colours import avatar_colours, few_colours
+from physkin_core.mesh_file import LIBRARY, Look, write_obj
+from physkin_core.view.scene.heat_map import MOST_COLOURS, own_bands
+
+pytestmark = pytest.mark.filterwarnings("ignore:of 2 parts", "ignore:no skeleton in the file", "ignore:.*taken")
+
+BLUE = (0.05, 0.1, 0.8)
+LEFT, RIGHT = (200, 30, 20), (20, 160, 40)
+
+
+def picture(kind="PNG"):
+    """Red on the left, green on the right."""
+    image, buffer = Image.new("RGB", (64, 16), RIGHT), io.BytesIO()
+    image.paste(LEFT, (0, 0, 32, 16))
+    image.save(buffer, format=kind, quality=95)
+    return buffer.getvalue()
+
+
+def places(vertices):
+    """(..., 2) texture places by where vertices of the root frame are: their left half in the picture's left one."""
+    return np.stack([0.5 - 0.8 * vertices[..., 1], 0.3 * vertices[..., 2] + 0.5], axis=-1)
+
+
+def textured(*, content=None, image=None, legs=True, inside_out=False, textures=None, transform=None):
+    """The person as a file cut at every edge: skin with a picture, legs in one colour, hair that is left out."""
+    faces = PERSON.faces[:, ::-1] if inside_out else PERSON.faces
+    corners = faces.reshape(-1)
+    alone = np.arange(len(corners)).reshape(-1, 3)
+    builder = person_document(
+        vertices=PERSON.vertices[corners],
+        faces=alone,
+        influence_joints=PERSON.influence_bones[corners],
+        influence_weights=PERSON.influence_weights[corners],
+    )
+    document, mesh = builder.document, builder.document["meshes"][0]
+    uv = places(PERSON.vertices[corners]) * [1, -1] + [0, 1]
+    mesh["primitives"][0]["attributes"]["TEXCOORD_0"] = builder.add_accessor(uv.astype(np.float32))
+    is_leg = legs & (PERSON.vertices[faces][..., 2].mean(axis=1) < -0.3)
+
+    def primitive(chosen, material):
+        indices = builder.add_accessor(alone[chosen].astype(np.uint32).reshape(-1))
+        return {**mesh["primitives"][0], "indices": indices, "material": material}
+
+    hair = PERSON.vertices[faces][..., 2].mean(axis=1) > 0.6
+    given = [(hair, 2), (~is_leg, 0), *([(is_leg, 1)] if legs else [])]
+    mesh["primitives"] = [primitive(*each) for each in given]
+    shading = {"baseColorTexture": {"index": 0} | ({"extensions": transform} if transform else {})}
+    document["materials"] = [
+        {"name": "body skin", "pbrMetallicRoughness": shading},
+        {"name": "body skin", "pbrMetallicRoughness": {"baseColorFactor": [*BLUE, 1.0]}},
+        {"name": "hair", "pbrMetallicRoughness": {"baseColorFactor": [0, 0, 0, 1]}},
+    ]
+    content = picture() if content is None else content
+    view = builder.add_view(np.frombuffer(content, dtype=np.uint8))
+    document["images"] = [image or {"bufferView": view, "mimeType": "image/png"}]
+    document["textures"] = textures or [{"source": 0}]
+    return builder
+
+
+def expected(avatar):
+    """(f, 3) sRGB of the faces of the person, by where they are in the file; and the faces that are on one side."""
+    centre = avatar.file_vertices[avatar.faces].mean(axis=1)  # glTF: x left, y up
+    colours = np.where(centre[:, :1] > 0, LEFT, RIGHT) / 255
+    leg = centre[:, 1] < -0.3
+    colours[leg] = np.array(BLUE) ** (1 / 2.2)
+    return colours, leg | (np.abs(centre[:, 0]) > 0.03)
+
+
+@pytest.mark.parametrize("inside_out", [False, True])
+def test_each_face_keeps_its_place_and_material(tmp_path, inside_out):
+    """Through welding, hair left out before it and faces that are turned over."""
+    avatar = load_document(tmp_path, textured(inside_out=inside_out))
+    assert len(avatar.vertices) < len(PERSON.vertices) + 10 and len(avatar.faces) == len(PERSON.faces)
+    look = avatar_look(avatar)
+    x, y, _ = np.moveaxis(avatar.file_vertices[avatar.faces], 2, 0)
+    skin = look.material == 0
+    np.testing.assert_allclose(look.uv[skin], np.stack([0.5 - 0.8 * x, 0.3 * y + 0.5], axis=-1)[skin], atol=1e-5)
+    assert sorted(look.materials) == ["body_skin", "body_skin_1", "hair"]
+    colours, clear = expected(avatar)
+    np.testing.assert_allclose(avatar_colours(avatar)[clear], colours[clear], atol=0.02)
+    half = np.arange(len(avatar.faces)) % 2 == 0
+    np.testing.assert_array_equal(avatar_look(avatar, half).uv, look.uv[half])
+    bands, index = own_bands(avatar, half)
+    assert len(bands.colours) <= MOST_COLOURS
+    drawn = np.array(bands.colours)[bands.band(index)]
+    np.testing.assert_allclose(drawn[clear[half]], colours[half][clear[half]], atol=0.02)
+
+
+def test_pictures_are_read_wherever_they_are(tmp_path):
+    """In a data URI, beside the file, as WebP; and places may be scaled and shifted."""
+    scaled = {"KHR_texture_transform": {"scale": [0.5, 1], "offset": [0.5, 0]}}
+    webp = [{"extensions": {"EXT_texture_webp": {"source": 0}}}]
+    inline = {"uri": "data:image/png;base64," + base64.b64encode(picture()).decode()}
+    (tmp_path / "my skin.jpg").write_bytes(picture("JPEG"))
+    for number, arguments in enumerate(
+        (
+            {"image": inline},
+            {"image": {"uri": "my%20skin.jpg"}},
+            {"content": picture("WEBP"), "textures": webp},
+            {"transform": scaled},
+        )
+    ):
+        avatar = load_document(tmp_path, textured(legs=False, **arguments), name=f"{number}.glb")
+        left = avatar.file_vertices[avatar.faces].mean(axis=1)[:, 0] > 0.03
+        found = avatar_colours(avatar)[left]
+        wanted = RIGHT if "transform" in arguments else LEFT
+        np.testing.assert_allclose(found, np.tile(np.array(wanted) / 255, (len(found), 1)), atol=0.04)
+
+
+def test_a_picture_that_is_not_read_is_told(tmp_path):
+    """The colour stays."""
+    avatar = load_document(tmp_path, textured(content=b"\xabKTX 20\xbb", legs=False))
+    with pytest.warns(AvatarWarning, match="the picture of material 'body_skin' is neither PNG, JPEG nor WebP"):
+        look = avatar_look(avatar)
+    assert "body_skin" in look.materials and sorted(look.files) == [LIBRARY]
+
+
+def test_bad_pictures_are_refused(tmp_path):
+    avatar = load_document(tmp_path, textured(image={"uri": "../skin.png"}))
+    with pytest.raises(AvatarError, match="image 0 is '../skin.png', outside the avatar's folder"):
+        avatar_look(avatar)
+    avatar = load_document(tmp_path, textured(image={"uri": "gone.png"}))
+    with pytest.raises(AvatarError, match="image 0 is 'gone.png', but .* does not exist"):
+        avatar_look(avatar)
+    (tmp_path / "person.glb").unlink()
+    with pytest.raises(AvatarError, match=r"person.glb is no longer there: its materials cannot be read"):
+        avatar_look(avatar)
+
+
+def test_bodies_without_materials_have_no_look(tmp_path):
+    avatar = load_avatar(BUNDLED_AVATAR, RIG)
+    assert avatar_look(avatar) is None and avatar_colours(avatar) is None and own_bands(avatar) == (None, None)
+    assert avatar_look(PERSON) is None
+
+
+def test_an_obj_has_its_own_materials(tmp_path):
+    """Quads and all."""
+    look = Look(
+        places(PERSON.vertices[PERSON.faces]),
+        np.zeros(len(PERSON.faces), dtype=int),
+        np.full(len(PERSON.faces), -1),
+        ("skin",),
+        (),
+        {LIBRARY: b"newmtl skin\nmap_Kd skin.png\n", "skin.png": picture()},
+    )
+    write_obj(tmp_path / "me.obj", PERSON.vertices, PERSON.faces, look, header="test")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        avatar = load_avatar(tmp_path / "me.obj", RIG)
+    centre = avatar.file_vertices[avatar.faces].mean(axis=1)
+    clear = np.abs(centre[:, 1]) > 0.03
+    wanted = np.where(centre[:, 1:2] > 0, LEFT, RIGHT) / 255
+    np.testing.assert_allclose(avatar_colours(avatar)[clear], wanted[clear], atol=0.02)
+
+
+def test_few_colours_stand_for_many():
+    """Exact where there are few; else each is the closest there is."""
+    colours = np.array([[0.1, 0.2, 0.3], [0.9, 0.8, 0.7], [0.1, 0.2, 0.3]])
+    palette, index = few_colours(colours, 5)
+    np.testing.assert_array_equal(palette[index], colours)
+    shades = np.random.default_rng(0).uniform(size=(500, 3))
+    palette, index = few_colours(shades, 8)
+    distance = np.linalg.norm(shades[:, None] - palette, axis=2)
+    assert len(palette) == 8 and (distance.argmin(axis=1) == index).mean() > 0.95
+
+
+@needs_native
+def test_exported_files_have_the_avatars_own_look(tmp_path):
+    """The picture as it was, the places of the vertices, and colours; in USD the same."""
+    load_document(tmp_path, textured())
+    arguments = ["export", "walk", "--avatar", str(tmp_path / "person.glb"), "-g", "tshirt", "--rate", "2", "-o"]
+    assert main([*arguments, str(tmp_path / "walk.glb")]) == 0
+    reader = Reader(tmp_path / "walk.glb")
+    body = next(mesh for mesh in reader.file.meshes if mesh.name == "body")
+    skin, legs = (reader.file.materials[primitive.material] for primitive in body.primitives)
+    np.testing.assert_allclose(legs.pbrMetallicRoughness.baseColorFactor[:3], BLUE)
+    (image,) = reader.file.images
+    view = reader.file.bufferViews[image.bufferView]
+    assert reader.binary[view.byteOffset : view.byteOffset + view.byteLength] == picture()
+    u, v = reader.array(reader.attributes("body").TEXCOORD_0).T
+    assert skin.pbrMetallicRoughness.baseColorTexture.index == 0
+    height = reader.array(reader.attributes("body").POSITION)[:, 1]
+    assert np.corrcoef(1 - v, height)[0, 1] > 0.99  # posed otherwise than in the file
+    pytest.importorskip("pxr", reason="needs the extra [usd]")
+    from pxr import Usd
+
+    assert main([*arguments, str(tmp_path / "walk.usdc")]) == 0
+    stage = Usd.Stage.Open(str(tmp_path / "walk.usdc"))
+    files = [prim.GetAttribute("inputs:file").Get() for prim in stage.Traverse() if prim.GetName() == "UsdUVTexture"]
+    assert [(tmp_path / file.path).read_bytes() for file in files] == [picture()]
+
+
+def test_a_gltf_keeps_its_look_too(tmp_path):
+    builder = textured()
+    (tmp_path / "person.bin").write_bytes(bytes(builder.binary))
+    write_gltf(tmp_path / "person.gltf", builder, buffer_uri="person.bin")
+    avatar = load_avatar(tmp_path / "person.gltf", RIG)
+    colours, clear = expected(avatar)
+    np.testing.assert_allclose(avatar_colours(avatar)[clear], colours[clear], atol=0.02)
