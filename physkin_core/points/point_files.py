@@ -14,11 +14,13 @@ import numpy as np
 from physkin_core.points.ply_file import PlyFile, read_ply
 from physkin_core.points.splats import Splats
 
-__all__ = ["POINT_FILES", "PointFile", "read_points"]
+__all__ = ["POINT_FILES", "PointFile", "read_points", "read_splat_file", "splat_colours"]
 
 POSITION, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 ROTATION, SCALE = ("rot_1", "rot_2", "rot_3", "rot_0"), ("scale_0", "scale_1", "scale_2")
 """Of a splat: a quaternion x, y, z, w, and logarithms of standard deviations."""
+PLAIN_COLOUR, CONSTANT_HARMONIC = ("f_dc_0", "f_dc_1", "f_dc_2"), 0.5 / np.sqrt(np.pi)
+"""A splat's spherical harmonics of order 0, and what they are factors of."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,28 @@ def read_points(path: str | Path) -> PointFile:
     if len(file.points) == 0 or not np.isfinite(file.points).all():
         raise ValueError(f"cannot use {path}: its {len(file.points)} points must be at least one, and finite")
     return file
+
+
+def read_splat_file(path: str | Path) -> PointFile:
+    """Read splats. Raises as `read_points`, and ValueError for a file without them."""
+    file = read_points(path)
+    if file.splats is None:
+        raise ValueError(f"cannot use {path} as points: they are no Gaussian splats with rot_0 to rot_3 and scales")
+    return file
+
+
+def splat_colours(look: np.ndarray | None, count: int) -> tuple[np.ndarray | None, np.ndarray]:
+    """sRGB (n, 3) in [0, 1] of splats seen from everywhere alike, None where their `PointFile.look` does not say, and
+    opacity (n,), 1 where it does not."""
+    names = () if look is None else look.dtype.names
+    colours, opacity = None, np.ones(count)
+    if set(PLAIN_COLOUR) <= set(names):
+        plain = np.stack([look[name] for name in PLAIN_COLOUR], axis=1)
+        colours = np.clip(0.5 + CONSTANT_HARMONIC * plain.astype(np.float64), 0, 1)
+    if "opacity" in names:
+        with np.errstate(over="ignore"):
+            opacity = 1 / (1 + np.exp(-look["opacity"].astype(np.float64)))
+    return colours, opacity
 
 
 def _read_ply(path: Path) -> PointFile:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -20,6 +21,7 @@ from physkin_core.points.splats import Splats, moved_splats
 from physkin_core.runtime.binding import FARTHEST_POINT, bind_points
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.draper import UPRIGHT_GRAVITY, Draper
+from physkin_core.runtime.native_skinner import NativeSkinner
 
 __all__ = ["SplatDraper"]
 
@@ -77,6 +79,19 @@ class SplatDraper:
             return self._splats(cloud)
 
         return step
+
+    def skin(self, node_transforms: np.ndarray) -> Splats:
+        """The splats where garment nodes take them that somebody else computed, as of `Outfit.node_transforms`: (m, 3,
+        4) float32. Raises TypeError or ValueError as `NativeSkinner.skin` does."""
+        cloud = np.empty((self._draper.vertex_count, 6), dtype=np.float32)
+        self._skinner.skin(node_transforms, cloud)
+        return self._splats(cloud)
+
+    @cached_property
+    def _skinner(self) -> NativeSkinner:
+        bound = self._draper.bound
+        fields = bound.vertices, bound.normals, bound.node_rest, bound.influence_nodes, bound.influence_weights
+        return NativeSkinner(*fields)
 
     def _splats(self, cloud: np.ndarray) -> Splats:
         """Of the draped centres and ends of axes (4 n, 6)."""

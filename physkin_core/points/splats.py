@@ -53,6 +53,11 @@ class Splats:
         """(n, 3, 3) float32 the splats' unit axes, as columns."""
         return Rotation.from_quat(self.rotations).as_matrix().astype(np.float32)
 
+    def covariances(self) -> np.ndarray:
+        """(n, 3, 3) float32 [m2]."""
+        columns = self.axes() * self.scales[:, None]
+        return columns @ columns.transpose(0, 2, 1)
+
     def transformed(self, linear: np.ndarray) -> Splats:
         """In another frame and unit: `linear` (3, 3) is a rotation times a scale, without a shift."""
         scale = np.cbrt(np.linalg.det(linear))

@@ -36,6 +36,7 @@ def main(argv: list[str]) -> int:
         motion=motion,
         fit=options.fit,
         separate_limbs=options.separate_limbs,
+        points=options.points,
     )
     for warning in state.warnings:
         print(f"warning: {warning}", file=sys.stderr)
@@ -73,6 +74,9 @@ def command_parser() -> argparse.ArgumentParser:
     add_fit_option(parser)
     add_limbs_option(parser)
     parser.add_argument("--motion", default="walk", help="bundled motion, motion file or none (default %(default)s)")
+    parser.add_argument(
+        "--points", metavar="PLY", help="Gaussian splats where one of the garments lies, drawn in its place"
+    )
     parser.add_argument("--ros", action="store_true", help="show what a running ROS 2 node publishes")
     parser.add_argument(
         "--joint-states",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from physkin_core.view.page import Page
 from physkin_core.view.scene.figures import OutfitFigures
 from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Bands, Colour, own_bands
 from physkin_core.view.scene.scene_state import Frame
+from physkin_core.view.scene.worn_splats import SplatFrame
 from physkin_core.view.surface_node import SurfaceNode
 
 __all__ = ["Drawing", "Switches"]
@@ -24,13 +26,15 @@ NORMAL_COLOUR, NORMAL_LENGTH, MOST_NORMALS = (0.10, 0.10, 0.10), 0.02, 900
 @dataclass
 class Switches:
     """What is drawn beside or over the figure. heat: "strain", "skin" or None. own_colours: of the body, where its file
-    has materials. follow: the world moves, so that the figure stays in the picture."""
+    has materials. splats: in place of the garment that they are of. follow: the world moves, so that the figure stays
+    in the picture."""
 
     nodes: bool = False
     wireframe: bool = False
     normals: bool = False
     heat: str | None = None
     own_colours: bool = True
+    splats: bool = True
     follow: bool = True
 
 
@@ -100,8 +104,26 @@ class Drawing:
         else:
             body.paint(*self._body_paint, frame.body)
         strains = self.figures.strains_of_faces(frame) if heat == "strain" else [None] * len(cloth)
-        for surface, points, strain in zip(cloth, frame.cloth, strains):
-            surface.paint(None if strain is None else STRAIN_BANDS, strain, points[:, :3])
+        splats = frame.splats if self.switches.splats else None
+        for k, (surface, points, strain) in enumerate(zip(cloth, frame.cloth, strains)):
+            if splats is not None and k == splats.garment:
+                surface.remove()
+            else:
+                surface.paint(None if strain is None else STRAIN_BANDS, strain, points[:, :3])
+        self._show_splats(splats, frame.colours[1:])
+
+    def _show_splats(self, shown: SplatFrame | None, colours: Sequence[Colour]) -> None:
+        if shown is None:
+            self._unmark("splats")
+            return
+        centres, covariances = shown.splats.centres, shown.splats.covariances()
+        tints = np.tile(colours[shown.garment], (len(centres), 1)) if shown.colours is None else shown.colours
+        look = tints, shown.opacity[:, None]
+        if "splats" in self._marks:
+            self._marks["splats"].set_gaussians(centres, covariances, *look)
+        else:
+            add = self._scene.add_gaussian_splats
+            self._marks["splats"] = add("/world/figure/splats", centres, covariances, *look)
 
     def _show_plain(self, frame: Frame) -> None:
         if frame.plain and not self._plain:

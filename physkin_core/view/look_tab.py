@@ -19,6 +19,7 @@ class LookTab:
     def __init__(self, page: Page, state: SceneState, drawing: Drawing) -> None:
         self._state, self._drawing = state, drawing
         gui, switches = page.server.gui, drawing.switches
+        splats = [("splats", "splats", "in place of the garment that they are of")] if state.has_splats else []
         self._heat = gui.add_dropdown("heat map", tuple(HEATS))
         self._heat.on_update(page.by_hand(self._change_heat))
         self._legend = gui.add_html("", visible=False)
@@ -27,6 +28,7 @@ class LookTab:
             ("wireframe", "wireframe", "the cloth's triangles"),
             ("normals", "normals", "of some of the cloth's vertices"),
             ("own_colours", "avatar's own colours", "by its file's materials, where it has any"),
+            *splats,
             ("follow", "camera follows", "the figure stays where you look"),
         ):
             box = gui.add_checkbox(label, getattr(switches, name), hint=hint)

@@ -14,7 +14,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker
 
 from physkin_core import Draper, GarmentModel, LimbSeparator, SplatDraper, Splats
-from physkin_core.points.point_files import read_points
+from physkin_core.points.point_files import read_splat_file
 from physkin_core.runtime.rest_look import RestLook
 from physkin_ros.joints.bone_rotation_message import BoneRotationReader
 from physkin_ros.joints.joint_state_wire import JointStateWire
@@ -78,9 +78,7 @@ class GarmentStream:
         if self._splats is not None:
             return self._splats
         path = self.settings.points
-        file = read_points(path)
-        if file.splats is None:
-            raise ValueError(f"cannot use {path} as points: they are no Gaussian splats with rot_0 to rot_3 and scales")
+        file = read_splat_file(path)
         if file.look is not None:
             message = splat_look(file.look, self.frame_id)
             message.header.stamp = self._node.get_clock().now().to_msg()

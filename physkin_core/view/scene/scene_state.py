@@ -23,10 +23,12 @@ from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import chosen_garments
 from physkin_core.picture import BODY_COLOUR, layer_colours
+from physkin_core.points.point_files import read_splat_file
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import plain_skinning
 from physkin_core.view.scene.heat_map import Colour
 from physkin_core.view.scene.motion_player import MotionPlayer, Pose, standing_pose
+from physkin_core.view.scene.worn_splats import SplatFrame, WornSplats
 
 __all__ = ["Frame", "SceneState"]
 
@@ -42,8 +44,8 @@ class Frame:
 
     outfit: what is worn. pose: of the body, with its place in the world. body: (V, 3) float32. cloth: (v, 6) float32 of
     each garment, positions and normals, overwritten by the next frame. plain: (v, 3) of each garment by plain skinning,
-    where asked for. nodes: (m, 3) garment nodes of each garment. microseconds: what draping takes, the median of the
-    last frames.
+    where asked for. nodes: (m, 3) garment nodes of each garment. splats: of one of them, if any. microseconds: what
+    draping takes, the median of the last frames.
     """
 
     outfit: Outfit
@@ -52,6 +54,7 @@ class Frame:
     cloth: tuple[np.ndarray, ...]
     plain: tuple[np.ndarray, ...]
     nodes: tuple[np.ndarray, ...]
+    splats: SplatFrame | None
     colours: tuple[Colour, ...]
     microseconds: float
 
@@ -61,7 +64,8 @@ class SceneState:
 
     garments: names of shipped models or files, from the skin outwards; tucked: those of them whose hem is under the
     next one's waistband. body: an avatar file; rig_file: of one without a skin. motion: as `load_motion` takes it, or
-    None. fit, separate_limbs: as of `Outfit`.
+    None. fit, separate_limbs: as of `Outfit`. points: a file of splats where one of the garments lies; while that is
+    worn, frames have them.
     playing, speed: of the motion; seconds: its time. sway: as of `Outfit`. pose: shown now; posed_by_hand: whether a
     joint was set last. show_plain: compute plain skinning too.
     Raises what loading raises; what is shown is then as it was.
@@ -77,8 +81,11 @@ class SceneState:
         motion: str | Path | None = None,
         fit: float | None = None,
         separate_limbs: bool = False,
+        points: str | Path | None = None,
     ) -> None:
         self._fit = fit
+        self._points = None if points is None else (Path(points), read_splat_file(points))
+        self._splats: WornSplats | None = None
         self._binding, self._lock = Lock(), RLock()
         self._changed = True
         self._player: MotionPlayer | None = None
@@ -126,14 +133,27 @@ class SceneState:
             avatar = self._avatar if known else load_avatar(body, rig, rig_file=rig_file)
             outfit = Outfit(chosen, avatar, fit=self._fit, separate_limbs=separate_limbs)
         player = None if self._player is None else MotionPlayer(self._player.motion, rig, outfit.avatar)
+        splats = self._bound_splats(outfit)
         with self._lock:
             posed = self.outfit is not None and self._rig.joint_names == rig.joint_names
             positions = self.pose.positions if posed else rig.rest
             self.garments, self.tucked = tuple(garments), frozenset(tucked)
             self.body, self.rig_file, self.separate_limbs = body, rig_file, separate_limbs
             self._avatar, self._rig, self._player, self.outfit = avatar, rig, player, outfit
+            self._splats = splats
             self.pose = standing_pose(positions, avatar) if player is None else player.pose(self.seconds)
             self._begin()
+
+    def _bound_splats(self, outfit: Outfit) -> WornSplats | None:
+        """None, too, once the garment that they lie on has been taken off."""
+        if self._points is None:
+            return None
+        try:
+            return WornSplats(*self._points, outfit)
+        except ValueError:
+            if self.outfit is None:
+                raise
+            return None
 
     def _begin(self) -> None:
         """Make what a frame writes to."""
@@ -159,6 +179,11 @@ class SceneState:
             changed = [k for k, (old, new) in enumerate(zip(self.cloth_colours, cloth)) if old != new]
             self._chosen_colours |= {self._files[k]: cloth[k] for k in changed}
             self._changed = True
+
+    @property
+    def has_splats(self) -> bool:
+        """Whether there is a file of splats."""
+        return self._points is not None
 
     @property
     def rig(self) -> Rig:
@@ -259,14 +284,15 @@ class SceneState:
         began = perf_counter()
         outfit.drape(pose.positions, time=self._clock, root=root, outs=self._cloth)
         self._times.append(1e6 * (perf_counter() - began))
-        bones = outfit.bone_transforms(pose.positions)
+        bones, transforms = outfit.bone_transforms(pose.positions), outfit.node_transforms()
         return Frame(
             outfit=outfit,
             pose=pose,
             body=self._avatar.posed_vertices(bones),
             cloth=self._cloth,
             plain=tuple(plain_skinning(bound, bones) for bound in outfit.bounds) if self.show_plain else (),
-            nodes=tuple(transforms[..., 3] for transforms in outfit.node_transforms()),
+            nodes=tuple(each[..., 3] for each in transforms),
+            splats=None if self._splats is None else self._splats.frame(transforms),
             colours=(self.body_colour, *self.cloth_colours),
             microseconds=float(np.median(self._times)),
         )
