@@ -10,7 +10,7 @@ from physkin_core.avatar.gltf_avatar import load_gltf
 from physkin_core.avatar.mesh_avatar import load_mesh
 from physkin_core.rig.rig import Rig, RigError
 
-__all__ = ["BUNDLED_AVATAR", "load_avatar"]
+__all__ = ["BUNDLED_AVATAR", "GLTF_SUFFIXES", "load_avatar"]
 
 BUNDLED_AVATAR = Path(__file__).parents[1] / "assets" / "avatar.glb"
 """A sampled adult as GLB, to try things on."""

@@ -6,18 +6,21 @@ Dimensions: `F` triangles of the file, `f` faces of the avatar.
 from __future__ import annotations
 
 import io
-import warnings
+import logging
 from pathlib import Path
 
 import numpy as np
 
-from physkin_core.avatar.avatar import Avatar, AvatarError, AvatarWarning
+from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.gltf_avatar import primitives
 from physkin_core.avatar.gltf_file import GltfFile
+from physkin_core.avatar.loading import GLTF_SUFFIXES
 from physkin_core.look.surfaces import picture_kind
 from physkin_core.mesh_file import Look, MaterialLibrary, read_mesh
 
 __all__ = ["avatar_look"]
+
+log = logging.getLogger(__name__)
 
 TRANSFORM, WEBP = "KHR_texture_transform", "EXT_texture_webp"
 
@@ -25,22 +28,18 @@ TRANSFORM, WEBP = "KHR_texture_transform", "EXT_texture_webp"
 def avatar_look(avatar: Avatar, faces: np.ndarray | slice = slice(None)) -> Look | None:
     """Materials and texture places of an avatar's faces, or of some; None where its file has no materials.
 
-    Base colours and their pictures are kept; vertex colours and other maps are not. A picture in a format that is not
-    read is left out with an AvatarWarning. faces: (f,) a mask or indices. Raises AvatarError for a file that has
-    become unreadable since the avatar was loaded.
+    Base colours and their pictures are kept; vertex colours and other maps are not. faces: (f,) a mask or indices. A
+    look hinders nobody from draping: what cannot be read, a picture or all of it, is told in the log.
     """
     path = Path(avatar.source)
-    if avatar.file_corners is None:
+    if avatar.file_corners is None or path.suffix.lower() not in (".obj", *GLTF_SUFFIXES):
         return None
-    if not path.is_file():
-        raise AvatarError(f"avatar {path} is no longer there: its materials cannot be read")
-    if path.suffix.lower() == ".obj":
-        look = read_mesh(path).look
-    elif path.suffix.lower() in (".glb", ".gltf", ".vrm"):
-        look = _gltf_look(GltfFile(path))
-    else:
+    try:
+        look = read_mesh(path).look if path.suffix.lower() == ".obj" else _gltf_look(GltfFile(path))
+        return look.of_corners(avatar.file_corners[faces]) if look.materials else None
+    except (AttributeError, IndexError, KeyError, OSError, TypeError, ValueError) as error:
+        log.warning("avatar %s: its materials cannot be read: %s", path, error)
         return None
-    return look.of_corners(avatar.file_corners[faces]) if look.materials else None
 
 
 def _gltf_look(file: GltfFile) -> Look:
@@ -87,10 +86,10 @@ def _add_material(library: MaterialLibrary, file: GltfFile, index: int) -> int:
     name = f"{name}_{index}" if name in library.names else name
     content, used = None, _base_picture(file, index)
     if used is not None:
-        content = _readable(_picture(file, file.document.textures[used.index]))
-        if content is None:
-            told = f"the picture of material {name!r} is neither PNG, JPEG nor WebP: its colour alone is shown"
-            warnings.warn(f"avatar {file.path}: {told}", AvatarWarning, stacklevel=4)
+        try:
+            content = _readable(_picture(file, file.document.textures[used.index]))
+        except AvatarError as error:
+            log.warning("avatar %s: material %r is shown without its picture: %s", file.path, name, error)
     suffix = "jpg" if content is not None and picture_kind(content) == "image/jpeg" else "png"
     return library.add(name, np.clip(colour[:3], 0, 1), content, suffix=suffix)
 
@@ -100,8 +99,8 @@ def _picture(file: GltfFile, texture) -> bytes:
     return b"" if source is None else file.picture(source)
 
 
-def _readable(content: bytes) -> bytes | None:
-    """A picture as PNG or JPEG; None where it cannot be made one."""
+def _readable(content: bytes) -> bytes:
+    """A picture as PNG or JPEG. Raises AvatarError where it cannot be made one."""
     if picture_kind(content) is not None:
         return content
     try:
@@ -109,6 +108,6 @@ def _readable(content: bytes) -> bytes | None:
 
         buffer = io.BytesIO()
         Image.open(io.BytesIO(content)).save(buffer, format="PNG")
-    except (ImportError, OSError):
-        return None
+    except (ImportError, OSError) as error:
+        raise AvatarError("it is neither PNG nor JPEG, nor WebP that pillow reads") from error
     return buffer.getvalue()

@@ -6,6 +6,7 @@ Dimensions: `f` faces, `k` colours.
 from __future__ import annotations
 
 import io
+import logging
 from functools import lru_cache
 
 import numpy as np
@@ -18,6 +19,8 @@ from physkin_core.picture import BODY_COLOUR, PictureError
 
 __all__ = ["avatar_colours", "face_colours", "few_colours"]
 
+log = logging.getLogger(__name__)
+
 SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / [[3], [6], [6], [6]]
 """Where in a triangle a picture is looked at: shares of its corners."""
 LARGEST_PICTURE = 512
@@ -29,14 +32,15 @@ ROUNDS = 20
 def avatar_colours(avatar: Avatar) -> np.ndarray | None:
     """(f, 3) sRGB in [0, 1] of an avatar's faces by its own file; None where that has no materials.
 
-    Raises AvatarError as `avatar_look` does, PictureError where pictures need pillow.
+    Raises PictureError where pictures need pillow.
     """
     look = avatar_look(avatar)
     return None if look is None else face_colours(look, BODY_COLOUR)
 
 
 def face_colours(look: Look, colour: tuple[float, float, float]) -> np.ndarray:
-    """(f, 3) sRGB in [0, 1] of a look's faces. colour: sRGB, of faces without a material."""
+    """(f, 3) sRGB in [0, 1] of a look's faces. colour: sRGB, of faces without a material. A damaged picture is left out
+    and told in the log."""
     found = np.empty((len(look.material), 3))
     for surface in surfaces_of(look, "plain", linear(colour), len(found)):
         found[surface.faces] = surface.colour * _picture_colours(surface, look.uv[surface.faces])
@@ -63,7 +67,11 @@ def _picture_colours(surface: Surface, uv: np.ndarray) -> np.ndarray:
         from PIL import Image
     except ImportError as error:
         raise PictureError("an avatar's pictures need pillow: pip install 'physkin[view]'") from error
-    image = Image.open(io.BytesIO(surface.picture.content)).convert("RGB")
+    try:
+        image = Image.open(io.BytesIO(surface.picture.content)).convert("RGB")
+    except OSError as error:
+        log.warning("picture %s is left out: %s", surface.picture.name, error)
+        return np.ones((len(uv), 3))
     image.thumbnail((LARGEST_PICTURE, LARGEST_PICTURE), Image.Resampling.BOX)
     pixels = (np.asarray(image) / 255.0) ** 2.2
     u, v = np.moveaxis(np.einsum("sc,kcu->ksu", SAMPLES, np.nan_to_num(uv)), 2, 0)

@@ -2,6 +2,7 @@
 
 import base64
 import io
+import re
 import warnings
 
 import numpy as np
@@ -11,8 +12,7 @@ from gltf_person import PERSON, RIG, load_document, person_document
 from PIL import Image
 from random_models import needs_native
 
-from physkin_core import BUNDLED_AVATAR, AvatarError, load_avatar
-from physkin_core.avatar.avatar import AvatarWarning
+from physkin_core import BUNDLED_AVATAR, load_avatar
 from physkin_core.cli import main
 from physkin_core.export.gltf_builder import write_gltf
 from physkin_core.look.avatar_look import avatar_look
@@ -71,7 +71,7 @@ def textured(*, content=None, image=None, legs=True, inside_out=False, textures=
     content = picture() if content is None else content
     view = builder.add_view(np.frombuffer(content, dtype=np.uint8))
     document["images"] = [image or {"bufferView": view, "mimeType": "image/png"}]
-    document["textures"] = textures or [{"source": 0}]
+    document["textures"] = [{"source": 0}] if textures is None else textures
     return builder
 
 
@@ -125,24 +125,39 @@ def test_pictures_are_read_wherever_they_are(tmp_path):
         np.testing.assert_allclose(found, np.tile(np.array(wanted) / 255, (len(found), 1)), atol=0.04)
 
 
-def test_a_picture_that_is_not_read_is_told(tmp_path):
-    """The colour stays."""
-    avatar = load_document(tmp_path, textured(content=b"\xabKTX 20\xbb", legs=False))
-    with pytest.warns(AvatarWarning, match="the picture of material 'body_skin' is neither PNG, JPEG nor WebP"):
-        look = avatar_look(avatar)
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({"content": b"\xabKTX 20\xbb"}, "neither PNG nor JPEG, nor WebP"),
+        ({"image": {"uri": "../skin.png"}}, "image 0 is '../skin.png', outside the avatar's folder"),
+        ({"image": {"uri": "gone.png"}}, "image 0 is 'gone.png', but .* does not exist"),
+        ({"image": {"uri": "https://example.org/skin.png"}}, "image 0 is at https://example.org/skin.png"),
+        ({"image": {"bufferView": 99}}, "buffer view 99, allowed 0 to"),
+    ],
+)
+def test_a_picture_that_cannot_be_read_is_told(tmp_path, caplog, arguments, told):
+    """The avatar's colours stay."""
+    avatar = load_document(tmp_path, textured(**arguments))
+    look = avatar_look(avatar)
+    assert re.search(f"material 'body_skin' is shown without its picture: .*{told}", caplog.text)
     assert "body_skin" in look.materials and sorted(look.files) == [LIBRARY]
 
 
-def test_bad_pictures_are_refused(tmp_path):
-    avatar = load_document(tmp_path, textured(image={"uri": "../skin.png"}))
-    with pytest.raises(AvatarError, match="image 0 is '../skin.png', outside the avatar's folder"):
-        avatar_look(avatar)
-    avatar = load_document(tmp_path, textured(image={"uri": "gone.png"}))
-    with pytest.raises(AvatarError, match="image 0 is 'gone.png', but .* does not exist"):
-        avatar_look(avatar)
+def test_materials_that_cannot_be_read_are_told(tmp_path, caplog):
+    """Draping goes on, in one colour."""
+    avatar = load_document(tmp_path, textured(textures=[]))
+    assert avatar_look(avatar) is None
+    assert "person.glb: its materials cannot be read" in caplog.text
     (tmp_path / "person.glb").unlink()
-    with pytest.raises(AvatarError, match=r"person.glb is no longer there: its materials cannot be read"):
-        avatar_look(avatar)
+    assert avatar_look(avatar) is None
+    assert "No such file" in caplog.text
+
+
+def test_a_damaged_picture_is_told(tmp_path, caplog):
+    avatar = load_document(tmp_path, textured(content=picture()[:60]))
+    colours = avatar_colours(avatar)
+    assert "picture body_skin.png is left out" in caplog.text
+    assert (colours.max(axis=1) > 0.99).any() and np.isfinite(colours).all()
 
 
 def test_bodies_without_materials_have_no_look(tmp_path):
