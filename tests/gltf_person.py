@@ -28,6 +28,17 @@ def person_document(**changes):
     return skinned_document(**arguments)
 
 
+def rig_json(heads, tails, *, weights=True, **extra):
+    """A rig file's content for the person with bones there, with its skinning weights."""
+    parents = [RIG.bone_names[parent] if parent >= 0 else None for parent in RIG.parents]
+    rows = zip(RIG.bone_names, parents, heads.tolist(), tails.tolist())
+    bones = [dict(zip(("name", "parent", "head", "tail"), row)) for row in rows]
+    if weights:
+        extra["influence_bones"] = PERSON.influence_bones.tolist()
+        extra["influence_weights"] = PERSON.influence_weights.tolist()
+    return {"bones": bones, **extra}
+
+
 def load_document(tmp_path, builder, rig=RIG, name="person.glb"):
     write_glb(tmp_path / name, builder)
     return load_avatar(tmp_path / name, rig)

@@ -6,7 +6,7 @@ import logging
 import numpy as np
 import pytest
 import trimesh
-from gltf_person import BODY, PERSON, RIG, dense_weights, distances
+from gltf_person import BODY, PERSON, RIG, dense_weights, distances, rig_json
 
 from physkin_core.avatar import rig_fitting
 from physkin_core.avatar.avatar import AvatarError, AvatarWarning
@@ -34,16 +34,6 @@ def _write_obj(path, vertices, faces, *, textured=False):
     path.write_text("\n".join(lines) + "\n")
 
 
-def _rig_json(heads, tails, *, weights=True, **extra):
-    parents = [RIG.bone_names[parent] if parent >= 0 else None for parent in RIG.parents]
-    rows = zip(RIG.bone_names, parents, heads.tolist(), tails.tolist())
-    bones = [dict(zip(("name", "parent", "head", "tail"), row)) for row in rows]
-    if weights:
-        extra["influence_bones"] = PERSON.influence_bones.tolist()
-        extra["influence_weights"] = PERSON.influence_weights.tolist()
-    return {"bones": bones, **extra}
-
-
 def _write_person(path, rig_data=None, vertices=T_VERTICES + AWAY, **options):
     _write_obj(path, vertices, PERSON.faces, **options)
     if rig_data is not None:
@@ -54,7 +44,7 @@ def _write_person(path, rig_data=None, vertices=T_VERTICES + AWAY, **options):
 @pytest.mark.parametrize("textured", [False, True])
 def test_obj_with_bones_and_weights(tmp_path, textured):
     """A T-posed OBJ with a full rig file is the A-posed person; texture seams and groups keep the vertex order."""
-    path = _write_person(tmp_path / "person.obj", _rig_json(T_HEADS + AWAY, T_TAILS + AWAY), textured=textured)
+    path = _write_person(tmp_path / "person.obj", rig_json(T_HEADS + AWAY, T_TAILS + AWAY), textured=textured)
     avatar = load_avatar(path, RIG)
     distance = distances(avatar.vertices, PERSON.vertices)
     assert distance.mean() < 1.5 and distance.max() < 20
@@ -68,7 +58,7 @@ def test_obj_in_centimetres_with_y_up(tmp_path):
     to_file = 100 * np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])  # root frame -> x left, y up, z forward
     path = _write_person(tmp_path / "person.obj", vertices=T_VERTICES @ to_file.T)
     rig_file = tmp_path / "elsewhere.json"
-    data = _rig_json(T_HEADS @ to_file.T, T_TAILS @ to_file.T, up="Y", forward="Z", scale=0.01)
+    data = rig_json(T_HEADS @ to_file.T, T_TAILS @ to_file.T, up="Y", forward="Z", scale=0.01)
     rig_file.write_text(json.dumps(data))
     avatar = load_avatar(path, RIG, rig_file=rig_file)
     assert distances(avatar.vertices, PERSON.vertices).mean() < 1.5
@@ -77,7 +67,7 @@ def test_obj_in_centimetres_with_y_up(tmp_path):
 
 def test_bones_without_weights(tmp_path):
     """Skinning weights come from the template body, in the mesh's own pose; the warning says so."""
-    path = _write_person(tmp_path / "person.obj", _rig_json(T_HEADS + AWAY, T_TAILS + AWAY, weights=False))
+    path = _write_person(tmp_path / "person.obj", rig_json(T_HEADS + AWAY, T_TAILS + AWAY, weights=False))
     avatar = load_avatar(path, RIG)
     distance = distances(avatar.vertices, PERSON.vertices)
     assert distance.mean() < 3
@@ -90,7 +80,7 @@ def test_bones_without_weights(tmp_path):
 def test_ply_and_stl(tmp_path, suffix):
     """Both formats read like the OBJ; the triangle soup of an STL is welded again."""
     trimesh.Trimesh(PERSON.vertices, PERSON.faces, process=False).export(tmp_path / f"person{suffix}")
-    data = _rig_json(PERSON.bone_heads, PERSON.bone_tails, weights=False)
+    data = rig_json(PERSON.bone_heads, PERSON.bone_tails, weights=False)
     (tmp_path / "person.rig.json").write_text(json.dumps(data))
     avatar = load_avatar(tmp_path / f"person{suffix}", RIG)
     assert len(avatar.vertices) == len(PERSON.vertices) and len(avatar.faces) == len(PERSON.faces)
@@ -144,7 +134,7 @@ def test_what_a_mesh_without_weights_needs(tmp_path):
     ends = np.array([[0, 0, 0], [0, 0, 0.5], [0, 0, 1]])
     with pytest.raises(AvatarError, match=r"differs from its own \(base, arm\)"):
         load_avatar(path, Rig(("base", "arm"), np.array([-1, 0]), ends[:2], ends[1:], ()))
-    hoofed = _rig_json(T_HEADS + AWAY, T_TAILS + AWAY, weights=False)
+    hoofed = rig_json(T_HEADS + AWAY, T_TAILS + AWAY, weights=False)
     hoofed["bones"][RIG.bone_index("foot.R")]["name"] = "hoof"
     lacking = r"no joint for 1 of the 12 rig bones it must have: foot.R\. Joints found: root"
     cases = [(None, "no such file"), ("{", "is not JSON"), ("[]", "not an object"), (json.dumps(hoofed), lacking)]
@@ -197,7 +187,7 @@ def test_truncated_binary_meshes(tmp_path, suffix):
 def test_units(tmp_path, factor, unit):
     """A rig file that does not say the unit: it is guessed from the size, and a warning says so."""
     heads, tails = factor * (T_HEADS + AWAY), factor * (T_TAILS + AWAY)
-    path = _write_person(tmp_path / "person.obj", _rig_json(heads, tails), vertices=factor * (T_VERTICES + AWAY))
+    path = _write_person(tmp_path / "person.obj", rig_json(heads, tails), vertices=factor * (T_VERTICES + AWAY))
     avatar = load_avatar(path, RIG)
     assert distances(avatar.vertices, PERSON.vertices).mean() < 1.5
     assert distances(avatar.bone_heads, PERSON.bone_heads).max() < 0.1
@@ -221,7 +211,7 @@ def test_a_stated_scale_is_not_guessed_again(tmp_path):
 
 def test_bones_that_lie_elsewhere(tmp_path):
     """Bones in another unit than the mesh are noticed, and both sizes named."""
-    path = _write_person(tmp_path / "person.obj", _rig_json(100 * T_HEADS, 100 * T_TAILS), vertices=T_VERTICES)
+    path = _write_person(tmp_path / "person.obj", rig_json(100 * T_HEADS, 100 * T_TAILS), vertices=T_VERTICES)
     with pytest.raises(AvatarError, match=r"does not fit .*3\d of 36 bones lie outside of the mesh. Bones span \["):
         load_avatar(path, RIG)
 
@@ -271,6 +261,6 @@ def test_obj_in_inches_with_y_up_and_hair(tmp_path):
 )
 def test_bad_rig_files(tmp_path, change, message):
     """Each bad entry of a rig file is named."""
-    path = _write_person(tmp_path / "person.obj", {**_rig_json(T_HEADS, T_TAILS, weights=False), **change})
+    path = _write_person(tmp_path / "person.obj", {**rig_json(T_HEADS, T_TAILS, weights=False), **change})
     with pytest.raises(AvatarError, match=message):
         load_avatar(path, RIG)
