@@ -1,11 +1,17 @@
 """Draw `docs/scores.svg` from the scores that the shipped models' files hold: python docs/draw_scores.py
 
+Or from what `physkin evaluate --json` wrote, a file a garment: python docs/draw_scores.py mine.json yours.json -o x.svg
 Needs the extra `[view]`.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from itertools import cycle
+from pathlib import Path
 
 import matplotlib
 import matplotlib.pyplot as plt
@@ -27,11 +33,11 @@ COLOURS = {"plain skinning": "#c9cdd2", "one size": "#7fb0cf", "made to measure"
 CLIP_COLOURS = ("#286b94", "#7fb0cf", "#e0a458", "#b5483a", "#6b8f5e")
 
 
-def by_kind(everyday_or_any: str, figure: str) -> list[dict[str, float]]:
-    """A figure of each garment by kind of drape. everyday_or_any: "motion", or "" for any pose."""
+def by_kind(garments: Mapping[str, Mapping], everyday_or_any: str, figure: str) -> list[dict[str, float]]:
+    """A figure of each garment by kind of drape. garments: scores by name. everyday_or_any: "motion", or "" for any
+    pose."""
     found = []
-    for name in GARMENTS:
-        scores = load_garment_model(name).scores
+    for scores in garments.values():
         one_size, measured = scores, scores["made_to_measure"]
         if everyday_or_any:
             one_size, measured = one_size[everyday_or_any], measured[everyday_or_any]
@@ -40,22 +46,29 @@ def by_kind(everyday_or_any: str, figure: str) -> list[dict[str, float]]:
     return found
 
 
-def by_clip(name: str) -> dict[str, float]:
+def by_clip(scores: Mapping) -> dict[str, float]:
     """Mean edge strain [%] of a garment at three places of each everyday clip, made to measure."""
     places = defaultdict(list)
-    for place, scored in load_garment_model(name).scores["made_to_measure"]["motion"]["clips"].items():
+    for place, scored in scores["made_to_measure"]["motion"]["clips"].items():
         places[place.split("@")[0]].append(scored["model"]["edge_strain_percent"])
     return {clip: float(np.mean(values)) for clip, values in places.items()}
 
 
-def bars(axes: Axes, title: str, unit: str, by_garment: list[dict[str, float]], colours: dict[str, str]) -> None:
+def bars(
+    axes: Axes,
+    title: str,
+    unit: str,
+    names: Sequence[str],
+    by_garment: list[dict[str, float]],
+    colours: dict[str, str],
+) -> None:
     """A group of bars a garment."""
     width = 0.8 / len(colours)
     for k, (kind, colour) in enumerate(colours.items()):
         places = np.arange(len(by_garment)) + (k - (len(colours) - 1) / 2) * width
         axes.bar(places, [each[kind] for each in by_garment], 0.9 * width, color=colour, label=kind)
     axes.set_title(title, fontsize=11)
-    axes.set_xticks(range(len(by_garment)), GARMENTS.values())
+    axes.set_xticks(range(len(by_garment)), names)
     axes.tick_params(length=0)
     axes.set_ylabel(unit)
     axes.spines[["top", "right"]].set_visible(False)
@@ -67,15 +80,24 @@ def bars(axes: Axes, title: str, unit: str, by_garment: list[dict[str, float]], 
 
 def main() -> None:
     """Write the plot."""
+    parser = argparse.ArgumentParser(description=__doc__.split(":")[0])
+    parser.add_argument("scores", nargs="*", type=Path, help="files of evaluate --json (default: the shipped garments)")
+    parser.add_argument("-o", "--output", type=Path, default=PLOT)
+    options = parser.parse_args()
+    garments = {path.stem: json.loads(path.read_text()) for path in options.scores}
+    garments = garments or {label: load_garment_model(name).scores for name, label in GARMENTS.items()}
     matplotlib.rcParams |= {"svg.hashsalt": "scores", "font.size": 9, "font.family": "sans-serif"}
     figure, axes = plt.subplots(3, 1, figsize=(7.5, 8.4), layout="constrained")
-    strain = "change of edge lengths, %"
-    bars(axes[0], "every joint anywhere in its range", strain, by_kind("", "edge_strain_percent"), COLOURS)
-    bars(axes[1], "everyday motion", "inside the body, %", by_kind("motion", "inside_percent"), COLOURS)
-    clips = [by_clip(name) for name in GARMENTS]
-    bars(axes[2], "everyday motion by clip, made to measure", strain, clips, dict(zip(clips[0], CLIP_COLOURS)))
-    figure.savefig(PLOT, metadata={"Date": None})
-    print(f"wrote {PLOT}")
+    strain, names = "change of edge lengths, %", list(garments)
+    any_pose = by_kind(garments, "", "edge_strain_percent")
+    bars(axes[0], "every joint anywhere in its range", strain, names, any_pose, COLOURS)
+    inside = by_kind(garments, "motion", "inside_percent")
+    bars(axes[1], "everyday motion", "inside the body, %", names, inside, COLOURS)
+    clips = [by_clip(scores) for scores in garments.values()]
+    colours = dict(zip(clips[0], cycle(CLIP_COLOURS)))
+    bars(axes[2], "everyday motion by clip, made to measure", strain, names, clips, colours)
+    figure.savefig(options.output, metadata={"Date": None})
+    print(f"wrote {options.output}")
 
 
 if __name__ == "__main__":
