@@ -68,8 +68,8 @@ def main(argv: list[str]) -> int:
     outfit.sway = options.sway
     for warning in outfit.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    body_look = avatar_look(outfit.avatar, ~outfit.body_mask)
-    WRITERS[kind](options.output, outfit, motion, looks=garment_looks(options.look, outfit), body_look=body_look)
+    looks = [avatar_look(outfit.avatar, ~outfit.body_mask), *garment_looks(options.look, outfit)]
+    WRITERS[kind](options.output, outfit, motion, looks=looks)
     size = options.output.stat().st_size / 1e6
     print(f"wrote {options.output}: {motion.frame_count} frames at {motion.rate_hz:g} Hz, {size:.1f} MB")
     return 0

@@ -29,18 +29,13 @@ __all__ = ["write_gltf_motion"]
 
 
 def write_gltf_motion(
-    path: Path,
-    outfit: Outfit,
-    motion: Motion,
-    *,
-    looks: Sequence[Look | None] | None = None,
-    body_look: Look | None = None,
+    path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None] | None = None
 ) -> None:
     """Write avatar and garments in motion as one .glb, the root where the motion has it.
 
     outfit: of models `for_engines`; vertices that it hides are left out. Order between layers and tucks move vertices,
-    not garment nodes, and are not in the file. looks: of each garment, as of `garment_looks`; default a colour each.
-    body_look: of the body's faces that are shown, as of `avatar_look`. Raises OSError when it cannot be written.
+    not garment nodes, and are not in the file. looks: of the body's faces that are shown, as of `avatar_look`, and
+    of each garment, as of `garment_looks`; default a colour each. Raises OSError when it cannot be written.
     """
     rig, drapers = outfit.models[0].rig, outfit.drapers
     bones, nodes = [], [[] for _ in drapers]
@@ -51,12 +46,12 @@ def write_gltf_motion(
         for draper, transforms in zip(drapers, nodes):
             draper.drape(positions, time=time, root=root_now)
             transforms.append(draper.node_transforms())
+    looks = looks or [None] * (1 + len(drapers))
     scene = _Scene(motion.times)
     root = scene.add_root(translation=motion.root_position[:, None], rotation=motion.root_orientation[:, None])
-    scene.add_avatar(outfit.avatar, rig, np.array(bones), outfit.body_mask, root, body_look)
+    scene.add_avatar(outfit.avatar, rig, np.array(bones), outfit.body_mask, root, looks[0])
     colours = layer_colours(len(drapers))
-    looks = looks or [None] * len(drapers)
-    for model, bound, transforms, colour, look in zip(outfit.models, outfit.bounds, nodes, colours, looks):
+    for model, bound, transforms, colour, look in zip(outfit.models, outfit.bounds, nodes, colours, looks[1:]):
         scene.add_garment(model.name, bound, np.array(transforms), root, colour, look)
     write_glb(path, scene.finished())
 

@@ -21,19 +21,12 @@ if TYPE_CHECKING:
 __all__ = ["write_usd_motion"]
 
 
-def write_usd_motion(
-    path: Path,
-    outfit: Outfit,
-    motion: Motion,
-    *,
-    looks: Sequence[Look | None] | None = None,
-    body_look: Look | None = None,
-) -> None:
+def write_usd_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None] | None = None) -> None:
     """Write avatar and garments in motion as .usd, .usda or .usdc: meshes under a moving root, metres, Z up, with all
     points at each frame.
 
-    looks: of each garment, as of `garment_looks`; default a colour each. body_look: of the body's faces that are shown,
-    as of `avatar_look`. Their pictures are written into a folder beside the file, `walk_pictures` for `walk.usdc`.
+    looks: of the body's faces that are shown, as of `avatar_look`, and of each garment, as of `garment_looks`; default
+    a colour each. Their pictures are written into a folder beside the file, `walk_pictures` for `walk.usdc`.
     Raises ModuleNotFoundError without usd-core, OSError when it cannot be written.
     """
     from pxr import Gf, Usd, UsdGeom
@@ -53,7 +46,7 @@ def write_usd_motion(
     names = _as_identifiers(["body", *(model.name for model in outfit.models)])
     faces = [outfit.avatar.faces[~outfit.body_mask], *outfit.faces]
     meshes = []
-    looks = [body_look, *(looks or [None] * len(outfit.models))]
+    looks = looks or [None] * (1 + len(outfit.models))
     for name, triangles, colour, look in zip(names, faces, colours, looks):
         mesh = UsdGeom.Mesh.Define(stage, f"/avatar/{name}")
         mesh.CreateFaceVertexCountsAttr(np.full(len(triangles), 3, dtype=np.int32))
