@@ -1,6 +1,6 @@
 import torch
 
-from physkin_training.train.steadiness import SLACK, Steadiness
+from physkin_training.train.steadiness import REACH, SLACK, Steadiness
 
 STIFFNESS = 50.0
 
@@ -48,6 +48,18 @@ def test_nodes_that_jump_cost_energy_where_they_jump_and_nowhere_else():
     assert drape.jump.grad > 0
     assert penalty(drape, 0.9) == 0 and penalty(drape, -0.9) == 0
     assert penalty(Drape(0.9 * SLACK), 0.0) == 0
+
+
+def test_nodes_that_stay_and_turn_cost_energy_for_the_cloth_beside_them():
+    """A node that shrinks along one axis: the point there jumps, one of four."""
+
+    class Shrinking(Drape):
+        def draped_nodes(self, modulation, positions, gravity, posed_nodes):
+            along = torch.tensor([1.0, 0.0, 0.0, 0.0]) * torch.eye(3)[:1].T
+            return posed_nodes - self.jump * (positions[:, :1] > 0).float()[:, :, None, None] * along
+
+    there = float(penalty(Shrinking(0.8), 0.0))
+    torch.testing.assert_close(there, 0.5 * STIFFNESS * (0.8 * REACH - SLACK) ** 2 / 4, rtol=0.15, atol=0)
 
 
 def test_what_a_bone_moves_is_free():

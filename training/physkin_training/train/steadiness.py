@@ -16,11 +16,14 @@ __all__ = ["Steadiness"]
 BESIDE = 0.03
 """Standard deviation [rad] of every joint between a pose and the one beside it, about a frame of fast motion."""
 SLACK = 0.015
-"""How much more [m] than its bone a garment node may move between the two at no cost."""
+"""How much more [m] than its bone a garment node, or cloth beside it, may move between the two at no cost."""
+REACH = 0.1
+"""How far [m] beside a garment node cloth that it carries lies: that jumps where the node's linear part does."""
 
 
 class Steadiness:
-    """Compares drapes of poses with drapes of poses drawn beside them. stiffness [J/m2]: of a node's excess motion."""
+    """Compares drapes of poses with drapes of poses drawn beside them. stiffness [J/m2]: of the mean excess motion of a
+    garment node and of three points beside it, one along each of its axes."""
 
     def __init__(self, drape: Drape, posed_bodies: PosedBodies, stiffness: float) -> None:
         self._drape, self._posed_bodies, self._stiffness = drape, posed_bodies, stiffness
@@ -47,9 +50,15 @@ class Steadiness:
             carried = _moved(posed_nodes, posed_beside)
         nodes_beside = self._drape.draped_nodes(modulation, beside, gravity, posed_beside)
         excess = (_moved(nodes, nodes_beside) - carried - SLACK).clamp_min(0.0)
-        return self._stiffness * excess.square().sum(dim=1).mean()
+        return self._stiffness * excess.square().mean(dim=2).sum(dim=1).mean()
 
 
 def _moved(nodes: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
-    """Distances (B, m) [m] between garment nodes (B, m, 3, 4)."""
-    return torch.linalg.vector_norm(nodes[..., 3] - others[..., 3], dim=-1)
+    """Distances (B, m, 4) [m] between garment nodes (B, m, 3, 4), and between the points that they carry beside them."""
+    return torch.linalg.vector_norm(_points(nodes) - _points(others), dim=-1)
+
+
+def _points(nodes: torch.Tensor) -> torch.Tensor:
+    """Garment nodes (B, m, 3, 4) as points (B, m, 4, 3): where they are, and what they carry `REACH` along each axis."""
+    origin, axes = nodes[..., 3][..., None, :], nodes[..., :3].mT
+    return torch.cat([origin, origin + REACH * axes], dim=-2)
