@@ -104,8 +104,10 @@ class BoundEvaluator {
 
   void evaluate(const AnyArray& joint_positions, const AnyArray& gravity, const OutputArray& out) {
     read_vector(joint_positions, "joint_positions", evaluator_.dofs(), joint_positions_.data());
-    read_vector(gravity, "gravity", 3, gravity_);
-    raise_if(evaluator_.step(joint_positions_.data(), gravity_, vertex_rows(out, evaluator_.vertex_count())));
+    const int size = gravity_size(gravity);
+    read_vector(gravity, "gravity", size, gravity_);
+    const float twist = size > 3 ? gravity_[3] : 0.0f;
+    raise_if(evaluator_.step(joint_positions_.data(), gravity_, vertex_rows(out, evaluator_.vertex_count()), twist));
   }
 
   void skin(const TransformArray& node_transforms, const OutputArray& out) {
@@ -119,7 +121,7 @@ class BoundEvaluator {
  private:
   Evaluator evaluator_;
   std::vector<float> joint_positions_;
-  float gravity_[3] = {};
+  float gravity_[4] = {};
 };
 
 // A frame whose arrays were checked once: a call converts and allocates nothing. Keeps evaluator and arrays alive.
@@ -135,10 +137,13 @@ class BoundStep {
         out_(std::move(out)),
         rows_(vertex_rows(out_, evaluator_.vertex_count())) {
     check_shape(joint_positions_, "joint_positions", {evaluator_.dofs()});
-    check_shape(gravity_, "gravity", {3});
+    check_shape(gravity_, "gravity", {gravity_size(gravity_)});
   }
 
-  void step() { raise_if(evaluator_.step(joint_positions_.data(), gravity_.data(), rows_)); }
+  void step() {
+    const float twist = gravity_size(gravity_) > 3 ? gravity_.data()[3] : 0.0f;
+    raise_if(evaluator_.step(joint_positions_.data(), gravity_.data(), rows_, twist));
+  }
   void pose() { evaluator_.pose(joint_positions_.data(), gravity_.data()); }
   void run_networks() { evaluator_.run_networks(); }
   void compose_nodes() { evaluator_.compose_nodes(evaluator_.corrections()); }

@@ -17,7 +17,7 @@ class BoundOutfit {
               const std::string& normals)
       : outfit_(evaluator_of<OutfitEvaluator>(garments, instruction_set, precision, normals)),
         joint_positions_(std::size_t(outfit_[0].dofs())),
-        gravity_(3 * std::size_t(outfit_.count())) {
+        gravity_(4 * std::size_t(outfit_.count())) {
     PythonReader reader;
     for (nb::handle order : orders) {
       LayerOrderData data = read_layer_order(reader.fields_of(order));
@@ -30,12 +30,13 @@ class BoundOutfit {
   void evaluate(const AnyArray& joint_positions, const AnyArray& gravity, const std::vector<OutputArray>& outs) {
     read_vector(joint_positions, "joint_positions", outfit_[0].dofs(), joint_positions_.data());
     const bool each = gravity.ndim() != 1;
+    const int size = gravity_size(gravity);
     if (each) {
-      read_array(gravity, "gravity", {outfit_.count(), 3}, gravity_.data());
+      read_array(gravity, "gravity", {outfit_.count(), size}, gravity_.data());
     } else {
-      read_vector(gravity, "gravity", 3, gravity_.data());
+      read_vector(gravity, "gravity", size, gravity_.data());
     }
-    step(joint_positions_.data(), {gravity_.data(), each}, rows_of(outs));
+    step(joint_positions_.data(), {gravity_.data(), each, size}, rows_of(outs));
   }
 
   void step(const float* joint_positions, const Gravities& gravity, const std::vector<VertexRows>& rows) {
@@ -90,13 +91,15 @@ class BoundOutfitStep {
         rows_(bound_.rows_of(outs_)) {
     check_shape(joint_positions_, "joint_positions", {bound_.outfit()[0].dofs()});
     if (gravity_.ndim() == 1) {
-      check_shape(gravity_, "gravity", {3});
+      check_shape(gravity_, "gravity", {gravity_size(gravity_)});
     } else {
-      check_shape(gravity_, "gravity", {bound_.outfit().count(), 3});
+      check_shape(gravity_, "gravity", {bound_.outfit().count(), gravity_size(gravity_)});
     }
   }
 
-  void step() { bound_.step(joint_positions_.data(), {gravity_.data(), gravity_.ndim() != 1}, rows_); }
+  void step() {
+    bound_.step(joint_positions_.data(), {gravity_.data(), gravity_.ndim() != 1, gravity_size(gravity_)}, rows_);
+  }
   void skin() { bound_.outfit().skin(rows_.data()); }
   void keep() {
     if (rows_[0].with_normals) bound_.outfit().keep(rows_.data());

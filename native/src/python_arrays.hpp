@@ -149,6 +149,12 @@ inline void read_vector(const AnyArray& array, const char* name, int count, floa
   read_array(array, name, {count}, target);
 }
 
+// Numbers of one gravity: 4, with the twist behind it, or 3.
+template <class Array>
+int gravity_size(const Array& gravity) {
+  return gravity.ndim() > 0 && gravity.shape(gravity.ndim() - 1) == 4 ? 4 : 3;
+}
+
 inline VertexRows vertex_rows(const OutputArray& out, int vertex_count) {
   const std::size_t columns = out.shape(1);
   if (out.shape(0) != std::size_t(vertex_count) || (columns != 3 && columns != 6)) {

@@ -11,7 +11,7 @@ using namespace nb::literals;
 namespace physkin {
 namespace {
 
-using Vector = nb::ndarray<double, nb::shape<3>, nb::c_contig, nb::device::cpu>;
+using Found = nb::ndarray<double, nb::shape<4>, nb::c_contig, nb::device::cpu>;
 using Given = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 }  // namespace
@@ -21,14 +21,14 @@ void bind_sway(nb::module_& module) {
       .def(
           "__init__",
           [](Pendulum* self, double frequency, double damping, double gain, double lift_frequency, double lift_gain,
-             double air_drag) {
-            new (self) Pendulum({frequency, damping, gain, lift_frequency, lift_gain, air_drag});
+             double twist_damping, double air_drag) {
+            new (self) Pendulum({frequency, damping, gain, lift_frequency, lift_gain, twist_damping, air_drag});
           },
-          "frequency"_a, "damping"_a, "gain"_a, "lift_frequency"_a, "lift_gain"_a, "air_drag"_a)
+          "frequency"_a, "damping"_a, "gain"_a, "lift_frequency"_a, "lift_gain"_a, "twist_damping"_a, "air_drag"_a)
       .def("reset", &Pendulum::reset)
       .def(
           "felt",
-          [](Pendulum& self, double time, const Given& root, double amount, const Vector& out) {
+          [](Pendulum& self, double time, const Given& root, double amount, const Found& out) {
             if (root.shape(0) != 7) throw nb::value_error("root must be 7 numbers: x, y, z and a quaternion x, y, z, w");
             if (const char* wrong = self.felt(time, root.data(), amount, out.data())) throw nb::value_error(wrong);
           },

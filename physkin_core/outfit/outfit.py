@@ -87,7 +87,7 @@ class Outfit:
             self.hidden, body_hidden = tuple(np.zeros_like(mask) for mask in self.hidden), np.zeros_like(body_hidden)
         self.body_mask = faces_of(avatar.faces, body_hidden)
         self.visible, self.faces = _given(layers, self.hidden if hide else [np.zeros_like(m) for m in self.hidden])
-        self.bounds = tuple(_among(layer.bound, *given) for layer, *given in zip(layers, self.visible, self.faces))
+        self.bounds = tuple(_among(layer, *given) for layer, *given in zip(layers, self.visible, self.faces))
         self.orders = _orders(layers, self.visible, self.faces, cloth, tucks)
         kinds = {"native": partial(NativeOutfitEvaluator, precision=precision), "numpy": ReferenceOutfitEvaluator}
         self._new_evaluator = partial(kinds[backend], self.bounds, self.orders, normals=normals)
@@ -187,13 +187,16 @@ class Outfit:
         row k of a garment is its vertex `visible[garment][k]`.
         Raises ValueError as `Draper.drape` does. Order is kept from one frame to the next: give frames in their order.
         """
-        felt = [(gravity, effective_gravity)] * len(self._drapers)
+        felt = [(gravity, effective_gravity, 0.0)] * len(self._drapers)
         if time is not None or root is not None:
             felt = self._swaying(time, root, effective_gravity)
-        poses = [draper.checked_pose(joint_positions, *each) for draper, each in zip(self._drapers, felt)]
+        poses = [draper.checked_pose(joint_positions, *each) for draper, (*each, _) in zip(self._drapers, felt)]
         positions, down = poses[-1]
+        *_, twist = felt[-1]
         if isinstance(self.sway, tuple):
-            down = np.stack([each for _, each in poses])
+            down = np.stack([[*each, twist] for (_, each), (*_, twist) in zip(poses, felt)]).astype(np.float32)
+        elif twist:
+            down = np.array([*down, twist], dtype=np.float32)
         if self._limb_separator is not None:
             positions, _ = self._limb_separator.separate(positions, out=self._separated)
         if outs is None:
@@ -202,7 +205,7 @@ class Outfit:
         return list(outs)
 
     def _swaying(self, time: float | None, root: np.ndarray | None, given: np.ndarray | None) -> list[tuple]:
-        """Gravity and effective gravity of each garment, as `Sway.gravity` tells them."""
+        """Gravity, effective gravity and twist of each garment, as `Sway.gravity` tells them."""
         tell = partial(
             self._sway.gravity, time, root, given, accelerated=all(model.accelerated for model in self.models)
         )
@@ -321,8 +324,11 @@ def _given(layers: Sequence[Layer], hidden: Sequence[np.ndarray]):
     return tuple(visible), tuple(np.searchsorted(v, faces).astype(np.int32) for v, faces in zip(visible, shown))
 
 
-def _among(bound: BoundGarment, vertices: np.ndarray, faces: np.ndarray) -> BoundGarment:
-    """A bound garment of which only some vertices (v,) are computed."""
+def _among(layer: Layer, vertices: np.ndarray, faces: np.ndarray) -> BoundGarment:
+    """A layer's bound garment, of which only some vertices (v,) are computed. What is tucked in does not twist."""
+    bound = layer.bound
+    if layer.garment.tucked:
+        bound = replace(bound, node_twist=np.empty(0, dtype=np.float32))
     fields = ("vertices", "normals", "influence_nodes", "influence_weights")
     return replace(
         bound, faces=faces, **{name: np.ascontiguousarray(getattr(bound, name)[vertices]) for name in fields}

@@ -51,7 +51,8 @@ class NativeOutfitEvaluator:
         return self._outfit.precision
 
     def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, outs: Sequence[np.ndarray]) -> None:
-        """Compute one frame. joint_positions: (d,) [rad]. gravity: (3,), or (layers, 3), one each. outs: one a layer,
+        """Compute one frame. joint_positions: (d,) [rad]. gravity: (3,), or (layers, 3), one each, or with a fourth
+        number each, the twist, as of `NativeEvaluator`. outs: one a layer,
         writable float32, all (n, 6) for x, y, z [m] and normals, or all (n, 3); any row stride.
 
         Raises TypeError for another dtype; ValueError for a wrong shape or where a value is not finite (nothing is
@@ -110,12 +111,13 @@ class ReferenceOutfitEvaluator:
         if len(outs) != len(self._bounds):
             raise ValueError(f"out has {len(outs)} arrays; expected one for each of {len(self._bounds)} garments")
         layers = [np.empty((len(bound.vertices), 6), dtype=np.float32) for bound in self._bounds]
-        if np.shape(gravity) not in ((3,), (len(layers), 3)):
+        shape, size = np.shape(gravity), np.shape(gravity)[-1:]
+        if shape not in (size, (len(layers), *size)) or size not in ((3,), (4,)):
             raise ValueError(f"gravity must have shape (3,) or {(len(layers), 3)}, got {np.shape(gravity)}")
-        gravities = np.broadcast_to(gravity, (len(layers), 3))
+        gravities = np.broadcast_to(gravity, (len(layers), *size))
         for evaluator, down, layer in zip(self._evaluators, gravities, layers):
             evaluator.evaluate(joint_positions, down, layer)
-        pose = np.concatenate([joint_positions, gravities.ravel()]).astype(np.float32)
+        pose = np.concatenate([joint_positions, gravities[:, :3].ravel()]).astype(np.float32)
         jumps = self._last_pose is None or not np.abs(pose - self._last_pose).max() < JUMP
         self._last_pose = pose
         for k in range(len(layers)):

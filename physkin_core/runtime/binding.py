@@ -29,6 +29,7 @@ from physkin_core.runtime.evaluator import make_evaluator
 from physkin_core.runtime.layers_beneath import LayerBeneath
 from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
 from physkin_core.runtime.worn_garment import wear
+from physkin_core.sway.node_twist import node_twist
 
 __all__ = ["FARTHEST_POINT", "bind_garment", "bind_points", "encode_body", "rest_normals"]
 
@@ -114,6 +115,7 @@ def bind_garment(
         deformer_layers=_float_layers([(folded_weight, first_bias), *rest]),
         node_bone=np.ascontiguousarray(model.node_bone, dtype=np.int32),
         node_positions=_float(worn.node_positions),
+        node_twist=node_twist(model.garment, rig, model.node_rest, model.node_bone),
         node_rest=_float(worn.node_rest),
         vertices=_float(worn.garment.vertices),
         normals=rest_normals(model, worn.garment.vertices),

@@ -36,6 +36,8 @@ class BoundGarment(SkinningData):
         hidden layer k is activation((1 + scale_k) * (W x + bias) + shift_k), the last layer is linear.
     node_bone: (m,) int32, the bone each garment node follows.
     node_positions: (m, 3) garment nodes at the canonical pose of this body.
+    node_twist: (m,) how far each garment node goes along where cloth twists about the root's vertical, 0 to 1; (0,)
+        of a garment that does not twist.
     activation: "silu" or "relu".
     pose_modulation: (s,) the body's modulation of the pose modulator, [scale_0, shift_0, scale_1, ...] over its hidden
         layers, where it is not folded into pose_layers; else empty. Bodies of one garment model then share pose_layers.
@@ -56,6 +58,7 @@ class BoundGarment(SkinningData):
     node_positions: np.ndarray
     activation: str = "silu"
     pose_modulation: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+    node_twist: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     faces: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.int32))
 
 

@@ -173,10 +173,13 @@ class Draper:
         Returns `out`: x, y, z [m], then the unit normal.
         Raises ValueError on wrong lengths, unknown joints or values that are not finite, naming the joint.
         """
+        twist = 0.0
         if time is not None or root is not None:
             known = self.model.accelerated
-            gravity, effective_gravity = self._sway.gravity(time, root, effective_gravity, accelerated=known)
+            gravity, effective_gravity, twist = self._sway.gravity(time, root, effective_gravity, accelerated=known)
         positions, down = self.checked_pose(joint_positions, gravity, effective_gravity)
+        if twist:
+            down = np.array([*down, twist], dtype=np.float32)
         if out is None:
             out = np.empty((self.vertex_count, 6), dtype=np.float32)
         self._evaluator.evaluate(positions, down, out)
@@ -249,7 +252,8 @@ class Draper:
         """A frame bound to its arrays: `step()` drapes what they hold now into `out`, with nothing to convert.
 
         joint_positions: (d,) [rad] and gravity: (3,) unit direction, or, for models that have learnt it, effective
-        gravity `in_units_of_gravity`; C-contiguous float32, to be changed in place. out: as for `drape`.
+        gravity `in_units_of_gravity`; or (4,), with the twist of `Sway` behind it. C-contiguous float32, to be changed
+        in place. out: as for `drape`.
         Raises TypeError or ValueError for other arrays; `step()` raises ValueError when a value or what the networks
         make of it is not finite (`out` is then unchanged).
         """

@@ -16,6 +16,7 @@ from physkin_core.model.pose_modulator import pose_modulation
 from physkin_core.model.skinning import NORMALS, skin
 from physkin_core.rig.rig import forward_kinematics, pose_vector
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.sway.node_twist import twisted
 
 __all__ = ["ReferenceEvaluator"]
 
@@ -49,14 +50,15 @@ class ReferenceEvaluator:
     def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> None:
         """Write the garment for one pose.
 
-        joint_positions: (d,) [rad]. gravity: (3,) unit, root frame. out: (n, 3) or (n, 6) float32, any row stride.
+        joint_positions: (d,) [rad]. gravity: (3,) unit, root frame; or (4,), with the twist [rad] of cloth round both
+        legs behind it. out: (n, 3) or (n, 6) float32, any row stride.
         Raises what the native evaluator raises: TypeError when an array has another dtype or `out` is not a writable
         2-D one; ValueError when a shape is wrong, rows of `out` overlap or are not contiguous, or an input or what the
         networks make of it is not finite. Nothing is written then.
         """
         bound = self._bound
         _check_input("joint_positions", joint_positions, len(bound.dof_bone))
-        _check_input("gravity", gravity, 3)
+        gravity, twist = _split(gravity)
         _check_out(out, len(bound.vertices))
         q = joint_positions.astype(np.float64)
         heads = bound.bone_heads.astype(np.float64)
@@ -69,6 +71,8 @@ class ReferenceEvaluator:
         _check_result("node deformer output", raw)
         posed = pose_nodes(bones, bound.node_bone, bound.node_positions)
         nodes = compose_nodes(posed, delta_transforms(raw, len(bound.node_bone)))
+        if twist and len(bound.node_twist):
+            nodes = twisted(nodes, bones, bound.node_twist.astype(np.float64), bound.node_bone, twist)
         _check_result("node_transforms", nodes)
         self._nodes = nodes
         positions, normals = skin(
@@ -83,6 +87,13 @@ class ReferenceEvaluator:
     def node_transforms(self) -> np.ndarray:
         """Garment node transforms (m, 3, 4) of the last frame."""
         return self._nodes.astype(np.float32)
+
+
+def _split(gravity: np.ndarray) -> tuple[np.ndarray, float]:
+    """Gravity (3,) and twist of what `evaluate` takes."""
+    with_twist = np.shape(gravity) == (4,)
+    _check_input("gravity", gravity, 4 if with_twist else 3)
+    return gravity[:3], float(gravity[3]) if with_twist else 0.0
 
 
 def _check_input(name: str, values: np.ndarray, count: int) -> None:

@@ -1,14 +1,15 @@
 """NumPy reference of the pendulum that stands for swinging cloth; the native one is native/src/sway/pendulum.cpp.
 
 Its deflection y [m/s2, world frame] is the acceleration that cloth seems to feel besides gravity. Sideways and along
-gravity, each as an oscillator of its own,
+gravity, and as the twist [rad] of cloth about the root's vertical, each as an oscillator of its own,
 
     y'' = -w^2 (y - y_eq) - D y',    y_eq = -gain (a + c v),
 
 v and a the velocity and acceleration of the root, c the drag of still air: under steady acceleration or at constant
-speed y ends at y_eq. Of a deflection that is hardly there less is felt, as cloth rubs at itself. The root moves on a
-straight line from one pose to the next, so that its acceleration is a jump of v at each; between them the equation is
-solved in closed form, whatever time has passed: nothing depends on a rate.
+speed y ends at y_eq. Of a twist v is how fast the root turns, and the gain 1 / w^2: a torsion pendulum. Of a deflection
+that is hardly there less is felt, as cloth rubs at itself. The root moves on a straight line from one pose to the next,
+and turns steadily, so that its acceleration is a jump of v at each; between them the equation is solved in closed form,
+whatever time has passed: nothing depends on a rate.
 """
 
 from __future__ import annotations
@@ -24,6 +25,10 @@ LARGEST_GAP = 0.25
 """Poses farther apart [s] than this say nothing of how the root moved between them."""
 LARGEST_CHANGE = 8.0
 """[m/s] a change of velocity from pose to pose beyond this is a jump of the root, not a motion."""
+LARGEST_CHANGE_OF_TURNING = 20.0
+"""[rad/s] the same of turning."""
+LARGEST_TWIST = 0.8
+"""[rad] what the twist never reaches."""
 GRAVITY = 9.81
 LARGEST_DEFLECTION = 2 * GRAVITY
 """[m/s2] what the deflection that is felt never reaches."""
@@ -38,8 +43,9 @@ FARTHEST = 1e9
 @dataclass(frozen=True)
 class PendulumSettings:
     """frequency [Hz], damping D [1/s] and gain of cloth that swings sideways; lift_frequency [Hz] and lift_gain along
-    gravity, where it is damped without overshoot; air_drag c [1/s], that of the simulation. Fitted to simulated skirts
-    and dresses by least squares; the gain is above 1 as drapes lean less under effective gravity than simulated cloth.
+    gravity, where it is damped without overshoot; twist_damping D [1/s] of cloth that twists, at the frequency of
+    swinging; air_drag c [1/s], that of the simulation. Fitted to simulated skirts and dresses by least squares; the
+    gain is above 1 as drapes lean less under effective gravity than simulated cloth.
 
     Raises ValueError for a value that is not finite or out of range, naming it.
     """
@@ -49,6 +55,7 @@ class PendulumSettings:
     gain: float = 3.5
     lift_frequency: float = 5.0
     lift_gain: float = 1.0
+    twist_damping: float = 7.0
     air_drag: float = 2.0
 
     def __post_init__(self) -> None:
@@ -65,19 +72,20 @@ class ReferencePendulum:
     def __init__(self, settings: PendulumSettings) -> None:
         self._settings = settings
         sideways, along = 2 * math.pi * settings.frequency, 2 * math.pi * settings.lift_frequency
-        self._frequency = np.array([sideways, sideways, along])
-        self._damping = np.array([settings.damping, settings.damping, 2 * along])
-        self._gain = np.array([settings.gain, settings.gain, settings.lift_gain])
+        self._frequency = np.array([sideways, sideways, along, sideways])
+        self._damping = np.array([settings.damping, settings.damping, 2 * along, settings.twist_damping])
+        self._gain = np.array([settings.gain, settings.gain, settings.lift_gain, 1 / sideways**2])
         self.reset()
 
     def reset(self) -> None:
         """Cloth hangs still, and nothing is known of the root."""
-        self._deflection, self._rate = np.zeros(3), np.zeros(3)
+        self._deflection, self._rate = np.zeros(4), np.zeros(4)
         self._time: float | None = None
-        self._position, self._velocity = np.zeros(3), None
+        self._position, self._turn, self._velocity = np.zeros(3), np.zeros(4), None
 
     def felt(self, time: float, root: np.ndarray, amount: float, out: np.ndarray) -> None:
-        """Move the root, then write effective gravity (3,) [m/s2] in its frame to `out`; see `Sway.felt`."""
+        """Move the root, then write effective gravity [m/s2] in its frame, and the twist [rad], to `out` (4,); see
+        `Sway.felt`."""
         if len(root) != 7 or not (math.isfinite(time) and np.isfinite(root).all()):
             raise ValueError(f"time {time} and root {root} must be finite, root x, y, z and a quaternion x, y, z, w")
         length = np.linalg.norm(root[3:])
@@ -85,20 +93,24 @@ class ReferencePendulum:
             raise ValueError(f"the quaternion of root must be of length 1, got {root[3:]}")
         if np.abs(root[:3]).max() > FARTHEST:
             raise ValueError(f"the root must be within {FARTHEST:g} m, got {root[:3]}")
-        self.move(time, root[:3])
+        turn = root[3:] / length
+        self.move(time, root[:3], turn)
         felt = amount * self._felt_deflection() - [0, 0, GRAVITY]
-        axis, w = root[3:6] / length, root[6] / length
+        axis, w = turn[:3], turn[3]
         across = np.cross(axis, felt)
         felt = felt + 2 * np.cross(axis, across) - 2 * w * across
-        out[:] = felt * min(1.0, LARGEST_FELT / max(np.linalg.norm(felt), 1e-9))
+        out[:3] = felt * min(1.0, LARGEST_FELT / max(np.linalg.norm(felt), 1e-9))
+        twist = self._deflection[3]
+        out[3] = amount * twist / math.sqrt(1 + (twist / LARGEST_TWIST) ** 2)
 
     def _felt_deflection(self) -> np.ndarray:
-        square = self._deflection @ self._deflection
+        deflection = self._deflection[:3]
+        square = deflection @ deflection
         share = square / (square + LEAST_DEFLECTION**2)
-        return self._deflection * share / math.sqrt(1 + square / LARGEST_DEFLECTION**2)
+        return deflection * share / math.sqrt(1 + square / LARGEST_DEFLECTION**2)
 
-    def move(self, time: float, position: np.ndarray) -> None:
-        """The root is at `position` (3,) [m] in the world at `time` [s].
+    def move(self, time: float, position: np.ndarray, turn: np.ndarray) -> None:
+        """The root is at `position` (3,) [m] in the world at `time` [s], turned by the unit quaternion `turn` (4,).
 
         A time that came before changes nothing, or, where it lies back, begins anew from there. After a gap or a jump
         cloth swings on by itself: it returns to rest without being thrown.
@@ -110,15 +122,17 @@ class ReferencePendulum:
         last, self._time = self._time, time
         velocity = None
         if last is not None and 0 < passed <= LARGEST_GAP:
-            velocity = (position - self._position) / passed
-            if self._velocity is not None and np.linalg.norm(velocity - self._velocity) > LARGEST_CHANGE:
-                velocity = None
-        self._position = position.copy()
+            velocity = np.append(position - self._position, _turned(self._turn, turn)) / passed
+            if self._velocity is not None:
+                change = velocity - self._velocity
+                if np.linalg.norm(change[:3]) > LARGEST_CHANGE or abs(change[3]) > LARGEST_CHANGE_OF_TURNING:
+                    velocity = None
+        self._position, self._turn = position.copy(), turn.copy()
         if velocity is None:
-            equilibrium = np.zeros(3)
+            equilibrium = np.zeros(4)
         else:
             if self._velocity is not None:
-                self._rate -= self._gain * self._frequency**2 * (velocity - self._velocity)
+                self._rate -= self._gain * self._frequency**2 * change
             equilibrium = -self._gain * self._settings.air_drag * velocity
         self._velocity = velocity
         if last is not None and passed > 0:
@@ -139,3 +153,16 @@ class ReferencePendulum:
         away, rate = self._deflection - equilibrium, self._rate
         self._deflection = (cosine + half * sine) * away + sine * rate + equilibrium
         self._rate = -(self._frequency**2) * sine * away + (cosine - half * sine) * rate
+
+
+def _turned(before: np.ndarray, after: np.ndarray) -> float:
+    """Angle [rad] by which a root has turned about its own vertical between two unit quaternions (4,); it counts as far
+    as that is upright in the world: cloth of who rolls on the floor does not hang about it."""
+    x, y, z, w = after
+    a, b, c, d = before
+    along = d * z - w * c - a * y + b * x  # of the rotation inverse(before) after
+    across = np.hypot(d * x - w * a - b * z + c * y, d * y - w * b - c * x + a * z)
+    cosine = d * w + a * x + b * y + c * z
+    length = math.hypot(along, across)
+    angle = 2 * math.atan2(length, abs(cosine)) * (along / max(length, 1e-12))
+    return math.copysign(1.0, cosine) * angle * max(0.0, 1 - 2 * (x * x + y * y))

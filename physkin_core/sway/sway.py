@@ -1,4 +1,4 @@
-"""Sway: from a root that moves through the world to the effective gravity that its garments feel."""
+"""Sway: from a root that moves through the world to effective gravity that its garments feel, and to their twist."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ class Sway:
         self.amount = amount
         self.settings = settings or PendulumSettings()
         self._pendulum = _pendulum(backend, self.settings)
+        self._twist = 0.0
 
     @property
     def amount(self) -> float:
@@ -46,6 +47,12 @@ class Sway:
     def reset(self) -> None:
         """Cloth hangs still, as at the beginning; for another avatar, or after the root was moved by hand."""
         self._pendulum.reset()
+        self._twist = 0.0
+
+    @property
+    def twist(self) -> float:
+        """Angle [rad] about its vertical by which cloth round both legs is ahead of the root, as of the last `felt`."""
+        return self._twist
 
     def felt(self, time: float, root: Sequence[float] | np.ndarray) -> np.ndarray:
         """Effective gravity (3,) float64 [m/s2] in the root frame, at most three times gravity.
@@ -58,9 +65,10 @@ class Sway:
         return self._felt(time, root, self._amount)
 
     def _felt(self, time: float, root: Sequence[float] | np.ndarray, amount: float) -> np.ndarray:
-        felt = np.empty(3)
-        self._pendulum.felt(time, np.ascontiguousarray(root, dtype=np.float64), amount, felt)
-        return felt
+        found = np.empty(4)
+        self._pendulum.felt(time, np.ascontiguousarray(root, dtype=np.float64), amount, found)
+        self._twist = float(found[3])
+        return found[:3]
 
     def gravity(
         self,
@@ -70,9 +78,9 @@ class Sway:
         *,
         accelerated: bool,
         amount: float | None = None,
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """What garments are draped under at a time and place of the root: gravity's direction (3,), and effective
-        gravity (3,) [m/s2] where their models know `accelerated` roots and sway is above 0, else None.
+    ) -> tuple[np.ndarray, np.ndarray | None, float]:
+        """What garments are draped under at a time and place of the root: gravity's direction (3,); effective gravity
+        (3,) [m/s2] where their models know `accelerated` roots and sway is above 0, else None; and the twist [rad].
 
         given: effective gravity that was given besides, which may not be. amount: of one garment, in place of the own.
         Raises ValueError as `felt` does, and where only one of time and root is there.
@@ -82,10 +90,10 @@ class Sway:
         amount = self._amount if amount is None else amount
         felt, still = self._felt(time, root, amount), _gravity_at(root)
         if amount == 0:
-            return still, None
+            return still, None, 0.0
         if accelerated:
-            return still, felt
-        return (felt if felt @ felt > LEAST_DIRECTED**2 else still), None
+            return still, felt, self._twist
+        return (felt if felt @ felt > LEAST_DIRECTED**2 else still), None, self._twist
 
 
 def _gravity_at(root: Sequence[float] | np.ndarray) -> np.ndarray:

@@ -46,9 +46,10 @@ JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
 class AvatarStream:
     """Drapes the garments of one avatar, a joint state at a time. Nothing comes in before `listen`.
 
-    gravity: (3,) unit direction. felt: (3,) the same, as large as the root feels it, in units of gravity. active:
-    whether joint states are answered. deadline_ns: from the arrival of a joint state to its last cloud, 0 for none.
-    transforms: TF, of all avatars. settings: with the body that is worn.
+    gravity: (garments, 4) what each garment feels: a unit direction, and the twist [rad]. felt: (garments, 4) the same,
+    as large as the root feels it, in units of gravity. active: whether joint states are answered. deadline_ns: from the
+    arrival of a joint state to its last cloud, 0 for none. transforms: TF, of all avatars. settings: with the body that
+    is worn.
     Raises ValueError for a joint map that cannot be read.
     """
 
@@ -63,11 +64,12 @@ class AvatarStream:
     ) -> None:
         self.settings, self.deadline_ns, self.active = settings, deadline_ns, False
         self.statistics = AvatarStatistics()
-        self.gravity = _unit(settings.gravity)
+        down, count = _unit(settings.gravity), len(settings.garments)
+        self.gravity = np.tile(np.append(down, np.float32(0)), (count, 1))
         self.felt = self.gravity.copy()
-        self._load = np.ones(1, dtype=np.float32)
+        self._load = np.ones((count, 1), dtype=np.float32)
         self._down: np.ndarray | None = None  # what gravity and felt show, if it came as a direction
-        self._gravity_by_stamp = GravityByStamp(self.gravity.copy())
+        self._gravity_by_stamp = GravityByStamp(down)
         self._effective_gravity = EffectiveGravity()
         self._direction_only: set[str] = set()
         self._follows = settings.orientation == "joints"
@@ -192,7 +194,7 @@ class AvatarStream:
         skeleton = "vrm" if self.settings.joint_map == VRM else "rig"
         bones = {"skeleton": skeleton, "on_unknown": self._warn_unknown}
         separator = LimbSeparator(model.rig, drapers[0].avatar) if self.settings.separate_limbs else None
-        attire = Attire(reader, model, bool(self.settings.cloud_rate), separator, **bones)
+        attire = Attire(reader, model, len(drapers), bool(self.settings.cloud_rate), separator, **bones)
         worn_now = {worn.stream: worn for worn in self._attire.garments} if self._attire else {}
         garments = []
         for stream, draper, each in zip(self.garments, drapers, loaded):
@@ -284,12 +286,12 @@ class AvatarStream:
         attire = self._attire
         if not self.active or attire is None or attire.interpolator is None:
             return
-        gravity, load = np.empty(3, dtype=np.float32), np.empty(1, dtype=np.float32)
+        gravity, load = np.empty_like(self.gravity), np.empty_like(self._load)
         stamp = attire.interpolator.sample(monotonic_ns(), attire.pose, gravity, load)
         if stamp is not None:
             latest = self.gravity.copy(), self._load.copy()
             self.gravity[:], self._load[:] = gravity, load
-            np.multiply(gravity, load, out=self.felt)
+            self._weigh()
             self._drape(attire, *divmod(stamp, NANOSECONDS))
             self.gravity[:], self._load[:] = latest
 
@@ -302,18 +304,19 @@ class AvatarStream:
 
     def set_gravity(self, down: Sequence[float]) -> None:
         """Take another direction of gravity (3,), of any length but zero, as of now."""
-        self.gravity[:] = _unit(down)
-        self._gravity_by_stamp.add(self.gravity.copy(), 0)
+        down = _unit(down)
+        self.gravity[:, :3] = down
+        self._gravity_by_stamp.add(down, 0)
 
-    def set_sway(self, sway: float) -> None:
-        """Let cloth swing as much from now on, 0 to 1."""
+    def set_sway(self, sways: Sequence[float]) -> None:
+        """Let the cloth of each garment swing as much from now on, 0 to 1."""
         if self._orientation is not None:
-            self._orientation.set_sway(sway)
+            self._orientation.set_sway(sways)
 
-    def effective_gravity(self, now_ns: int) -> np.ndarray | None:
-        """The latest (3,) [m/s2], root frame; None when none is fresh. now_ns: monotonic."""
+    def effective_gravity(self, garment: int, now_ns: int) -> np.ndarray | None:
+        """The latest (3,) [m/s2] of a garment, root frame; None when none is fresh. now_ns: monotonic."""
         felt = self._effective_gravity.at(0, now_ns)
-        return None if felt is None else STANDARD_GRAVITY * felt
+        return None if felt is None else STANDARD_GRAVITY * np.broadcast_to(felt, self.felt.shape)[garment, :3]
 
     def _on_effective_gravity(self, felt: np.ndarray, stamp_ns: int) -> None:
         self._effective_gravity.add(felt, stamp_ns, monotonic_ns())
@@ -331,18 +334,24 @@ class AvatarStream:
         """Set direction and load of gravity for a joint state, or for bone rotations, which have no `wire`."""
         felt, down = self._effective_gravity.at(stamp_ns, monotonic_ns()), None
         if felt is not None:
-            self._load[0] = load = float(np.linalg.norm(felt))
-            if load > WEIGHTLESS:  # else the last direction stays
-                self.gravity[:] = felt / load
+            self._load[:] = load = np.linalg.norm(felt[..., :3], axis=-1, keepdims=True)
+            # where it is weightless, the last direction stays
+            np.divide(felt[..., :3], load, out=self.gravity[:, :3], where=load > WEIGHTLESS)
+            self.gravity[:, 3] = felt[..., 3]
         elif self._follows or self._orientation.fault:
-            self._load[0] = 1.0
+            self._load[:], self.gravity[:, 3] = 1.0, 0.0
             self._follow_orientation(wire)
         elif (down := self._gravity_by_stamp.at(stamp_ns)) is self._down:
             return
         else:
-            self._load[0], self.gravity[:] = 1.0, down
+            self._load[:], self.gravity[:, :3], self.gravity[:, 3] = 1.0, down, 0.0
         self._down = down
-        np.multiply(self.gravity, self._load, out=self.felt)
+        self._weigh()
+
+    def _weigh(self) -> None:
+        """Let `felt` be `gravity` with its load."""
+        np.multiply(self.gravity[:, :3], self._load, out=self.felt[:, :3])
+        self.felt[:, 3] = self.gravity[:, 3]
 
     def _follow_orientation(self, wire: JointStateWire | None) -> None:
         if self._orientation.fault:
@@ -360,7 +369,7 @@ class AvatarStream:
             down = gravity_from_tilt(float(wire.values[index[roll]]), float(wire.values[index[pitch]]))
         except OrientationError as error:
             raise JointStateError(str(error)) from None
-        self.gravity[:] = down
+        self.gravity[:, :3] = down
 
     def _on_bad_orientation(self, reason: str) -> None:
         self.statistics.reject_gravity(reason)

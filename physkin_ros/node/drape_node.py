@@ -136,8 +136,8 @@ class DrapeNode(LifecycleNode):
             avatar = by_prefix[stream.settings.prefix]  # of bodies that were discovered, their template
             if avatar.prefix + "gravity" in names:
                 stream.set_gravity(avatar.gravity)
-            if avatar.prefix + "sway" in names:
-                stream.set_sway(avatar.sway)
+            if names & {each.prefix + "sway" for each in (avatar, *avatar.garments)}:
+                stream.set_sway(avatar.sways)
             if self._wish(stream) is not None:
                 self._worker.submit(self._grant_wishes, stream)
         self._templates = [

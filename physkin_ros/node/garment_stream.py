@@ -191,19 +191,17 @@ def passes_of(
 ) -> tuple[Pass, ...]:
     """What drapes the garments of an avatar, from what these arrays hold then: an outfit at once, others one by one.
 
-    pose: (d,) [rad]. felt: (3,) effective gravity in units of gravity, for those that have learnt it; the others take
-    gravity (3,), its unit direction.
+    pose: (d,) [rad]. felt: (garments, 4) effective gravity in units of gravity and the twist, for those that have
+    learnt it; the others take gravity (garments, 4), its unit direction and the twist.
     """
-    for worn in garments:
-        worn.follow(pose, felt if worn.accelerated else gravity)
+    downs = [(felt if worn.accelerated else gravity)[k] for k, worn in enumerate(garments)]
+    for worn, down in zip(garments, downs):
+        worn.follow(pose, down)
     first = garments[0].draper
     if isinstance(first, OutfitLayer):
         down = felt if garments[0].accelerated else gravity
         return (Pass(first.outfit.bind_step(pose, down, [worn.points for worn in garments]), tuple(garments)),)
-    return tuple(
-        Pass(worn.draper.bind_step(pose, felt if worn.accelerated else gravity, worn.points), (worn,))
-        for worn in garments
-    )
+    return tuple(Pass(worn.draper.bind_step(pose, down, worn.points), (worn,)) for worn, down in zip(garments, downs))
 
 
 def same_mesh(before: Draper | OutfitLayer, draper: Draper | OutfitLayer) -> bool:
@@ -227,6 +225,7 @@ class Attire:
         self,
         reader: JointStateReader,
         model: GarmentModel,
+        garment_count: int,
         interpolates: bool,
         separator: LimbSeparator | None,
         **bones,
@@ -238,7 +237,7 @@ class Attire:
         self.separator = separator
         self.draped = self.pose if separator is None else self.pose.copy()
         self.range = PoseRange(model.rig, self.pose)
-        self.interpolator = PoseInterpolator(len(self.pose)) if interpolates else None
+        self.interpolator = PoseInterpolator(len(self.pose), garment_count) if interpolates else None
         self.garments: tuple[WornGarment, ...] = ()
         self.passes: tuple[Pass, ...] = ()
 

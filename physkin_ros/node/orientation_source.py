@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from time import monotonic_ns
 
 import numpy as np
@@ -27,7 +27,7 @@ __all__ = ["OrientationSource", "check_orientation"]
 SENSOR_QUEUE = 50  # of a sensor, while the machine is busy
 
 Taker = Callable[[np.ndarray, int], None]
-"""Takes what a message says (3,) and its stamp [ns]."""
+"""Takes what a message says, float32, and its stamp [ns]."""
 
 
 def check_orientation(avatar: AvatarSettings) -> None:
@@ -41,8 +41,9 @@ def check_orientation(avatar: AvatarSettings) -> None:
 class OrientationSource:
     """Calls back with what messages say, and their stamps, or with why one says nothing.
 
-    on_gravity: takes gravity's unit direction. on_felt: takes effective gravity in units of gravity, from its topic, or
-    as the root's motion or an IMU tells it, while the topic tells none that is fresh. fault: why TF does not say where
+    on_gravity: takes gravity's unit direction (3,). on_felt: takes effective gravity in units of gravity, and the twist
+    behind it: (4,) from its topic, or (garments, 4), as the root's motion or an IMU tells it by the sway of each, while
+    the topic tells none that is fresh. fault: why TF does not say where
     the root is at the moment, "" where it does or is not asked.
     """
 
@@ -60,8 +61,8 @@ class OrientationSource:
         self._node, self._on_gravity, self._on_felt, self._on_bad = node, on_gravity, on_felt, on_bad
         self._frames = avatar.frame_id, avatar.world_frame
         self._subscriptions = []
-        self._motion = RootMotion(avatar.sway)
-        self._acceleration = ImuAcceleration(delay=avatar.imu_delay, sway=avatar.sway)
+        self._motion = RootMotion(avatar.sways)
+        self._acceleration = ImuAcceleration(delay=avatar.imu_delay, sways=avatar.sways)
         self._told_until = 0  # [ns], monotonic: whoever tells effective gravity knows better than we
         self._broadcaster = None
         below = f"~/{avatar.id}" if avatar.id else "~"
@@ -87,10 +88,10 @@ class OrientationSource:
             transforms.follow(self._on_transforms)
             self._on_transforms({})
 
-    def set_sway(self, sway: float) -> None:
-        """Let the root's motion, or an IMU, count as much from now on, 0 to 1."""
-        self._motion.set_sway(sway)
-        self._acceleration.sway = sway
+    def set_sway(self, sways: Sequence[float]) -> None:
+        """Let the root's motion, or an IMU, count as much from now on, 0 to 1, for each garment."""
+        self._motion.set_sway(sways)
+        self._acceleration.set_sway(sways)
 
     def close(self) -> None:
         """Stop listening."""
@@ -103,7 +104,7 @@ class OrientationSource:
             self._broadcaster.close()
 
     def _on_told(self, message: Vector3Stamped) -> None:
-        felt = in_units_of_gravity(vector_of(message.vector))
+        felt = np.append(in_units_of_gravity(vector_of(message.vector)), 0.0)
         self._told_until = monotonic_ns() + FRESH
         self._tell(self._on_felt, felt, _stamp_ns(message))
 
@@ -113,9 +114,7 @@ class OrientationSource:
 
     def _on_imu(self, message: Imu) -> None:
         stamp_ns = _stamp_ns(message)
-        felt = None
-        if self._acceleration.sway:
-            felt = self._acceleration.felt(message, stamp_ns)
+        felt = self._acceleration.felt(message, stamp_ns)
         self._tell(self._on_gravity, gravity_from_imu(message), stamp_ns)
         self._sway(felt, stamp_ns)
 

@@ -25,9 +25,10 @@ def declare_settings(node: Node) -> dict[str, Setting]:
     check_names(given)
     settings = dict(NODE_SETTINGS)
     for avatar, garments in avatar_prefixes(given).items():
-        settings |= {avatar + key: setting for key, setting in AVATAR_SETTINGS.items()}
         for garment in garments:
             settings |= {garment + key: setting for key, setting in GARMENT_SETTINGS.items()}
+        # after them: without avatars a key of both is the avatar's
+        settings |= {avatar + key: setting for key, setting in AVATAR_SETTINGS.items()}
     for name, setting in settings.items():
         node.declare_parameter(name, setting.declared, _descriptor(setting))
     return {name: setting for name, setting in settings.items() if setting.changes}

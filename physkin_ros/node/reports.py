@@ -74,8 +74,9 @@ class Reports:
                 values["layer"] = f"{draper.index + 1} of {len(draper.outfit.models)} from the skin outwards"
                 values["vertices left out"] = f"{of - draper.vertex_count} of {of}"
         values["model"] = model
-        values["gravity"] = " ".join(f"{value:.3f}" for value in stream.gravity)
-        values["effective gravity [m/s2]"] = _effective_gravity(stream, worn)
+        row = stream.garments.index(garment)
+        values["gravity"] = " ".join(f"{value:.3f}" for value in stream.gravity[row, :3])
+        values["effective gravity [m/s2]"] = _effective_gravity(stream, row, worn)
         if worn is None:
             error = stream.statistics.last_error
             well, summary = False, f"nothing to drape: {error}" if error else "the garment is being loaded"
@@ -84,8 +85,8 @@ class Reports:
         return diagnostic_status(f"{self._node.get_name()}: {garment.name or model}", source, well, summary, values)
 
 
-def _effective_gravity(stream: AvatarStream, worn) -> str:
-    felt = stream.effective_gravity(monotonic_ns())
+def _effective_gravity(stream: AvatarStream, row: int, worn) -> str:
+    felt = stream.effective_gravity(row, monotonic_ns())
     if felt is None:
         return "none"
     text = " ".join(f"{value:.2f}" for value in felt)

@@ -90,6 +90,9 @@ class GarmentSettings:
         low=0,
         high=1,
     )
+    sway: float | None = _key(
+        None, "of this garment, in place of that of its avatar (above). Empty: as that", changes=True, low=0, high=1
+    )
     normals: str = _key(
         "skinned",
         "skinned: carried along with the cloth; faces: of the draped mesh, truer, for some 5 ns a vertex",
@@ -219,6 +222,11 @@ class AvatarSettings:
         "ros4hri: an avatar for every body on /humans/bodies/ID/joint_states, as they come and go",
         choices=("", "ros4hri"),
     )
+
+    @property
+    def sways(self) -> tuple[float, ...]:
+        """Of each garment."""
+        return tuple(self.sway if garment.sway is None else garment.sway for garment in self.garments)
 
 
 @dataclass(frozen=True, kw_only=True)

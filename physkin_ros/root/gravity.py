@@ -73,7 +73,7 @@ class GravityByStamp:
     (zero), the direction has none, or all directions are more than a second later, so that the clocks do not agree.
     A direction without stamp, or one stamped more than a second before the latest, ends those before it.
 
-    down: (3,) direction until there is another.
+    down: direction (3,), or anything else that is paired so, until there is another.
     """
 
     def __init__(self, down: np.ndarray) -> None:
@@ -82,7 +82,7 @@ class GravityByStamp:
         self._directions: list[np.ndarray] = []
 
     def add(self, down: np.ndarray, stamp_ns: int) -> None:
-        """Take a direction (3,) that has arrived."""
+        """Take a direction that has arrived."""
         stamps, directions = self._stamps, self._directions
         self._last = down
         if not stamp_ns or (stamps and stamp_ns < stamps[-1] - SAME_CLOCK):
@@ -95,7 +95,7 @@ class GravityByStamp:
             del stamps[:-MOST_DIRECTIONS], directions[:-MOST_DIRECTIONS]
 
     def at(self, stamp_ns: int) -> np.ndarray:
-        """The direction (3,) that goes with a joint state."""
+        """The direction that goes with a joint state."""
         stamps = self._stamps
         if not stamps or not stamp_ns:
             return self._last
@@ -106,8 +106,9 @@ class GravityByStamp:
 
 
 class EffectiveGravity:
-    """What an accelerated root feels (3,), in units of gravity, paired with joint states as directions are, while it is
-    fresh: when none has come for `FRESH`, there is none. Times of coming [ns] are monotonic."""
+    """What an accelerated root feels, in units of gravity, and the twist, (4,) or (garments, 4), paired with joint
+    states as directions are, while it is fresh: when none has come for `FRESH`, there is none. Times of coming [ns] are
+    monotonic."""
 
     def __init__(self) -> None:
         self._by_stamp: GravityByStamp | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -24,22 +25,29 @@ class ImuAcceleration:
 
     The acceleration goes through a first-order low pass, in the world where the IMU knows its orientation, so that
     gravity turns with the body at once; else, gravity with it, in the IMU's own frame. Stamps count, not rates.
-    delay: [s] time constant of the low pass, by which slow changes come late. sway: 0 to 1, how much of it is felt; may
-    be changed at any time.
+    delay: [s] time constant of the low pass, by which slow changes come late. sways: 0 to 1, how much of it each
+    garment feels.
     """
 
-    def __init__(self, *, delay: float, sway: float) -> None:
-        self._delay, self.sway = delay, sway
+    def __init__(self, *, delay: float, sways: Sequence[float]) -> None:
+        self._delay = delay
+        self.set_sway(sways)
         self._last_ns = 0
         self._in_world = True
         self._smooth = np.zeros(3)
 
-    def felt(self, message, stamp_ns: int) -> np.ndarray | None:
-        """Effective gravity (3,) in units of gravity, at most three, of a `sensor_msgs/Imu`.
+    def set_sway(self, sways: Sequence[float]) -> None:
+        """Others, from now on."""
+        self._sways = np.array(sways)[:, None]
 
-        None for a message without acceleration or stamp, or one that comes twice or late.
+    def felt(self, message, stamp_ns: int) -> np.ndarray | None:
+        """(garments, 4) effective gravity in units of gravity, at most three, of a `sensor_msgs/Imu`, and no twist.
+
+        None for a message without acceleration or stamp, or one that comes twice or late; or where nothing sways.
         Raises OrientationError for values that are not finite or cannot be.
         """
+        if not self._sways.any():
+            return None
         force = vector_of(message.linear_acceleration)
         if message.linear_acceleration_covariance[0] == -1.0 or not any(force) or not stamp_ns:
             return None
@@ -67,5 +75,7 @@ class ImuAcceleration:
             felt = down - np.array(rotated(inverse(turn), self._smooth)) / STANDARD_GRAVITY
         else:
             felt = -self._smooth / STANDARD_GRAVITY
-        felt = down + self.sway * (felt - down)
-        return felt * min(1.0, LARGEST_EFFECTIVE_GRAVITY / max(float(np.linalg.norm(felt)), 1e-9))
+        felt = down + self._sways * (felt - down)
+        length = np.linalg.norm(felt, axis=1, keepdims=True)
+        felt = felt * np.minimum(1.0, LARGEST_EFFECTIVE_GRAVITY / np.maximum(length, 1e-9))
+        return np.concatenate([felt, np.zeros_like(length)], axis=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,16 +16,16 @@ __all__ = ["RootMotion"]
 
 
 class RootMotion:
-    """sway: how much cloth lags, swings and settles as the root moves, 0 to 1."""
+    """sways: how much the cloth of each garment lags, swings and settles as the root moves, 0 to 1."""
 
-    def __init__(self, sway: float) -> None:
-        self._sway: Sway | None = Sway(amount=sway)
+    def __init__(self, sways: Sequence[float]) -> None:
+        self._sway: Sway | None = Sway()
+        self._sways = tuple(sways)
         self._last_ns = 0
 
-    def set_sway(self, sway: float) -> None:
-        """Another one, from now on."""
-        if self._sway is not None:
-            self._sway.amount = sway
+    def set_sway(self, sways: Sequence[float]) -> None:
+        """Others, from now on."""
+        self._sways = tuple(sways)
 
     def still(self) -> None:
         """Let the motion count no more, only gravity's direction."""
@@ -37,8 +38,8 @@ class RootMotion:
     def move(self, stamp_ns: int, place: Vector, turn: Quaternion) -> tuple[np.ndarray, np.ndarray | None]:
         """The root is at `place` [m] in an upright frame, turned by a quaternion (x, y, z, w), root to that frame.
 
-        Returns the direction of gravity (3,) in the root frame, and effective gravity (3,) in units of gravity, None
-        where there is no sway, or no stamp to know it by.
+        Returns the direction of gravity (3,) in the root frame, and (garments, 4) effective gravity in units of gravity
+        and the twist [rad], None where nothing sways, or there is no stamp to know it by.
         Raises OrientationError for what is not finite or no rotation, and for a stamp before the last; ValueError for a
         place too far from the origin. The last good state then stays.
         """
@@ -49,6 +50,13 @@ class RootMotion:
             raise OrientationError(f"the root's pose is stamped {1e-9 * (self._last_ns - stamp_ns):.3f} s back")
         self._last_ns = stamp_ns
         felt = None
-        if self._sway is not None and self._sway.amount and stamp_ns:
-            felt = in_units_of_gravity(self._sway.felt(1e-9 * stamp_ns, (*place, *turn)))
+        if self._sway is not None and any(self._sways) and stamp_ns:
+            felt = self._felt(self._sway, 1e-9 * stamp_ns, (*place, *turn))
         return gravity_from_quaternion(turn), felt
+
+    def _felt(self, sway: Sway, time: float, root: tuple[float, ...]) -> np.ndarray:
+        of_amount = {}
+        for amount in dict.fromkeys(self._sways):  # the root moves once: asked again, only the amount differs
+            sway.amount = amount
+            of_amount[amount] = (*in_units_of_gravity(sway.felt(time, root)), sway.twist)
+        return np.array([of_amount[amount] for amount in self._sways])

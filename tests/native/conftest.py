@@ -56,6 +56,7 @@ def random_bound_garment(
         influence_nodes=rng.integers(0, nodes, size=(vertices, influences)).astype(np.int32),
         influence_weights=weights.astype(np.float32),
         activation=activation,
+        node_twist=np.maximum(rng.uniform(-0.5, 1, size=nodes), 0).astype(np.float32),
     )
 
 

@@ -110,7 +110,7 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
   const auto heads = uniform(3 * bones, -1, 1), axis = uniform(3 * dofs, -1, 1), rest = uniform(dofs, -1, 1);
   const auto lower = uniform(dofs, -2, -1), upper = uniform(dofs, 1, 2);
   const auto dof_bone = indices(dofs, bones), node_bone = indices(nodes, bones);
-  const auto positions = uniform(3 * nodes, -1, 1);
+  const auto positions = uniform(3 * nodes, -1, 1), twist = uniform(nodes, 0, 1);
   const auto points = uniform(3 * vertices, -1, 1), normals = uniform(3 * vertices, -1, 1);
   const auto influence_nodes = indices(std::size_t(vertices) * influences, nodes);
   const auto weights = uniform(std::size_t(vertices) * influences, 0, 1);
@@ -143,6 +143,9 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
   g.influence_nodes = influence_nodes.data();
   g.influence_weights = weights.data();
 
+  g.node_twist = twist.data();
+  g.twist_size = nodes;
+
   const auto faces = indices(6 * std::size_t(vertices), vertices);
   g.faces = faces.data();
   g.face_count = 2 * vertices;
@@ -156,8 +159,8 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
   const physkin::VertexRows positions_only{full.data, 3, false};
   const long before = allocations;
   for (int frame = 0; frame < 3; ++frame) {
-    if (evaluator.step(q.data(), gravity.data(), full)) std::abort();
-    if (evaluator.step(q.data(), gravity.data(), positions_only)) std::abort();
+    if (evaluator.step(q.data(), gravity.data(), full, 0.5f)) std::abort();
+    if (evaluator.step(q.data(), gravity.data(), positions_only, 0.5f)) std::abort();
   }
   const long alone = allocations - before;
   return alone + run_batch(g, kernels, options);

@@ -1,6 +1,7 @@
 """The plain C interface: a C program on it gives the Python evaluator's bits; what it refuses, and how."""
 
 import ctypes
+import json
 import re
 import subprocess
 from dataclasses import replace
@@ -11,6 +12,7 @@ import pytest
 from model_files import edited_header
 from native_library import NATIVE
 from random_models import random_avatar, random_model, random_pose
+from scipy.spatial.transform import Rotation
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.cli import main
@@ -194,13 +196,15 @@ def test_a_root_that_moves(learnt, c, tmp_path):
     rng = np.random.default_rng(61)
     model = replace(random_model(rng), training={"poses": {"accelerated": 0.3}} if learnt else {})
     draper, pose = Draper(model, random_avatar(rng, model.rig)), random_pose(rng, model.rig)[0]
+    twists = replace(draper.bound, node_twist=rng.uniform(size=len(draper.bound.node_bone)).astype(np.float32))
+    draper = Draper(model, draper.avatar, binding=twists)
     draper.save_bound(tmp_path / "g")
     _, garment = load(c, (tmp_path / "g").read_bytes())
     out, plain = (np.full((draper.vertex_count, 6), 7, dtype=np.float32) for _ in range(2))
     largest = 0.0
     for k in range(60):
         time = k / 60 + (k > 40)
-        turn = np.array([0.0, np.sin(0.01 * k), 0.0, np.cos(0.01 * k)])
+        turn = Rotation.from_euler("ZY", (0.001 * k * k, 0.02 * k)).as_quat()
         root = np.array([0.002 * k * k + 5 * (k > 30), 0.0, 0.9, *turn])
         draper.sway = (1.0, 0.4, 0.0)[k // 20]
         assert c.physkin_set_sway(garment, draper.sway) == OK
@@ -209,7 +213,7 @@ def test_a_root_that_moves(learnt, c, tmp_path):
             assert c.physkin_reset(garment) == OK
         assert step_moving(c, garment, pose, time, root, out) == OK, c.physkin_last_error()
         assert np.allclose(out, draper.drape(pose, time=time, root=root), atol=1e-5)
-        down = np.float32([2 * turn[1] * turn[3], 0, 2 * turn[1] ** 2 - 1])
+        down = Rotation.from_quat(turn).inv().apply([0, 0, -1]).astype(np.float32)
         assert step(c, garment, pose, down, plain) == OK
         assert draper.sway > 0 or np.allclose(out, plain, atol=1e-5)
         largest = max(largest, np.abs(out - plain).max())
@@ -236,6 +240,29 @@ def test_bad_roots_write_nothing_and_say_why(c, small_bound_file):
     assert c.physkin_set_sway(None, 1.0) == c.physkin_reset(None) == BAD_ARGUMENT
     assert (out == 7).all()
     c.physkin_close(garment)
+
+
+def test_files_from_before_cloth_twisted(c, make_garment, tmp_path):
+    """They lack its shares: a root that turns then moves nothing."""
+    from safetensors.numpy import load as tensors_of
+    from safetensors.numpy import save
+
+    joints = [f"joint {k}" for k in range(7)]
+    save_bound_garment(make_garment(np.random.default_rng(62)), tmp_path / "g", name="g", joint_names=joints)
+    data = (tmp_path / "g").read_bytes()
+    tensors = {name: array for name, array in tensors_of(data).items() if name != "node_twist"}
+    metadata = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])["__metadata__"]
+    pose, moved = np.zeros(7, np.float32), []
+    for content in (data, save(tensors, metadata=metadata)):
+        status, garment = load(c, content)
+        assert status == OK, c.physkin_last_error()
+        clouds = [np.zeros((50, 6), np.float32) for _ in range(4)]
+        for k, cloud in enumerate(clouds):  # stands, turns
+            root = [0, 0, 0, *Rotation.from_euler("z", 0.1 * max(k - 1, 0)).as_quat()]
+            assert step_moving(c, garment, pose, k / 30, root, cloud) == OK
+        moved.append(np.abs(clouds[3] - clouds[0]).max())
+        c.physkin_close(garment)
+    assert moved[0] > 1e-3 and moved[1] == 0
 
 
 def test_files_from_before_effective_gravity(c, small_bound_file):

@@ -57,7 +57,8 @@ def test_input_that_is_not_finite_raises_and_writes_nothing(frame, bad):
     for q, g, error in (
         (np.zeros(8), np.zeros(3), ValueError),
         (np.zeros((7, 1)), np.zeros(3), ValueError),
-        (np.zeros(7), np.zeros(4), ValueError),
+        (np.zeros(7), np.zeros(2), ValueError),
+        (np.zeros(7), np.zeros(5), ValueError),
         (np.zeros(7, dtype=int), np.zeros(3), TypeError),
         ([0.0] * 7, np.zeros(3), TypeError),
         (np.zeros(7), None, TypeError),
@@ -123,6 +124,7 @@ def changed(array, index, value):
             "bias must be",
         ),
         (lambda g: dict(activation="tanh"), "activation is 'tanh'"),
+        (lambda g: dict(node_twist=g.node_twist[1:]), "node_twist has"),
         (lambda g: dict(faces=np.array([[0, 1, 2], [3, 50, 4]], np.int32)), r"faces\[4\].* is 50"),
         (lambda g: dict(faces=np.array([[0, -1, 2]], np.int32)), r"faces\[1\].* is -1"),
     ],

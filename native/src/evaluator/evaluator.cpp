@@ -55,21 +55,23 @@ Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, const Evalua
   if (options.normals == Normals::faces) face_normals_.emplace(g, arena_);
 }
 
-Rejection Evaluator::check_inputs(const float* joint_positions, const float* gravity) const noexcept {
+Rejection Evaluator::check_inputs(const float* joint_positions, const float* gravity, float twist) const noexcept {
   if (const auto bad = reject_beyond("joint_positions", joint_positions, rig_.dofs(), FLT_MAX)) return bad;
-  return reject_beyond("gravity", gravity, 3, FLT_MAX);
+  if (const auto bad = reject_beyond("gravity", gravity, 3, FLT_MAX)) return bad;
+  return reject_beyond("twist", &twist, 1, FLT_MAX);
 }
 
 Rejection Evaluator::check_corrections() const noexcept {
   return reject_beyond("node deformer output", corrections_, node_deformer_.outputs(), kLargest);
 }
 
-Rejection Evaluator::step(const float* joint_positions, const float* gravity, const VertexRows& rows) noexcept {
-  if (const auto bad = check_inputs(joint_positions, gravity)) return bad;
+Rejection Evaluator::step(const float* joint_positions, const float* gravity, const VertexRows& rows,
+                          float twist) noexcept {
+  if (const auto bad = check_inputs(joint_positions, gravity, twist)) return bad;
   pose(joint_positions, gravity);
   run_networks();
   if (const auto bad = check_corrections()) return bad;
-  compose_nodes(corrections_);
+  compose_nodes(corrections_, twist);
   return skin(node_transforms_, rows);
 }
 
@@ -96,8 +98,9 @@ const float* Evaluator::run_networks() noexcept {
   return corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, pose_modulation_));
 }
 
-void Evaluator::compose_nodes(const float* corrections) noexcept {
+void Evaluator::compose_nodes(const float* corrections, float twist) noexcept {
   garment_nodes_.compose(bone_transforms_, corrections, node_transforms_);
+  garment_nodes_.twist(bone_transforms_, twist, node_transforms_);
 }
 
 Rejection Evaluator::skin(const float* node_transforms, const VertexRows& rows) noexcept {

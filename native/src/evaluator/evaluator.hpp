@@ -36,9 +36,10 @@ class Evaluator {
   Evaluator(const Evaluator&) = delete;  // its members point into its own arena
   Evaluator& operator=(const Evaluator&) = delete;
 
-  // One frame. joint_positions (dofs) in radians, gravity (3): unit direction in the root frame. If an input or what
+  // One frame. joint_positions (dofs) in radians, gravity (3): unit direction in the root frame; twist [rad] of cloth
+  // that hangs round both legs, about the root's vertical. If an input or what
   // the networks make of it is not finite, says so and leaves the rows and the last frame as they were.
-  Rejection step(const float* joint_positions, const float* gravity, const VertexRows& rows) noexcept;
+  Rejection step(const float* joint_positions, const float* gravity, const VertexRows& rows, float twist = 0) noexcept;
 
   // Skinning alone, from the given node_transforms (nodes, 3, 4), which must be finite.
   Rejection skin(const float* node_transforms, const VertexRows& rows) noexcept;
@@ -48,7 +49,7 @@ class Evaluator {
   // Takes over what `pose` left in another garment on the same body, under a gravity of its own.
   void pose_as(const Evaluator& other, const float* gravity) noexcept;
   const float* run_networks() noexcept;  // corrections (nodes, 9 or 12)
-  void compose_nodes(const float* corrections) noexcept;
+  void compose_nodes(const float* corrections, float twist = 0) noexcept;
   void compute_normals(const VertexRows& rows) noexcept;  // from faces; does nothing if they are skinned
 
   // (nodes, 3, 4) of the last frame, root frame, metres.
@@ -68,7 +69,7 @@ class Evaluator {
   friend class EvaluatorBatch;
   friend class OutfitEvaluator;
 
-  Rejection check_inputs(const float* joint_positions, const float* gravity) const noexcept;
+  Rejection check_inputs(const float* joint_positions, const float* gravity, float twist = 0) const noexcept;
   Rejection check_corrections() const noexcept;
   void gather_deformer_input() noexcept;
 

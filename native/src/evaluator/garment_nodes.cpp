@@ -1,9 +1,15 @@
 #include "evaluator/garment_nodes.hpp"
 
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
 #include "evaluator/affine.hpp"
 
 namespace physkin {
 namespace {
+
+constexpr float kTwistLift = 0.2f;  // [m/rad2] as TWIST_LIFT of node_twist.py
 
 // 9 numbers (a, b, t): the rotation whose first two columns are e1 + a and e2 + b orthonormalised (Gram-Schmidt).
 Affine decode_rotation(const float* c) {
@@ -26,7 +32,9 @@ GarmentNodes::GarmentNodes(const BoundGarment& g, Arena& arena)
     : count_(g.nodes),
       correction_size_(g.deformer_layers.back().outputs / g.nodes),
       bone_(arena.copy(g.node_bone, g.nodes)),
-      positions_(arena.copy(g.node_positions, 3 * g.nodes)) {}
+      positions_(arena.copy(g.node_positions, 3 * g.nodes)),
+      shares_(g.twist_size > 0 ? arena.copy(g.node_twist, g.nodes) : nullptr),
+      shares_total_(std::accumulate(g.node_twist, g.node_twist + std::max(g.twist_size, 0), 0.0f)) {}
 
 void GarmentNodes::compose(const float* bone_transforms, const float* corrections, float* transforms) const {
   for (int i = 0; i < count_; ++i, corrections += correction_size_) {
@@ -35,6 +43,23 @@ void GarmentNodes::compose(const float* bone_transforms, const float* correction
     // R_b q + t_b is the posed node; the correction's translation is in the posed node's own frame.
     const Vector3 moved = load_vector(positions_ + 3 * i) + delta.translation;
     store_affine({bone.linear * delta.linear, bone.linear * moved + bone.translation}, transforms + 12 * i);
+  }
+}
+
+void GarmentNodes::twist(const float* bone_transforms, float twist, float* transforms) const {
+  if (twist == 0 || !(shares_total_ > 0)) return;
+  float upright = 0;
+  for (int i = 0; i < count_; ++i) upright += shares_[i] * bone_transforms[12 * bone_[i] + 10];
+  twist *= std::max(upright / shares_total_, 0.0f);
+  for (int i = 0; i < count_; ++i, transforms += 12) {
+    if (shares_[i] == 0) continue;
+    const float angle = shares_[i] * twist, cosine = std::cos(angle), sine = std::sin(angle);
+    for (int k = 0; k < 4; ++k) {
+      const float x = transforms[k], y = transforms[k + 4];
+      transforms[k] = cosine * x - sine * y;
+      transforms[k + 4] = sine * x + cosine * y;
+    }
+    transforms[11] += kTwistLift * twist * angle;
   }
 }
 

@@ -14,6 +14,10 @@ class GarmentNodes {
   // transforms (nodes, 3, 4), chi_i = [R_b | R_b q_i + t_b] * Delta_i with b the bone that garment node i follows.
   void compose(const float* bone_transforms, const float* corrections, float* transforms) const;
 
+  // Turns them by their shares of `twist` [rad] about the root's vertical, and lifts them, as far as the legs that they
+  // follow are upright. Does nothing to cloth that does not twist.
+  void twist(const float* bone_transforms, float twist, float* transforms) const;
+
   int count() const { return count_; }
   int correction_size() const { return correction_size_; }
 
@@ -21,6 +25,8 @@ class GarmentNodes {
   int count_, correction_size_;
   const std::int32_t* bone_;
   const float* positions_;
+  const float* shares_;  // null where cloth does not twist
+  float shares_total_;
 };
 
 }  // namespace physkin

@@ -50,6 +50,7 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.layers("deformer_layers", g.deformer_layers);
   visit.indices("node_bone", g.node_bone, {&g.nodes}, 0, g.bones);
   visit.floats("node_positions", g.node_positions, {&g.nodes, 3});
+  visit.floats("node_twist", g.node_twist, {&g.twist_size});
   visit_skinning_data(g, visit);
   visit.indices("faces", g.faces, {&g.face_count, 3}, 0, g.vertex_count);
 }
@@ -194,6 +195,10 @@ void validate(const BoundGarment& garment) {
       fail(element("bone_parents", j) + " is " + std::to_string(g.bone_parents[j]) +
            "; must be -1 or the index of an earlier bone");
     }
+  }
+  if (g.twist_size != 0 && g.twist_size != g.nodes) {
+    fail("node_twist has " + std::to_string(g.twist_size) + " values; expected none, or one for each of " +
+         std::to_string(g.nodes) + " garment nodes");
   }
   for (int k = 0; k < g.dofs; ++k) {
     if (!(g.dof_lower[k] < g.dof_upper[k])) {

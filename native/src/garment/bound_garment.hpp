@@ -24,7 +24,7 @@ struct SkinningData {
 
 // Metres, radians, root frame.
 struct BoundGarment : SkinningData {
-  int bones = -1, dofs = -1, deformer_bone_count = -1, modulation_size = -1, face_count = -1;
+  int bones = -1, dofs = -1, deformer_bone_count = -1, modulation_size = -1, twist_size = -1, face_count = -1;
 
   const std::int32_t* bone_parents = nullptr;  // (bones,) parent before child, -1 for the root
   const float* bone_heads = nullptr;           // (bones, 3) joint centres at the canonical pose
@@ -43,6 +43,7 @@ struct BoundGarment : SkinningData {
 
   const std::int32_t* node_bone = nullptr;  // (nodes,)
   const float* node_positions = nullptr;    // (nodes, 3) canonical pose of this body
+  const float* node_twist = nullptr;        // (twist_size,) share of each garment node, or none: cloth does not twist
   const std::int32_t* faces = nullptr;      // (face_count, 3), none for a point set
 };
 

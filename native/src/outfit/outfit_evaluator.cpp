@@ -58,11 +58,11 @@ Rejection OutfitEvaluator::step(const float* joint_positions, const Gravities& g
   first.pose(joint_positions, gravity.of(0));
   for (; rejected_ < count(); ++rejected_) {
     Evaluator& e = *evaluators_[std::size_t(rejected_)];
-    if (const auto bad = e.check_inputs(joint_positions, gravity.of(rejected_))) return bad;
+    if (const auto bad = e.check_inputs(joint_positions, gravity.of(rejected_), gravity.twist(rejected_))) return bad;
     if (rejected_ > 0) e.pose_as(first, gravity.of(rejected_));
     e.run_networks();
     if (const auto bad = e.check_corrections()) return bad;
-    e.compose_nodes(e.corrections_);
+    e.compose_nodes(e.corrections_, gravity.twist(rejected_));
     if (const auto bad = e.skinner_.check(e.node_transforms_)) return bad;
   }
   rejected_ = -1;

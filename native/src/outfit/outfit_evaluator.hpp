@@ -14,12 +14,14 @@ struct LayerPair {
   int steady = 0, yielding = 0;
 };
 
-// Gravity (3) of all garments, or (garments, 3), one each.
+// Gravity of all garments, or one each: 3 numbers, or 4, with the twist behind it.
 struct Gravities {
   const float* values;
   bool each = false;
+  int size = 3;
 
-  const float* of(int garment) const { return values + (each ? 3 * garment : 0); }
+  const float* of(int garment) const { return values + (each ? size * garment : 0); }
+  float twist(int garment) const { return size > 3 ? of(garment)[3] : 0.0f; }
 };
 
 class OutfitEvaluator {

@@ -9,6 +9,8 @@ namespace {
 constexpr double kPi = 3.14159265358979323846;
 constexpr double kLargestGap = 0.25;
 constexpr double kLargestChange = 8.0;
+constexpr double kLargestChangeOfTurning = 20.0;
+constexpr double kLargestTwist = 0.8;
 constexpr double kGravity = 9.81;
 constexpr double kLargestDeflection = 2 * kGravity;
 constexpr double kLeastDeflection = 0.25;
@@ -16,6 +18,18 @@ constexpr double kLargestFelt = 2.999 * kGravity;
 constexpr double kFarthest = 1e9;
 
 double squared(const double* v) { return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]; }
+
+// Angle by which a root has turned about its own vertical between two unit quaternions, as far as that is upright.
+double turned(const double* before, const double* after) {
+  const double x = after[0], y = after[1], z = after[2], w = after[3];
+  const double a = before[0], b = before[1], c = before[2], d = before[3];
+  const double along = d * z - w * c - a * y + b * x;  // of the rotation inverse(before) after
+  const double across = std::hypot(d * x - w * a - b * z + c * y, d * y - w * b - c * x + a * z);
+  const double cosine = d * w + a * x + b * y + c * z;
+  const double length = std::hypot(along, across);
+  const double angle = 2 * std::atan2(length, std::abs(cosine)) * (along / std::max(length, 1e-12));
+  return std::copysign(1.0, cosine) * angle * std::max(0.0, 1 - 2 * (x * x + y * y));
+}
 
 }  // namespace
 
@@ -26,36 +40,42 @@ Pendulum::Pendulum(const PendulumSettings& s) : air_drag_(s.air_drag) {
     damping_[k] = k < 2 ? s.damping : 2 * along;
     gain_[k] = k < 2 ? s.gain : s.lift_gain;
   }
+  frequency_[3] = sideways;
+  damping_[3] = s.twist_damping;
+  gain_[3] = 1 / (sideways * sideways);
   reset();
 }
 
 void Pendulum::reset() noexcept {
-  std::fill_n(deflection_, 3, 0.0);
-  std::fill_n(rate_, 3, 0.0);
+  std::fill_n(deflection_, kAxes, 0.0);
+  std::fill_n(rate_, kAxes, 0.0);
   std::fill_n(position_, 3, 0.0);
-  std::fill_n(velocity_, 3, 0.0);
+  std::fill_n(turn_, 4, 0.0);
+  std::fill_n(velocity_, kAxes, 0.0);
   time_ = 0;
   has_time_ = has_velocity_ = false;
 }
 
-void Pendulum::move(double time, const double* position) noexcept {
+void Pendulum::move(double time, const double* position, const double* turn) noexcept {
   if (has_time_ && time == time_) return;
   const bool had_time = has_time_;
   const double passed = time - time_;
   time_ = time;
   has_time_ = true;
-  double velocity[3], change[3], equilibrium[3] = {0, 0, 0};
+  double velocity[kAxes], change[kAxes], equilibrium[kAxes] = {0, 0, 0, 0};
   bool known = had_time && passed > 0 && passed <= kLargestGap;
   if (known) {
-    for (int k = 0; k < 3; ++k) {
-      velocity[k] = (position[k] - position_[k]) / passed;
+    for (int k = 0; k < kAxes; ++k) {
+      velocity[k] = (k < 3 ? position[k] - position_[k] : turned(turn_, turn)) / passed;
       change[k] = velocity[k] - velocity_[k];
     }
-    if (has_velocity_ && squared(change) > kLargestChange * kLargestChange) known = false;
+    known = !has_velocity_ || (squared(change) <= kLargestChange * kLargestChange &&
+                               std::abs(change[3]) <= kLargestChangeOfTurning);
   }
   std::copy_n(position, 3, position_);
+  std::copy_n(turn, 4, turn_);
   if (known) {
-    for (int k = 0; k < 3; ++k) {
+    for (int k = 0; k < kAxes; ++k) {
       if (has_velocity_) rate_[k] -= gain_[k] * frequency_[k] * frequency_[k] * change[k];
       equilibrium[k] = -gain_[k] * air_drag_ * velocity[k];
       velocity_[k] = velocity[k];
@@ -66,7 +86,7 @@ void Pendulum::move(double time, const double* position) noexcept {
 }
 
 void Pendulum::swing(double passed, const double* equilibrium) noexcept {
-  for (int k = 0; k < 3; ++k) {
+  for (int k = 0; k < kAxes; ++k) {
     const double half = damping_[k] / 2, square = frequency_[k] * frequency_[k] - half * half;
     const double root = std::sqrt(std::abs(square));
     double cosine, sine;
@@ -102,18 +122,21 @@ const char* Pendulum::felt(double time, const double* root, double amount, doubl
   for (int k = 0; k < 3; ++k) {
     if (std::abs(root[k]) > kFarthest) return "the root must be within 1e+09 m";
   }
-  move(time, root);
+  const double turn[4] = {root[3] / length, root[4] / length, root[5] / length, root[6] / length};
+  move(time, root, turn);
   double v[3];
   felt_deflection(v);
   for (double& value : v) value *= amount;
   v[2] -= kGravity;
-  const double x = root[3] / length, y = root[4] / length, z = root[5] / length, w = root[6] / length;
+  const double x = turn[0], y = turn[1], z = turn[2], w = turn[3];
   const double p = y * v[2] - z * v[1], q = z * v[0] - x * v[2], r = x * v[1] - y * v[0];  // axis x v
   out[0] = v[0] + 2 * (y * r - z * q) - 2 * w * p;
   out[1] = v[1] + 2 * (z * p - x * r) - 2 * w * q;
   out[2] = v[2] + 2 * (x * q - y * p) - 2 * w * r;
   const double shrink = std::min(1.0, kLargestFelt / std::max(std::sqrt(squared(out)), 1e-9));
   for (int k = 0; k < 3; ++k) out[k] *= shrink;
+  const double twist = deflection_[3];
+  out[3] = amount * twist / std::sqrt(1 + twist * twist / (kLargestTwist * kLargestTwist));
   return nullptr;
 }
 

@@ -9,6 +9,7 @@ struct PendulumSettings {
   double gain = 3.5;            // sideways
   double lift_frequency = 5.0;  // Hz, along gravity, damped without overshoot
   double lift_gain = 1.0;
+  double twist_damping = 7.0;  // 1/s, at the frequency of swinging sideways
   double air_drag = 2.0;  // 1/s
 };
 
@@ -19,20 +20,22 @@ class Pendulum {
   // Cloth hangs still, and nothing is known of the root.
   void reset() noexcept;
 
-  // The root is at position (3) [m] in the world at time [s]; both must be finite.
-  void move(double time, const double* position) noexcept;
+  // The root is at position (3) [m] in the world at time [s], turned by a unit quaternion (4); all must be finite.
+  void move(double time, const double* position, const double* turn) noexcept;
 
   // Moves the root (7), a position and a quaternion x, y, z, w, world <- root, then writes effective gravity (3) [m/s2]
-  // in its frame. What is wrong with time or root, or null; nothing has changed then.
+  // in its frame, and the twist [rad] about its vertical. What is wrong with time or root, or null; nothing has changed then.
   const char* felt(double time, const double* root, double amount, double* out) noexcept;
 
  private:
   void felt_deflection(double* out) const noexcept;
   void swing(double passed, const double* equilibrium) noexcept;
 
-  double frequency_[3], damping_[3], gain_[3], air_drag_;
-  double deflection_[3], rate_[3];
-  double time_, position_[3], velocity_[3];
+  static constexpr int kAxes = 4;  // x, y, z [m] in the world, and about the root's vertical [rad]
+
+  double frequency_[kAxes], damping_[kAxes], gain_[kAxes], air_drag_;
+  double deflection_[kAxes], rate_[kAxes];
+  double time_, position_[3], turn_[4], velocity_[kAxes];
   bool has_time_, has_velocity_;
 };
 

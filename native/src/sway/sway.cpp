@@ -19,7 +19,7 @@ void gravity_at(const double* root, double* out) {
 }  // namespace
 
 const char* Sway::gravity(double time, const double* root, bool accelerated, float* out) noexcept {
-  double felt[3];
+  double felt[4];
   if (const char* wrong = pendulum_.felt(time, root, amount_, felt)) return wrong;
   double length = std::sqrt(felt[0] * felt[0] + felt[1] * felt[1] + felt[2] * felt[2]);
   if (amount_ > 0 && accelerated) {
@@ -29,6 +29,7 @@ const char* Sway::gravity(double time, const double* root, bool accelerated, flo
     length = std::sqrt(felt[0] * felt[0] + felt[1] * felt[1] + felt[2] * felt[2]);
   }
   for (int k = 0; k < 3; ++k) out[k] = float(felt[k] / length);
+  out[3] = float(felt[3]);
   return nullptr;
 }
 

@@ -1,4 +1,4 @@
-// From a root that moves to the gravity that networks take; physkin_core/sway/sway.py is its readable twin.
+// From a root that moves to the gravity that networks take, and how cloth twists; physkin_core/sway/sway.py is its readable twin.
 #pragma once
 
 #include "sway/pendulum.hpp"
@@ -15,9 +15,9 @@ class Sway {
   // Cloth hangs still, and nothing is known of the root.
   void reset() noexcept { pendulum_.reset(); }
 
-  // Moves the root (7), a position and a quaternion x, y, z, w, world <- root, then writes gravity (3) in its frame, as
-  // Evaluator::step takes it: in units of gravity for networks that know `accelerated` roots, else its direction. What
-  // is wrong with time or root, or null; nothing has changed then.
+  // Moves the root (7), a position and a quaternion x, y, z, w, world <- root, then writes what Evaluator::step takes:
+  // gravity (3) in its frame, in units of gravity for networks that know `accelerated` roots, else its direction; and
+  // the twist. What is wrong with time or root, or null; nothing has changed then.
   const char* gravity(double time, const double* root, bool accelerated, float* out) noexcept;
 
  private:

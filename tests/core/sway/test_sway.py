@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import physkin_core as physkin
-from physkin_core.sway.pendulum import LARGEST_GAP, PendulumSettings, ReferencePendulum
+from physkin_core.sway.pendulum import LARGEST_GAP, LARGEST_TWIST, PendulumSettings, ReferencePendulum
 
 STILL = (0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0)
 
@@ -23,7 +23,7 @@ def strolling(t):
     return np.array([ahead, 0.08 * math.sin(2 * math.pi * 1.3 * t), 0.9 + 0.03 * math.cos(2 * math.pi * 2.0 * t)])
 
 
-def seen(deflection):
+def felt_of(deflection):
     """What is felt of a deflection along one axis."""
     share = deflection**2 / (deflection**2 + 0.25**2)
     return share * deflection / math.sqrt(1 + (deflection / 19.62) ** 2)
@@ -40,7 +40,7 @@ def felt_at_end(times, path=strolling, **options):
 def test_the_closed_form_is_the_equation(settings):
     """A root at constant acceleration, against an integrator of small steps."""
     acceleration, dt, steps = 1.5, 1 / 240, 480
-    pendulum, felt = ReferencePendulum(settings), np.empty(3)
+    pendulum, felt = ReferencePendulum(settings), np.empty(4)
     for k in range(steps + 1):
         t = k * dt
         pendulum.felt(t, rooted((acceleration * t * t / 2, 0.0, 0.0)), 1.0, felt)
@@ -51,20 +51,106 @@ def test_the_closed_form_is_the_equation(settings):
         return state[1], -(w**2) * (state[0] - equilibrium) - settings.damping * state[1]
 
     exact = solve_ivp(equation, (0, steps * dt), (0.0, 0.0), rtol=1e-9, atol=1e-9).y[0, -1]
-    assert felt[0] == pytest.approx(seen(exact), abs=0.03 * (1 + abs(exact)))
+    assert felt[0] == pytest.approx(felt_of(exact), abs=0.03 * (1 + abs(exact)))
     assert felt[1] == 0
+
+
+def turned(angle):
+    return rooted((0, 0, 0.9), Rotation.from_euler("z", angle).as_quat())
+
+
+def turning(t):
+    """Yaw of a root that turns by 180 degrees from 0.5 to 1.1 s."""
+    u = min(max((t - 0.5) / 0.6, 0), 1)
+    return math.pi * u**3 * (10 - 15 * u + 6 * u**2)
+
+
+@pytest.mark.parametrize("settings", [PendulumSettings(), PendulumSettings(twist_damping=60.0)])
+def test_the_twist_is_a_torsion_pendulum(settings):
+    """A root that turns faster and faster, against an integrator of small steps."""
+    acceleration, dt, steps = 3.0, 1 / 240, 300
+    pendulum, found = ReferencePendulum(settings), np.empty(4)
+    for k in range(steps + 1):
+        pendulum.felt(k * dt, turned(acceleration * (k * dt) ** 2 / 2), 1.0, found)
+    w = 2 * math.pi * settings.frequency
+
+    def equation(t, state):
+        force = -acceleration - settings.air_drag * acceleration * t
+        return state[1], -(w**2) * state[0] - settings.twist_damping * state[1] + force
+
+    exact = solve_ivp(equation, (0, steps * dt), (0.0, 0.0), rtol=1e-9, atol=1e-9).y[0, -1]
+    assert found[3] == pytest.approx(exact / math.sqrt(1 + (exact / LARGEST_TWIST) ** 2), rel=0.03)
+    assert found[:3] == pytest.approx([0, 0, -9.81])
+
+
+def twists_of(rate, seconds=4.0, **options):
+    sway, found = physkin.Sway(**options), []
+    for k in range(round(seconds * rate) + 1):
+        sway.felt(k / rate, turned(turning(k / rate)))
+        found.append(sway.twist)
+    return np.array(found)
+
+
+def test_cloth_stays_behind_a_turn_swings_ahead_and_comes_to_rest():
+    found = twists_of(60)
+    assert found.min() < -0.3 and found[60:].max() > 0.1
+    assert np.abs(found).max() < LARGEST_TWIST
+    assert abs(found[-1]) < 1e-3
+    assert twists_of(60, amount=0.5) == pytest.approx(found / 2)
+    assert (twists_of(60, amount=0.0) == 0).all()
+
+
+def test_at_any_rate_it_twists_the_same():
+    at = [twists_of(rate)[:: rate // 15] for rate in (15, 30, 60, 120)]
+    assert max(np.sqrt(((a - at[-1]) ** 2).mean()) for a in at) < 0.03
+
+
+@pytest.mark.parametrize("way", ["x", "y"])
+def test_who_turns_about_another_axis_twists_nothing(way):
+    sway = physkin.Sway()
+    for k in range(60):
+        sway.felt(k / 60, rooted((0, 0, 0), Rotation.from_euler(way, 3 * k / 60).as_quat()))
+        assert abs(sway.twist) < 1e-12
+
+
+def test_who_lies_and_rolls_twists_nothing():
+    sway = physkin.Sway()
+    lying = Rotation.from_euler("y", math.pi / 2)
+    for k in range(60):
+        sway.felt(k / 60, rooted((0, 0, 0), (lying * Rotation.from_euler("z", 3 * k / 60)).as_quat()))
+        assert abs(sway.twist) < 1e-9
+
+
+def test_a_root_that_was_put_another_way_round_twists_nothing():
+    sway = physkin.Sway()
+    for k in range(20):
+        sway.felt(k / 60, turned(0.0 if k < 10 else 2.5))
+        assert abs(sway.twist) < 1e-12
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_quaternion_and_its_negative_are_one_turn(sign):
+    sway = physkin.Sway()
+    for k in range(30):
+        root = turned(0.1 * k)
+        root[3:] *= sign ** (k % 2)
+        sway.felt(k / 60, root)
+    assert sway.twist < -0.1
 
 
 def test_native_and_reference_agree():
     generator = np.random.default_rng(3)
     pair = [physkin.Sway(backend=backend) for backend in ("native", "numpy")]
-    t = 0.0
+    t, turn, seen = 0.0, Rotation.identity(), []
     for _ in range(500):
         t += generator.choice([1 / 120, 1 / 60, 1 / 15, 0.0, -0.1, 0.5])
-        turn = Rotation.random(random_state=generator).as_quat()
-        root = rooted(generator.normal(size=3) * generator.choice([0.01, 0.1, 2.0]), turn)
+        turn = turn * Rotation.from_rotvec(generator.normal(size=3) * generator.choice([0.01, 0.1, 2.0]))
+        root = rooted(generator.normal(size=3) * generator.choice([0.01, 0.1, 2.0]), turn.as_quat())
         native, reference = (sway.felt(t, root) for sway in pair)
         assert np.allclose(native, reference, atol=1e-9)
+        assert pair[0].twist == pytest.approx(pair[1].twist, abs=1e-9)
+        seen.append(abs(pair[0].twist))
+    assert max(seen) > 0.1
 
 
 def test_at_any_rate_the_same():
@@ -78,7 +164,7 @@ def test_standing_it_feels_gravity_alone_and_walking_it_trails():
     steady = felt_at_end(np.arange(600) / 60, lambda t: np.array([t, 0.0, 0.0]))
     settings = PendulumSettings()
     trailing = -settings.gain * settings.air_drag
-    assert steady[0] == pytest.approx(seen(trailing), rel=1e-6)
+    assert steady[0] == pytest.approx(felt_of(trailing), rel=1e-6)
     assert steady[2] == pytest.approx(-9.81)
 
 
@@ -128,18 +214,24 @@ def test_an_hour_of_anything_stays_finite_and_bounded():
     generator, sway, t = np.random.default_rng(0), physkin.Sway(), 0.0
     steps = generator.choice([1e-9, 1 / 120, 1 / 60, 0.2, 3.0, -1.0, 0.0], size=20000)
     places = generator.normal(size=(20000, 3)) * generator.choice([1e-3, 1.0, 1e6], size=(20000, 1))
-    for step, place in zip(steps, places):
+    turns = Rotation.random(20000, random_state=1).as_quat()
+    for step, place, turn in zip(steps, places, turns):
         t += step
-        felt = sway.felt(t, rooted(place))
+        felt = sway.felt(t, rooted(place, turn))
         assert np.isfinite(felt).all() and np.linalg.norm(felt) <= 3 * 9.81 + 1e-9
+        assert abs(sway.twist) < LARGEST_TWIST
 
 
 def test_reset_forgets():
     sway, fresh = physkin.Sway(), physkin.Sway()
     for k in range(60):
         sway.felt(k / 60, rooted(strolling(k / 60)))
+    for k in range(4):
+        sway.felt(0.99 + 0.02 * k, turned(0.1 * max(k - 1, 0)))
+    assert sway.twist < -0.01
     sway.reset()
-    assert (sway.felt(7.0, STILL) == fresh.felt(7.0, STILL)).all()
+    assert sway.twist == 0
+    assert (sway.felt(7.0, STILL) == fresh.felt(7.0, STILL)).all() and sway.twist == 0
 
 
 @pytest.mark.parametrize(

@@ -130,3 +130,48 @@ def test_outfits_take_numbers_of_numpy_and_twins_keep_them(skirt):
         outfit.sway = given
         assert outfit.sway == outfit.twin().sway == 0.5
         outfit.sway = 1.0
+
+
+def turned(draper, rest, *, steps=15, rate=60):
+    """The last frame of a root that stands for two, and turns by 1.5 rad on the spot."""
+    for k in range(-2, steps + 1):
+        root = (0, 0, 0.9, *Rotation.from_euler("z", 1.5 * max(k, 0) / steps).as_quat())
+        found = draper.drape(rest, time=k / rate, root=root)
+    return found
+
+
+def test_a_skirt_stays_behind_a_turn(skirt):
+    """Its hem turns the other way, about the root, and rises; it comes back."""
+    skirt.reset()
+    rest = skirt.drape(skirt.model.rig.rest)[:, :3].astype(float)
+    moved = turned(skirt, skirt.model.rig.rest)[:, :3].astype(float)
+    hem = rest[:, 2] < np.quantile(rest[:, 2], 0.2)
+    behind = np.angle((moved @ [1, 1j, 0]) * (rest @ [1, 1j, 0]).conj())[hem].mean()
+    assert -0.6 < behind < -0.1
+    assert (moved - rest)[hem, 2].mean() > 0.002
+    waist = rest[:, 2] > 0.03
+    assert np.abs(moved - rest)[waist].max() < 0.01
+    facing = (0, 0, 0.9, *Rotation.from_euler("z", 1.5).as_quat())
+    for k in range(240):
+        after = skirt.drape(skirt.model.rig.rest, time=0.25 + k / 60, root=facing)
+    assert np.abs(after[:, :3] - rest).max() < 5e-4
+
+
+def test_trousers_turn_with_their_wearer_and_nothing_tucked_twists():
+    trousers, shirt = physkin.load_garment_model("trousers"), physkin.load_garment_model("tshirt")
+    avatar = physkin.load_avatar(physkin.BUNDLED_AVATAR, trousers.rig)
+    outfit = physkin.Outfit([physkin.OutfitGarment(shirt, tucked=True), trousers], avatar)
+    still = outfit.drape(trousers.rig.rest)
+    moved = turned(outfit, trousers.rig.rest)
+    assert all(np.abs(a - b).max() < 1e-4 for a, b in zip(moved, still))
+
+
+@pytest.mark.parametrize("backend", ["native", "numpy"])
+def test_garments_of_an_outfit_twist_as_much_as_each_sways(skirt, backend):
+    shirt = physkin.load_garment_model("tshirt")
+    outfit = physkin.Outfit([shirt, skirt.model], skirt.avatar, backend=backend)
+    outfit.sway = (0.0, 1.0)
+    still, moved = outfit.drape(skirt.model.rig.rest), turned(outfit, skirt.model.rig.rest, steps=4, rate=16)
+    assert np.abs(moved[1] - still[1])[:, :3].max() > 0.05
+    sleeves = np.abs(still[0][:, 1]) > 0.25
+    assert np.abs(moved[0] - still[0])[sleeves].max() < 1e-5

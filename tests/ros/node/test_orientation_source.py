@@ -13,7 +13,7 @@ pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
 from physkin_ros.node import orientation_source  # noqa: E402
 from physkin_ros.node.orientation_source import OrientationSource, check_orientation  # noqa: E402
-from physkin_ros.node.settings import AVATAR_SETTINGS, SettingsError  # noqa: E402
+from physkin_ros.node.settings import AVATAR_SETTINGS, GARMENT_SETTINGS, AvatarSettings, GarmentSettings, SettingsError  # noqa: E402
 from physkin_ros.root import transform_tree  # noqa: E402
 from physkin_ros.root.gravity import FRESH  # noqa: E402
 from physkin_ros.root.tf_topics import FollowedTransforms  # noqa: E402
@@ -23,7 +23,8 @@ DOWN = np.array([0.0, 0.0, -1.0])
 
 def settings(**given):
     defaults = {name: setting.default for name, setting in AVATAR_SETTINGS.items()}
-    return Message(**{**defaults, "id": "", "prefix": "", "frame_id": "root", **given})
+    garments = (GarmentSettings(prefix="", name="", **{name: s.default for name, s in GARMENT_SETTINGS.items()}),)
+    return AvatarSettings(**{**defaults, "id": "", "prefix": "", "frame_id": "root", "garments": garments, **given})
 
 
 def needs_tf_messages():
@@ -36,7 +37,7 @@ class Wired:
     def __init__(self, **given):
         if given["orientation"] == "tf" or given.get("publish_tf"):
             needs_tf_messages()
-        self.callbacks, self.gravity, self.felt, self.bad, self.sent = {}, [], [], [], []
+        self.callbacks, self.gravity, self.bad, self.sent = {}, [], [], []
         self.closed = []
         node = Message(
             create_subscription=lambda kind, topic, take, *_, **__: self.callbacks.setdefault(topic, take),
@@ -45,9 +46,14 @@ class Wired:
                 publish=lambda message: self.sent.extend(message.transforms)
             ),
         )
-        takers = (lambda down, stamp: self.gravity.append(down), lambda felt, stamp: self.felt.append(felt))
+        self.rows = []  # of all garments, with the twist; felt: by the first
+        takers = (lambda down, stamp: self.gravity.append(down), lambda felt, stamp: self.rows.append(felt))
         self.transforms = FollowedTransforms(node)
         self.source = OrientationSource(node, settings(**given), self.transforms, *takers, self.bad.append)
+
+    @property
+    def felt(self):
+        return [np.atleast_2d(rows)[0, :3] for rows in self.rows]
 
     def send(self, topic: str, message):
         self.callbacks[topic](message)
@@ -91,7 +97,7 @@ def test_sway_may_change_while_running(kind):
     told = []
     for k in range(180):
         if k in (60, 120):
-            wired.source.set_sway(float(k == 120))
+            wired.source.set_sway([float(k == 120)])
         SOURCES[kind](wired, 1000 + k / 60, (1.5 * (k / 60) ** 2, 0, 0))
         told.append(len(wired.felt))
     assert told[59] == told[119] == 60 and told[-1] == 120 and len(wired.gravity) == 180
@@ -99,11 +105,22 @@ def test_sway_may_change_while_running(kind):
     assert wired.bad == []
 
 
+def test_a_root_that_turns_twists_cloth():
+    wired = Wired(orientation="pose")
+    for k in range(40):
+        message = pose(1000 + k / 60, (0, 0, 0))
+        half = 0.05 * max(k - 5, 0)
+        message.pose.orientation.z, message.pose.orientation.w = np.sin(half), np.cos(half)
+        message.pose.orientation.x = message.pose.orientation.y = 0.0
+        wired.send("pose", message)
+    assert wired.rows[15][0, 3] < -0.2 and wired.rows[15].shape == (1, 4)
+
+
 def test_an_imu_leans_cloth_no_more_without_sway():
     wired = Wired(orientation="imu")
     for k in range(90):
         if k in (30, 60):
-            wired.source.set_sway(0.5 * (k == 60))
+            wired.source.set_sway([0.5 * (k == 60)])
         wired.send("imu", imu(1000 + k / 60, (3.0 if k else 0.0, 0, 9.81), (0.0, 0.0, 0.0, 1.0)))
     assert len(wired.felt) == 60 and len(wired.gravity) == 90
     assert wired.felt[-1][0] == pytest.approx(0.5 * wired.felt[29][0], rel=0.15)

@@ -16,10 +16,11 @@ LEANING = (0.0, np.sin(0.2), 0.0, np.cos(0.2))
 def test_it_feels_what_sway_says():
     """In units of gravity; a quaternion a little off is taken as it is meant; without sway or stamp the direction
     alone."""
-    motion, still, sway = RootMotion(0.5), RootMotion(0.0), Sway(amount=0.5)
+    motion, still, sway = RootMotion([0.5]), RootMotion([0.0]), Sway(amount=0.5)
     for k in range(30):
         stamp, place = SECOND + k * SECOND // 60, (k * k / 900, 0.0, 1.0)
         down, felt = motion.move(stamp, place, tuple(1.01 * number for number in LEANING))
+        (felt,) = felt[:, :3]
         np.testing.assert_allclose(felt, sway.felt(1e-9 * stamp, (*place, *LEANING)) / 9.81, atol=1e-6)
         np.testing.assert_allclose(down, [np.sin(0.4), 0, -np.cos(0.4)])
         assert still.move(stamp, place, LEANING)[1] is None
@@ -29,9 +30,23 @@ def test_it_feels_what_sway_says():
     assert motion.move(2 * SECOND, place, LEANING)[1] is None
 
 
+def test_each_garment_feels_as_much_as_it_sways():
+    """Leaning and twist; others from now on."""
+    motion, alone = RootMotion([1.0, 0.0, 0.4]), [RootMotion([sway]) for sway in (1.0, 0.4)]
+    for k in range(40):
+        turn = (0.0, 0.0, np.sin(0.001 * k * k), np.cos(0.001 * k * k))
+        stamp, place = SECOND + k * SECOND // 60, (k * k / 900, 0.0, 1.0)
+        (_, felt), *others = (each.move(stamp, place, turn) for each in (motion, *alone))
+        np.testing.assert_array_equal(felt[[0, 2]], [other[0] for _, other in others])
+        np.testing.assert_allclose(felt[1], [0, 0, -1, 0], atol=1e-9)
+    assert felt[0, 3] < felt[2, 3] < -0.05 and abs(felt[0, 0]) > abs(felt[2, 0]) > 0.1
+    motion.set_sway([0.0, 1.0, 0.0])
+    np.testing.assert_allclose(motion.move(stamp, place, turn)[1][[1, 0]], [felt[0], [0, 0, -1, 0]], atol=1e-9)
+
+
 def test_stamps():
     """A doubled message says the same again; a late one is told; a clock that begins anew is followed."""
-    motion = RootMotion(1.0)
+    motion = RootMotion([1.0])
     for place in ((0, 0, 0), (1, 0, 0)):
         np.testing.assert_array_equal(*(motion.move(10 * SECOND, place, LEANING)[1] for _ in range(2)))
     assert not motion.follows(10 * SECOND) and not motion.follows(9 * SECOND)
@@ -53,7 +68,7 @@ def test_stamps():
     ],
 )
 def test_what_is_no_pose_changes_nothing(place, turn, told):
-    motion, other = RootMotion(1.0), RootMotion(1.0)
+    motion, other = RootMotion([1.0]), RootMotion([1.0])
     for k in range(20):
         stamp = SECOND + k * SECOND // 50
         if k == 10:

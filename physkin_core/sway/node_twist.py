@@ -1,0 +1,91 @@
+"""Which garment nodes twist about the root's vertical when the root turns, and how far they go along.
+
+Cloth that goes round both legs in one, as of a skirt, is held at the hips and free below: a torsion pendulum. The legs
+of trousers follow the body's.
+
+Dimensions: `m` garment nodes, `f` faces. Metres, canonical pose.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from physkin_core.model.garment import Garment
+from physkin_core.rig.rig import Rig
+
+__all__ = ["TWIST_LIFT", "node_twist", "twisted"]
+
+FREE_BELOW = 0.33
+"""[m] Cloth so far below the hips twists as the pendulum does; above, the less the nearer to the hips."""
+LOOKED_AT = 0.75
+"""Share of the garment's depth below the hips, at which it is looked whether it goes round both legs."""
+TWIST_LIFT = 0.2
+"""[m/rad2] Threads that twist hang askew: what cloth rises by, where it twists as the pendulum does."""
+
+
+def node_twist(garment: Garment, rig: Rig, node_rest: np.ndarray, node_bone: np.ndarray) -> np.ndarray:
+    """Share (m,) float32, 0 to 1, of the pendulum's twist that each garment node takes; (0,) where none does.
+
+    node_rest: (m, 3) on the garment, node_bone: (m,) the bone of `rig` that each follows.
+    """
+    none = np.empty(0, dtype=np.float32)
+    hips = [k for k, name in enumerate(rig.bone_names) if name.startswith("upperleg01")]
+    if not hips:
+        return none
+    middle, hip = rig.heads[hips].mean(axis=0), rig.heads[hips, 2].min()
+    lowest = garment.vertices[:, 2].min()
+    level = hip + LOOKED_AT * (lowest - hip)
+    if lowest >= hip or abs(_winding(garment, level, middle[:2])) < 0.5:
+        return none
+    shares = np.clip((hip - node_rest[:, 2]) / FREE_BELOW, 0, 1)
+    shares[~_of_legs(rig, hips)[node_bone]] = 0  # a sleeve may hang as low
+    return shares.astype(np.float32) if shares.any() else none
+
+
+def twisted(
+    nodes: np.ndarray, bones: np.ndarray, shares: np.ndarray, node_bone: np.ndarray, twist: float
+) -> np.ndarray:
+    """Garment nodes (m, 3, 4) turned about the root's vertical by their `shares` (m,) of `twist` [rad], and lifted.
+
+    bones: (b, 3, 4) canonical to posed. On legs that are raised cloth lies and hangs no more: it twists by the mean of
+    how upright they are.
+    """
+    upright = (shares * bones[node_bone, 2, 2]).sum() / shares.sum()
+    angle = twist * max(upright, 0.0) * shares
+    cosine, sine, none = np.cos(angle), np.sin(angle), np.zeros_like(angle)
+    turn = np.array([[cosine, -sine, none], [sine, cosine, none], [none, none, none + 1]]).transpose(2, 0, 1)
+    turned = turn @ nodes
+    turned[:, 2, 3] += TWIST_LIFT * twist * max(upright, 0.0) * angle
+    return turned
+
+
+def _winding(garment: Garment, level: float, axis: np.ndarray) -> float:
+    """How often the garment's outline at a height goes round a vertical axis (2,): 1 or -1 where it is closed."""
+    corners = garment.vertices[garment.faces].astype(np.float64)
+    above = corners[:, :, 2] > level
+    ends = []
+    for rising in (True, False):  # where the boundary of each face goes up through the level, and down
+        edges = [(above[:, (k + 1) % 3] != above[:, k]) & (above[:, (k + 1) % 3] == rising) for k in range(3)]
+        crossed = np.stack(edges, axis=1)
+        cut = crossed.any(axis=1)
+        start = crossed[cut].argmax(axis=1)
+        a = np.take_along_axis(corners[cut], start[:, None, None], axis=1)[:, 0]
+        b = np.take_along_axis(corners[cut], (start[:, None, None] + 1) % 3, axis=1)[:, 0]
+        at = a + (b - a) * ((level - a[:, 2]) / (b[:, 2] - a[:, 2]))[:, None]
+        ends.append((at[:, :2] - axis) @ [1, 1j])
+    return float(np.angle(ends[1] * ends[0].conj()).sum() / (2 * np.pi))
+
+
+def _of_legs(rig: Rig, hips: list[int]) -> np.ndarray:
+    """(b,) whether a bone is between the root and a hip, or of a leg."""
+    wanted = np.zeros(rig.bone_count, dtype=bool)
+    for bone in hips:
+        while bone >= 0:
+            wanted[bone] = True
+            bone = rig.parents[bone]
+    below = np.zeros(rig.bone_count, dtype=bool)
+    below[hips] = True
+    for bone, parent in enumerate(rig.parents):
+        if parent >= 0 and below[parent]:
+            below[bone] = True
+    return wanted | below
