@@ -18,7 +18,7 @@ from physkin_core.model.surface_paths import openings, path_lengths
 
 __all__ = ["Cover", "covered", "faces_of", "hem_distances"]
 
-FROM_HEM = 0.01
+FROM_HEM = 0.03
 """[m] along the cover, from its hem, within which nothing under it is hidden."""
 STANDS_OUT = 0.05
 """[m] A point farther outside its cover than this does not belong to it."""

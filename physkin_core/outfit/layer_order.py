@@ -2,10 +2,11 @@
 what of a tucked one would be outside the waistband over it is moved inside.
 
 One layer is steady, the other yields. Every vertex that may touch the steady layer has a partner there, its closest
-vertex. It is looked for among those that it meets in everyday poses and the last frame's, and walked from there along
-the mesh. The planes around the partner, weighted by how near they are along the cloth, say how far on the right side
-the vertex is: that changes continuously with the pose. What it lacks pushes it along its own normal, and less and less
-the vertices around it, so that no hem flares and no spike stands out. Along the steady layer it slides as it likes.
+vertex. It is looked for among those that it meets in everyday poses, the last frame's and the partners of contacts
+around, which know of folds that it has not met yet, and walked from there along the mesh. The planes around the
+partner, weighted by how near they are along the cloth, say how far on the right side the vertex is: that changes
+continuously with the pose. What it lacks pushes it along its own normal, and less and less the vertices around it, so
+that no hem flares and no spike stands out. Along the steady layer it slides as it likes.
 
 NumPy reference; native/src/outfit/layer_order.cpp is the same in C++.
 
@@ -41,16 +42,19 @@ NEAR = 0.005
 """[m] A vertex farther off its partner's plane than this is right without looking at those around."""
 TURNS = 8
 """Frames in which every vertex has its turn to look for a closer partner; one that lost its own does at once."""
-STRAY = 0.6
-"""In mean edge lengths along the cloth: from here on a vertex looks for a closer partner."""
+LOST = 1.0
+"""In mean edge lengths along the cloth: a vertex farther beside its partner looks for a closer one at once."""
 PLANE_REACH = 1.3
 """In mean edge lengths: planes of vertices this far along the cloth do not count."""
 FULL_SHARE = 0.5
 """Planes that count less than this together, as beyond a hem, push less."""
-STEPS = 4
-"""The most a partner is walked in a frame."""
-PASSES, AGAIN = 2, 0.001
-"""Times that contacts are looked at in a frame: again those that have moved by more than this [m]."""
+STEPS = 3
+"""The most a partner is walked at a time."""
+PASSES, AGAIN = 4, 0.002
+"""Times that contacts are looked at in a frame: again those that have moved by more than this [m]. In a fold a push
+meets other cloth."""
+BESIDE_COUNT = 3
+"""Contacts around, by whose partners one finds a closer partner of its own."""
 SEEDS_APART, MOST_SEEDS = 3.0, 4
 """In mean edge lengths: what a contact meets in everyday poses is remembered no more densely; and how many of it."""
 RADIUS = 0.04
@@ -63,9 +67,10 @@ TOUCHING, BESIDE, DILATED = 0.012, 0.02, 0.010
 class LayerOrder:
     """Two layers of an outfit, of the vertices that are computed. Index arrays are int32.
 
-    steady, yielding: which layers; the one that yields goes outwards if it is the outer one, or else inwards. contact:
-    (s,) vertices of the yielding layer. seed_start: (s + 1,) into seed, the steady vertices that a contact may meet,
-    first the one at rest. ring_start: (r + 1,) into ring, the neighbours of each steady vertex.
+    steady, yielding: which layers; the one that yields goes outwards if it is the outer one, or else inwards.
+    contact: (s,) vertices of the yielding layer. seed_start: (s + 1,) into seed, the steady vertices that a contact
+    may meet, first the one at rest. beside: (s, 3) indices of contacts around each. ring_start: (r + 1,) into ring,
+    the neighbours of each steady vertex.
     push_start: (s + 1,) into push_to (indices into `moved`) and push_share (float32, 1 for the contact itself): what
     moves along with a contact. moved: (u,) yielding vertices, in order of index, all contacts among them. edge: [m]
     mean edge length of the steady layer.
@@ -76,6 +81,7 @@ class LayerOrder:
     contact: np.ndarray
     seed_start: np.ndarray
     seed: np.ndarray
+    beside: np.ndarray
     ring_start: np.ndarray
     ring: np.ndarray
     push_start: np.ndarray
@@ -91,11 +97,13 @@ class LayerOrder:
 
 
 class ReferenceLayerOrder:
-    """Keeps the order of two layers frame by frame. Remembers partners from one frame to the next."""
+    """Keeps the order of two layers frame by frame. Remembers partners from one frame to the next: those that contacts
+    have before they are pushed, and those after, which lie elsewhere in a fold and would not fit the next frame."""
 
     def __init__(self, order: LayerOrder) -> None:
         self._order = order
         self._partner = order.seed[order.seed_start[:-1]].astype(np.int64)
+        self._pushed_partner = self._partner.copy()
         own = np.arange(len(order.ring_start) - 1)
         self._ring, self._counts = _table(order.ring_start, order.ring, own)
         self._seeds = _table(order.seed_start, order.seed, self._partner)[0]
@@ -110,35 +118,47 @@ class ReferenceLayerOrder:
         """
         order = self._order
         steady = steady.astype(np.float64)
-        searches = look_at_all | (np.arange(len(order.contact)) % TURNS == self._frame % TURNS)
-        looked_at = searches | ~self._free
+        turns = look_at_all | (np.arange(len(order.contact)) % TURNS == self._frame % TURNS)
+        looked_at = turns | ~self._free
         self._frame += 1
-        for _ in range(PASSES):
-            lack, partner, free = self._lack(steady, yielding[order.contact].astype(np.float64), searches)
-            self._partner = np.where(looked_at, partner, self._partner)
-            self._free = np.where(looked_at, free, self._free)
+        contacts = yielding[order.contact].astype(np.float64)
+        _, aside = _off_plane(contacts[:, :3], steady[self._partner])
+        searches = turns | (looked_at & (aside > (LOST * order.edge) ** 2))
+        partner = self._partner = self._closer(steady, contacts, self._partner, searches)
+        for again in range(PASSES):
+            if again:
+                contacts = yielding[order.contact].astype(np.float64)
+                partner = self._closer(steady, contacts, partner, looked_at)
+                self._pushed_partner = np.where(looked_at, partner, self._pushed_partner)
+            lack, free = self._lack(steady, contacts, partner)
+            if not again:
+                self._free = np.where(looked_at, free, self._free)
             lack = np.where(looked_at, lack, 0)
             push = np.zeros(len(order.moved))
             np.maximum.at(push, order.push_to, lack[self._owner] * order.push_share)
             yielding[order.moved, :3] += order.side * push[:, None] * yielding[order.moved, 3:]
-            searches = np.zeros_like(looked_at)
             looked_at = push[np.searchsorted(order.moved, order.contact)] > AGAIN
 
-    def _lack(
-        self, steady: np.ndarray, contacts: np.ndarray, searches: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(s,) [m] by which each contact must be pushed along its own normal, or against it; partners (s,); which are
-        free (s,). searches: (s,) bool, who looks for a closer partner in any case."""
+    def _closer(
+        self, steady: np.ndarray, contacts: np.ndarray, partner: np.ndarray, searches: np.ndarray
+    ) -> np.ndarray:
+        """Partners (s,), of those that search (s,) bool the closest vertices that they find."""
+        who = np.flatnonzero(searches)
+        at = contacts[who, :3]
+        known = np.stack([partner[who], self._pushed_partner[who]], axis=1)
+        candidates = np.concatenate([known, partner[self._order.beside[who]], self._seeds[who]], axis=1)
+        found = _closest(at, steady, candidates)
+        for _ in range(STEPS):
+            found = _closest(at, steady, self._ring[found])
+        closer = partner.copy()
+        closer[who] = found
+        return closer
+
+    def _lack(self, steady: np.ndarray, contacts: np.ndarray, partner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(s,) [m] by which each contact must be pushed along its own normal, or against it; and which are free
+        (s,)."""
         at, own = contacts[:, :3], contacts[:, 3:]
         edge, side = self._order.edge, self._order.side
-        seeds = np.concatenate([self._partner[:, None], self._seeds], axis=1)
-        partner = _closest(at, steady, seeds)
-        for _ in range(STEPS):
-            _, aside = _off_plane(at, steady[partner])
-            closest = _closest(at, steady, self._ring[partner])
-            partner = np.where(aside > (STRAY * edge) ** 2, closest, partner)
-        _, aside = _off_plane(at, steady[self._partner])
-        partner = np.where(searches | (aside > edge**2), partner, self._partner)
         off, aside = _off_plane(at, steady[partner])
         off = side * off
         free = (off > FREE) | (aside > (FAR_ASIDE * edge) ** 2)
@@ -153,7 +173,7 @@ class ReferenceLayerOrder:
         lack = np.where(wanted < 2 * SOFT, wanted**2 / (4 * SOFT), wanted - SOFT)
         lack *= np.minimum(total / FULL_SHARE, 1) * np.clip((DEEPEST + gap) / FADE, 0, 1)
         lack *= np.clip(4 * alike, 0, 1) / np.maximum(alike, 0.5)
-        return np.where(free | (off > NEAR), 0, np.minimum(lack, MOST_PUSH)), partner, free
+        return np.where(free | (off > NEAR), 0, np.minimum(lack, MOST_PUSH)), free
 
 
 def _side(steady: int, yielding: int) -> int:
@@ -222,6 +242,7 @@ def bind_layer_order(
         contact=contact.astype(np.int32),
         seed_start=np.cumsum([0, *map(len, seeds)]).astype(np.int32),
         seed=np.concatenate(seeds).astype(np.int32),
+        beside=_beside(distance[:, contact]),
         ring_start=rings.indptr.astype(np.int32),
         ring=rings.indices.astype(np.int32),
         push_start=np.searchsorted(owner, np.arange(len(contact) + 1)).astype(np.int32),
@@ -244,6 +265,14 @@ def _apart(vertices: np.ndarray, candidates: np.ndarray, spacing: float) -> list
         chosen.append(np.where(left.max(axis=1) > spacing, picked, -1))
         left = np.minimum(left, np.linalg.norm(at - vertices[picked][:, None], axis=2))
     return [row[row >= 0] for row in np.stack(chosen, axis=1)]
+
+
+def _beside(distance: np.ndarray) -> np.ndarray:
+    """Of contacts by their distance (s, s) [m] along the cloth, some near each and some farther off: (s, 3) int32."""
+    ranks = distance.argsort(axis=1, kind="stable")
+    near = (distance < RADIUS).sum(axis=1)
+    picked = np.arange(1, BESIDE_COUNT + 1) * near[:, None] // (BESIDE_COUNT + 1)
+    return np.take_along_axis(ranks, picked, axis=1).astype(np.int32)
 
 
 def _edge_graph(vertices: np.ndarray, faces: np.ndarray):

@@ -16,8 +16,8 @@ struct DenseWeights {
 };
 
 // Of network weights. fp32: the reference. bf16: 16-bit floats, widened in registers, activations in fp32. int8: 8-bit
-// integers with one scale an output, activations rounded to 16-bit integers layer by layer; the layer that reads bone
-// transforms in bf16.
+// integers with one scale an output, activations rounded to 16-bit integers layer by layer; the layers that read bone
+// transforms and the pose vector in bf16.
 enum class Precision { fp32, bf16, int8 };
 constexpr int kPrecisionCount = 3;
 

@@ -13,9 +13,9 @@ namespace physkin {
 namespace {
 
 // Metres and mean edge lengths, as the constants of the same names in layer_order.py.
-constexpr float kOrderGap = 0.003f, kSoft = 0.001f, kMostPush = 0.05f, kDeepest = 0.07f, kFade = 0.01f, kFree = 0.01f, kNear = 0.005f, kAgain = 0.001f;
-constexpr float kStray = 0.6f, kPlaneReach = 1.3f, kFarAside = 2.0f, kFullShare = 0.5f;
-constexpr int kSteps = 4, kPasses = 2, kTurns = 8;
+constexpr float kOrderGap = 0.003f, kSoft = 0.001f, kMostPush = 0.05f, kDeepest = 0.07f, kFade = 0.01f, kFree = 0.01f, kNear = 0.005f, kAgain = 0.002f;
+constexpr float kLost = 1.0f, kPlaneReach = 1.3f, kFarAside = 2.0f, kFullShare = 0.5f;
+constexpr int kSteps = 3, kPasses = 4, kTurns = 8, kBeside = 3;
 
 // Lists padded to whole fours with `filler` of each, so that four entries are looked at together.
 struct Fours {
@@ -64,6 +64,8 @@ LayerOrderData read_layer_order(FieldSource& source) {
   d.contact = integers("contact", d.contacts);
   d.seed_start = integers("seed_start", d.seed_starts);
   d.seed = integers("seed", d.seeds);
+  std::vector<int> beside_shape{d.contacts, kBeside};
+  d.beside = source.integers("beside", beside_shape);
   d.ring_start = integers("ring_start", d.steady_starts);
   d.ring = integers("ring", d.ring_size);
   d.push_start = integers("push_start", d.contact_starts);
@@ -79,6 +81,7 @@ LayerOrder::LayerOrder(const LayerOrderData& d, Side side, int steady_vertices, 
   check_indices("contact", d.contact, d.contacts, yielding_vertices);
   check_starts("seed_start", d.seed_start, d.seed_starts, d.contacts, d.seeds);
   check_indices("seed", d.seed, d.seeds, steady_vertices);
+  check_indices("beside", d.beside, kBeside * std::size_t(d.contacts), d.contacts);
   check_starts("ring_start", d.ring_start, d.steady_starts, steady_vertices, d.ring_size);
   check_indices("ring", d.ring, d.ring_size, steady_vertices);
   check_starts("push_start", d.push_start, d.contact_starts, d.contacts, d.pushes);
@@ -115,13 +118,15 @@ LayerOrder::LayerOrder(const LayerOrderData& d, Side side, int steady_vertices, 
   plane_count_ = plane_count;
   plane_start_ = arena.copy(planes.start.data(), planes.start.size());
   plane_ = arena.copy(planes.values.data(), planes.values.size());
-  partner_ = arena.take<std::int32_t>(d.contacts);
+  beside_ = arena.copy(d.beside, kBeside * std::size_t(d.contacts));
+  for (std::int32_t** list : {&partner_, &pushed_partner_, &later_, &found_}) *list = arena.take<std::int32_t>(d.contacts);
+  now_ = partner_;
   free_ = arena.take<bool>(d.contacts);
   for (int c = 0; c < d.contacts; ++c) {
     if (d.seed_start[c] == d.seed_start[c + 1]) {
       throw std::invalid_argument("seed_start[" + std::to_string(c) + "]: a contact needs a seed");
     }
-    partner_[c] = d.seed[d.seed_start[c]];
+    partner_[c] = pushed_partner_[c] = d.seed[d.seed_start[c]];
     seeds.add(d.seed + d.seed_start[c], d.seed + d.seed_start[c + 1], partner_[c]);
   }
   seed_start_ = arena.copy(seeds.start.data(), seeds.start.size());
@@ -138,78 +143,85 @@ void LayerOrder::apply(const VertexRows& steady_rows, const VertexRows& yielding
     here_[here] = c;
     here += !free_[c] & (c % kTurns != turn);
   }
-  for (int pass = 0; pass < kPasses; ++pass) {
-    find_near(here, searching, steady, yielding);
-    if (!push_lacking(steady, yielding)) return;
-    here = searching = 0;
-    for (int c = 0; c < contacts_; ++c) {
-      here_[here] = c;
-      here += has_moved_[contact_place_[c]];
+  now_ = partner_;
+  near_count_ = 0;
+  search(look(here, searching, steady, yielding), steady, yielding);
+  for (int pass = 1; push_lacking(steady, yielding) && pass < kPasses; ++pass) {
+    if (pass == 1) {
+      std::copy_n(partner_, contacts_, later_);
+      now_ = later_;
     }
+    searching = 0;
+    for (int c = 0; c < contacts_; ++c) {
+      searching_[searching] = c;
+      searching += has_moved_[contact_place_[c]];
+    }
+    near_count_ = 0;
+    search(searching, steady, yielding);
+    for (int k = 0; k < searching; ++k) pushed_partner_[searching_[k]] = later_[searching_[k]];
   }
 }
 
-void LayerOrder::find_near(int here, int searching, const ClothRows& steady, const ClothRows& yielding) noexcept {
-  near_count_ = 0;
-  searching = look(here_, here, edge_ * edge_, searching_, searching, steady, yielding);
-  for (int k = 0; k < searching; ++k) choose_seed(searching_[k], steady, yielding);
-  const float stray = (kStray * edge_) * (kStray * edge_);
-  const int strayed = look(searching_, searching, stray, here_, 0, steady, yielding);
-  for (int k = 0; k < strayed; ++k) walk(here_[k], stray, steady, yielding);
-}
-
 // Stage by stage for many contacts: what one of them waits for does not hold up the others.
-int LayerOrder::look(std::int32_t* list, int count, float most_aside_square, std::int32_t* beyond, int beyond_count,
-                     const ClothRows& steady, const ClothRows& yielding) noexcept {
-  for (int k = count; k < count + 3; ++k) list[k] = count > 0 ? list[count - 1] : 0;
-  for (int first = 0; first < count; first += 4) {
+int LayerOrder::look(int here, int searching, const ClothRows& steady, const ClothRows& yielding) noexcept {
+  const float most_aside = kLost * edge_;
+  for (int k = here; k < here + 3; ++k) here_[k] = here > 0 ? here_[here - 1] : 0;
+  for (int first = 0; first < here; first += 4) {
     std::int32_t four[4];
-    std::copy_n(list + first, 4, four);
+    std::copy_n(here_ + first, 4, four);
     Quad gap[4], normal[4];
     for (int k = 0; k < 4; ++k) {
-      const std::int32_t partner = partner_[four[k]];
+      const std::int32_t partner = now_[four[k]];
       gap[k] = yielding.position(contact_[four[k]]) - steady.position(partner);
       normal[k] = steady.normal(partner);
     }
     const OffPlanes planes = off_planes(gap, normal);
-    for (int k = 0; k < std::min(4, count - first); ++k) {
-      const float aside_square = planes.aside_square[k];
-      const bool is_beyond = aside_square > most_aside_square;
-      beyond[beyond_count] = four[k];
-      beyond_count += is_beyond;
-      settle(four[k], side_ * planes.off[k], aside_square, !is_beyond);
+    for (int k = 0; k < std::min(4, here - first); ++k) {
+      const bool lost = planes.aside_square[k] > most_aside * most_aside;
+      searching_[searching] = four[k];
+      searching += lost;
+      settle(four[k], side_ * planes.off[k], planes.aside_square[k], !lost);
     }
   }
-  return beyond_count;
+  return searching;
+}
+
+// All contacts look before one of them changes its partner: what they find does not hang on their order.
+void LayerOrder::search(int searching, const ClothRows& steady, const ClothRows& yielding) noexcept {
+  for (int k = 0; k < searching; ++k) found_[k] = closest_known(searching_[k], steady, yielding);
+  for (int k = 0; k < searching; ++k) walk(searching_[k], found_[k], steady, yielding);
+}
+
+inline std::int32_t LayerOrder::closest_known(std::int32_t c, const ClothRows& steady, const ClothRows& yielding) const noexcept {
+  const Quad at = yielding.position(contact_[c]);
+  const std::int32_t* beside = beside_ + kBeside * c;
+  const std::int32_t known[4] = {pushed_partner_[c], now_[beside[0]], now_[beside[1]], now_[beside[2]]};
+  Closest closest{now_[c], square_distance(at, steady.position(now_[c]))};
+  closest.among(known, known + 4, at, steady);
+  closest.among(seed_ + seed_start_[c], seed_ + seed_start_[c + 1], at, steady);
+  return closest.vertex;
+}
+
+void LayerOrder::walk(std::int32_t c, std::int32_t from, const ClothRows& steady, const ClothRows& yielding) noexcept {
+  const Quad at = yielding.position(contact_[c]);
+  Closest closest{from, square_distance(at, steady.position(from))};
+  for (int step = 0; step < kSteps; ++step) {
+    const std::int32_t before = closest.vertex;
+    closest.among(plane_ + plane_start_[before], plane_ + plane_start_[before + 1], at, steady);
+    if (closest.vertex == before) break;
+  }
+  const Quad along = (at - steady.position(closest.vertex)) * steady.normal(closest.vertex);
+  const float off = along[0] + along[1] + along[2];
+  now_[c] = closest.vertex;
+  settle(c, side_ * off, closest.square - off * off, true);
 }
 
 inline void LayerOrder::settle(std::int32_t c, float off, float aside_square, bool now) noexcept {
   const float far_aside = kFarAside * edge_;
-  free_[c] = (off > kFree) | (aside_square > far_aside * far_aside);
+  const bool free = (off > kFree) | (aside_square > far_aside * far_aside);
+  if (now_ == partner_) free_[c] = free;
   near_[near_count_] = c;
-  near_count_ += now & !free_[c] & !(off > kNear);
-}
-
-inline void LayerOrder::choose_seed(std::int32_t c, const ClothRows& steady, const ClothRows& yielding) noexcept {
-  Closest closest{partner_[c], square_distance(yielding.position(contact_[c]), steady.position(partner_[c]))};
-  closest.among(seed_ + seed_start_[c], seed_ + seed_start_[c + 1], yielding.position(contact_[c]), steady);
-  partner_[c] = closest.vertex;
-}
-
-void LayerOrder::walk(std::int32_t c, float stray, const ClothRows& steady, const ClothRows& yielding) noexcept {
-  const Quad at = yielding.position(contact_[c]);
-  Closest closest{partner_[c], square_distance(at, steady.position(partner_[c]))};
-  float off, aside_square;
-  for (int step = 0;; ++step) {
-    const std::int32_t before = closest.vertex;
-    if (step < kSteps) closest.among(plane_ + plane_start_[before], plane_ + plane_start_[before + 1], at, steady);
-    const Quad along = (at - steady.position(closest.vertex)) * steady.normal(closest.vertex);
-    off = along[0] + along[1] + along[2];
-    aside_square = closest.square - off * off;
-    if (closest.vertex == before || !(aside_square > stray)) break;
-  }
-  partner_[c] = closest.vertex;
-  settle(c, side_ * off, aside_square, true);
+  near_count_ += now & !free & !(off > kNear);
 }
 
 bool LayerOrder::push_lacking(const ClothRows& steady, const ClothRows& yielding) noexcept {
@@ -244,7 +256,7 @@ Quad LayerOrder::lack(const std::int32_t* four, const ClothRows& steady, const C
   Quad totals[4], gaps[4], alikes[4];
   for (int k = 0; k < 4; ++k) {
     const Quad at = yielding.position(contact_[four[k]]), own = yielding.normal(contact_[four[k]]);
-    const std::int32_t partner = partner_[four[k]];
+    const std::int32_t partner = now_[four[k]];
     totals[k] = gaps[k] = alikes[k] = Quad{};
     QuadInts left = plane_count_[partner] - QuadInts{0, 1, 2, 3};
     for (std::int32_t group = plane_start_[partner]; group < plane_start_[partner + 1]; group += 4, left -= 4) {

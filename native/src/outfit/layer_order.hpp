@@ -14,6 +14,7 @@ struct LayerOrderData {
   const std::int32_t* contact = nullptr;
   const std::int32_t* seed_start = nullptr;
   const std::int32_t* seed = nullptr;
+  const std::int32_t* beside = nullptr;
   const std::int32_t* ring_start = nullptr;
   const std::int32_t* ring = nullptr;
   const std::int32_t* push_start = nullptr;
@@ -39,15 +40,14 @@ class LayerOrder {
   void apply(const VertexRows& steady, const VertexRows& yielding, bool look_at_all) noexcept;
 
  private:
-  // Fills near_ from `here` contacts that keep their partners unless they lost them, and `searching` others.
-  void find_near(int here, int searching, const ClothRows& steady, const ClothRows& yielding) noexcept;
-  // Looks at the partners of `count` contacts. Those farther beside them are added to `beyond`, which counts then as many
-  // as returned; others that are near to near_. `list` has room for four more.
-  int look(std::int32_t* list, int count, float most_aside_square, std::int32_t* beyond, int beyond_count,
-           const ClothRows& steady, const ClothRows& yielding) noexcept;
+  // Looks at the partners of the `here` contacts of here_: those near them go to near_, those that have lost them to
+  // searching_, which has `searching` already. Returns how many search then.
+  int look(int here, int searching, const ClothRows& steady, const ClothRows& yielding) noexcept;
+  // Finds the partners of contacts of searching_, and adds those near them to near_.
+  void search(int searching, const ClothRows& steady, const ClothRows& yielding) noexcept;
+  std::int32_t closest_known(std::int32_t contact, const ClothRows& steady, const ClothRows& yielding) const noexcept;
+  void walk(std::int32_t contact, std::int32_t from, const ClothRows& steady, const ClothRows& yielding) noexcept;
   void settle(std::int32_t contact, float off, float aside_square, bool now) noexcept;
-  void choose_seed(std::int32_t contact, const ClothRows& steady, const ClothRows& yielding) noexcept;
-  void walk(std::int32_t contact, float stray, const ClothRows& steady, const ClothRows& yielding) noexcept;
   // Moves what near contacts lack, and says whether any did.
   bool push_lacking(const ClothRows& steady, const ClothRows& yielding) noexcept;
   // What each of four contacts lacks [m].
@@ -60,7 +60,12 @@ class LayerOrder {
   const std::int32_t* contact_place_;  // (contacts_,) into moved_
   const std::int32_t* seed_start_;     // (contacts_ + 1,) into seed_, whole fours
   const std::int32_t* seed_;
-  std::int32_t* partner_;  // (contacts_,) of the last frame
+  const std::int32_t* beside_;  // (contacts_, 3) contacts
+  std::int32_t* partner_;         // (contacts_,) before anything is pushed, of the last frame until they are looked at
+  std::int32_t* pushed_partner_;  // (contacts_,) when pushed last
+  std::int32_t* later_;           // (contacts_,) in this frame's later passes
+  std::int32_t* now_;             // partner_, then later_
+  std::int32_t* found_;           // of contacts that search
   bool* free_;             // (contacts_,) when looked at last
   int frame_ = 0;
   const std::int32_t* plane_start_;  // (steady vertices + 1,) into plane_, whole fours

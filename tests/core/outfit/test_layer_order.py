@@ -6,6 +6,7 @@ from random_models import tube
 
 from physkin_core.model.garment import vertex_normals
 from physkin_core.outfit.layer_order import MOST_PUSH, RADIUS, ReferenceLayerOrder, bind_layer_order
+from physkin_core.quality import signed_distance
 from physkin_core.runtime.layers_beneath import LAYER_GAP
 
 INNER = tube(rings=25, segments=60, radius=0.15)
@@ -97,3 +98,24 @@ def test_a_push_changes_continuously_with_the_pose(layers):
 def test_layers_that_never_meet_need_no_order():
     inner, outer = cloth(INNER.vertices), scaled(np.full(len(INNER.vertices), 0.3))
     assert bind_layer_order(0, 1, (inner[:, :3], outer[:, :3]), (INNER.faces,) * 2, [(inner, outer)]) is None
+
+
+def folded(share):
+    """The inner tube (n, 6) with a bulge on one side that hangs over by 8 cm, as knee to chest folds trousers."""
+    vertices, middle = INNER.vertices.copy(), [0.15, 0, INNER.vertices[:, 2].mean() + 0.03]
+    bulge = share * np.exp(-((np.linalg.norm(vertices - middle, axis=1) / 0.04) ** 2))
+    vertices[:, :2] *= (1 + 0.04 * bulge / 0.15)[:, None]
+    vertices[:, 2] -= 0.08 * bulge
+    return cloth(vertices)
+
+
+def test_cloth_that_folds_over_finds_who_is_over_it(layers):
+    """A fold brings cloth under the outer layer that lay elsewhere at rest: no partner met it in any pose looked at."""
+    _, _, order = layers
+    keeper = ReferenceLayerOrder(order)
+    away_from_hems = np.abs(INNER.vertices[:, 2] - INNER.vertices[:, 2].mean()) < 0.16
+    for frame in range(30):
+        inner, outer = folded(min(frame / 24, 1)), scaled(np.full(len(INNER.vertices), 0.16))
+        keeper.apply(inner, outer, look_at_all=False)
+    points, surface = (rows[:, :3].astype(np.float64) for rows in (outer[away_from_hems], inner))
+    assert signed_distance(points, surface, INNER.faces).min() > LAYER_GAP

@@ -336,9 +336,9 @@ def test_wrong_arrays_are_refused(over_trousers, motion):
 def test_indices_of_what_is_kept_are_checked(over_trousers):
     """The native evaluator follows them blindly in a frame, so refuses them when it is built."""
     (order,) = over_trousers.orders
-    for field in ("contact", "seed", "ring", "push_to", "moved"):
+    for field in ("contact", "seed", "beside", "ring", "push_to", "moved"):
         wrong = getattr(order, field).copy()
-        wrong[3] = 1_000_000
+        wrong.flat[3] = 1_000_000
         with pytest.raises(ValueError, match=rf"{field}\[3\] is 1000000"):
             NativeOutfitEvaluator(over_trousers.bounds, [replace(order, **{field: wrong})])
     for steady, yielding in ((0, 0), (0, 2), (-1, 1)):
