@@ -106,8 +106,8 @@ class BoundEvaluator {
     read_vector(joint_positions, "joint_positions", evaluator_.dofs(), joint_positions_.data());
     const int size = gravity_size(gravity);
     read_vector(gravity, "gravity", size, gravity_);
-    const float twist = size > 3 ? gravity_[3] : 0.0f;
-    raise_if(evaluator_.step(joint_positions_.data(), gravity_, vertex_rows(out, evaluator_.vertex_count()), twist));
+    const VertexRows rows = vertex_rows(out, evaluator_.vertex_count());
+    step_under(evaluator_, joint_positions_.data(), gravity_, size, rows);
   }
 
   void skin(const TransformArray& node_transforms, const OutputArray& out) {
@@ -121,7 +121,7 @@ class BoundEvaluator {
  private:
   Evaluator evaluator_;
   std::vector<float> joint_positions_;
-  float gravity_[4] = {};
+  float gravity_[5] = {};
 };
 
 // A frame whose arrays were checked once: a call converts and allocates nothing. Keeps evaluator and arrays alive.
@@ -141,8 +141,7 @@ class BoundStep {
   }
 
   void step() {
-    const float twist = gravity_size(gravity_) > 3 ? gravity_.data()[3] : 0.0f;
-    raise_if(evaluator_.step(joint_positions_.data(), gravity_.data(), rows_, twist));
+    step_under(evaluator_, joint_positions_.data(), gravity_.data(), gravity_size(gravity_), rows_);
   }
   void pose() { evaluator_.pose(joint_positions_.data(), gravity_.data()); }
   void run_networks() { evaluator_.run_networks(); }

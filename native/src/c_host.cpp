@@ -177,8 +177,8 @@ physkin_status physkin_joint_range(const physkin_garment* garment, int32_t joint
 
 namespace {
 
-physkin_status step(physkin_garment* garment, const float* joint_positions, const float* gravity, float twist,
-                    float* out, int32_t columns, ptrdiff_t stride) {
+physkin_status step(physkin_garment* garment, const float* joint_positions, const float* gravity,
+                    const physkin::Moment* moment, float* out, int32_t columns, ptrdiff_t stride) {
   if (garment == nullptr || joint_positions == nullptr || gravity == nullptr || out == nullptr) {
     return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment, joint_positions, gravity or out is null");
   }
@@ -187,7 +187,7 @@ physkin_status step(physkin_garment* garment, const float* joint_positions, cons
     return fail(PHYSKIN_BAD_ARGUMENT, "stride is %ld floats; must be %d or more", long(stride), int(columns));
   }
   const physkin::VertexRows rows{reinterpret_cast<unsigned char*>(out), stride, columns == 6};
-  if (const physkin::Rejection bad = garment->evaluator.step(joint_positions, gravity, rows, twist)) {
+  if (const physkin::Rejection bad = garment->evaluator.step(joint_positions, gravity, rows, moment)) {
     return fail(PHYSKIN_BAD_POSE, "%s[%zu] is %g; every value must be finite and within +-%g", bad.name, bad.index,
                 double(bad.value), double(bad.limit));
   }
@@ -198,7 +198,7 @@ physkin_status step(physkin_garment* garment, const float* joint_positions, cons
 
 physkin_status physkin_step(physkin_garment* garment, const float* joint_positions, const float* gravity, float* out,
                             int32_t columns, ptrdiff_t stride) {
-  return step(garment, joint_positions, gravity, 0, out, columns, stride);
+  return step(garment, joint_positions, gravity, nullptr, out, columns, stride);
 }
 
 physkin_status physkin_step_accelerated(physkin_garment* garment, const float* joint_positions,
@@ -228,11 +228,12 @@ physkin_status physkin_step_accelerated(physkin_garment* garment, const float* j
 physkin_status physkin_step_moving(physkin_garment* garment, const float* joint_positions, double time,
                                    const double* root, float* out, int32_t columns, ptrdiff_t stride) {
   if (garment == nullptr || root == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment or root is null");
-  float gravity[4];
+  float gravity[5];
   if (const char* wrong = garment->sway.gravity(time, root, garment->accelerated, gravity)) {
     return fail(PHYSKIN_BAD_POSE, "%s", wrong);
   }
-  return step(garment, joint_positions, gravity, gravity[3], out, columns, stride);
+  const physkin::Moment moment{gravity[3], gravity[4]};
+  return step(garment, joint_positions, gravity, &moment, out, columns, stride);
 }
 
 physkin_status physkin_set_sway(physkin_garment* garment, double amount) {

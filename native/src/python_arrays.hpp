@@ -149,10 +149,21 @@ inline void read_vector(const AnyArray& array, const char* name, int count, floa
   read_array(array, name, {count}, target);
 }
 
-// Numbers of one gravity: 4, with the twist behind it, or 3.
+inline void raise_if(const Rejection& rejection) {
+  if (rejection) throw nb::value_error(rejection.message().c_str());
+}
+
+// Numbers of one gravity: 5, with the moment behind it, or 3.
 template <class Array>
 int gravity_size(const Array& gravity) {
-  return gravity.ndim() > 0 && gravity.shape(gravity.ndim() - 1) == 4 ? 4 : 3;
+  return gravity.ndim() > 0 && gravity.shape(gravity.ndim() - 1) == 5 ? 5 : 3;
+}
+
+// One frame under a gravity of that many numbers.
+inline void step_under(Evaluator& evaluator, const float* joint_positions, const float* gravity, int size,
+                       const VertexRows& rows) {
+  const Moment moment = size > 3 ? Moment{gravity[3], gravity[4]} : Moment{};
+  raise_if(evaluator.step(joint_positions, gravity, rows, size > 3 ? &moment : nullptr));
 }
 
 inline VertexRows vertex_rows(const OutputArray& out, int vertex_count) {
@@ -167,10 +178,6 @@ inline VertexRows vertex_rows(const OutputArray& out, int vertex_count) {
     throw nb::value_error(("rows of out overlap: they are " + std::to_string(stride) + " floats apart").c_str());
   }
   return {reinterpret_cast<unsigned char*>(out.data()), std::ptrdiff_t(stride), columns == 6};
-}
-
-inline void raise_if(const Rejection& rejection) {
-  if (rejection) throw nb::value_error(rejection.message().c_str());
 }
 
 using Text = std::optional<std::string>;  // None: from the environment, or the default

@@ -30,7 +30,7 @@ from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
 from physkin_core.separation.limb_separator import LimbSeparator
-from physkin_core.sway.sway import Sway, checked_amount
+from physkin_core.sway.sway import UNTOLD, Sway, checked_amount
 
 __all__ = ["Outfit"]
 
@@ -188,15 +188,14 @@ class Outfit:
         Raises ValueError as `Draper.drape` does. Order is kept from one frame to the next: give frames in their order.
         """
         felt = [(gravity, effective_gravity, 0.0)] * len(self._drapers)
-        if time is not None or root is not None:
+        if root is not None:
             felt = self._swaying(time, root, effective_gravity)
         poses = [draper.checked_pose(joint_positions, *each) for draper, (*each, _) in zip(self._drapers, felt)]
         positions, down = poses[-1]
-        *_, twist = felt[-1]
-        if isinstance(self.sway, tuple):
-            down = np.stack([[*each, twist] for (_, each), (*_, twist) in zip(poses, felt)]).astype(np.float32)
-        elif twist:
-            down = np.array([*down, twist], dtype=np.float32)
+        if time is not None:
+            passed = self._sway.passed(time)
+            moments = [(twist, passed if sway else UNTOLD) for (*_, twist), sway in zip(felt, self.sways)]
+            down = np.array([(*each, *moment) for (_, each), moment in zip(poses, moments)], dtype=np.float32)
         if self._limb_separator is not None:
             positions, _ = self._limb_separator.separate(positions, out=self._separated)
         if outs is None:

@@ -51,9 +51,9 @@ class NativeOutfitEvaluator:
         return self._outfit.precision
 
     def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, outs: Sequence[np.ndarray]) -> None:
-        """Compute one frame. joint_positions: (d,) [rad]. gravity: (3,), or (layers, 3), one each, or with a fourth
-        number each, the twist, as of `NativeEvaluator`. outs: one a layer,
-        writable float32, all (n, 6) for x, y, z [m] and normals, or all (n, 3); any row stride.
+        """Compute one frame. joint_positions: (d,) [rad]. gravity: (3,), or (layers, 3), one each, or with twist
+        and passed time behind, as of `NativeEvaluator`. outs: one a layer, writable float32, all (n, 6) for x, y, z [m]
+        and normals, or all (n, 3); any row stride.
 
         Raises TypeError for another dtype; ValueError for a wrong shape or where a value is not finite (nothing is
         written then).
@@ -112,7 +112,7 @@ class ReferenceOutfitEvaluator:
             raise ValueError(f"out has {len(outs)} arrays; expected one for each of {len(self._bounds)} garments")
         layers = [np.empty((len(bound.vertices), 6), dtype=np.float32) for bound in self._bounds]
         shape, size = np.shape(gravity), np.shape(gravity)[-1:]
-        if shape not in (size, (len(layers), *size)) or size not in ((3,), (4,)):
+        if shape not in (size, (len(layers), *size)) or size not in ((3,), (5,)):
             raise ValueError(f"gravity must have shape (3,) or {(len(layers), 3)}, got {np.shape(gravity)}")
         gravities = np.broadcast_to(gravity, (len(layers), *size))
         for evaluator, down, layer in zip(self._evaluators, gravities, layers):

@@ -17,6 +17,8 @@ from physkin_core.model.skinning import NORMALS, skin
 from physkin_core.rig.rig import forward_kinematics, pose_vector
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.sway.node_twist import twisted
+from physkin_core.sway.pace import JUMP, Pace
+from physkin_core.sway.sway import UNTOLD
 
 __all__ = ["ReferenceEvaluator"]
 
@@ -46,19 +48,20 @@ class ReferenceEvaluator:
         self._normals_of_faces = normals == "faces"
         self._bound = bound
         self._nodes = np.zeros((len(bound.node_bone), 3, 4))
+        self._pace, self._last_positions = Pace(), None
 
     def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> None:
         """Write the garment for one pose.
 
-        joint_positions: (d,) [rad]. gravity: (3,) unit, root frame; or (4,), with the twist [rad] of cloth round both
-        legs behind it. out: (n, 3) or (n, 6) float32, any row stride.
+        joint_positions: (d,) [rad]. gravity: (3,) unit, root frame; or (5,), with twist [rad] and passed time [s] behind
+        it, as of `NativeEvaluator`. out: (n, 3) or (n, 6) float32, any row stride.
         Raises what the native evaluator raises: TypeError when an array has another dtype or `out` is not a writable
         2-D one; ValueError when a shape is wrong, rows of `out` overlap or are not contiguous, or an input or what the
         networks make of it is not finite. Nothing is written then.
         """
         bound = self._bound
         _check_input("joint_positions", joint_positions, len(bound.dof_bone))
-        gravity, twist = _split(gravity)
+        gravity, moment = _split(gravity)
         _check_out(out, len(bound.vertices))
         q = joint_positions.astype(np.float64)
         heads = bound.bone_heads.astype(np.float64)
@@ -71,9 +74,14 @@ class ReferenceEvaluator:
         _check_result("node deformer output", raw)
         posed = pose_nodes(bones, bound.node_bone, bound.node_positions)
         nodes = compose_nodes(posed, delta_transforms(raw, len(bound.node_bone)))
-        if twist and len(bound.node_twist):
-            nodes = twisted(nodes, bones, bound.node_twist.astype(np.float64), bound.node_bone, twist)
         _check_result("node_transforms", nodes)
+        jumps = self._last_positions is None or np.abs(q - self._last_positions).max() > JUMP
+        self._last_positions = q
+        if moment is not None:
+            twist, passed = moment
+            nodes = self._pace.kept(posed, nodes, UNTOLD if jumps else passed)
+            if twist and len(bound.node_twist):
+                nodes = twisted(nodes, bones, bound.node_twist.astype(np.float64), bound.node_bone, twist)
         self._nodes = nodes
         positions, normals = skin(
             self._nodes, bound.node_rest, bound.vertices, bound.normals, bound.influence_nodes, bound.influence_weights
@@ -89,11 +97,11 @@ class ReferenceEvaluator:
         return self._nodes.astype(np.float32)
 
 
-def _split(gravity: np.ndarray) -> tuple[np.ndarray, float]:
-    """Gravity (3,) and twist of what `evaluate` takes."""
-    with_twist = np.shape(gravity) == (4,)
-    _check_input("gravity", gravity, 4 if with_twist else 3)
-    return gravity[:3], float(gravity[3]) if with_twist else 0.0
+def _split(gravity: np.ndarray) -> tuple[np.ndarray, tuple[float, float] | None]:
+    """Gravity (3,), and twist and passed time, of what `evaluate` takes."""
+    with_moment = np.shape(gravity) == (5,)
+    _check_input("gravity", gravity, 5 if with_moment else 3)
+    return gravity[:3], (float(gravity[3]), float(gravity[4])) if with_moment else None
 
 
 def _check_input(name: str, values: np.ndarray, count: int) -> None:

@@ -158,9 +158,10 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
   const physkin::VertexRows full{reinterpret_cast<unsigned char*>(out.data()), 6, true};
   const physkin::VertexRows positions_only{full.data, 3, false};
   const long before = allocations;
+  const physkin::Moment moment{0.5f, 1e-3f};
   for (int frame = 0; frame < 3; ++frame) {
-    if (evaluator.step(q.data(), gravity.data(), full, 0.5f)) std::abort();
-    if (evaluator.step(q.data(), gravity.data(), positions_only, 0.5f)) std::abort();
+    if (evaluator.step(q.data(), gravity.data(), full, &moment)) std::abort();
+    if (evaluator.step(q.data(), gravity.data(), positions_only, &moment)) std::abort();
   }
   const long alone = allocations - before;
   return alone + run_batch(g, kernels, options);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cfloat>
+#include <cmath>
 #include <stdexcept>
 
 namespace physkin {
@@ -12,6 +13,8 @@ const float* copy_modulation(const BoundGarment& g, Arena& arena) {
   std::copy_n(g.pose_modulation, g.modulation_size, modulation);
   return modulation;
 }
+
+constexpr float kJump = 0.5f;  // [rad] as JUMP of pace.py
 
 // What reads bone transforms sets large rotations off against large translations: in 8 bits that layer, a thirtieth of
 // the network weights, puts vertices out by three to seven times as much as all others together. What reads the pose
@@ -43,12 +46,14 @@ Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, const Evalua
       node_deformer_(g.deformer_layers, g.activation, of_inputs(precision_), precision_, kernels, arena_,
                      shared == nullptr ? nullptr : &shared->node_deformer_, 1),
       garment_nodes_(g, arena_),
+      pace_(g.nodes, arena_),
       skinner_(g, kernels, arena_),
       bone_count_(g.bones),
       deformer_bone_count_(g.deformer_bone_count),
       deformer_bones_(arena_.copy(g.deformer_bones, g.deformer_bone_count)),
       pose_modulation_(g.modulation_size == 0 ? nullptr : copy_modulation(g, arena_)),
       pose_(arena_.take<float>(g.dofs + 3)),
+      last_positions_(arena_.take<float>(g.dofs)),
       bone_transforms_(arena_.take<float>(12 * g.bones)),
       deformer_input_(arena_.take<float>(12 * g.deformer_bone_count)),
       node_transforms_(arena_.take<float>(12 * g.nodes)),
@@ -56,27 +61,42 @@ Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, const Evalua
   if (options.normals == Normals::faces) face_normals_.emplace(g, arena_);
 }
 
-Rejection Evaluator::check_inputs(const float* joint_positions, const float* gravity, float twist) const noexcept {
+Rejection Evaluator::check_inputs(const float* joint_positions, const float* gravity,
+                                  const Moment* moment) const noexcept {
   if (const auto bad = reject_beyond("joint_positions", joint_positions, rig_.dofs(), FLT_MAX)) return bad;
   if (const auto bad = reject_beyond("gravity", gravity, 3, FLT_MAX)) return bad;
-  return reject_beyond("twist", &twist, 1, FLT_MAX);
+  if (moment == nullptr) return {};
+  if (const auto bad = reject_beyond("twist", &moment->twist, 1, FLT_MAX)) return bad;
+  return reject_beyond("passed", &moment->passed, 1, FLT_MAX);
 }
 
 Rejection Evaluator::check_corrections() const noexcept {
   return reject_beyond("node deformer output", corrections_, node_deformer_.outputs(), kLargest);
 }
 
+Rejection Evaluator::check_nodes() noexcept {
+  const Rejection bad = skinner_.check(node_transforms_);
+  if (bad) pace_.forget();
+  return bad;
+}
+
 Rejection Evaluator::step(const float* joint_positions, const float* gravity, const VertexRows& rows,
-                          float twist) noexcept {
-  if (const auto bad = check_inputs(joint_positions, gravity, twist)) return bad;
+                          const Moment* moment) noexcept {
+  if (const auto bad = check_inputs(joint_positions, gravity, moment)) return bad;
   pose(joint_positions, gravity);
   run_networks();
   if (const auto bad = check_corrections()) return bad;
-  compose_nodes(corrections_, twist);
-  return skin(node_transforms_, rows);
+  compose_nodes(corrections_, moment);
+  if (const auto bad = check_nodes()) return bad;
+  skinner_.skin(node_transforms_, rows);
+  compute_normals(rows);
+  return {};
 }
 
 void Evaluator::pose(const float* joint_positions, const float* gravity) noexcept {
+  jumps_ = false;
+  for (int k = 0; k < rig_.dofs(); ++k) jumps_ |= std::fabs(joint_positions[k] - last_positions_[k]) > kJump;
+  std::copy_n(joint_positions, rig_.dofs(), last_positions_);
   rig_.compute_bone_transforms(joint_positions, bone_transforms_);
   rig_.compute_pose_vector(joint_positions, gravity, pose_);
   gather_deformer_input();
@@ -85,6 +105,7 @@ void Evaluator::pose(const float* joint_positions, const float* gravity) noexcep
 void Evaluator::pose_as(const Evaluator& other, const float* gravity) noexcept {
   std::copy_n(other.bone_transforms_, 12 * bone_count_, bone_transforms_);
   std::copy_n(other.pose_, rig_.dofs(), pose_);
+  jumps_ = other.jumps_;
   std::copy_n(gravity, 3, pose_ + rig_.dofs());
   gather_deformer_input();
 }
@@ -99,9 +120,11 @@ const float* Evaluator::run_networks() noexcept {
   return corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, pose_modulation_));
 }
 
-void Evaluator::compose_nodes(const float* corrections, float twist) noexcept {
+void Evaluator::compose_nodes(const float* corrections, const Moment* moment) noexcept {
   garment_nodes_.compose(bone_transforms_, corrections, node_transforms_);
-  garment_nodes_.twist(bone_transforms_, twist, node_transforms_);
+  if (moment == nullptr) return;
+  pace_.keep(garment_nodes_, bone_transforms_, jumps_ ? -1.0f : moment->passed, node_transforms_);
+  garment_nodes_.twist(bone_transforms_, moment->twist, node_transforms_);
 }
 
 Rejection Evaluator::skin(const float* node_transforms, const VertexRows& rows) noexcept {

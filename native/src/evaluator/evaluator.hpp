@@ -7,6 +7,7 @@
 #include "evaluator/face_normals.hpp"
 #include "evaluator/garment_nodes.hpp"
 #include "evaluator/mlp.hpp"
+#include "evaluator/pace.hpp"
 #include "evaluator/rig.hpp"
 #include "evaluator/skinner.hpp"
 #include "garment/bound_garment.hpp"
@@ -27,6 +28,12 @@ struct EvaluatorOptions {
   Normals normals = Normals::skinned;
 };
 
+// Of cloth that remembers the frame before: twist [rad] of what hangs round both legs, about the root's vertical, and how
+// much time has passed since [s], negative where that frame does not count.
+struct Moment {
+  float twist = 0, passed = -1;
+};
+
 class Evaluator {
  public:
   // Validates and copies the garment; throws std::invalid_argument. `shared`: of a body with the same garment model,
@@ -36,10 +43,11 @@ class Evaluator {
   Evaluator(const Evaluator&) = delete;  // its members point into its own arena
   Evaluator& operator=(const Evaluator&) = delete;
 
-  // One frame. joint_positions (dofs) in radians, gravity (3): unit direction in the root frame; twist [rad] of cloth
-  // that hangs round both legs, about the root's vertical. If an input or what
-  // the networks make of it is not finite, says so and leaves the rows and the last frame as they were.
-  Rejection step(const float* joint_positions, const float* gravity, const VertexRows& rows, float twist = 0) noexcept;
+  // One frame. joint_positions (dofs) in radians, gravity (3): unit direction in the root frame; moment: null for a drape
+  // by itself. If an input or what the networks make of it is not finite, says so and leaves the rows and the last frame
+  // as they were.
+  Rejection step(const float* joint_positions, const float* gravity, const VertexRows& rows,
+                 const Moment* moment = nullptr) noexcept;
 
   // Skinning alone, from the given node_transforms (nodes, 3, 4), which must be finite.
   Rejection skin(const float* node_transforms, const VertexRows& rows) noexcept;
@@ -49,7 +57,7 @@ class Evaluator {
   // Takes over what `pose` left in another garment on the same body, under a gravity of its own.
   void pose_as(const Evaluator& other, const float* gravity) noexcept;
   const float* run_networks() noexcept;  // corrections (nodes, 9 or 12)
-  void compose_nodes(const float* corrections, float twist = 0) noexcept;
+  void compose_nodes(const float* corrections, const Moment* moment = nullptr) noexcept;
   void compute_normals(const VertexRows& rows) noexcept;  // from faces; does nothing if they are skinned
 
   // (nodes, 3, 4) of the last frame, root frame, metres.
@@ -69,8 +77,9 @@ class Evaluator {
   friend class EvaluatorBatch;
   friend class OutfitEvaluator;
 
-  Rejection check_inputs(const float* joint_positions, const float* gravity, float twist = 0) const noexcept;
+  Rejection check_inputs(const float* joint_positions, const float* gravity, const Moment* moment = nullptr) const noexcept;
   Rejection check_corrections() const noexcept;
+  Rejection check_nodes() noexcept;
   void gather_deformer_input() noexcept;
 
   // Members are built in this order, so that a frame walks the arena from front to back.
@@ -81,11 +90,14 @@ class Evaluator {
   Mlp pose_modulator_;
   Mlp node_deformer_;
   GarmentNodes garment_nodes_;
+  Pace pace_;
   Skinner skinner_;
   int bone_count_, deformer_bone_count_;
   const std::int32_t* deformer_bones_;
   const float* pose_modulation_;  // null where it is folded into the pose modulator
   float* pose_;
+  float* last_positions_;  // (dofs) of the frame before
+  bool jumps_ = true;
   float* bone_transforms_;
   float* deformer_input_;
   float* node_transforms_;

@@ -1,6 +1,7 @@
 // Posing the garment nodes and composing them with the node deformer's corrections.
 #pragma once
 
+#include "evaluator/affine.hpp"
 #include "garment/bound_garment.hpp"
 #include "kernels/arena.hpp"
 
@@ -18,6 +19,8 @@ class GarmentNodes {
   // follow are upright. Does nothing to cloth that does not twist.
   void twist(const float* bone_transforms, float twist, float* transforms) const;
 
+  int bone(int node) const { return bone_[node]; }
+  Vector3 position(int node) const { return load_vector(positions_ + 3 * node); }  // at rest, in its bone
   int count() const { return count_; }
   int correction_size() const { return correction_size_; }
 

@@ -58,12 +58,13 @@ Rejection OutfitEvaluator::step(const float* joint_positions, const Gravities& g
   first.pose(joint_positions, gravity.of(0));
   for (; rejected_ < count(); ++rejected_) {
     Evaluator& e = *evaluators_[std::size_t(rejected_)];
-    if (const auto bad = e.check_inputs(joint_positions, gravity.of(rejected_), gravity.twist(rejected_))) return bad;
+    const Moment moment = gravity.moment(rejected_), *told = gravity.size > 3 ? &moment : nullptr;
+    if (const auto bad = e.check_inputs(joint_positions, gravity.of(rejected_), told)) return bad;
     if (rejected_ > 0) e.pose_as(first, gravity.of(rejected_));
     e.run_networks();
     if (const auto bad = e.check_corrections()) return bad;
-    e.compose_nodes(e.corrections_, gravity.twist(rejected_));
-    if (const auto bad = e.skinner_.check(e.node_transforms_)) return bad;
+    e.compose_nodes(e.corrections_, told);
+    if (const auto bad = e.check_nodes()) return bad;
   }
   rejected_ = -1;
   const bool look_at_all = jumps(joint_positions, gravity);

@@ -14,14 +14,14 @@ struct LayerPair {
   int steady = 0, yielding = 0;
 };
 
-// Gravity of all garments, or one each: 3 numbers, or 4, with the twist behind it.
+// Gravity of all garments, or one each: 3 numbers, or 5, with the moment behind it.
 struct Gravities {
   const float* values;
   bool each = false;
   int size = 3;
 
   const float* of(int garment) const { return values + (each ? size * garment : 0); }
-  float twist(int garment) const { return size > 3 ? of(garment)[3] : 0.0f; }
+  Moment moment(int garment) const { return size > 3 ? Moment{of(garment)[3], of(garment)[4]} : Moment{}; }
 };
 
 class OutfitEvaluator {

@@ -7,7 +7,6 @@ namespace physkin {
 namespace {
 
 constexpr double kPi = 3.14159265358979323846;
-constexpr double kLargestGap = 0.25;
 constexpr double kLargestChange = 8.0;
 constexpr double kLargestChangeOfTurning = 20.0;
 constexpr double kLargestTwist = 0.8;

@@ -3,6 +3,8 @@
 
 namespace physkin {
 
+constexpr double kLargestGap = 0.25;  // [s] after that, what was before does not count
+
 struct PendulumSettings {
   double frequency = 1.5;       // Hz, sideways
   double damping = 4.0;         // 1/s, sideways

@@ -1,4 +1,4 @@
-// From a root that moves to the gravity that networks take, and how cloth twists; physkin_core/sway/sway.py is its readable twin.
+// From a root that moves to the gravity that networks take, and the moment; physkin_core/sway/sway.py is its readable twin.
 #pragma once
 
 #include "sway/pendulum.hpp"
@@ -13,16 +13,21 @@ class Sway {
   void set_amount(double amount) noexcept { amount_ = amount; }
 
   // Cloth hangs still, and nothing is known of the root.
-  void reset() noexcept { pendulum_.reset(); }
+  void reset() noexcept {
+    pendulum_.reset();
+    has_time_ = false;
+  }
 
   // Moves the root (7), a position and a quaternion x, y, z, w, world <- root, then writes what Evaluator::step takes:
-  // gravity (3) in its frame, in units of gravity for networks that know `accelerated` roots, else its direction; and
-  // the twist. What is wrong with time or root, or null; nothing has changed then.
+  // gravity (3) in its frame, in units of gravity for networks that know `accelerated` roots, else its direction; then
+  // the twist, and the time passed since the last call. What is wrong with time or root, or null; nothing has changed then.
   const char* gravity(double time, const double* root, bool accelerated, float* out) noexcept;
 
  private:
   Pendulum pendulum_;
   double amount_ = 1;
+  double time_ = 0;
+  bool has_time_ = false;
 };
 
 }  // namespace physkin

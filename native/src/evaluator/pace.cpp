@@ -1,0 +1,56 @@
+#include "evaluator/pace.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace physkin {
+namespace {
+
+constexpr float kPace = 2.0f, kReach = 0.1f;  // as PACE and REACH of pace.py
+
+float length(Vector3 a) { return std::sqrt(dot(a, a)); }
+
+Matrix3 transposed(const Matrix3& m) { return from_columns(m.rows[0], m.rows[1], m.rows[2]); }
+
+// a + share (b - a)
+Vector3 between(Vector3 a, Vector3 b, float share) { return a + share * (b - a); }
+
+float distance(const Matrix3& a, const Matrix3& b) {
+  float square = 0;
+  for (int i = 0; i < 3; ++i) {
+    const Vector3 apart = a.rows[i] - b.rows[i];
+    square += dot(apart, apart);
+  }
+  return std::sqrt(square);
+}
+
+}  // namespace
+
+Pace::Pace(int nodes, Arena& arena) : last_(arena.take<Last>(std::size_t(nodes))) {}
+
+void Pace::keep(const GarmentNodes& nodes, const float* bone_transforms, float passed, float* transforms) noexcept {
+  const bool counts = any_ && passed >= 0;
+  const float allowed = kPace * passed;
+  for (int i = 0; i < nodes.count(); ++i, transforms += 12) {
+    const Affine bone = load_affine(bone_transforms + 12 * nodes.bone(i));
+    Affine now = load_affine(transforms);
+    Matrix3 linear = transposed(bone.linear) * now.linear;
+    const Vector3 carried = bone.linear * nodes.position(i) + bone.translation;
+    Last& last = last_[i];
+    if (counts) {
+      const float moved = length(now.translation - last.position);
+      const float free = length(carried - last.carried) + allowed, turned = kReach * distance(linear, last.linear);
+      const float share = std::min(moved > free ? free / moved : 1.0f, turned > allowed ? allowed / turned : 1.0f);
+      if (share < 1) {
+        now.translation = between(last.position, now.translation, share);
+        for (int k = 0; k < 3; ++k) linear.rows[k] = between(last.linear.rows[k], linear.rows[k], share);
+        now.linear = bone.linear * linear;
+        store_affine(now, transforms);
+      }
+    }
+    last = {linear, now.translation, carried};
+  }
+  any_ = true;
+}
+
+}  // namespace physkin
