@@ -30,7 +30,8 @@ from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
 from physkin_core.separation.limb_separator import LimbSeparator
-from physkin_core.sway.sway import UNTOLD, Sway, checked_amount
+from physkin_core.sway.pace import UNTOLD, FrameClock
+from physkin_core.sway.sway import Sway, checked_amount
 
 __all__ = ["Outfit"]
 
@@ -110,7 +111,7 @@ class Outfit:
         """Make what a frame writes to."""
         rig = self.models[0].rig
         self._evaluator = self._new_evaluator()
-        self._sway = Sway(backend=self.backend)
+        self._sway, self._clock = Sway(backend=self.backend), FrameClock()
         self._separated = rig.rest.astype(np.float32)
         self._limb_separator = LimbSeparator(rig, self.avatar, backend=self.backend) if self._separates else None
 
@@ -193,7 +194,7 @@ class Outfit:
         poses = [draper.checked_pose(joint_positions, *each) for draper, (*each, _) in zip(self._drapers, felt)]
         positions, down = poses[-1]
         if time is not None:
-            passed = self._sway.passed(time)
+            passed = self._clock.passed(time)
             moments = [(twist, passed if sway else UNTOLD) for (*_, twist), sway in zip(felt, self.sways)]
             down = np.array([(*each, *moment) for (_, each), moment in zip(poses, moments)], dtype=np.float32)
         if self._limb_separator is not None:
@@ -235,6 +236,7 @@ class Outfit:
     def reset(self) -> None:
         """Let the cloth hang still, as if the next frame were the first; see `Sway.reset`."""
         self._sway.reset()
+        self._clock.reset()
 
     def bind_step(
         self, joint_positions: np.ndarray, gravity: np.ndarray, outs: Sequence[np.ndarray]

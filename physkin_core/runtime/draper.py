@@ -24,7 +24,8 @@ from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import make_evaluator
 from physkin_core.runtime.rest_look import RestLook, look_at_rest
 from physkin_core.separation.limb_separator import LimbSeparator
-from physkin_core.sway.sway import UNTOLD, Sway
+from physkin_core.sway.pace import UNTOLD, FrameClock
+from physkin_core.sway.sway import Sway
 
 __all__ = [
     *("BACKENDS", "LARGEST_EFFECTIVE_GRAVITY", "STANDARD_GRAVITY", "UPRIGHT_GRAVITY"),
@@ -97,7 +98,7 @@ class Draper:
         self.avatar = avatar
         self.backend = backend
         self.bound: BoundGarment = bound
-        self._sway = Sway(backend=backend)
+        self._sway, self._clock = Sway(backend=backend), FrameClock()
         self._degrees_told = False
         self._bone_rotations: dict[str, BoneRotations] = {}
         self._evaluator = make_evaluator(backend, bound, precision=precision, normals=normals)
@@ -166,10 +167,10 @@ class Draper:
         gravity: (3,) direction in the root frame, any length but zero, of a root that is not accelerated.
         effective_gravity: (3,) [m/s2] in the root frame, of one that is: gravity less the root's acceleration, zero in
         free fall, at most three times gravity; takes the place of `gravity`, for models that have learnt it
-        (`GarmentModel.accelerated`). time [s]: when this is; frames are then to be given in their order, and cloth that
-        would leap goes over at its pace (`physkin_core.sway.pace`). root (7,), with time: where the root is in the world,
-        as of `Sway.felt`, which then tells gravity: cloth lags, swings and settles as much as `sway` says. Of a model
-        that knows no accelerated roots only gravity's direction changes.
+        (`GarmentModel.accelerated`). time [s]: when this is; frames are then to be given in their order, and cloth
+        that would leap goes over at its pace (`physkin_core.sway.pace`). root (7,), with time: where the root is in the
+        world, as of `Sway.felt`, which then tells gravity: cloth lags, swings and settles as much as `sway` says. Of a
+        model that knows no accelerated roots only gravity's direction changes.
         out: (n, 6) or (n, 3) writable float32 view, any row stride; default a new (n, 6).
         Returns `out`: x, y, z [m], then the unit normal.
         Raises ValueError on wrong lengths, unknown joints or values that are not finite, naming the joint.
@@ -180,8 +181,8 @@ class Draper:
             gravity, effective_gravity, twist = self._sway.gravity(time, root, effective_gravity, accelerated=known)
         positions, down = self.checked_pose(joint_positions, gravity, effective_gravity)
         if time is not None:
-            passed = self._sway.passed(time) if self.sway else UNTOLD
-            down = np.array([*down, twist, passed], dtype=np.float32)
+            passed = self._clock.passed(time)
+            down = np.array([*down, twist, passed if self.sway else UNTOLD], dtype=np.float32)
         if out is None:
             out = np.empty((self.vertex_count, 6), dtype=np.float32)
         self._evaluator.evaluate(positions, down, out)
@@ -189,8 +190,8 @@ class Draper:
 
     @property
     def sway(self) -> float:
-        """How much the cloth swings where `drape` is told time and root, 1 (the default) all of it. 0: not at all, and every
-        drape is by itself, whatever time it is."""
+        """How much the cloth swings where `drape` is told time and root, 1 (the default) all of it. 0: not at all, and
+        every drape is by itself, whatever time it is."""
         return self._sway.amount
 
     @sway.setter
@@ -200,6 +201,7 @@ class Draper:
     def reset(self) -> None:
         """Let the cloth hang still, as if the next frame were the first; see `Sway.reset`."""
         self._sway.reset()
+        self._clock.reset()
 
     def checked_pose(
         self,
@@ -255,8 +257,8 @@ class Draper:
         """A frame bound to its arrays: `step()` drapes what they hold now into `out`, with nothing to convert.
 
         joint_positions: (d,) [rad] and gravity: (3,) unit direction, or, for models that have learnt it, effective
-        gravity `in_units_of_gravity`; or (5,), with twist and passed time of `Sway` behind. C-contiguous float32, to be changed
-        in place. out: as for `drape`.
+        gravity `in_units_of_gravity`; or (5,), with twist and passed time behind, as of `NativeEvaluator`. C-contiguous
+        float32, to be changed in place. out: as for `drape`.
         Raises TypeError or ValueError for other arrays; `step()` raises ValueError when a value or what the networks
         make of it is not finite (`out` is then unchanged).
         """

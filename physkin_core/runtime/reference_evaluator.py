@@ -17,8 +17,7 @@ from physkin_core.model.skinning import NORMALS, skin
 from physkin_core.rig.rig import forward_kinematics, pose_vector
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.sway.node_twist import twisted
-from physkin_core.sway.pace import JUMP, Pace
-from physkin_core.sway.sway import UNTOLD
+from physkin_core.sway.pace import JUMP, UNTOLD, Pace
 
 __all__ = ["ReferenceEvaluator"]
 
@@ -48,13 +47,13 @@ class ReferenceEvaluator:
         self._normals_of_faces = normals == "faces"
         self._bound = bound
         self._nodes = np.zeros((len(bound.node_bone), 3, 4))
-        self._pace, self._last_positions = Pace(), None
+        self._pace, self._last_given = Pace(), None
 
     def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> None:
         """Write the garment for one pose.
 
-        joint_positions: (d,) [rad]. gravity: (3,) unit, root frame; or (5,), with twist [rad] and passed time [s] behind
-        it, as of `NativeEvaluator`. out: (n, 3) or (n, 6) float32, any row stride.
+        joint_positions: (d,) [rad]. gravity: (3,) unit, root frame; or (5,), with twist [rad] and passed time [s]
+        behind it, as of `NativeEvaluator`. out: (n, 3) or (n, 6) float32, any row stride.
         Raises what the native evaluator raises: TypeError when an array has another dtype or `out` is not a writable
         2-D one; ValueError when a shape is wrong, rows of `out` overlap or are not contiguous, or an input or what the
         networks make of it is not finite. Nothing is written then.
@@ -75,8 +74,9 @@ class ReferenceEvaluator:
         posed = pose_nodes(bones, bound.node_bone, bound.node_positions)
         nodes = compose_nodes(posed, delta_transforms(raw, len(bound.node_bone)))
         _check_result("node_transforms", nodes)
-        jumps = self._last_positions is None or np.abs(q - self._last_positions).max() > JUMP
-        self._last_positions = q
+        given = np.concatenate([q, gravity])
+        jumps = self._last_given is None or np.abs(given - self._last_given).max() > JUMP
+        self._last_given = given
         if moment is not None:
             twist, passed = moment
             nodes = self._pace.kept(posed, nodes, UNTOLD if jumps else passed)

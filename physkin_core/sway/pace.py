@@ -1,23 +1,50 @@
 """The pace of cloth: between two frames garment nodes go no farther than their bones carry them, and a little more.
 
 Where cloth can lie in two places, networks switch from one to the other within a few degrees of a joint: cloth leaps by
-a hand's breadth from one frame to the next. Cloth that is told how much time has passed goes over in some frames instead.
+a hand's breadth from one frame to the next. Told how much time has passed, it goes over in some frames instead.
 
 Dimensions: `m` garment nodes. Metres, seconds, root frame.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-__all__ = ["JUMP", "PACE", "REACH", "Pace"]
+from physkin_core.sway.pendulum import LARGEST_GAP
+
+__all__ = ["JUMP", "PACE", "REACH", "UNTOLD", "FrameClock", "Pace"]
 
 PACE = 2.0
 """[m/s] by which a garment node, and cloth beside it, may be faster than its bone."""
 REACH = 0.1
 """[m] How far beside a garment node cloth lies that it carries."""
 JUMP = 0.5
-"""[rad] Where a joint has moved farther since the last frame, the pose is another one, and nothing before it counts."""
+"""[rad], and of gravity. Where a joint has moved farther since the last frame, nothing before it counts."""
+
+UNTOLD = -1.0
+"""In place of a time that has passed: what was before does not count."""
+
+
+class FrameClock:
+    """How much time passes between frames."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """The next frame is the first one."""
+        self._time: float | None = None
+
+    def passed(self, time: float) -> float:
+        """Time [s] since the last frame, at `time` [s] of any clock; `UNTOLD` for the first one, after more than a
+        quarter of a second, or where the clock stands or goes back. Raises ValueError unless it is finite."""
+        if not math.isfinite(time):
+            raise ValueError(f"time must be finite, got {time}")
+        last, self._time = self._time, float(time)
+        passed = UNTOLD if last is None else self._time - last
+        return passed if 0 < passed <= LARGEST_GAP else UNTOLD
 
 
 class Pace:

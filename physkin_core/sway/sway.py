@@ -1,9 +1,7 @@
-"""Sway: from a root that moves through the world to effective gravity that its garments feel, and to their twist; and how
-much time has passed for them."""
+"""Sway: from a root that moves through the world to effective gravity that its garments feel, and to their twist."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import astuple
 from numbers import Real
@@ -11,12 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from physkin_core.sway.pendulum import LARGEST_GAP, PendulumSettings, ReferencePendulum
+from physkin_core.sway.pendulum import PendulumSettings, ReferencePendulum
 
-__all__ = ["UNTOLD", "Sway", "checked_amount"]
-
-UNTOLD = -1.0
-"""In place of a time that has passed: what was before does not count."""
+__all__ = ["Sway", "checked_amount"]
 
 LEAST_DIRECTED = 2.0
 """[m/s2] a model that knows directions alone does not follow an effective gravity below this."""
@@ -40,7 +35,6 @@ class Sway:
         self.settings = settings or PendulumSettings()
         self._pendulum = _pendulum(backend, self.settings)
         self._twist = 0.0
-        self._time: float | None = None
 
     @property
     def amount(self) -> float:
@@ -54,21 +48,11 @@ class Sway:
         """Cloth hangs still, as at the beginning; for another avatar, or after the root was moved by hand."""
         self._pendulum.reset()
         self._twist = 0.0
-        self._time = None
 
     @property
     def twist(self) -> float:
         """Angle [rad] about its vertical by which cloth round both legs is ahead of the root, as of the last `felt`."""
         return self._twist
-
-    def passed(self, time: float) -> float:
-        """Time [s] since the last call, for the pace of cloth; `UNTOLD` for the first one, after a gap or where the clock
-        goes back. time: [s]. Raises ValueError unless it is finite."""
-        if not math.isfinite(time):
-            raise ValueError(f"time must be finite, got {time}")
-        last, self._time = self._time, float(time)
-        passed = UNTOLD if last is None else self._time - last
-        return passed if 0 <= passed <= LARGEST_GAP else UNTOLD
 
     def felt(self, time: float, root: Sequence[float] | np.ndarray) -> np.ndarray:
         """Effective gravity (3,) float64 [m/s2] in the root frame, at most three times gravity.

@@ -17,6 +17,7 @@ from sensor_msgs.msg import JointState, MultiDOFJointState
 
 from physkin_core import BUNDLED_AVATAR, GarmentModel, LimbSeparator
 from physkin_core.runtime.draper import STANDARD_GRAVITY
+from physkin_core.sway.pace import UNTOLD, FrameClock
 from physkin_ros.joints.joint_naming import load_naming
 from physkin_ros.joints.joint_state_wire import JointStateWire
 from physkin_ros.joints.joint_states import JointNaming, JointStateError, JointStateReader
@@ -46,10 +47,10 @@ JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
 class AvatarStream:
     """Drapes the garments of one avatar, a joint state at a time. Nothing comes in before `listen`.
 
-    gravity: (garments, 4) what each garment feels: a unit direction, and the twist [rad]. felt: (garments, 4) the same,
-    as large as the root feels it, in units of gravity. active: whether joint states are answered. deadline_ns: from the
-    arrival of a joint state to its last cloud, 0 for none. transforms: TF, of all avatars. settings: with the body that
-    is worn.
+    gravity: (garments, 5) what each garment feels: a unit direction, the twist [rad], and the time [s] that has passed
+    since the last cloud. felt: (garments, 5) the same, as large as the root feels it, in units of gravity. active:
+    whether joint states are answered. deadline_ns: from the arrival of a joint state to its last cloud, 0 for none.
+    transforms: TF, of all avatars. settings: with the body that is worn.
     Raises ValueError for a joint map that cannot be read.
     """
 
@@ -65,7 +66,8 @@ class AvatarStream:
         self.settings, self.deadline_ns, self.active = settings, deadline_ns, False
         self.statistics = AvatarStatistics()
         down, count = _unit(settings.gravity), len(settings.garments)
-        self.gravity = np.tile(np.append(down, np.float32(0)), (count, 1))
+        self.gravity = np.tile(np.append(down, np.float32((0, UNTOLD))), (count, 1))
+        self._clock, self._sways = FrameClock(), np.array(settings.sways)
         self.felt = self.gravity.copy()
         self._load = np.ones((count, 1), dtype=np.float32)
         self._down: np.ndarray | None = None  # what gravity and felt show, if it came as a direction
@@ -253,7 +255,7 @@ class AvatarStream:
         if attire.interpolator is not None:
             attire.wire.keep()
             stamp_ns = sec * NANOSECONDS + nanosec
-            attire.interpolator.push(attire.pose, self.gravity, self._load, stamp_ns, monotonic_ns())
+            attire.interpolator.push(attire.pose, self.gravity[:, :4], self._load, stamp_ns, monotonic_ns())
             return
         if self._drape(attire, sec, nanosec):
             attire.wire.keep()
@@ -262,6 +264,8 @@ class AvatarStream:
 
     def _drape(self, attire: Attire, sec: int, nanosec: int) -> bool:
         change = None
+        passed = self._clock.passed(sec + 1e-9 * nanosec) if sec or nanosec else UNTOLD
+        self.gravity[:, 4] = self.felt[:, 4] = np.where(self._sways > 0, passed, UNTOLD)
         if attire.separator is not None:
             _, change = attire.separator.separate(attire.pose, out=attire.draped)
         for each in attire.passes:
@@ -286,11 +290,11 @@ class AvatarStream:
         attire = self._attire
         if not self.active or attire is None or attire.interpolator is None:
             return
-        gravity, load = np.empty_like(self.gravity), np.empty_like(self._load)
+        gravity, load = np.empty_like(self.gravity[:, :4]), np.empty_like(self._load)
         stamp = attire.interpolator.sample(monotonic_ns(), attire.pose, gravity, load)
         if stamp is not None:
             latest = self.gravity.copy(), self._load.copy()
-            self.gravity[:], self._load[:] = gravity, load
+            self.gravity[:, :4], self._load[:] = gravity, load
             self._weigh()
             self._drape(attire, *divmod(stamp, NANOSECONDS))
             self.gravity[:], self._load[:] = latest
@@ -310,13 +314,14 @@ class AvatarStream:
 
     def set_sway(self, sways: Sequence[float]) -> None:
         """Let the cloth of each garment swing as much from now on, 0 to 1."""
+        self._sways = np.array(sways)
         if self._orientation is not None:
             self._orientation.set_sway(sways)
 
     def effective_gravity(self, garment: int, now_ns: int) -> np.ndarray | None:
         """The latest (3,) [m/s2] of a garment, root frame; None when none is fresh. now_ns: monotonic."""
         felt = self._effective_gravity.at(0, now_ns)
-        return None if felt is None else STANDARD_GRAVITY * np.broadcast_to(felt, self.felt.shape)[garment, :3]
+        return None if felt is None else STANDARD_GRAVITY * np.broadcast_to(felt, (len(self.felt), 4))[garment, :3]
 
     def _on_effective_gravity(self, felt: np.ndarray, stamp_ns: int) -> None:
         self._effective_gravity.add(felt, stamp_ns, monotonic_ns())
@@ -351,7 +356,7 @@ class AvatarStream:
     def _weigh(self) -> None:
         """Let `felt` be `gravity` with its load."""
         np.multiply(self.gravity[:, :3], self._load, out=self.felt[:, :3])
-        self.felt[:, 3] = self.gravity[:, 3]
+        self.felt[:, 3:] = self.gravity[:, 3:]
 
     def _follow_orientation(self, wire: JointStateWire | None) -> None:
         if self._orientation.fault:

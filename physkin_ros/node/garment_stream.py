@@ -191,8 +191,8 @@ def passes_of(
 ) -> tuple[Pass, ...]:
     """What drapes the garments of an avatar, from what these arrays hold then: an outfit at once, others one by one.
 
-    pose: (d,) [rad]. felt: (garments, 4) effective gravity in units of gravity and the twist, for those that have
-    learnt it; the others take gravity (garments, 4), its unit direction and the twist.
+    pose: (d,) [rad]. felt: (garments, 5) effective gravity in units of gravity, twist and passed time, for those that
+    have learnt it; the others take gravity (garments, 5), its unit direction and the same.
     """
     downs = [(felt if worn.accelerated else gravity)[k] for k, worn in enumerate(garments)]
     for worn, down in zip(garments, downs):

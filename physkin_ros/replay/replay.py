@@ -113,9 +113,10 @@ def replay(
         found.counts["joint_states"] += 1
         try:
             state = decode(message)
-            positions, gravity = reader.read(state.name, state.position), downs.at(_nanoseconds(state))
+            stamp_ns = _nanoseconds(state)
+            positions, gravity = reader.read(state.name, state.position), downs.at(stamp_ns)
             started = perf_counter_ns()
-            draper.drape(positions, gravity, out=points)
+            draper.drape(positions, gravity, time=1e-9 * stamp_ns if stamp_ns else None, out=points)
             latency_us = (perf_counter_ns() - started) / 1e3
         except ValueError as error:
             found.reject("rejected", str(error))

@@ -29,9 +29,9 @@ def complete(records: Records, garments: int = 1) -> bool:
 def largest_error(records: Records, outfit: Outfit, motion: Motion) -> float:
     """Largest distance [m] of a point of the kept clouds from where the core puts it; 0 if there are none.
 
-    Layers are kept in order from frame to frame, where each vertex has its turn in one of `TURNS`. How often the
-    listener had to ask for a first cloud, upright in the first pose, nobody has counted: the core starts in every turn,
-    and what comes closest counts.
+    Cloth keeps its pace from frame to frame, and layers their order, where each vertex has its turn in one of `TURNS`.
+    How often the listener had to ask for a first cloud, upright in the first pose, nobody has counted: the core starts
+    in every turn, and what comes closest counts.
     """
     kept = dict(_kept_frames(records))
     if not kept:
@@ -42,8 +42,9 @@ def largest_error(records: Records, outfit: Outfit, motion: Motion) -> float:
         core, distance = outfit.twin(), 0.0
         for _ in range(asked):
             core.drape(positions[0])
-        for frame in range(max(kept) + 1) if outfit.orders else kept:
-            expected = np.concatenate(core.drape(positions[frame], motion.gravity[frame]))
+        for frame in range(max(kept) + 1):
+            time = 1e-9 * int(records.stamps[frame, 0])
+            expected = np.concatenate(core.drape(positions[frame], motion.gravity[frame], time=time))
             if frame in kept:
                 off = np.linalg.norm(kept[frame][:, :3].astype(np.float64) - expected[:, :3], axis=1)
                 distance = max(distance, float(np.nan_to_num(off, nan=np.inf).max()))

@@ -58,7 +58,7 @@ def test_input_that_is_not_finite_raises_and_writes_nothing(frame, bad):
         (np.zeros(8), np.zeros(3), ValueError),
         (np.zeros((7, 1)), np.zeros(3), ValueError),
         (np.zeros(7), np.zeros(2), ValueError),
-        (np.zeros(7), np.zeros(5), ValueError),
+        (np.zeros(7), np.zeros(4), ValueError),
         (np.zeros(7, dtype=int), np.zeros(3), TypeError),
         ([0.0] * 7, np.zeros(3), TypeError),
         (np.zeros(7), None, TypeError),

@@ -6,7 +6,7 @@ import pytest
 from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
 from physkin_core.runtime.native_evaluator import NativeEvaluator
 from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
-from physkin_core.sway.sway import UNTOLD
+from physkin_core.sway.pace import UNTOLD
 
 
 def frames(rng, garment, make_pose, count=12):
@@ -39,7 +39,10 @@ def test_native_and_reference_agree(seed, make_garment, make_pose):
     assert late.max() > 0.01, "nothing was kept back"
     assert (late[np.equal(passed, UNTOLD)] == 0).all()
     outs = [np.empty_like(native[0]) for _ in range(2)]
-    for outfit in (NativeOutfitEvaluator([garment] * 2, [], precision="fp32"), ReferenceOutfitEvaluator([garment] * 2, [])):
+    for outfit in (
+        NativeOutfitEvaluator([garment] * 2, [], precision="fp32"),
+        ReferenceOutfitEvaluator([garment] * 2, []),
+    ):
         for k, (pose, seconds) in enumerate(zip(positions, passed)):
             outfit.evaluate(pose, np.append(gravity, (0.0, seconds)).astype(np.float32), outs)
             assert max(np.abs(out - native[k]).max() for out in outs) < 5e-5

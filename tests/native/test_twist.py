@@ -8,7 +8,7 @@ import pytest
 from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
 from physkin_core.runtime.native_evaluator import NativeEvaluator, supported_instruction_sets
 from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
-from physkin_core.sway.sway import UNTOLD
+from physkin_core.sway.pace import UNTOLD
 
 
 def told(gravity, twist):

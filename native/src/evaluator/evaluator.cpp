@@ -14,7 +14,15 @@ const float* copy_modulation(const BoundGarment& g, Arena& arena) {
   return modulation;
 }
 
-constexpr float kJump = 0.5f;  // [rad] as JUMP of pace.py
+constexpr float kJump = 0.5f;  // as JUMP of pace.py
+
+// Whether any of the values is far from the last one, which it then takes the place of.
+bool take_over(const float* values, int count, float* last) {
+  bool jumps = false;
+  for (int k = 0; k < count; ++k) jumps |= std::fabs(values[k] - last[k]) > kJump;
+  std::copy_n(values, count, last);
+  return jumps;
+}
 
 // What reads bone transforms sets large rotations off against large translations: in 8 bits that layer, a thirtieth of
 // the network weights, puts vertices out by three to seven times as much as all others together. What reads the pose
@@ -94,9 +102,8 @@ Rejection Evaluator::step(const float* joint_positions, const float* gravity, co
 }
 
 void Evaluator::pose(const float* joint_positions, const float* gravity) noexcept {
-  jumps_ = false;
-  for (int k = 0; k < rig_.dofs(); ++k) jumps_ |= std::fabs(joint_positions[k] - last_positions_[k]) > kJump;
-  std::copy_n(joint_positions, rig_.dofs(), last_positions_);
+  joints_jump_ = take_over(joint_positions, rig_.dofs(), last_positions_);
+  gravity_jumps_ = take_over(gravity, 3, last_gravity_);
   rig_.compute_bone_transforms(joint_positions, bone_transforms_);
   rig_.compute_pose_vector(joint_positions, gravity, pose_);
   gather_deformer_input();
@@ -105,7 +112,8 @@ void Evaluator::pose(const float* joint_positions, const float* gravity) noexcep
 void Evaluator::pose_as(const Evaluator& other, const float* gravity) noexcept {
   std::copy_n(other.bone_transforms_, 12 * bone_count_, bone_transforms_);
   std::copy_n(other.pose_, rig_.dofs(), pose_);
-  jumps_ = other.jumps_;
+  joints_jump_ = other.joints_jump_;
+  gravity_jumps_ = take_over(gravity, 3, last_gravity_);
   std::copy_n(gravity, 3, pose_ + rig_.dofs());
   gather_deformer_input();
 }
@@ -123,7 +131,7 @@ const float* Evaluator::run_networks() noexcept {
 void Evaluator::compose_nodes(const float* corrections, const Moment* moment) noexcept {
   garment_nodes_.compose(bone_transforms_, corrections, node_transforms_);
   if (moment == nullptr) return;
-  pace_.keep(garment_nodes_, bone_transforms_, jumps_ ? -1.0f : moment->passed, node_transforms_);
+  pace_.keep(garment_nodes_, bone_transforms_, joints_jump_ || gravity_jumps_ ? -1.0f : moment->passed, node_transforms_);
   garment_nodes_.twist(bone_transforms_, moment->twist, node_transforms_);
 }
 

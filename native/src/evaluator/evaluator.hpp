@@ -97,7 +97,8 @@ class Evaluator {
   const float* pose_modulation_;  // null where it is folded into the pose modulator
   float* pose_;
   float* last_positions_;  // (dofs) of the frame before
-  bool jumps_ = true;
+  float last_gravity_[3] = {};
+  bool joints_jump_ = true, gravity_jumps_ = true;  // since then
   float* bone_transforms_;
   float* deformer_input_;
   float* node_transforms_;

@@ -31,7 +31,7 @@ const char* Sway::gravity(double time, const double* root, bool accelerated, flo
   for (int k = 0; k < 3; ++k) out[k] = float(felt[k] / length);
   out[3] = float(felt[3]);
   const double passed = time - time_;
-  out[4] = has_time_ && amount_ > 0 && passed >= 0 && passed <= kLargestGap ? float(passed) : -1.0f;
+  out[4] = has_time_ && amount_ > 0 && passed > 0 && passed <= kLargestGap ? float(passed) : -1.0f;
   time_ = time;
   has_time_ = true;
   return nullptr;

@@ -11,16 +11,14 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
 from core.points.splat_files import splat_ply  # noqa: E402
-from geometry_msgs.msg import PoseStamped, Quaternion, Transform  # noqa: E402
+from geometry_msgs.msg import Quaternion, Transform  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import JointState, MultiDOFJointState  # noqa: E402
 
-from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model  # noqa: E402
 from physkin_ros.messages.topics import TOPICS  # noqa: E402
 from physkin_ros.node.avatar_stream import MOST_UNKNOWN  # noqa: E402
 from physkin_ros.node.garment_stream import WornGarment  # noqa: E402
 from physkin_ros.node.orientation_source import OrientationSource  # noqa: E402
-from physkin_ros.root.root_motion import RootMotion  # noqa: E402
 
 STAMPS = ((sec, 0) for sec in count(1000))  # one for each joint state whose stamp does not matter
 OWN = (
@@ -225,30 +223,6 @@ def test_each_garment_may_sway_by_itself(running_node, model_path, swaying):
         (result,) = node.set_parameters([Parameter(top + "sway", value=1.5)])
         assert not result.successful and "garments.top.sway" in result.reason
     assert swaying == [(0.5, 0.2), (0.0, 0.2), (0.0, 0.5), (0.5, 0.5)]
-
-
-@pytest.mark.parametrize("sway", [1.0, 0.3])
-def test_a_turn_twists_a_skirt(sway, peer, running_node, monkeypatch):
-    """As that of a draper that is told time and root."""
-    model, moves, move = load_garment_model("skirt"), [], RootMotion.move
-    monkeypatch.setattr(RootMotion, "move", lambda *given: moves.append(given) or move(*given))
-    draper = Draper(model, load_avatar(BUNDLED_AVATAR, model.rig), precision="fp32")
-    draper.sway = sway
-    names, rest, message = model.rig.joint_names, model.rig.rest.astype(np.float32), PoseStamped()
-    with running_node({"model": "skirt", "orientation": "pose", "precision": "fp32", "sway": sway}, gravity=False):
-        publisher = peer.node.create_publisher(PoseStamped, "pose", 50)
-        peer.until(publisher.get_subscription_count, "subscription to poses")
-        for k in range(20):
-            stamp = message.header.stamp.sec, message.header.stamp.nanosec = 5000, k * 25_000_000
-            turn = Rotation.from_euler("z", 0.1 * max(k - 10, 0)).as_quat().tolist()
-            message.pose.orientation = Quaternion(**dict(zip("xyzw", turn)))
-            publisher.publish(message)
-            peer.until(lambda k=k: len(moves) > k, "pose")
-            expected = draper.drape(rest, time=stamp[0] + 1e-9 * stamp[1], root=(0, 0, 0, *turn))
-        cloud = peer.cloud(names, rest, stamp)
-        peer.node.destroy_publisher(publisher)
-    np.testing.assert_allclose(cloud, expected, atol=1e-4)
-    assert np.abs(expected - draper.drape(rest))[:, :3].max() > 0.04 * sway
 
 
 def test_what_fails_in_publishing_ends_nothing(peer, shared_node, draper, monkeypatch):

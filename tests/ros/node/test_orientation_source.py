@@ -1,4 +1,4 @@
-"""What an orientation source makes of messages, without ROS nodes."""
+"""What an orientation source makes of messages; and drape nodes of which cloth remembers the frame before."""
 
 from __future__ import annotations
 
@@ -8,14 +8,19 @@ from types import SimpleNamespace as Message
 import numpy as np
 import pytest
 from root_messages import header, imu, odometry, pose, transform, vector
+from scipy.spatial.transform import Rotation
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
+from geometry_msgs.msg import PoseStamped, Quaternion  # noqa: E402
+
+from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model  # noqa: E402
 from physkin_ros.node import orientation_source  # noqa: E402
 from physkin_ros.node.orientation_source import OrientationSource, check_orientation  # noqa: E402
 from physkin_ros.node.settings import AVATAR_SETTINGS, GARMENT_SETTINGS, AvatarSettings, GarmentSettings, SettingsError  # noqa: E402
 from physkin_ros.root import transform_tree  # noqa: E402
 from physkin_ros.root.gravity import FRESH  # noqa: E402
+from physkin_ros.root.root_motion import RootMotion  # noqa: E402
 from physkin_ros.root.tf_topics import FollowedTransforms  # noqa: E402
 
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -245,3 +250,43 @@ def test_what_tf_needs(asked, monkeypatch):
     monkeypatch.setitem(sys.modules, "tf2_msgs.msg", None)
     with pytest.raises(SettingsError, match=f"parameter {list(asked)[-1]}.*tf2_msgs is not installed.*--install"):
         check_orientation(settings(**asked))
+
+
+@pytest.mark.parametrize("sway", [1.0, 0.3])
+def test_a_turn_twists_a_skirt(sway, peer, running_node, monkeypatch):
+    """As that of a draper that is told time and root."""
+    model, moves, move = load_garment_model("skirt"), [], RootMotion.move
+    monkeypatch.setattr(RootMotion, "move", lambda *given: moves.append(given) or move(*given))
+    draper = Draper(model, load_avatar(BUNDLED_AVATAR, model.rig), precision="fp32")
+    draper.sway = sway
+    names, rest, message = model.rig.joint_names, model.rig.rest.astype(np.float32), PoseStamped()
+    with running_node({"model": "skirt", "orientation": "pose", "precision": "fp32", "sway": sway}, gravity=False):
+        publisher = peer.node.create_publisher(PoseStamped, "pose", 50)
+        peer.until(publisher.get_subscription_count, "subscription to poses")
+        for k in range(20):
+            stamp = message.header.stamp.sec, message.header.stamp.nanosec = 5000, k * 25_000_000
+            turn = Rotation.from_euler("z", 0.1 * max(k - 10, 0)).as_quat().tolist()
+            message.pose.orientation = Quaternion(**dict(zip("xyzw", turn)))
+            publisher.publish(message)
+            peer.until(lambda k=k: len(moves) > k, "pose")
+            expected = draper.drape(rest, time=stamp[0] + 1e-9 * stamp[1], root=(0, 0, 0, *turn))
+        cloud = peer.cloud(names, rest, stamp)
+        peer.node.destroy_publisher(publisher)
+    np.testing.assert_allclose(cloud, expected, atol=1e-4)
+    assert np.abs(expected - draper.drape(rest))[:, :3].max() > 0.04 * sway
+
+
+@pytest.mark.parametrize("sway", [1.0, 0.0])
+def test_cloth_keeps_its_pace_by_the_stamps(sway, peer, running_node):
+    """As that of a draper that is told the time; without sway every joint state is draped by itself."""
+    model = load_garment_model("tshirt")
+    draper = Draper(model, load_avatar(BUNDLED_AVATAR, model.rig), precision="fp32")
+    draper.sway = sway
+    names, pose, late = model.rig.joint_names, model.rig.rest.astype(np.float32), 0.0
+    with running_node({"model": "tshirt", "precision": "fp32", "sway": sway}):
+        for k in range(4):
+            pose[names.index("upperarm01.L_x")] += 0.3
+            cloud = peer.cloud(names, pose, (6000, 2_000_000 * k))
+            np.testing.assert_allclose(cloud, draper.drape(pose, time=6000 + 0.002 * k), atol=1e-5)
+            late = max(late, np.abs(cloud - draper.drape(pose))[:, :3].max())
+    assert late > 0.01 if sway else late == 0

@@ -105,7 +105,7 @@ def test_outfits_are_compared_frame_after_frame(made_records, outfit):
     for _ in range(5):
         node.drape(positions[0])
     for frame in range(4):
-        cloud = np.concatenate(node.drape(positions[frame], motion.gravity[frame]))
+        cloud = np.concatenate(node.drape(positions[frame], motion.gravity[frame], time=0.005 * frame))
     unkept = [Outfit([model], outfit.avatar) for model in outfit.models]
     drapes = [each.drape(positions[3], motion.gravity[3])[0] for each in unkept]
     wrong = np.concatenate([drape[given] for drape, given in zip(drapes, outfit.visible)])

@@ -54,11 +54,11 @@ class Steadiness:
 
 
 def _moved(nodes: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
-    """Distances (B, m, 4) [m] between garment nodes (B, m, 3, 4), and between the points that they carry beside them."""
+    """Distances (B, m, 4) [m] between garment nodes (B, m, 3, 4), and between the points beside them."""
     return torch.linalg.vector_norm(_points(nodes) - _points(others), dim=-1)
 
 
 def _points(nodes: torch.Tensor) -> torch.Tensor:
-    """Garment nodes (B, m, 3, 4) as points (B, m, 4, 3): where they are, and what they carry `REACH` along each axis."""
+    """Garment nodes (B, m, 3, 4) as points (B, m, 4, 3): where they are, and `REACH` from there along each axis."""
     origin, axes = nodes[..., 3][..., None, :], nodes[..., :3].mT
     return torch.cat([origin, origin + REACH * axes], dim=-2)
