@@ -30,7 +30,7 @@ def test_outputs_are_closer_than_rounded_one_by_one():
 
 @pytest.mark.parametrize("name", shipped_models())
 def test_shipped_models_lose_nothing_more_in_eight_bits(name):
-    """They are stored rounded, so that int8 is 0.2 to 0.4 mm from fp32, as bf16 is. Rounded one by one it was 0.6 to 0.9."""
+    """They are stored rounded, so that int8 is 0.2 to 0.4 mm from fp32, as bf16 is; one by one 0.6 to 0.9."""
     model = load_garment_model(name)
     for weight, _ in (*model.pose_modulator[1:], *model.node_deformer[1:]):
         assert np.abs(in_steps(weight) - np.rint(in_steps(weight))).max() < 0.3
