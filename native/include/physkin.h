@@ -47,7 +47,7 @@ typedef struct physkin_garment physkin_garment;
 typedef struct physkin_options {
   uint32_t size;               /* sizeof(physkin_options), which may grow: what a shorter one lacks is default */
   int32_t normals_from_faces;  /* 0: rest normals carried along; 1: of the posed mesh, slower and truer */
-  const char* precision;       /* of network weights: "fp32", "bf16" (default), "int8" */
+  const char* precision;       /* of network weights: "fp32", "bf16", "int8" (default) */
   const char* instruction_set; /* "baseline", "v3", "v4", "v4_vnni"; default the widest that this processor has */
 } physkin_options;
 

@@ -36,7 +36,7 @@ STAGES = {
 
 BATCH_SIZES = (1, 4, 8)
 BYTES_A_WEIGHT = {"fp32": 4, "bf16": 2, "int8": 1}
-"""Bytes of a network weight; in int8 the node deformer's first layer has as many as in bf16."""
+"""Bytes of a network weight; in int8 the first layers of both networks have as many as in bf16."""
 MULTIPLY_ADD_ROUNDS = 5000
 BLOCK = 16
 """Vertices that share one union of garment nodes."""
@@ -74,7 +74,8 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
         calls |= {f"peers.{kind}.{name}": call for name, call in built.items()}
         missing |= {f"{kind}.{name}": reason for name, reason in left_out.items()}
     calls |= _batches(case)
-    probes, amount = _probes(networks.weight_count, bound.deformer_layers[0][0].size, levels[-1])
+    first_layers = bound.pose_layers[0][0].size + bound.deformer_layers[0][0].size
+    probes, amount = _probes(networks.weight_count, first_layers, levels[-1])
     timings = time_in_turns(calls | probes, rounds=rounds)
     for count in BATCH_SIZES:
         timings |= {f"batch.{p}.{count}": timings[f"batch.{p}.{count}"].shared_by(count) for p in PRECISIONS}
@@ -125,14 +126,14 @@ def _batches(case: BenchmarkCase) -> dict[str, Callable[[], object]]:
     return calls
 
 
-def _probes(weights: int, first_layer: int, level: str) -> tuple[dict[str, Callable[[], object]], int]:
+def _probes(weights: int, first_layers: int, level: str) -> tuple[dict[str, Callable[[], object]], int]:
     """What the machine can do at best: reading as many bytes as the network weights have, in two ways, and multiplying.
 
     Returns calls, and how many multiply-adds the last one does.
     """
     calls: dict[str, Callable[[], object]] = {}
     for precision, size in BYTES_A_WEIGHT.items():
-        probe = _native.MachineProbe(size * weights + (first_layer if precision == "int8" else 0), level)
+        probe = _native.MachineProbe(size * weights + (first_layers if precision == "int8" else 0), level)
         calls |= {f"read.{precision}.{way}": partial(probe.read, way) for way in (False, True)}
     calls["multiply_add"] = partial(probe.multiply_add, MULTIPLY_ADD_ROUNDS)
     return calls, calls["multiply_add"]()

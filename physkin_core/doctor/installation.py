@@ -23,7 +23,7 @@ from physkin_core.runtime.native_evaluator import supported_instruction_sets
 __all__ = ["look"]
 
 COMPILERS = ("g++", "clang++", "c++")
-AGREEMENT = 1e-3  # [m] native (bf16) and NumPy evaluator
+AGREEMENT = 1e-3  # [m] native (int8) and NumPy evaluator
 REINSTALL = "install again: pip install --force-reinstall --no-deps physkin"
 
 

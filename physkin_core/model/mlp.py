@@ -10,7 +10,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = ["ACTIVATIONS", "Layer", "fold_modulation", "modulated_mlp", "modulation_size", "split_modulation"]
+__all__ = [
+    "ACTIVATIONS",
+    "Layer",
+    "fold_modulation",
+    "layer_inputs",
+    "modulated_mlp",
+    "modulation_size",
+    "split_modulation",
+]
 
 Layer = tuple[np.ndarray, np.ndarray]
 """Network weight (out, in) and bias (out,)."""
@@ -36,11 +44,17 @@ def split_modulation(layers: Sequence[Layer], modulation: np.ndarray) -> list[tu
 
 def modulated_mlp(layers: Sequence[Layer], x: np.ndarray, modulation: np.ndarray, activation: str) -> np.ndarray:
     """Hidden layers modulated then activated, last layer linear. x: (..., in). Returns (..., out)."""
+    return layer_inputs(layers, x, modulation, activation)[-1]
+
+
+def layer_inputs(layers: Sequence[Layer], x: np.ndarray, modulation: np.ndarray, activation: str) -> list[np.ndarray]:
+    """What each layer of `modulated_mlp` reads (..., width), the first x itself, and then what the last gives."""
     act = ACTIVATIONS[activation]
+    values = [x]
     for (weight, bias), (scale, shift) in zip(layers[:-1], split_modulation(layers, modulation), strict=True):
-        x = act((1 + scale) * (x @ weight.T + bias) + shift)
+        values.append(act((1 + scale) * (values[-1] @ weight.T + bias) + shift))
     weight, bias = layers[-1]
-    return x @ weight.T + bias
+    return [*values, values[-1] @ weight.T + bias]
 
 
 def fold_modulation(layers: Sequence[Layer], modulation: np.ndarray) -> tuple[Layer, ...]:

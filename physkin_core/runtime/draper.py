@@ -49,7 +49,7 @@ class Draper:
 
     backend: "native" (C++, the one to use) or "numpy" (readable reference, slow); never switched silently.
     precision: of the native backend's network weights, "fp32", "bf16" or "int8" (see `NativeEvaluator`); None for its
-        default, bf16. The NumPy backend knows fp32 only.
+        default, int8. The NumPy backend knows fp32 only.
     fit: 1 for a garment made to measure for this body, 0 for the garment's one size, or between; above 0 only for
         models that have learnt it (`GarmentModel.made_to_measure`). None, the default: 1 for those, 0 for others. Above
         0 it takes some tenths of a second more when the body is bound, nothing a frame.

@@ -43,9 +43,9 @@ class NativeEvaluator:
     instruction_set: one of `supported_instruction_sets()`. By default the environment variable PHYSKIN_NATIVE_ISA
         decides, and without it the widest supported set.
     precision: of the network weights, one of `PRECISIONS`: "fp32"; "bf16", widened in registers; "int8", with
-        activations rounded to 16 bits and the layer that reads bone transforms in bf16. By default the environment
-        variable PHYSKIN_NATIVE_PRECISION decides, and without it "bf16", which no quality figure tells from "fp32"
-        (docs/notebook/benchmark.md).
+        activations rounded to 16 bits and the layers that read bone transforms and the pose vector in bf16. By default
+        the environment variable PHYSKIN_NATIVE_PRECISION decides, and without it "int8", which no quality figure tells
+        from "fp32" for models rounded to it (docs/notebook/benchmark.md).
     normals: "skinned", rest normals carried along, or "faces", those of the posed mesh's faces around each vertex,
         weighted by area: slower, and right where the cloth ripples.
 

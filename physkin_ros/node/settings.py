@@ -79,7 +79,7 @@ class GarmentSettings:
     tucked: bool = _key(False, "wear its hem under the waistband of the next garment outwards that is not tucked")
     precision: str = _key(
         "",
-        "of the network weights: fp32, bf16 or int8, each faster and coarser than the last; default bf16, and with the "
+        "of the network weights: fp32, bf16 or int8, each faster and coarser than the last; default int8, and with the "
         "numpy backend fp32, the only one it knows",
         choices=("", *PRECISIONS),
     )

@@ -98,7 +98,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("--gravity", type=float, nargs=3, default=UPRIGHT_GRAVITY.tolist(), metavar=("X", "Y", "Z"))
     parser.add_argument("--backend", choices=BACKENDS, default="native")
     parser.add_argument(
-        "--precision", choices=PRECISIONS, help="of the native backend's network weights (default bf16)"
+        "--precision", choices=PRECISIONS, help="of the native backend's network weights (default int8)"
     )
     add_fit_option(parser)
     parser.add_argument("--normals", choices=NORMALS, default="skinned", help="carried along, or of the draped mesh")

@@ -157,7 +157,7 @@ def test_nan_alone_is_not_swallowed(activation, precision, level, make_garment):
 def test_environment_sets_the_default_precision(make_garment, monkeypatch):
     garment = make_garment(np.random.default_rng(25))
     monkeypatch.delenv("PHYSKIN_NATIVE_PRECISION", raising=False)
-    assert NativeEvaluator(garment).precision == "bf16"
+    assert NativeEvaluator(garment).precision == "int8"
     monkeypatch.setenv("PHYSKIN_NATIVE_PRECISION", "fp32")
     assert NativeEvaluator(garment).precision == "fp32"
     assert NativeEvaluator(garment, precision="int8").precision == "int8"

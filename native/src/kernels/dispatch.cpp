@@ -84,7 +84,7 @@ const char* precision_name(Precision precision) { return kPrecisions[int(precisi
 
 Precision select_precision(const std::string& name) {
   const Wanted wanted(name, "PHYSKIN_NATIVE_PRECISION");
-  if (wanted.name.empty()) return Precision::bf16;
+  if (wanted.name.empty()) return Precision::int8;
   for (int k = 0; k < kPrecisionCount; ++k) {
     if (wanted.name == kPrecisions[k]) return Precision(k);
   }

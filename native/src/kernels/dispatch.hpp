@@ -16,7 +16,7 @@ std::vector<std::string> supported_instruction_sets();
 // that the widest one supported. Throws std::invalid_argument for a name that is unknown or not supported here.
 const Kernels& select_kernels(const std::string& name = "");
 
-// The named precision; an empty name means the environment variable PHYSKIN_NATIVE_PRECISION, and without that bf16.
+// The named precision; an empty name means the environment variable PHYSKIN_NATIVE_PRECISION, and without that int8.
 // Throws std::invalid_argument for an unknown name.
 Precision select_precision(const std::string& name = "");
 const char* precision_name(Precision precision);

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from physkin_training.config import ConfigError, load_config
 from physkin_training.devices import DEFAULT_DEVICE
+from physkin_training.networks.compensated_rounding import rounded_model
 from physkin_training.networks.export import ExportError, model_from_drape, store_checked
 from physkin_training.networks.rest_normals import fitted_rest_normals
 from physkin_training.train.checkpoint import CheckpointError, saved_steps
@@ -191,6 +192,7 @@ def _export(trainer: Trainer, path: Path) -> int:
         training=training,
     )
     model = replace(model, rest_normals=fitted_rest_normals(drape, trainer.garment, trainer.rig))
+    model = rounded_model(model)
     try:
         store_checked(model, drape, path)
     except ExportError as error:
