@@ -1,5 +1,6 @@
 """Surfaces on the page: what is on it after they were painted, and taken off."""
 
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,7 +20,7 @@ class Page:
         self.scene = SimpleNamespace(add_mesh_simple=self._add)
 
     def _add(self, name, vertices, faces, **look):
-        remove = lambda: self.meshes.pop(name)  # noqa: E731
+        remove = partial(self.meshes.pop, name)
         self.meshes[name] = SimpleNamespace(vertices=vertices, faces=faces, remove=remove, **look)
         return self.meshes[name]
 
