@@ -85,10 +85,11 @@ PHYSKIN_API physkin_status physkin_step_accelerated(physkin_garment* garment, co
                                                     const float* effective_gravity, float* out, int32_t columns,
                                                     ptrdiff_t stride);
 
-/* The same of a root that moves through the world: cloth lags, swings, settles, and does not leap. time [s], of any clock; frames come in
- * their order, at any rate. root: (7) where it is in a world with Z up: x, y, z [m], and its unit quaternion x, y, z, w,
- * world <- root. A garment that has not learnt effective gravity follows its direction. After a gap, a jump or a clock
- * that goes back cloth comes to rest by itself. PHYSKIN_BAD_POSE for a time or root that cannot be. */
+/* The same of a root that moves through the world: cloth lags, swings, settles, and does not leap. time [s], of any
+ * clock; frames come in their order, at any rate. root: (7) where it is in a world with Z up: x, y, z [m], and its unit
+ * quaternion x, y, z, w, world <- root. A garment that has not learnt effective gravity follows its direction. After a
+ * gap, a jump or a clock that goes back cloth comes to rest by itself. PHYSKIN_BAD_POSE for a time or root that cannot
+ * be. */
 PHYSKIN_API physkin_status physkin_step_moving(physkin_garment* garment, const float* joint_positions, double time,
                                                const double* root, float* out, int32_t columns, ptrdiff_t stride);
 

@@ -15,7 +15,7 @@ from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.gltf_avatar import primitives
 from physkin_core.avatar.gltf_file import GltfFile
 from physkin_core.avatar.loading import GLTF_SUFFIXES
-from physkin_core.look.surfaces import picture_kind
+from physkin_core.look.surfaces import picture_kind, readable
 from physkin_core.mesh_file import Look, MaterialLibrary, read_mesh
 
 __all__ = ["avatar_look"]
@@ -35,11 +35,17 @@ def avatar_look(avatar: Avatar, faces: np.ndarray | slice = slice(None)) -> Look
     if avatar.file_corners is None or path.suffix.lower() not in (".obj", *GLTF_SUFFIXES):
         return None
     try:
-        look = read_mesh(path).look if path.suffix.lower() == ".obj" else _gltf_look(GltfFile(path))
+        look = _obj_look(path) if path.suffix.lower() == ".obj" else _gltf_look(GltfFile(path))
         return look.of_corners(avatar.file_corners[faces]) if look.materials else None
     except (AttributeError, IndexError, KeyError, OSError, TypeError, ValueError) as error:
         log.warning("avatar %s: its materials cannot be read: %s", path, error)
         return None
+
+
+def _obj_look(path: Path) -> Look:
+    return readable(
+        read_mesh(path).look, lambda told: log.warning("avatar %s: left out of its materials: %s", path, told)
+    )
 
 
 def _gltf_look(file: GltfFile) -> Look:
@@ -108,6 +114,6 @@ def _readable(content: bytes) -> bytes:
 
         buffer = io.BytesIO()
         Image.open(io.BytesIO(content)).save(buffer, format="PNG")
-    except (ImportError, OSError) as error:
+    except Exception as error:  # whatever pillow trips over, or there is none
         raise AvatarError("it is neither PNG nor JPEG, nor WebP that pillow reads") from error
     return buffer.getvalue()

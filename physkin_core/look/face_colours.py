@@ -69,7 +69,7 @@ def _picture_colours(surface: Surface, uv: np.ndarray) -> np.ndarray:
         raise PictureError("an avatar's pictures need pillow: pip install 'physkin[view]'") from error
     try:
         image = Image.open(io.BytesIO(surface.picture.content)).convert("RGB")
-    except OSError as error:
+    except Exception as error:  # whatever pillow trips over: damaged files, some too large
         log.warning("picture %s is left out: %s", surface.picture.name, error)
         return np.ones((len(uv), 3))
     image.thumbnail((LARGEST_PICTURE, LARGEST_PICTURE), Image.Resampling.BOX)

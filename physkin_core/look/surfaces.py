@@ -6,13 +6,23 @@ are skinned alike, so that nothing opens. Dimensions: `f` faces, `v` vertices, `
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from physkin_core.mesh_file import LIBRARY, Look
 
-__all__ = ["ROUGHNESS", "Picture", "Surface", "linear", "picture_kind", "split_at_seams", "surfaces_of"]
+__all__ = [
+    "ROUGHNESS",
+    "Picture",
+    "Surface",
+    "linear",
+    "picture_kind",
+    "readable",
+    "split_at_seams",
+    "surfaces_of",
+]
 
 ROUGHNESS = 0.9
 """Of cloth and skin."""
@@ -59,6 +69,19 @@ def surfaces_of(look: Look | None, name: str, colour: tuple[float, ...], count: 
         own = (name, colour, None) if index < 0 else (look.materials[index], *library[look.materials[index]])
         found.append(Surface(own[0], own[1], faces, own[2]))
     return found
+
+
+def readable(look: Look, told: Callable[[str], None]) -> Look:
+    """The look without those lines of its material library that `surfaces_of` would refuse; why is told of each."""
+    kept, begun = [], b""
+    for line in look.files.get(LIBRARY, b"").splitlines(keepends=True):
+        begun = line if line.split()[:1] == [b"newmtl"] else begun
+        try:
+            _materials(replace(look, files={**look.files, LIBRARY: begun + line}))
+            kept.append(line)
+        except ValueError as error:
+            told(str(error))
+    return replace(look, files={**look.files, LIBRARY: b"".join(kept)})
 
 
 def split_at_seams(look: Look, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

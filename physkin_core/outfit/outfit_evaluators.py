@@ -113,7 +113,9 @@ class ReferenceOutfitEvaluator:
         layers = [np.empty((len(bound.vertices), 6), dtype=np.float32) for bound in self._bounds]
         shape, size = np.shape(gravity), np.shape(gravity)[-1:]
         if shape not in (size, (len(layers), *size)) or size not in ((3,), (5,)):
-            raise ValueError(f"gravity must have shape (3,) or {(len(layers), 3)}, got {np.shape(gravity)}")
+            raise ValueError(
+                f"gravity must have shape (3,), {(len(layers), 3)}, (5,) or {(len(layers), 5)}, got {np.shape(gravity)}"
+            )
         gravities = np.broadcast_to(gravity, (len(layers), *size))
         for evaluator, down, layer in zip(self._evaluators, gravities, layers):
             evaluator.evaluate(joint_positions, down, layer)

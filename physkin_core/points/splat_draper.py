@@ -8,7 +8,7 @@ Dimensions: `n` splats, `d` scalar degrees of freedom.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import Literal
@@ -69,19 +69,8 @@ class SplatDraper:
         """The splats in one pose, given as to `Draper.drape`, in the root frame. Raises ValueError as that does."""
         return self._splats(self._draper.drape(joint_positions, gravity, effective_gravity=effective_gravity))
 
-    def bind_step(self, joint_positions: np.ndarray, gravity: np.ndarray) -> Callable[[], Splats]:
-        """A frame bound to its arrays, as of `Draper.bind_step`: `step()` returns the splats in the pose they hold."""
-        cloud = np.empty((self._draper.vertex_count, 6), dtype=np.float32)
-        drape = self._draper.bind_step(joint_positions, gravity, cloud)
-
-        def step() -> Splats:
-            drape()
-            return self._splats(cloud)
-
-        return step
-
     def skin(self, node_transforms: np.ndarray) -> Splats:
-        """The splats where garment nodes take them that somebody else computed, as of `Outfit.node_transforms`: (m, 3,
+        """The splats where garment nodes take them that somebody else computed, as of `Draper.node_transforms`: (m, 3,
         4) float32. Raises TypeError or ValueError as `NativeSkinner.skin` does."""
         cloud = np.empty((self._draper.vertex_count, 6), dtype=np.float32)
         self._skinner.skin(node_transforms, cloud)

@@ -63,6 +63,10 @@ class ReferenceEvaluator:
         gravity, moment = _split(gravity)
         _check_out(out, len(bound.vertices))
         q = joint_positions.astype(np.float64)
+        given = np.concatenate([q, gravity])
+        jumps = self._last_given is None or np.abs(given - self._last_given).max() > JUMP
+        self._last_given = given
+        pace, self._pace = self._pace, Pace()  # after networks that are refused the next frame keeps none
         heads = bound.bone_heads.astype(np.float64)
         bones = forward_kinematics(bound.bone_parents, heads, bound.dof_bone, bound.dof_axis, q - bound.dof_rest)
         pose = pose_vector(q, bound.dof_lower.astype(np.float64), bound.dof_upper.astype(np.float64), gravity)
@@ -74,12 +78,10 @@ class ReferenceEvaluator:
         posed = pose_nodes(bones, bound.node_bone, bound.node_positions)
         nodes = compose_nodes(posed, delta_transforms(raw, len(bound.node_bone)))
         _check_result("node_transforms", nodes)
-        given = np.concatenate([q, gravity])
-        jumps = self._last_given is None or np.abs(given - self._last_given).max() > JUMP
-        self._last_given = given
+        self._pace = pace
         if moment is not None:
             twist, passed = moment
-            nodes = self._pace.kept(posed, nodes, UNTOLD if jumps else passed)
+            nodes = pace.kept(posed, nodes, UNTOLD if jumps else passed)
             if twist and len(bound.node_twist):
                 nodes = twisted(nodes, bones, bound.node_twist.astype(np.float64), bound.node_bone, twist)
         self._nodes = nodes

@@ -79,11 +79,12 @@ class SurfaceNode:
             return
         if not same:
             self._parts = self._banded(values)
+        if same or not self._handles:
+            self.show(vertices)
+        else:
             for handle, part in zip(self._handles, self._parts):
                 handle.faces, handle.vertices = _arrays(part, vertices)
                 handle.visible = bool(len(part.faces))
-        else:
-            self.show(vertices)
 
     def remove(self) -> None:
         """Take it off the page."""

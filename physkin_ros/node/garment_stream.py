@@ -132,11 +132,6 @@ class WornGarment:
         models = draper.outfit.models if isinstance(draper, OutfitLayer) else (draper.model,)
         return all(model.accelerated for model in models)
 
-    def follow(self, pose: np.ndarray, gravity: np.ndarray) -> None:
-        """Let what is published besides the cloud be of what these arrays hold then; see `Draper.bind_step`."""
-        if self._splats is not None:
-            self._splats.follow(pose, gravity)
-
     def publish(self, sec: int, nanosec: int) -> None:
         """Publish the frame with the joint state's stamp; all but the cloud only to those who listen."""
         stream = self.stream
@@ -147,11 +142,12 @@ class WornGarment:
         if self._marker is not None and stream.marker_publisher.get_subscription_count():
             self._marker.publish(stream.marker_publisher, self.points, sec, nanosec)
         if self._splats is not None and stream.splat_publisher.get_subscription_count():
-            self._splats.publish(stream.splat_publisher, sec, nanosec)
+            self._splats.publish(stream.splat_publisher, self.draper.node_transforms(), sec, nanosec)
 
 
 class WornSplats:
-    """The splats of a garment, draped with it. They take half of the time at most: clouds go first."""
+    """The splats of a garment, where its garment nodes take them. They take half of the time at most: clouds go
+    first."""
 
     def __init__(self, stream: GarmentStream, draper: Draper) -> None:
         try:
@@ -160,19 +156,15 @@ class WornSplats:
         except ValueError as error:
             raise ValueError(f"parameter {stream.settings.prefix}points, {stream.settings.points}: {error}") from error
         self._cloud = SplatCloud(self._draper.splat_count, stream.frame_id)
-        self._step: Callable[[], Splats] | None = None
         self._free_ns = 0
 
-    def follow(self, pose: np.ndarray, gravity: np.ndarray) -> None:
-        """As `WornGarment.follow`."""
-        self._step = self._draper.bind_step(pose, gravity)
-
-    def publish(self, publisher, sec: int, nanosec: int) -> None:
-        """Drape and publish the splats, unless the last ones took so long that it is too soon."""
+    def publish(self, publisher, node_transforms: np.ndarray, sec: int, nanosec: int) -> None:
+        """Publish the splats of a frame with garment nodes (m, 3, 4), unless the last ones took so long that it is too
+        soon."""
         began = perf_counter_ns()
         if began < self._free_ns:
             return
-        self._cloud.fill(self._step())
+        self._cloud.fill(self._draper.skin(node_transforms))
         self._cloud.publish(publisher, sec, nanosec)
         now = perf_counter_ns()
         self._free_ns = 2 * now - began
@@ -195,8 +187,6 @@ def passes_of(
     have learnt it; the others take gravity (garments, 5), its unit direction and the same.
     """
     downs = [(felt if worn.accelerated else gravity)[k] for k, worn in enumerate(garments)]
-    for worn, down in zip(garments, downs):
-        worn.follow(pose, down)
     first = garments[0].draper
     if isinstance(first, OutfitLayer):
         down = felt if garments[0].accelerated else gravity

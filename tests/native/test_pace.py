@@ -69,3 +69,33 @@ def test_a_time_that_is_not_finite_is_refused_and_what_is_refused_does_not_count
         with pytest.raises(ValueError, match=r"finite"):
             drapes(evaluator, garment, positions[1:2], gravity, [np.nan])
         assert (np.concatenate([first, drapes(evaluator, garment, positions[2:], gravity, [1e-3])]) == whole).all()
+
+
+def test_after_networks_that_are_refused_the_pose_is_draped_as_it_is(make_garment, make_pose):
+    rng = np.random.default_rng(22)
+    garment = make_garment(rng)
+    positions, gravity = frames(rng, garment, make_pose, count=2)
+    for make in (NativeEvaluator, ReferenceEvaluator):
+        plain = drapes(make(garment), garment, positions[1:], gravity, [None])
+        evaluator = make(garment)
+        drapes(evaluator, garment, positions[:1], gravity, [UNTOLD])
+        with pytest.raises(ValueError, match="node deformer output"):
+            drapes(evaluator, garment, positions[:1], 1e30 * gravity, [1e-3])
+        assert (drapes(evaluator, garment, positions[1:], gravity, [1e-3]) == plain).all()
+
+
+def test_a_joint_that_was_no_number_has_jumped(make_garment, make_pose):
+    """In an outfit, which poses its bones before it looks."""
+    rng = np.random.default_rng(23)
+    garment = make_garment(rng)
+    positions, gravity = frames(rng, garment, make_pose, count=1)
+    far = positions[0] + np.float32(1.0)
+    moment = np.append(gravity, (0.0, 1e-3)).astype(np.float32)
+    plain, out = (np.empty((len(garment.vertices), 6), dtype=np.float32) for _ in range(2))
+    NativeOutfitEvaluator([garment], []).evaluate(far, gravity, [plain])
+    outfit = NativeOutfitEvaluator([garment], [])
+    outfit.evaluate(positions[0], moment, [out])
+    with pytest.raises(ValueError, match="finite"):
+        outfit.evaluate(positions[0] * np.float32(np.nan), moment, [out])
+    outfit.evaluate(far, moment, [out])
+    assert (out == plain).all()

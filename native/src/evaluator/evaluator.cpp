@@ -19,7 +19,7 @@ constexpr float kJump = 0.5f;  // as JUMP of pace.py
 // Whether any of the values is far from the last one, which it then takes the place of.
 bool take_over(const float* values, int count, float* last) {
   bool jumps = false;
-  for (int k = 0; k < count; ++k) jumps |= std::fabs(values[k] - last[k]) > kJump;
+  for (int k = 0; k < count; ++k) jumps |= !(std::fabs(values[k] - last[k]) <= kJump);  // the last may be no number
   std::copy_n(values, count, last);
   return jumps;
 }
@@ -78,8 +78,10 @@ Rejection Evaluator::check_inputs(const float* joint_positions, const float* gra
   return reject_beyond("passed", &moment->passed, 1, FLT_MAX);
 }
 
-Rejection Evaluator::check_corrections() const noexcept {
-  return reject_beyond("node deformer output", corrections_, node_deformer_.outputs(), kLargest);
+Rejection Evaluator::check_corrections() noexcept {
+  const Rejection bad = reject_beyond("node deformer output", corrections_, node_deformer_.outputs(), kLargest);
+  if (bad) pace_.forget();
+  return bad;
 }
 
 Rejection Evaluator::check_nodes() noexcept {

@@ -44,8 +44,8 @@ class Evaluator {
   Evaluator& operator=(const Evaluator&) = delete;
 
   // One frame. joint_positions (dofs) in radians, gravity (3): unit direction in the root frame; moment: null for a drape
-  // by itself. If an input or what the networks make of it is not finite, says so and leaves the rows and the last frame
-  // as they were.
+  // by itself. If an input or what the networks make of it is not finite, says so and leaves the rows as they were;
+  // after such networks the next frame keeps no pace.
   Rejection step(const float* joint_positions, const float* gravity, const VertexRows& rows,
                  const Moment* moment = nullptr) noexcept;
 
@@ -78,7 +78,7 @@ class Evaluator {
   friend class OutfitEvaluator;
 
   Rejection check_inputs(const float* joint_positions, const float* gravity, const Moment* moment = nullptr) const noexcept;
-  Rejection check_corrections() const noexcept;
+  Rejection check_corrections() noexcept;
   Rejection check_nodes() noexcept;
   void gather_deformer_input() noexcept;
 

@@ -20,8 +20,8 @@ class Pace {
 
  private:
   struct Last {
-    Matrix3 linear;              // in the frame of the node's bone
-    Vector3 position, carried;   // where it was, and where its bone alone had put it
+    Matrix3 linear;             // in the frame of the garment node's bone
+    Vector3 position, carried;  // where it was, and where its bone alone had put it
   };
 
   Last* last_;

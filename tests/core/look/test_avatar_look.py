@@ -153,8 +153,14 @@ def test_materials_that_cannot_be_read_are_told(tmp_path, caplog):
     assert "No such file" in caplog.text
 
 
-def test_a_damaged_picture_is_told(tmp_path, caplog):
-    avatar = load_document(tmp_path, textured(content=picture()[:60]))
+@pytest.mark.parametrize("harm", ["truncated", "broken chunk"])
+def test_a_damaged_picture_is_told(tmp_path, caplog, harm):
+    content, length = bytearray(picture()), picture().index(b"IDAT") - 1
+    if harm == "truncated":
+        del content[60:]
+    else:
+        content[length] //= 2  # pillow finds no next chunk there, which is a SyntaxError
+    avatar = load_document(tmp_path, textured(content=bytes(content)))
     colours = avatar_colours(avatar)
     assert "picture body_skin.png is left out" in caplog.text
     assert (colours.max(axis=1) > 0.99).any() and np.isfinite(colours).all()
@@ -166,22 +172,37 @@ def test_bodies_without_materials_have_no_look(tmp_path):
     assert avatar_look(PERSON) is None
 
 
+def obj(folder, library):
+    """The person as an OBJ in one material, `skin`."""
+    count = len(PERSON.faces)
+    places_of = places(PERSON.vertices[PERSON.faces]), np.zeros(count, dtype=int), np.full(count, -1)
+    write_obj(folder / "me.obj", PERSON.vertices, PERSON.faces, Look(*places_of, ("skin",), (), library), header="test")
+    (folder / "me.rig.json").write_text(json.dumps(rig_json(PERSON.bone_heads, PERSON.bone_tails)))
+    return load_avatar(folder / "me.obj", RIG)
+
+
 def test_an_obj_has_its_own_materials(tmp_path):
-    look = Look(
-        places(PERSON.vertices[PERSON.faces]),
-        np.zeros(len(PERSON.faces), dtype=int),
-        np.full(len(PERSON.faces), -1),
-        ("skin",),
-        (),
-        {LIBRARY: b"newmtl skin\nmap_Kd skin.png\n", "skin.png": picture()},
-    )
-    write_obj(tmp_path / "me.obj", PERSON.vertices, PERSON.faces, look, header="test")
-    (tmp_path / "me.rig.json").write_text(json.dumps(rig_json(PERSON.bone_heads, PERSON.bone_tails)))
-    avatar = load_avatar(tmp_path / "me.obj", RIG)
+    avatar = obj(tmp_path, {LIBRARY: b"newmtl skin\nmap_Kd skin.png\n", "skin.png": picture()})
     centre = avatar.file_vertices[avatar.faces].mean(axis=1)
     clear = np.abs(centre[:, 1]) > 0.03
     wanted = np.where(centre[:, 1:2] > 0, LEFT, RIGHT) / 255
     np.testing.assert_allclose(avatar_colours(avatar)[clear], wanted[clear], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("map_Kd gone.png", "the picture of material 'skin' is missing: gone.png"),
+        ("map_Kd skin.tga", "'skin', skin.tga, must be PNG or JPEG"),
+        ("Kd 1.5 1 1", "must be three numbers from 0 to 1, got '1.5 1 1'"),
+    ],
+)
+def test_what_an_obj_says_that_cannot_be_read_is_told(tmp_path, caplog, line, told):
+    """And the rest of its materials stays."""
+    blue = " ".join(map(str, BLUE))
+    avatar = obj(tmp_path, {LIBRARY: f"newmtl skin\nKd {blue}\n{line}\n".encode(), "skin.tga": b"\0\0\2"})
+    np.testing.assert_allclose(avatar_colours(avatar), np.tile(np.array(BLUE) ** (1 / 2.2), (len(avatar.faces), 1)))
+    assert told in caplog.text and caplog.text.count("left out of its materials") == 1
 
 
 def test_few_colours_stand_for_many():

@@ -52,18 +52,15 @@ def poses(tshirt):
     return [(motion.positions_for(tshirt.rig)[frame], motion.gravity[frame]) for frame in (0, 20, 60)]
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_a_bound_step_is_the_drape(backend, tshirt, avatar, worn, poses):
-    """Of what its arrays hold when it is called."""
+@needs_native
+def test_splats_follow_the_garment_nodes_of_a_drape(tshirt, avatar, worn, poses):
     splats = splats_at(tshirt.garment.vertices[:50], scales=(0.004, 0.002, 0.001))
-    draper = SplatDraper(tshirt, avatar, splats, backend=backend, binding=worn.bound)
-    positions, gravity = np.empty_like(poses[0][0], dtype=np.float32), np.empty(3, dtype=np.float32)
-    step = draper.bind_step(positions, gravity)
-    for pose, down in poses:
-        positions[:], gravity[:] = pose, down / np.linalg.norm(down)
-        found, expected = step(), draper.drape(pose, down)
+    draper = SplatDraper(tshirt, avatar, splats, binding=worn.bound)
+    for pose in poses:
+        worn.drape(*pose)
+        found, expected = draper.skin(worn.node_transforms()), draper.drape(*pose)
         for name in ("centres", "rotations", "scales"):
-            np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-4)
+            np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-5)
 
 
 @needs_native

@@ -345,13 +345,13 @@ def test_splats_leave_half_of_the_time_to_clouds(draper, monkeypatch):
     splats = Splats(points, np.tile([0.0, 0, 0, 1], (4, 1)), np.full((4, 3), 0.004))
     stream = SimpleNamespace(frame_id="root", show_splats=lambda: splats)
     worn, published = garment_stream.WornSplats(stream, draper), []
-    worn.follow(draper.model.rig.rest.astype(np.float32), np.array([0, 0, -1], dtype=np.float32))
+    draper.drape(draper.model.rig.rest)
     publisher = SimpleNamespace(handle=SimpleNamespace(publish_raw=published.append))
     times = iter([100, 130, 140, 159, 160, 161, 161, 162])  # a frame reads the clock at its end, too
     monkeypatch.setattr(garment_stream, "perf_counter_ns", lambda: next(times))
     counts = []
     for _ in range(5):
-        worn.publish(publisher, 1, 2)
+        worn.publish(publisher, draper.node_transforms(), 1, 2)
         counts.append(len(published))
     assert counts == [1, 1, 1, 2, 2]
 
