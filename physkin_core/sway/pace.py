@@ -36,15 +36,19 @@ class FrameClock:
     def reset(self) -> None:
         """The next frame is the first one."""
         self._time: float | None = None
+        self._passed = UNTOLD
 
     def passed(self, time: float) -> float:
         """Time [s] since the last frame, at `time` [s] of any clock; `UNTOLD` for the first one, after more than a
-        quarter of a second, or where the clock stands or goes back. Raises ValueError unless it is finite."""
+        quarter of a second, or where the clock goes back. Where it stands, what was said last is said again: a joint
+        state may come in parts. Raises ValueError unless it is finite."""
         if not math.isfinite(time):
             raise ValueError(f"time must be finite, got {time}")
-        last, self._time = self._time, float(time)
-        passed = UNTOLD if last is None else self._time - last
-        return passed if 0 < passed <= LARGEST_GAP else UNTOLD
+        passed = UNTOLD if self._time is None else time - self._time
+        if passed != 0:
+            self._time = float(time)
+            self._passed = passed if 0 < passed <= LARGEST_GAP else UNTOLD
+        return self._passed
 
 
 class Pace:
@@ -54,7 +58,7 @@ class Pace:
         self._last: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def kept(self, posed: np.ndarray, nodes: np.ndarray, passed: float) -> np.ndarray:
-        """Garment nodes (m, 3, 4), brought back on the way where they have leapt.
+        """Garment nodes (m, 3, 4), brought back on the way where they have leapt, or turned over in their bone.
 
         posed: (m, 3, 4) garment nodes as their bones alone put them. nodes: as draped. passed: since the last frame;
         negative where what was before does not count.
@@ -66,15 +70,15 @@ class Pace:
             last_linear, last_position, last_carried = self._last
             allowed = PACE * passed
             free = np.linalg.norm(carried - last_carried, axis=1) + allowed
-            share = np.minimum(
-                _share(free, np.linalg.norm(position - last_position, axis=1)),
-                _share(allowed, REACH * np.linalg.norm(linear - last_linear, axis=(1, 2))),
+            moves = _share(free, np.linalg.norm(position - last_position, axis=1))
+            turns = _share(allowed, REACH * np.linalg.norm(linear - last_linear, axis=(1, 2)))
+            position = np.where(
+                moves[:, None] < 1, last_position + moves[:, None] * (position - last_position), position
             )
-            late = share < 1
-            position, linear = position.copy(), linear.copy()
-            position[late] = (last_position + share[:, None] * (position - last_position))[late]
-            linear[late] = (last_linear + share[:, None, None] * (linear - last_linear))[late]
-            kept[late] = np.concatenate([turn @ linear, position[:, :, None]], axis=2)[late]
+            share = turns[:, None, None]
+            linear = np.where(share < 1, last_linear + share * (linear - last_linear), linear)
+            kept[:, :, 3] = position
+            kept[turns < 1, :, :3] = (turn @ linear)[turns < 1]
         self._last = linear, position, carried
         return kept
 

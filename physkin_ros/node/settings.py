@@ -173,8 +173,8 @@ class AvatarSettings:
     )
     sway: float = _key(
         1.0,
-        "how much cloth lags, swings and settles as pose, odometry or tf move the root, or leans as an IMU says: 1 all, "
-        "0 not at all, and every joint state is draped by itself",
+        "how much cloth lags, swings and settles as pose, odometry or tf move the root, or leans as an IMU says: 1 "
+        "all, 0 not at all, each joint state draped by itself",
         changes=True,
         low=0,
         high=1,

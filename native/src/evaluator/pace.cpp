@@ -38,13 +38,14 @@ void Pace::keep(const GarmentNodes& nodes, const float* bone_transforms, float p
     const Vector3 carried = bone.linear * nodes.position(i) + bone.translation;
     Last& last = last_[i];
     if (counts) {
-      const float moved = length(now.translation - last.position);
-      const float free = length(carried - last.carried) + allowed, turned = kReach * distance(linear, last.linear);
-      const float share = std::min(moved > free ? free / moved : 1.0f, turned > allowed ? allowed / turned : 1.0f);
-      if (share < 1) {
-        now.translation = between(last.position, now.translation, share);
-        for (int k = 0; k < 3; ++k) linear.rows[k] = between(last.linear.rows[k], linear.rows[k], share);
-        now.linear = bone.linear * linear;
+      const float moved = length(now.translation - last.position), turned = kReach * distance(linear, last.linear);
+      const float free = length(carried - last.carried) + allowed;
+      if (moved > free || turned > allowed) {
+        if (moved > free) now.translation = between(last.position, now.translation, free / moved);
+        if (turned > allowed) {
+          for (int k = 0; k < 3; ++k) linear.rows[k] = between(last.linear.rows[k], linear.rows[k], allowed / turned);
+          now.linear = bone.linear * linear;
+        }
         store_affine(now, transforms);
       }
     }

@@ -30,10 +30,13 @@ const char* Sway::gravity(double time, const double* root, bool accelerated, flo
   }
   for (int k = 0; k < 3; ++k) out[k] = float(felt[k] / length);
   out[3] = float(felt[3]);
-  const double passed = time - time_;
-  out[4] = has_time_ && amount_ > 0 && passed > 0 && passed <= kLargestGap ? float(passed) : -1.0f;
-  time_ = time;
-  has_time_ = true;
+  if (!has_time_ || time != time_) {
+    const double passed = time - time_;
+    passed_ = has_time_ && passed > 0 && passed <= kLargestGap ? float(passed) : -1.0f;
+    time_ = time;
+    has_time_ = true;
+  }
+  out[4] = amount_ > 0 ? passed_ : -1.0f;
   return nullptr;
 }
 

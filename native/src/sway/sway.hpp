@@ -27,6 +27,7 @@ class Sway {
   Pendulum pendulum_;
   double amount_ = 1;
   double time_ = 0;
+  float passed_ = -1;
   bool has_time_ = false;
 };
 
