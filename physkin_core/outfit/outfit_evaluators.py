@@ -14,11 +14,9 @@ from physkin_core.outfit.layer_order import LayerOrder, ReferenceLayerOrder
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.native_evaluator import _native
 from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
+from physkin_core.sway.pace import JUMP
 
 __all__ = ["NativeOutfitEvaluator", "ReferenceOutfitEvaluator"]
-
-JUMP = 0.5
-"""[rad], and of gravity's direction: where a frame differs from the last one by more, nothing is taken over from it."""
 
 
 class NativeOutfitEvaluator:

@@ -14,8 +14,6 @@ const float* copy_modulation(const BoundGarment& g, Arena& arena) {
   return modulation;
 }
 
-constexpr float kJump = 0.5f;  // as JUMP of pace.py
-
 // Whether any of the values is far from the last one, which it then takes the place of.
 bool take_over(const float* values, int count, float* last) {
   bool jumps = false;

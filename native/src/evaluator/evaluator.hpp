@@ -23,6 +23,9 @@ enum class Normals { skinned, faces };
 // "skinned" or "faces"; throws std::invalid_argument for another name.
 Normals select_normals(const std::string& name);
 
+// [rad], and of gravity, as JUMP of pace.py: where a frame differs from the last one by more, that one does not count.
+constexpr float kJump = 0.5f;
+
 struct EvaluatorOptions {
   Precision precision = Precision::fp32;
   Normals normals = Normals::skinned;

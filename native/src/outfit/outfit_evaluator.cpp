@@ -10,7 +10,6 @@ namespace physkin {
 namespace {
 
 constexpr int kColumns = 6;
-constexpr float kJump = 0.5f;  // as JUMP of outfit_evaluators.py
 
 bool same_rig(const BoundGarment& a, const BoundGarment& b) {
   return a.bones == b.bones && a.dofs == b.dofs && std::equal(a.bone_parents, a.bone_parents + a.bones, b.bone_parents) &&
