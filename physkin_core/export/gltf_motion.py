@@ -49,7 +49,7 @@ def write_gltf_motion(
     looks = looks or [None] * (1 + len(drapers))
     scene = _Scene(motion.times)
     root = scene.add_root(translation=motion.root_position[:, None], rotation=motion.root_orientation[:, None])
-    scene.add_avatar(outfit.avatar, rig, np.array(bones), outfit.body_mask, root, looks[0])
+    scene.add_avatar(outfit.body_to_draw, rig, np.array(bones), outfit.body_mask, root, looks[0])
     colours = layer_colours(len(drapers))
     for model, bound, transforms, colour, look in zip(outfit.models, outfit.bounds, nodes, colours, looks[1:]):
         scene.add_garment(model.name, bound, np.array(transforms), root, colour, look)

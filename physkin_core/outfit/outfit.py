@@ -20,7 +20,7 @@ from physkin_core.avatar.avatar import Avatar, AvatarWarning
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.everyday_poses import everyday_poses
-from physkin_core.outfit.coverage import Cover, covered, faces_of
+from physkin_core.outfit.coverage import Cover, covered, faces_of, slimmed
 from physkin_core.outfit.layer_order import LayerOrder, bind_layer_order
 from physkin_core.outfit.layers import Layer, OutfitGarment, drapes, put_on
 from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
@@ -46,7 +46,8 @@ class Outfit:
     hide: leave out what cannot be seen in everyday poses; `visible` says which vertices are given. False: give all.
     backend, precision, fit, normals, separate_limbs: as of `Draper`; fit of garments without their own.
     hidden: (n,) bool of each garment, what is covered in all everyday poses; visible: (v,) int32, the vertices that are
-    given; faces: (f, 3) int32 of these. body_mask: (F,) bool, the body's faces that are covered. at_rest: how each
+    given; faces: (f, 3) int32 of these. body_mask: (F,) bool, the body's faces that are covered;
+    body_to_draw: the avatar, skin under cloth up to 6 mm slimmer, so that it does not show through. at_rest: how each
     garment sits on the skin, a tucked one before it is tucked and taken in: that puts some of the hem into the skin
     below the waistband, where nobody sees it. fits: what each is worn in. bounds, orders: what a frame needs: bound
     garments of the vertices given, and what keeps layers in order.
@@ -104,6 +105,7 @@ class Outfit:
         found = [warning for draper in self._drapers for warning in draper.avatar.warnings]
         self.warnings = tuple(dict.fromkeys([*found, *worth_saying]))
         self.avatar = replace(avatar, warnings=self.warnings)
+        self.body_to_draw = slimmed(self.avatar, _covers(layers, [layer.rest for layer in layers]))
         given = ", ".join(f"{layer.name} {len(v)} of {len(layer.rest)}" for layer, v in zip(layers, self.visible))
         log.info("draping an outfit on %s, vertices: %s", avatar.source, given)
 
@@ -300,7 +302,7 @@ def _hidden(layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: list,
     body = np.ones(len(avatar.vertices), dtype=bool)
     for (positions, _), drawn in zip(poses, cloth):
         drawn = [layer.astype(np.float64) for layer in drawn]
-        covers = [Cover(d[:, :3], d[:, 3:], layer.hem_distance) for layer, d in zip(layers, drawn)]
+        covers = _covers(layers, drawn)
         skin = avatar.posed_vertices(layers[0].draper.bone_transforms(positions)).astype(np.float64)
         skin = np.concatenate([skin, vertex_normals(skin, avatar.faces)], axis=1)
         for mask, points, over in [
@@ -310,6 +312,11 @@ def _hidden(layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: list,
             left = np.flatnonzero(mask)
             mask[left] = covered(points[left, :3], points[left, 3:], over)
     return tuple(mask | (layer.tucked_depth > DEEP) for layer, mask in zip(layers, hidden)), body
+
+
+def _covers(layers: Sequence[Layer], drawn: Sequence[np.ndarray]) -> list[Cover]:
+    """Layers as they are drawn in a pose, (n, 6) each."""
+    return [Cover(d[:, :3], d[:, 3:], layer.hem_distance) for layer, d in zip(layers, drawn)]
 
 
 def _over(layer: Layer, covers: Sequence[Cover]) -> list[Cover]:

@@ -78,7 +78,9 @@ class OutfitFigures:
     def question(self, frame: Frame, *, inside: bool = True) -> ContactQuestion:
         """Of a frame; it keeps no array that the next frame overwrites."""
         cloth = np.concatenate([points[:, :3] for points in frame.cloth])
-        return ContactQuestion(cloth, self._faces, self._hem, frame.body, self.outfit.avatar.faces, inside)
+        avatar = self.outfit.avatar  # not as it is drawn
+        body = avatar.posed_vertices(self.outfit.bone_transforms(frame.pose.positions))
+        return ContactQuestion(cloth, self._faces, self._hem, body, avatar.faces, inside)
 
 
 def _carried_to_faces(garment: Garment, of_edges: np.ndarray) -> np.ndarray:

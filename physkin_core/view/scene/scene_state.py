@@ -288,7 +288,7 @@ class SceneState:
         return Frame(
             outfit=outfit,
             pose=pose,
-            body=self._avatar.posed_vertices(bones),
+            body=outfit.body_to_draw.posed_vertices(bones),
             cloth=self._cloth,
             plain=tuple(plain_skinning(bound, bones) for bound in outfit.bounds) if self.show_plain else (),
             nodes=tuple(each[..., 3] for each in transforms),

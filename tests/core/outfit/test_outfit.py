@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from point_cloud_utils import closest_points_on_mesh
 from random_models import needs_native, random_model
 from scipy.spatial import cKDTree
 
@@ -17,6 +18,7 @@ from physkin_core import (
     load_garment_model,
     load_motion,
 )
+from physkin_core.model.garment import vertex_normals
 from physkin_core.outfit.coverage import FROM_HEM, hem_distances
 from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
 from physkin_core.outfit.tuck import DEEP, SLIDES, tucked_depths
@@ -112,6 +114,40 @@ def test_the_body_mask_hides_skin_under_cloth_alone(over_trousers, avatar):
     for part in ("head", "wrist", "foot"):
         assert not mask[np.char.find(np.char.lower(of_face), part) >= 0].any()
     assert centre[mask][:, 2].max() < centre[:, 2].max() - 0.2
+
+
+def test_skin_under_cloth_is_drawn_slimmer_and_bare_skin_as_it_is(over_trousers, avatar):
+    """By 6 mm inwards where the mask hides it, by no more elsewhere; head, hands and feet below the hem stay."""
+    drawn = over_trousers.body_to_draw
+    moved = drawn.vertices - avatar.vertices
+    inwards = -(moved * vertex_normals(avatar.vertices, avatar.faces)).sum(axis=1)
+    assert np.linalg.norm(moved, axis=1).max() < 6.01e-3
+    hidden = np.unique(avatar.faces[over_trousers.body_mask])
+    np.testing.assert_allclose(inwards[hidden], 6e-3, atol=1e-5)
+    bones = np.array(avatar.bone_names)[
+        avatar.influence_bones[np.arange(len(avatar.vertices)), avatar.influence_weights.argmax(axis=1)]
+    ]
+    for part in ("head", "wrist"):
+        assert not moved[np.char.find(bones, part) >= 0].any()
+    hem = over_trousers.drapers[0].drape(over_trousers.models[0].rig.rest)[:, 2].min()
+    assert not moved[avatar.vertices[:, 2] < hem - 0.015].any()
+
+
+def test_a_collarbone_does_not_show_through_as_it_is_drawn(models, avatar, motion):
+    """The arm across the chest lifts it a few millimetres over the shirt's collar."""
+    outfit = Outfit([models["tshirt"]], avatar)
+    (cloth,) = outfit.drape(motion[0][0], motion[1][0])
+    faces = outfit.faces[0]
+    outward = np.cross(*(cloth[faces[:, k], :3] - cloth[faces[:, 0], :3] for k in (1, 2)))
+    shows = []
+    for body in (outfit.avatar, outfit.body_to_draw):
+        skin = body.posed_vertices(outfit.bone_transforms(motion[0][0])).astype(np.float64)
+        distance, face, share = closest_points_on_mesh(skin, cloth[:, :3].astype(np.float64), faces.astype(np.int64))
+        gap = skin - np.einsum("vc,vci->vi", share, cloth[faces[face], :3])
+        over = (gap * outward[face]).sum(axis=1) > 0.9 * distance * np.linalg.norm(outward[face], axis=1)
+        at_collar = skin[:, 2] > cloth[:, 2].max() - 0.15
+        shows.append(int((over & at_collar & (distance > 0.001) & (distance < 0.03)).sum()))
+    assert shows[0] > 0 and shows[1] == 0
 
 
 def test_a_shirt_over_trousers_is_wider_where_they_are(models, avatar, over_trousers):

@@ -43,13 +43,16 @@ def test_stretched_cloth_shows_where_it_is_stretched(dressed):
 
 
 def test_contact_is_what_check_finds(dressed):
-    """On the body at rest, and with a bump that comes through the cloth."""
+    """On the body at rest as it is, not as it is drawn, and with a bump that comes through the cloth."""
     figures, frame = dressed
-    faces, front = frame.outfit.avatar.faces, frame.cloth[0][np.argmax(frame.cloth[0][:, 0]), :3]
-    chest = np.linalg.norm(frame.body - front, axis=1) < 0.08
-    for body in (frame.body, frame.body + 0.05 * chest[:, None] * np.array([1.0, 0.0, 0.0], dtype=np.float32)):
-        question = figures.question(replace(frame, body=body))
-        found = look_at_contact(question)
+    question = figures.question(frame)
+    own, faces = question.body, frame.outfit.avatar.faces
+    pose = frame.outfit.bone_transforms(frame.pose.positions)
+    np.testing.assert_array_equal(own, frame.outfit.avatar.posed_vertices(pose))
+    assert not np.allclose(own, frame.body, atol=1e-3)
+    chest = np.linalg.norm(own - frame.cloth[0][np.argmax(frame.cloth[0][:, 0]), :3], axis=1) < 0.08
+    for body in (own, own + 0.05 * chest[:, None] * np.array([1.0, 0.0, 0.0], dtype=np.float32)):
+        found = look_at_contact(replace(question, body=body))
         expected = rest_check(figures.outfit.rest_garments[0], frame.cloth[0][:, :3], body, faces)
         assert found.inside_percent == pytest.approx(expected.inside_percent)
         assert found.deepest_mm == pytest.approx(expected.deepest_mm, rel=1e-4)

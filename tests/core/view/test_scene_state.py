@@ -44,7 +44,7 @@ def test_frame_is_what_the_core_drapes(state):
     draper = Draper(load_garment_model("tshirt"), load_avatar(BUNDLED_AVATAR, state.rig))
     positions = motion.positions_for(state.rig)[20]
     np.testing.assert_allclose(frame.cloth[0], draper.drape(positions, motion.gravity[20]), atol=1e-5)
-    body = draper.avatar.posed_vertices(draper.bone_transforms(positions))
+    body = state.outfit.body_to_draw.posed_vertices(draper.bone_transforms(positions))
     np.testing.assert_allclose(frame.body, body, atol=1e-5)
     np.testing.assert_allclose(frame.nodes[0], draper.node_transforms()[..., 3], atol=1e-5)
     np.testing.assert_allclose(frame.pose.root_orientation, motion.root_orientation[20], atol=1e-5)
