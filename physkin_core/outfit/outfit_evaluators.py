@@ -14,7 +14,6 @@ from physkin_core.outfit.layer_order import LayerOrder, ReferenceLayerOrder
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.native_evaluator import _native
 from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
-from physkin_core.sway.pace import JUMP
 
 __all__ = ["NativeOutfitEvaluator", "ReferenceOutfitEvaluator"]
 
@@ -97,7 +96,7 @@ class ReferenceOutfitEvaluator:
         self._bounds = list(bounds)
         self._evaluators = [ReferenceEvaluator(bound) for bound in bounds]
         self._orders = [(order.steady, order.yielding, ReferenceLayerOrder(order)) for order in orders]
-        self._last_pose: np.ndarray | None = None
+        self._jumped = True  # since layers were last put in order
         self._face_normals = vertex_normals if normals == "faces" else None
 
     def node_transforms(self, garment: int) -> np.ndarray:
@@ -117,13 +116,12 @@ class ReferenceOutfitEvaluator:
         gravities = np.broadcast_to(gravity, (len(layers), *size))
         for evaluator, down, layer in zip(self._evaluators, gravities, layers):
             evaluator.evaluate(joint_positions, down, layer)
-        pose = np.concatenate([joint_positions, gravities[:, :3].ravel()]).astype(np.float32)
-        jumps = self._last_pose is None or not np.abs(pose - self._last_pose).max() < JUMP
-        self._last_pose = pose
+            self._jumped |= evaluator.jumped
+        jumped, self._jumped = self._jumped, False
         for k in range(len(layers)):
             for steady, yielding, order in self._orders:
                 if max(steady, yielding) == k:
-                    order.apply(layers[steady], layers[yielding], look_at_all=jumps)
+                    order.apply(layers[steady], layers[yielding], look_at_all=jumped)
         for bound, layer, out in zip(self._bounds, layers, outs):
             if self._face_normals is not None:
                 layer[:, 3:] = self._face_normals(layer[:, :3], bound.faces)

@@ -28,7 +28,8 @@ LARGEST = 1e6
 class ReferenceEvaluator:
     """Evaluates a bound garment one pose at a time.
 
-    normals: as in `NativeEvaluator`. Raises ValueError for unknown normals, or those of faces without faces.
+    normals: as in `NativeEvaluator`. jumped: whether a joint, or gravity, was far from where the frame before had it.
+    Raises ValueError for unknown normals, or those of faces without faces.
     """
 
     instruction_set = "numpy"
@@ -48,6 +49,7 @@ class ReferenceEvaluator:
         self._bound = bound
         self._nodes = np.zeros((len(bound.node_bone), 3, 4))
         self._pace, self._last_given = Pace(), None
+        self.jumped = True
 
     def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> None:
         """Write the garment for one pose.
@@ -64,7 +66,7 @@ class ReferenceEvaluator:
         _check_out(out, len(bound.vertices))
         q = joint_positions.astype(np.float64)
         given = np.concatenate([q, gravity])
-        jumps = self._last_given is None or np.abs(given - self._last_given).max() > JUMP
+        self.jumped = self._last_given is None or np.abs(given - self._last_given).max() > JUMP
         self._last_given = given
         pace, self._pace = self._pace, Pace()  # after networks that are refused the next frame keeps none
         heads = bound.bone_heads.astype(np.float64)
@@ -81,7 +83,7 @@ class ReferenceEvaluator:
         self._pace = pace
         if moment is not None:
             twist, passed = moment
-            nodes = pace.kept(posed, nodes, UNTOLD if jumps else passed)
+            nodes = pace.kept(posed, nodes, UNTOLD if self.jumped else passed)
             if twist and len(bound.node_twist):
                 nodes = twisted(nodes, bones, bound.node_twist.astype(np.float64), bound.node_bone, twist)
         self._nodes = nodes

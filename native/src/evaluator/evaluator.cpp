@@ -131,7 +131,7 @@ const float* Evaluator::run_networks() noexcept {
 void Evaluator::compose_nodes(const float* corrections, const Moment* moment) noexcept {
   garment_nodes_.compose(bone_transforms_, corrections, node_transforms_);
   if (moment == nullptr) return;
-  pace_.keep(garment_nodes_, bone_transforms_, joints_jump_ || gravity_jumps_ ? -1.0f : moment->passed, node_transforms_);
+  pace_.keep(garment_nodes_, bone_transforms_, jumped() ? -1.0f : moment->passed, node_transforms_);
   garment_nodes_.twist(bone_transforms_, moment->twist, node_transforms_);
 }
 

@@ -65,6 +65,8 @@ class Evaluator {
 
   // (nodes, 3, 4) of the last frame, root frame, metres.
   const float* node_transforms() const { return node_transforms_; }
+  // Whether a joint, or gravity, is far from where the frame before had it.
+  bool jumped() const { return joints_jump_ || gravity_jumps_; }
   // What the networks last gave, (nodes, 9 or 12); zeros before the first frame.
   const float* corrections() const { return corrections_; }
 

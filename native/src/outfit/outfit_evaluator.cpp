@@ -1,9 +1,7 @@
 #include "outfit/outfit_evaluator.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <cstring>
-#include <limits>
 #include <stdexcept>
 
 namespace physkin {
@@ -36,7 +34,6 @@ OutfitEvaluator::OutfitEvaluator(const std::vector<BoundGarment>& garments, cons
     auto* own = reinterpret_cast<unsigned char*>(arena_.take<float>(size));
     own_rows_.push_back({own, kColumns, true});
   }
-  last_pose_.assign(std::size_t(garments.front().dofs) + 3 * garments.size(), std::numeric_limits<float>::infinity());
 }
 
 void OutfitEvaluator::keep_order(LayerPair layers, const LayerOrderData& order) {
@@ -60,13 +57,15 @@ Rejection OutfitEvaluator::step(const float* joint_positions, const Gravities& g
     const Moment moment = gravity.moment(rejected_), *told = gravity.size > 3 ? &moment : nullptr;
     if (const auto bad = e.check_inputs(joint_positions, gravity.of(rejected_), told)) return bad;
     if (rejected_ > 0) e.pose_as(first, gravity.of(rejected_));
+    jumped_ |= e.jumped();
     e.run_networks();
     if (const auto bad = e.check_corrections()) return bad;
     e.compose_nodes(e.corrections_, told);
     if (const auto bad = e.check_nodes()) return bad;
   }
   rejected_ = -1;
-  const bool look_at_all = jumps(joint_positions, gravity);
+  const bool look_at_all = jumped_;
+  jumped_ = false;
   const VertexRows* with_normals = rows;
   const bool copied = !orders_.empty() && !rows[0].with_normals;
   if (copied) with_normals = own_rows_.data();
@@ -94,18 +93,6 @@ void OutfitEvaluator::skin(const VertexRows* rows) noexcept {
 
 void OutfitEvaluator::keep(const VertexRows* rows) noexcept {
   for (int k = 0; k < count(); ++k) keep_under(k, rows, false);
-}
-
-bool OutfitEvaluator::jumps(const float* joint_positions, const Gravities& gravity) noexcept {
-  float most = 0.0f;
-  const auto compare = [&](float now, float& last) {
-    most = std::max(most, std::fabs(now - last));
-    last = now;
-  };
-  const int dofs = evaluators_.front()->dofs();
-  for (int k = 0; k < dofs; ++k) compare(joint_positions[k], last_pose_[std::size_t(k)]);
-  for (int k = 0; k < 3 * count(); ++k) compare(gravity.of(k / 3)[k % 3], last_pose_[std::size_t(dofs + k)]);
-  return !(most < kJump);
 }
 
 void OutfitEvaluator::keep_under(int outer, const VertexRows* rows, bool look_at_all) noexcept {

@@ -55,14 +55,13 @@ class OutfitEvaluator {
     std::unique_ptr<LayerOrder> order;
   };
 
-  bool jumps(const float* joint_positions, const Gravities& gravity) noexcept;
   void keep_under(int outer, const VertexRows* rows, bool look_at_all) noexcept;
 
   Arena arena_;
   std::vector<std::unique_ptr<Evaluator>> evaluators_;
   std::vector<Kept> orders_;
   std::vector<VertexRows> own_rows_;  // with normals, where the caller's have none
-  std::vector<float> last_pose_;  // joint positions, then gravity of each garment
+  bool jumped_ = true;  // since layers were last put in order
   int rejected_ = -1;
 };
 
