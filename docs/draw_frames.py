@@ -43,7 +43,7 @@ def main() -> None:
     positions, turn = motion.positions_for(models[0].rig)[FRAME], Rotation.from_quat(motion.root_orientation[FRAME])
     height = motion.root_position[FRAME] * [0, 0, 1]
     cloth = [turn.apply(cloud[:, :3]) + height for cloud in outfit.drape(positions, motion.gravity[FRAME])]
-    body = turn.apply(outfit.avatar.posed_vertices(outfit.bone_transforms(positions))) + height
+    body = turn.apply(outfit.posed_body(positions)) + height
     floor = float(body[:, 2].min())
     world, root = axes(np.array([*FROM_ROOT, floor]), Rotation.identity()), axes(height, turn)
     shown = [*dressed_meshes(outfit, body, cloth), *world]

@@ -60,7 +60,7 @@ def meshes_at(outfit: Outfit, motion: Motion, frame: int) -> list[Mesh]:
     """An outfit in a frame of a motion, in the root frame."""
     positions = motion.positions_for(outfit.models[0].rig)[frame]
     cloth = outfit.drape(positions, motion.gravity[frame])
-    return dressed_meshes(outfit, outfit.avatar.posed_vertices(outfit.bone_transforms(positions)), cloth)
+    return dressed_meshes(outfit, outfit.posed_body(positions), cloth)
 
 
 def save(name: str, picture: np.ndarray) -> None:

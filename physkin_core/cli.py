@@ -205,7 +205,7 @@ def _drape(options: argparse.Namespace) -> int:
     outfit = _outfit(options)
     positions = motion.positions_for(outfit.models[0].rig)[options.frame]
     cloth = outfit.drape(positions, motion.gravity[options.frame])
-    write(options.output, outfit, outfit.body_to_draw.posed_vertices(outfit.bone_transforms(positions)), cloth)
+    write(options.output, outfit, outfit.posed_body(positions), cloth)
     print(f"wrote {options.output}")
     return 0
 

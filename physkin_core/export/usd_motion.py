@@ -60,7 +60,7 @@ def write_usd_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Seque
     rig = outfit.models[0].rig
     for frame, (positions, time, root_now) in enumerate(zip(motion.positions_for(rig), motion.times, motion.root)):
         clouds = outfit.drape(positions, time=time, root=root_now)
-        body = outfit.body_to_draw.posed_vertices(outfit.bone_transforms(positions))
+        body = outfit.posed_body(positions)
         for mesh, points in zip(meshes, [body, *clouds]):
             points = np.ascontiguousarray(points, dtype=np.float32)
             mesh.GetPointsAttr().Set(points[:, :3].copy(), frame)

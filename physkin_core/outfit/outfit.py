@@ -273,6 +273,10 @@ class Outfit:
             joint_positions, _ = self._limb_separator.separate(np.asarray(joint_positions, dtype=np.float32))
         return self._drapers[0].bone_transforms(joint_positions)
 
+    def posed_body(self, joint_positions: np.ndarray) -> np.ndarray:
+        """(V, 3) [m] `body_to_draw` in a pose, for drawing it beside the garments; limbs as of `bone_transforms`."""
+        return self.body_to_draw.posed_vertices(self.bone_transforms(joint_positions))
+
 
 def _checked_garments(garments: Sequence[GarmentModel | OutfitGarment], avatar: Avatar) -> tuple[OutfitGarment, ...]:
     if isinstance(garments, GarmentModel | OutfitGarment) or not isinstance(avatar, Avatar):

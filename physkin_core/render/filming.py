@@ -73,7 +73,7 @@ def _frames(outfit: Outfit, motion: Motion) -> Iterator[list[Mesh]]:
     outfit.reset()
     for pose, time, root, turn, place in zip(positions, motion.times, motion.root, turns, motion.root_position):
         cloth = outfit.drape(pose, time=time, root=root)
-        body = outfit.body_to_draw.posed_vertices(outfit.bone_transforms(pose))
+        body = outfit.posed_body(pose)
         yield dressed_meshes(outfit, *_moved(turn, place, [body, *cloth]))
 
 

@@ -36,7 +36,7 @@ def draw_strip(outfit: Outfit, motion: Motion, count: int, *, watch: Watch = lam
     for frame, (positions, gravity) in enumerate(zip(motion.positions_for(outfit.models[0].rig), motion.gravity)):
         cloth = outfit.drape(positions, gravity)
         if frame in chosen:
-            body = outfit.body_to_draw.posed_vertices(outfit.bone_transforms(positions))
+            body = outfit.posed_body(positions)
             columns.append((dressed_meshes(outfit, body, cloth), body))
     half = max(np.abs(body - _middle(body)).max(axis=0).max() for _, body in columns) + AROUND
     pictures = []

@@ -94,7 +94,7 @@ def draw(path: Path, records: Records, outfit: Outfit, motion: Motion) -> None:
     positions, rotations = motion.positions_for(outfit.models[0].rig), Rotation.from_quat(motion.root_orientation)
     frames, captions = [], []
     for frame, cloud in _kept_frames(records):
-        body = outfit.body_to_draw.posed_vertices(outfit.bone_transforms(positions[frame]))
+        body = outfit.posed_body(positions[frame])
         cloth = np.split(cloud[:, :3], np.cumsum(outfit.vertex_counts)[:-1])
         frames.append([rotations[frame].apply(points) for points in (body, *cloth)])
         captions.append(f"{frame / motion.rate_hz:.2f} s")

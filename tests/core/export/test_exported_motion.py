@@ -48,7 +48,7 @@ def test_an_engine_sees_what_is_draped(tmp_path, motion, worn):
             cloud = cloud[visible, :3]
             distance = reader.skinned(model.name, frame) - in_gltf_world(cloud, motion, frame)
             assert np.linalg.norm(distance, axis=1).max() < 2e-4, model.name
-        body = outfit.body_to_draw.posed_vertices(outfit.bone_transforms(positions[frame]))
+        body = outfit.posed_body(positions[frame])
         distance = reader.skinned("body", frame) - in_gltf_world(body, motion, frame)
         assert np.linalg.norm(distance, axis=1).max() < 2e-4
     faces = reader.array(reader.file.meshes[0].primitives[0].indices)
