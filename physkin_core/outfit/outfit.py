@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
@@ -46,8 +46,7 @@ class Outfit:
     hide: leave out what cannot be seen in everyday poses; `visible` says which vertices are given. False: give all.
     backend, precision, fit, normals, separate_limbs: as of `Draper`; fit of garments without their own.
     hidden: (n,) bool of each garment, what is covered in all everyday poses; visible: (v,) int32, the vertices that are
-    given; faces: (f, 3) int32 of these. body_mask: (F,) bool, the body's faces that are covered;
-    body_to_draw: the avatar, skin under cloth up to 6 mm slimmer, so that it does not show through. at_rest: how each
+    given; faces: (f, 3) int32 of these. body_mask: (F,) bool, the body's faces that are covered. at_rest: how each
     garment sits on the skin, a tucked one before it is tucked and taken in: that puts some of the hem into the skin
     below the waistband, where nobody sees it. fits: what each is worn in. bounds, orders: what a frame needs: bound
     garments of the vertices given, and what keeps layers in order.
@@ -105,7 +104,7 @@ class Outfit:
         found = [warning for draper in self._drapers for warning in draper.avatar.warnings]
         self.warnings = tuple(dict.fromkeys([*found, *worth_saying]))
         self.avatar = replace(avatar, warnings=self.warnings)
-        self.body_to_draw = slimmed(self.avatar, _covers(layers, [layer.rest for layer in layers]))
+        self._covers_at_rest = _covers(layers, [layer.rest for layer in layers])
         given = ", ".join(f"{layer.name} {len(v)} of {len(layer.rest)}" for layer, v in zip(layers, self.visible))
         log.info("draping an outfit on %s, vertices: %s", avatar.source, given)
 
@@ -272,6 +271,12 @@ class Outfit:
         if self._limb_separator is not None:
             joint_positions, _ = self._limb_separator.separate(np.asarray(joint_positions, dtype=np.float32))
         return self._drapers[0].bone_transforms(joint_positions)
+
+    @cached_property
+    def body_to_draw(self) -> Avatar:
+        """The avatar, skin under cloth up to 6 mm slimmer, so that none shows through where cloth lies a little too
+        deep."""
+        return slimmed(self.avatar, self._covers_at_rest)
 
     def posed_body(self, joint_positions: np.ndarray) -> np.ndarray:
         """(V, 3) [m] `body_to_draw` in a pose, for drawing it beside the garments; limbs as of `bone_transforms`."""
