@@ -29,6 +29,8 @@ SLIMMER = 0.006
 """[m] How much slimmer skin is drawn under cloth."""
 SLIMMING = (-0.015, 0.01)
 """[m] behind a hem, where that begins, on bare skin, and where it is reached: hems slide."""
+SLIMMEST = 0.1
+"""But by no more than this share of the way to its bone: wrists are seen in wide cuffs."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,16 @@ def slimmed(avatar: Avatar, covers: Sequence[Cover]) -> Avatar:
     through where cloth lies a millimetre too deep."""
     normals = vertex_normals(avatar.vertices, avatar.faces)
     depth = np.max([_depths(avatar.vertices, normals, cover) for cover in covers], axis=0)
-    slimmer = SLIMMER * np.interp(depth, SLIMMING, (0, 1))
+    slimmer = np.minimum(SLIMMER, SLIMMEST * _to_bones(avatar)) * np.interp(depth, SLIMMING, (0, 1))
     return replace(avatar, vertices=(avatar.vertices - slimmer[:, None] * normals).astype(np.float32))
+
+
+def _to_bones(avatar: Avatar) -> np.ndarray:
+    """Distance (V,) [m] of vertices from the bone that moves them most."""
+    bone = np.take_along_axis(avatar.influence_bones, avatar.influence_weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    along, gap = (avatar.bone_tails - avatar.bone_heads)[bone], avatar.vertices - avatar.bone_heads[bone]
+    share = (along * gap).sum(axis=1) / np.maximum((along * along).sum(axis=1), 1e-12)
+    return np.linalg.norm(gap - np.clip(share, 0, 1)[:, None] * along, axis=1)
 
 
 def _depths(points: np.ndarray, normals: np.ndarray, cover: Cover) -> np.ndarray:
