@@ -6,6 +6,7 @@ Dimensions: `d` scalar degrees of freedom, `n` garment vertices, `m` garment nod
 from __future__ import annotations
 
 import logging
+import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -206,11 +207,12 @@ class Draper:
     def checked_pose(
         self,
         joint_positions: np.ndarray | Mapping[str, float],
-        gravity: np.ndarray = UPRIGHT_GRAVITY,
+        gravity: np.ndarray | None = UPRIGHT_GRAVITY,
         effective_gravity: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """A pose given as to `drape`, as evaluators take it: joint positions (d,) [rad] and gravity (3,), float32.
 
+        gravity: may be None where effective_gravity is given.
         Raises ValueError as `drape` does.
         """
         if isinstance(joint_positions, Mapping):
@@ -337,9 +339,7 @@ def in_units_of_gravity(effective_gravity: np.ndarray) -> np.ndarray:
     Raises ValueError unless it is finite and at most three times gravity.
     """
     felt = np.asarray(effective_gravity, dtype=np.float64) / STANDARD_GRAVITY
-    with np.errstate(over="ignore"):
-        length = np.linalg.norm(felt)
-    if felt.shape != (3,) or not length <= LARGEST_EFFECTIVE_GRAVITY:
+    if felt.shape != (3,) or not math.hypot(*felt) <= LARGEST_EFFECTIVE_GRAVITY:
         allowed = f"(3,), finite, up to {LARGEST_EFFECTIVE_GRAVITY * STANDARD_GRAVITY:.1f} m/s2 long"
         raise ValueError(f"effective_gravity must be {allowed}, got {np.asarray(effective_gravity).tolist()}")
     return felt
@@ -347,7 +347,7 @@ def in_units_of_gravity(effective_gravity: np.ndarray) -> np.ndarray:
 
 def _direction(gravity: np.ndarray) -> np.ndarray:
     down = np.asarray(gravity, dtype=np.float64)
-    length = float(np.linalg.norm(down))
-    if down.shape != (3,) or not np.isfinite(length) or length < 1e-9:
+    length = math.hypot(*down) if down.shape == (3,) else math.nan
+    if not 1e-9 <= length < math.inf:
         raise ValueError(f"gravity must be a finite, non-zero direction (3,), got {down.tolist()}")
     return down / length

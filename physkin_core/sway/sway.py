@@ -78,9 +78,10 @@ class Sway:
         *,
         accelerated: bool,
         amount: float | None = None,
-    ) -> tuple[np.ndarray, np.ndarray | None, float]:
-        """What garments are draped under at a time and place of the root: gravity's direction (3,); effective gravity
-        (3,) [m/s2] where their models know `accelerated` roots and sway is above 0, else None; and the twist [rad].
+    ) -> tuple[np.ndarray | None, np.ndarray | None, float]:
+        """What garments are draped under at a time and place of the root: effective gravity (3,) [m/s2] where their
+        models know `accelerated` roots and sway is above 0, and before it None, or else gravity's direction (3,) and
+        None; and the twist [rad].
 
         given: effective gravity that was given besides, which may not be. amount: of one garment, in place of the own.
         Raises ValueError as `felt` does, and where only one of time and root is there.
@@ -88,12 +89,12 @@ class Sway:
         if time is None or root is None or given is not None:
             raise ValueError("give time with root, and no effective gravity: it follows from them")
         amount = self._amount if amount is None else amount
-        felt, still = self._felt(time, root, amount), _gravity_at(root)
+        felt = self._felt(time, root, amount)
         if amount == 0:
-            return still, None, 0.0
+            return _gravity_at(root), None, 0.0
         if accelerated:
-            return still, felt, self._twist
-        return (felt if felt @ felt > LEAST_DIRECTED**2 else still), None, self._twist
+            return None, felt, self._twist
+        return (felt if felt @ felt > LEAST_DIRECTED**2 else _gravity_at(root)), None, self._twist
 
 
 def _gravity_at(root: Sequence[float] | np.ndarray) -> np.ndarray:
