@@ -17,6 +17,7 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.body_parts import take_body
 from physkin_core.avatar.skinned_mesh import SkinnedMesh, check_size, identify_bones, turn_upright
 from physkin_core.rig.bone_naming import OWN_NAMES
+from physkin_core.rig.bone_structure import spine_bones
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, smallest_rotation, turned_down_the_chain
 from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning, strongest_influences
 from physkin_core.rig.rig import Rig
@@ -187,22 +188,18 @@ def _rig_influences(
     """Influences over rig bones: each joint's go to its bone, or to its nearest mapped ancestor's."""
     target = _joint_bones(mesh, bone_joint, rig)
     dense = dense_weights(target[mesh.influence_joints], mesh.influence_weights, rig.bone_count)
-    for bone in map(rig.bone_index, bone_joint):
+    for bone in {0, *map(rig.bone_index, bone_joint)}:
         _spread_along_chain(dense, bone, rig, bone_joint, mesh.vertices, heads, tails)
     bones, weights = strongest_influences(dense, min(MAX_INFLUENCES, max(1, int((dense > 0).sum(axis=1).max()))))
     return bones.astype(np.int32), weights.astype(np.float32)
 
 
 def _spread_along_chain(dense, bone, rig, bone_joint, vertices, heads, tails) -> None:
-    """Share one joint's influence among the rig bones it covers (upperarm01, upperarm02), so that twist is spread.
+    """Share one joint's influence among the rig bones it covers, so that twist is spread (see `_covered_bones`).
 
     A vertex's share goes over linearly from the middle of one bone to the middle of the next along the chain.
     """
-    chain = [bone]
-    while len(children := np.flatnonzero(rig.parents == chain[-1])) == 1:
-        if rig.bone_names[children[0]] in bone_joint:
-            break
-        chain.append(int(children[0]))
+    chain = _covered_bones(bone, rig, bone_joint)
     direction = tails[chain[-1]] - heads[bone]
     length = np.linalg.norm(direction)
     if len(chain) == 1 or length < 1e-6:
@@ -212,6 +209,20 @@ def _spread_along_chain(dense, bone, rig, bone_joint, vertices, heads, tails) ->
     middles = ((heads[chain] + tails[chain]) / 2 - heads[bone]) @ direction / length
     shares = np.stack([np.interp(along, middles, unit) for unit in np.eye(len(chain))], axis=1)
     dense[rows[:, None], chain] = dense[rows, bone, None] * shares
+
+
+def _covered_bones(bone: int, rig: Rig, bone_joint: Mapping[str, int]) -> list[int]:
+    """A joint's bone and those after it without a joint: upperarm01 and upperarm02; of the root of a skeleton without
+    a spine, that, as cloth bends with it."""
+    if bone == 0:
+        spine = spine_bones(rig)
+        return [0, *map(rig.bone_index, spine)] if bone_joint.keys().isdisjoint(spine) else [0]
+    chain = [bone]
+    while len(children := np.flatnonzero(rig.parents == chain[-1])) == 1:
+        if rig.bone_names[children[0]] in bone_joint:
+            break
+        chain.append(int(children[0]))
+    return chain
 
 
 def _orientation(vertices: np.ndarray, faces: np.ndarray) -> int:
