@@ -14,7 +14,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.avatar.body_parts import take_body
+from physkin_core.avatar.body_parts import split_body
 from physkin_core.avatar.skinned_mesh import SkinnedMesh, check_size, identify_bones, turn_upright
 from physkin_core.rig.bone_naming import OWN_NAMES
 from physkin_core.rig.bone_structure import spine_bones
@@ -40,24 +40,29 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
     mesh = turn_upright(mesh, bone_joint)
     mesh = _canonical(mesh, bone_joint, rig)
     check_size(mesh.vertices, mesh.source)
-    mesh = take_body(mesh, _joint_bones(mesh, bone_joint, rig), rig, scale=_skeleton_scale(mesh, bone_joint, rig))
+    scale = _skeleton_scale(mesh, bone_joint, rig)
+    mesh, accessories = split_body(mesh, _joint_bones(mesh, bone_joint, rig), rig, scale=scale)
     root_joint = bone_joint.get(rig.bone_names[0]) if naming == OWN_NAMES else None
     heads, tails, root = place_bones(mesh, bone_joint, rig, root_joint=root_joint)
-    bones, weights = _rig_influences(mesh, bone_joint, rig, heads, tails)
     outward = slice(None, None, _orientation(mesh.vertices, mesh.faces))
-    return Avatar(
-        vertices=(mesh.vertices - root).astype(np.float32),
-        faces=mesh.faces[:, outward].astype(np.int32),
-        bone_heads=(heads - root).astype(np.float32),
-        bone_tails=(tails - root).astype(np.float32),
-        influence_bones=bones,
-        influence_weights=weights,
-        source=mesh.source,
-        warnings=mesh.warnings,
-        bone_names=rig.bone_names,
-        file_vertices=mesh.file_vertices,
-        file_corners=None if mesh.file_corners is None else mesh.file_corners[:, outward],
-    )
+
+    def bound(part: SkinnedMesh) -> Avatar:
+        bones, weights = _rig_influences(part, bone_joint, rig, heads, tails)
+        return Avatar(
+            vertices=(part.vertices - root).astype(np.float32),
+            faces=part.faces[:, outward].astype(np.int32),
+            bone_heads=(heads - root).astype(np.float32),
+            bone_tails=(tails - root).astype(np.float32),
+            influence_bones=bones,
+            influence_weights=weights,
+            source=part.source,
+            warnings=part.warnings,
+            bone_names=rig.bone_names,
+            file_vertices=part.file_vertices,
+            file_corners=None if part.file_corners is None else part.file_corners[:, outward],
+        )
+
+    return replace(bound(mesh), accessories=None if accessories is None else bound(accessories))
 
 
 def place_bones(

@@ -34,7 +34,8 @@ class SkinnedMesh:
     influence_joints: (V, K) integers; influence_weights: (V, K), rows sum to 1.
     humanoid: joint by VRM humanoid bone, for files that state it. warnings: as in `Avatar`.
     part_names: names of each part of the mesh, the most telling first, and face_parts: (f,) the part of each face; None
-    for a mesh of one part. file_vertices: (V, 3) in the file's own frame and unit. file_corners: as in `Avatar`.
+    for a mesh of one part. clear_parts: those that one sees through. file_vertices: (V, 3) in the file's own frame and
+    unit. file_corners: as in `Avatar`.
     """
 
     vertices: np.ndarray
@@ -50,6 +51,7 @@ class SkinnedMesh:
     warnings: tuple[str, ...] = ()
     part_names: tuple[tuple[str, ...], ...] = ()
     face_parts: np.ndarray | None = None
+    clear_parts: frozenset[int] = frozenset()
     file_vertices: np.ndarray | None = None
     file_corners: np.ndarray | None = None
 
@@ -62,6 +64,7 @@ class Surface:
     faces: np.ndarray
     part_names: tuple[tuple[str, ...], ...] = ()
     face_parts: np.ndarray | None = None
+    clear_parts: frozenset[int] = frozenset()
 
 
 def clean_surface(

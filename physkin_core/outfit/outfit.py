@@ -47,7 +47,8 @@ class Outfit:
     backend, precision, fit, normals, separate_limbs: as of `Draper`; fit of garments without their own.
     hidden: (n,) bool of each garment, what is covered in all everyday poses; visible: (v,) int32, the vertices that are
     given; faces: (f, 3) int32 of these. body_mask: (F,) bool, the body's faces that are covered;
-    body_to_draw: the avatar, skin under cloth up to 6 mm slimmer, so that it does not show through. at_rest: how each
+    body_to_draw: the avatar and its accessories, skin under cloth up to 6 mm slimmer, so that it does not show through;
+    faces_to_draw: bool, its faces but those of `body_mask`. at_rest: how each
     garment sits on the skin, a tucked one before it is tucked and taken in: that puts some of the hem into the skin
     below the waistband, where nobody sees it. fits: what each is worn in. bounds, orders: what a frame needs: bound
     garments of the vertices given, and what keeps layers in order.
@@ -105,7 +106,10 @@ class Outfit:
         found = [warning for draper in self._drapers for warning in draper.avatar.warnings]
         self.warnings = tuple(dict.fromkeys([*found, *worth_saying]))
         self.avatar = replace(avatar, warnings=self.warnings)
-        self.body_to_draw = slimmed(self.avatar, _covers(layers, [layer.rest for layer in layers]))
+        slim = slimmed(self.avatar, _covers(layers, [layer.rest for layer in layers]))
+        self.body_to_draw = slim.with_accessories()
+        self.faces_to_draw = np.ones(len(self.body_to_draw.faces), dtype=bool)
+        self.faces_to_draw[: len(self.body_mask)] = ~self.body_mask
         given = ", ".join(f"{layer.name} {len(v)} of {len(layer.rest)}" for layer, v in zip(layers, self.visible))
         log.info("draping an outfit on %s, vertices: %s", avatar.source, given)
 

@@ -40,7 +40,7 @@ def places(vertices):
 
 
 def textured(*, content=None, image=None, legs=True, inside_out=False, textures=None, transform=None):
-    """The person as a file cut at every edge: skin with a picture, legs in one colour, hair that is left out."""
+    """The person as a file cut at every edge: skin with a picture, legs in one colour, hair."""
     faces = PERSON.faces[:, ::-1] if inside_out else PERSON.faces
     corners = faces.reshape(-1)
     alone = np.arange(len(corners)).reshape(-1, 3)
@@ -224,7 +224,8 @@ def test_exported_files_have_the_avatars_own_look(tmp_path):
     assert main([*arguments, str(tmp_path / "walk.glb")]) == 0
     reader = Reader(tmp_path / "walk.glb")
     body = next(mesh for mesh in reader.file.meshes if mesh.name == "body")
-    skin, legs = (reader.file.materials[primitive.material] for primitive in body.primitives)
+    hair, skin, legs = (reader.file.materials[primitive.material] for primitive in body.primitives)
+    np.testing.assert_array_equal(hair.pbrMetallicRoughness.baseColorFactor[:3], [0, 0, 0])
     np.testing.assert_allclose(legs.pbrMetallicRoughness.baseColorFactor[:3], BLUE)
     (image,) = reader.file.images
     view = reader.file.bufferViews[image.bufferView]
