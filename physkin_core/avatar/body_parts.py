@@ -1,5 +1,5 @@
-"""Which parts of an avatar are its body: not hair, eyes, glasses, nor clothes with skin under them. Hair and the like
-are its accessories: for pictures.
+"""Which parts of an avatar are its body: not hair, eyes, glasses, nor clothes with skin under them. Hair, shoes
+and the like are its accessories: for pictures.
 
 A part is what one material draws of one mesh. Its names say what it may be; how much surface the body has where the
 part is says whether it is needed: of avatars that were modelled dressed, the clothes are the body.
@@ -34,6 +34,8 @@ WORDS = {
     BODY: "body skin face head torso arm leg hand foot feet human nude mannequin",
 }
 """What the words in a part's names say that it is, the first that is found."""
+FREE_BONES = "neck01", "wrist", "foot"
+"""Where parts begin that garments leave free: what is worn there is shown with hair and the like."""
 NOT_SHOWN = {"helper", "lash", "eyelash", "brow", "eyebrow", "cornea"}
 """Accessories that pictures show better without: helpers, and what is painted on clear cards and shells."""
 MARKED_JOINT = re.compile(r"joint[-_]", re.IGNORECASE)
@@ -81,17 +83,18 @@ def split_body(
     """
     if len(mesh.part_names) < 2:
         return mesh, None
-    region = _bone_regions(rig)[joint_bones]
     strongest = np.take_along_axis(mesh.influence_joints, mesh.influence_weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    bones = joint_bones[strongest[mesh.faces[:, 0]]]
+    face_area = face_areas(mesh.vertices, mesh.faces)
     cells = len(mesh.part_names), len(REGION_BONES) + 1
-    cell = np.ravel_multi_index((mesh.face_parts, region[strongest[mesh.faces[:, 0]]]), cells)
-    areas = np.bincount(cell, face_areas(mesh.vertices, mesh.faces), cells[0] * cells[1]).reshape(cells)
+    cell = np.ravel_multi_index((mesh.face_parts, _bone_regions(rig)[bones]), cells)
+    areas = np.bincount(cell, face_area, cells[0] * cells[1]).reshape(cells)
     kinds = np.array([kind_of_part(names) for names in mesh.part_names])
     taken = _taken(areas, kinds, scale**2 * _usual_areas(rig))
     if taken.all() and not (kinds == CLOTHES).any():
         return mesh, None
-    on_head = areas[:, REGION_BONES.index("neck01")] > areas.sum(axis=1) / 2
-    shown = ~taken & ((kinds == ACCESSORY) | ((kinds == UNKNOWN) & on_head))
+    free = np.bincount(mesh.face_parts, face_area * _are_free(rig)[bones], len(areas)) > areas.sum(axis=1) / 2
+    shown = ~taken & ((kinds == ACCESSORY) | free)
     shown &= [k not in mesh.clear_parts and _is_shown(names) for k, names in enumerate(mesh.part_names)]
     warned = replace(mesh, warnings=(*mesh.warnings, _report(mesh.part_names, kinds, taken, shown)))
     return _parts_of(warned, taken), _parts_of(warned, shown) if shown[mesh.face_parts].any() else None
@@ -154,6 +157,14 @@ def _bone_regions(rig: Rig) -> np.ndarray:
         elif bone:
             regions[bone] = regions[rig.parents[bone]]
     return regions
+
+
+def _are_free(rig: Rig) -> np.ndarray:
+    """(b,) bool: bones of head, hands and feet."""
+    free = np.zeros(rig.bone_count, dtype=bool)
+    for bone, name in enumerate(rig.bone_names):
+        free[bone] = name.split(".")[0] in FREE_BONES or (bone > 0 and free[rig.parents[bone]])
+    return free
 
 
 def _usual_areas(rig: Rig) -> np.ndarray:

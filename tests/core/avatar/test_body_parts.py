@@ -71,18 +71,21 @@ def test_clothes_over_a_body_are_left_out(tmp_path):
 
 
 def test_accessories_move_with_the_body_in_pictures_alone(tmp_path):
-    """Hair, and what lies on the head without a telling name; not lashes, nor what one sees through."""
-    head = _faces_on([RIG.bone_index("head")])
+    """Hair, what lies on the head without a telling name, and shoes; not lashes, stockings and what is clear."""
+    head, foot = (_faces_on([RIG.bone_index(bone)]) for bone in ("head", "foot.L"))
+    leg = _faces_on([RIG.bone_index(f"{bone}.L") for bone in ("lowerleg01", "lowerleg02", "foot")])
     builder = person_document()
+    _add_part(builder, "Shoes", foot, offset=0.005)
+    _add_part(builder, "Stockings", leg, offset=0.005)
     for name in ("Hair", "Cube.003", "Eyelashes", "Glasses"):
         _add_part(builder, name, head, offset=0.02)
     builder.document["materials"] = [{"name": "lens", "alphaMode": "BLEND"}]
     builder.document["meshes"][-1]["primitives"][0]["material"] = 0
     avatar = load_document(tmp_path, builder)
-    assert "heed it: 'Hair', 'Cube.003'; left out: 'Eyelashes', 'Glasses/lens'" in avatar.warnings[0]
+    assert "heed it: 'Shoes', 'Hair', 'Cube.003'; left out: 'Stockings', 'Eyelashes'" in avatar.warnings[0]
     drawn, count = avatar.with_accessories(), len(avatar.vertices)
     np.testing.assert_array_equal(drawn.faces[: len(avatar.faces)], avatar.faces)
-    assert len(drawn.faces) == len(avatar.faces) + 2 * len(head) == len(drawn.file_corners)
+    assert len(drawn.faces) == len(avatar.faces) + len(foot) + 2 * len(head) == len(drawn.file_corners)
     nod = RIG.joint_positions({"head_y": 0.3})
     bones = RIG.bone_transforms(nod, heads=avatar.bone_heads)
     posed = drawn.posed_vertices(bones)
