@@ -244,7 +244,7 @@ def _write_obj(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.
     names = [model.name for model in outfit.models] if len(cloth) > 1 else ["garment"]
     first = 1
     with open(path, "w", encoding="ascii", errors="replace") as file:
-        for name, points, faces in zip(["body", *names], [body, *cloth], [outfit.avatar.faces, *outfit.faces]):
+        for name, points, faces in zip(["body", *names], [body, *cloth], [outfit.body_to_draw.faces, *outfit.faces]):
             file.write(f"o {name}\n")
             file.writelines(f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in points[:, :3].tolist())
             file.writelines(f"f {a} {b} {c}\n" for a, b, c in (first + faces).tolist())

@@ -6,7 +6,7 @@ Dimensions: `V` body vertices, `f` faces, `b` bones of the garment model's rig, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,7 @@ class Avatar:
     file_vertices: (V, 3) float64, where its file shows them, in the file's frame and unit; None where there is no file.
     file_corners: (f, 3) int, which corner of the file's triangles each face's corner is, counted over the whole file:
     where its texture places are.
+    accessories: hair, eyes, glasses and the like of its file, on the same bones: for pictures, nothing to garments.
     """
 
     vertices: np.ndarray
@@ -49,6 +50,7 @@ class Avatar:
     bone_names: tuple[str, ...] = ()
     file_vertices: np.ndarray | None = None
     file_corners: np.ndarray | None = None
+    accessories: Avatar | None = None
 
     def posed_vertices(self, bone_transforms: np.ndarray) -> np.ndarray:
         """Body surface in a pose, by linear blend skinning.
@@ -59,6 +61,28 @@ class Avatar:
         if matrices.shape != (len(self.bone_heads), 3, 4):
             raise ValueError(f"bone transforms have shape {matrices.shape}, expected ({len(self.bone_heads)}, 3, 4)")
         return linear_blend_skinning(self.vertices, matrices, self.influence_bones, self.influence_weights)
+
+    def with_accessories(self) -> Avatar:
+        """One surface to draw: the body's vertices and faces first, those of its accessories after them."""
+        more = self.accessories
+        if more is None:
+            return self
+        width = max(self.influence_bones.shape[1], more.influence_bones.shape[1])
+
+        def joined(own: np.ndarray, others: np.ndarray) -> np.ndarray:
+            padded = [np.pad(rows, ((0, 0), (0, width - rows.shape[1]))) for rows in (own, others)]
+            return np.concatenate(padded)
+
+        return replace(
+            self,
+            vertices=np.concatenate([self.vertices, more.vertices]),
+            faces=np.concatenate([self.faces, more.faces + len(self.vertices)]),
+            influence_bones=joined(self.influence_bones, more.influence_bones),
+            influence_weights=joined(self.influence_weights, more.influence_weights),
+            file_vertices=None,  # nobody asks where a picture's vertices were
+            file_corners=np.concatenate([self.file_corners, more.file_corners]),
+            accessories=None,
+        )
 
 
 def avatar_from_body(body_model: BodyModel, coefficients: np.ndarray) -> Avatar:

@@ -1,4 +1,5 @@
-"""Which parts of an avatar are its body: not hair, eyes, glasses, nor clothes with skin under them.
+"""Which parts of an avatar are its body: not hair, eyes, glasses, nor clothes with skin under them. Hair, shoes
+and the like are its accessories: for pictures.
 
 A part is what one material draws of one mesh. Its names say what it may be; how much surface the body has where the
 part is says whether it is needed: of avatars that were modelled dressed, the clothes are the body.
@@ -20,7 +21,7 @@ from physkin_core.model.garment import face_areas
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
 from physkin_core.rig.rig import Rig
 
-__all__ = ["kind_of_part", "take_body", "without_accessories"]
+__all__ = ["kind_of_part", "split_body", "without_accessories"]
 
 BODY, UNKNOWN, CLOTHES, ACCESSORY = range(4)
 WORDS = {
@@ -33,6 +34,10 @@ WORDS = {
     BODY: "body skin face head torso arm leg hand foot feet human nude mannequin",
 }
 """What the words in a part's names say that it is, the first that is found."""
+FREE_BONES = "neck01", "wrist", "foot"
+"""Where parts begin that garments leave free: what is worn there is shown with hair and the like."""
+NOT_SHOWN = {"helper", "lash", "eyelash", "brow", "eyebrow", "cornea"}
+"""Accessories that pictures show better without: helpers, and what is painted on clear cards and shells."""
 MARKED_JOINT = re.compile(r"joint[-_]", re.IGNORECASE)
 """How the names of the cubes begin that mark joints in MakeHuman's base mesh."""
 WORD_KINDS = {word: kind for kind, words in WORDS.items() for word in words.split()}
@@ -50,8 +55,7 @@ def kind_of_part(names: Sequence[str]) -> int:
     for name in names:
         if MARKED_JOINT.match(name):
             return ACCESSORY
-        words = {form for word in _words(name) for form in (word, word.removesuffix("s"), word.removesuffix("es"))}
-        found = {WORD_KINDS.get(word) for word in words}
+        found = {WORD_KINDS.get(word) for word in _forms(name)}
         for kind in WORDS:
             if kind in found:
                 return kind
@@ -69,23 +73,36 @@ def without_accessories(
     return vertices[used], corners.reshape(-1, 3)
 
 
-def take_body(mesh: SkinnedMesh, joint_bones: np.ndarray, rig: Rig, *, scale: float) -> SkinnedMesh:
-    """The mesh without the parts that are not its body; a warning says which were taken and which left out.
+def split_body(
+    mesh: SkinnedMesh, joint_bones: np.ndarray, rig: Rig, *, scale: float
+) -> tuple[SkinnedMesh, SkinnedMesh | None]:
+    """The mesh's parts that are its body, and those that are accessories to show, if there are any; a warning says
+    which were taken and which left out.
 
     joint_bones: (j,) bone of `rig` that each joint belongs to. scale: size of the skeleton over the rig's.
     """
     if len(mesh.part_names) < 2:
-        return mesh
-    region = _bone_regions(rig)[joint_bones]
+        return mesh, None
     strongest = np.take_along_axis(mesh.influence_joints, mesh.influence_weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    bones = joint_bones[strongest[mesh.faces[:, 0]]]
+    face_area = face_areas(mesh.vertices, mesh.faces)
     cells = len(mesh.part_names), len(REGION_BONES) + 1
-    cell = np.ravel_multi_index((mesh.face_parts, region[strongest[mesh.faces[:, 0]]]), cells)
-    areas = np.bincount(cell, face_areas(mesh.vertices, mesh.faces), cells[0] * cells[1]).reshape(cells)
+    cell = np.ravel_multi_index((mesh.face_parts, _bone_regions(rig)[bones]), cells)
+    areas = np.bincount(cell, face_area, cells[0] * cells[1]).reshape(cells)
     kinds = np.array([kind_of_part(names) for names in mesh.part_names])
     taken = _taken(areas, kinds, scale**2 * _usual_areas(rig))
     if taken.all() and not (kinds == CLOTHES).any():
-        return mesh
-    kept = taken[mesh.face_parts]
+        return mesh, None
+    free = np.bincount(mesh.face_parts, face_area * _are_free(rig)[bones], len(areas)) > areas.sum(axis=1) / 2
+    shown = ~taken & ((kinds == ACCESSORY) | free)
+    shown &= [k not in mesh.clear_parts and _is_shown(names) for k, names in enumerate(mesh.part_names)]
+    warned = replace(mesh, warnings=(*mesh.warnings, _report(mesh.part_names, kinds, taken, shown)))
+    return _parts_of(warned, taken), _parts_of(warned, shown) if shown[mesh.face_parts].any() else None
+
+
+def _parts_of(mesh: SkinnedMesh, chosen: np.ndarray) -> SkinnedMesh:
+    """The mesh with some of its parts, a mask (k,)."""
+    kept = chosen[mesh.face_parts]
     used, corners = np.unique(mesh.faces[kept], return_inverse=True)
     return replace(
         mesh,
@@ -93,11 +110,14 @@ def take_body(mesh: SkinnedMesh, joint_bones: np.ndarray, rig: Rig, *, scale: fl
         faces=corners.reshape(-1, 3),
         influence_joints=mesh.influence_joints[used],
         influence_weights=mesh.influence_weights[used],
-        warnings=(*mesh.warnings, _report(mesh.part_names, kinds, taken)),
         face_parts=mesh.face_parts[kept],
         file_vertices=None if mesh.file_vertices is None else mesh.file_vertices[used],
         file_corners=None if mesh.file_corners is None else mesh.file_corners[kept],
     )
+
+
+def _is_shown(names: Sequence[str]) -> bool:
+    return not any(MARKED_JOINT.match(name) or NOT_SHOWN & _forms(name) for name in names)
 
 
 def _taken(areas: np.ndarray, kinds: np.ndarray, usual: np.ndarray) -> np.ndarray:
@@ -112,12 +132,14 @@ def _taken(areas: np.ndarray, kinds: np.ndarray, usual: np.ndarray) -> np.ndarra
     return taken if taken.any() else ~taken
 
 
-def _report(names: Sequence[Sequence[str]], kinds: np.ndarray, taken: np.ndarray) -> str:
+def _report(names: Sequence[Sequence[str]], kinds: np.ndarray, taken: np.ndarray, shown: np.ndarray) -> str:
     dressed = taken & (kinds == CLOTHES)
     text = f"of {len(names)} parts these were taken as the body: {_listed(names, taken)}"
     if dressed.any():
         text += f" ({_listed(names, dressed)} though by name clothes, as there is too little skin under them)"
-    return text if taken.all() else f"{text}; left out: {_listed(names, ~taken)}"
+    for label, chosen in (("shown, though garments do not heed it", shown), ("left out", ~taken & ~shown)):
+        text += f"; {label}: {_listed(names, chosen)}" if chosen.any() else ""
+    return text
 
 
 def _listed(names: Sequence[Sequence[str]], chosen: np.ndarray) -> str:
@@ -137,6 +159,14 @@ def _bone_regions(rig: Rig) -> np.ndarray:
     return regions
 
 
+def _are_free(rig: Rig) -> np.ndarray:
+    """(b,) bool: bones of head, hands and feet."""
+    free = np.zeros(rig.bone_count, dtype=bool)
+    for bone, name in enumerate(rig.bone_names):
+        free[bone] = name.split(".")[0] in FREE_BONES or (bone > 0 and free[rig.parents[bone]])
+    return free
+
+
 def _usual_areas(rig: Rig) -> np.ndarray:
     """(r,) [m2] of the mean body of the compact body model; without bounds for a rig that it does not know."""
     body = load_body_model()
@@ -146,6 +176,11 @@ def _usual_areas(rig: Rig) -> np.ndarray:
     strongest = body.influence_bones[rows, body.influence_weights.argmax(axis=1)]
     region = _bone_regions(rig)[strongest[body.faces[:, 0]]]
     return np.bincount(region, face_areas(body.mean_vertices, body.faces), len(REGION_BONES) + 1)
+
+
+def _forms(name: str) -> set[str]:
+    """Its words, in the singular, too."""
+    return {form for word in _words(name) for form in (word, word.removesuffix("s"), word.removesuffix("es"))}
 
 
 def _words(name: str) -> list[str]:

@@ -51,8 +51,10 @@ def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None) -> Av
 
 def _plain_mesh(file: GltfFile) -> Surface:
     """All meshes of a file without skins, in glTF's frame."""
-    parts, names, start = [], [], 0
+    parts, names, clear, start = [], [], set(), 0
     for node, primitive, positions, faces, _ in primitives(file):
+        if _is_clear(file, primitive):
+            clear.add(len(parts))
         world = file.node_worlds[node]
         parts.append((positions @ world[:3, :3].T + world[:3, 3], faces + start))
         names.append(_part_names(file, node, primitive))
@@ -60,14 +62,15 @@ def _plain_mesh(file: GltfFile) -> Surface:
     if not parts:
         raise AvatarError(f"avatar {file.path} has no faces; a triangle mesh is needed")
     vertices, faces = (np.concatenate([part[index] for part in parts]) for index in (0, 1))
-    return Surface(vertices, faces, tuple(names), np.repeat(np.arange(len(parts)), [len(part[1]) for part in parts]))
+    face_parts = np.repeat(np.arange(len(parts)), [len(part[1]) for part in parts])
+    return Surface(vertices, faces, tuple(names), face_parts, frozenset(clear))
 
 
 def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
     humanoid = _humanoid_nodes(file)
     joint_nodes, node_joint = _joints(file, humanoid or {})
     frame = _frame(file)
-    warnings, parts, names, start = [], [], [], 0
+    warnings, parts, names, clear, start = [], [], [], set(), 0
     for node, primitive, positions, faces, corners in primitives(file):
         label = file.document.nodes[node].name or f"node {node}"
         skin = file.document.nodes[node].skin
@@ -85,6 +88,8 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
                 continue
             positions = positions @ world[:3, :3].T + world[:3, 3]
             joints, weights = np.full((len(positions), 1), carrier), np.ones((len(positions), 1))
+        if _is_clear(file, primitive):
+            clear.add(len(parts))
         parts.append((positions, faces + start, joints, weights, corners))
         names.append(_part_names(file, node, primitive))
         start += len(positions)
@@ -115,6 +120,7 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
         warnings=(*dict.fromkeys(warnings), *unit_warning),
         part_names=tuple(names),
         face_parts=face_parts[kept],
+        clear_parts=frozenset(clear),
         file_vertices=vertices,
         file_corners=corners[kept],
     )
@@ -149,6 +155,11 @@ def _part_names(file: GltfFile, node: int, primitive) -> tuple[str, ...]:
     material = None if primitive.material is None else document.materials[primitive.material].name
     named = document.nodes[node]
     return tuple(name for name in (material, document.meshes[named.mesh].name, named.name) if name) or (f"node {node}",)
+
+
+def _is_clear(file: GltfFile, primitive) -> bool:
+    """Whether what is behind a primitive shows through, as through lenses and the cards of lashes."""
+    return primitive.material is not None and file.document.materials[primitive.material].alphaMode == "BLEND"
 
 
 def _faces(file: GltfFile, primitive, positions: np.ndarray, *, mirrored: bool) -> np.ndarray:

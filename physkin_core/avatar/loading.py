@@ -25,7 +25,7 @@ def load_avatar(path: str | Path, rig: Rig, *, rig_file: str | Path | None = Non
     path: GLB, glTF or VRM with a skin, or an OBJ, PLY or STL mesh; in any of the usual units, whichever axis is up.
     rig: the garment model's. rig_file: skeleton of a plain mesh (layout: `physkin_core.avatar.rig_file`), default
     `NAME.rig.json` beside `NAME.obj` if that exists. A mesh without any skeleton gets the rig fitted to it, and a
-    warning that says so. Hair, eyes and clothes over skin are left out.
+    warning that says so. Clothes over skin are left out; hair, eyes and shoes are `Avatar.accessories`.
     What was assumed or repaired is kept in `Avatar.warnings` and issued as one AvatarWarning each.
     Raises AvatarError naming what is wrong with the file and what was allowed.
     """

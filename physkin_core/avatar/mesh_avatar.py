@@ -62,7 +62,7 @@ def retarget_plain_mesh(surface: Surface, rig: Rig, *, path: Path, rig_file: str
         axis = up if description.bones else _upright_axis(vertices, faces, up)
         warnings += () if axis == up else (f"{axis} is taken to be up, not {up}: it is symmetric and tallest so",)
     to_root = scale * axes_to_root_frame(axis, description.forward)
-    parts = {"part_names": surface.part_names, "warnings": warnings}
+    parts = {"part_names": surface.part_names, "clear_parts": surface.clear_parts, "warnings": warnings}
     parts["face_parts"] = None if surface.face_parts is None else surface.face_parts[kept]
     in_file, vertices = vertices, vertices @ to_root.T
     origin = {"file_vertices": in_file, "file_corners": np.arange(surface.faces.size).reshape(-1, 3)[kept]}
@@ -110,7 +110,8 @@ def _upright_axis(vertices: np.ndarray, faces: np.ndarray, usual: str) -> str:
 
 def _fitted(vertices: np.ndarray, faces: np.ndarray, rig: Rig, source: str, *, warnings, **parts) -> SkinnedMesh:
     body = _template(rig, source)
-    fit = fit_body(*without_accessories(vertices, faces, **parts), body)
+    told = {name: parts[name] for name in ("part_names", "face_parts")}
+    fit = fit_body(*without_accessories(vertices, faces, **told), body)
     height = float(np.ptp(vertices[:, 2]))
     if fit.residual > LARGEST_RESIDUAL * height:
         raise AvatarError(

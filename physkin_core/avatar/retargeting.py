@@ -14,9 +14,10 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.avatar.body_parts import take_body
+from physkin_core.avatar.body_parts import split_body
 from physkin_core.avatar.skinned_mesh import SkinnedMesh, check_size, identify_bones, turn_upright
 from physkin_core.rig.bone_naming import OWN_NAMES
+from physkin_core.rig.bone_structure import spine_bones
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, smallest_rotation, turned_down_the_chain
 from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning, strongest_influences
 from physkin_core.rig.rig import Rig
@@ -39,24 +40,29 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
     mesh = turn_upright(mesh, bone_joint)
     mesh = _canonical(mesh, bone_joint, rig)
     check_size(mesh.vertices, mesh.source)
-    mesh = take_body(mesh, _joint_bones(mesh, bone_joint, rig), rig, scale=_skeleton_scale(mesh, bone_joint, rig))
+    scale = _skeleton_scale(mesh, bone_joint, rig)
+    mesh, accessories = split_body(mesh, _joint_bones(mesh, bone_joint, rig), rig, scale=scale)
     root_joint = bone_joint.get(rig.bone_names[0]) if naming == OWN_NAMES else None
     heads, tails, root = place_bones(mesh, bone_joint, rig, root_joint=root_joint)
-    bones, weights = _rig_influences(mesh, bone_joint, rig, heads, tails)
     outward = slice(None, None, _orientation(mesh.vertices, mesh.faces))
-    return Avatar(
-        vertices=(mesh.vertices - root).astype(np.float32),
-        faces=mesh.faces[:, outward].astype(np.int32),
-        bone_heads=(heads - root).astype(np.float32),
-        bone_tails=(tails - root).astype(np.float32),
-        influence_bones=bones,
-        influence_weights=weights,
-        source=mesh.source,
-        warnings=mesh.warnings,
-        bone_names=rig.bone_names,
-        file_vertices=mesh.file_vertices,
-        file_corners=None if mesh.file_corners is None else mesh.file_corners[:, outward],
-    )
+
+    def bound(part: SkinnedMesh) -> Avatar:
+        bones, weights = _rig_influences(part, bone_joint, rig, heads, tails)
+        return Avatar(
+            vertices=(part.vertices - root).astype(np.float32),
+            faces=part.faces[:, outward].astype(np.int32),
+            bone_heads=(heads - root).astype(np.float32),
+            bone_tails=(tails - root).astype(np.float32),
+            influence_bones=bones,
+            influence_weights=weights,
+            source=part.source,
+            warnings=part.warnings,
+            bone_names=rig.bone_names,
+            file_vertices=part.file_vertices,
+            file_corners=None if part.file_corners is None else part.file_corners[:, outward],
+        )
+
+    return replace(bound(mesh), accessories=None if accessories is None else bound(accessories))
 
 
 def place_bones(
@@ -187,22 +193,18 @@ def _rig_influences(
     """Influences over rig bones: each joint's go to its bone, or to its nearest mapped ancestor's."""
     target = _joint_bones(mesh, bone_joint, rig)
     dense = dense_weights(target[mesh.influence_joints], mesh.influence_weights, rig.bone_count)
-    for bone in map(rig.bone_index, bone_joint):
+    for bone in {0, *map(rig.bone_index, bone_joint)}:
         _spread_along_chain(dense, bone, rig, bone_joint, mesh.vertices, heads, tails)
     bones, weights = strongest_influences(dense, min(MAX_INFLUENCES, max(1, int((dense > 0).sum(axis=1).max()))))
     return bones.astype(np.int32), weights.astype(np.float32)
 
 
 def _spread_along_chain(dense, bone, rig, bone_joint, vertices, heads, tails) -> None:
-    """Share one joint's influence among the rig bones it covers (upperarm01, upperarm02), so that twist is spread.
+    """Share one joint's influence among the rig bones it covers, so that twist is spread (see `_covered_bones`).
 
     A vertex's share goes over linearly from the middle of one bone to the middle of the next along the chain.
     """
-    chain = [bone]
-    while len(children := np.flatnonzero(rig.parents == chain[-1])) == 1:
-        if rig.bone_names[children[0]] in bone_joint:
-            break
-        chain.append(int(children[0]))
+    chain = _covered_bones(bone, rig, bone_joint)
     direction = tails[chain[-1]] - heads[bone]
     length = np.linalg.norm(direction)
     if len(chain) == 1 or length < 1e-6:
@@ -212,6 +214,20 @@ def _spread_along_chain(dense, bone, rig, bone_joint, vertices, heads, tails) ->
     middles = ((heads[chain] + tails[chain]) / 2 - heads[bone]) @ direction / length
     shares = np.stack([np.interp(along, middles, unit) for unit in np.eye(len(chain))], axis=1)
     dense[rows[:, None], chain] = dense[rows, bone, None] * shares
+
+
+def _covered_bones(bone: int, rig: Rig, bone_joint: Mapping[str, int]) -> list[int]:
+    """A joint's bone and those after it without a joint: upperarm01 and upperarm02; of the root of a skeleton without
+    a spine, that, as cloth bends with it."""
+    if bone == 0:
+        spine = spine_bones(rig)
+        return [0, *map(rig.bone_index, spine)] if bone_joint.keys().isdisjoint(spine) else [0]
+    chain = [bone]
+    while len(children := np.flatnonzero(rig.parents == chain[-1])) == 1:
+        if rig.bone_names[children[0]] in bone_joint:
+            break
+        chain.append(int(children[0]))
+    return chain
 
 
 def _orientation(vertices: np.ndarray, faces: np.ndarray) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 from physkin_core.avatar.avatar import AvatarError
 from physkin_core.model.garment import surface_fault
 from physkin_core.rig.bone_naming import match_bones, named_bones, required_bones
-from physkin_core.rig.bone_structure import bones_by_structure
+from physkin_core.rig.bone_structure import bones_by_structure, limb_ends, spine_by_place
 from physkin_core.rig.rig import Rig
 
 __all__ = ["SkinnedMesh", "Surface", "check_size", "clean_surface", "identify_bones", "turn_upright", "unit_scale"]
@@ -34,7 +34,8 @@ class SkinnedMesh:
     influence_joints: (V, K) integers; influence_weights: (V, K), rows sum to 1.
     humanoid: joint by VRM humanoid bone, for files that state it. warnings: as in `Avatar`.
     part_names: names of each part of the mesh, the most telling first, and face_parts: (f,) the part of each face; None
-    for a mesh of one part. file_vertices: (V, 3) in the file's own frame and unit. file_corners: as in `Avatar`.
+    for a mesh of one part. clear_parts: those that one sees through. file_vertices: (V, 3) in the file's own frame and
+    unit. file_corners: as in `Avatar`.
     """
 
     vertices: np.ndarray
@@ -50,6 +51,7 @@ class SkinnedMesh:
     warnings: tuple[str, ...] = ()
     part_names: tuple[tuple[str, ...], ...] = ()
     face_parts: np.ndarray | None = None
+    clear_parts: frozenset[int] = frozenset()
     file_vertices: np.ndarray | None = None
     file_corners: np.ndarray | None = None
 
@@ -62,6 +64,7 @@ class Surface:
     faces: np.ndarray
     part_names: tuple[tuple[str, ...], ...] = ()
     face_parts: np.ndarray | None = None
+    clear_parts: frozenset[int] = frozenset()
 
 
 def clean_surface(
@@ -128,14 +131,24 @@ def identify_bones(mesh: SkinnedMesh, rig: Rig) -> tuple[SkinnedMesh, dict[str, 
     if astray:
         raise AvatarError(f"avatar {mesh.source}: joints {', '.join(astray)} are not at finite positions")
     required = required_bones(rig)
-    named, _ = named_bones(mesh.joint_names, rig, humanoid=mesh.humanoid)
+    named, naming = named_bones(mesh.joint_names, rig, humanoid=mesh.humanoid)
     if 2 * sum(bone in named for bone in required) < len(required):
         shaped = bones_by_structure(mesh.joint_heads, mesh.joint_parents, rig)
         if shaped is not None and all(bone in shaped for bone in required):
-            pairs = ", ".join(f"{mesh.joint_names[shaped[bone]]!r} for {bone}" for bone in required)
-            warning = f"no naming fits the joints' names; by the skeleton's shape these were taken: {pairs}"
-            return replace(mesh, warnings=(*mesh.warnings, warning)), shaped, "the skeleton's shape"
-    return mesh, *match_bones(mesh.joint_names, rig, source=mesh.source, humanoid=mesh.humanoid)
+            warning = "no naming fits the joints' names; by the skeleton's shape these were taken: "
+            return _with_taken(mesh, warning, {bone: shaped[bone] for bone in required}), shaped, "the skeleton's shape"
+    ends = limb_ends(named, mesh.joint_heads, mesh.joint_parents)
+    if ends and all(bone in named or bone in ends for bone in required):
+        mesh = _with_taken(mesh, "by their place at the ends of limbs, not by name, these joints were taken: ", ends)
+    else:
+        ends, (named, naming) = {}, match_bones(mesh.joint_names, rig, source=mesh.source, humanoid=mesh.humanoid)
+    return mesh, spine_by_place(named | ends, mesh.joint_heads, rig), naming
+
+
+def _with_taken(mesh: SkinnedMesh, warning: str, taken: Mapping[str, int]) -> SkinnedMesh:
+    """The mesh with a warning that lists joints by rig bone."""
+    pairs = ", ".join(f"{mesh.joint_names[joint]!r} for {bone}" for bone, joint in taken.items())
+    return replace(mesh, warnings=(*mesh.warnings, warning + pairs))
 
 
 def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int]) -> SkinnedMesh:

@@ -68,7 +68,7 @@ def main(argv: list[str]) -> int:
     outfit.sway = options.sway
     for warning in outfit.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    looks = [avatar_look(outfit.avatar, ~outfit.body_mask), *garment_looks(options.look, outfit)]
+    looks = [avatar_look(outfit.body_to_draw, outfit.faces_to_draw), *garment_looks(options.look, outfit)]
     WRITERS[kind](options.output, outfit, motion, looks=looks)
     size = options.output.stat().st_size / 1e6
     print(f"wrote {options.output}: {motion.frame_count} frames at {motion.rate_hz:g} Hz, {size:.1f} MB")

@@ -49,7 +49,7 @@ def write_gltf_motion(
     looks = looks or [None] * (1 + len(drapers))
     scene = _Scene(motion.times)
     root = scene.add_root(translation=motion.root_position[:, None], rotation=motion.root_orientation[:, None])
-    scene.add_avatar(outfit.body_to_draw, rig, np.array(bones), outfit.body_mask, root, looks[0])
+    scene.add_avatar(outfit.body_to_draw, rig, np.array(bones), outfit.faces_to_draw, root, looks[0])
     colours = layer_colours(len(drapers))
     for model, bound, transforms, colour, look in zip(outfit.models, outfit.bounds, nodes, colours, looks[1:]):
         scene.add_garment(model.name, bound, np.array(transforms), root, colour, look)
@@ -80,10 +80,10 @@ class _Scene:
         return self.roots[-1]
 
     def add_avatar(
-        self, avatar: Avatar, rig: Rig, bones: np.ndarray, hidden: np.ndarray, root: int, look: Look | None
+        self, avatar: Avatar, rig: Rig, bones: np.ndarray, shown: np.ndarray, root: int, look: Look | None
     ) -> None:
-        """The body on its skeleton. bones: (T, b, 3, 4) canonical to posed; hidden: (F,) faces that cloth covers; look:
-        of the others."""
+        """The body on its skeleton. bones: (T, b, 3, 4) canonical to posed; shown: (F,) bool of its faces; look: of
+        these."""
         heads = avatar.bone_heads.astype(np.float64)
         turned = bones[..., :3].astype(np.float64)
         posed = np.einsum("tbij,bj->tbi", turned, heads) + bones[..., 3]
@@ -104,7 +104,7 @@ class _Scene:
         joints = list(range(first, first + len(heads)))
         vertices = avatar.vertices, vertex_normals(avatar.vertices, avatar.faces)
         influences = strongest_influences(avatar.influence_bones, avatar.influence_weights)
-        self._add_mesh("body", vertices, influences, avatar.faces[~hidden], BODY_COLOUR, look, joints, heads)
+        self._add_mesh("body", vertices, influences, avatar.faces[shown], BODY_COLOUR, look, joints, heads)
 
     def add_garment(
         self,

@@ -44,7 +44,7 @@ def write_usd_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Seque
     turn = root.AddOrientOp()
     colours = [BODY_COLOUR, *layer_colours(len(outfit.models))]
     names = _as_identifiers(["body", *(model.name for model in outfit.models)])
-    faces = [outfit.avatar.faces[~outfit.body_mask], *outfit.faces]
+    faces = [outfit.body_to_draw.faces[outfit.faces_to_draw], *outfit.faces]
     meshes = []
     looks = looks or [None] * (1 + len(outfit.models))
     for name, triangles, colour, look in zip(names, faces, colours, looks):

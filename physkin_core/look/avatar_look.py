@@ -15,6 +15,7 @@ from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.gltf_avatar import primitives
 from physkin_core.avatar.gltf_file import GltfFile
 from physkin_core.avatar.loading import GLTF_SUFFIXES
+from physkin_core.look.few_colours import few_colours
 from physkin_core.look.surfaces import picture_kind, readable
 from physkin_core.mesh_file import Look, MaterialLibrary, read_mesh
 
@@ -22,13 +23,16 @@ __all__ = ["avatar_look"]
 
 log = logging.getLogger(__name__)
 
+MOST_PAINTED = 32
+"""Colours of one part whose vertices are painted."""
 TRANSFORM, WEBP = "KHR_texture_transform", "EXT_texture_webp"
 
 
 def avatar_look(avatar: Avatar, faces: np.ndarray | slice = slice(None)) -> Look | None:
     """Materials and texture places of an avatar's faces, or of some; None where its file has no materials.
 
-    Base colours and their pictures are kept; vertex colours and other maps are not. faces: (f,) a mask or indices. A
+    Base colours and their pictures are kept, and where there are none colours of vertices, as few materials; other maps
+    are not. faces: (f,) a mask or indices. A
     look hinders nobody from draping: what cannot be read, a picture or all of it, is told in the log.
     """
     path = Path(avatar.source)
@@ -54,10 +58,14 @@ def _gltf_look(file: GltfFile) -> Look:
     number: dict[int, int] = {}
     for _, primitive, _, faces, _ in primitives(file):
         index = primitive.material
+        painted = _painted(file, primitive, faces)
+        places.append(_places(file, primitive)[faces])
+        if painted is not None:
+            material.append(_add_painted(library, painted))
+            continue
         if index is not None and index not in number:
             number[index] = _add_material(library, file, index)
         material.append(np.full(len(faces), -1 if index is None else number[index]))
-        places.append(_places(file, primitive)[faces])
     count = sum(map(len, material))
     return Look(
         np.concatenate(places), np.concatenate(material), np.full(count, -1), tuple(library.names), (), library.files
@@ -77,6 +85,30 @@ def _places(file: GltfFile, primitive) -> np.ndarray:
     return found * [1, -1] + [0, 1]
 
 
+def _painted(file: GltfFile, primitive, faces: np.ndarray) -> np.ndarray | None:
+    """(f, 3) linear RGB that vertices give the faces of a primitive; None where all is white or there is a picture."""
+    colours = file.attribute(primitive, "COLOR_0")
+    if colours is None or (primitive.material is not None and _base_picture(file, primitive.material) is not None):
+        return None
+    colours = np.clip(colours[:, :3], 0, 1)
+    return None if (colours == 1).all() else colours[faces].mean(axis=1) * _base_colour(file, primitive.material)
+
+
+def _add_painted(library: MaterialLibrary, colours: np.ndarray) -> np.ndarray:
+    """Materials that stand for linear colours (f, 3), and which of them (f,) each face has."""
+    palette, index = few_colours(colours ** (1 / 2.2), MOST_PAINTED)
+    first = len(library.names)
+    for number, colour in enumerate(palette, start=first):
+        library.add(f"painted_{number}", colour**2.2, None, suffix="png")
+    return first + index
+
+
+def _base_colour(file: GltfFile, material: int | None) -> np.ndarray:
+    """(3,) linear RGB of a material, white where nothing is said."""
+    shading = None if material is None else file.document.materials[material].pbrMetallicRoughness
+    return np.clip(((shading.baseColorFactor if shading is not None else None) or (1, 1, 1))[:3], 0, 1)
+
+
 def _base_picture(file: GltfFile, material: int):
     """pygltflib's `TextureInfo` of a material's base colour, if there is one."""
     shading = file.document.materials[material].pbrMetallicRoughness
@@ -86,8 +118,6 @@ def _base_picture(file: GltfFile, material: int):
 def _add_material(library: MaterialLibrary, file: GltfFile, index: int) -> int:
     """Its number in the library; materials of one name are told apart."""
     material = file.document.materials[index]
-    shading = material.pbrMetallicRoughness
-    colour = (shading.baseColorFactor if shading is not None else None) or (1, 1, 1)
     name = library.plain_name(material.name or f"material_{index}")
     name = f"{name}_{index}" if name in library.names else name
     content, used = None, _base_picture(file, index)
@@ -97,7 +127,7 @@ def _add_material(library: MaterialLibrary, file: GltfFile, index: int) -> int:
         except AvatarError as error:
             log.warning("avatar %s: material %r is shown without its picture: %s", file.path, name, error)
     suffix = "jpg" if content is not None and picture_kind(content) == "image/jpeg" else "png"
-    return library.add(name, np.clip(colour[:3], 0, 1), content, suffix=suffix)
+    return library.add(name, _base_colour(file, index), content, suffix=suffix)
 
 
 def _picture(file: GltfFile, texture) -> bytes:

@@ -1,6 +1,6 @@
 """One colour a face, read off the pictures of a look: for what draws no textures.
 
-Dimensions: `f` faces, `k` colours.
+Dimensions: `f` faces.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from physkin_core.look.surfaces import Surface, linear, surfaces_of
 from physkin_core.mesh_file import Look
 from physkin_core.picture import BODY_COLOUR, PictureError
 
-__all__ = ["avatar_colours", "face_colours", "few_colours"]
+__all__ = ["avatar_colours", "face_colours"]
 
 log = logging.getLogger(__name__)
 
@@ -25,7 +25,6 @@ SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / [[3], [6], [6
 """Where in a triangle a picture is looked at: shares of its corners."""
 LARGEST_PICTURE = 512
 """[pixels] a side; larger ones are made smaller first, so that a sample is the mean of what is about it."""
-ROUNDS = 20
 
 
 @lru_cache(maxsize=4)  # a film asks for the same avatar in every frame
@@ -45,18 +44,6 @@ def face_colours(look: Look, colour: tuple[float, float, float]) -> np.ndarray:
     for surface in surfaces_of(look, "plain", linear(colour), len(found)):
         found[surface.faces] = surface.colour * _picture_colours(surface, look.uv[surface.faces])
     return found ** (1 / 2.2)
-
-
-def few_colours(colours: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """At most so many colours that stand for those of faces (f, 3): (k, 3), and which (f,) each face has."""
-    from scipy.cluster.vq import kmeans2
-
-    different, index = np.unique(colours.round(2), axis=0, return_inverse=True)
-    if len(different) <= most:
-        return different, index.reshape(-1)
-    centres, nearest = kmeans2(colours, most, iter=ROUNDS, minit="++", rng=0)
-    used, index = np.unique(nearest, return_inverse=True)
-    return centres[used], index.reshape(-1)
 
 
 def _picture_colours(surface: Surface, uv: np.ndarray) -> np.ndarray:

@@ -274,9 +274,15 @@ class Outfit:
 
     @cached_property
     def body_to_draw(self) -> Avatar:
-        """The avatar, skin under cloth up to 6 mm slimmer, so that none shows through where cloth lies a little too
-        deep."""
-        return slimmed(self.avatar, self._covers_at_rest)
+        """The avatar and its accessories, skin under cloth up to 6 mm slimmer, so that none shows through where cloth
+        lies a little too deep."""
+        return slimmed(self.avatar, self._covers_at_rest).with_accessories()
+
+    @cached_property
+    def faces_to_draw(self) -> np.ndarray:
+        """Mask over the faces of `body_to_draw`: all but those of `body_mask`."""
+        accessories = len(self.body_to_draw.faces) - len(self.body_mask)
+        return np.concatenate([~self.body_mask, np.ones(accessories, dtype=bool)])
 
     def posed_body(self, joint_positions: np.ndarray) -> np.ndarray:
         """(V, 3) [m] `body_to_draw` in a pose, for drawing it beside the garments; limbs as of `bone_transforms`."""

@@ -15,10 +15,10 @@ __all__ = ["dressed_meshes"]
 
 
 def dressed_meshes(outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]) -> list[Mesh]:
-    """Surfaces of one frame. body: (V, 3) the avatar's vertices; cloth: (v, 3 or more) of each garment, positions
+    """Surfaces of one frame. body: (V, 3) vertices of `body_to_draw`; cloth: (v, 3 or more) of each garment, positions
     first; all [m] in one frame with Z up."""
-    shown = ~outfit.body_mask if len(cloth) > 1 else slice(None)
-    colours = avatar_colours(outfit.avatar)
-    skin = Mesh(body, outfit.avatar.faces[shown], BODY_COLOUR if colours is None else colours[shown])
+    shown = outfit.faces_to_draw if len(cloth) > 1 else slice(None)
+    colours = avatar_colours(outfit.body_to_draw)
+    skin = Mesh(body, outfit.body_to_draw.faces[shown], BODY_COLOUR if colours is None else colours[shown])
     worn = [Mesh(np.asarray(p)[:, :3], f, c) for p, f, c in zip(cloth, outfit.faces, layer_colours(len(cloth)))]
     return [skin, *worn]

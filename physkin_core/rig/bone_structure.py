@@ -1,4 +1,4 @@
-"""Which joint of a skeleton is which bone of the rig, by its shape, where names say nothing.
+"""Which joint of a skeleton is which bone of the rig, by its shape, where names say nothing or not all.
 
 A person's skeleton has a plane of symmetry, two pairs of long limbs that leave it, the legs nearer to the tree's root,
 and two long segments in every limb. Dimensions: `j` joints. Any unit.
@@ -6,13 +6,14 @@ and two long segments in every limb. Dimensions: `j` joints. Any unit.
 
 from __future__ import annotations
 
-from itertools import combinations, permutations
+from collections.abc import Callable, Mapping, Sequence
+from itertools import combinations, permutations, product
 
 import numpy as np
 
 from physkin_core.rig.rig import Rig
 
-__all__ = ["bones_by_structure"]
+__all__ = ["bones_by_structure", "limb_ends", "spine_bones", "spine_by_place"]
 
 ASYMMETRY = 0.03
 """Of all following lengths the unit is the skeleton's largest extent. Mean distance of joints from mirror images."""
@@ -29,6 +30,10 @@ ANKLE_WEIGHT = 2.0
 """Of the turn from shin to foot."""
 BRANCH = 0.4
 """Share of the longest branch that makes another one a branch, as thumb and fingers are."""
+END_RATIO = (0.6, 1.6)
+"""Length of the lower over the upper segment, of a limb whose end no name tells."""
+SPINE_REACH = 0.12
+"""How far, of the way from hips to neck, a joint of the spine may be from where the rig has its bone."""
 LIMB_BONES = {
     "arm": ("upperarm01", "lowerarm01", "wrist", "clavicle"),
     "leg": ("upperleg01", "lowerleg01", "foot", ""),
@@ -64,6 +69,52 @@ def bones_by_structure(heads: np.ndarray, parents: np.ndarray, rig: Rig) -> dict
     upwards = [joint for joint in tree.children[chest] if all(joint != way[0] for way in limbs["arm"][1])]
     found |= _trunk(tree, hub, chest, upwards, rig)
     return {bone: joint for bone, joint in found.items() if bone in rig.bone_names}
+
+
+def limb_ends(named: Mapping[str, int], heads: np.ndarray, parents: np.ndarray) -> dict[str, int]:
+    """Joints of wrists and ankles that are not among the named ones (joint by rig bone), where the rest of the limb is.
+
+    Of the joints that follow on elbow or knee it is the farthest, if it is as far as a person's. heads: (j, 3), any
+    unit. parents: (j,).
+    """
+    found = {}
+    for side, (upper, middle, end, _) in product("LR", LIMB_BONES.values()):
+        first, joint = named.get(f"{upper}.{side}"), named.get(f"{middle}.{side}")
+        if first is None or joint is None or f"{end}.{side}" in named:
+            continue
+        below = [child for child in np.flatnonzero(parents == joint) if child not in named.values()]
+        lengths = [np.linalg.norm(heads[child] - heads[joint]) for child in below]
+        upper_length = np.linalg.norm(heads[joint] - heads[first])
+        if below and END_RATIO[0] * upper_length <= max(lengths) <= END_RATIO[1] * upper_length:
+            found[f"{end}.{side}"] = int(below[int(np.argmax(lengths))])
+    return found
+
+
+def spine_by_place(named: Mapping[str, int], heads: np.ndarray, rig: Rig) -> dict[str, int]:
+    """Joint by rig bone, with those of the spine where they are between hips and neck: one tool's torso begins at the
+    chest, another's carries the legs.
+
+    A joint that is not about where the rig has the bone it is named for goes to the nearest one there, unless that has
+    a joint. named: joint by rig bone. heads: (j, 3), any unit.
+    """
+    ends = "upperleg01.L", "upperleg01.R", "neck01"
+    spine = [bone for bone in spine_bones(rig) if bone in named]
+    if not spine or any(bone not in named or bone not in rig.bone_names for bone in ends):
+        return dict(named)
+
+    def heights(place: Callable[[str], np.ndarray], bones: Sequence[str]) -> np.ndarray:
+        hips = (place(ends[0]) + place(ends[1])) / 2
+        trunk = place(ends[2]) - hips
+        return np.array([(place(bone) - hips) @ trunk for bone in bones]) / max(trunk @ trunk, 1e-12)
+
+    own = dict(zip(spine, heights(lambda bone: heads[named[bone]], spine)))
+    usual = dict(zip(spine_bones(rig), heights(lambda bone: rig.heads[rig.bone_index(bone)], spine_bones(rig))))
+    placed = {bone for bone in spine if abs(own[bone] - usual[bone]) <= SPINE_REACH}
+    found = {bone: joint for bone, joint in named.items() if bone not in spine or bone in placed}
+    for bone in spine:
+        if bone not in placed:
+            found.setdefault(min(usual, key=lambda other: abs(own[bone] - usual[other])), named[bone])
+    return found
 
 
 class _Tree:
@@ -182,7 +233,7 @@ def _trunk(tree: _Tree, hub: int, chest: int, upwards: list[int], rig: Rig) -> d
     found = {rig.bone_names[0]: hub}
     between = tree.ancestors(chest)
     between = between[: between.index(hub)][::-1]
-    spine = _spine(rig)
+    spine = spine_bones(rig)
     for place, joint in enumerate(between, start=1):
         if spine:
             found[spine[max(round(place / len(between) * len(spine)), 1) - 1]] = joint
@@ -193,7 +244,7 @@ def _trunk(tree: _Tree, hub: int, chest: int, upwards: list[int], rig: Rig) -> d
     return found
 
 
-def _spine(rig: Rig) -> list[str]:
+def spine_bones(rig: Rig) -> list[str]:
     """The rig's bones between its root and its collar bones."""
     if "clavicle.L" not in rig.bone_names:
         return []

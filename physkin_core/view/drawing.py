@@ -71,14 +71,14 @@ class Drawing:
         for surface in (*self._surfaces, *self._plain):
             surface.remove()
         self.figures, self.skin_shows = OutfitFigures(frame.outfit), None
-        self._own = own_bands(frame.outfit.avatar, _shown(frame))
+        self._own = own_bands(frame.outfit.body_to_draw, _shown(frame))
         self._surfaces = self._new_surfaces("/world/figure", frame)
         self._plain = []
 
     def _new_surfaces(self, where: str, frame: Frame) -> list[SurfaceNode]:
         """The body and each garment."""
         outfit, server = frame.outfit, self._page.server
-        shown = outfit.avatar.faces[_shown(frame)]
+        shown = outfit.body_to_draw.faces[_shown(frame)]
         names = ["body", *(f"cloth{k}" for k in range(len(frame.cloth)))]
         counts = [len(frame.body), *map(len, frame.cloth)]
         return [
@@ -100,7 +100,9 @@ class Drawing:
         body, *cloth = self._surfaces
         heat = self.switches.heat
         if heat == "skin" and self.skin_shows is not None:
-            body.paint(SKIN_BANDS, self.skin_shows[_shown(frame)].astype(float), frame.body)
+            shows = np.zeros(len(frame.outfit.faces_to_draw))
+            shows[: len(self.skin_shows)] = self.skin_shows
+            body.paint(SKIN_BANDS, shows[_shown(frame)], frame.body)
         else:
             body.paint(*self._body_paint, frame.body)
         strains = self.figures.strains_of_faces(frame) if heat == "strain" else [None] * len(cloth)
@@ -191,7 +193,7 @@ class Drawing:
 
 def _shown(frame: Frame) -> np.ndarray | slice:
     """Faces of the body that are drawn: under several layers not those that they hide."""
-    return ~frame.outfit.body_mask if len(frame.cloth) > 1 else slice(None)
+    return frame.outfit.faces_to_draw if len(frame.cloth) > 1 else slice(None)
 
 
 def _normal_lines(points: np.ndarray) -> np.ndarray:

@@ -155,7 +155,7 @@ class RosPage:
         self._page, self._listener = page, listener
         self._readout = Readout(page)
         self._rig = load_body_model().rig
-        self._avatar = None if body is None else load_avatar(body, self._rig, rig_file=rig_file)
+        self._avatar = None if body is None else load_avatar(body, self._rig, rig_file=rig_file).with_accessories()
         self._own = (None, None) if self._avatar is None else own_bands(self._avatar)
         self._bodies: dict[str, tuple[str, SurfaceNode]] = {}
         self._cloths: dict[str, tuple[object, np.ndarray | None, int]] = {}

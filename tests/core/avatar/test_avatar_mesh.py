@@ -235,7 +235,7 @@ def test_obj_in_inches_with_y_up_and_hair(tmp_path):
     avatar = load_avatar(path, RIG)
     assert len(avatar.vertices) == len(PERSON.vertices)
     assert distances(avatar.bone_heads, PERSON.bone_heads).mean() < 10
-    for text in ("in inches", "Y is taken to be up, not Z", "left out: 'Hair_01'", "was fitted"):
+    for text in ("in inches", "Y is taken to be up, not Z", "do not heed it: 'Hair_01'", "was fitted"):
         assert any(text in warning for warning in avatar.warnings)
 
 

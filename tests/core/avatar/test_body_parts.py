@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from gltf_person import PERSON, RIG, load_document, person_document
+from gltf_person import PERSON, RIG, distances, load_document, person_document
+from scipy.spatial import cKDTree
 
 from physkin_core.avatar.body_parts import ACCESSORY, BODY, CLOTHES, UNKNOWN, kind_of_part
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
@@ -64,7 +65,34 @@ def test_clothes_over_a_body_are_left_out(tmp_path):
     avatar = load_document(tmp_path, builder)
     assert avatar.vertices.shape == PERSON.vertices.shape
     (warning,) = avatar.warnings
-    assert warning.startswith("of 4 parts these were taken as the body: 'body'; left out: 'Jacket', 'Hair', 'Ch36'")
+    shown, left_out = "shown, though garments do not heed it: 'Hair'", "left out: 'Jacket', 'Ch36'"
+    assert warning == f"of 4 parts these were taken as the body: 'body'; {shown}; {left_out}"
+    assert len(avatar.accessories.faces) == len(_faces_on(TRUNK))
+
+
+def test_accessories_move_with_the_body_in_pictures_alone(tmp_path):
+    """Hair, what lies on the head without a telling name, and shoes; not lashes, stockings and what is clear."""
+    head, foot = (_faces_on([RIG.bone_index(bone)]) for bone in ("head", "foot.L"))
+    leg = _faces_on([RIG.bone_index(f"{bone}.L") for bone in ("lowerleg01", "lowerleg02", "foot")])
+    builder = person_document()
+    _add_part(builder, "Shoes", foot, offset=0.005)
+    _add_part(builder, "Stockings", leg, offset=0.005)
+    for name in ("Hair", "Cube.003", "Eyelashes", "Glasses"):
+        _add_part(builder, name, head, offset=0.02)
+    builder.document["materials"] = [{"name": "lens", "alphaMode": "BLEND"}]
+    builder.document["meshes"][-1]["primitives"][0]["material"] = 0
+    avatar = load_document(tmp_path, builder)
+    assert "heed it: 'Shoes', 'Hair', 'Cube.003'; left out: 'Stockings', 'Eyelashes'" in avatar.warnings[0]
+    drawn, count = avatar.with_accessories(), len(avatar.vertices)
+    np.testing.assert_array_equal(drawn.faces[: len(avatar.faces)], avatar.faces)
+    assert len(drawn.faces) == len(avatar.faces) + len(foot) + 2 * len(head) == len(drawn.file_corners)
+    nod = RIG.joint_positions({"head_y": 0.3})
+    bones = RIG.bone_transforms(nod, heads=avatar.bone_heads)
+    posed = drawn.posed_vertices(bones)
+    np.testing.assert_array_equal(posed[:count], avatar.posed_vertices(bones))
+    assert distances(posed[count:], drawn.vertices[count:]).mean() > 20
+    gaps = [cKDTree(body[:count]).query(body[count:])[0] for body in (drawn.vertices, posed)]
+    assert np.abs(gaps[0] - gaps[1]).mean() < 1e-3
 
 
 def test_clothes_without_a_body_are_the_body(tmp_path):

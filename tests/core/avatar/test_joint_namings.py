@@ -34,6 +34,7 @@ SMPL_TRUNK = {"root": "Pelvis", "spine04": "Spine1", "spine02": "Spine2", "spine
 VRM = ("Shoulder", "UpperArm", "LowerArm", "Hand", "UpperLeg", "LowerLeg", "Foot")
 SOMA = ("Shoulder", "Arm", "ForeArm", "Hand", "Leg", "Shin", "Foot")
 SOMA_TRUNK = {"root": "Hips", "spine04": "Spine1", "spine02": "Spine2", "spine01": "Chest", "neck01": "Neck1"}
+PART_FIRST = ("shoulder", "arm_upper", "arm_lower", "arm_hand", "leg_upper", "leg_lower", "leg_foot")
 DAZ = ("Collar", "ShldrBend", "ForearmBend", "Hand", "ThighBend", "Shin", "Foot")
 
 
@@ -54,6 +55,7 @@ NAMINGS = {
     "Rigify": _prefixed("DEF-", RIGIFY_TRUNK | _sided("{}.{}", RIGIFY, "L", "R")),
     "Rigify sanitised": _prefixed("DEF-", RIGIFY_TRUNK | _sided("{}{}", RIGIFY, "L", "R")),
     "Blender": _sided("{}.{}", VRM, "L", "R"),
+    "the limb first": _sided("{}.{}", PART_FIRST, "l", "r"),
     "Blender words": _sided("{1} {0}", RIGIFY, "left", "right"),
     "3ds Max Biped": _prefixed("Bip01 ", {"root": "Pelvis", "spine04": "Spine"} | _sided("{1} {0}", BIPED, "L", "R")),
     "Character Creator": _prefixed("CC_Base_", _sided("{1}_{0}", BIPED, "L", "R")),
@@ -79,10 +81,13 @@ def test_namings(tmp_path, names):
 
 
 def _vrm_skeleton(heads):
-    """Joints of the bones that a VRM has: index in the rig, parents, heads (j, 3)."""
-    bones = sorted(
-        {RIG.bone_index(bone) for bone in json.loads((BONE_MAPS / "vrm.json").read_text())["bones"].values()}
-    )
+    """Joints of the bones that a VRM has: as `_skeleton_of`."""
+    return _skeleton_of(json.loads((BONE_MAPS / "vrm.json").read_text())["bones"].values(), heads)
+
+
+def _skeleton_of(bones, heads):
+    """Joints of some bones: index in the rig, parents, heads (j, 3)."""
+    bones = sorted({RIG.bone_index(bone) for bone in bones})
     parents = []
     for bone in bones:
         above = RIG.parents[bone]
@@ -178,20 +183,26 @@ def test_an_avatar_with_nameless_joints(tmp_path, turned):
     """Toes tell which way it looks; the warning names the joints that were taken."""
     bones, parents, heads = _vrm_skeleton(PERSON.bone_heads.astype(np.float64))
     parents, heads = _with_ends(bones, parents, heads)
-    owner = np.array([max(k for k, b in enumerate(bones) if b in _line(bone)) for bone in range(RIG.bone_count)])
     turn = np.array([-1.0, -1.0, 1.0]) if turned else np.ones(3)
-    builder = person_document(
-        vertices=PERSON.vertices * turn,
-        joint_names=[f"Bone.{k:03d}" for k in range(len(heads))],
-        joint_parents=parents,
-        joint_heads=heads * turn,
-        influence_joints=owner[PERSON.influence_bones],
-    )
+    names = [f"Bone.{k:03d}" for k in range(len(heads))]
+    builder = _person_on(bones, parents, heads * turn, names, vertices=PERSON.vertices * turn)
     avatar = load_document(tmp_path, builder)
     assert distances(avatar.vertices, PERSON.vertices).mean() < 8  # spine joints only lie somewhere along the rig's
     left_arm = bones.index(RIG.bone_index("upperarm01.L"))
     assert f"'Bone.{left_arm:03d}' for upperarm01.L" in avatar.warnings[0]
     assert len(avatar.warnings) == 1 + turned
+
+
+def _person_on(bones, parents, heads, names, **changes):
+    """The person skinned to joints of some of the rig's bones."""
+    owner = np.array([max(k for k, b in enumerate(bones) if b in _line(bone)) for bone in range(RIG.bone_count)])
+    return person_document(
+        joint_names=names,
+        joint_parents=parents,
+        joint_heads=heads,
+        influence_joints=owner[PERSON.influence_bones],
+        **changes,
+    )
 
 
 def _line(bone):
@@ -200,6 +211,50 @@ def _line(bone):
         way.append(bone)
         bone = RIG.parents[bone]
     return way
+
+
+def test_ends_of_limbs_by_place(tmp_path):
+    """A name misspelt and one of the tool's own, at the ends of limbs whose other joints are known."""
+    bones, parents, heads = _vrm_skeleton(PERSON.bone_heads.astype(np.float64))
+    called = _sided("{}.{}", VRM, "L", "R") | {f"foot.{s}": f"Foor.{s}" for s in "LR"}
+    called |= {f"wrist.{s}": f"Paw_0.{s}" for s in "LR"}
+    names = [called.get(RIG.bone_names[bone], f"helper {k}") for k, bone in enumerate(bones)]
+    avatar = load_document(tmp_path, _person_on(bones, parents, heads, names))
+    assert distances(avatar.vertices, PERSON.vertices).mean() < 5
+    for bone in ("wrist.L", "foot.L", "wrist.R", "foot.R"):
+        assert distances(*(body.bone_heads[RIG.bone_index(bone)] for body in (avatar, PERSON))) < 4
+        assert f"{called[bone]!r} for {bone}" in avatar.warnings[0]
+
+
+def test_what_is_too_near_is_no_end_of_a_limb(tmp_path):
+    """A joint that halves a shin is not taken for the ankle that has no joint."""
+    known = [f"{bone}.{side}" for side in "LR" for bone in ("upperarm01", "lowerarm01", "wrist", "upperleg01")]
+    known += ["root", "lowerleg01.L", "lowerleg01.R", "lowerleg02.L", "lowerleg02.R"]
+    bones, parents, heads = _skeleton_of(known, PERSON.bone_heads.astype(np.float64))
+    for side in "LR":
+        knee, ankle = (PERSON.bone_heads[RIG.bone_index(f"{bone}.{side}")] for bone in ("lowerleg01", "foot"))
+        heads[bones.index(RIG.bone_index(f"lowerleg02.{side}"))] = 0.6 * knee + 0.4 * ankle
+    called = _sided("{}.{}", VRM, "L", "R")
+    names = [called.get(RIG.bone_names[bone], f"helper {k}") for k, bone in enumerate(bones)]
+    with pytest.raises(AvatarError, match=r"no joint for 2 of the 12 .*: foot\.L, foot\.R\."):
+        load_document(tmp_path, _person_on(bones, parents, heads, names))
+
+
+@pytest.mark.parametrize("name", ["Torso", "Chest", "Trunk"])
+def test_one_joint_of_the_trunk_at_the_hips(tmp_path, name):
+    """Whatever it is called: it is no chest, and skin bends with the spine as cloth does."""
+    bones, parents, heads = _skeleton_of(
+        [*_sided("{}.{}", VRM, "L", "R"), "root", "neck01", "head"], PERSON.bone_heads.astype(np.float64)
+    )
+    called = _sided("{}.{}", VRM, "L", "R") | {"root": name, "neck01": "Neck", "head": "Head"}
+    avatar = load_document(tmp_path, _person_on(bones, parents, heads, [called[RIG.bone_names[b]] for b in bones]))
+    spine = [bone for bone, each in enumerate(RIG.bone_names) if each.startswith("spine")]
+    assert distances(avatar.bone_heads[spine], PERSON.bone_heads[spine]).max() < 25
+    chest = np.linalg.norm(PERSON.vertices - PERSON.bone_heads[RIG.bone_index("spine01")], axis=1) < 0.15
+    belly = np.linalg.norm(PERSON.vertices - PERSON.bone_heads[RIG.bone_index("spine04")], axis=1) < 0.12
+    carried = [avatar.influence_bones[at, avatar.influence_weights[at].argmax(axis=1)] for at in (chest, belly)]
+    usual = [np.bincount(each, minlength=RIG.bone_count)[spine].argmax() for each in carried]
+    assert usual[1] < usual[0], "the belly hangs on a lower bone of the spine than the chest"
 
 
 def test_what_is_no_person(tmp_path):

@@ -16,7 +16,8 @@ from physkin_core import BUNDLED_AVATAR, load_avatar
 from physkin_core.cli import main
 from physkin_core.export.gltf_builder import write_gltf
 from physkin_core.look.avatar_look import avatar_look
-from physkin_core.look.face_colours import avatar_colours, few_colours
+from physkin_core.look.face_colours import avatar_colours
+from physkin_core.look.few_colours import few_colours
 from physkin_core.mesh_file import LIBRARY, Look, write_obj
 from physkin_core.view.scene.heat_map import MOST_COLOURS, own_bands
 
@@ -40,7 +41,7 @@ def places(vertices):
 
 
 def textured(*, content=None, image=None, legs=True, inside_out=False, textures=None, transform=None):
-    """The person as a file cut at every edge: skin with a picture, legs in one colour, hair that is left out."""
+    """The person as a file cut at every edge: skin with a picture, legs in one colour, hair."""
     faces = PERSON.faces[:, ::-1] if inside_out else PERSON.faces
     corners = faces.reshape(-1)
     alone = np.arange(len(corners)).reshape(-1, 3)
@@ -205,6 +206,44 @@ def test_what_an_obj_says_that_cannot_be_read_is_told(tmp_path, caplog, line, to
     assert told in caplog.text and caplog.text.count("left out of its materials") == 1
 
 
+def painted(builder, colours, *, material=None):
+    """The person with colours (V, 3 or 4) of vertices, float or bytes."""
+    primitive = builder.document["meshes"][0]["primitives"][0]
+    bytewise = colours.dtype == np.uint8
+    primitive["attributes"]["COLOR_0"] = builder.add_accessor(colours, normalized=bytewise)
+    if material is not None:
+        builder.document["materials"] = [material]
+        primitive["material"] = 0
+    return builder
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.uint8])
+def test_colours_of_vertices(tmp_path, kind):
+    """Each half of the person has its own, times the material's; a face on the seam has the mean of its corners."""
+    left = PERSON.vertices[:, 1] > 0
+    colours = np.where(left[:, None], [1.0, 0.2, 0.0, 1.0], [0.0, 0.4, 1.0, 1.0])
+    colours = (255 * colours).astype(np.uint8) if kind == np.uint8 else colours.astype(np.float32)
+    material = {"name": "skin", "pbrMetallicRoughness": {"baseColorFactor": [0.5, 0.5, 0.5, 1.0]}}
+    avatar = load_document(tmp_path, painted(person_document(), colours, material=material))
+    found = avatar_colours(avatar)
+    across = avatar.vertices[avatar.faces, 1].mean(axis=1)
+    for side, colour in ((across > 0.05, (0.5, 0.1, 0.0)), (across < -0.05, (0.0, 0.2, 0.5))):
+        np.testing.assert_allclose(found[side], np.tile(np.array(colour) ** (1 / 2.2), (side.sum(), 1)), atol=0.01)
+    assert len(avatar_look(avatar).materials) <= 8
+
+
+def test_many_colours_of_vertices_are_few_materials(tmp_path):
+    colours = np.random.default_rng(0).uniform(size=(len(PERSON.vertices), 3)).astype(np.float32)
+    look = avatar_look(load_document(tmp_path, painted(person_document(), colours)))
+    assert len(look.materials) == len(np.unique(look.material)) == 32
+
+
+def test_white_vertices_leave_the_material_as_it_is(tmp_path):
+    white = np.ones((len(PERSON.vertices), 3), dtype=np.float32)
+    avatar = load_document(tmp_path, painted(person_document(), white, material={"name": "skin"}))
+    assert avatar_look(avatar).materials == ("skin",)
+
+
 def test_few_colours_stand_for_many():
     """Exact where there are few; else each is the closest there is."""
     colours = np.array([[0.1, 0.2, 0.3], [0.9, 0.8, 0.7], [0.1, 0.2, 0.3]])
@@ -224,7 +263,8 @@ def test_exported_files_have_the_avatars_own_look(tmp_path):
     assert main([*arguments, str(tmp_path / "walk.glb")]) == 0
     reader = Reader(tmp_path / "walk.glb")
     body = next(mesh for mesh in reader.file.meshes if mesh.name == "body")
-    skin, legs = (reader.file.materials[primitive.material] for primitive in body.primitives)
+    hair, skin, legs = (reader.file.materials[primitive.material] for primitive in body.primitives)
+    np.testing.assert_array_equal(hair.pbrMetallicRoughness.baseColorFactor[:3], [0, 0, 0])
     np.testing.assert_allclose(legs.pbrMetallicRoughness.baseColorFactor[:3], BLUE)
     (image,) = reader.file.images
     view = reader.file.bufferViews[image.bufferView]
