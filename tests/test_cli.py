@@ -13,7 +13,7 @@ import pytest
 from safetensors.numpy import load_file
 
 import physkin_core
-from physkin_core import Draper, cli, load_avatar, load_motion
+from physkin_core import Draper, Outfit, cli, load_avatar, load_motion
 
 AVATAR = physkin_core.BUNDLED_AVATAR
 
@@ -83,7 +83,8 @@ def test_drape_separates_limbs_when_told_to(model_path, garment_model, tmp_path)
     cloth = draper.drape(motion.positions[9], motion.gravity[9])
     positions = draper.separated_positions
     assert np.abs(positions - motion.positions[9]).max() > 0.001
-    body = draper.avatar.posed_vertices(garment_model.rig.bone_transforms(positions, heads=draper.avatar.bone_heads))
+    drawn = Outfit([garment_model], load_avatar(AVATAR, garment_model.rig)).body_to_draw
+    body = drawn.posed_vertices(garment_model.rig.bone_transforms(positions, heads=draper.avatar.bone_heads))
     parts = [part.splitlines()[1:] for part in path.read_text().split("o ")[1:]]
     for expected, part in zip((body, cloth[:, :3]), parts):
         vertices = np.array([line.split()[1:] for line in part if line.startswith("v")], dtype=float)
