@@ -26,6 +26,7 @@ from physkin_core.outfit.outfit_options import (
     add_tucked_option,
     chosen_garments,
 )
+from physkin_core.output_file import check_folder, check_other_file
 
 if TYPE_CHECKING:
     from physkin_core import Motion, Outfit
@@ -197,6 +198,8 @@ def _drape(options: argparse.Namespace) -> int:
     write = writers.get(options.output.suffix.lower())
     if write is None:
         raise ValueError(f"cannot write {options.output}: the name must end in {' or '.join(writers)}")
+    check_folder(options.output)
+    check_other_file(options.output, options.avatar)
     motion = load_motion(options.motion, watch=reading_progress(options.motion))
     if not 0 <= options.frame < motion.frame_count:
         raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
@@ -231,6 +234,7 @@ def _bind(options: argparse.Namespace) -> int:
     names = _garments(options)
     if len(names) > 1:
         raise ValueError(f"a bound file holds one garment, got {len(names)}: {', '.join(names)}")
+    check_other_file(options.output, options.avatar, names[0])
     model = load_garment_model(names[0])
     draper = Draper(model, load_avatar(options.avatar, model.rig, rig_file=options.rig), fit=options.fit)
     _tell(draper.avatar.warnings)

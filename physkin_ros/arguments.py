@@ -7,6 +7,8 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
+from physkin_core.output_file import check_folder
+
 __all__ = ["file_to_write", "positive", "whole_number"]
 
 
@@ -31,8 +33,10 @@ def whole_number(least: int) -> Callable[[str], int]:
 
 
 def file_to_write(text: str) -> Path:
-    """A file whose folder exists: told at once, not after the work that it is for."""
+    """A file that can be written: told at once, not after the work that it is for."""
     path = Path(text)
-    if not path.parent.is_dir():
-        raise argparse.ArgumentTypeError(f"cannot write {path}: there is no folder {path.parent}")
+    try:
+        check_folder(path)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
     return path

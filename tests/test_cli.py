@@ -13,7 +13,7 @@ import pytest
 from safetensors.numpy import load_file
 
 import physkin_core
-from physkin_core import Draper, cli, load_avatar, load_motion
+from physkin_core import Draper, Outfit, cli, load_avatar, load_motion
 
 AVATAR = physkin_core.BUNDLED_AVATAR
 
@@ -83,7 +83,8 @@ def test_drape_separates_limbs_when_told_to(model_path, garment_model, tmp_path)
     cloth = draper.drape(motion.positions[9], motion.gravity[9])
     positions = draper.separated_positions
     assert np.abs(positions - motion.positions[9]).max() > 0.001
-    body = draper.avatar.posed_vertices(garment_model.rig.bone_transforms(positions, heads=draper.avatar.bone_heads))
+    drawn = Outfit([garment_model], load_avatar(AVATAR, garment_model.rig)).body_to_draw
+    body = drawn.posed_vertices(garment_model.rig.bone_transforms(positions, heads=draper.avatar.bone_heads))
     parts = [part.splitlines()[1:] for part in path.read_text().split("o ")[1:]]
     for expected, part in zip((body, cloth[:, :3]), parts):
         vertices = np.array([line.split()[1:] for line in part if line.startswith("v")], dtype=float)
@@ -124,13 +125,25 @@ def test_warnings_about_an_avatar_are_printed_once(model_path, garment_model, tm
         (["bind", "{avatar}", "--model", "dress", "-o", "out"], "AVATAR --garment MODEL"),
         (["drape", "{avatar}", "-g", "{model}", "-o", "out.fbx"], "must end in .obj or .png"),
         (["drape", "{avatar}", "-g", "{model}", "--backend", "gpu", "-o", "out.obj"], "unknown backend 'gpu'"),
-        (["drape", "{avatar}", "-g", "{model}", "-o", "{tmp}/none/out.obj"], "No such file or directory"),
+        (["info", "{avatar}"], "avatar.glb is not a garment model, allowed are .safetensors files and dress"),
+        (["drape", "{avatar}", "-g", "{model}", "-o", "{tmp}/none/out.obj"], "none/out.obj: there is no folder"),
+        (["drape", "{avatar}", "-g", "{model}", "-o", "{tmp}/folder.obj"], "folder.obj: it is a folder"),
+        (["check", "{avatar}", "-g", "{model}", "-o", "{tmp}/none/out.png"], "none/out.png: there is no folder"),
+        (["check", "{avatar}", "-g", "{model}", "--json", "{tmp}/folder.obj"], "folder.obj: it is a folder"),
+        (["drape", "{mine}", "-g", "{model}", "-o", "{mine}"], "me.obj: it is what is read; give another name"),
+        (["bind", "{mine}", "-g", "{model}", "-o", "{mine}"], "me.obj: it is what is read; give another name"),
+        (["export", "walk", "--avatar", "{tmp}/me.glb", "-o", "{tmp}/me.glb"], "me.glb: it is what is read"),
+        (["bind-points", "tshirt", "{mine}", "-o", "{mine}"], "me.obj: it is what is read; give another name"),
         (["bind", "{avatar}", "--push-out", "-o", "{tmp}/x"], "push-out was removed"),
     ],
 )
 def test_errors_are_one_line(arguments, reason, model_path, tmp_path, capsys):
     """Exit status 2 and a sentence on stderr."""
-    filled = [word.format(model=model_path, avatar=AVATAR, tmp=tmp_path) for word in arguments]
+    (tmp_path / "folder.obj").mkdir()
+    shutil.copy(AVATAR, tmp_path / "me.glb")
+    mine = tmp_path / "me.obj"
+    mine.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    filled = [word.format(model=model_path, avatar=AVATAR, mine=mine, tmp=tmp_path) for word in arguments]
     assert cli.main(filled) == 2
     lines = capsys.readouterr().err.splitlines()
     assert lines[-1].startswith("error: ") and reason in lines[-1]

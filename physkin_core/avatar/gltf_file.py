@@ -18,6 +18,7 @@ from physkin_core.avatar.gltf_compression import DRACO, draco_mesh, meshopt_exte
 __all__ = ["GltfFile"]
 
 GLB_MAGIC = b"glTF"
+GLB_HEADER = 12  # [bytes]
 COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
@@ -214,9 +215,15 @@ def _parse(path: Path) -> tuple:
     from pygltflib import GLTF2
 
     data = path.read_bytes()
+    if data[:4] != GLB_MAGIC and not data[:64].lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
+        found = f"begins with {data[:16]!r}" if data else "is empty"
+        allowed = f"allowed are {GLB_MAGIC!r} and JSON"
+        raise AvatarError(f"avatar {path} is not a glTF file: it {found}, {allowed}; export or download it again")
     try:
         if data[:4] != GLB_MAGIC:
             return GLTF2.from_json(data.decode("utf-8-sig"), infer_missing=True), None
+        if len(data) < GLB_HEADER:
+            raise AvatarError(f"avatar {path} is truncated: {len(data)} of at least {GLB_HEADER} bytes")
         version, length = struct.unpack_from("<II", data, 4)
         if version != 2:
             raise AvatarError(f"avatar {path} is glTF version {version}, allowed is 2")

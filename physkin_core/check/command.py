@@ -18,6 +18,7 @@ from physkin_core.fit_option import add_fit_option
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.outfit.outfit_options import add_limbs_option
+from physkin_core.output_file import check_folder
 from physkin_core.runtime.draper import UPRIGHT_GRAVITY, Draper
 from physkin_core.separation.limb_separator import LimbSeparator
 
@@ -53,6 +54,9 @@ def command_parser() -> argparse.ArgumentParser:
 def main(argv: list[str]) -> int:
     """Command line. Returns 0, 1 for the verdict "bad"; errors are raised."""
     options = command_parser().parse_args(argv)
+    for file in (options.json, options.output):
+        if file is not None:
+            check_folder(file)
     models = [load_garment_model(name) for name in options.garment or ["tshirt"]]
     rig = models[0].rig
     avatar = load_avatar(options.avatar, rig, rig_file=options.rig)

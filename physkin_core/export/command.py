@@ -16,6 +16,7 @@ from physkin_core.motion.loading import load_motion
 from physkin_core.motion.reading_progress import reading_progress
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import add_outfit_options, add_sway_option, chosen_garments
+from physkin_core.output_file import check_other_file
 
 __all__ = ["command_parser", "main"]
 
@@ -57,6 +58,7 @@ def main(argv: list[str]) -> int:
     kind = options.output.suffix.lower()
     if kind not in WRITERS:
         raise ValueError(f"cannot write {options.output.name}: allowed are {', '.join(WRITERS)}")
+    check_other_file(options.output, options.avatar, options.motion, *options.look)
     garments = chosen_garments(options.garment, options.tucked)
     if kind == ".glb":
         garments = [replace(garment, model=garment.model.for_engines()) for garment in garments]

@@ -40,6 +40,7 @@ precision."""
 LEAST_PACKED = 2**15
 """Network weights of so many numbers or more are packed. Smaller ones take little space; among them is the pose
 modulator's first layer, whose rounding can move single vertices by almost a millimetre."""
+MODEL_SUFFIX = ".safetensors"
 MODELS_PATH = Path(__file__).parents[1] / "assets" / "models"
 GEOMETRY_ARRAYS = ("garment.vertices", "garment.normals", "garment_nodes.rest")
 
@@ -74,8 +75,15 @@ def _read(path: Path) -> GarmentModel:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+    except FileNotFoundError as error:
+        raise ModelFileError(f"cannot read garment model {path}: no such file") from error
     except (OSError, SafetensorError, TypeError, AttributeError) as error:  # the last two: a type that NumPy lacks
-        raise ModelFileError(f"cannot read garment model {path}: {error}") from error
+        if path.suffix == MODEL_SUFFIX:
+            raise ModelFileError(f"cannot read garment model {path}: {error}") from error
+        raise ModelFileError(
+            f"{path} is not a garment model, allowed are {MODEL_SUFFIX} files and {', '.join(shipped_models())}; "
+            "physkin fit-garment makes one of a mesh"
+        ) from error
     _check_header(path, metadata, tensors)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused by GarmentModel
@@ -143,13 +151,13 @@ def save_garment_model(model: GarmentModel, path: str | Path) -> None:
 
 def shipped_models() -> list[str]:
     """Names of the garment models that come with the package, as `load_garment_model` takes them."""
-    return sorted(file.stem for file in MODELS_PATH.glob("*.safetensors"))
+    return sorted(file.stem for file in MODELS_PATH.glob(f"*{MODEL_SUFFIX}"))
 
 
 def _resolve(path: str | Path) -> Path:
     candidate, shipped = Path(path), shipped_models()
     if str(path) in shipped:
-        return MODELS_PATH / f"{path}.safetensors"
+        return MODELS_PATH / f"{path}{MODEL_SUFFIX}"
     if candidate.suffix == "" and not candidate.is_file():
         raise ModelFileError(f"no garment model {str(path)!r}: give a file, or one of {', '.join(shipped) or 'none'}")
     return candidate

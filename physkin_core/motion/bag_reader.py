@@ -32,6 +32,12 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 KINDS = {"gravity": GRAVITY, "odometry": ODOMETRY, "transforms": TRANSFORMS, "joint_state": JOINT_STATE}
 """What a message is of -> its type, in the order in which messages of one moment are taken."""
 ROOT_TOPICS = {"odometry": ("/odom",), "transforms": ("/tf", "/tf_static")}
+REMEDIES = {
+    "File end magic is invalid": "The recording was broken off; mcap recover BROKEN -o WHOLE mends it",
+    "Unrecognized storage format '.bag'": "Bags of ROS 1 are converted by rosbags-convert --src OLD --dst NEW",
+    "Unrecognized storage format": "Allowed: .mcap, .db3, or a folder with metadata.yaml",
+}
+"""What `rosbags` says of a file that is no readable bag -> what to do; the first that fits."""
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -139,7 +145,10 @@ def _topic(
         return None
     if len(fitting) == 1:
         return fitting[0]
-    raise BagError(f"bag {path}: which topic? Topics of {kind}: {', '.join(fitting) or 'none'}")
+    if not fitting:
+        has = ", ".join(f"{topic} ({its})" for topic, its in sorted(types.items())) or "none"
+        raise BagError(f"bag {path} has no topic of {kind}; its topics: {has}")
+    raise BagError(f"bag {path}: which topic? Topics of {kind}: {', '.join(fitting)}")
 
 
 @contextmanager
@@ -150,4 +159,6 @@ def bag_errors(path: Path):
     except (BagError, FileNotFoundError):
         raise
     except (ReaderError, WriterError, apsw.Error, OSError, struct.error, UnicodeDecodeError, KeyError) as error:
-        raise BagError(f"bag {path}: {error or type(error).__name__}") from error
+        told = str(error) or type(error).__name__
+        remedy = next((f" {what_to_do}" for said, what_to_do in REMEDIES.items() if said in told), "")
+        raise BagError(f"bag {path}: {told}{remedy}") from error

@@ -18,6 +18,7 @@ from physkin_core.motion.loading import load_motion
 from physkin_core.motion.motion import Motion
 from physkin_core.motion.reading_progress import reading_progress
 from physkin_core.outfit.outfit_options import add_avatar_options
+from physkin_core.output_file import check_other_file
 from physkin_core.points.point_files import POINT_FILES, PointFile, read_points
 from physkin_core.points.splat_draper import SplatDraper
 from physkin_core.progress import progress_line
@@ -66,6 +67,8 @@ def main(argv: list[str]) -> int:
     if options.rate is not None:
         motion = motion.resampled(options.rate)
     outputs = _outputs(options, motion)
+    for output in outputs.values():
+        check_other_file(output, options.points, options.avatar)
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
     garment = Draper(model, avatar, fit=options.fit)
     for warning in garment.avatar.warnings:

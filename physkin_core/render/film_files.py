@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from physkin_core.output_file import check_folder
 from physkin_core.picture import PictureError, save_png
 
 __all__ = ["FILM_KINDS", "check_film", "write_film"]
@@ -28,8 +29,7 @@ def check_film(path: Path, *, size: tuple[int, int], rate_hz: float) -> None:
     kind = path.suffix.lower()
     if kind not in FILM_KINDS:
         raise ValueError(f"cannot write {path.name}: allowed are {', '.join(FILM_KINDS)}")
-    if not path.absolute().parent.is_dir():
-        raise ValueError(f"cannot write {path}: there is no folder {path.parent}")
+    check_folder(path)
     if kind == ".mp4":
         import av  # noqa: F401 (missing is told now, not after minutes of drawing)
 

@@ -6,6 +6,7 @@ import contextlib
 import functools
 import io
 import logging
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -19,6 +20,7 @@ log = logging.getLogger(__name__)
 
 FRAMES_A_SECOND = 30.0
 NOTICE_SECONDS = 12.0
+LAST_PORT = 65535
 NOTICE_COLOURS = {"error": "red", "warning": "yellow", "done": "green", "busy": "blue"}
 CAMERA, LOOKED_AT = (3.3, 1.5, 1.5), (0.0, 0.0, 0.9)
 """[m] in a world in which the figure stands at the origin and faces X."""
@@ -33,7 +35,7 @@ class Page:
     shadows, which is much work for a browser without a graphics card.
 
     host, port: where it listens; the next free port where that one is taken. title: of the browser's tab.
-    Raises PictureError when viser is not installed.
+    Raises PictureError when viser is not installed, ValueError for an address that is none of this machine's.
     """
 
     def __init__(self, *, host: str = "127.0.0.1", port: int = 8080, title: str = "PhySkin") -> None:
@@ -41,6 +43,7 @@ class Page:
             import viser
         except ImportError as error:
             raise PictureError("the page needs viser: pip install 'physkin[view]'") from error
+        _check_address(host, port)
         self._ended = threading.Event()
         with contextlib.redirect_stdout(io.StringIO()):  # a box with the address, which commands print themselves
             self.server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
@@ -146,3 +149,17 @@ class Page:
     def end(self) -> None:
         """Let `run` return."""
         self._ended.set()
+
+
+def _check_address(host: str, port: int) -> None:
+    """Here, because viser would wait forever for its server."""
+    if not 1 <= port <= LAST_PORT:
+        raise ValueError(f"port is {port}; allowed: 1 to {LAST_PORT}")
+    try:
+        family = socket.getaddrinfo(host, None)[0][0]
+        socket.create_server((host, 0), family=family).close()
+    except OSError as error:
+        raise ValueError(
+            f"cannot listen at {host}: {error.strerror}; allowed: an address of this machine, as 127.0.0.1, or 0.0.0.0 "
+            "for all"
+        ) from error

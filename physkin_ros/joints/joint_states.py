@@ -207,7 +207,9 @@ class JointStateReader:
     def _look_up(self, names: tuple[str, ...]) -> Selection:
         found = self._naming.look_up(names)
         if not found.scaled and not found.balls:
-            raise JointStateError(f"no joint is known among {_some(names)}; the rig has {_some(list(self._index))}")
+            raise JointStateError(
+                f"no joint is known among {_some(names)}; the rig has {_some(list(self._index))}; others need joint_map"
+            )
         driven: dict[str, str] = {}
         drives = [(joint, index) for index, joint, _, _ in found.scaled]
         drives += [(joint, max(sources)) for ball, sources in found.balls for joint in ball.joints if joint]

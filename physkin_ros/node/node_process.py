@@ -67,6 +67,7 @@ def main(argv: list[str] | None = None) -> int:
     signal.signal(signal.SIGINT, interrupt)
     try:
         arguments = _with_config(arguments)
+        _check_assignments(arguments)
         _initialise(arguments)
         if unknown := remove_ros_args(arguments)[1:]:
             return _explain_usage(unknown)
@@ -92,6 +93,7 @@ def main(argv: list[str] | None = None) -> int:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+        gc.unfreeze()  # or evaluators in reference cycles outlive Python, which nanobind tells on 40 lines
 
 
 def _with_config(arguments: list[str]) -> list[str]:
@@ -106,6 +108,16 @@ def _with_config(arguments: list[str]) -> list[str]:
     rest = [*arguments[:at], *arguments[at + 2 :]]
     split = rest.index("--ros-args") if "--ros-args" in rest else len(rest)
     return [*rest[:split], "--ros-args", "--params-file", path, "--", *rest[split:]]
+
+
+def _check_assignments(arguments: list[str]) -> None:
+    """Refuses parameters ahead of `--ros-args`, which rcl would take for the name of a topic and ignore."""
+    ours = arguments[: arguments.index("--ros-args")] if "--ros-args" in arguments else arguments
+    topics = {topic.name for topic in TOPICS}
+    for argument in ours:
+        name = argument.partition(":=")[0]
+        if name != argument and name in {*NODE_SETTINGS, *AVATAR_SETTINGS, *GARMENT_SETTINGS} - topics:
+            raise SettingsError(f"{argument} is a parameter; parameters are given as --ros-args -p {argument}")
 
 
 def _initialise(arguments: list[str]) -> None:

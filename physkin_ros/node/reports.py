@@ -29,6 +29,7 @@ class Reports:
             from physkin_msgs.msg import DrapeStatistics
 
             self._statistics = node.create_publisher(DrapeStatistics, "~/statistics", 10)
+        self._shared: set[str] = set()
         self._timer = node.create_timer(PERIOD, self._report)
 
     def close(self) -> None:
@@ -60,6 +61,9 @@ class Reports:
     def _status(self, stream: AvatarStream, worn, garment, found, now_ns: int):
         values = found.values(now_ns)
         well, summary = found.summary()
+        topic = garment.cloud_publisher.topic_name
+        if self._is_shared(topic):
+            well, summary = False, f"somebody else publishes on {topic}, too; {summary}"
         model, source = garment.settings.model, ""
         if worn is not None:
             draper = worn.draper
@@ -83,6 +87,17 @@ class Reports:
         elif not stream.active:
             summary = "inactive"
         return diagnostic_status(f"{self._node.get_name()}: {garment.name or model}", source, well, summary, values)
+
+    def _is_shared(self, topic: str) -> bool:
+        """Whether readers of a topic of clouds get somebody else's among ours; warns when that begins."""
+        shared = self._node.count_publishers(topic) > 1
+        if shared and topic not in self._shared:
+            self._node.get_logger().warning(
+                f"somebody else publishes on {topic}, too: readers get both, mixed. Is a node of this name running "
+                "already? End it, or rename this one: --ros-args -r __node:=OTHER_NAME"
+            )
+        self._shared = self._shared | {topic} if shared else self._shared - {topic}
+        return shared
 
 
 def _effective_gravity(stream: AvatarStream, row: int, worn) -> str:

@@ -9,9 +9,11 @@ import argparse
 import json
 import multiprocessing
 import shutil
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from pathlib import Path
 
 from physkin_core.motion.bag_reader import BagError
@@ -66,12 +68,13 @@ def replay_all(options: argparse.Namespace, replay_one: Replayed) -> int:
     to_do = [bag for bag, folder in bags.items() if not _finished(folder, _settings(options, bag))]
     print(f"{len(bags)} bags, {len(bags) - len(to_do)} of them finished")
     watch = progress_line(f"replaying {len(to_do)} bags")
-    for done, (bag, reason) in enumerate(_replayed(options, to_do, bags, replay_one), 1):
-        if reason:
-            failed[bag] = reason
-        print(f"{done} of {len(to_do)}: {bag.name}: {reason or 'replayed'}")
-        _write_page(output, bags, failed)
-        watch(done / len(to_do))
+    with closing(_replayed(options, to_do, bags, replay_one)) as replayed:
+        for done, (bag, reason) in enumerate(replayed, 1):
+            if reason:
+                failed[bag] = reason
+            print(f"{done} of {len(to_do)}: {bag.name}: {reason or 'replayed'}")
+            _write_page(output, bags, failed)
+            watch(done / len(to_do))
     _write_page(output, bags, failed)
     print(f"wrote {output / OVERVIEW}")
     return 1 if failed else 0
@@ -86,9 +89,19 @@ def _replayed(
         yield from ((bag, _replay_into(*job)) for bag, job in jobs.items())
         return
     with ProcessPoolExecutor(options.processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+        interrupt = signal.signal(
+            signal.SIGINT, signal.SIG_IGN
+        )  # which the processes inherit: they are ended from here
         futures = {pool.submit(_replay_into, *job): bag for bag, job in jobs.items()}
-        for future in as_completed(futures):
-            yield futures[future], _reason(future)
+        signal.signal(signal.SIGINT, interrupt)
+        try:
+            for future in as_completed(futures):
+                yield futures[future], _reason(future)
+        except BaseException:  # an interrupt, too: left alone, the pool would replay all bags before it ends
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
 
 
 def _reason(future: Future) -> str:
@@ -107,7 +120,8 @@ def _replay_into(replay_one: Replayed, options: argparse.Namespace, settings: di
     """Replay a bag into its folder; its settings are written last. Returns why it could not be."""
     folder = options.output.parent
     folder.mkdir(exist_ok=True)
-    shutil.rmtree(folder / CLOUDS, ignore_errors=True)
+    for clouds in (folder / CLOUDS, *folder.glob(f".{CLOUDS}-*")):  # the latter of a process that was ended
+        shutil.rmtree(clouds, ignore_errors=True)
     for name in (SETTINGS, FIGURES, REPORT):
         (folder / name).unlink(missing_ok=True)
     try:

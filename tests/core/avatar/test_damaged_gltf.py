@@ -1,5 +1,6 @@
 """Damaged GLB and glTF files are refused, and the error names what is wrong."""
 
+import re
 import tracemalloc
 
 import numpy as np
@@ -148,12 +149,16 @@ def test_truncated_and_foreign_files_are_refused(tmp_path):
     data = (tmp_path / "whole.glb").read_bytes()
     for length in (0, 3, 10, 19, 100, len(data) // 2, len(data) - 1):
         (tmp_path / "cut.glb").write_bytes(data[:length])
-        with pytest.raises(AvatarError, match="truncated|not a readable glTF"):
+        with pytest.raises(AvatarError, match="truncated|is not a glTF file: it (is empty|begins with b'glT')"):
             load_avatar(tmp_path / "cut.glb", RIG)
     (tmp_path / "old.glb").write_bytes(data[:4] + b"\1" + data[5:])
     with pytest.raises(AvatarError, match="version 1, allowed is 2"):
         load_avatar(tmp_path / "old.glb", RIG)
-    for text in ("solid", "[]", "{}", '{"asset": {"version": "2.0"}, "nodes": 3}'):
+    for text in ("solid", "<html>404</html>", "version https://git-lfs", "[]"):
+        (tmp_path / "page.glb").write_text(text)
+        with pytest.raises(AvatarError, match=re.escape(f"is not a glTF file: it begins with b'{text[:16]}'")):
+            load_avatar(tmp_path / "page.glb", RIG)
+    for text in ("{", "{}", '\ufeff {"asset": {"version": "2.0"}, "nodes": 3}'):
         (tmp_path / "other.gltf").write_text(text)
         with pytest.raises(AvatarError, match="not a readable glTF|no faces|malformed"):
             load_avatar(tmp_path / "other.gltf", RIG)

@@ -125,6 +125,20 @@ def test_tick_error_is_told_once(shown):
     assert [str(error) for error in told] == ["a sentence"] and next(count) == 6
 
 
+@pytest.mark.parametrize(
+    ("address", "told"),
+    [
+        ({"port": 99999}, "port is 99999; allowed: 1 to 65535"),
+        ({"port": 0}, "port is 0; allowed"),
+        ({"host": "192.0.2.7"}, "cannot listen at 192.0.2.7: .* allowed: an address of this machine"),
+    ],
+)
+def test_addresses_that_cannot_be(address, told):
+    """Refused, where the server would wait for ever. The host is one of those that documentation is written with."""
+    with pytest.raises(ValueError, match=told):
+        Page(**address)
+
+
 def test_uploads_stay_in_their_folder():
     uploads = Uploads()
     path = uploads.keep("../../evil/me.glb", b"x")

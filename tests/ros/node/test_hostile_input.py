@@ -8,6 +8,7 @@ import os
 import struct
 import time
 from array import array
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ rclpy = pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[r
 
 from geometry_msgs.msg import Vector3Stamped  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
+from sensor_msgs.msg import PointCloud2  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
 pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
@@ -96,21 +98,39 @@ def test_hostile_messages(site, drapes, garment_model):
     reported(site, "last rejection", "the message is no joint state")
 
 
-def test_another_type_on_the_topic_is_reported(site, drapes):
-    """DDS delivers nothing of it; the diagnostics name type and node while it is there, and warn of the silence."""
+@contextmanager
+def stranger():
+    """Another node in the domain, while the block runs."""
     context = rclpy.Context()
     rclpy.init(context=context, args=[], domain_id=int(os.environ["ROS_DOMAIN_ID"]))
-    stranger = rclpy.create_node("stranger", context=context)
+    node = rclpy.create_node("stranger", context=context)
     try:
-        publisher = stranger.create_publisher(String, TOPIC, 5)
+        yield node
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def test_another_type_on_the_topic_is_reported(site, drapes):
+    """DDS delivers nothing of it; the diagnostics name type and node while it is there, and warn of the silence."""
+    with stranger() as node:
+        publisher = node.create_publisher(String, TOPIC, 5)
         publisher.publish(String(data="arms up"))
         reported(site, "publishers of another type", "std_msgs/msg/String of stranger")
         reported(site, "summary", "no joint states, but other messages on their topic")
         drapes()
-    finally:
-        stranger.destroy_node()
-        rclpy.shutdown(context=context)
     reported(site, "publishers of another type", "none")
+
+
+def test_clouds_of_somebody_else_are_reported(site, drapes):
+    """As a second node of the same name sends them: diagnostics say so while it lasts, the log says what to do."""
+    cloud = "/drape_node/alice/top/garment"
+    with stranger() as node:
+        node.create_publisher(PointCloud2, cloud, 5)
+        reported(site, "summary", f"somebody else publishes on {cloud}")
+        drapes()
+    site.until(lambda: "somebody" not in site.statuses[TOP]["summary"], "the diagnostics to be silent again")
+    assert site.log.read_text().count(f"somebody else publishes on {cloud}, too: readers get both") == 1
 
 
 @pytest.mark.slow

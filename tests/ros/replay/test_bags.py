@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[replay]'")
 
-from bag_messages import joint_state, recorded  # noqa: E402
+from bag_messages import gravity, joint_state, recorded  # noqa: E402
 from rosbags.rosbag2 import Reader  # noqa: E402
 
 from physkin_core import cli, load_motion  # noqa: E402
-from physkin_core.motion.bag_reader import JOINT_STATE, TYPES, BagError, BagReader  # noqa: E402
+from physkin_core.motion.bag_reader import GRAVITY, JOINT_STATE, TYPES, BagError, BagReader  # noqa: E402
 from physkin_ros.replay.bags import BagWriter  # noqa: E402
 
 
@@ -50,6 +50,24 @@ def test_the_only_joint_states_are_found(tmp_path):
         assert (bag.topic, bag.gravity_topic, bag.joint_state_count) == ("/body0/joint_states", None, 1)
     with pytest.raises(BagError, match="which topic.*/body0/joint_states, /body1/joint_states"):
         BagReader(tmp_path / "2.mcap")
+
+
+def test_files_that_are_no_bags_of_joint_states(tmp_path):
+    """Each is told with what to do about it."""
+    whole, broken, old, mesh = (tmp_path / name for name in ("whole.mcap", "broken.mcap", "old.bag", "me.obj"))
+    with BagWriter(whole) as writer:
+        writer.write("/gravity", GRAVITY, gravity(0, 0, -1), 1)
+    broken.write_bytes(whole.read_bytes()[:-20])
+    for file in (old, mesh):
+        file.write_bytes(b"#ROSBAG V2.0\n")
+    for file, told in (
+        (whole, "has no topic of sensor_msgs/msg/JointState; its topics: /gravity (geometry_msgs/msg/Vector3Stamped)"),
+        (broken, "The recording was broken off; mcap recover"),
+        (old, "Bags of ROS 1 are converted by rosbags-convert"),
+        (mesh, "Allowed: .mcap, .db3, or a folder"),
+    ):
+        with pytest.raises(BagError, match=re.escape(told)):
+            BagReader(file)
 
 
 def test_failed_block_leaves_no_bag(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import shutil
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[replay]'")
 
 from physkin_core import cli  # noqa: E402
+from physkin_ros.replay import many_bags  # noqa: E402
 
 
 @pytest.fixture
@@ -52,6 +54,22 @@ def test_every_bag_is_replayed_once(bags, quick, leaning_model_path, tmp_path, c
     assert cli.main(command(bags, *model, "--normals", "faces")) == 0
     assert "2 bags, 0 of them finished" in capsys.readouterr().out
     assert sorted(path.name for path in bags.iterdir()) == ["notes.txt", "one.mcap", "two.mcap"]
+
+
+def test_an_interrupt_ends_all_processes(bags, quick, leaning_model_path, tmp_path, monkeypatch, capfd):
+    """At once and without a word, where bags are still to be done."""
+    for index in range(20):
+        shutil.copy(bags / "one.mcap", bags / f"more{index}.mcap")
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(many_bags, "_write_page", interrupt)  # after the first bag
+    assert cli.main(command(bags, "--model", str(leaning_model_path), "--processes", "2")) == 130
+    for process in multiprocessing.active_children():
+        process.join(10)
+    assert not multiprocessing.active_children() and len(list(tmp_path.glob("out/*/settings.json"))) < 10
+    assert "Traceback" not in capfd.readouterr().err
 
 
 @pytest.mark.slow

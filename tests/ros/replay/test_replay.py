@@ -202,7 +202,10 @@ def test_joints_beyond_their_limits_are_named(run, draper, tmp_path):
         (["replay", "{bag}", "--topic", "/clouds"], "topic /clouds is not in it; topics of sensor_msgs/msg/JointState"),
         (["replay", "{bag}", "--topic", "/gravity"], "topic /gravity is geometry_msgs/msg/Vector3Stamped"),
         (["replay", "{bag}", "--gravity-topic", "/up"], "topic /up is not in it"),
-        (["replay", "{bag}", "--joint-map", "{tmp}/none.json"], "cannot read joint map"),
+        (
+            ["replay", "{bag}", "--joint-map", "mixamo"],
+            "mixamo: no such file; allowed: a JSON file, ros4hri, vrm",
+        ),
         (["replay", "{bag}", "--baseline", "{tmp}/none.json"], "cannot read baseline"),
         (["replay", "{tmp}/text.mcap"], "bag "),
         (["replay", "{tmp}/text.db3"], "bag "),
