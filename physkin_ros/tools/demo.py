@@ -80,7 +80,9 @@ def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin demo`."""
     parser = argparse.ArgumentParser(prog="physkin demo", description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=positive, default=10.0, help="how long to play (default %(default)g)")
-    parser.add_argument("--output", type=file_to_write, default=Path("demo.png"), help="picture (default %(default)s)")
+    parser.add_argument(
+        *("-o", "--output"), type=file_to_write, default=Path("demo.png"), help="picture (default %(default)s)"
+    )
     parser.add_argument(
         *("-g", "--garment"),
         action="append",
