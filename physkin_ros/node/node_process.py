@@ -31,9 +31,11 @@ NO_PARTICIPANT = "error creating node"  # how rcl says that the middleware refus
 
 def spin(node: DrapeNode) -> None:
     """Serve the node until its context is shut down. What a callback raises is logged, and the next one is served."""
+    ok = node.context.ok  # once a message: rclpy.ok() asks for the context first
+    if not ok():  # a signal came while the node was made: an executor could not be, and would say so
+        return
     executor = EXECUTORS[node.get_parameter("executor").value]()
     executor.add_node(node)
-    ok = node.context.ok  # once a message: rclpy.ok() asks for the context first
     try:
         while ok():  # EventsExecutor delivers nothing in spin(), nor in spin_once() without a timeout
             try:

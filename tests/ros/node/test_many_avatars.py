@@ -206,13 +206,13 @@ def test_swaps_that_fail_leave_the_old(site, drapers, garment_model, other_body,
             "density 9 kg/m2 at stretch 60 N/m is not what 'tshirt' has",
         ),
         (SetGarment, worn | {"model": str(tmp_path / "x.safetensors")}, "outside the parameter"),
-        (SetGarment, worn | {"model": str(other_body)}, "cannot read garment model"),
+        (SetGarment, worn | {"model": str(other_body)}, "is not a garment model"),
     ):
         answer = site.call(kind, "set_body" if kind is SetBody else "set_garment", **request)
         assert not answer.success and reason in answer.message, (request, answer.message)
     rest = garment_model.rig.rest.astype(np.float32)
     np.testing.assert_array_equal(site.cloud(TOP, garment_model.rig.joint_names, rest), drapers[TOP].drape(rest))
-    site.until(lambda: "cannot read garment model" in site.statuses[TOP]["last error"], "diagnostics")
+    site.until(lambda: "is not a garment model" in site.statuses[TOP]["last error"], "diagnostics")
 
 
 def test_parameters_are_validated(site, other_body):
