@@ -27,9 +27,9 @@ STANDS_OUT = 0.05
 """[m] A point farther outside its cover than this does not belong to it."""
 SLIMMER = 0.006
 """[m] How much slimmer skin is drawn under cloth."""
-SLIMMING = (-0.015, 0.01)
+SLIMMING = (-0.03, 0.0)
 """[m] behind a hem, where that begins, on bare skin, and where it is reached: hems slide."""
-SLIMMEST = 0.1
+SLIMMEST = 0.15
 """But by no more than this share of the way to its bone: wrists are seen in wide cuffs."""
 
 
