@@ -32,8 +32,8 @@ def avatar_look(avatar: Avatar, faces: np.ndarray | slice = slice(None)) -> Look
     """Materials and texture places of an avatar's faces, or of some; None where its file has no materials.
 
     Base colours and their pictures are kept, and where there are none colours of vertices, as few materials; other maps
-    are not. faces: (f,) a mask or indices. A
-    look hinders nobody from draping: what cannot be read, a picture or all of it, is told in the log.
+    are not. faces: (f,) a mask or indices. A look hinders nobody from draping: what cannot be read, a picture or all of
+    it, is told in the log.
     """
     path = Path(avatar.source)
     if avatar.file_corners is None or path.suffix.lower() not in (".obj", *GLTF_SUFFIXES):

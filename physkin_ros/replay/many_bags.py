@@ -89,9 +89,7 @@ def _replayed(
         yield from ((bag, _replay_into(*job)) for bag, job in jobs.items())
         return
     with ProcessPoolExecutor(options.processes, mp_context=multiprocessing.get_context("spawn")) as pool:
-        interrupt = signal.signal(
-            signal.SIGINT, signal.SIG_IGN
-        )  # which the processes inherit: they are ended from here
+        interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)  # processes inherit that: they are ended from here
         futures = {pool.submit(_replay_into, *job): bag for bag, job in jobs.items()}
         signal.signal(signal.SIGINT, interrupt)
         try:
