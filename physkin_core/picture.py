@@ -9,6 +9,7 @@ import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -251,9 +252,14 @@ def _denoised(light: np.ndarray, albedo: np.ndarray, normals: np.ndarray) -> np.
     try:
         import pyoidn
     except ImportError:  # there is none for Linux on ARM
-        log.warning("pictures are grainy without pyoidn: pip install 'physkin[view]'")
+        _tell_grainy()
         return light
     return pyoidn.denoise(light, np.ascontiguousarray(albedo), np.ascontiguousarray(normals), hdr=True)
+
+
+@cache  # once is enough
+def _tell_grainy() -> None:
+    log.warning("pictures are grainy without pyoidn: pip install 'physkin[view]'")
 
 
 def _to_linear(value: float | np.ndarray) -> np.ndarray:

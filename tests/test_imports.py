@@ -10,6 +10,7 @@ HEAVY = ("torch", "warp", "rclpy", "trimesh", "pygltflib")
 
 MODULES = ("physkin_core", "physkin_core.runtime.native_evaluator", "physkin_core.cli", "physkin_bench")
 MODULES += ("physkin_training.config",)  # reading a configuration needs no torch
+QUICK = ("physkin_core", "physkin_core.cli")  # what every command waits for; scipy would be half of it
 
 
 @pytest.mark.parametrize("module", MODULES)
@@ -20,3 +21,5 @@ def test_import_loads_no_heavy_package(module, tmp_path):
     loaded = set(result.stdout.split())
     assert "physkin_core" in loaded
     assert loaded.isdisjoint(HEAVY), loaded & set(HEAVY)
+    if module in QUICK:
+        assert "scipy" not in loaded

@@ -6,8 +6,6 @@ Dimensions: `n` vertices, `f` faces, `e` edges. Metres.
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, dijkstra
 
 __all__ = ["mesh_edges", "openings", "path_lengths"]
 
@@ -22,6 +20,9 @@ def mesh_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def openings(vertices: np.ndarray, faces: np.ndarray) -> list[np.ndarray]:
     """Vertices of each loop of the boundary, the one whose centre is highest first; none of a closed mesh."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     edges, count = mesh_edges(faces)
     boundary = edges[count == 1]
     n = len(vertices)
@@ -33,6 +34,9 @@ def openings(vertices: np.ndarray, faces: np.ndarray) -> list[np.ndarray]:
 def path_lengths(vertices: np.ndarray, faces: np.ndarray, sources: np.ndarray) -> np.ndarray:
     """Length (n,) [m] of the shortest path along edges from each vertex to the nearest of the vertices `sources`,
     infinite where none leads to one."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
+
     if len(sources) == 0:
         return np.full(len(vertices), np.inf)
     edges, _ = mesh_edges(faces)

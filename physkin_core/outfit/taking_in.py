@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import coo_array
 
 from physkin_core.model.surface_paths import mesh_edges
 from physkin_core.outfit.layers import Layer, tuck_in
@@ -54,6 +53,8 @@ def taken_in(under: Layer, over: Layer, poses: Sequence[tuple[np.ndarray, np.nda
 
 def _smooth(values: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Values (n, 3) at vertices of faces (f, 3), averaged with those around."""
+    from scipy.sparse import coo_array
+
     edges, _ = mesh_edges(faces)
     ends = np.concatenate([edges, edges[:, ::-1]]).T
     count = np.maximum(np.bincount(ends[0], minlength=len(values)), 1)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 __all__ = ["Splats", "moved_splats"]
 
@@ -51,6 +50,8 @@ class Splats:
 
     def axes(self) -> np.ndarray:
         """(n, 3, 3) float32 the splats' unit axes, as columns."""
+        from scipy.spatial.transform import Rotation
+
         return Rotation.from_quat(self.rotations).as_matrix().astype(np.float32)
 
     def covariances(self) -> np.ndarray:
@@ -60,6 +61,8 @@ class Splats:
 
     def transformed(self, linear: np.ndarray) -> Splats:
         """In another frame and unit: `linear` (3, 3) is a rotation times a scale, without a shift."""
+        from scipy.spatial.transform import Rotation
+
         scale = np.cbrt(np.linalg.det(linear))
         rotations = (Rotation.from_matrix(linear / scale) * Rotation.from_quat(self.rotations)).as_quat()
         return Splats(self.centres @ linear.T, rotations, self.scales * scale)
