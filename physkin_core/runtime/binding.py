@@ -137,7 +137,7 @@ def bind_garment(
     if unlike:
         clear = replace(bound, vertices=_float(vertices))
         evaluator = make_evaluator(backend, clear, precision="fp32")
-        vertices = vertices + room_to_move(clear, avatar, evaluator=evaluator)
+        vertices = vertices + room_to_move(clear, avatar, rig=rig, evaluator=evaluator)
     return replace(bound, vertices=_float(vertices), normals=rest_normals(model, vertices))
 
 

@@ -17,7 +17,8 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.surface_matching import with_normals
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.surface_sampling import sample_surface
-from physkin_core.rig.rig import forward_kinematics
+from physkin_core.motion.everyday_poses import everyday_poses
+from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Evaluator
 from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
@@ -29,7 +30,8 @@ POINTS = 24576
 """Points sampled on a body at rest."""
 POSED_POINTS = 8192
 """Points sampled on a body in a pose."""
-POSES = 16
+WIDE_POSES, WIDE_RANGE = 12, 0.7
+"""Poses beside the everyday ones, and the share of joint limits in which each joint is drawn by itself."""
 MEASURED = 2500
 """Vertices of a garment that are measured in poses, about."""
 NEAR_GARMENT = 0.15
@@ -55,7 +57,7 @@ class SkinClearance:
         from scipy.spatial import cKDTree
 
         self._points, self._normals = (a.astype(np.float64) for a in sample_surface(vertices, faces, points))
-        self._tree = cKDTree(with_normals(self._points, self._normals))
+        self._tree = cKDTree(with_normals(self._points, self._normals), balanced_tree=False)
 
     def __call__(self, vertices: np.ndarray, normals: np.ndarray, *, far: float = FAR) -> tuple[np.ndarray, np.ndarray]:
         """Clearance (n,) [m] of vertices (n, 3) with normals (n, 3), negative inside, infinite where no skin that faces
@@ -93,23 +95,20 @@ def draped_at_rest(bound: BoundGarment) -> np.ndarray:
     return draped.astype(np.float64)
 
 
-def room_to_move(bound: BoundGarment, avatar: Avatar, *, evaluator: Evaluator) -> np.ndarray:
-    """Displacement (n, 3) [m] outwards that frees cloth of the skin in some poses, up to `MOST_ROOM`. evaluator: of
-    `bound`.
+def room_to_move(bound: BoundGarment, avatar: Avatar, *, rig: Rig, evaluator: Evaluator) -> np.ndarray:
+    """Displacement (n, 3) [m] outwards that frees cloth of the skin in some poses, up to `MOST_ROOM`. rig: the body
+    model's, which the avatar is bound to. evaluator: of `bound`.
 
     Skin deeper than twice that is another limb's, which no room would help.
     """
     from scipy.spatial import cKDTree
 
-    random = np.random.default_rng(0)
     some = slice(None, None, max(1, len(bound.vertices) // MEASURED))
     lack, draped = np.zeros(len(bound.vertices[some])), np.empty((len(bound.vertices), 6), dtype=np.float32)
     beneath = _skin_near(avatar, bound.vertices)
-    for _ in range(POSES):
-        end = np.where(random.random(len(bound.dof_rest)) < 0.5, bound.dof_lower, bound.dof_upper)
-        angles = random.random(len(end)) * (end - bound.dof_rest)
-        evaluator.evaluate((bound.dof_rest + angles).astype(np.float32), UPRIGHT, draped)
-        bones = forward_kinematics(bound.bone_parents, bound.bone_heads, bound.dof_bone, bound.dof_axis, angles)
+    for positions, gravity in zip(*_poses(rig)):
+        evaluator.evaluate(positions, gravity, draped)
+        bones = rig.bone_transforms(positions, heads=avatar.bone_heads)
         skin = SkinClearance(beneath.posed_vertices(bones), beneath.faces, POSED_POINTS)
         clearance, _ = skin(*np.split(draped[some].astype(np.float64), 2, axis=1))
         lack = np.maximum(lack, np.where(clearance > -2 * MOST_ROOM, CLEAR - clearance, 0))
@@ -123,6 +122,17 @@ def room_to_move(bound: BoundGarment, avatar: Avatar, *, evaluator: Evaluator) -
     closeness, room = shared((closeness * lacking).max(axis=1), bound.vertices)
     room = (closeness * room).sum(axis=1) / closeness.sum(axis=1)
     return room[:, None] * vertex_normals(bound.vertices, bound.faces)
+
+
+def _poses(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """Joint positions (P, d) [rad] and gravity directions (P, 3), float32: everyday ones and wider ones."""
+    random = np.random.default_rng(0)
+    shape = WIDE_POSES, len(rig.rest)
+    limit = np.where(random.random(shape) < 0.5, rig.lower, rig.upper)
+    wide = rig.rest + WIDE_RANGE * random.random(shape) * (limit - rig.rest)
+    positions, gravity = everyday_poses(rig)
+    gravity = np.concatenate([gravity, np.tile(UPRIGHT, (WIDE_POSES, 1))])
+    return np.concatenate([positions, wide]).astype(np.float32), gravity.astype(np.float32)
 
 
 def _skin_near(avatar: Avatar, cloth: np.ndarray) -> Avatar:

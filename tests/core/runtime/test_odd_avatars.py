@@ -46,7 +46,7 @@ def test_odd_pivots_give_the_drape_of_the_right_ones_at_rest(person, garment, mo
         assert outwards.min() > -1e-3 and 1e-3 < outwards.mean() < 6e-3
         assert (signed_distance(roomy, odd.vertices, odd.faces) < 0).mean() < 5e-4
         with monkeypatch.context() as patch:
-            patch.setattr(binding, "room_to_move", lambda bound, avatar, evaluator: 0.0)
+            patch.setattr(binding, "room_to_move", lambda bound, avatar, rig, evaluator: 0.0)
             close = np.linalg.norm(Draper(model, odd, fit=fit).drape({})[:, :3] - right, axis=1)
         assert close.mean() < 1e-3 and close.max() < 2e-3
 
