@@ -15,6 +15,7 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.avatar.body_parts import without_accessories
+from physkin_core.avatar.joint_identification import identify_bones
 from physkin_core.avatar.retargeting import place_bones, retarget
 from physkin_core.avatar.rig_file import RigFile, axes_to_root_frame, read_rig_file
 from physkin_core.avatar.rig_fitting import carry_influences, fit_body, template_on_skeleton
@@ -23,7 +24,6 @@ from physkin_core.avatar.skinned_mesh import (
     Surface,
     check_size,
     clean_surface,
-    identify_bones,
     turn_upright,
     unit_scale,
 )

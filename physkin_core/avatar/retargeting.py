@@ -15,7 +15,8 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.body_parts import split_body
-from physkin_core.avatar.skinned_mesh import SkinnedMesh, check_size, identify_bones, turn_upright
+from physkin_core.avatar.joint_identification import identify_bones
+from physkin_core.avatar.skinned_mesh import SkinnedMesh, check_size, turn_upright
 from physkin_core.rig.bone_naming import OWN_NAMES
 from physkin_core.rig.bone_structure import spine_bones
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, smallest_rotation, turned_down_the_chain

@@ -12,11 +12,8 @@ import numpy as np
 
 from physkin_core.avatar.avatar import AvatarError
 from physkin_core.model.garment import surface_fault
-from physkin_core.rig.bone_naming import match_bones, named_bones, required_bones
-from physkin_core.rig.bone_structure import bones_by_structure, limb_ends, spine_by_place
-from physkin_core.rig.rig import Rig
 
-__all__ = ["SkinnedMesh", "Surface", "check_size", "clean_surface", "identify_bones", "turn_upright", "unit_scale"]
+__all__ = ["SkinnedMesh", "Surface", "check_size", "clean_surface", "turn_upright", "unit_scale"]
 
 HEIGHT_RANGE = (0.5, 3.0)
 UNITS = {"decimetres": 0.1, "centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001}
@@ -119,36 +116,6 @@ def check_size(vertices: np.ndarray, source: str) -> None:
             f"{ADULT_SIZES[1]} m in {', '.join(UNITS)}. glTF is in metres by its standard; for a plain mesh say so in "
             'its rig file, such as "scale": 0.01 for centimetres, or "up": "Y", "forward": "Z" if Z is not up'
         )
-
-
-def identify_bones(mesh: SkinnedMesh, rig: Rig) -> tuple[SkinnedMesh, dict[str, int], str]:
-    """Joint by rig bone, and the naming that led there (see `match_bones`).
-
-    Where names fit no naming, the skeleton's shape tells, and the mesh comes back with a warning of what was assumed.
-    Raises RigError when neither does.
-    """
-    astray = [mesh.joint_names[joint] for joint in np.flatnonzero(~np.isfinite(mesh.joint_heads).all(axis=1))]
-    if astray:
-        raise AvatarError(f"avatar {mesh.source}: joints {', '.join(astray)} are not at finite positions")
-    required = required_bones(rig)
-    named, naming = named_bones(mesh.joint_names, rig, humanoid=mesh.humanoid)
-    if 2 * sum(bone in named for bone in required) < len(required):
-        shaped = bones_by_structure(mesh.joint_heads, mesh.joint_parents, rig)
-        if shaped is not None and all(bone in shaped for bone in required):
-            warning = "no naming fits the joints' names; by the skeleton's shape these were taken: "
-            return _with_taken(mesh, warning, {bone: shaped[bone] for bone in required}), shaped, "the skeleton's shape"
-    ends = limb_ends(named, mesh.joint_heads, mesh.joint_parents)
-    if ends and all(bone in named or bone in ends for bone in required):
-        mesh = _with_taken(mesh, "by their place at the ends of limbs, not by name, these joints were taken: ", ends)
-    else:
-        ends, (named, naming) = {}, match_bones(mesh.joint_names, rig, source=mesh.source, humanoid=mesh.humanoid)
-    return mesh, spine_by_place(named | ends, mesh.joint_heads, rig), naming
-
-
-def _with_taken(mesh: SkinnedMesh, warning: str, taken: Mapping[str, int]) -> SkinnedMesh:
-    """The mesh with a warning that lists joints by rig bone."""
-    pairs = ", ".join(f"{mesh.joint_names[joint]!r} for {bone}" for bone, joint in taken.items())
-    return replace(mesh, warnings=(*mesh.warnings, warning + pairs))
 
 
 def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int]) -> SkinnedMesh:

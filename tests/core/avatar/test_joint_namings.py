@@ -227,17 +227,50 @@ def test_ends_of_limbs_by_place(tmp_path):
 
 
 def test_what_is_too_near_is_no_end_of_a_limb(tmp_path):
-    """A joint that halves a shin is not taken for the ankle that has no joint."""
+    """A joint that halves a shin is not taken for the ankle that has no joint: that is put where the skin tells."""
     known = [f"{bone}.{side}" for side in "LR" for bone in ("upperarm01", "lowerarm01", "wrist", "upperleg01")]
     known += ["root", "lowerleg01.L", "lowerleg01.R", "lowerleg02.L", "lowerleg02.R"]
     bones, parents, heads = _skeleton_of(known, PERSON.bone_heads.astype(np.float64))
     for side in "LR":
         knee, ankle = (PERSON.bone_heads[RIG.bone_index(f"{bone}.{side}")] for bone in ("lowerleg01", "foot"))
         heads[bones.index(RIG.bone_index(f"lowerleg02.{side}"))] = 0.6 * knee + 0.4 * ankle
-    called = _sided("{}.{}", VRM, "L", "R")
-    names = [called.get(RIG.bone_names[bone], f"helper {k}") for k, bone in enumerate(bones)]
+    avatar = load_document(tmp_path, _person_on(bones, parents, heads, _vrm_names(bones)))
+    assert "the skeleton has no joint for foot.L, foot.R: put where skin says" in avatar.warnings[0]
+    _assert_ends_are_near(avatar, "foot")
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_skeleton_without_hands_and_feet(tmp_path, turned):
+    """Forearms and shins carry them; garments bind to joints that nothing hangs on."""
+    known = [bone for bone in _sided("{}.{}", VRM, "L", "R") if not bone.startswith(("wrist", "foot"))]
+    bones, parents, heads = _skeleton_of([*known, "root", "spine04", "head"], PERSON.bone_heads.astype(np.float64))
+    turn = np.array([-1.0, -1.0, 1.0]) if turned else np.ones(3)
+    changes = {"vertices": PERSON.vertices * turn}
+    avatar = load_document(tmp_path, _person_on(bones, parents, heads * turn, _vrm_names(bones), **changes))
+    assert "wrist.L, foot.L, wrist.R, foot.R" in avatar.warnings[0]
+    _assert_ends_are_near(avatar, "wrist", "foot")
+    carried = np.unique(avatar.influence_bones[avatar.influence_weights > 0])
+    assert not {"wrist.L", "foot.R"} & {RIG.bone_names[bone] for bone in carried}
+
+
+def test_a_limb_without_skin_is_still_refused(tmp_path):
+    known = [bone for bone in _sided("{}.{}", VRM, "L", "R") if not bone.startswith("foot")]
+    bones, parents, heads = _skeleton_of([*known, "root"], PERSON.bone_heads.astype(np.float64))
+    document = {"influence_joints": np.zeros((len(PERSON.vertices), 1), dtype=int)}
+    document["influence_weights"] = np.ones((len(PERSON.vertices), 1))
+    person = person_document(joint_names=_vrm_names(bones), joint_parents=parents, joint_heads=heads, **document)
     with pytest.raises(AvatarError, match=r"no joint for 2 of the 12 .*: foot\.L, foot\.R\."):
-        load_document(tmp_path, _person_on(bones, parents, heads, names))
+        load_document(tmp_path, person)
+
+
+def _vrm_names(bones):
+    called = _sided("{}.{}", VRM, "L", "R")
+    return [called.get(RIG.bone_names[bone], f"helper {k}") for k, bone in enumerate(bones)]
+
+
+def _assert_ends_are_near(avatar, *ends):
+    for bone in (f"{end}.{side}" for end in ends for side in "LR"):
+        assert distances(*(body.bone_heads[RIG.bone_index(bone)] for body in (avatar, PERSON))) < 30, bone
 
 
 @pytest.mark.parametrize("name", ["Torso", "Chest", "Trunk"])
