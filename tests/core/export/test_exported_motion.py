@@ -92,6 +92,16 @@ def test_usd_has_every_vertex(tmp_path, motion, worn):
             assert len(mesh.GetFaceVertexIndicesAttr().Get()) == faces.size
         place = UsdGeom.Xformable(stage.GetPrimAtPath("/avatar")).ComputeLocalToWorldTransform(frame)
         np.testing.assert_allclose(place.ExtractTranslation(), motion.root_position[frame], atol=1e-6)
+    assert usd_faults(stage) == []
+
+
+def usd_faults(stage):
+    """What the validators that come with USD find wrong."""
+    from pxr import UsdValidation
+
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert len(validators) > 10
+    return [fault.GetMessage() for fault in UsdValidation.ValidationContext(validators).Validate(stage)]
 
 
 @pytest.mark.parametrize(
