@@ -20,6 +20,9 @@ class SwapServices:
     """Serves both until closed. set_body, set_garment: fill the response for a request; they may take their time."""
 
     def __init__(self, node: Node, set_body: Callable, set_garment: Callable) -> None:
+        if not node.context.ok():  # a signal came: an executor could not be made, and would say so
+            raise ExternalShutdownException
+        self._executor = SingleThreadedExecutor(context=node.context)
         self._log = node.get_logger()
         self._node = Node(
             f"_{node.get_name()}_swaps",  # hidden, as names that begin with _ are
@@ -32,7 +35,6 @@ class SwapServices:
         name = node.get_fully_qualified_name()
         self._node.create_service(SetBody, f"{name}/set_body", set_body)
         self._node.create_service(SetGarment, f"{name}/set_garment", set_garment)
-        self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(self._node)
         self._closed = False
         self._thread = Thread(target=self._serve, name="physkin-swaps", daemon=True)
