@@ -14,7 +14,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import AvatarError
 from physkin_core.avatar.skinned_mesh import SkinnedMesh
-from physkin_core.rig.bone_naming import match_bones, named_bones, required_bones
+from physkin_core.rig.bone_naming import missing_bones, named_bones, required_bones
 from physkin_core.rig.bone_structure import LIMB_BONES, bones_by_structure, limb_ends, spine_by_place
 from physkin_core.rig.rig import Rig
 
@@ -26,7 +26,7 @@ ROUNDS = 3
 
 
 def identify_bones(mesh: SkinnedMesh, rig: Rig) -> tuple[SkinnedMesh, dict[str, int], str]:
-    """The mesh, joint by rig bone, and the naming that led there (see `match_bones`).
+    """The mesh, joint by rig bone, and the naming that led there (see `named_bones`).
 
     Where names fit no naming, the skeleton's shape tells. Wrists and ankles that no name tells are the joints that
     follow on elbow or knee, or added where the skin ends. The mesh comes back with a warning of what was assumed.
@@ -44,16 +44,16 @@ def identify_bones(mesh: SkinnedMesh, rig: Rig) -> tuple[SkinnedMesh, dict[str, 
             return _with_taken(mesh, warning, {bone: shaped[bone] for bone in required}), shaped, "the skeleton's shape"
     ends = limb_ends(named, mesh.joint_heads, mesh.joint_parents)
     longer, added = _with_limb_ends(mesh, named | ends)
-    if any(bone not in named | ends | added for bone in required):
-        found, naming = match_bones(mesh.joint_names, rig, source=mesh.source, humanoid=mesh.humanoid)
-        return mesh, spine_by_place(found, mesh.joint_heads, rig), naming
+    found = named | ends | added
+    if any(bone not in found for bone in required):
+        raise missing_bones(named, mesh.joint_names, rig, source=mesh.source, humanoid=mesh.humanoid)
     if ends:
         warning = "by their place at the ends of limbs, not by name, these joints were taken: "
         longer = _with_taken(longer, warning, ends)
     if added:
         warning = f"the skeleton has no joint for {', '.join(added)}: put where skin says that the limb ends"
         longer = _with_warning(longer, warning)
-    return longer, spine_by_place(named | ends | added, longer.joint_heads, rig), naming
+    return longer, spine_by_place(found, longer.joint_heads, rig), naming
 
 
 def _with_taken(mesh: SkinnedMesh, warning: str, taken: Mapping[str, int]) -> SkinnedMesh:
@@ -69,28 +69,25 @@ def _with_warning(mesh: SkinnedMesh, warning: str) -> SkinnedMesh:
 def _with_limb_ends(mesh: SkinnedMesh, named: Mapping[str, int]) -> tuple[SkinnedMesh, dict[str, int]]:
     """The mesh with a joint for each wrist and ankle that is not among the named ones (joint by rig bone), where elbow
     or knee is known and skin hangs on it or what follows; and these joints by rig bone."""
-    found, heads, parents, names = {}, [], [], []
+    ends: dict[str, tuple[int, np.ndarray]] = {}
     for side, (kind, (_, middle, end, _)) in product("LR", LIMB_BONES.items()):
         joint = named.get(f"{middle}.{side}")
         if joint is None or f"{end}.{side}" in named:
             continue
         skin = mesh.vertices[_carried(mesh, joint)]
-        if len(skin) == 0:
-            continue
-        found[f"{end}.{side}"] = len(mesh.joint_names) + len(heads)
-        heads.append(_end(skin, mesh.joint_heads[joint], SHARE_OF_SKIN[kind]))
-        parents.append(joint)
-        names.append(f"{end}.{side} by skin")
-    if not found:
+        if len(skin):
+            ends[f"{end}.{side}"] = joint, _end(skin, mesh.joint_heads[joint], SHARE_OF_SKIN[kind])
+    if not ends:
         return mesh, {}
+    parents, heads = zip(*ends.values())
     added = replace(
         mesh,
-        joint_names=(*mesh.joint_names, *names),
+        joint_names=(*mesh.joint_names, *(f"{bone} by skin" for bone in ends)),
         joint_parents=np.concatenate([mesh.joint_parents, parents]),
         joint_heads=np.concatenate([mesh.joint_heads, heads]),
         joint_tails=np.concatenate([mesh.joint_tails, np.full((len(heads), 3), np.nan)]),
     )
-    return added, found
+    return added, {bone: len(mesh.joint_names) + k for k, bone in enumerate(ends)}
 
 
 def _carried(mesh: SkinnedMesh, joint: int) -> np.ndarray:

@@ -16,7 +16,7 @@ from pathlib import Path
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
 from physkin_core.rig.rig import Rig, RigError
 
-__all__ = ["BONE_MAPS", "OWN_NAMES", "match_bones", "named_bones", "required_bones"]
+__all__ = ["BONE_MAPS", "OWN_NAMES", "missing_bones", "named_bones", "required_bones"]
 
 BONE_MAPS = Path(__file__).parent / "bone_maps"
 OWN_NAMES = "the rig's own names"
@@ -33,31 +33,33 @@ def required_bones(rig: Rig) -> tuple[str, ...]:
     return tuple(name for name in limbs if name in rig.bone_names) or rig.bone_names
 
 
-def match_bones(
-    joint_names: Sequence[str], rig: Rig, *, source: str, humanoid: Mapping[str, int] | None = None
-) -> tuple[dict[str, int], str]:
-    """Joint index by rig bone, and the naming that led there.
-
-    joint_names: of the avatar. humanoid: joint index by VRM humanoid bone; replaces the names where a file has it.
-    Raises RigError listing the required bones that no joint was found for.
-    """
-    found, naming = named_bones(joint_names, rig, humanoid=humanoid)
+def missing_bones(
+    found: Mapping[str, int],
+    joint_names: Sequence[str],
+    rig: Rig,
+    *,
+    source: str,
+    humanoid: Mapping[str, int] | None = None,
+) -> RigError:
+    """The error that lists the required bones which are not among those `named_bones` has found."""
     required = required_bones(rig)
-    if missing := [name for name in required if name not in found]:
-        present = joint_names if humanoid is None else humanoid
-        listed = ", ".join(list(present)[:LISTED_NAMES]) + (", ..." if len(present) > LISTED_NAMES else "")
-        raise RigError(
-            f"avatar {source}: no joint for {len(missing)} of the {len(required)} rig bones it must have: "
-            f"{', '.join(missing)}. Joints found: {listed or 'none'}. "
-            f"Allowed namings: {'; '.join([OWN_NAMES, *(title for title, _ in _bone_maps().values())])}"
-        )
-    return found, naming
+    missing = [name for name in required if name not in found]
+    present = joint_names if humanoid is None else humanoid
+    listed = ", ".join(list(present)[:LISTED_NAMES]) + (", ..." if len(present) > LISTED_NAMES else "")
+    return RigError(
+        f"avatar {source}: no joint for {len(missing)} of the {len(required)} rig bones it must have: "
+        f"{', '.join(missing)}. Joints found: {listed or 'none'}. "
+        f"Allowed namings: {'; '.join([OWN_NAMES, *(title for title, _ in _bone_maps().values())])}"
+    )
 
 
 def named_bones(
     joint_names: Sequence[str], rig: Rig, *, humanoid: Mapping[str, int] | None = None
 ) -> tuple[dict[str, int], str]:
-    """As `match_bones`, but of the naming that fits best, though required bones may be missing."""
+    """Joint index by rig bone, by the naming that fits best, and that naming; required bones may be missing.
+
+    joint_names: of the avatar. humanoid: joint index by VRM humanoid bone; replaces the names where a file has it.
+    """
     if humanoid is not None:
         naming, bones = _bone_maps()[VRM_MAP]
         candidates = [(naming, {bones[role]: joint for role, joint in humanoid.items() if role in bones})]
