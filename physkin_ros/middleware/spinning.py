@@ -1,4 +1,4 @@
-"""Serving callbacks for a while, in processes that wait for something."""
+"""Executors, and serving callbacks for a while in processes that wait for something."""
 
 from __future__ import annotations
 
@@ -6,9 +6,18 @@ import time
 from collections.abc import Callable
 
 import rclpy
-from rclpy.executors import Executor
+from rclpy.context import Context
+from rclpy.executors import Executor, ExternalShutdownException
 
-__all__ = ["spin_until"]
+__all__ = ["new_executor", "spin_until"]
+
+
+def new_executor(kind: Callable[..., Executor], context: Context) -> Executor:
+    """An executor of a context. Raises ExternalShutdownException where a signal has ended that: rclpy's would then be
+    half made, and say so when it is collected."""
+    if not context.ok():
+        raise ExternalShutdownException
+    return kind(context=context)
 
 
 def spin_until(executor: Executor, seconds: float, done: Callable[[], object]) -> bool:

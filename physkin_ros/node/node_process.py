@@ -18,6 +18,7 @@ from rclpy.utilities import remove_ros_args
 
 from physkin_core import AvatarWarning
 from physkin_ros.messages.topics import TOPICS
+from physkin_ros.middleware.spinning import new_executor
 from physkin_ros.middleware.transport import use_shipped_profile
 from physkin_ros.node.config_file import load_config
 from physkin_ros.node.drape_node import DrapeNode
@@ -32,9 +33,10 @@ NO_PARTICIPANT = "error creating node"  # how rcl says that the middleware refus
 def spin(node: DrapeNode) -> None:
     """Serve the node until its context is shut down. What a callback raises is logged, and the next one is served."""
     ok = node.context.ok  # once a message: rclpy.ok() asks for the context first
-    if not ok():  # a signal came while the node was made: an executor could not be, and would say so
+    try:
+        executor = new_executor(EXECUTORS[node.get_parameter("executor").value], node.context)
+    except ExternalShutdownException:  # a signal came while the node was made
         return
-    executor = EXECUTORS[node.get_parameter("executor").value]()
     executor.add_node(node)
     try:
         while ok():  # EventsExecutor delivers nothing in spin(), nor in spin_once() without a timeout

@@ -13,6 +13,8 @@ from physkin_msgs.srv import SetBody, SetGarment
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
+from physkin_ros.middleware.spinning import new_executor
+
 __all__ = ["SwapServices"]
 
 
@@ -20,9 +22,7 @@ class SwapServices:
     """Serves both until closed. set_body, set_garment: fill the response for a request; they may take their time."""
 
     def __init__(self, node: Node, set_body: Callable, set_garment: Callable) -> None:
-        if not node.context.ok():  # a signal came: an executor could not be made, and would say so
-            raise ExternalShutdownException
-        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor = new_executor(SingleThreadedExecutor, node.context)
         self._log = node.get_logger()
         self._node = Node(
             f"_{node.get_name()}_swaps",  # hidden, as names that begin with _ are
