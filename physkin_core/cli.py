@@ -278,6 +278,7 @@ def _info(options: argparse.Namespace) -> int:
         "garment nodes": f"{len(model.node_rest)}, {model.influence_nodes.shape[1]} influences a vertex",
         "made to measure": "learnt: fit 0 to 1, by default 1" if model.made_to_measure else "not learnt: fit 0 only",
         "fabrics": "learnt" if model.learnt_bending else "bending not learnt",
+        "sway": "learnt: by a network" if model.sway is not None else "not learnt: by a pendulum",
         "rig": f"{rig.bone_count} bones, {len(rig.dofs)} joints",
         "joints": ", ".join(rig.joint_names),
         **sizes,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from random_models import random_avatar, random_model
 
-from physkin_core import GarmentModelError, ModelFileError, load_garment_model, save_garment_model
+from physkin_core import GarmentModelError, ModelFileError, cli, load_garment_model, save_garment_model
 from physkin_core.model.sway_network import LARGEST_CODE, fold_body
 from physkin_core.runtime.binding import bind_garment, encode_body
 
@@ -16,8 +16,10 @@ def model():
     return random_model(np.random.default_rng(0), node_outputs=12, learnt_sway=True)
 
 
-def test_round_trip(model, tmp_path):
+def test_round_trip(model, tmp_path, capsys):
     save_garment_model(model, tmp_path / "swaying.safetensors")
+    assert cli.main(["info", str(tmp_path / "swaying.safetensors")]) == 0
+    assert "learnt: by a network" in capsys.readouterr().out
     back, expected = load_garment_model(tmp_path / "swaying.safetensors").sway.arrays(), model.sway.arrays()
     assert back.keys() == expected.keys()
     assert back["joints"].dtype == np.int32 and (back["joints"] == expected["joints"]).all()
