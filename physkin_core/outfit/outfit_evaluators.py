@@ -111,8 +111,8 @@ class ReferenceOutfitEvaluator:
         layers = [np.empty((len(bound.vertices), 6), dtype=np.float32) for bound in self._bounds]
         shape, size = np.shape(gravity), np.shape(gravity)[-1:]
         if shape not in (size, (len(layers), *size)) or size not in {(size,) for size in GRAVITY_SIZES}:
-            allowed = ", ".join(f"({size},), {(len(layers), size)}" for size in GRAVITY_SIZES)
-            raise ValueError(f"gravity must have one of the shapes {allowed}, got {np.shape(gravity)}")
+            allowed = " or ".join(f"({size},) or {(len(layers), size)}" for size in GRAVITY_SIZES)
+            raise ValueError(f"gravity must have shape {allowed}, got {np.shape(gravity)}")
         gravities = np.broadcast_to(gravity, (len(layers), *size))
         for evaluator, down, layer in zip(self._evaluators, gravities, layers):
             evaluator.evaluate(joint_positions, down, layer)

@@ -8,8 +8,8 @@
 namespace physkin {
 namespace {
 
-// As of learnt_sway.py.
-constexpr float kBeyond = 1.5f, kLongestStep = 1.0f, kMostSpeedUp = 1.5f;
+// As in learnt_sway.py.
+constexpr float kBeyond = 1.5f, kLongestStep = 1.0f;
 constexpr double kLargestRate = 8, kLargestVelocity = 4, kLargestTurning = 8;
 
 std::vector<DenseWeights> part(const std::vector<DenseWeights>& layers, int first, int count) {
@@ -22,20 +22,34 @@ float softly(double value, double largest) {
   return float(value / std::sqrt(1 + share * share));
 }
 
+const float* in_groups(const float* values, int count, Arena& arena) {
+  return std::copy_n(values, count, arena.take<float>(padded_to_group(count))) - count;
+}
+
+Oscillators oscillators_of(const BoundGarment& g, Arena& arena) {
+  const int count = g.sway_states;
+  const auto room = [&] { return arena.take<float>(padded_to_group(count)); };
+  float *rest_real = room(), *rest_imaginary = room();
+  for (int k = 0; k < count; ++k) {
+    const float size = std::hypot(g.sway_rates[k], g.sway_turns[k]);
+    rest_real[k] = g.sway_rates[k] / size;
+    rest_imaginary[k] = g.sway_turns[k] / size;
+  }
+  const float *rates = in_groups(g.sway_rates, count, arena), *turns = in_groups(g.sway_turns, count, arena);
+  return {count, rates, turns, rest_real, rest_imaginary, room(), room()};
+}
+
 }  // namespace
 
 LearntSway::LearntSway(const BoundGarment& g, Precision of_inputs, Precision others, const Kernels& kernels,
                        Arena& arena)
-    : joint_count_(g.sway_joint_count),
-      state_count_(g.sway_states),
+    : kernels_(kernels),
+      joint_count_(g.sway_joint_count),
       outputs_(g.sway_layers.back().outputs),
       joints_(arena.copy(g.sway_joints, g.sway_joint_count)),
       middle_(arena.take<float>(joint_count_)),
       half_(arena.take<float>(joint_count_)),
-      rates_(arena.copy(g.sway_rates, g.sway_states)),
-      turns_(arena.copy(g.sway_turns, g.sway_states)),
-      rest_real_(arena.take<float>(state_count_)),
-      rest_imaginary_(arena.take<float>(state_count_)),
+      oscillators_(oscillators_of(g, arena)),
       driver_(part(g.sway_layers, 0, 2), Activation::silu, of_inputs, of_inputs, kernels, arena),
       reader_(part(g.sway_layers, 2, 3), Activation::silu, of_inputs, others, kernels, arena),
       drive_(arena.take<float>(g.sway_layers[0].inputs)),
@@ -47,11 +61,6 @@ LearntSway::LearntSway(const BoundGarment& g, Precision of_inputs, Precision oth
     const float lower = g.dof_lower[joints_[k]], upper = g.dof_upper[joints_[k]];
     middle_[k] = 0.5f * (lower + upper);
     half_[k] = 0.5f * (upper - lower);
-  }
-  for (int k = 0; k < state_count_; ++k) {
-    const float size = std::hypot(rates_[k], turns_[k]);
-    rest_real_[k] = rates_[k] / size;
-    rest_imaginary_[k] = turns_[k] / size;
   }
 }
 
@@ -67,7 +76,7 @@ const float* LearntSway::added(const float* corrections, const float* positions,
   std::copy_n(gravity, 3, now_ + joint_count_);
   begins_ = begins_ || moment.elapsed < 0;
   if (begins_ || moment.elapsed > 0) move(moment);
-  float* pose = read_ + 2 * state_count_;
+  float* pose = read_ + 2 * oscillators_.count;
   for (int k = 0; k < joint_count_; ++k) pose[k] = std::clamp(now_[k], -kBeyond, kBeyond);
   std::copy_n(gravity, 3, pose + joint_count_);
   std::swap(now_, before_);
@@ -97,29 +106,11 @@ void LearntSway::move(const Moment& moment) noexcept {
     const int a = (k + 1) % 3, b = (k + 2) % 3;
     w[3 + k] = (turning[a] * v[b] - turning[b] * v[a]) / 4;
   }
-  std::copy_n(drive_, 2 * count + 15, read_ + 2 * state_count_ + count + 3);
-  swing(driver_.run(drive_, nullptr), std::min(moment.elapsed, kLongestStep));
-}
-
-void LearntSway::swing(const float* driven, float elapsed) noexcept {
-  const float *real = driven, *imaginary = driven + state_count_, *gate = imaginary + state_count_;
-  float *x = read_, *y = read_ + state_count_;
-  for (int k = 0; k < state_count_; ++k) {
-    const float rest_x = real[k] * rest_real_[k] - imaginary[k] * rest_imaginary_[k];
-    const float rest_y = real[k] * rest_imaginary_[k] + imaginary[k] * rest_real_[k];
-    if (begins_) {
-      x[k] = rest_x;
-      y[k] = rest_y;
-      continue;
-    }
-    const float time = elapsed * std::exp(kMostSpeedUp * std::tanh(gate[k]));
-    const float decay = std::exp(-rates_[k] * time), angle = turns_[k] * time;
-    const float cosine = decay * std::cos(angle), sine = decay * std::sin(angle);
-    const float away_x = x[k] - rest_x, away_y = y[k] - rest_y;
-    x[k] = rest_x + cosine * away_x - sine * away_y;
-    y[k] = rest_y + sine * away_x + cosine * away_y;
-  }
+  std::copy_n(drive_, 2 * count + 15, read_ + 2 * oscillators_.count + count + 3);
+  kernels_.oscillate(oscillators_, driver_.run(drive_, nullptr), begins_ ? -1 : std::min(moment.elapsed, kLongestStep));
   begins_ = false;
+  std::copy_n(oscillators_.real, oscillators_.count, read_);
+  std::copy_n(oscillators_.imaginary, oscillators_.count, read_ + oscillators_.count);
 }
 
 }  // namespace physkin

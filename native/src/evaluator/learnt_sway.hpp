@@ -24,18 +24,17 @@ class LearntSway {
 
  private:
   void move(const Moment& moment) noexcept;
-  void swing(const float* driven, float elapsed) noexcept;
 
-  int joint_count_, state_count_, outputs_;
+  const Kernels& kernels_;
+  int joint_count_, outputs_;
   const std::int32_t* joints_;
-  float *middle_, *half_;             // (joints) of their limits
-  const float *rates_, *turns_;       // (states)
-  float *rest_real_, *rest_imaginary_;  // (states) unit numbers that turn a drive to where the oscillator comes to rest
+  float *middle_, *half_;  // (joints) of their limits
+  Oscillators oscillators_;
   Mlp driver_, reader_;
-  float* drive_;     // (2 joints + 15)
+  float* drive_;          // (2 joints + 15)
   float *now_, *before_;  // (joints + 3) scaled joints and gravity
-  float* read_;      // what the reader reads: states, real parts and imaginary ones, pose, drive
-  float* result_;    // (outputs)
+  float* read_;           // what the reader reads: states, real parts and then imaginary ones, pose, drive
+  float* result_;         // (outputs)
   bool begins_ = true;
 };
 
