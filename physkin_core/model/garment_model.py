@@ -15,11 +15,12 @@ import numpy as np
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.hyper_modulator import token_features
 from physkin_core.model.mlp import ACTIVATIONS, Layer, modulation_size
+from physkin_core.model.sway_network import SwayNetwork, drive_size, pose_size
 from physkin_core.rig.rig import Rig
 
 __all__ = ["INDEX_ARRAYS", "GarmentModel", "GarmentModelError", "Material"]
 
-INDEX_ARRAYS = ("garment.faces", "garment_nodes.bone", "skinning.nodes", "engine_skinning.nodes")
+INDEX_ARRAYS = ("garment.faces", "garment_nodes.bone", "skinning.nodes", "engine_skinning.nodes", "sway.joints")
 """The arrays of indices; all others hold floating point numbers."""
 SHORTEST_NORMAL = 1e-3
 """Rest normals may have any length from here on."""
@@ -70,6 +71,7 @@ class GarmentModel:
     of the mesh; fitted to drapes they come out truer, for cloth does not deform as skinning's linear part says.
     hyper_modulator: arrays by name (see `physkin_core.model.hyper_modulator`), "fit" and "bend" among them only
     where made to measure and other bending stiffness were learnt. pose_modulator, node_deformer: layers.
+    sway: network that moves the garment nodes of a body that moves; None where a pendulum does.
     training, scores: plain data on how it was trained (seed, bodies, steps) and how it measured up.
     """
 
@@ -87,6 +89,7 @@ class GarmentModel:
     engine_nodes: np.ndarray | None = None
     engine_weights: np.ndarray | None = None
     rest_normals: np.ndarray | None = None
+    sway: SwayNetwork | None = None
     material: Material = field(default_factory=Material)
     training: Mapping = field(default_factory=dict)
     scores: Mapping = field(default_factory=dict)
@@ -117,6 +120,12 @@ class GarmentModel:
         _expect_chain("pose_modulator", self.pose_modulator, self.rig.pose_size, (modulation_size(self.node_deformer),))
         _expect_chain("node_deformer", self.node_deformer, 12 * m, (9 * m, 12 * m))
         _expect_hyper_modulator(self.hyper_modulator, modulation_size(self.pose_modulator))
+        if self.sway is not None:
+            if len(self.node_deformer[-1][1]) != 12 * m:
+                raise GarmentModelError("a sway network needs a node deformer of 12 numbers a garment node")
+            _expect_sway_network(self.sway, 12 * m, modulation_size(self.pose_modulator))
+            joints = _indices("sway.joints", self.sway.joints, len(self.rig.dofs))
+            object.__setattr__(self, "sway", replace(self.sway, joints=joints))
         for name, array in self.arrays().items():
             if name in INDEX_ARRAYS:
                 continue
@@ -185,6 +194,8 @@ class GarmentModel:
         for network, layers in (("pose_modulator", self.pose_modulator), ("node_deformer", self.node_deformer)):
             for index, (weight, bias) in enumerate(layers):
                 named[f"{network}.{index}.weight"], named[f"{network}.{index}.bias"] = weight, bias
+        if self.sway is not None:
+            named |= {f"sway.{name}": array for name, array in self.sway.arrays().items()}
         return named | {f"hyper_modulator.{name}": array for name, array in self.hyper_modulator.items()}
 
 
@@ -258,3 +269,25 @@ def _expect_hyper_modulator(network: Mapping[str, np.ndarray], outputs: int) -> 
     known = {f"{name}.{part}" for name in shapes for part in ("weight", "bias")} | {"fit", "bend"}
     if unknown := sorted(set(network) - known):
         raise GarmentModelError(f"hyper_modulator has unknown arrays: {', '.join(unknown)}")
+
+
+def _expect_sway_network(network: SwayNetwork, outputs: int, modulation: int) -> None:
+    arrays = network.arrays()
+    joints, states, code = (_rows(arrays[name]) for name in ("joints", "rates", "code.directions"))
+    hidden, read, last = (_rows(arrays[f"{name}.bias"]) for name in ("first", "read", "last"))
+    shapes = {
+        "first": (hidden, drive_size(joints)),
+        "drive": (2 * states, hidden),
+        "gate": (states, hidden),
+        "read": (read, 2 * states + pose_size(joints) + drive_size(joints)),
+        "last": (last, read),
+        "out": (outputs, last),
+    }
+    wanted = {f"{name}.weight": shape for name, shape in shapes.items()}
+    wanted |= {f"{name}.bias": shape[:1] for name, shape in shapes.items()}
+    wanted |= {"joints": (joints,), "rates": (states,), "turns": (states,), "code.mean": (modulation,)}
+    wanted |= {"first.code": (hidden, code), "read.code": (read, code), "code.directions": (code, modulation)}
+    for name, shape in wanted.items():
+        _expect(f"sway.{name}", arrays[name], shape)
+    if not network.rates.min() > 0:
+        raise GarmentModelError(f"sway.rates holds {network.rates.min():g}, allowed: more than 0")

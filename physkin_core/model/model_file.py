@@ -22,6 +22,7 @@ from physkin_core.model.garment import Garment, GarmentError
 from physkin_core.model.garment_model import INDEX_ARRAYS, GarmentModel, GarmentModelError, Material
 from physkin_core.model.mlp import Layer
 from physkin_core.model.packed_weights import pack_weight, unpack_weights
+from physkin_core.model.sway_network import SwayNetwork
 from physkin_core.rig.rig import Rig, RigError
 
 __all__ = [
@@ -34,9 +35,9 @@ __all__ = [
 ]
 
 FORMAT = "physkin-garment"
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 """Files of version 1 lack "garment.normals"; they get those of the mesh. Before 3 all network weights are in half
-precision."""
+precision, before 4 there is no sway network."""
 LEAST_PACKED = 2**15
 """Network weights of so many numbers or more are packed. Smaller ones take little space; among them is the pose
 modulator's first layer, whose rounding can move single vertices by almost a millimetre."""
@@ -107,6 +108,7 @@ def _read(path: Path) -> GarmentModel:
             activation=metadata["activation"],
             engine_nodes=arrays.get("engine_skinning.nodes"),
             engine_weights=arrays.get("engine_skinning.weights"),
+            sway=SwayNetwork.from_arrays(_with_prefix(arrays, "sway.")),
             rest_normals=arrays["garment.normals"] if int(metadata["schema_version"]) > 1 else None,
             material=Material(**json.loads(metadata["material"])),
             training=json.loads(metadata["training"]),

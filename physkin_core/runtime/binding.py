@@ -23,6 +23,7 @@ from physkin_core.model.mlp import fold_modulation
 from physkin_core.model.node_deformer import fold_first_layer
 from physkin_core.model.skinning import unit
 from physkin_core.model.surface_sampling import sample_surface
+from physkin_core.model.sway_network import fold_body
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import make_evaluator
@@ -124,6 +125,7 @@ def bind_garment(
         activation=model.activation,
         pose_modulation=np.empty(0, dtype=np.float32) if fold else _float(modulation),
         faces=np.ascontiguousarray(worn.garment.faces, dtype=np.int32),
+        **({} if model.sway is None else fold_body(model.sway, modulation)),
     )
     unlike = max(np.linalg.norm(each, axis=1).max() for each in (worn.differs, elsewhere)) > UNLIKE
     if not worn.differs.any() and not unlike:

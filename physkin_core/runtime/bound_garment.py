@@ -1,8 +1,8 @@
 """A garment model bound to one body: everything the per-frame path needs, nothing that changes with the pose.
 
 Dimensions: `b` bones, `d` degrees of freedom, `p = d + 3` pose vector, `m` garment nodes, `n` garment vertices,
-`K` influences a vertex, `h` node deformer width, `u` bones that garment nodes follow. All float arrays are float32 and
-C-contiguous; lengths in metres, angles in radians, root frame.
+`K` influences a vertex, `h` node deformer width, `u` bones that garment nodes follow, `w` oscillators. All float arrays
+are float32 and C-contiguous; lengths in metres, angles in radians, root frame.
 """
 
 from __future__ import annotations
@@ -38,7 +38,10 @@ class BoundGarment(SkinningData):
     node_positions: (m, 3) garment nodes at the canonical pose of this body.
     node_twist: (m,) how far each garment node goes along where cloth twists about the root's vertical, 0 to 1; (0,)
         of a garment that does not twist.
-    activation: "silu" or "relu".
+    sway_joints, sway_layers, sway_rates, sway_turns: the sway network, the body's code folded in, or all empty. Joints
+        (j,) int32 that it looks at; rates and turns (w,) of its oscillators; two layers from the drive to what drives
+        and gates these (3 w), SiLU between, and three from states, pose and drive to offsets (12 m), SiLU between.
+    activation: "silu" or "relu", of the two networks before.
     pose_modulation: (s,) the body's modulation of the pose modulator, [scale_0, shift_0, scale_1, ...] over its hidden
         layers, where it is not folded into pose_layers; else empty. Bodies of one garment model then share pose_layers.
     faces: (f, 3) int32 triangles of the vertices; empty for a point set.
@@ -59,6 +62,10 @@ class BoundGarment(SkinningData):
     activation: str = "silu"
     pose_modulation: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     node_twist: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+    sway_joints: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
+    sway_layers: tuple[Layer, ...] = ()
+    sway_rates: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+    sway_turns: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     faces: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.int32))
 
 

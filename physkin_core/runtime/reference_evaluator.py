@@ -16,6 +16,8 @@ from physkin_core.model.pose_modulator import pose_modulation
 from physkin_core.model.skinning import NORMALS, skin
 from physkin_core.rig.rig import forward_kinematics, pose_vector
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.sway.learnt_sway import LearntSway
+from physkin_core.sway.moment import GRAVITY_SIZES, Moment, split_moment
 from physkin_core.sway.node_twist import twisted
 from physkin_core.sway.pace import JUMP, UNTOLD, Pace
 
@@ -49,44 +51,36 @@ class ReferenceEvaluator:
         self._bound = bound
         self._nodes = np.zeros((len(bound.node_bone), 3, 4))
         self._pace, self._last_given = Pace(), None
+        self._learnt_sway = None
+        if bound.sway_layers:
+            limits, oscillators = (bound.dof_lower, bound.dof_upper), (bound.sway_rates, bound.sway_turns)
+            self._learnt_sway = LearntSway(bound.sway_joints, *limits, bound.sway_layers, *oscillators)
         self.jumped = True
 
     def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> None:
         """Write the garment for one pose.
 
-        joint_positions: (d,) [rad]. gravity: (3,) unit, root frame; or (5,), with twist [rad] and passed time [s]
-        behind it, as of `NativeEvaluator`. out: (n, 3) or (n, 6) float32, any row stride.
+        joint_positions: (d,) [rad]. gravity: (3,) unit, root frame, or with the moment behind it, as of
+        `physkin_core.sway.moment`. out: (n, 3) or (n, 6) float32, any row stride.
         Raises what the native evaluator raises: TypeError when an array has another dtype or `out` is not a writable
         2-D one; ValueError when a shape is wrong, rows of `out` overlap or are not contiguous, or an input or what the
         networks make of it is not finite. Nothing is written then.
         """
         bound = self._bound
         _check_input("joint_positions", joint_positions, len(bound.dof_bone))
-        gravity, moment = _split(gravity)
+        size = len(gravity) if np.shape(gravity) in [(size,) for size in GRAVITY_SIZES] else 3
+        _check_input("gravity", gravity, size)
+        gravity, moment = split_moment(gravity)
         _check_out(out, len(bound.vertices))
         q = joint_positions.astype(np.float64)
         given = np.concatenate([q, gravity])
         self.jumped = self._last_given is None or np.abs(given - self._last_given).max() > JUMP
         self._last_given = given
-        pace, self._pace = self._pace, Pace()  # after networks that are refused the next frame keeps none
-        heads = bound.bone_heads.astype(np.float64)
-        bones = forward_kinematics(bound.bone_parents, heads, bound.dof_bone, bound.dof_axis, q - bound.dof_rest)
-        pose = pose_vector(q, bound.dof_lower.astype(np.float64), bound.dof_upper.astype(np.float64), gravity)
-        modulation = pose_modulation(
-            bound.pose_layers, pose, bound.pose_modulation if len(bound.pose_modulation) else None, bound.activation
-        )
-        raw = node_corrections(bound.deformer_layers, bones[bound.deformer_bones], modulation, bound.activation)
-        _check_result("node deformer output", raw)
-        posed = pose_nodes(bones, bound.node_bone, bound.node_positions)
-        nodes = compose_nodes(posed, delta_transforms(raw, len(bound.node_bone)))
-        _check_result("node_transforms", nodes)
-        self._pace = pace
-        if moment is not None:
-            twist, passed = moment
-            nodes = pace.kept(posed, nodes, UNTOLD if self.jumped else passed)
-            if twist and len(bound.node_twist):
-                nodes = twisted(nodes, bones, bound.node_twist.astype(np.float64), bound.node_bone, twist)
-        self._nodes = nodes
+        try:
+            self._nodes = self._nodes_of(q, gravity.astype(np.float64), moment)
+        except ValueError:
+            self._forget()
+            raise
         positions, normals = skin(
             self._nodes, bound.node_rest, bound.vertices, bound.normals, bound.influence_nodes, bound.influence_weights
         )
@@ -96,16 +90,41 @@ class ReferenceEvaluator:
         if out.shape[1] == 6:
             out[:, 3:] = normals
 
+    def _nodes_of(self, q: np.ndarray, gravity: np.ndarray, moment: Moment | None) -> np.ndarray:
+        """Garment nodes (m, 3, 4). Raises ValueError where networks give what is not finite."""
+        bound = self._bound
+        heads = bound.bone_heads.astype(np.float64)
+        bones = forward_kinematics(bound.bone_parents, heads, bound.dof_bone, bound.dof_axis, q - bound.dof_rest)
+        pose = pose_vector(q, bound.dof_lower.astype(np.float64), bound.dof_upper.astype(np.float64), gravity)
+        modulation = pose_modulation(
+            bound.pose_layers, pose, bound.pose_modulation if len(bound.pose_modulation) else None, bound.activation
+        )
+        raw = node_corrections(bound.deformer_layers, bones[bound.deformer_bones], modulation, bound.activation)
+        if moment is not None and self._learnt_sway is not None:
+            if moment.sway > 0:
+                raw = raw + moment.sway * self._learnt_sway.offsets(q, gravity, moment)
+            else:
+                self._learnt_sway.forget()
+        _check_result("node deformer output", raw)
+        posed = pose_nodes(bones, bound.node_bone, bound.node_positions)
+        nodes = compose_nodes(posed, delta_transforms(raw, len(bound.node_bone)))
+        _check_result("node_transforms", nodes)
+        if moment is None:
+            return nodes
+        nodes = self._pace.kept(posed, nodes, UNTOLD if self.jumped else moment.passed)
+        if moment.twist and len(bound.node_twist):
+            nodes = twisted(nodes, bones, bound.node_twist.astype(np.float64), bound.node_bone, moment.twist)
+        return nodes
+
+    def _forget(self) -> None:
+        """What was before does not count for the next frame."""
+        self._pace = Pace()
+        if self._learnt_sway is not None:
+            self._learnt_sway.forget()
+
     def node_transforms(self) -> np.ndarray:
         """Garment node transforms (m, 3, 4) of the last frame."""
         return self._nodes.astype(np.float32)
-
-
-def _split(gravity: np.ndarray) -> tuple[np.ndarray, tuple[float, float] | None]:
-    """Gravity (3,), and twist and passed time, of what `evaluate` takes."""
-    with_moment = np.shape(gravity) == (5,)
-    _check_input("gravity", gravity, 5 if with_moment else 3)
-    return gravity[:3], (float(gravity[3]), float(gravity[4])) if with_moment else None
 
 
 def _check_input(name: str, values: np.ndarray, count: int) -> None:

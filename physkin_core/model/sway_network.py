@@ -1,0 +1,108 @@
+"""Sway network: how a body moves -> how garment nodes lag, swing and settle; learnt from simulated cloth.
+
+Features of the frame drive damped oscillators, which remember; what is read from them, from the pose and from the drive
+is added to the node deformer's corrections. A body comes in as a code, a few directions of its modulation.
+
+Dimensions: `j` joints, `c` body code, `M` modulation of the pose modulator, `h` and `r` hidden widths, `K` oscillators,
+`m` garment nodes; `f = 2 j + 15` drive, `p = j + 3` pose (see `physkin_core.sway.learnt_sway`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from physkin_core.model.mlp import Layer
+
+__all__ = ["LARGEST_CODE", "SwayNetwork", "drive_size", "fold_body", "pose_size"]
+
+LARGEST_CODE = 4.0
+"""Bodies farther out than this, in standard deviations of those of training, are taken as this far."""
+LAYERS = ("first", "drive", "gate", "read", "last", "out")
+
+
+def drive_size(joints: int) -> int:
+    """Numbers f of the drive: joints and gravity, rates, velocity, turning, their cross product, turning squared."""
+    return 2 * joints + 15
+
+
+def pose_size(joints: int) -> int:
+    """Numbers p of the pose: joints and gravity."""
+    return joints + 3
+
+
+@dataclass(frozen=True)
+class SwayNetwork:
+    """Network weights (out, in) and biases (out,), float32; checked by the `GarmentModel` that they are part of.
+
+    joints: (j,) int32, the rig's degrees of freedom that it looks at. first: (h, f), followed by SiLU; first_code:
+    (h, c), of the body. drive: (2 K, h), real parts and then imaginary ones; gate: (K, h), how much faster oscillators
+    run. rates (K,) [1/s], above 0, by which they decay; turns (K,) [rad/s] by which they oscillate.
+    read: (r, 2 K + p + f) over states, pose and drive, and last: both followed by SiLU; read_code: (r, c).
+    out: (12 m, last), linear. code_mean: (M,); code_directions: (c, M).
+    """
+
+    joints: np.ndarray
+    first: Layer
+    first_code: np.ndarray
+    drive: Layer
+    gate: Layer
+    rates: np.ndarray
+    turns: np.ndarray
+    read: Layer
+    read_code: np.ndarray
+    last: Layer
+    out: Layer
+    code_mean: np.ndarray
+    code_directions: np.ndarray
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Every array by its name in the garment model file, less the prefix "sway."."""
+        named = {"joints": self.joints, "rates": self.rates, "turns": self.turns}
+        named |= {"first.code": self.first_code, "read.code": self.read_code}
+        named |= {"code.mean": self.code_mean, "code.directions": self.code_directions}
+        for name in LAYERS:
+            named[f"{name}.weight"], named[f"{name}.bias"] = getattr(self, name)
+        return named
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> SwayNetwork | None:
+        """Of what `arrays` gives; None where there are none. Raises KeyError where one is missing."""
+        if not arrays:
+            return None
+        return cls(
+            **{name: arrays[name] for name in ("joints", "rates", "turns")},
+            **{name: (arrays[f"{name}.weight"], arrays[f"{name}.bias"]) for name in LAYERS},
+            **{f"{part}_code": arrays[f"{part}.code"] for part in ("first", "read")},
+            **{f"code_{part}": arrays[f"code.{part}"] for part in ("mean", "directions")},
+        )
+
+    def body_code(self, modulation: np.ndarray) -> np.ndarray:
+        """(c,) float64 of the modulation (M,) that the hyper modulator gives for a body."""
+        code = self.code_directions.astype(np.float64) @ (modulation - self.code_mean.astype(np.float64))
+        return np.clip(code, -LARGEST_CODE, LARGEST_CODE)
+
+
+def fold_body(network: SwayNetwork, modulation: np.ndarray) -> dict[str, object]:
+    """The fields of `BoundGarment` that a sway network fills, for the body of a modulation (M,).
+
+    Its code becomes part of biases; drive and gate, which read the same, become one layer.
+    """
+    code = network.body_code(modulation)
+    (drive, drive_bias), (gate, gate_bias) = network.drive, network.gate
+    layers = (
+        (network.first[0], network.first[1] + network.first_code @ code),
+        (np.concatenate([drive, gate]), np.concatenate([drive_bias, gate_bias])),
+        (network.read[0], network.read[1] + network.read_code @ code),
+        network.last,
+        network.out,
+    )
+    as_float = lambda array: np.ascontiguousarray(array, dtype=np.float32)  # noqa: E731
+    return {
+        "sway_joints": np.ascontiguousarray(network.joints, dtype=np.int32),
+        "sway_layers": tuple((as_float(weight), as_float(bias)) for weight, bias in layers),
+        "sway_rates": as_float(network.rates),
+        "sway_turns": as_float(network.turns),
+    }
