@@ -22,7 +22,7 @@ from physkin_training.dynamics.incremental_potential import Dynamics, Incrementa
 from physkin_training.dynamics.step_solver import Step, StepSolver
 from physkin_training.physics.full_space_solver import FullSpaceSolver, Solution
 
-__all__ = ["TOLERANCE", "DynamicSimulation", "Frame"]
+__all__ = ["A_LONG_TIME", "LARGEST_EXTENT", "TOLERANCE", "DynamicSimulation", "Frame"]
 
 TOLERANCE = 1e-3
 """Residual force of a step over the garment's weight."""
