@@ -11,6 +11,7 @@ import pytest
 
 from physkin_core import Avatar, DegreeOfFreedom, Garment, GarmentModel, Rig
 from physkin_core.model.hyper_modulator import token_features
+from physkin_core.model.sway_network import SwayNetwork, drive_size, pose_size
 
 TINY = dict(bones=4, dofs=5, nodes=6, influences=3)
 DEFAULT_RIG = dict(
@@ -164,12 +165,13 @@ def random_model(
     correction: float = 0.1,
     made_to_measure: bool = False,
     learnt_fabrics: bool = False,
+    learnt_sway: bool = False,
 ) -> GarmentModel:
     """A garment model with random networks and smooth random skinning weights.
 
     rig, garment: default a random rig of `bones` and `dofs`, and a `tube` of `rings` by `segments`. correction: about
     how large the node deformer's numbers are. made_to_measure: it has learnt a fit. learnt_fabrics: other bending and
-    accelerated roots.
+    accelerated roots. learnt_sway: it has a sway network, for which node_outputs must be 12.
     """
     rig = random_rig(rng, bones=bones, dofs=dofs) if rig is None else rig
     garment = tube(rings=rings, segments=segments) if garment is None else garment
@@ -200,8 +202,51 @@ def random_model(
         pose_modulator=pose,
         node_deformer=deformer,
         activation=activation,
+        sway=random_sway_network(rng, len(rig.dofs), nodes, modulation=2 * sum(pose_widths)) if learnt_sway else None,
         training={"seed": 7, "bodies": 3} | ({"poses": {"accelerated": 0.3}} if learnt_fabrics else {}),
         scores={"edge_strain_percent": 3.5},
+    )
+
+
+def random_sway_network(
+    rng: np.random.Generator,
+    dofs: int,
+    nodes: int,
+    *,
+    modulation: int,
+    joints: int = 4,
+    states: int = 10,
+    widths: tuple[int, int, int] = (13, 20, 11),
+    code: int = 3,
+    offset: float = 0.05,
+) -> SwayNetwork:
+    """A sway network whose every part matters. offset: about how large its numbers are."""
+    hidden, read, last = widths
+    drive, pose = drive_size(joints), pose_size(joints)
+    floats = lambda *shape: rng.normal(size=shape).astype(np.float32)  # noqa: E731
+    (first,), (driven,), (gate,), (reading, latter, out) = (
+        random_layers(rng, sizes, output_scale=scale)
+        for sizes, scale in (
+            ((drive, hidden), 1.0),
+            ((hidden, 2 * states), 2.0),
+            ((hidden, states), 1.0),
+            ((2 * states + pose + drive, read, last, 12 * nodes), offset),
+        )
+    )
+    return SwayNetwork(
+        joints=np.sort(rng.choice(dofs, size=joints, replace=False)).astype(np.int32),
+        first=first,
+        first_code=0.3 * floats(hidden, code),
+        drive=driven,
+        gate=gate,
+        rates=np.exp(rng.uniform(0, 2.5, size=states)).astype(np.float32),
+        turns=rng.uniform(0, 25, size=states).astype(np.float32),
+        read=reading,
+        read_code=0.3 * floats(read, code),
+        last=latter,
+        out=out,
+        code_mean=0.1 * floats(modulation),
+        code_directions=floats(code, modulation) / np.float32(np.sqrt(modulation)),
     )
 
 

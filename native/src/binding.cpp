@@ -121,7 +121,7 @@ class BoundEvaluator {
  private:
   Evaluator evaluator_;
   std::vector<float> joint_positions_;
-  float gravity_[5] = {};
+  float gravity_[kGravityAndMoment] = {};
 };
 
 // A frame whose arrays were checked once: a call converts and allocates nothing. Keeps evaluator and arrays alive.

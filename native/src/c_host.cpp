@@ -22,6 +22,7 @@ struct physkin_garment {
       : evaluator(file.garment, kernels, options),
         joint_names(file.joint_names),
         accelerated(file.accelerated),
+        learnt_sway(!file.garment.sway_layers.empty()),
         lower(file.garment.dof_lower, file.garment.dof_lower + file.garment.dofs),
         rest(file.garment.dof_rest, file.garment.dof_rest + file.garment.dofs),
         upper(file.garment.dof_upper, file.garment.dof_upper + file.garment.dofs),
@@ -31,7 +32,7 @@ struct physkin_garment {
   physkin::Evaluator evaluator;
   physkin::Sway sway;
   std::vector<std::string> joint_names;
-  bool accelerated;
+  bool accelerated, learnt_sway;
   std::vector<float> lower, rest, upper, axes;
   std::vector<std::int32_t> faces;
 };
@@ -228,12 +229,12 @@ physkin_status physkin_step_accelerated(physkin_garment* garment, const float* j
 physkin_status physkin_step_moving(physkin_garment* garment, const float* joint_positions, double time,
                                    const double* root, float* out, int32_t columns, ptrdiff_t stride) {
   if (garment == nullptr || root == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment or root is null");
-  float gravity[5];
-  if (const char* wrong = garment->sway.gravity(time, root, garment->accelerated, gravity)) {
+  float told[physkin::kGravityAndMoment];
+  if (const char* wrong = garment->sway.gravity(time, root, garment->accelerated, garment->learnt_sway, told)) {
     return fail(PHYSKIN_BAD_POSE, "%s", wrong);
   }
-  const physkin::Moment moment{gravity[3], gravity[4]};
-  return step(garment, joint_positions, gravity, &moment, out, columns, stride);
+  const auto moment = physkin::moment_after(told, physkin::kGravityAndMoment);
+  return step(garment, joint_positions, told, &*moment, out, columns, stride);
 }
 
 physkin_status physkin_set_sway(physkin_garment* garment, double amount) {

@@ -17,7 +17,7 @@ class BoundOutfit {
               const std::string& normals)
       : outfit_(evaluator_of<OutfitEvaluator>(garments, instruction_set, precision, normals)),
         joint_positions_(std::size_t(outfit_[0].dofs())),
-        gravity_(5 * std::size_t(outfit_.count())) {
+        gravity_(kGravityAndMoment * std::size_t(outfit_.count())) {
     PythonReader reader;
     for (nb::handle order : orders) {
       LayerOrderData data = read_layer_order(reader.fields_of(order));

@@ -153,17 +153,19 @@ inline void raise_if(const Rejection& rejection) {
   if (rejection) throw nb::value_error(rejection.message().c_str());
 }
 
-// Numbers of one gravity: 5, with the moment behind it, or 3.
+// Numbers of one gravity, the moment behind it included; of an array of another size those of gravity alone.
 template <class Array>
 int gravity_size(const Array& gravity) {
-  return gravity.ndim() > 0 && gravity.shape(gravity.ndim() - 1) == 5 ? 5 : 3;
+  const std::size_t size = gravity.ndim() > 0 ? gravity.shape(gravity.ndim() - 1) : 0;
+  const bool told = size == std::size_t(kGravityAndTwist) || size == std::size_t(kGravityAndMoment);
+  return told ? int(size) : kGravityAlone;
 }
 
 // One frame under a gravity of that many numbers.
 inline void step_under(Evaluator& evaluator, const float* joint_positions, const float* gravity, int size,
                        const VertexRows& rows) {
-  const Moment moment = size > 3 ? Moment{gravity[3], gravity[4]} : Moment{};
-  raise_if(evaluator.step(joint_positions, gravity, rows, size > 3 ? &moment : nullptr));
+  const std::optional<Moment> moment = moment_after(gravity, size);
+  raise_if(evaluator.step(joint_positions, gravity, rows, moment ? &*moment : nullptr));
 }
 
 inline VertexRows vertex_rows(const OutputArray& out, int vertex_count) {

@@ -11,7 +11,8 @@ using namespace nb::literals;
 namespace physkin {
 namespace {
 
-using Found = nb::ndarray<double, nb::shape<4>, nb::c_contig, nb::device::cpu>;
+template <int kCount>
+using Found = nb::ndarray<double, nb::shape<kCount>, nb::c_contig, nb::device::cpu>;
 using Given = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 }  // namespace
@@ -28,11 +29,13 @@ void bind_sway(nb::module_& module) {
       .def("reset", &Pendulum::reset)
       .def(
           "felt",
-          [](Pendulum& self, double time, const Given& root, double amount, const Found& out) {
+          [](Pendulum& self, double time, const Given& root, double amount, const Found<4>& out) {
             if (root.shape(0) != 7) throw nb::value_error("root must be 7 numbers: x, y, z and a quaternion x, y, z, w");
             if (const char* wrong = self.felt(time, root.data(), amount, out.data())) throw nb::value_error(wrong);
           },
-          "time"_a, "root"_a, "amount"_a, "out"_a);
+          "time"_a, "root"_a, "amount"_a, "out"_a)
+      .def(
+          "motion", [](const Pendulum& self, const Found<6>& out) { return self.motion(out.data()); }, "out"_a);
 }
 
 }  // namespace physkin

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Literal
 
 import numpy as np
@@ -30,7 +30,7 @@ from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
 from physkin_core.separation.limb_separator import LimbSeparator
-from physkin_core.sway.pace import UNTOLD, FrameClock
+from physkin_core.sway.pace import FrameClock
 from physkin_core.sway.sway import Sway, checked_amount
 
 __all__ = ["Outfit"]
@@ -189,15 +189,16 @@ class Outfit:
         row k of a garment is its vertex `visible[garment][k]`.
         Raises ValueError as `Draper.drape` does. Order is kept from one frame to the next: give frames in their order.
         """
+        learnt = [bool(bound.sway_layers) and effective_gravity is None for bound in self.bounds]
         felt = [(gravity, effective_gravity, 0.0)] * len(self._drapers)
         if root is not None:
-            felt = self._swaying(time, root, effective_gravity)
+            felt = self._swaying(time, root, effective_gravity, learnt)
         poses = [draper.checked_pose(joint_positions, *each) for draper, (*each, _) in zip(self._drapers, felt)]
         positions, down = poses[-1]
         if time is not None:
-            passed = self._clock.passed(time)
-            moments = [(twist, passed if sway else UNTOLD) for (*_, twist), sway in zip(felt, self.sways)]
-            down = np.array([(*each, *moment) for (_, each), moment in zip(poses, moments)], dtype=np.float32)
+            tell = partial(self._sway.moment, self._clock.passed(time), self._clock.elapsed, rooted=root is not None)
+            told = zip(poses, felt, learnt, self.sways)
+            down = np.stack([tell(twist=t, learnt=by, amount=a).after(each) for (_, each), (*_, t), by, a in told])
         if self._limb_separator is not None:
             positions, _ = self._limb_separator.separate(positions, out=self._separated)
         if outs is None:
@@ -205,14 +206,14 @@ class Outfit:
         self._evaluator.evaluate(positions, down, outs)
         return list(outs)
 
-    def _swaying(self, time: float | None, root: np.ndarray | None, given: np.ndarray | None) -> list[tuple]:
+    def _swaying(
+        self, time: float | None, root: np.ndarray | None, given: np.ndarray | None, learnt: Sequence[bool]
+    ) -> list[tuple]:
         """Gravity, effective gravity and twist of each garment, as `Sway.gravity` tells them."""
-        tell = partial(
-            self._sway.gravity, time, root, given, accelerated=all(model.accelerated for model in self.models)
-        )
-        if isinstance(self.sway, tuple):  # the root moves once: asked again at that time, only the amount differs
-            return [tell(amount=amount) for amount in self.sways]
-        return [tell(amount=self.sway)] * len(self._drapers)
+        tell = cache(
+            partial(self._sway.gravity, time, root, given, accelerated=all(model.accelerated for model in self.models))
+        )  # the root moves once: asked again at that time, only the amount differs
+        return [tell(learnt=by, amount=amount) for by, amount in zip(learnt, self.sways)]
 
     @property
     def sway(self) -> float | tuple[float, ...]:

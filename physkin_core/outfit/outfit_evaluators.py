@@ -14,6 +14,7 @@ from physkin_core.outfit.layer_order import LayerOrder, ReferenceLayerOrder
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.native_evaluator import _native
 from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
+from physkin_core.sway.moment import GRAVITY_SIZES
 
 __all__ = ["NativeOutfitEvaluator", "ReferenceOutfitEvaluator"]
 
@@ -48,8 +49,8 @@ class NativeOutfitEvaluator:
         return self._outfit.precision
 
     def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, outs: Sequence[np.ndarray]) -> None:
-        """Compute one frame. joint_positions: (d,) [rad]. gravity: (3,), or (layers, 3), one each, or with twist
-        and passed time behind, as of `NativeEvaluator`. outs: one a layer, writable float32, all (n, 6) for x, y, z [m]
+        """Compute one frame. joint_positions: (d,) [rad]. gravity: (3,), or (layers, 3), one each, or with the
+        moment behind, as of `physkin_core.sway.moment`. outs: one a layer, writable float32, all (n, 6) for x, y, z [m]
         and normals, or all (n, 3); any row stride.
 
         Raises TypeError for another dtype; ValueError for a wrong shape or where a value is not finite (nothing is
@@ -109,10 +110,9 @@ class ReferenceOutfitEvaluator:
             raise ValueError(f"out has {len(outs)} arrays; expected one for each of {len(self._bounds)} garments")
         layers = [np.empty((len(bound.vertices), 6), dtype=np.float32) for bound in self._bounds]
         shape, size = np.shape(gravity), np.shape(gravity)[-1:]
-        if shape not in (size, (len(layers), *size)) or size not in ((3,), (5,)):
-            raise ValueError(
-                f"gravity must have shape (3,), {(len(layers), 3)}, (5,) or {(len(layers), 5)}, got {np.shape(gravity)}"
-            )
+        if shape not in (size, (len(layers), *size)) or size not in {(size,) for size in GRAVITY_SIZES}:
+            allowed = ", ".join(f"({size},), {(len(layers), size)}" for size in GRAVITY_SIZES)
+            raise ValueError(f"gravity must have one of the shapes {allowed}, got {np.shape(gravity)}")
         gravities = np.broadcast_to(gravity, (len(layers), *size))
         for evaluator, down, layer in zip(self._evaluators, gravities, layers):
             evaluator.evaluate(joint_positions, down, layer)

@@ -25,7 +25,7 @@ from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import make_evaluator
 from physkin_core.runtime.rest_look import RestLook, look_at_rest
 from physkin_core.separation.limb_separator import LimbSeparator
-from physkin_core.sway.pace import UNTOLD, FrameClock
+from physkin_core.sway.pace import FrameClock
 from physkin_core.sway.sway import Sway
 
 __all__ = [
@@ -171,19 +171,21 @@ class Draper:
         (`GarmentModel.accelerated`). time [s]: when this is; frames are then to be given in their order, and cloth
         that would leap goes over at its pace (`physkin_core.sway.pace`). root (7,), with time: where the root is in the
         world, as of `Sway.felt`, which then tells gravity: cloth lags, swings and settles as much as `sway` says. Of a
-        model that knows no accelerated roots only gravity's direction changes.
+        model that knows no accelerated roots only gravity's direction changes. A model with a sway network moves by
+        that instead, without a root by the joints alone, and not under effective gravity.
         out: (n, 6) or (n, 3) writable float32 view, any row stride; default a new (n, 6).
         Returns `out`: x, y, z [m], then the unit normal.
         Raises ValueError on wrong lengths, unknown joints or values that are not finite, naming the joint.
         """
-        twist = 0.0
+        twist, learnt = 0.0, bool(self.bound.sway_layers) and effective_gravity is None
         if root is not None:
-            known = self.model.accelerated
-            gravity, effective_gravity, twist = self._sway.gravity(time, root, effective_gravity, accelerated=known)
+            gravity, effective_gravity, twist = self._sway.gravity(
+                time, root, effective_gravity, accelerated=self.model.accelerated, learnt=learnt
+            )
         positions, down = self.checked_pose(joint_positions, gravity, effective_gravity)
         if time is not None:
-            passed = self._clock.passed(time)
-            down = np.array([*down, twist, passed if self.sway else UNTOLD], dtype=np.float32)
+            told = self._clock.passed(time), self._clock.elapsed
+            down = self._sway.moment(*told, twist=twist, learnt=learnt, rooted=root is not None).after(down)
         if out is None:
             out = np.empty((self.vertex_count, 6), dtype=np.float32)
         self._evaluator.evaluate(positions, down, out)
@@ -259,7 +261,7 @@ class Draper:
         """A frame bound to its arrays: `step()` drapes what they hold now into `out`, with nothing to convert.
 
         joint_positions: (d,) [rad] and gravity: (3,) unit direction, or, for models that have learnt it, effective
-        gravity `in_units_of_gravity`; or (5,), with twist and passed time behind, as of `NativeEvaluator`. C-contiguous
+        gravity `in_units_of_gravity`; or with the moment behind, as of `physkin_core.sway.moment`. C-contiguous
         float32, to be changed in place. out: as for `drape`.
         Raises TypeError or ValueError for other arrays; `step()` raises ValueError when a value or what the networks
         make of it is not finite (`out` is then unchanged).

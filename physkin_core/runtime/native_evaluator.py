@@ -86,9 +86,8 @@ class NativeEvaluator:
         """Computes one frame into `out`.
 
         joint_positions: (d,) [rad], float32 or float64.
-        gravity: (3,) unit direction of gravity in the root frame, float32 or float64; or (5,), with two
-            numbers behind it: the twist [rad] of cloth that hangs round both legs (`BoundGarment.node_twist`), and the
-            time [s] since the last frame, by which cloth keeps its pace, negative where that does not count.
+        gravity: (3,) unit direction of gravity in the root frame, float32 or float64; or with the moment behind it,
+            (5,) or (14,), as of `physkin_core.sway.moment`.
         out: writable float32, (n, 6) for x, y, z [m] and unit normals in the root frame, or (n, 3) for positions
             alone. Rows must be contiguous but may be any distance apart, so that `out` can be a view of a larger
             buffer, such as the data of a point cloud message.
@@ -104,10 +103,11 @@ class NativeEvaluator:
     def bind_step(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> _native.Step:
         """A frame bound to its arrays: they are checked once, and then `step()` reads and writes them where they lie.
 
-        joint_positions: (d,) [rad] and gravity: (3,) or (5,), C-contiguous float32, to be changed in place between
-        frames. out: as in `evaluate`. Returns an object whose method `step()`, of no arguments, converts and allocates
-        nothing; it keeps the arrays and this evaluator alive. Its methods `pose`, `run_networks`, `compose_nodes`,
-        `skin` and `compute_normals` repeat single stages of the last frame, without twist and pace, for timing.
+        joint_positions: (d,) [rad] and gravity: (3,), (5,) or (14,), C-contiguous float32, to be changed in place
+        between frames. out: as in `evaluate`. Returns an object whose method `step()`, of no arguments, converts and
+        allocates nothing; it keeps the arrays and this evaluator alive. Its methods `pose`, `run_networks`,
+        `compose_nodes`, `skin` and `compute_normals` repeat single stages of the last frame, without sway, twist and
+        pace, for timing.
 
         Raises TypeError or ValueError as `evaluate` does; `step()` raises ValueError if an input or the networks'
         output is not finite (`out` is then unchanged).

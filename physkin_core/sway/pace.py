@@ -36,7 +36,7 @@ class FrameClock:
     def reset(self) -> None:
         """The next frame is the first one."""
         self._time: float | None = None
-        self._passed = UNTOLD
+        self._passed = self._elapsed = UNTOLD
 
     def passed(self, time: float) -> float:
         """Time [s] since the last frame, at `time` [s] of any clock; `UNTOLD` for the first one, after more than a
@@ -45,10 +45,17 @@ class FrameClock:
         if not math.isfinite(time):
             raise ValueError(f"time must be finite, got {time}")
         passed = UNTOLD if self._time is None else time - self._time
+        self._elapsed = UNTOLD if self._time is None else max(passed, 0.0)
         if passed != 0:
             self._time = float(time)
             self._passed = passed if 0 < passed <= LARGEST_GAP else UNTOLD
         return self._passed
+
+    @property
+    def elapsed(self) -> float:
+        """Time [s] between the last two frames, however long; 0 where the clock stood or went back, `UNTOLD` for the
+        first frame."""
+        return self._elapsed
 
 
 class Pace:

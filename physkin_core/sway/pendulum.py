@@ -82,6 +82,7 @@ class ReferencePendulum:
         self._deflection, self._rate = np.zeros(4), np.zeros(4)
         self._time: float | None = None
         self._position, self._turn, self._velocity = np.zeros(3), np.zeros(4), None
+        self._turning = np.zeros(3)
 
     def felt(self, time: float, root: np.ndarray, amount: float, out: np.ndarray) -> None:
         """Move the root, then write effective gravity [m/s2] in its frame, and the twist [rad], to `out` (4,); see
@@ -96,12 +97,18 @@ class ReferencePendulum:
         turn = root[3:] / length
         self.move(time, root[:3], turn)
         felt = amount * self._felt_deflection() - [0, 0, GRAVITY]
-        axis, w = turn[:3], turn[3]
-        across = np.cross(axis, felt)
-        felt = felt + 2 * np.cross(axis, across) - 2 * w * across
+        felt = _carried_back(turn, felt)
         out[:3] = felt * min(1.0, LARGEST_FELT / max(np.linalg.norm(felt), 1e-9))
         twist = self._deflection[3]
         out[3] = amount * twist / math.sqrt(1 + (twist / LARGEST_TWIST) ** 2)
+
+    def motion(self, out: np.ndarray) -> bool:
+        """Write the root's velocity (3) [m/s] and turning (3) [rad/s] from the pose before the last one to that, in its
+        frame, to `out` (6,). Whether they are known; after a gap or a jump they are not, and zero."""
+        out[:] = 0.0
+        if self._velocity is not None:
+            out[:3], out[3:] = _carried_back(self._turn, self._velocity[:3]), self._turning
+        return self._velocity is not None
 
     def _felt_deflection(self) -> np.ndarray:
         deflection = self._deflection[:3]
@@ -122,7 +129,8 @@ class ReferencePendulum:
         last, self._time = self._time, time
         velocity = None
         if last is not None and 0 < passed <= LARGEST_GAP:
-            velocity = np.append(position - self._position, _turned(self._turn, turn)) / passed
+            self._turning = _rotation(self._turn, turn) / passed
+            velocity = np.append((position - self._position) / passed, self._turning[2] * _upright(turn))
             if self._velocity is not None:
                 change = velocity - self._velocity
                 if np.linalg.norm(change[:3]) > LARGEST_CHANGE or abs(change[3]) > LARGEST_CHANGE_OF_TURNING:
@@ -155,14 +163,26 @@ class ReferencePendulum:
         self._rate = -(self._frequency**2) * sine * away + (cosine - half * sine) * rate
 
 
-def _turned(before: np.ndarray, after: np.ndarray) -> float:
-    """Angle [rad] by which a root has turned about its own vertical between two unit quaternions (4,); it counts as far
-    as that is upright in the world: cloth of who rolls on the floor does not hang about it."""
+def _rotation(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Rotation vector (3,) [rad] in the root's frame, by which it has turned between two unit quaternions (4,)."""
     x, y, z, w = after
     a, b, c, d = before
-    along = d * z - w * c - a * y + b * x  # of the rotation inverse(before) after
-    across = np.hypot(d * x - w * a - b * z + c * y, d * y - w * b - c * x + a * z)
+    axis = np.array(  # of the rotation inverse(before) after
+        [d * x - w * a - b * z + c * y, d * y - w * b - c * x + a * z, d * z - w * c - a * y + b * x]
+    )
     cosine = d * w + a * x + b * y + c * z
-    length = math.hypot(along, across)
-    angle = 2 * math.atan2(length, abs(cosine)) * (along / max(length, 1e-12))
-    return math.copysign(1.0, cosine) * angle * max(0.0, 1 - 2 * (x * x + y * y))
+    length = np.linalg.norm(axis)
+    return axis * (math.copysign(2.0, cosine) * math.atan2(length, abs(cosine)) / max(length, 1e-12))
+
+
+def _upright(turn: np.ndarray) -> float:
+    """How far the vertical of a root is that of the world, 0 to 1: cloth of who rolls on the floor does not hang about
+    it."""
+    return max(0.0, 1 - 2 * (turn[0] * turn[0] + turn[1] * turn[1]))
+
+
+def _carried_back(turn: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """A vector (3,) of the world in the frame of a root turned by a unit quaternion (4,)."""
+    axis, w = turn[:3], turn[3]
+    across = np.cross(axis, vector)
+    return vector + 2 * np.cross(axis, across) - 2 * w * across

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from physkin_core.sway.moment import Moment
 from physkin_core.sway.pendulum import PendulumSettings, ReferencePendulum
 
 __all__ = ["Sway", "checked_amount"]
@@ -77,11 +78,12 @@ class Sway:
         given: np.ndarray | None,
         *,
         accelerated: bool,
+        learnt: bool = False,
         amount: float | None = None,
     ) -> tuple[np.ndarray | None, np.ndarray | None, float]:
         """What garments are draped under at a time and place of the root: effective gravity (3,) [m/s2] where their
         models know `accelerated` roots and sway is above 0, and before it None, or else gravity's direction (3,) and
-        None; and the twist [rad].
+        None; and the twist [rad]. A garment that has `learnt` to sway is draped as if the root were at rest.
 
         given: effective gravity that was given besides, which may not be. amount: of one garment, in place of the own.
         Raises ValueError as `felt` does, and where only one of time and root is there.
@@ -90,11 +92,28 @@ class Sway:
             raise ValueError("give time with root, and no effective gravity: it follows from them")
         amount = self._amount if amount is None else amount
         felt = self._felt(time, root, amount)
-        if amount == 0:
+        if amount == 0 or learnt:
             return _gravity_at(root), None, 0.0
         if accelerated:
             return None, felt, self._twist
         return (felt if felt @ felt > LEAST_DIRECTED**2 else _gravity_at(root)), None, self._twist
+
+    def moment(
+        self, passed: float, elapsed: float, *, twist: float, learnt: bool, rooted: bool, amount: float | None = None
+    ) -> Moment:
+        """What a garment is told at the last frame of a `FrameClock`, from which passed and elapsed time are.
+
+        twist: of `gravity`. learnt: whether it sways by a network. rooted: whether the root was told, too. amount: of
+        one garment, in place of the own.
+        """
+        amount = self._amount if amount is None else amount
+        if amount == 0:
+            return Moment()
+        rates = np.zeros(6)
+        known = self._pendulum.motion(rates) if rooted else True
+        sways = (amount if learnt else 0.0, elapsed, float(known and passed >= 0))
+        velocity_and_turning = rates.tolist()
+        return Moment(twist, passed, *sways, velocity_and_turning[:3], velocity_and_turning[3:])
 
 
 def _gravity_at(root: Sequence[float] | np.ndarray) -> np.ndarray:

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from random_models import random_layers, unit_rows
+from random_models import random_layers, random_sway_network, unit_rows
 
+from physkin_core.model.sway_network import fold_body
 from physkin_core.runtime.bound_file import save_bound_garment
 from physkin_core.runtime.bound_garment import BoundGarment
 
@@ -23,6 +24,7 @@ def random_bound_garment(
     correction_size=9,
     activation="silu",
     used_bones=None,
+    learnt_sway=False,
 ):
     """A rig, networks and skinning weights with nothing regular about them, of about a person's size."""
 
@@ -35,6 +37,10 @@ def random_bound_garment(
     weights[rng.uniform(size=weights.shape) < 0.2] = 0.0  # the same garment node twice and zero weights may occur
     weights[:, 0] += 0.1
     weights /= weights.sum(axis=1, keepdims=True)
+    sway = {}
+    if learnt_sway:
+        network = random_sway_network(rng, dofs, nodes, modulation=8)
+        sway = fold_body(network, rng.normal(size=8))
     return BoundGarment(
         bone_parents=np.array([-1] + [rng.integers(0, j) for j in range(1, bones)], dtype=np.int32),
         bone_heads=box(bones),
@@ -57,6 +63,7 @@ def random_bound_garment(
         influence_weights=weights.astype(np.float32),
         activation=activation,
         node_twist=np.maximum(rng.uniform(-0.5, 1, size=nodes), 0).astype(np.float32),
+        **sway,
     )
 
 
@@ -65,7 +72,7 @@ def small_bound_file(tmp_path_factory):
     """A bound garment file of a few kilobytes with everything that one can hold."""
     rng = np.random.default_rng(40)
     faces = rng.integers(0, 50, size=(90, 3)).astype(np.int32)
-    garment = replace(random_bound_garment(rng), faces=faces)
+    garment = replace(random_bound_garment(rng, correction_size=12, learnt_sway=True), faces=faces)
     path = tmp_path_factory.mktemp("bound") / "small.bound.safetensors"
     save_bound_garment(garment, path, name="small", joint_names=[f"joint {k}" for k in range(7)], accelerated=True)
     return path

@@ -114,7 +114,11 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
   const auto points = uniform(3 * vertices, -1, 1), normals = uniform(3 * vertices, -1, 1);
   const auto influence_nodes = indices(std::size_t(vertices) * influences, nodes);
   const auto weights = uniform(std::size_t(vertices) * influences, 0, 1);
-  const Layers pose({dofs + 3, width, 4 * width}), deformer({12 * bones, width, width, 9 * nodes});
+  const Layers pose({dofs + 3, width, 4 * width}), deformer({12 * bones, width, width, 12 * nodes});
+  const Layers driver({2 * dofs + 15, width, 3 * width}), reader({2 * width + 3 * dofs + 18, width, width, 12 * nodes});
+  const auto rates = uniform(width, 1, 9), turns = uniform(width, 0, 9);
+  std::vector<std::int32_t> joints(dofs);
+  for (int k = 0; k < dofs; ++k) joints[k] = k;
   std::vector<std::int32_t> used(bones);
   for (int j = 0; j < bones; ++j) used[j] = j;
 
@@ -145,6 +149,13 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
 
   g.node_twist = twist.data();
   g.twist_size = nodes;
+  g.sway_joints = joints.data();
+  g.sway_joint_count = dofs;
+  g.sway_layers = driver.layers;
+  g.sway_layers.insert(g.sway_layers.end(), reader.layers.begin(), reader.layers.end());
+  g.sway_rates = rates.data();
+  g.sway_turns = turns.data();
+  g.sway_states = width;
 
   const auto faces = indices(6 * std::size_t(vertices), vertices);
   g.faces = faces.data();
@@ -158,7 +169,7 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
   const physkin::VertexRows full{reinterpret_cast<unsigned char*>(out.data()), 6, true};
   const physkin::VertexRows positions_only{full.data, 3, false};
   const long before = allocations;
-  const physkin::Moment moment{0.5f, 1e-3f};
+  const physkin::Moment moment{0.5f, 1e-3f, 1.0f, 1e-3f, 1.0f, {0.1f, 0.2f, 0.3f}, {0.3f, 0.2f, 0.1f}};
   for (int frame = 0; frame < 3; ++frame) {
     if (evaluator.step(q.data(), gravity.data(), full, &moment)) std::abort();
     if (evaluator.step(q.data(), gravity.data(), positions_only, &moment)) std::abort();

@@ -190,11 +190,13 @@ def step_moving(c, garment, pose, time, root, out):
     return c.physkin_step_moving(garment, pose.ctypes.data, time, root.ctypes.data, out.ctypes.data, 6, 6)
 
 
-@pytest.mark.parametrize("learnt", [True, False])
-def test_a_root_that_moves(learnt, c, tmp_path):
-    """As Python's drapes with time and root, for every amount of sway, over a jump, a gap and a reset."""
+@pytest.mark.parametrize(("learnt", "network"), [(True, False), (False, False), (True, True)])
+def test_a_root_that_moves(learnt, network, c, tmp_path):
+    """As Python's drapes with time and root, for every amount of sway, over a jump, a gap, a stamp that comes again, a
+    clock that goes back and a reset."""
     rng = np.random.default_rng(61)
-    model = replace(random_model(rng), training={"poses": {"accelerated": 0.3}} if learnt else {})
+    model = random_model(rng, learnt_sway=True, node_outputs=12) if network else random_model(rng)
+    model = replace(model, training={"poses": {"accelerated": 0.3}} if learnt else {})
     draper, pose = Draper(model, random_avatar(rng, model.rig)), random_pose(rng, model.rig)[0]
     twists = replace(draper.bound, node_twist=rng.uniform(size=len(draper.bound.node_bone)).astype(np.float32))
     draper = Draper(model, draper.avatar, binding=twists)
@@ -203,7 +205,7 @@ def test_a_root_that_moves(learnt, c, tmp_path):
     out, plain = (np.full((draper.vertex_count, 6), 7, dtype=np.float32) for _ in range(2))
     largest = 0.0
     for k in range(60):
-        time = k / 60 + (k > 40)
+        time = (k - (k in (8, 45))) / 60 + (k > 40) - 5 * (k > 54)
         turn = Rotation.from_euler("ZY", (0.001 * k * k, 0.02 * k)).as_quat()
         root = np.array([0.002 * k * k + 5 * (k > 30), 0.0, 0.9, *turn])
         draper.sway = (1.0, 0.4, 0.0)[k // 20]
@@ -211,6 +213,7 @@ def test_a_root_that_moves(learnt, c, tmp_path):
         if k == 50:
             draper.reset()
             assert c.physkin_reset(garment) == OK
+        pose = (0.98 * pose).astype(np.float32)
         assert step_moving(c, garment, pose, time, root, out) == OK, c.physkin_last_error()
         assert np.allclose(out, draper.drape(pose, time=time, root=root), atol=1e-5)
         down = Rotation.from_quat(turn).inv().apply([0, 0, -1]).astype(np.float32)
@@ -243,14 +246,16 @@ def test_bad_roots_write_nothing_and_say_why(c, small_bound_file):
 
 
 def test_files_from_before_cloth_twisted(c, make_garment, tmp_path):
-    """They lack its shares: a root that turns then moves nothing."""
+    """They lack its shares, and a sway network: a root that turns then moves nothing."""
     from safetensors.numpy import load as tensors_of
     from safetensors.numpy import save
 
     joints = [f"joint {k}" for k in range(7)]
     save_bound_garment(make_garment(np.random.default_rng(62)), tmp_path / "g", name="g", joint_names=joints)
     data = (tmp_path / "g").read_bytes()
-    tensors = {name: array for name, array in tensors_of(data).items() if name != "node_twist"}
+    tensors = {
+        name: array for name, array in tensors_of(data).items() if name != "node_twist" and not name.startswith("sway_")
+    }
     metadata = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])["__metadata__"]
     pose, moved = np.zeros(7, np.float32), []
     for content in (data, save(tensors, metadata=metadata)):

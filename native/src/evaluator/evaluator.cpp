@@ -51,6 +51,9 @@ Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, const Evalua
                       shared == nullptr ? nullptr : &shared->pose_modulator_),
       node_deformer_(g.deformer_layers, g.activation, of_inputs(precision_), precision_, kernels, arena_,
                      shared == nullptr ? nullptr : &shared->node_deformer_, 1),
+      learnt_sway_(g.sway_layers.empty() ? std::optional<LearntSway>()
+                                         : std::make_optional<LearntSway>(g, of_inputs(precision_), precision_,
+                                                                          kernels, arena_)),
       garment_nodes_(g, arena_),
       pace_(g.nodes, arena_),
       skinner_(g, kernels, arena_),
@@ -72,27 +75,36 @@ Rejection Evaluator::check_inputs(const float* joint_positions, const float* gra
   if (const auto bad = reject_beyond("joint_positions", joint_positions, rig_.dofs(), FLT_MAX)) return bad;
   if (const auto bad = reject_beyond("gravity", gravity, 3, FLT_MAX)) return bad;
   if (moment == nullptr) return {};
-  if (const auto bad = reject_beyond("twist", &moment->twist, 1, FLT_MAX)) return bad;
-  return reject_beyond("passed", &moment->passed, 1, FLT_MAX);
+  for (const auto& [name, value] : {std::pair{"twist", moment->twist}, {"passed", moment->passed},
+                                    {"sway", moment->sway}, {"elapsed", moment->elapsed}, {"moves", moment->moves}}) {
+    if (const auto bad = reject_beyond(name, &value, 1, FLT_MAX)) return bad;
+  }
+  if (const auto bad = reject_beyond("velocity", moment->velocity, 3, FLT_MAX)) return bad;
+  return reject_beyond("turning", moment->turning, 3, FLT_MAX);
 }
 
 Rejection Evaluator::check_corrections() noexcept {
   const Rejection bad = reject_beyond("node deformer output", corrections_, node_deformer_.outputs(), kLargest);
-  if (bad) pace_.forget();
+  if (bad) forget();
   return bad;
 }
 
 Rejection Evaluator::check_nodes() noexcept {
   const Rejection bad = skinner_.check(node_transforms_);
-  if (bad) pace_.forget();
+  if (bad) forget();
   return bad;
+}
+
+void Evaluator::forget() noexcept {
+  pace_.forget();
+  if (learnt_sway_) learnt_sway_->forget();
 }
 
 Rejection Evaluator::step(const float* joint_positions, const float* gravity, const VertexRows& rows,
                           const Moment* moment) noexcept {
   if (const auto bad = check_inputs(joint_positions, gravity, moment)) return bad;
   pose(joint_positions, gravity);
-  run_networks();
+  run_networks(moment);
   if (const auto bad = check_corrections()) return bad;
   compose_nodes(corrections_, moment);
   if (const auto bad = check_nodes()) return bad;
@@ -112,6 +124,7 @@ void Evaluator::pose(const float* joint_positions, const float* gravity) noexcep
 void Evaluator::pose_as(const Evaluator& other, const float* gravity) noexcept {
   std::copy_n(other.bone_transforms_, 12 * bone_count_, bone_transforms_);
   std::copy_n(other.pose_, rig_.dofs(), pose_);
+  std::copy_n(other.last_positions_, rig_.dofs(), last_positions_);
   joints_jump_ = other.joints_jump_;
   gravity_jumps_ = take_over(gravity, 3, last_gravity_);
   std::copy_n(gravity, 3, pose_ + rig_.dofs());
@@ -124,8 +137,12 @@ void Evaluator::gather_deformer_input() noexcept {
   }
 }
 
-const float* Evaluator::run_networks() noexcept {
-  return corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, pose_modulation_));
+const float* Evaluator::run_networks(const Moment* moment) noexcept {
+  corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, pose_modulation_));
+  if (moment != nullptr && learnt_sway_) {
+    corrections_ = learnt_sway_->added(corrections_, last_positions_, last_gravity_, *moment);
+  }
+  return corrections_;
 }
 
 void Evaluator::compose_nodes(const float* corrections, const Moment* moment) noexcept {

@@ -6,7 +6,9 @@
 
 #include "evaluator/face_normals.hpp"
 #include "evaluator/garment_nodes.hpp"
+#include "evaluator/learnt_sway.hpp"
 #include "evaluator/mlp.hpp"
+#include "evaluator/moment.hpp"
 #include "evaluator/pace.hpp"
 #include "evaluator/rig.hpp"
 #include "evaluator/skinner.hpp"
@@ -31,12 +33,6 @@ struct EvaluatorOptions {
   Normals normals = Normals::skinned;
 };
 
-// Of cloth that remembers the frame before: twist [rad] of what hangs round both legs, about the root's vertical, and how
-// much time has passed since [s], negative where that frame does not count.
-struct Moment {
-  float twist = 0, passed = -1;
-};
-
 class Evaluator {
  public:
   // Validates and copies the garment; throws std::invalid_argument. `shared`: of a body with the same garment model,
@@ -48,7 +44,7 @@ class Evaluator {
 
   // One frame. joint_positions (dofs) in radians, gravity (3): unit direction in the root frame; moment: null for a drape
   // by itself. If an input or what the networks make of it is not finite, says so and leaves the rows as they were;
-  // after such networks the next frame keeps no pace.
+  // after such networks the next frame is a first one.
   Rejection step(const float* joint_positions, const float* gravity, const VertexRows& rows,
                  const Moment* moment = nullptr) noexcept;
 
@@ -59,7 +55,7 @@ class Evaluator {
   void pose(const float* joint_positions, const float* gravity) noexcept;
   // Takes over what `pose` left in another garment on the same body, under a gravity of its own.
   void pose_as(const Evaluator& other, const float* gravity) noexcept;
-  const float* run_networks() noexcept;  // corrections (nodes, 9 or 12)
+  const float* run_networks(const Moment* moment = nullptr) noexcept;  // corrections (nodes, 9 or 12)
   void compose_nodes(const float* corrections, const Moment* moment = nullptr) noexcept;
   void compute_normals(const VertexRows& rows) noexcept;  // from faces; does nothing if they are skinned
 
@@ -85,6 +81,7 @@ class Evaluator {
   Rejection check_inputs(const float* joint_positions, const float* gravity, const Moment* moment = nullptr) const noexcept;
   Rejection check_corrections() noexcept;
   Rejection check_nodes() noexcept;
+  void forget() noexcept;  // what was before
   void gather_deformer_input() noexcept;
 
   // Members are built in this order, so that a frame walks the arena from front to back.
@@ -94,6 +91,7 @@ class Evaluator {
   Rig rig_;
   Mlp pose_modulator_;
   Mlp node_deformer_;
+  std::optional<LearntSway> learnt_sway_;
   GarmentNodes garment_nodes_;
   Pace pace_;
   Skinner skinner_;

@@ -9,16 +9,15 @@ namespace {
 
 constexpr char kFormat[] = "physkin-bound-garment", kVersion[] = "1";
 
+// Whether a file may lack a field: one from before cloth twisted, or had learnt to sway.
+bool may_lack(const std::string& name) { return name == "node_twist" || name.rfind("sway_", 0) == 0; }
+
 // The fields of one file, its arrays copied into one arena.
 class FileFields : public FieldSource {
  public:
   FileFields(TensorFile& file, Arena& arena) : file_(file), arena_(arena) {}
 
   const float* floats(const std::string& name, std::vector<int>& shape) override {
-    if (name == "node_twist" && !file_.contains(name)) {  // of a file from before cloth twisted
-      shape = {0};
-      return arena_.take<float>(0);
-    }
     return copied<float>(name, "F32", shape);
   }
   const std::int32_t* integers(const std::string& name, std::vector<int>& shape) override {
@@ -39,6 +38,10 @@ class FileFields : public FieldSource {
  private:
   template <class T>
   const T* copied(const std::string& name, const char* type, std::vector<int>& shape) {
+    if (!file_.contains(name) && may_lack(name)) {
+      shape = {0};
+      return arena_.take<T>(0);
+    }
     const unsigned char* numbers = file_.numbers(name, type, shape);
     std::size_t count = 1;
     for (int size : shape) count *= std::size_t(size);

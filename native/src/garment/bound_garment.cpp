@@ -51,6 +51,10 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.indices("node_bone", g.node_bone, {&g.nodes}, 0, g.bones);
   visit.floats("node_positions", g.node_positions, {&g.nodes, 3});
   visit.floats("node_twist", g.node_twist, {&g.twist_size});
+  visit.indices("sway_joints", g.sway_joints, {&g.sway_joint_count}, 0, g.dofs);
+  visit.layers("sway_layers", g.sway_layers);
+  visit.floats("sway_rates", g.sway_rates, {&g.sway_states});
+  visit.floats("sway_turns", g.sway_turns, {&g.sway_states});
   visit_skinning_data(g, visit);
   visit.indices("faces", g.faces, {&g.face_count, 3}, 0, g.vertex_count);
 }
@@ -152,6 +156,32 @@ struct Check {
   }
 };
 
+// A sway network: two layers from the drive to the oscillators, three from these, pose and drive to garment nodes.
+void check_sway(const BoundGarment& g) {
+  const std::vector<DenseWeights>& layers = g.sway_layers;
+  if (layers.empty()) {
+    if (g.sway_joint_count > 0 || g.sway_states > 0) fail("sway_joints, sway_rates or sway_turns without sway_layers");
+    return;
+  }
+  if (layers.size() != 5) fail("sway_layers are " + std::to_string(layers.size()) + "; expected none or 5");
+  const int joints = g.sway_joint_count, states = g.sway_states, drive = 2 * joints + 15, pose = joints + 3;
+  check_layers("sway_layers of the drive", {layers[0], layers[1]}, drive);
+  check_layers("sway_layers of the states", {layers[2], layers[3], layers[4]}, 2 * states + pose + drive);
+  if (layers[1].outputs != 3 * states) {
+    fail("sway_layers[1] gives " + std::to_string(layers[1].outputs) + " values; expected 3 for each of " +
+         std::to_string(states) + " oscillators");
+  }
+  const int outputs = 12 * g.nodes;
+  if (layers[4].outputs != outputs || g.deformer_layers.back().outputs != outputs) {
+    fail("sway_layers and deformer_layers give " + std::to_string(layers[4].outputs) + " and " +
+         std::to_string(g.deformer_layers.back().outputs) + " values; expected 12 for each of " +
+         std::to_string(g.nodes) + " garment nodes");
+  }
+  for (int k = 0; k < states; ++k) {
+    if (!(g.sway_rates[k] > 0)) fail(element("sway_rates", k) + " is " + std::to_string(g.sway_rates[k]) + "; must be above 0");
+  }
+}
+
 void check_sizes(const SkinningData& d) {
   if (d.nodes < 1 || d.vertex_count < 1 || d.influences < 1) {
     fail("a garment needs at least one garment node, vertex and influence");
@@ -224,6 +254,7 @@ void validate(const BoundGarment& garment) {
     fail("deformer_layers give " + std::to_string(outputs) + " values; expected 9 or 12 for each of " +
          std::to_string(g.nodes) + " garment nodes");
   }
+  check_sway(g);
 }
 
 }  // namespace physkin

@@ -25,6 +25,7 @@ struct SkinningData {
 // Metres, radians, root frame.
 struct BoundGarment : SkinningData {
   int bones = -1, dofs = -1, deformer_bone_count = -1, modulation_size = -1, twist_size = -1, face_count = -1;
+  int sway_joint_count = -1, sway_states = -1;
 
   const std::int32_t* bone_parents = nullptr;  // (bones,) parent before child, -1 for the root
   const float* bone_heads = nullptr;           // (bones, 3) joint centres at the canonical pose
@@ -44,6 +45,11 @@ struct BoundGarment : SkinningData {
   const std::int32_t* node_bone = nullptr;  // (nodes,)
   const float* node_positions = nullptr;    // (nodes, 3) canonical pose of this body
   const float* node_twist = nullptr;        // (twist_size,) share of each garment node, or none: cloth does not twist
+  // How garment nodes sway as joints and root move, or none: they do not.
+  const std::int32_t* sway_joints = nullptr;  // (sway_joint_count,) that it looks at
+  std::vector<DenseWeights> sway_layers;
+  const float* sway_rates = nullptr;  // (sway_states,) 1/s
+  const float* sway_turns = nullptr;  // (sway_states,) rad/s
   const std::int32_t* faces = nullptr;      // (face_count, 3), none for a point set
 };
 

@@ -1,6 +1,7 @@
 // Compiled once per instruction set, with PHYSKIN_ISA set to its name and the flags that CMakeLists.txt gives it.
 #include "kernels/dense_kernel.hpp"
 #include "kernels/floor_kernel.hpp"
+#include "kernels/oscillator_kernel.hpp"
 #include "kernels/skinning_kernel.hpp"
 #include "kernels/token_kernel.hpp"
 #include "kernels/trunk_kernel.hpp"
@@ -19,6 +20,7 @@ const Kernels kernels{
      {dense<Int8Rows, false>, dense<Int8Rows, true>}},
     skin,
     trunk_depth,
+    oscillate,
     multiply_add,
     read_memory,
     token_linear,

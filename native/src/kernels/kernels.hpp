@@ -82,6 +82,14 @@ struct TrunkField {
   const float* coefficients = nullptr;               // (splines, kTrunkWaves)
 };
 
+// Oscillators of a sway network (physkin_core/sway/learnt_sway.py). Arrays are aligned and hold whole groups of kGroup.
+struct Oscillators {
+  int count = 0;
+  const float *rates = nullptr, *turns = nullptr;               // [1/s], [rad/s]
+  const float *rest_real = nullptr, *rest_imaginary = nullptr;  // turn what drives one to where it comes to rest
+  float *real = nullptr, *imaginary = nullptr;                  // states
+};
+
 struct Kernels {
   const char* instruction_set;
   PackedLayout layout;
@@ -96,6 +104,10 @@ struct Kernels {
   // Points (3, count) to contacts (4, count): how deep [m], and the normal outwards. Aligned; count is a multiple of
   // kTrunkPoints.
   void (*trunk_depth)(const TrunkField& field, const float* points, int count, float* contacts);
+
+  // Over `elapsed` seconds, or, where that is negative, to where they come to rest. driven: (3, count) real and imaginary
+  // parts of what drives them, and gates; readable for kGroup floats beyond.
+  void (*oscillate)(const Oscillators& oscillators, const float* driven, float elapsed);
 
   // What bounds the others from below (floor_kernel.hpp).
   std::int64_t (*multiply_add)(int rounds, float* result);

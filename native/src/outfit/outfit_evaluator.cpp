@@ -54,11 +54,12 @@ Rejection OutfitEvaluator::step(const float* joint_positions, const Gravities& g
   first.pose(joint_positions, gravity.of(0));
   for (; rejected_ < count(); ++rejected_) {
     Evaluator& e = *evaluators_[std::size_t(rejected_)];
-    const Moment moment = gravity.moment(rejected_), *told = gravity.size > 3 ? &moment : nullptr;
+    const std::optional<Moment> moment = gravity.moment(rejected_);
+    const Moment* told = moment ? &*moment : nullptr;
     if (const auto bad = e.check_inputs(joint_positions, gravity.of(rejected_), told)) return bad;
     if (rejected_ > 0) e.pose_as(first, gravity.of(rejected_));
     jumped_ |= e.jumped();
-    e.run_networks();
+    e.run_networks(told);
     if (const auto bad = e.check_corrections()) return bad;
     e.compose_nodes(e.corrections_, told);
     if (const auto bad = e.check_nodes()) return bad;

@@ -14,14 +14,14 @@ struct LayerPair {
   int steady = 0, yielding = 0;
 };
 
-// Gravity of all garments, or one each: 3 numbers, or 5, with the moment behind it.
+// Gravity of all garments, or one each: 3 numbers, or more, with the moment behind it.
 struct Gravities {
   const float* values;
   bool each = false;
-  int size = 3;
+  int size = kGravityAlone;
 
   const float* of(int garment) const { return values + (each ? size * garment : 0); }
-  Moment moment(int garment) const { return size > 3 ? Moment{of(garment)[3], of(garment)[4]} : Moment{}; }
+  std::optional<Moment> moment(int garment) const { return moment_after(of(garment), size); }
 };
 
 class OutfitEvaluator {

@@ -18,16 +18,26 @@ constexpr double kFarthest = 1e9;
 
 double squared(const double* v) { return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]; }
 
-// Angle by which a root has turned about its own vertical between two unit quaternions, as far as that is upright.
-double turned(const double* before, const double* after) {
+// Rotation vector (3) in the root's frame, by which it has turned between two unit quaternions.
+void rotation(const double* before, const double* after, double* out) {
   const double x = after[0], y = after[1], z = after[2], w = after[3];
   const double a = before[0], b = before[1], c = before[2], d = before[3];
-  const double along = d * z - w * c - a * y + b * x;  // of the rotation inverse(before) after
-  const double across = std::hypot(d * x - w * a - b * z + c * y, d * y - w * b - c * x + a * z);
-  const double cosine = d * w + a * x + b * y + c * z;
-  const double length = std::hypot(along, across);
-  const double angle = 2 * std::atan2(length, std::abs(cosine)) * (along / std::max(length, 1e-12));
-  return std::copysign(1.0, cosine) * angle * std::max(0.0, 1 - 2 * (x * x + y * y));
+  const double axis[3] = {d * x - w * a - b * z + c * y, d * y - w * b - c * x + a * z, d * z - w * c - a * y + b * x};
+  const double cosine = d * w + a * x + b * y + c * z, length = std::sqrt(squared(axis));
+  const double angle = std::copysign(2.0, cosine) * std::atan2(length, std::abs(cosine)) / std::max(length, 1e-12);
+  for (int k = 0; k < 3; ++k) out[k] = angle * axis[k];
+}
+
+// How far the vertical of a root is that of the world, 0 to 1.
+double upright(const double* turn) { return std::max(0.0, 1 - 2 * (turn[0] * turn[0] + turn[1] * turn[1])); }
+
+// A vector of the world in the frame of a root with that turn.
+void carry_back(const double* turn, const double* v, double* out) {
+  const double x = turn[0], y = turn[1], z = turn[2], w = turn[3];
+  const double p = y * v[2] - z * v[1], q = z * v[0] - x * v[2], r = x * v[1] - y * v[0];  // axis x v
+  out[0] = v[0] + 2 * (y * r - z * q) - 2 * w * p;
+  out[1] = v[1] + 2 * (z * p - x * r) - 2 * w * q;
+  out[2] = v[2] + 2 * (x * q - y * p) - 2 * w * r;
 }
 
 }  // namespace
@@ -51,6 +61,7 @@ void Pendulum::reset() noexcept {
   std::fill_n(position_, 3, 0.0);
   std::fill_n(turn_, 4, 0.0);
   std::fill_n(velocity_, kAxes, 0.0);
+  std::fill_n(turning_, 3, 0.0);
   time_ = 0;
   has_time_ = has_velocity_ = false;
 }
@@ -64,8 +75,10 @@ void Pendulum::move(double time, const double* position, const double* turn) noe
   double velocity[kAxes], change[kAxes], equilibrium[kAxes] = {0, 0, 0, 0};
   bool known = had_time && passed > 0 && passed <= kLargestGap;
   if (known) {
+    rotation(turn_, turn, turning_);
+    for (double& rate : turning_) rate /= passed;
     for (int k = 0; k < kAxes; ++k) {
-      velocity[k] = (k < 3 ? position[k] - position_[k] : turned(turn_, turn)) / passed;
+      velocity[k] = k < 3 ? (position[k] - position_[k]) / passed : turning_[2] * upright(turn);
       change[k] = velocity[k] - velocity_[k];
     }
     known = !has_velocity_ || (squared(change) <= kLargestChange * kLargestChange &&
@@ -112,6 +125,15 @@ void Pendulum::felt_deflection(double* out) const noexcept {
   for (int k = 0; k < 3; ++k) out[k] = deflection_[k] * scale;
 }
 
+bool Pendulum::motion(double* out) const noexcept {
+  std::fill_n(out, 6, 0.0);
+  if (has_velocity_) {
+    carry_back(turn_, velocity_, out);
+    std::copy_n(turning_, 3, out + 3);
+  }
+  return has_velocity_;
+}
+
 const char* Pendulum::felt(double time, const double* root, double amount, double* out) noexcept {
   bool finite = std::isfinite(time);
   for (int k = 0; k < 7; ++k) finite = finite && std::isfinite(root[k]);
@@ -127,11 +149,7 @@ const char* Pendulum::felt(double time, const double* root, double amount, doubl
   felt_deflection(v);
   for (double& value : v) value *= amount;
   v[2] -= kGravity;
-  const double x = turn[0], y = turn[1], z = turn[2], w = turn[3];
-  const double p = y * v[2] - z * v[1], q = z * v[0] - x * v[2], r = x * v[1] - y * v[0];  // axis x v
-  out[0] = v[0] + 2 * (y * r - z * q) - 2 * w * p;
-  out[1] = v[1] + 2 * (z * p - x * r) - 2 * w * q;
-  out[2] = v[2] + 2 * (x * q - y * p) - 2 * w * r;
+  carry_back(turn, v, out);
   const double shrink = std::min(1.0, kLargestFelt / std::max(std::sqrt(squared(out)), 1e-9));
   for (int k = 0; k < 3; ++k) out[k] *= shrink;
   const double twist = deflection_[3];

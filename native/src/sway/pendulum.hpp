@@ -29,6 +29,10 @@ class Pendulum {
   // in its frame, and the twist [rad] about its vertical. What is wrong with time or root, or null; nothing has changed then.
   const char* felt(double time, const double* root, double amount, double* out) noexcept;
 
+  // Writes velocity (3) [m/s] and turning (3) [rad/s] of the root from the pose before the last one to that, in its frame.
+  // Whether they are known; after a gap or a jump they are not, and zero.
+  bool motion(double* out) const noexcept;
+
  private:
   void felt_deflection(double* out) const noexcept;
   void swing(double passed, const double* equilibrium) noexcept;
@@ -37,7 +41,7 @@ class Pendulum {
 
   double frequency_[kAxes], damping_[kAxes], gain_[kAxes], air_drag_;
   double deflection_[kAxes], rate_[kAxes];
-  double time_, position_[3], turn_[4], velocity_[kAxes];
+  double time_, position_[3], turn_[4], velocity_[kAxes], turning_[3];
   bool has_time_, has_velocity_;
 };
 

@@ -19,9 +19,10 @@ class Sway {
   }
 
   // Moves the root (7), a position and a quaternion x, y, z, w, world <- root, then writes what Evaluator::step takes:
-  // gravity (3) in its frame, in units of gravity for networks that know `accelerated` roots, else its direction; then
-  // the twist, and the time passed since the last call. What is wrong with time or root, or null; nothing has changed then.
-  const char* gravity(double time, const double* root, bool accelerated, float* out) noexcept;
+  // gravity (3) in its frame, in units of gravity for networks that know `accelerated` roots, else its direction, or that
+  // of a root at rest for a garment that has `learnt` to sway; then a Moment's 11 numbers. What is wrong with time or
+  // root, or null; nothing has changed then.
+  const char* gravity(double time, const double* root, bool accelerated, bool learnt, float* out) noexcept;
 
  private:
   Pendulum pendulum_;

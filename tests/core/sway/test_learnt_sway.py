@@ -1,0 +1,243 @@
+"""Garments with a sway network: its oscillators, and drapes that are told time and root."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from random_models import BACKENDS, random_sway_network
+from scipy.spatial.transform import Rotation
+
+import physkin_core as physkin
+from physkin_core.model.sway_network import fold_body
+from physkin_core.sway.learnt_sway import LearntSway
+from physkin_core.sway.moment import GRAVITY_SIZES, Moment, split_moment
+
+DOFS, NODES = 9, 5
+
+
+@pytest.fixture
+def sway():
+    rng = np.random.default_rng(0)
+    bound = fold_body(random_sway_network(rng, DOFS, NODES, modulation=6), rng.normal(size=6))
+    limits = -np.ones(DOFS, np.float32), np.ones(DOFS, np.float32)
+    return lambda: LearntSway(
+        bound["sway_joints"], *limits, bound["sway_layers"], bound["sway_rates"], bound["sway_turns"]
+    )
+
+
+POSE, OTHER, DOWN = np.linspace(-0.5, 0.6, DOFS), np.linspace(0.4, -0.3, DOFS), np.array([0.0, 0.6, -0.8])
+
+
+def moment(elapsed, *, moves=1.0, velocity=(0.5, -0.2, 0.1), turning=(0.1, 0.3, -2.0)):
+    return Moment(0.0, elapsed, 1.0, elapsed, moves, velocity, turning)
+
+
+def test_a_step_is_as_far_as_two_of_half_the_time(sway):
+    """Where features do not change: gaps at one pose, or steady turning of a body that holds one."""
+    for told in ({"moves": 0.0}, {"velocity": (1.0, 0.0, 0.0)}):
+        whole, halves = sway(), sway()
+        for each in (whole, halves):
+            each.offsets(POSE, DOWN, moment(-1.0))
+            each.offsets(OTHER, DOWN, moment(1 / 30))
+            each.offsets(OTHER, DOWN, moment(1 / 30, **told))
+        once = whole.offsets(OTHER, DOWN, moment(0.08, **told))
+        halves.offsets(OTHER, DOWN, moment(0.04, **told))
+        np.testing.assert_allclose(halves.offsets(OTHER, DOWN, moment(0.04, **told)), once, rtol=0, atol=1e-12)
+
+
+def test_the_first_frame_is_at_rest_and_rest_is_where_it_returns(sway):
+    still = sway()
+    first = still.offsets(OTHER, DOWN, moment(-1.0))
+    assert np.abs(still.offsets(OTHER, DOWN, moment(0.5, moves=0.0)) - first).max() < 1e-12
+    swung = sway()
+    swung.offsets(POSE, DOWN, moment(-1.0))
+    away = [
+        swung.offsets(OTHER, DOWN, moment(1 / 60)),
+        *(swung.offsets(OTHER, DOWN, moment(1.0, moves=0.0)) for _ in range(40)),
+    ]
+    assert np.abs(away[0] - first).max() > 0.01
+    assert np.abs(away[-1] - first).max() < 1e-6
+
+
+def test_a_doubled_stamp_shows_the_pose_and_moves_nothing_on(sway):
+    once, twice = sway(), sway()
+    for each in (once, twice):
+        each.offsets(POSE, DOWN, moment(-1.0))
+        found = each.offsets(OTHER, DOWN, moment(1 / 60))
+    assert (twice.offsets(OTHER, DOWN, moment(0.0, velocity=(9.0, 9.0, 9.0))) == found).all()
+    assert np.abs(twice.offsets(POSE, DOWN, moment(0.0)) - found).max() > 1e-3, "a part of the pose came late"
+    twice.offsets(OTHER, DOWN, moment(0.0))
+    assert (twice.offsets(POSE, DOWN, moment(0.02)) == once.offsets(POSE, DOWN, moment(0.02))).all()
+
+
+def test_forgotten_it_begins_anew(sway):
+    used, fresh = sway(), sway()
+    used.offsets(POSE, DOWN, moment(-1.0))
+    used.forget()
+    assert (used.offsets(OTHER, DOWN, moment(1 / 60)) == fresh.offsets(OTHER, DOWN, moment(-1.0))).all()
+
+
+def test_the_moment_is_one_row_of_numbers():
+    told = Moment(0.1, 0.02, 0.5, 0.3, 1.0, (1.0, 2.0, 1e9), (-4.0, 5.0, 6.0))
+    row = told.after(DOWN)
+    assert row.shape == (GRAVITY_SIZES[-1],) and row.dtype == np.float32
+    gravity, back = split_moment(row)
+    assert gravity == pytest.approx(DOWN) and back.velocity == (1.0, 2.0, 1e6) and back.turning == (-4.0, 5.0, 6.0)
+    assert (back.twist, back.passed, back.sway, back.elapsed) == pytest.approx((0.1, 0.02, 0.5, 0.3))
+    assert split_moment(row[:5])[1] == Moment(*map(float, row[3:5])) and split_moment(row[:3])[1] is None
+
+
+# --- Drapes ---
+
+
+@pytest.fixture(scope="module")
+def plain():
+    model = physkin.load_garment_model("skirt")
+    return physkin.Draper(model, physkin.load_avatar(physkin.BUNDLED_AVATAR, model.rig))
+
+
+@pytest.fixture(scope="module")
+def swaying(plain):
+    """The skirt with a random sway network."""
+    model = plain.model
+    modulation = 2 * sum(len(bias) for _, bias in model.pose_modulator[:-1])
+    network = random_sway_network(
+        np.random.default_rng(1), len(model.rig.dofs), len(model.node_rest), modulation=modulation, offset=0.02
+    )
+    return replace(model, sway=network)
+
+
+def bound_to(swaying, plain, **options):
+    bound = replace(plain.bound, **fold_body(swaying.sway, swaying.sway.code_mean))
+    return physkin.Draper(swaying, plain.avatar, binding=bound, **options)
+
+
+def walking(count, rate=30.0):
+    motion = physkin.load_motion("walk")
+    roots = np.concatenate([motion.root_position, motion.root_orientation], axis=1)
+    frames = (np.arange(count) * motion.rate_hz / rate).astype(int)
+    positions = motion.positions_for(physkin.load_garment_model("skirt").rig)
+    return [(positions[f], {"time": k / rate, "root": roots[f]}) for k, f in enumerate(frames)]
+
+
+def test_it_sways_by_the_network_alone(plain, swaying):
+    """Not by the pendulum: where the network gives nothing, it is the drape of a root at rest, however that moves."""
+    weight, bias = swaying.sway.out
+    silent = replace(swaying, sway=replace(swaying.sway, out=(0 * weight, 0 * bias)))
+    (still, told), *_ = reversed(walking(20))
+    quiet, loud = bound_to(silent, plain), bound_to(swaying, plain)
+    for k in range(12):
+        moved = {"time": k / 30, "root": (0.02 * k * k, 0, 0.9, *Rotation.from_euler("z", 0.1 * k).as_quat())}
+        of_nothing, swung = (each.drape(still, **moved) for each in (quiet, loud))
+        pendulum = plain.drape(still, **moved)
+    at_rest = plain.drape(still)
+    assert np.abs(of_nothing - at_rest).max() < 2e-5
+    assert np.abs(swung - at_rest).max() > 1e-3 and np.abs(pendulum - at_rest).max() > 1e-3
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_without_time_or_sway_it_is_the_drape_bit_for_bit(plain, swaying, backend):
+    draper = bound_to(swaying, plain, backend=backend)
+    reference = (
+        plain
+        if backend == "native"
+        else physkin.Draper(plain.model, plain.avatar, binding=plain.bound, backend=backend)
+    )
+    draper.sway = 0.0
+    for positions, told in walking(3):
+        down = Rotation.from_quat(told["root"][3:]).inv().apply([0, 0, -1])
+        assert (draper.drape(positions, down) == reference.drape(positions, down)).all()
+        given = {"time": told["time"]}
+        assert (draper.drape(positions, down, **given) == reference.drape(positions, down)).all()
+    draper.sway = 1.0
+    assert np.abs(draper.drape(positions, **told) - reference.drape(positions, down)).max() > 1e-3
+    assert (draper.drape(positions, down) == reference.drape(positions, down)).all()
+
+
+def test_half_the_sway_is_half_the_offsets(plain, swaying):
+    whole, half = bound_to(swaying, plain, backend="numpy"), bound_to(swaying, plain, backend="numpy")
+    half.sway = 0.5
+    for positions, told in walking(4):
+        down = Rotation.from_quat(told["root"][3:]).inv().apply([0, 0, -1])
+        whole.drape(positions, **told), half.drape(positions, **told)
+    offsets = [each.node_transforms() for each in (whole, half)]
+    whole.drape(positions, down)
+    far, near = (each - whole.node_transforms() for each in offsets)
+    assert np.abs(near - far / 2).max() < 1e-3 * np.abs(far).max() + 1e-5
+
+
+def test_drapers_of_one_model_share_no_state(plain, swaying):
+    frames = walking(10)
+    alone, one, other = (bound_to(swaying, plain) for _ in range(3))
+    for k, (positions, told) in enumerate(frames):
+        expected, found = alone.drape(positions, **told), one.drape(positions, **told)
+        other.drape(frames[-k][0], time=told["time"], root=frames[-k][1]["root"])
+        assert (found == expected).all()
+    one.reset(), other.reset()
+    assert (one.drape(*frames[3][:1], **frames[3][1]) == other.drape(*frames[3][:1], **frames[3][1])).all()
+
+
+def test_a_time_without_a_root_moves_by_the_joints_alone(plain, swaying):
+    """As a root that stays where it is."""
+    told, rooted = bound_to(swaying, plain), bound_to(swaying, plain)
+    for k, (positions, _) in enumerate(walking(8)):
+        found = told.drape(positions, (0, 0, -1), time=k / 30)
+        expected = rooted.drape(positions, time=k / 30, root=(3.0, 1.0, 0.9, 0, 0, 0, 1))
+        if k > 1:  # the root is not known to stay before there are two frames of it
+            assert np.abs(found - expected).max() < 1e-3
+    assert np.abs(found - plain.drape(positions)).max() > 1e-3
+
+
+def test_under_effective_gravity_it_does_not_sway_and_begins_anew(plain, swaying):
+    draper, fresh = bound_to(swaying, plain), bound_to(swaying, plain)
+    frames = walking(6)
+    for positions, told in frames[:4]:
+        draper.drape(positions, **told)
+    given = draper.drape(positions, time=0.6, effective_gravity=(1.0, 0, -9.0))  # after a gap cloth keeps no pace
+    assert (given == plain.drape(positions, effective_gravity=(1.0, 0, -9.0))).all()
+    assert (draper.drape(positions, time=0.5) == fresh.drape(positions, time=0.5)).all(), "a clock that goes back holds"
+
+
+@pytest.mark.parametrize("disturbance", ["gap", "jump", "back", "twice"])
+def test_disturbed_messages_do_not_pop(disturbance, plain, swaying):
+    """Of a body that strolls, no frame's cloth is farther from the last than twice as far as undisturbed; what the pace
+    would keep is looked at, too: garment nodes before it."""
+    draper, rest, last, changes, time, shift = bound_to(swaying, plain), swaying.rig.rest, None, [], 0.0, 0.0
+    for k in range(60):
+        time += 1 / 30
+        if k == 30:
+            time += {"gap": 2.0, "back": -5.0}.get(disturbance, 0.0)
+            shift += 20.0 * (disturbance == "jump")
+        root = (1.2 * k / 30 + shift, 0.05 * np.sin(8 * k / 30), 0.9, *Rotation.from_euler("z", 0.02 * k).as_quat())
+        cloud = draper.drape(rest, time=time, root=root)
+        if disturbance == "twice":
+            assert np.abs(draper.drape(rest, time=time, root=root) - cloud).max() < 1e-6
+        if last is not None:
+            changes.append(np.abs(cloud - last)[:, :3].max())
+        last = cloud
+    assert max(changes[5:29]) > 1e-5
+    allowed = 0.02 if disturbance in ("gap", "jump") else 2 * max(changes[2:29])
+    assert max(changes[29:]) < allowed
+
+
+def test_garments_of_an_outfit_sway_each_in_its_way(plain, swaying):
+    """A shirt by the pendulum, the skirt by its network, half as much: as single drapers."""
+    shirt = physkin.load_garment_model("tshirt")
+    outfit = physkin.Outfit([swaying, shirt], plain.avatar, hide=False)
+    outfit.sway = (0.5, 1.0)
+    pairs = zip(outfit.drapers, outfit.bounds)
+    singles = [physkin.Draper(draper.model, draper.avatar, binding=bound) for draper, bound in pairs]
+    singles[0].sway = 0.5
+    for positions, told in walking(30):
+        told["time"] += 0.5 * (told["time"] > 0.2)
+        outfit.drape(positions, **told)
+        for nodes, draper in zip(outfit.node_transforms(), singles):
+            draper.drape(positions, **told)
+            assert np.abs(nodes - draper.node_transforms()).max() < 1e-5
+    for draper in singles:
+        moved = draper.node_transforms()
+        draper.drape(positions, Rotation.from_quat(told["root"][3:]).inv().apply([0, 0, -1]))
+        assert np.abs(moved - draper.node_transforms()).max() > 1e-3
+    outfit.reset(), singles[0].reset()
+    outfit.drape(positions, **told), singles[0].drape(positions, **told)
+    assert np.abs(outfit.node_transforms()[0] - singles[0].node_transforms()).max() < 1e-5
