@@ -30,10 +30,10 @@ class BodyCodes:
     directions: np.ndarray
 
     @classmethod
-    def of(cls, model: GarmentModel, body_model: BodyModel, device: torch.device, *, bodies: int = BODIES) -> BodyCodes:
+    def of(cls, model: GarmentModel, body_model: BodyModel, device: torch.device) -> BodyCodes:
         """Learnt from bodies of training, in the template and, where the model has learnt that, made to measure."""
         drape = drape_from_model(model).to(device).eval()
-        chosen = np.random.default_rng(0).permutation(len(body_model.train_bodies))[:bodies]
+        chosen = np.random.default_rng(0).permutation(len(body_model.train_bodies))[:BODIES]
         surfaces = BodySet(body_model, body_model.train_bodies[chosen], device).vertices.cpu().numpy()
         fits = (0.0, 1.0) if model.made_to_measure else (0.0,)
         modulation = np.concatenate(

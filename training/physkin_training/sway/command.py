@@ -26,7 +26,7 @@ __all__ = ["SwayPlan", "command_parser", "learn_sway", "main"]
 
 NUMBERS = 12
 """Of a garment node's correction: the linear part is free."""
-SHORTEST = 1.0
+SHORTEST = 0.5
 """[s] of a motion."""
 
 
@@ -98,7 +98,10 @@ def main(argv: list[str] | None = None) -> int:
     check_folder(output)
     check_other_file(output, garment)
     model = load_garment_model(garment)
-    save_garment_model(learn_sway(model, plan, resolve_device(device), say=print), output)
+    device = resolve_device(device)
+    if device.type == "cpu":
+        torch.set_num_threads(1)  # vectors are short: more threads would only wait for each other
+    save_garment_model(learn_sway(model, plan, device, say=print), output)
     print(f"wrote {output}: {output.stat().st_size / 1e6:.2f} MB")
     return 0
 

@@ -22,7 +22,7 @@ from physkin_training.dynamics.scenes import LOOPED, RATE_HZ, smooth_step
 from physkin_training.sampling.everyday_poses import EverydayPoses
 from physkin_training.sampling.mirrored_poses import mirrored
 
-__all__ = ["MotionPool", "WalkerMotions"]
+__all__ = ["MotionPool", "WalkerMotions", "mirrored_motion"]
 
 CLIPS = {"walk": 3.0, "run": 2.0, "dance": 2.0, "jump": 1.5, "kick": 1.5, "crawl": 0.7, "cartwheel": 0.7}
 """Shipped clips, and how often each is drawn."""
@@ -79,7 +79,7 @@ class MotionPool:
             positions, place, turn = self._held_pose(rng, own_time)
         positions = positions.clip(self.rig.lower, self.rig.upper)
         if rng.random() < 0.5:
-            positions, place, turn = mirrored(self.rig, positions), place @ MIRROR, MIRROR @ turn @ MIRROR
+            return mirrored_motion(self.rig, positions, place, turn)
         return positions, place, turn
 
     def _from_clip(self, rng: np.random.Generator, own_time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -149,6 +149,13 @@ class MotionPool:
         """A smooth way through everyday poses, so many seconds apart, `share` of the way there from the rest pose."""
         poses = self._poses[rng.integers(len(self._poses), size=len(gaps) + 1)]
         return _spline(gaps, self.rig.rest + share * (poses - self.rig.rest))
+
+
+def mirrored_motion(
+    rig: Rig, positions: np.ndarray, place: np.ndarray, turn: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A motion seen in a mirror: positions (T, d), place (T, 3) and turn (T, 3, 3)."""
+    return mirrored(rig, positions), place @ MIRROR, MIRROR @ turn @ MIRROR
 
 
 def _spline(gaps: np.ndarray, poses: np.ndarray) -> CubicSpline:

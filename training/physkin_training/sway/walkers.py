@@ -82,9 +82,8 @@ def simulated_walkers(
     counted = float(valid.float().mean())
     say(f"{len(valid)} walkers of {seconds:g} s simulated, {counted:.1%} of their frames count")
     if counted < LEAST_VALID:
-        raise ValueError(
-            f"only {counted:.0%} of the frames count, in the others cloth was lost: {model.name} does not hold"
-        )
+        lost = f"{1 - counted:.0%} of the frames, allowed {1 - LEAST_VALID:.0%}"
+        raise ValueError(f"{model.name}: cloth was lost in {lost}; does it hold? (--held-above keeps a bodice)")
     mass = float(simulation.potential.mass.mean(dim=0).sum())
     parts = (part[kept].float() for part, kept in zip(offsets.split(at_once), valid.split(at_once)))
     shapes, moved, missed = principal_shapes(parts, simulation.inertia, simulation.cost, MOST_SHAPES, mass)
