@@ -61,6 +61,10 @@ FORWARDED = {
         "physkin_training.catalogue.command",
         "check, train and report on every garment of a folder, on a Ray cluster",
     ),
+    "learn-sway": (
+        "physkin_training.sway.command",
+        "learn how a garment lags, swings and settles, from simulated walkers",
+    ),
     "bench": ("physkin_bench", "time a frame, its stages and other engines on this machine"),
     "simulate": ("physkin_training.evaluate.simulate", "drape a garment on an avatar by minimising its energy"),
     "evaluate": ("physkin_training.evaluate.command", "measure a garment model or outfits on bodies it has not seen"),

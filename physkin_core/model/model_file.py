@@ -1,8 +1,8 @@
 """The garment model file: one safetensors file, read and written only here.
 
-Large network weights are stored in ten bits (`packed_weights`), small ones, biases and skinning weights in half
-precision, indices in the smallest unsigned type, geometry in float32. The metadata hold the schema version, the rig,
-material, training and scores, and a SHA-256 digest over tensors and metadata, so that a damaged or altered file is
+Large network weights are stored in ten bits or eight (`packed_weights`), small ones, biases and skinning weights in
+half precision, indices in the smallest unsigned type, geometry in float32. The metadata hold the schema version, the
+rig, material, training and scores, and a SHA-256 digest over tensors and metadata, so that a damaged or altered file is
 refused.
 """
 
@@ -41,6 +41,8 @@ precision, before 4 there is no sway network."""
 LEAST_PACKED = 2**15
 """Network weights of so many numbers or more are packed. Smaller ones take little space; among them is the pose
 modulator's first layer, whose rounding can move single vertices by almost a millimetre."""
+LEAST_IN_EIGHT_BITS = 2**19
+"""Of so many numbers or more in eight bits, the others in ten: the last layer of shipped pose modulators."""
 MODEL_SUFFIX = ".safetensors"
 MODELS_PATH = Path(__file__).parents[1] / "assets" / "models"
 GEOMETRY_ARRAYS = ("garment.vertices", "garment.normals", "garment_nodes.rest")
@@ -196,7 +198,7 @@ def _stored(name: str, array: np.ndarray) -> dict[str, np.ndarray]:
         return {name: array.astype(np.min_scalar_type(int(array.max())))}
     with np.errstate(over="ignore"):
         if name.endswith(".weight") and array.ndim == 2 and array.size >= LEAST_PACKED:
-            stored = pack_weight(name, array)
+            stored = pack_weight(name, array, bits=8 if array.size >= LEAST_IN_EIGHT_BITS else 10)
         else:
             stored = {name: array.astype(np.float32 if name in GEOMETRY_ARRAYS else np.float16)}
     for tensor in stored.values():

@@ -42,12 +42,13 @@ def write_belly_band(path: Path) -> None:
     path.write_text("\n".join(lines) + "\n")
 
 
-def waist_band_model() -> GarmentModel:
-    """A model with random networks of a band about the waist, tight enough to be inside some bodies in places."""
+def waist_band_model(**options) -> GarmentModel:
+    """A model with random networks of a band about the waist, tight enough to be inside some bodies in places.
+    options: of `random_model`."""
     band = tube(rings=9, segments=20, radius=1.0, height=0.3)
     garment = Garment(band.vertices * [0.15, 0.18, 1.0] + [0, 0, 0.12], band.faces)
     rig = load_body_model().rig
-    return random_model(np.random.default_rng(1), rig=rig, garment=garment, nodes=12, correction=0.02)
+    return random_model(np.random.default_rng(1), rig=rig, garment=garment, nodes=12, correction=0.02, **options)
 
 
 NODES = GarmentNodeConfig(count=12, initial_influences=6, influences=3)

@@ -1,4 +1,4 @@
-"""Network weights in ten bits: what is kept, what the three tensors say, and what is refused."""
+"""Network weights in ten bits or eight: what is kept, what the three tensors say, and what is refused."""
 
 from __future__ import annotations
 
@@ -43,6 +43,28 @@ def test_the_three_tensors_are_what_the_format_says(shape):
         steps = 4 * int(high[i, j]) + (int(low[i, j // 4]) >> 2 * (j % 4)) % 4
         assert abs(steps) <= 511 and value == pytest.approx(float(largest[i, j % 4]) * steps / 511, rel=1e-6)
     assert high.nbytes + low.nbytes + largest.nbytes <= (1.25 * shape[1] + 0.75 + 8) * shape[0]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_eight_bits_keep_half_of_their_larger_steps(shape):
+    weight = some_weight(shape)
+    tensors = pack_weight("a.weight", weight, bits=8)
+    assert tensors.keys() == {"a.weight", "a.weight.largest_127"}
+    (name, back), *others = unpack_weights(tensors).items()
+    assert name == "a.weight" and back.dtype == np.float32 and not others
+    for k in range(min(4, shape[1])):
+        columns = slice(k, None, 4)
+        step = np.abs(weight[:, columns]).max(axis=1, keepdims=True) / 127
+        assert (np.abs(back - weight)[:, columns] <= 0.501 * step + 1e-3 * np.abs(weight[:, columns])).all()
+    for key, again in pack_weight("a.weight", back, bits=8).items():
+        np.testing.assert_array_equal(again, tensors[key], err_msg=key, strict=True)
+
+
+def test_a_damaged_scale_of_eight_bits_is_refused():
+    tensors = pack_weight("a.weight", some_weight((5, 7)), bits=8)
+    tensors["a.weight.largest_127"] = -tensors["a.weight.largest_127"]
+    with pytest.raises(ValueError, match="a.weight.largest_127 holds -.*, allowed: a finite number, 0 or more"):
+        unpack_weights(tensors)
 
 
 def test_other_tensors_are_left_alone():

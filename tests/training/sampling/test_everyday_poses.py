@@ -10,8 +10,8 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs torch: pip install 'physkin[training]'")
 
 from physkin_core import load_body_model, load_motion  # noqa: E402
-from physkin_training.prepare.everyday_poses import mirrored  # noqa: E402
 from physkin_training.sampling.everyday_poses import EverydayPoses, save_mixture  # noqa: E402
+from physkin_training.sampling.mirrored_poses import mirrored  # noqa: E402
 from physkin_training.sampling.pose_sampling import PoseSampler  # noqa: E402
 
 CPU = torch.device("cpu")

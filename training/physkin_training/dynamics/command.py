@@ -102,7 +102,8 @@ def _simulate(options: argparse.Namespace) -> int:
         seconds=60 * options.minutes - (time.monotonic() - began),
     )
     options.output.mkdir(parents=True, exist_ok=True)
-    described = asdict(dynamics) | {"step_s": simulation.step, "tolerance": options.tolerance, "fit": simulation.fit}
+    described = asdict(dynamics) | {"step_s": simulation.step, "tolerance": options.tolerance}
+    described |= {"fit": simulation.dressed.fit}
     described |= {"held_above_m": options.held_above} if np.isfinite(options.held_above) else {}
     for reference in recording.references(scenes, bodies, described):
         save_reference(reference, options.output / f"{model.name}_{reference.motion.name}.npz")
@@ -116,8 +117,8 @@ class Recording:
     def __init__(self, simulation: DynamicSimulation, vertices: np.ndarray, *, whole: int) -> None:
         self.simulation, self.vertices, self.whole_every = simulation, vertices, whole
         self._index = torch.as_tensor(vertices, device=simulation.device)
-        self._scenes = simulation.samples // len(simulation.body_set)
-        middle = len(simulation.body_set) // 2
+        self._scenes = simulation.samples // len(simulation.dressed.body_set)
+        middle = len(simulation.dressed.body_set) // 2
         self._of_middle = slice(middle * self._scenes, (middle + 1) * self._scenes)
         self.points: list[np.ndarray] = []
         self.whole: dict[int, np.ndarray] = {}

@@ -17,19 +17,13 @@ from scipy.spatial.transform import Rotation
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.motion import Motion
-from physkin_training.dynamics.incremental_potential import Dynamics, IncrementalHessian, IncrementalPotential
+from physkin_training.dynamics.dressed_samples import DressedSamples
+from physkin_training.dynamics.incremental_potential import Dynamics, IncrementalHessian
 from physkin_training.dynamics.step_solver import Step, StepSolver
-from physkin_training.networks.export import drape_from_model, encode_bodies
-from physkin_training.networks.made_to_measure import MadeToMeasure
 from physkin_training.physics.full_space_solver import FullSpaceSolver, Solution
-from physkin_training.physics.rest_data import RestData
-from physkin_training.physics.wearing import Wearing
-from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 
-__all__ = ["TOLERANCE", "DynamicSimulation", "Frame"]
+__all__ = ["A_LONG_TIME", "LARGEST_EXTENT", "TOLERANCE", "DynamicSimulation", "Frame"]
 
-REACH = 0.1
-"""The body is looked for up to this distance [m]."""
 TOLERANCE = 1e-3
 """Residual force of a step over the garment's weight."""
 FIRST_TOLERANCE, FIRST_ITERATIONS = 5e-3, 80
@@ -80,7 +74,6 @@ class DynamicSimulation:
     ) -> None:
         if len({(scene.frame_count, scene.rate_hz) for scene in scenes}) != 1:
             raise ValueError("scenes that are simulated together must have the same number of frames and rate")
-        self.fit = fit = model.checked_fit(fit)
         self.model, self.device, self.steps = model, device, steps
         self.frame_count, rate = scenes[0].frame_count, scenes[0].rate_hz
         self.samples = len(bodies) * len(scenes)
@@ -97,28 +90,11 @@ class DynamicSimulation:
         self._turn = tensor(turns, torch.float64)
         self._place = tensor([motion.root_position for motion in fine], torch.float64)
 
-        self.body_set = BodySet(body_model, bodies, device)
-        wearing = Wearing.of(model.garment, body_model).worn_faces()  # as in training
-        self.posed_bodies = PosedBodies(body_model, self.body_set, self.samples, faces=wearing.faces)
         self.lost_at = torch.full((self.samples,), self.frame_count, device=device)
-        self._drape = drape_from_model(model).to(device).eval()
-        fits = MadeToMeasure(model.garment, self._drape, self.body_set, body_model, fit=fit)
-        self._worn = fits.worn(self.body, torch.full_like(self.body, fit > 0, dtype=torch.bool))
-        self.rest = RestData(model.garment, model.material, device, shapes=fits.shapes)
-        self._modulation = encode_bodies(self._drape, self.body_set.vertices.cpu().numpy(), body_model.faces, fit=fit)
-
-        def potential(step: float) -> IncrementalPotential:
-            return IncrementalPotential(
-                *(model.garment, model.material, self.samples, device),
-                step=step,
-                dynamics=dynamics or Dynamics(),
-                wearing=wearing,
-                reach=REACH,
-                rest=self.rest,
-                rest_row=self._worn.rows,
-            )
-
-        self.potential, self.frame_potential = potential(self.step), potential(1 / rate)
+        self.dressed = DressedSamples(model, body_model, bodies, self.body, fit=fit)
+        dynamics = dynamics or Dynamics()
+        self.potential = self.dressed.potential(self.step, dynamics)
+        self.frame_potential = self.dressed.potential(1 / rate, dynamics)
         hessian = IncrementalHessian(model.garment, self.potential, self.samples, device)
         self._held = torch.as_tensor(model.garment.vertices[:, 2] > held_above, device=device)
         self._holds = bool(self._held.any())
@@ -161,7 +137,7 @@ class DynamicSimulation:
                     start = self._to_root(here + self.step * velocity + self.step**2 * acceleration, step)
                     solution = self._step_solver.minimise(
                         self._with_held(start, step),
-                        *(gravity, *self.bodies),
+                        *(gravity, *self.dressed.contact),
                         tolerance=tolerance * self.force_scale,
                         iterations=iterations,
                         products=products,
@@ -191,16 +167,15 @@ class DynamicSimulation:
         step, self.potential.step = self.potential.step, A_LONG_TIME
         self.potential.begin(local, local)
         solution = self._solver.minimise(
-            local, gravity, *self.bodies, tolerance=FIRST_TOLERANCE, iterations=FIRST_ITERATIONS
+            local, gravity, *self.dressed.contact, tolerance=FIRST_TOLERANCE, iterations=FIRST_ITERATIONS
         )
         self.potential.step = step
         return solution
 
     def _model_drape(self, step: int) -> torch.Tensor:
         """What the model makes of the bodies posed last, (B, n, 3)."""
-        posed = self._drape.posed_nodes(self._bones, self._worn.node_positions)
-        modulation, positions = self._modulation[self.body], self._positions[self.scene, step]
-        return self._drape(modulation, positions, self.gravity(step), posed, self._worn.rest)
+        positions = self._positions[self.scene, step]
+        return self.dressed.skinned(self.dressed.draped_nodes(positions, self.gravity(step), self._posed))
 
     def _with_held(self, local: torch.Tensor, step: int) -> torch.Tensor:
         if not self._holds:
@@ -213,17 +188,12 @@ class DynamicSimulation:
         """last, before_last: (B, n, 3) in the world, the two frames before."""
         step = index * self.steps
         self.frame_potential.begin(self._to_root(last, step), self._to_root(2 * last - before_last, step))
-        energies, _ = self.frame_potential.evaluate(solution.vertices, self.gravity(step), *self.bodies)
+        energies, _ = self.frame_potential.evaluate(solution.vertices, self.gravity(step), *self.dressed.contact)
         return Frame(index, solution.vertices, energies, solution.gradient_norm, taken)
-
-    @property
-    def bodies(self):
-        """Contact mesh of all bodies, and where each is in it; see `PosedBodies`."""
-        return self.posed_bodies.mesh, self.posed_bodies.offset
 
     def _pose(self, step: int) -> torch.Tensor:
         """Pose the bodies, and return gravity (B, 3) in the root frames."""
-        self._bones = self.posed_bodies.pose(self._positions[self.scene, step], self.body)
+        self._posed = self.dressed.pose(self._positions[self.scene, step])
         return self.gravity(step)
 
     def gravity(self, step: int) -> torch.Tensor:

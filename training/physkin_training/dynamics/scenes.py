@@ -16,7 +16,7 @@ from physkin_core.motion.loading import load_motion
 from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.rig.rig import Rig
 
-__all__ = ["RATE_HZ", "ROOT_SCENES", "SWING_ACCELERATION", "load_scene"]
+__all__ = ["LOOPED", "RATE_HZ", "ROOT_SCENES", "SWING_ACCELERATION", "load_scene", "smooth_step"]
 
 RATE_HZ = 60.0
 EASE = 0.4
@@ -82,25 +82,25 @@ def _eased_time(times: np.ndarray, length: float) -> np.ndarray:
 def _root_scene(name: str, rig: Rig, times: np.ndarray) -> Motion:
     position, yaw = np.zeros((len(times), 3)), np.zeros(len(times))
     if name == "turn":
-        yaw = np.pi * _smooth((times - 1.0) / 0.6)
+        yaw = np.pi * smooth_step((times - 1.0) / 0.6)
     elif name == "stop":
         position[:, 0] = 1.4 * (_ramped(times - 0.25, 0.5) - _ramped(times - 2.0, 0.25))
     else:
         rate = 2 * np.pi * float(name.partition("-")[2])
         since = np.maximum(times - SWING_BEGINS, 0)
-        position[:, 1] = SWING_ACCELERATION / rate**2 * np.sin(rate * since) * _smooth(since * rate / (2 * np.pi))
+        position[:, 1] = SWING_ACCELERATION / rate**2 * np.sin(rate * since) * smooth_step(since * rate / (2 * np.pi))
     orientation = Rotation.from_euler("z", yaw[:, None]).as_quat()
     positions = np.tile(rig.rest, (len(times), 1))
     return Motion(rig.joint_names, positions, orientation, position + [0, 0, 0.9], RATE_HZ, name)
 
 
-def _smooth(u: np.ndarray) -> np.ndarray:
+def smooth_step(u: np.ndarray) -> np.ndarray:
     """0 before 0, 1 after 1, between with acceleration that does not jump."""
     u = np.clip(u, 0, 1)
     return u**3 * (10 - 15 * u + 6 * u**2)
 
 
 def _ramped(t: np.ndarray, length: float) -> np.ndarray:
-    """Integral of `_smooth(t / length)`."""
+    """Integral of `smooth_step(t / length)`."""
     u = np.clip(t / length, 0, 1)
     return length * u**4 * (2.5 - 3 * u + u**2) + np.maximum(t - length, 0)

@@ -140,7 +140,7 @@ class Drape(nn.Module):
         rest: the samples' rest shapes, default the template for all. for_engines: by the second set of weights.
         """
         n, m = len(self.vertices), len(self.node_rest)
-        dense = self._dense(self.engine_weights if for_engines else self.skinning_weights, nodes)
+        dense = self.dense(self.engine_weights if for_engines else self.skinning_weights, nodes)
         if rest is not None:
             shift = nodes[..., 3:] - nodes[..., :3] @ rest.nodes[..., None]
             handles = torch.cat([nodes[..., :3], shift], dim=-1).permute(1, 0, 2, 3).reshape(m, -1)
@@ -153,9 +153,9 @@ class Drape(nn.Module):
 
     def linear_parts(self, nodes: torch.Tensor) -> torch.Tensor:
         """The linear parts of garment node transforms (B, m, 3, 4), blended at each vertex: (B, n, 3, 3)."""
-        return torch.einsum("vm,bmij->bvij", self._dense(self.skinning_weights, nodes), nodes[..., :3])
+        return torch.einsum("vm,bmij->bvij", self.dense(self.skinning_weights, nodes), nodes[..., :3])
 
-    def _dense(self, weights: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
+    def dense(self, weights: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
         """Skinning weights (n, K) over all garment nodes (n, m), in the type of `nodes`."""
         dense = torch.zeros(len(self.vertices), len(self.node_rest), device=nodes.device, dtype=nodes.dtype)
         return dense.scatter_add(1, self.influence_nodes, weights.to(nodes.dtype))

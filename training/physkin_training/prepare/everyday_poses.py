@@ -18,8 +18,9 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.motion.everyday_poses import CHECK_POSES
 from physkin_core.rig.rig import Rig
 from physkin_training.sampling.everyday_poses import EVERYDAY_POSES, EverydayPoses, save_mixture
+from physkin_training.sampling.mirrored_poses import mirrored
 
-__all__ = ["HELD_OUT_CLIPS", "main", "mirrored", "save_check_poses"]
+__all__ = ["HELD_OUT_CLIPS", "main", "save_check_poses"]
 
 HELD_OUT_CLIPS = ("01_01", "02_02", "indian_06", "martial_03", "salsa_01")
 """What evaluation is on: whole clips, one of each kind."""
@@ -81,18 +82,6 @@ def _varied(rig: Rig, positions: np.ndarray, gravity: np.ndarray, random: np.ran
     pose = np.where(turned, mirrored(rig, pose), pose)
     down = np.where(turned, down * [1, -1, 1], down)
     return np.concatenate([pose, down], axis=1)
-
-
-def mirrored(rig: Rig, positions: np.ndarray) -> np.ndarray:
-    """Joint positions (P, d) [rad] with left and right exchanged."""
-    result = np.empty_like(positions)
-    names = list(rig.joint_names)
-    for index, name in enumerate(names):
-        swap = name.replace(".L_", ".\0_").replace(".R_", ".L_").replace(".\0_", ".R_")
-        other = names.index(swap)
-        sign = -np.sign(rig.dof_axes[index] * [1, -1, 1] @ rig.dof_axes[other])
-        result[:, other] = rig.rest[other] + sign * (positions[:, index] - rig.rest[index])
-    return np.clip(result, rig.lower, rig.upper)
 
 
 if __name__ == "__main__":

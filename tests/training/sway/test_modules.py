@@ -1,0 +1,84 @@
+"""The sway network in torch is that of the run time, frame by frame."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from random_models import random_rig
+from scipy.spatial.transform import Rotation
+
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.model.sway_network import fold_body
+from physkin_core.sway.learnt_sway import LearntSway
+from physkin_core.sway.moment import Moment
+from physkin_training.sway.body_codes import BodyCodes
+from physkin_training.sway.cloth_tuning import OffsetLayer
+from physkin_training.sway.export import exported
+from physkin_training.sway.modules import Features, SwayModule, swaying_joints
+from physkin_training.sway.shapes import principal_shapes
+
+RIG = load_body_model().rig
+
+
+def learnt(outputs: int):
+    """A network with random numbers, and body codes; joints and modulation are a body's."""
+    torch.manual_seed(0)
+    joints = swaying_joints(RIG)
+    network = SwayModule(len(joints), 3, outputs)
+    for parameter in network.gate.parameters():
+        torch.nn.init.normal_(parameter, std=0.3)
+    generator = np.random.default_rng(0)
+    codes = BodyCodes(generator.normal(size=7).astype(np.float32), generator.normal(size=(3, 7)).astype(np.float32))
+    return network, codes, joints, generator.normal(size=7).astype(np.float32)
+
+
+@pytest.mark.parametrize("step", [1 / 60, 1 / 15])
+def test_torch_and_the_run_time_agree(step):
+    network, codes, joints, modulation = learnt(24)
+    frames, generator = 12, np.random.default_rng(1)
+    away = np.cumsum(generator.normal(scale=0.05, size=(frames, len(RIG.rest))), axis=0)
+    positions = (RIG.rest + away).astype(np.float32)
+    place = np.cumsum(generator.normal(scale=0.1 * step * 15, size=(frames, 3)), axis=0).astype(np.float32)
+    turn = Rotation.from_rotvec(np.cumsum(generator.normal(scale=0.15, size=(frames, 3)), axis=0)).as_matrix()
+    with torch.no_grad():
+        tensors = (torch.as_tensor(a, dtype=torch.float32)[None] for a in (positions, place, turn))
+        drive, pose = Features(RIG, joints, torch.device("cpu"))(*tensors, step)
+        code = codes(torch.as_tensor(modulation)[None])
+        here = network(drive, pose, code, step)[0].numpy()
+    folded = fold_body(exported(network, (network.out.weight, network.out.bias), joints, codes), modulation)
+    layers = (folded["sway_layers"], folded["sway_rates"], folded["sway_turns"])
+    sway = LearntSway(joints, RIG.lower, RIG.upper, *layers)
+    for frame in range(frames):
+        told = Moment(sway=1.0, elapsed=-1.0)
+        if frame:
+            velocity = turn[frame].T @ (place[frame] - place[frame - 1]) / step
+            turning = Rotation.from_matrix(turn[frame - 1].T @ turn[frame]).as_rotvec() / step
+            told = Moment(sway=1.0, elapsed=step, moves=1.0, velocity=tuple(velocity), turning=tuple(turning))
+        there = sway.offsets(positions[frame], -turn[frame, 2], told)
+        np.testing.assert_allclose(here[frame], there, atol=2e-5 * np.abs(there).max() + 2e-5)
+
+
+def test_the_last_layer_is_the_same_in_shapes_in_numbers_and_folded():
+    network, _, _, _ = learnt(4)
+    generator = torch.Generator().manual_seed(0)
+    offsets = torch.randn(300, 4, generator=generator) @ torch.randn(4, 24, generator=generator)
+    offsets[:, 12:] = 0
+    cost = torch.eye(24) + 0.3
+    shapes, _, _ = principal_shapes([offsets], torch.diag((torch.arange(24) < 12).float()), cost, 4, 1.0)
+    walkers = SimpleNamespace(shapes=shapes, cost=cost, free=torch.tensor([True, False]))
+    last, hidden = OffsetLayer(network.out, walkers), torch.randn(5, network.out.in_features, generator=generator)
+    with torch.no_grad():
+        coefficients = network.out(hidden)
+        torch.testing.assert_close(last(hidden)[:, :12], shapes.offsets(coefficients)[:, :12], atol=1e-4, rtol=1e-3)
+        assert last(hidden)[:, 12:].abs().max() == 0, "held"
+        torch.testing.assert_close(last.coefficients(hidden), coefficients, atol=2e-2, rtol=1e-3)
+        weight, bias = last.folded()
+        torch.testing.assert_close(hidden @ weight.T + bias, last(hidden), atol=1e-5, rtol=1e-4)
+
+
+def test_a_rig_without_legs_is_refused():
+    with pytest.raises(ValueError, match="no joint whose name begins with spine05"):
+        swaying_joints(random_rig(np.random.default_rng(0)))

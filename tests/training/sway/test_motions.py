@@ -1,0 +1,58 @@
+"""Motions of walkers: within limits, smooth, one a seed, as often mirrored."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.rig.rig import Rig
+from physkin_training.sway.motions import MotionPool, mirrored_motion
+
+RIG = load_body_model().rig
+
+
+@pytest.fixture(scope="module")
+def pool():
+    return MotionPool(RIG)
+
+
+def test_motions_are_what_a_body_can_do(pool):
+    motions = pool.drawn(range(60), 180, seed=0)
+    assert (motions.positions >= RIG.lower - 1e-6).all() and (motions.positions <= RIG.upper + 1e-6).all()
+    unit = np.broadcast_to(np.eye(3), motions.turn.shape)
+    np.testing.assert_allclose(motions.turn @ motions.turn.swapaxes(-1, -2), unit, atol=1e-5)
+    assert (np.linalg.det(motions.turn) > 0).all()
+    assert np.abs(np.diff(motions.positions, axis=1)).max() < 30 / 60  # [rad] a frame
+    assert np.linalg.norm(np.diff(motions.place, axis=1), axis=2).max() < 8 / 60  # [m] a frame
+    assert np.ptp(motions.place, axis=1).max(axis=1).mean() > 0.3, "bodies go about"
+
+
+def test_a_walker_is_one_by_seed_and_number(pool):
+    both = pool.drawn(range(2), 30, seed=3)
+    np.testing.assert_array_equal(pool.drawn(range(1, 2), 30, seed=3).positions[0], both.positions[1])
+    assert np.abs(both.positions[0] - both.positions[1]).max() > 0.01
+    assert np.abs(pool.drawn(range(1), 30, seed=4).positions[0] - both.positions[0]).max() > 0.01
+
+
+def test_mirrored_bones_are_on_the_other_side_of_the_world(pool):
+    motions = pool.drawn(range(7, 8), 3, seed=0)
+    motion = (motions.positions[0].astype(np.float64), motions.place[0], motions.turn[0])
+    positions, place, turn = mirrored_motion(RIG, *motion)
+
+    def heads(pose, at, turned):
+        bones = RIG.bone_transforms(pose)
+        return (np.einsum("bij,bj->bi", bones[..., :3], RIG.heads) + bones[..., 3]) @ turned.T + at
+
+    here, there = heads(*(a[2] for a in motion)), heads(positions[2], place[2], turn[2])
+    for index, name in enumerate(RIG.bone_names):
+        other = name.replace(".L", ".\0").replace(".R", ".L").replace(".\0", ".R")
+        np.testing.assert_allclose(there[RIG.bone_index(other)], here[index] * [1, -1, 1], atol=0.01)
+
+
+def test_a_rig_of_other_joints_is_refused():
+    from dataclasses import replace
+
+    other = Rig(RIG.bone_names, RIG.parents, RIG.heads, RIG.tails, (replace(RIG.dofs[0], name="knee"), *RIG.dofs[1:]))
+    with pytest.raises(ValueError, match="everyday poses are of the default rig"):
+        MotionPool(other)

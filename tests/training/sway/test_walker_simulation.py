@@ -1,0 +1,128 @@
+"""Cloth simulated in garment nodes' numbers: the linear map, the metric, steps, and cloth that lags or is lost."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from training.small_runs import waist_band_model
+
+from physkin_core.avatar.body_model import load_body_model
+from physkin_training.sway import walker_simulation
+from physkin_training.sway.motions import WalkerMotions
+from physkin_training.sway.walker_simulation import WalkerSimulation
+
+BODY_MODEL = load_body_model()
+HELD_ABOVE = 0.2
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread():
+    """Vectors are short: more threads would only wait for each other."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def simulation():
+    """Two bodies of two walkers in a band whose uppermost garment nodes are held."""
+    model = waist_band_model(node_outputs=12, made_to_measure=True)
+    return WalkerSimulation(model, BODY_MODEL, BODY_MODEL.train_bodies[[5, 9]], 2, CPU, held_above=HELD_ABOVE)
+
+
+def motions(acceleration: float, frames: int) -> WalkerMotions:
+    """Four walkers at rest, whose roots are accelerated ahead [m/s2]."""
+    positions = np.tile(BODY_MODEL.rig.rest, (4, frames, 1)).astype(np.float32)
+    place = np.zeros((4, frames, 3), np.float32)
+    place[..., 0] = acceleration / 2 * (np.arange(frames) / 60) ** 2
+    return WalkerMotions(positions, place, np.tile(np.eye(3, dtype=np.float32), (4, frames, 1, 1)))
+
+
+def offsets_of(simulation, motion):
+    found, counts = [], []
+
+    def watch(frame, offsets, valid):
+        found.append(offsets)
+        counts.append(valid)
+
+    simulation.run(motion, watch)
+    return torch.stack(found), torch.stack(counts)
+
+
+def test_the_bodies_wear_what_is_theirs(simulation):
+    """The second of three wears the template."""
+    template = torch.tensor(simulation.dressed.model.garment.vertices, dtype=torch.float32)
+    worn = simulation.dressed.worn.rest.vertices
+    assert (worn[0] - template).abs().max() > 1e-3
+    torch.testing.assert_close(worn[2:], template.expand(2, -1, -1))
+
+
+def test_skinning_is_linear_and_its_transpose_is_its_adjoint(simulation):
+    generator = torch.Generator().manual_seed(0)
+    nodes = torch.randn(4, 12, 3, 4, generator=generator)
+    vertices = simulation.skinning.vertices(nodes)
+    torch.testing.assert_close(vertices, simulation.dressed.skinned(nodes), atol=1e-5, rtol=1e-5)
+    forces = torch.randn(vertices.shape, generator=generator)
+    work = (simulation.skinning.transposed(forces) * nodes).sum(dim=(1, 2, 3))
+    torch.testing.assert_close(work, (forces * vertices).sum(dim=(1, 2)), atol=1e-3, rtol=1e-4)
+
+
+def test_cloth_that_is_moved_as_one_weighs_what_it_weighs(simulation):
+    """Of free garment nodes; held ones have no mass. A change costs more than nothing."""
+    assert 0 < int(simulation.free.sum()) < len(simulation.free)
+    ahead = torch.zeros(12, 3, 4)
+    ahead[:, 0, 3] = 1.0
+    solver = simulation._solver
+    upright = torch.eye(3).expand(4, 12, 3, 3)
+    everything = type(solver)(solver.samples, solver.potential, solver.skinning, torch.ones(12, dtype=torch.bool))
+    mass = ahead.flatten() @ everything.mean_inertia(upright).detach() @ ahead.flatten()
+    assert float(mass) == pytest.approx(float(simulation.potential.mass.sum(dim=1).mean()), rel=1e-4)
+    held = ~simulation.free.repeat_interleave(12)
+    assert simulation.inertia[held].abs().max() == 0
+    assert torch.linalg.eigvalsh(simulation.cost.double()).min() > 0
+
+
+def test_a_step_lowers_the_potential(simulation):
+    still = motions(0.0, 1)
+    with torch.no_grad():
+        now = simulation._stance(*(torch.as_tensor(a[:, 0]) for a in (still.positions, still.turn, still.place)))
+        vertices = simulation.skinning.vertices(now.drape)
+        simulation.potential.begin(vertices, vertices)
+
+        def potential(vertices):
+            energies, _ = simulation.potential.evaluate(vertices, now.gravity, *simulation.dressed.contact)
+            return sum(energies.values())
+
+        before = potential(vertices)
+        nodes, there = simulation._solver.minimise([now.drape], now.node_turns, now.gravity, newton=2, products=6)
+        assert (potential(there) < before).all()
+        torch.testing.assert_close(simulation.skinning.vertices(nodes), there, atol=1e-5, rtol=1e-5)
+        torch.testing.assert_close(nodes[:, ~simulation.free], now.drape[:, ~simulation.free])
+
+
+def test_cloth_rests_and_lags_behind_a_root_that_hurries(simulation):
+    rest, counts = offsets_of(simulation, motions(0.0, 4))
+    lagging, _ = offsets_of(simulation, motions(30.0, 4))
+    assert counts.all()
+    assert (rest[-1] - rest[-2])[..., 3].norm(dim=-1).max() < 5e-3
+    behind = simulation.skinning.vertices(simulation_turns(simulation) @ (lagging[-1] - rest[-1]))[..., 0]
+    assert behind.mean() < -5e-4 and behind.min() < -3e-3
+    assert lagging[:, :, ~simulation.free].abs().max() < 1e-6
+
+
+def simulation_turns(simulation):
+    """Of posed garment nodes at rest."""
+    still = motions(0.0, 1)
+    with torch.no_grad():
+        stance = simulation._stance(*(torch.as_tensor(a[:, 0]) for a in (still.positions, still.turn, still.place)))
+    return stance.node_turns
+
+
+def test_cloth_that_is_lost_does_not_count_and_begins_anew(simulation, monkeypatch):
+    monkeypatch.setattr(walker_simulation, "LARGEST_OFFSET", 0.0)
+    found, counts = offsets_of(simulation, motions(0.0, 3))
+    assert counts[0].all() and not counts[1:].any()
+    assert found[1:].abs().max() < 1e-5

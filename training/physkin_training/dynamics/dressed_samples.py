@@ -1,0 +1,90 @@
+"""A garment model on posed bodies, many samples at once: what a simulation poses, drapes and takes energies of.
+
+Dimensions: `B` samples, `S` bodies, `d` degrees of freedom, `m` garment nodes, `n` vertices. Metres, root frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+import warp as wp
+
+from physkin_core.avatar.body_model import BodyModel
+from physkin_core.model.garment_model import GarmentModel
+from physkin_training.dynamics.incremental_potential import Dynamics, IncrementalPotential
+from physkin_training.networks.export import drape_from_model, encode_bodies
+from physkin_training.networks.made_to_measure import MadeToMeasure
+from physkin_training.physics.rest_data import RestData
+from physkin_training.physics.wearing import Wearing
+from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
+
+__all__ = ["REACH", "DressedSamples"]
+
+REACH = 0.1
+"""The body is looked for up to this distance [m]."""
+
+
+class DressedSamples:
+    """Sample `s` is body `body[s]` in the garment.
+
+    bodies: (S, c) shape coefficients of `body_model`. body: (B,) int64 into them. fit: as in `Draper`. one_size: (S,)
+    bool, bodies that wear the template all the same; default none. Raises ValueError as `GarmentModel.checked_fit`.
+    """
+
+    def __init__(
+        self,
+        model: GarmentModel,
+        body_model: BodyModel,
+        bodies: np.ndarray,
+        body: torch.Tensor,
+        *,
+        fit: float | None = None,
+        one_size: np.ndarray | None = None,
+    ) -> None:
+        self.model, self.body, self.device = model, body, body.device
+        self.fit = fit = model.checked_fit(fit)
+        self.body_set = BodySet(body_model, bodies, self.device)
+        self.wearing = Wearing.of(model.garment, body_model).worn_faces()  # as in training
+        self.posed_bodies = PosedBodies(body_model, self.body_set, len(body), faces=self.wearing.faces)
+        self.drape = drape_from_model(model).to(self.device).eval()
+        fits = MadeToMeasure(model.garment, self.drape, self.body_set, body_model, fit=fit)
+        template = np.full(len(bodies), fit == 0) if one_size is None else one_size | (fit == 0)
+        template = torch.as_tensor(template, device=self.device)
+        self.worn = fits.worn(body, ~template[body])
+        self.rest = RestData(model.garment, model.material, self.device, shapes=fits.shapes)
+        surfaces = self.body_set.vertices.cpu().numpy()
+        self.body_modulation = encode_bodies(self.drape, surfaces, body_model.faces, fit=fit)
+        """(S, s), see `encode_bodies`."""
+        if fit > 0 and template.any():
+            plain = encode_bodies(self.drape, surfaces, body_model.faces)
+            self.body_modulation = torch.where(template[:, None], plain, self.body_modulation)
+        self._modulation = self.body_modulation[body]
+
+    def potential(self, step: float, dynamics: Dynamics) -> IncrementalPotential:
+        """What a step of so many seconds minimises."""
+        return IncrementalPotential(
+            *(self.model.garment, self.model.material, len(self.body), self.device),
+            step=step,
+            dynamics=dynamics,
+            wearing=self.wearing,
+            reach=REACH,
+            rest=self.rest,
+            rest_row=self.worn.rows,
+        )
+
+    @property
+    def contact(self) -> tuple[wp.Mesh, torch.Tensor]:
+        """Contact mesh of all bodies as posed last, and where each is in it; see `PosedBodies`."""
+        return self.posed_bodies.mesh, self.posed_bodies.offset
+
+    def pose(self, positions: torch.Tensor) -> torch.Tensor:
+        """Pose the bodies at joint positions (B, d) [rad]; returns their posed garment nodes (B, m, 3, 4)."""
+        return self.drape.posed_nodes(self.posed_bodies.pose(positions, self.body), self.worn.node_positions)
+
+    def draped_nodes(self, positions: torch.Tensor, gravity: torch.Tensor, posed: torch.Tensor) -> torch.Tensor:
+        """Garment nodes (B, m, 3, 4) as the model corrects the posed ones. gravity: (B, 3)."""
+        return self.drape.draped_nodes(self._modulation, positions, gravity, posed)
+
+    def skinned(self, nodes: torch.Tensor) -> torch.Tensor:
+        """Vertices (B, n, 3) of the samples' rest shapes, carried by garment nodes (B, m, 3, 4)."""
+        return self.drape.skin(nodes, self.worn.rest)

@@ -1,0 +1,143 @@
+"""Fine-tuning of a learnt sway network by the energies of cloth.
+
+A network that is near what was simulated on average still strains cloth: what it cannot tell it blurs. So the last
+frame of some windows is draped, and what stretch, bending, contact and the band say there is learnt, too. Weight is
+left out, it is in what was simulated. From here on the network gives offsets themselves, beyond the shapes.
+
+Dimensions: `B` bodies, `a = 12 m` numbers of garment nodes, `h` what the last layer reads.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import nn
+
+from physkin_core.avatar.body_model import BodyModel
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.progress import progress_line
+from physkin_training.dynamics.dressed_samples import DressedSamples
+from physkin_training.dynamics.incremental_potential import Dynamics
+from physkin_training.dynamics.scenes import RATE_HZ
+from physkin_training.sway.learning import LARGEST_GRADIENT, learning_rate
+from physkin_training.sway.modules import Features, SwayModule
+from physkin_training.sway.node_skinning import NodeSkinning
+from physkin_training.sway.shapes import UNIT
+from physkin_training.sway.walker_simulation import ONE_SIZE
+from physkin_training.sway.walkers import Walkers
+from physkin_training.sway.windows import STRIDES, Windows
+
+__all__ = ["OffsetLayer", "tuned_network"]
+
+ENERGY = 8.0
+"""[1/J] how much energies count against the error in shapes."""
+SOFTER_CONTACT = 0.3
+WINDOWS, KEPT = 6, 23
+"""Windows a body in a step, of which one is draped; frames of each that have a target."""
+LEARNING_RATE, OF_LAST_LAYER, LAST_SHARE, WARM_UP_STEPS = 6e-4, 3e-5, 0.02, 30
+LARGEST_FORCE = 2.0
+"""Of a sample, against the median of all."""
+
+
+class OffsetLayer(nn.Module):
+    """The network's last layer, to offsets (..., a), learnt in coordinates in which what a difference costs is round.
+
+    Begins as what `out` makes of the walkers' shapes. Garment nodes that are held have none.
+    """
+
+    def __init__(self, out: nn.Linear, walkers: Walkers) -> None:
+        super().__init__()
+        shapes, cost = walkers.shapes, walkers.cost.double()
+        root = torch.linalg.cholesky(cost + 1e-6 * cost.diagonal().max() * torch.eye(len(cost), device=cost.device))
+        inverse = torch.linalg.solve_triangular(root, torch.eye(len(cost), device=cost.device).double(), upper=False)
+        moves = walkers.free.repeat_interleave(12)
+        self.register_buffer("_from_round", inverse.float() * moves)
+        self.register_buffer("_projection", self._from_round @ shapes.projection)
+        self.register_buffer("_mean", shapes.mean @ shapes.projection)
+        self.round = nn.Linear(out.in_features, len(cost)).to(cost.device)
+        with torch.no_grad():
+            self.round.weight.copy_((out.weight.T @ shapes.directions @ root.float()).T)
+            self.round.bias.copy_(shapes.offsets(out.bias) @ root.float())
+
+    def forward(self, hidden: torch.Tensor) -> torch.Tensor:
+        """Offsets (..., a) of what the layer reads (..., h)."""
+        return self.round(hidden) @ self._from_round
+
+    def coefficients(self, hidden: torch.Tensor) -> torch.Tensor:
+        """The same in shapes (..., r), by a small product."""
+        weight, bias = self.round.weight.T @ self._projection, self.round.bias @ self._projection - self._mean
+        return hidden @ weight + bias
+
+    def folded(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Weight (a, h) and bias (a,) of the plain layer that gives the same."""
+        return self._from_round.T @ self.round.weight, self.round.bias @ self._from_round
+
+
+def tuned_network(
+    model: GarmentModel,
+    body_model: BodyModel,
+    walkers: Walkers,
+    features: Features,
+    network: SwayModule,
+    learnt: torch.Tensor,
+    generator: torch.Generator,
+    *,
+    steps: int,
+) -> OffsetLayer:
+    """Tune a network in place, and its last layer, which is returned, for so many steps with the walkers `learnt`."""
+    last = OffsetLayer(network.out, walkers)
+    own = [parameter for name, parameter in network.named_parameters() if not name.startswith("out")]
+    groups = [{"params": own, "lr": LEARNING_RATE}, {"params": list(last.parameters()), "lr": OF_LAST_LAYER}]
+    optimiser = torch.optim.Adam(groups)
+    full = [group["lr"] for group in optimiser.param_groups]
+    windows, cloth = Windows(walkers, features, generator), _Cloth(model, body_model, walkers)
+    of_body = [learnt[walkers.body.cpu()[learnt] == body] for body in range(len(walkers.bodies))]
+    watch = progress_line("fine-tuning")
+    for step in range(steps):
+        for group, rate in zip(optimiser.param_groups, full):
+            group["lr"] = rate * learning_rate(step, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE)
+        drawn = [rows[torch.randint(len(rows), (WINDOWS,), generator=generator)] for rows in of_body]
+        window = windows.drawn(torch.cat(drawn), stride=STRIDES[step % len(STRIDES)], kept=KEPT)
+        hidden = window.hidden(network)
+        error = UNIT * (last.coefficients(hidden) - window.coefficients)
+        draped = slice(None, None, WINDOWS)
+        offsets = last(hidden[draped, -1])
+        forces = cloth.forces(offsets.detach(), window.walker[draped], window.last[draped])
+        loss = window.mean(error.square().sum(dim=-1)) + ENERGY * (offsets * forces).sum() / len(forces)
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_([*own, *last.parameters()], LARGEST_GRADIENT)
+        optimiser.step()
+        watch((step + 1) / steps)
+    return last
+
+
+class _Cloth:
+    """Drapes of one walker on each body."""
+
+    def __init__(self, model: GarmentModel, body_model: BodyModel, walkers: Walkers) -> None:
+        self._walkers = walkers
+        count, device = len(walkers.bodies), walkers.positions.device
+        body = torch.arange(count, device=device)
+        one_size = (body % ONE_SIZE == 1).cpu().numpy()
+        self._dressed = DressedSamples(model, body_model, walkers.bodies, body, one_size=one_size)
+        self._potential = self._dressed.potential(1 / RATE_HZ, Dynamics())
+        self._potential.contact_stiffness *= SOFTER_CONTACT
+        self._skinning = NodeSkinning(self._dressed)
+
+    @torch.no_grad()
+    def forces(self, offsets: torch.Tensor, walker: torch.Tensor, frame: torch.Tensor) -> torch.Tensor:
+        """Derivatives (B, a) of the energies without weight by offsets (B, a), of these walkers' frames (B,)."""
+        known, dressed = self._walkers, self._dressed
+        positions, turn = known.positions[walker, frame], known.turn[walker, frame]
+        gravity = -turn[:, 2].contiguous()
+        posed = dressed.pose(positions)
+        turns = posed[..., :3]
+        nodes = dressed.draped_nodes(positions, gravity, posed) + turns @ offsets.unflatten(1, (-1, 3, 4))
+        vertices = self._skinning.vertices(nodes)
+        self._potential.begin(vertices, vertices)  # nothing moves: no inertia, no drag
+        _, gradient = self._potential.evaluate(vertices, gravity, *dressed.contact)
+        weight = dressed.rest.weight[dressed.worn.rows]
+        gradient = gradient + weight[..., None] * gravity[:, None]
+        forces = (turns.mT @ self._skinning.transposed(gradient)).flatten(1).nan_to_num()
+        size = forces.norm(dim=1, keepdim=True)
+        return forces * (LARGEST_FORCE * size.median() / size.clamp_min(1e-12)).clamp_max(1)

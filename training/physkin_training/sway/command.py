@@ -1,0 +1,153 @@
+"""`physkin learn-sway`: how a garment lags, swings and settles, learnt from walkers that are simulated for it."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.model_file import load_garment_model, save_garment_model
+from physkin_core.output_file import check_folder, check_other_file
+from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.sway.body_codes import BodyCodes
+from physkin_training.sway.cloth_tuning import OffsetLayer, tuned_network
+from physkin_training.sway.export import exported
+from physkin_training.sway.learning import held_out_millimetres, learnt_network, split
+from physkin_training.sway.modules import Features, swaying_joints
+from physkin_training.sway.walkers import simulated_walkers
+
+__all__ = ["SwayPlan", "command_parser", "learn_sway", "main"]
+
+NUMBERS = 12
+"""Of a garment node's correction: the linear part is free."""
+SHORTEST = 0.5
+"""[s] of a motion."""
+
+
+@dataclass(frozen=True)
+class SwayPlan:
+    """How much is simulated, and for how long it is learnt.
+
+    bodies: of training; walkers on each of them at once; rounds of all of these, motions of so many seconds.
+    held_above: [m] in the canonical pose, garment nodes above do not sway. steps of learning, and of fine-tuning.
+    Raises ValueError for a number that cannot be.
+    """
+
+    bodies: int = 64
+    walkers: int = 10
+    rounds: int = 5
+    seconds: float = 5.0
+    held_above: float = math.inf
+    steps: int = 5000
+    tuning_steps: int = 2000
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        least = {"bodies": 1, "walkers": 1, "rounds": 1, "seconds": SHORTEST, "steps": 1, "tuning_steps": 0, "seed": 0}
+        for name, allowed in least.items():
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= allowed):
+                raise ValueError(f"--{name.replace('_', '-')} must be at least {allowed:g}, got {value}")
+        if self.bodies * self.walkers * self.rounds == self.bodies:
+            raise ValueError("one walker a body is too few: some are held out; raise --walkers or --rounds")
+        if math.isnan(self.held_above):
+            raise ValueError("--held-above must be a height [m], got nan")
+
+
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin learn-sway`."""
+    plan = SwayPlan()
+    parser = argparse.ArgumentParser(prog="physkin learn-sway", description=__doc__.splitlines()[0])
+    parser.add_argument("garment", help="garment model file, or the name of a shipped one")
+    parser.add_argument("--bodies", type=int, default=plan.bodies, help="of training (default %(default)s)")
+    parser.add_argument("--walkers", type=int, default=plan.walkers, help="on each at once (default %(default)s)")
+    parser.add_argument("--rounds", type=int, default=plan.rounds, help="of all of these (default %(default)s)")
+    parser.add_argument("--seconds", type=float, default=plan.seconds, help="of each motion (default %(default)s)")
+    parser.add_argument(
+        "--held-above",
+        type=float,
+        default=plan.held_above,
+        metavar="Z",
+        help="garment nodes above, in the canonical pose [m], as of a bodice, do not sway",
+    )
+    parser.add_argument("--steps", type=int, default=plan.steps, help="of learning (default %(default)s)")
+    parser.add_argument(
+        "--tuning-steps",
+        type=int,
+        default=plan.tuning_steps,
+        metavar="STEPS",
+        help="of fine-tuning by the energies of cloth (default %(default)s)",
+    )
+    parser.add_argument("--seed", type=int, default=plan.seed, help="of bodies, motions and learning (default 0)")
+    parser.add_argument("--device", default=DEFAULT_DEVICE)
+    parser.add_argument("-o", "--output", type=Path, required=True, help="garment model file to write")
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line. Returns 0; raises ValueError or OSError for bad input."""
+    options = vars(command_parser().parse_args(argv))
+    garment, output, device = (options.pop(name) for name in ("garment", "output", "device"))
+    plan = SwayPlan(**options)
+    check_folder(output)
+    check_other_file(output, garment)
+    model = load_garment_model(garment)
+    device = resolve_device(device)
+    if device.type == "cpu":
+        torch.set_num_threads(1)  # vectors are short: more threads would only wait for each other
+    save_garment_model(learn_sway(model, plan, device, say=print), output)
+    print(f"wrote {output}: {output.stat().st_size / 1e6:.2f} MB")
+    return 0
+
+
+def learn_sway(
+    model: GarmentModel, plan: SwayPlan, device: torch.device, *, say: Callable[[str], None]
+) -> GarmentModel:
+    """The model with a sway network, in place of one that it may have. say: told how it goes.
+
+    Raises ValueError for a model whose node deformer does not give 12 numbers a garment node, for a rig that everyday
+    poses are not of, and as `SwayPlan` and `simulated_walkers`.
+    """
+    numbers = len(model.node_deformer[-1][1]) // len(model.node_rest)
+    if numbers != NUMBERS:
+        raise ValueError(
+            f"{model.name}: its node deformer gives {numbers} numbers a garment node, sway needs {NUMBERS} "
+            f"(node_outputs = {NUMBERS} when it is trained)"
+        )
+    if not (model.node_rest[:, 2] <= plan.held_above).any():
+        raise ValueError(f"--held-above {plan.held_above:g} m holds all garment nodes: none is left to sway")
+    body_model = load_body_model()
+    if plan.bodies > len(body_model.train_bodies):
+        raise ValueError(f"--bodies must be at most {len(body_model.train_bodies)}, got {plan.bodies}")
+    joints = swaying_joints(model.rig)
+    codes = BodyCodes.of(model, body_model, device)
+    walkers = simulated_walkers(
+        *(model, body_model, codes, device),
+        bodies=plan.bodies,
+        each=plan.walkers,
+        rounds=plan.rounds,
+        seconds=plan.seconds,
+        seed=plan.seed,
+        held_above=plan.held_above,
+        say=say,
+    )
+    features, generator = Features(model.rig, joints, device), torch.Generator().manual_seed(plan.seed)
+    learnt, held_out = split(walkers, generator)
+    network = learnt_network(walkers, features, learnt, generator, joints=len(joints), steps=plan.steps)
+    missed = held_out_millimetres(walkers, features, held_out, network.out, network)
+    say(f"learnt: {missed:.1f} mm from what walkers that were held out did")
+    if plan.tuning_steps:
+        last = tuned_network(
+            *(model, body_model, walkers, features, network, learnt, generator), steps=plan.tuning_steps
+        )
+        missed = held_out_millimetres(walkers, features, held_out, last.coefficients, network)
+        say(f"fine-tuned: {missed:.1f} mm from what walkers that were held out did")
+    else:
+        last = OffsetLayer(network.out, walkers)
+    return replace(model, sway=exported(network, last.folded(), joints, codes))

@@ -1,0 +1,95 @@
+"""Learning a sway network from walkers: what it makes of windows of motion against what was simulated.
+
+The error is measured in shapes: by the mass that is elsewhere, and by what that costs. Walkers that are held out say
+how well it is learnt.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import torch
+
+from physkin_core.progress import progress_line
+from physkin_training.sway.modules import Features, SwayModule
+from physkin_training.sway.walkers import Walkers
+from physkin_training.sway.windows import STRIDES, Windows
+
+__all__ = ["held_out_millimetres", "learnt_network", "learning_rate", "split"]
+
+BATCH, KEPT = 256, 24
+"""Windows of a step, and frames of each that have a target: 1.6 seconds."""
+LEARNING_RATE, LAST_SHARE, WARM_UP_STEPS = 3e-3, 0.01, 100
+LARGEST_GRADIENT = 1.0
+HELD_OUT, MOST_HELD_OUT = 0.1, 320
+"""Of the walkers."""
+KEPT_HELD_OUT = 48
+"""Frames of a held-out window that have a target."""
+
+
+def split(walkers: Walkers, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+    """Walkers to learn from, and those held out, both as indices. Of every body there are some to learn from."""
+    order = torch.randperm(len(walkers.body), generator=generator)
+    body = walkers.body.cpu()[order]
+    first_of_body = torch.stack([(body == k).nonzero()[0, 0] for k in range(len(walkers.bodies))])
+    may_be_held = torch.ones(len(order), dtype=torch.bool)
+    may_be_held[first_of_body] = False
+    held = order[may_be_held][: max(1, min(MOST_HELD_OUT, round(HELD_OUT * len(order))))]
+    return order[~torch.isin(order, held)], held
+
+
+def learning_rate(step: int, steps: int, *, warm_up: int, last: float) -> float:
+    """Share of the full learning rate: after a warm-up half a cosine down to `last`."""
+    return (last + (1 - last) * (1 + math.cos(math.pi * step / steps)) / 2) * min(1.0, (step + 1) / warm_up)
+
+
+def learnt_network(
+    walkers: Walkers,
+    features: Features,
+    learnt: torch.Tensor,
+    generator: torch.Generator,
+    *,
+    joints: int,
+    steps: int,
+) -> SwayModule:
+    """A network from `joints` joints to coefficients of the walkers' shapes, after so many steps with windows of the
+    walkers `learnt`."""
+    windows = Windows(walkers, features, generator)
+    device = walkers.positions.device
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(torch.randint(2**31, (), generator=generator)))
+        network = SwayModule(joints, walkers.codes.shape[1], walkers.coefficients.shape[2]).to(device)
+    optimiser = torch.optim.Adam(network.parameters(), lr=LEARNING_RATE)
+    watch = progress_line("learning")
+    for step in range(steps):
+        for group in optimiser.param_groups:
+            group["lr"] = LEARNING_RATE * learning_rate(step, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE)
+        drawn = learnt[torch.randint(len(learnt), (BATCH,), generator=generator)]
+        window = windows.drawn(drawn, stride=STRIDES[step % len(STRIDES)], kept=KEPT)
+        error = network.out(window.hidden(network)) - window.coefficients
+        loss = window.mean(error.square().sum(dim=-1))
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), LARGEST_GRADIENT)
+        optimiser.step()
+        watch((step + 1) / steps)
+    return network
+
+
+def held_out_millimetres(
+    walkers: Walkers,
+    features: Features,
+    held_out: torch.Tensor,
+    coefficients: Callable[[torch.Tensor], torch.Tensor],
+    network: SwayModule,
+) -> float:
+    """How far cloth of held-out walkers is from what was simulated [mm], at all frame rates. coefficients: of shapes
+    (..., r), of what the network's last layer reads."""
+    windows, errors = Windows(walkers, features, torch.Generator().manual_seed(0)), []
+    with torch.no_grad():
+        for stride in STRIDES:
+            window = windows.drawn(held_out, stride=stride, kept=KEPT_HELD_OUT)
+            differences = coefficients(window.hidden(network)) - window.coefficients
+            errors.append(window.mean(walkers.shapes.millimetres(differences)))
+    return float(torch.stack(errors).mean().sqrt())

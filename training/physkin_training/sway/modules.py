@@ -1,0 +1,139 @@
+"""The sway network in torch: twin of `physkin_core.sway.learnt_sway`, over whole windows of frames.
+
+Dimensions: `B` windows, `T` frames, `j` joints, `f = 2 j + 15` drive, `p = j + 3` pose, `c` body code, `K` oscillators.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import nn
+
+from physkin_core.model.sway_network import drive_size, pose_size
+from physkin_core.rig.rig import Rig
+from physkin_core.sway.learnt_sway import (
+    BEYOND,
+    LARGEST_RATE,
+    LARGEST_TURNING,
+    LARGEST_VELOCITY,
+    MOST_SPEED_UP,
+)
+
+__all__ = ["HIDDEN", "Features", "SwayModule", "swaying_joints"]
+
+JOINTS = ("spine05", "upperleg", "lowerleg", "foot")
+"""Bones whose joints the network looks at."""
+HIDDEN, OSCILLATORS, READ, LAST = 96, 64, 192, 96
+SLOWEST, FASTEST = 1.0, 12.0
+"""[1/s] by which oscillators decay at first."""
+LEAST_RATE, MOST_RATE = math.exp(-2), math.exp(4)
+"""[1/s] between which learning leaves them."""
+LOWEST_HZ, HIGHEST_HZ, STILL = 0.3, 4.0, 0.25
+"""How often they oscillate at first; a quarter of them does not."""
+
+
+def swaying_joints(rig: Rig) -> np.ndarray:
+    """The joints (j,) int32 that a sway network looks at. Raises ValueError for a rig without them."""
+    joints = np.array([k for k, name in enumerate(rig.joint_names) if name.startswith(JOINTS)], dtype=np.int32)
+    if not len(joints):
+        raise ValueError(f"the rig has no joint whose name begins with {', '.join(JOINTS)}: sway cannot be learnt")
+    return joints
+
+
+class Features:
+    """What the network sees of motions of a rig."""
+
+    def __init__(self, rig: Rig, joints: np.ndarray, device: torch.device) -> None:
+        self._joints = torch.as_tensor(joints, device=device).long()
+        lower, upper = (torch.tensor(a[joints], dtype=torch.float32, device=device) for a in (rig.lower, rig.upper))
+        self._middle, self._half = (lower + upper) / 2, (upper - lower) / 2
+
+    def __call__(
+        self, positions: torch.Tensor, place: torch.Tensor, turn: torch.Tensor, step: float
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Drive (B, T, f) and pose (B, T, p) of positions (B, T, d), place (B, T, 3) and turn (B, T, 3, 3) of the root,
+        frames of `step` [s]. The first one stands still."""
+        joints = (positions[..., self._joints] - self._middle) / self._half
+        gravity = -turn[..., 2, :]
+        rate = (joints - _before(joints)) / step
+        moved = (place - _before(place)) / step
+        velocity = (turn.mT @ moved[..., None])[..., 0]
+        turning = _rotation_vector(_before(turn).mT @ turn) / step
+        rate, v, w = _softly(rate, LARGEST_RATE), _softly(velocity, LARGEST_VELOCITY), _softly(turning, LARGEST_TURNING)
+        mean, down = (joints + _before(joints)) / 2, (gravity + _before(gravity)) / 2
+        pose = torch.cat([joints.clamp(-BEYOND, BEYOND), gravity], dim=-1)
+        rates = (rate / 3, v, w / 2, torch.linalg.cross(w, v) / 4, w * w / 8)
+        return torch.cat([mean.clamp(-BEYOND, BEYOND), down, *rates], dim=-1), pose
+
+
+class SwayModule(nn.Module):
+    """joints, code: how many numbers these are; outputs: of the last layer."""
+
+    def __init__(self, joints: int, code: int, outputs: int) -> None:
+        super().__init__()
+        drive = drive_size(joints)
+        self.first, self.first_code = nn.Linear(drive, HIDDEN), nn.Linear(code, HIDDEN, bias=False)
+        self.drive, self.gate = nn.Linear(HIDDEN, 2 * OSCILLATORS), nn.Linear(HIDDEN, OSCILLATORS)
+        order = torch.randperm(OSCILLATORS)
+        self.log_rates = nn.Parameter(torch.linspace(math.log(SLOWEST), math.log(FASTEST), OSCILLATORS)[order])
+        turns = torch.exp(torch.empty(OSCILLATORS).uniform_(math.log(LOWEST_HZ), math.log(HIGHEST_HZ)))
+        turns[: round(STILL * OSCILLATORS)] = 0
+        self.turns = nn.Parameter(2 * math.pi * turns)
+        self.read = nn.Linear(2 * OSCILLATORS + pose_size(joints) + drive, READ)
+        self.read_code = nn.Linear(code, READ, bias=False)
+        self.last, self.out = nn.Linear(READ, LAST), nn.Linear(LAST, outputs)
+        for parameter in (self.gate.weight, self.gate.bias):
+            nn.init.zeros_(parameter)
+        nn.init.normal_(self.out.weight, std=0.3 / math.sqrt(LAST))
+
+    @property
+    def rates(self) -> torch.Tensor:
+        """(K,) [1/s] by which oscillators decay."""
+        return torch.exp(self.log_rates.clamp(math.log(LEAST_RATE), math.log(MOST_RATE)))
+
+    def forward(self, drive: torch.Tensor, pose: torch.Tensor, code: torch.Tensor, step: float) -> torch.Tensor:
+        """Outputs (B, T, o) of drive (B, T, f), pose (B, T, p) and code (B, c), frames of `step` [s]."""
+        return self.out(self.hidden(drive, pose, code, step))
+
+    def hidden(
+        self, drive: torch.Tensor, pose: torch.Tensor, code: torch.Tensor, step: float, *, every: int = 1
+    ) -> torch.Tensor:
+        """What the last layer reads, of every so many frames from the first on."""
+        silu, body = nn.functional.silu, code[:, None]
+        driven = silu(self.first(drive) + self.first_code(body))
+        states = self._oscillate(self.drive(driven), self.gate(driven), step)
+        read = torch.cat([states, pose, drive], dim=-1)[:, ::every]
+        return silu(self.last(silu(self.read(read) + self.read_code(body))))
+
+    def _oscillate(self, drive: torch.Tensor, gate: torch.Tensor, step: float) -> torch.Tensor:
+        """States (B, T, 2 K), real parts and then imaginary ones; they begin at rest."""
+        own = torch.complex(-self.rates, self.turns)
+        rest = torch.complex(*drive.chunk(2, dim=-1)) * (-own.conj() / own.abs())
+        kept = torch.exp(own * torch.exp(MOST_SPEED_UP * torch.tanh(gate)) * step)
+        driven = (1 - kept) * rest
+        state, states = rest[:, 0], []
+        for frame_kept, frame_driven in zip(kept.unbind(dim=1), driven.unbind(dim=1)):
+            state = frame_kept * state + frame_driven
+            states.append(state)
+        states = torch.stack(states, dim=1)
+        return torch.cat([states.real, states.imag], dim=-1)
+
+
+def _before(values: torch.Tensor) -> torch.Tensor:
+    """Of the frame before, (B, T, ...); of the first frame its own."""
+    return torch.cat([values[:, :1], values[:, :-1]], dim=1)
+
+
+def _rotation_vector(turn: torch.Tensor) -> torch.Tensor:
+    """(..., 3) [rad] of rotations (..., 3, 3) by less than half a turn."""
+    pairs = ((2, 1), (0, 2), (1, 0))
+    axis = torch.stack([turn[..., i, j] - turn[..., j, i] for i, j in pairs], dim=-1) / 2
+    sine = axis.norm(dim=-1, keepdim=True)
+    cosine = (turn.diagonal(dim1=-2, dim2=-1).sum(dim=-1)[..., None] - 1) / 2
+    return axis * (torch.atan2(sine, cosine) / sine.clamp_min(1e-9)).where(sine > 1e-6, 1.0)
+
+
+def _softly(values: torch.Tensor, largest: float) -> torch.Tensor:
+    return values / torch.sqrt(1 + (values / largest) ** 2)

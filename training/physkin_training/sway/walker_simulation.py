@@ -1,0 +1,179 @@
+"""Cloth with inertia in the numbers of garment nodes: many walkers at once, each a body in a motion of its own.
+
+Contact is softer than in the references on the full mesh, so that so few numbers can solve a frame in one step. What is
+simulated are offsets: what would have to be added to the node deformer's corrections.
+
+Dimensions: `B` walkers, those of a body one after the other, `S` bodies, `T` frames, `m` garment nodes. Metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from physkin_core.avatar.body_model import BodyModel
+from physkin_core.model.garment_model import GarmentModel
+from physkin_training.dynamics.dressed_samples import DressedSamples
+from physkin_training.dynamics.dynamic_simulation import A_LONG_TIME, LARGEST_EXTENT
+from physkin_training.dynamics.incremental_potential import Dynamics
+from physkin_training.dynamics.scenes import RATE_HZ
+from physkin_training.sway.motions import WalkerMotions
+from physkin_training.sway.node_skinning import NodeSkinning
+from physkin_training.sway.node_step_solver import Metric, NodeStepSolver
+
+__all__ = ["ONE_SIZE", "WalkerSimulation"]
+
+ONE_SIZE = 3
+"""Every third body wears the template, the others what is made to measure, where the model has learnt that."""
+SOFTER_CONTACT = 0.03
+NEWTON, PRODUCTS = 4, 14
+FIRST_STEPS, FIRST_STEP, FIRST_DAMPING = 8, 0.2, 0.05
+"""Of the drape at rest that a motion begins with: so many steps of so many seconds, each from standing still."""
+LARGEST_WAY = 0.33
+"""[m] no vertex is forecast to move farther in a frame."""
+LARGEST_OFFSET = 1.0
+"""[m] cloth with a garment node farther from the model's drape is lost: it begins anew at the drape."""
+LOST_FOR = 30
+"""Frames that do not count after cloth was lost."""
+SLOWLY = (2 * np.pi * 1.4) ** 2
+"""[1/s2] inertia of cloth that swings 1.4 times a second, over its mass."""
+
+
+@dataclass(frozen=True)
+class _Stance:
+    """A frame of all walkers, in their root frames: rotations of posed garment nodes (B, m, 3, 3), the model's drape
+    (B, m, 3, 4), gravity (B, 3); where the root is, turn (B, 3, 3) and place (B, 3)."""
+
+    node_turns: torch.Tensor
+    drape: torch.Tensor
+    gravity: torch.Tensor
+    turn: torch.Tensor
+    place: torch.Tensor
+
+    def to_world(self, nodes: torch.Tensor) -> torch.Tensor:
+        nodes = self.turn[:, None] @ nodes
+        return torch.cat([nodes[..., :3], nodes[..., 3:] + self.place[:, None, :, None]], dim=-1)
+
+    def to_root(self, nodes: torch.Tensor) -> torch.Tensor:
+        nodes = torch.cat([nodes[..., :3], nodes[..., 3:] - self.place[:, None, :, None]], dim=-1)
+        return self.turn[:, None].mT @ nodes
+
+    def nodes(self, offsets: torch.Tensor) -> torch.Tensor:
+        return self.drape + self.node_turns @ offsets
+
+    def offsets(self, nodes: torch.Tensor) -> torch.Tensor:
+        return self.node_turns.mT @ (nodes - self.drape)
+
+
+class WalkerSimulation:
+    """`each` walkers on each of bodies (S, c), shape coefficients of `body_model`.
+
+    held_above: [m] in the canonical pose; garment nodes above, as those of a bodice, stay as the model has them; the
+    others are `free` (m,). `inertia` [kg] and `cost` [J], both (12 m, 12 m): of a change of offsets, the mean over
+    bodies at rest: its mass, and what it strains cloth, with the inertia of cloth that swings.
+    """
+
+    def __init__(
+        self,
+        model: GarmentModel,
+        body_model: BodyModel,
+        bodies: np.ndarray,
+        each: int,
+        device: torch.device,
+        *,
+        held_above: float = float("inf"),
+    ) -> None:
+        body = torch.arange(len(bodies) * each, device=device) // each
+        self.dressed = DressedSamples(model, body_model, bodies, body, one_size=np.arange(len(bodies)) % ONE_SIZE == 1)
+        self.potential = self.dressed.potential(1 / RATE_HZ, Dynamics())
+        self.potential.contact_stiffness *= SOFTER_CONTACT
+        self.skinning = NodeSkinning(self.dressed)
+        self.free = torch.as_tensor(model.node_rest[:, 2] <= held_above, device=device)
+        self._solver = NodeStepSolver(self.dressed, self.potential, self.skinning, self.free)
+        with torch.no_grad():
+            self._learn_metric()
+
+    def _learn_metric(self) -> None:
+        walkers, device = len(self.dressed.body), self.dressed.device
+        rest = torch.tensor(self.dressed.model.rig.rest, dtype=torch.float32, device=device)
+        upright = torch.eye(3, device=device).expand(walkers, -1, -1)
+        stance = self._stance(rest.expand(walkers, -1).contiguous(), upright, torch.zeros(walkers, 3, device=device))
+        still = self.skinning.vertices(stance.drape)
+        self.potential.begin(still, still)
+        at = (stance.drape, stance.node_turns, stance.gravity)
+        moving = self._solver.mean_stiffness(*at)
+        step, self.potential.step = self.potential.step, A_LONG_TIME
+        strained = self._solver.mean_stiffness(*at)
+        self.potential.step = step
+        self._solver.metric = Metric.regular(moving, self.free)
+        self.inertia = self._solver.mean_inertia(stance.node_turns)
+        self.cost = Metric.regular(strained + SLOWLY / RATE_HZ**2 * (moving - strained), self.free).matrix
+
+    def run(self, motions: WalkerMotions, watch: Callable[[int, torch.Tensor, torch.Tensor], None]) -> None:
+        """Simulate motions of the B walkers, telling `watch` of every frame its index, the offsets (B, m, 3, 4) of
+        garment nodes in their own posed frames, and which of them count (B,)."""
+        device = self.dressed.device
+        positions, place, turn = (
+            torch.as_tensor(a, device=device) for a in (motions.positions, motions.place, motions.turn)
+        )
+
+        def stance(frame: int) -> _Stance:
+            return self._stance(positions[:, frame].contiguous(), turn[:, frame], place[:, frame])
+
+        with torch.no_grad():
+            now = stance(0)
+            nodes = self._at_rest(now)
+            offsets = now.offsets(nodes)
+            last = before_last = now.to_world(nodes)
+            lost_for = torch.zeros(len(positions), dtype=torch.int64, device=device)
+            watch(0, offsets, lost_for == 0)
+            for frame in range(1, positions.shape[1]):
+                now = stance(frame)
+                nodes, vertices = self._step(now, last, before_last, offsets)
+                away = (nodes - now.drape)[..., 3].norm(dim=2).amax(dim=1)
+                lost = ~(vertices.abs().amax(dim=(1, 2)) < LARGEST_EXTENT) | ~(away < LARGEST_OFFSET)
+                anew = lost[:, None, None, None]
+                nodes = torch.where(anew, now.drape, nodes)
+                offsets = now.offsets(nodes)
+                here = now.to_world(nodes)
+                last, before_last = here, torch.where(anew, here, last)
+                lost_for = torch.where(lost, LOST_FOR, (lost_for - 1).clamp_min(0))
+                watch(frame, offsets, lost_for == 0)
+
+    def _stance(self, positions: torch.Tensor, turn: torch.Tensor, place: torch.Tensor) -> _Stance:
+        gravity = -turn[:, 2].contiguous()
+        posed = self.dressed.pose(positions)
+        drape = self.dressed.draped_nodes(positions, gravity, posed)
+        return _Stance(posed[..., :3].contiguous(), drape, gravity, turn, place)
+
+    def _at_rest(self, now: _Stance) -> torch.Tensor:
+        step, self.potential.step = self.potential.step, FIRST_STEP
+        nodes = now.drape
+        for _ in range(FIRST_STEPS):
+            still = self.skinning.vertices(nodes)
+            self.potential.begin(still, still)
+            nodes, _ = self._solver.minimise(
+                [nodes],
+                *(now.node_turns, now.gravity),
+                newton=NEWTON + 1,
+                products=2 * PRODUCTS,
+                damping=FIRST_DAMPING,
+            )
+        self.potential.step = step
+        return nodes
+
+    def _step(
+        self, now: _Stance, last: torch.Tensor, before_last: torch.Tensor, offsets: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Garment nodes (B, m, 3, 4) and vertices of this frame. last, before_last: garment nodes in the world; offsets
+        of the last frame."""
+        forecast = torch.where(self.free[:, None, None], now.to_root(2 * last - before_last), now.drape)
+        before = self.skinning.vertices(now.to_root(last))
+        way = self.skinning.vertices(forecast) - before
+        way = way * (LARGEST_WAY / way.norm(dim=2, keepdim=True).clamp_min(LARGEST_WAY))
+        self.potential.begin(before, before + way)
+        starts = [forecast, now.nodes(offsets)]
+        return self._solver.minimise(starts, now.node_turns, now.gravity, newton=NEWTON, products=PRODUCTS)

@@ -1,0 +1,120 @@
+"""What walkers did, as learning takes it: motions, and what their clothes did as coefficients of shapes.
+
+Dimensions: `N` walkers, `T` frames, `t` frames kept, `d` degrees of freedom, `c` body code, `r` shapes, `S` bodies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from physkin_core.avatar.body_model import BodyModel
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.progress import Watch, progress_line
+from physkin_training.dynamics.scenes import RATE_HZ
+from physkin_training.sway.body_codes import BodyCodes
+from physkin_training.sway.motions import MotionPool, WalkerMotions
+from physkin_training.sway.shapes import Shapes, principal_shapes
+from physkin_training.sway.walker_simulation import WalkerSimulation
+
+__all__ = ["KEPT_EVERY", "Walkers", "simulated_walkers"]
+
+KEPT_EVERY = 4
+"""Frames from one that is learnt to the next."""
+MOST_SHAPES = 160
+LEAST_VALID = 0.5
+"""Share of the frames that must count."""
+
+
+@dataclass(frozen=True)
+class Walkers:
+    """Motions: positions (N, T, d) [rad], place (N, T, 3) [m] and turn (N, T, 3, 3) of the root in the world, 60 frames
+    a second. coefficients (N, t, r) float16 of every fourth frame's offsets, and which of them count, valid (N, t).
+    body (N,): which of the bodies; bodies (S, c'): their shape coefficients; codes (S, c). free: (m,) bool, garment
+    nodes that sway. cost: (12 m, 12 m), see `WalkerSimulation`.
+    """
+
+    positions: torch.Tensor
+    place: torch.Tensor
+    turn: torch.Tensor
+    coefficients: torch.Tensor
+    valid: torch.Tensor
+    body: torch.Tensor
+    bodies: np.ndarray
+    codes: torch.Tensor
+    shapes: Shapes
+    free: torch.Tensor
+    cost: torch.Tensor
+
+
+def simulated_walkers(
+    model: GarmentModel,
+    body_model: BodyModel,
+    codes: BodyCodes,
+    device: torch.device,
+    *,
+    bodies: int,
+    each: int,
+    rounds: int,
+    seconds: float,
+    seed: int,
+    held_above: float,
+    say: Callable[[str], None],
+) -> Walkers:
+    """Simulate `rounds` times `each` walkers on each of so many bodies of training, motions of so many seconds.
+
+    say: told how it went. Raises ValueError where most cloth was lost, or none moves.
+    """
+    chosen = np.random.default_rng(seed).permutation(len(body_model.train_bodies))[:bodies]
+    coefficients = body_model.train_bodies[chosen]
+    simulation = WalkerSimulation(model, body_model, coefficients, each, device, held_above=held_above)
+    frames = round(seconds * RATE_HZ)
+    pool, at_once = MotionPool(model.rig), bodies * each
+    watch = progress_line(f"simulating {rounds * at_once} walkers")
+    motions, found = [], []
+    for index in range(rounds):
+        motions.append(pool.drawn(range(index * at_once, (index + 1) * at_once), frames, seed=seed))
+        found.append(_simulated(simulation, motions[-1], lambda share, done=index: watch((done + share) / rounds)))
+    offsets, valid = (torch.cat(parts) for parts in zip(*found))
+    counted = float(valid.float().mean())
+    say(f"{len(valid)} walkers of {seconds:g} s simulated, {counted:.1%} of their frames count")
+    if counted < LEAST_VALID:
+        lost = f"{1 - counted:.0%} of the frames, allowed {1 - LEAST_VALID:.0%}"
+        raise ValueError(f"{model.name}: cloth was lost in {lost}; does it hold? (--held-above keeps a bodice)")
+    mass = float(simulation.potential.mass.mean(dim=0).sum())
+    parts = (part[kept].float() for part, kept in zip(offsets.split(at_once), valid.split(at_once)))
+    shapes, moved, missed = principal_shapes(parts, simulation.inertia, simulation.cost, MOST_SHAPES, mass)
+    say(f"cloth is {moved:.1f} mm from where it is on average; {len(shapes.directions)} shapes leave {missed:.2f} mm")
+    small = [shapes.coefficients(part.float()).half() for part in offsets.split(at_once)]
+
+    def together(name: str) -> torch.Tensor:
+        return torch.as_tensor(np.concatenate([getattr(each_round, name) for each_round in motions]), device=device)
+
+    return Walkers(
+        *(together("positions"), together("place"), together("turn")),
+        coefficients=torch.cat(small),
+        valid=valid,
+        body=simulation.dressed.body.repeat(rounds),
+        bodies=coefficients,
+        codes=codes(simulation.dressed.body_modulation),
+        shapes=shapes,
+        free=simulation.free,
+        cost=simulation.cost,
+    )
+
+
+def _simulated(simulation: WalkerSimulation, motions: WalkerMotions, watch: Watch) -> tuple[torch.Tensor, torch.Tensor]:
+    """Offsets (B, t, 12 m) float16, and which of them count (B, t)."""
+    kept, valid = [], []
+
+    def keep(frame: int, offsets: torch.Tensor, counts: torch.Tensor) -> None:
+        if frame % KEPT_EVERY == 0:
+            kept.append(offsets.flatten(1).half())
+            valid.append(counts)
+        watch((frame + 1) / motions.positions.shape[1])
+
+    simulation.run(motions, keep)
+    return torch.stack(kept, dim=1), torch.stack(valid, dim=1)
