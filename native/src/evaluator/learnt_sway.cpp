@@ -22,21 +22,16 @@ float softly(double value, double largest) {
   return float(value / std::sqrt(1 + share * share));
 }
 
-const float* in_groups(const float* values, int count, Arena& arena) {
-  return std::copy_n(values, count, arena.take<float>(padded_to_group(count))) - count;
-}
-
 Oscillators oscillators_of(const BoundGarment& g, Arena& arena) {
   const int count = g.sway_states;
-  const auto room = [&] { return arena.take<float>(padded_to_group(count)); };
-  float *rest_real = room(), *rest_imaginary = room();
+  float *rest_real = arena.take<float>(count), *rest_imaginary = arena.take<float>(count);
   for (int k = 0; k < count; ++k) {
     const float size = std::hypot(g.sway_rates[k], g.sway_turns[k]);
     rest_real[k] = g.sway_rates[k] / size;
     rest_imaginary[k] = g.sway_turns[k] / size;
   }
-  const float *rates = in_groups(g.sway_rates, count, arena), *turns = in_groups(g.sway_turns, count, arena);
-  return {count, rates, turns, rest_real, rest_imaginary, room(), room()};
+  const float *rates = arena.copy(g.sway_rates, count), *turns = arena.copy(g.sway_turns, count);
+  return {count, rates, turns, rest_real, rest_imaginary, arena.take<float>(count), arena.take<float>(count)};
 }
 
 }  // namespace

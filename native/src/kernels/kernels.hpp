@@ -82,7 +82,8 @@ struct TrunkField {
   const float* coefficients = nullptr;               // (splines, kTrunkWaves)
 };
 
-// Oscillators of a sway network (physkin_core/sway/learnt_sway.py). Arrays are aligned and hold whole groups of kGroup.
+// Oscillators of a sway network (physkin_core/sway/learnt_sway.py). Arrays are 64-byte aligned, and readable and writable
+// to a multiple of 64 bytes.
 struct Oscillators {
   int count = 0;
   const float *rates = nullptr, *turns = nullptr;               // [1/s], [rad/s]
