@@ -109,11 +109,16 @@ class Sway:
         amount = self._amount if amount is None else amount
         if amount == 0:
             return Moment()
+        known, *rates = self.motion() if rooted else (True,)
+        return Moment(twist, passed, amount if learnt else 0.0, elapsed, float(known and passed >= 0), *rates)
+
+    def motion(self) -> tuple[bool, tuple[float, ...], tuple[float, ...]]:
+        """The root's velocity (3) [m/s] and turning (3) [rad/s], in its frame, up to the last `felt`, and before them
+        whether they are known: after a gap or a jump they are not, and zero."""
         rates = np.zeros(6)
-        known = self._pendulum.motion(rates) if rooted else True
-        sways = (amount if learnt else 0.0, elapsed, float(known and passed >= 0))
-        velocity_and_turning = rates.tolist()
-        return Moment(twist, passed, *sways, velocity_and_turning[:3], velocity_and_turning[3:])
+        known = self._pendulum.motion(rates)
+        velocity_and_turning = tuple(rates.tolist())
+        return bool(known), velocity_and_turning[:3], velocity_and_turning[3:]
 
 
 def _gravity_at(root: Sequence[float] | np.ndarray) -> np.ndarray:

@@ -16,8 +16,6 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState, MultiDOFJointState
 
 from physkin_core import BUNDLED_AVATAR, GarmentModel, LimbSeparator
-from physkin_core.runtime.draper import STANDARD_GRAVITY
-from physkin_core.sway.pace import UNTOLD, FrameClock
 from physkin_ros.joints.joint_naming import load_naming
 from physkin_ros.joints.joint_state_wire import JointStateWire
 from physkin_ros.joints.joint_states import JointNaming, JointStateError, JointStateReader
@@ -29,7 +27,8 @@ from physkin_ros.node.garment_stream import Attire, GarmentStream, WornGarment, 
 from physkin_ros.node.orientation_source import OrientationSource
 from physkin_ros.node.separated_joint_states import SeparatedJointStates
 from physkin_ros.node.settings import AvatarSettings
-from physkin_ros.root.gravity import EffectiveGravity, GravityByStamp, gravity_from_tilt
+from physkin_ros.root.garment_gravity import GarmentGravity
+from physkin_ros.root.gravity import Felt, gravity_from_tilt
 from physkin_ros.root.quaternions import OrientationError
 from physkin_ros.root.tf_topics import FollowedTransforms
 
@@ -40,17 +39,15 @@ QUEUE = 50  # joint states that may wait while the machine is busy: worked off i
 MOST_UNKNOWN = 64
 """Unknown joints are named in the log until there are so many: whoever changes names must not flood it."""
 NANOSECONDS = 1_000_000_000
-WEIGHTLESS = 1e-3  # of gravity: effective gravity that is smaller has no direction
 JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
 
 
 class AvatarStream:
     """Drapes the garments of one avatar, a joint state at a time. Nothing comes in before `listen`.
 
-    gravity: (garments, 5) what each garment feels: a unit direction, the twist [rad], and the time [s] that has passed
-    since the last cloud. felt: (garments, 5) the same, as large as the root feels it, in units of gravity. active:
-    whether joint states are answered. deadline_ns: from the arrival of a joint state to its last cloud, 0 for none.
-    transforms: TF, of all avatars. settings: with the body that is worn.
+    told: what its garments are told beside the pose. active: whether joint states are answered. deadline_ns: from the
+    arrival of a joint state to its last cloud, 0 for none. transforms: TF, of all avatars. settings: with the body that
+    is worn.
     Raises ValueError for a joint map that cannot be read.
     """
 
@@ -65,14 +62,7 @@ class AvatarStream:
     ) -> None:
         self.settings, self.deadline_ns, self.active = settings, deadline_ns, False
         self.statistics = AvatarStatistics()
-        down, count = _unit(settings.gravity), len(settings.garments)
-        self.gravity = np.tile(np.append(down, np.float32((0, UNTOLD))), (count, 1))
-        self._clock, self._sways = FrameClock(), np.array(settings.sways)
-        self.felt = self.gravity.copy()
-        self._load = np.ones((count, 1), dtype=np.float32)
-        self._down: np.ndarray | None = None  # what gravity and felt show, if it came as a direction
-        self._gravity_by_stamp = GravityByStamp(down)
-        self._effective_gravity = EffectiveGravity()
+        self.told = GarmentGravity(_unit(settings.gravity), settings.sways)
         self._direction_only: set[str] = set()
         self._follows = settings.orientation == "joints"
         self._unknown: set[str] = set()
@@ -98,7 +88,7 @@ class AvatarStream:
         """Open the topics that come in. Until something is worn, joint states are counted as `not_ready`."""
         node, settings = self._node, self.settings
         # before the joint states: when both have messages waiting, executors serve the older subscription first
-        takers = (self._gravity_by_stamp.add, self._on_effective_gravity, self._on_bad_orientation)
+        takers = (self.told.add_direction, self._on_effective_gravity, self._on_bad_orientation)
         self._orientation = OrientationSource(node, settings, self._transforms, *takers)
         self._subscriptions = [
             node.create_subscription(JointState, self.topic, self._on_joint_state, raw=True, **stream_quality(QUEUE)),
@@ -204,7 +194,7 @@ class AvatarStream:
             revision = 1 if before is None else before.revision + (not same_mesh(before.draper, draper))
             garments.append(WornGarment(stream, draper, each.at_rest, revision))
         attire.garments = tuple(garments)
-        attire.passes = passes_of(attire.garments, attire.draped, self.gravity, self.felt)
+        attire.passes = passes_of(attire.garments, attire.draped, self.told)
         return attire
 
     def _naming_for(self, model: GarmentModel) -> JointNaming:
@@ -222,7 +212,7 @@ class AvatarStream:
         try:
             wire.read(data)
             sec, nanosec = wire.stamp
-            self._feel(wire, sec * NANOSECONDS + nanosec)
+            self._feel(attire, wire, sec * NANOSECONDS + nanosec)
         except ValueError as error:
             self._reject(attire, error)
             return
@@ -236,7 +226,7 @@ class AvatarStream:
         sec, nanosec = message.header.stamp.sec, message.header.stamp.nanosec
         try:
             attire.bone_rotations.read(message.joint_names, turns, attire.pose)
-            self._feel(None, sec * NANOSECONDS + nanosec)
+            self._feel(attire, None, sec * NANOSECONDS + nanosec)
         except ValueError as error:
             self._reject(attire, error)
             return
@@ -254,8 +244,8 @@ class AvatarStream:
         """Drape the pose that has been read, or keep it for the next cloud between poses. arrived: [ns]."""
         if attire.interpolator is not None:
             attire.wire.keep()
-            stamp_ns = sec * NANOSECONDS + nanosec
-            attire.interpolator.push(attire.pose, self.gravity[:, :4], self._load, stamp_ns, monotonic_ns())
+            stamp_ns, told = sec * NANOSECONDS + nanosec, self.told
+            attire.interpolator.push(attire.pose, told.gravity[:, :4], told.load, stamp_ns, monotonic_ns())
             return
         if self._drape(attire, sec, nanosec):
             attire.wire.keep()
@@ -264,8 +254,7 @@ class AvatarStream:
 
     def _drape(self, attire: Attire, sec: int, nanosec: int) -> bool:
         change = None
-        passed = self._clock.passed(sec + 1e-9 * nanosec) if sec or nanosec else UNTOLD
-        self.gravity[:, 4] = self.felt[:, 4] = np.where(self._sways > 0, passed, UNTOLD)
+        self.told.begin_frame(sec, nanosec)
         if attire.separator is not None:
             _, change = attire.separator.separate(attire.pose, out=attire.draped)
         for each in attire.passes:
@@ -290,14 +279,15 @@ class AvatarStream:
         attire = self._attire
         if not self.active or attire is None or attire.interpolator is None:
             return
-        gravity, load = np.empty_like(self.gravity[:, :4]), np.empty_like(self._load)
+        told = self.told
+        gravity, load = np.empty_like(told.gravity[:, :4]), np.empty_like(told.load)
         stamp = attire.interpolator.sample(monotonic_ns(), attire.pose, gravity, load)
         if stamp is not None:
-            latest = self.gravity.copy(), self._load.copy()
-            self.gravity[:, :4], self._load[:] = gravity, load
-            self._weigh()
+            latest = told.gravity.copy(), told.load.copy()
+            told.gravity[:, :4], told.load[:] = gravity, load  # the root's rates are those up to the latest
+            told.weigh()
             self._drape(attire, *divmod(stamp, NANOSECONDS))
-            self.gravity[:], self._load[:] = latest
+            told.gravity[:], told.load[:] = latest
 
     def _reject(self, attire: Attire, error: Exception) -> None:
         np.copyto(attire.pose, attire.reader.positions)
@@ -308,24 +298,19 @@ class AvatarStream:
 
     def set_gravity(self, down: Sequence[float]) -> None:
         """Take another direction of gravity (3,), of any length but zero, as of now."""
-        down = _unit(down)
-        self.gravity[:, :3] = down
-        self._gravity_by_stamp.add(down, 0)
+        self.told.set_direction(_unit(down))
 
     def set_sway(self, sways: Sequence[float]) -> None:
         """Let the cloth of each garment swing as much from now on, 0 to 1."""
-        self._sways = np.array(sways)
+        self.told.set_sway(sways)
         if self._orientation is not None:
             self._orientation.set_sway(sways)
 
-    def effective_gravity(self, garment: int, now_ns: int) -> np.ndarray | None:
-        """The latest (3,) [m/s2] of a garment, root frame; None when none is fresh. now_ns: monotonic."""
-        felt = self._effective_gravity.at(0, now_ns)
-        return None if felt is None else STANDARD_GRAVITY * np.broadcast_to(felt, (len(self.felt), 4))[garment, :3]
-
-    def _on_effective_gravity(self, felt: np.ndarray, stamp_ns: int) -> None:
-        self._effective_gravity.add(felt, stamp_ns, monotonic_ns())
+    def _on_effective_gravity(self, felt: Felt, stamp_ns: int) -> None:
+        self.told.add_felt(felt, stamp_ns, monotonic_ns())
         for worn in self._attire.garments if self._attire is not None else ():
+            if worn.learnt_sway and felt.root is not None:
+                continue  # it is moved by the root's rates
             model = worn.draper.model
             if model.accelerated and not worn.accelerated:
                 continue  # another garment of the outfit is told to be why
@@ -335,46 +320,32 @@ class AvatarStream:
                 self.statistics.take_direction_only(reason)
                 self._log.warning(f"{self._label}of effective gravity the direction alone counts: {reason}")
 
-    def _feel(self, wire: JointStateWire | None, stamp_ns: int) -> None:
-        """Set direction and load of gravity for a joint state, or for bone rotations, which have no `wire`."""
-        felt, down = self._effective_gravity.at(stamp_ns, monotonic_ns()), None
-        if felt is not None:
-            self._load[:] = load = np.linalg.norm(felt[..., :3], axis=-1, keepdims=True)
-            # where it is weightless, the last direction stays
-            np.divide(felt[..., :3], load, out=self.gravity[:, :3], where=load > WEIGHTLESS)
-            self.gravity[:, 3] = felt[..., 3]
-        elif self._follows or self._orientation.fault:
-            self._load[:], self.gravity[:, 3] = 1.0, 0.0
-            self._follow_orientation(wire)
-        elif (down := self._gravity_by_stamp.at(stamp_ns)) is self._down:
+    def _feel(self, attire: Attire, wire: JointStateWire | None, stamp_ns: int) -> None:
+        """Set what garments feel with a joint state, or with bone rotations, which have no `wire`."""
+        if self.told.take_felt(stamp_ns, monotonic_ns(), attire.learnt_sway):
             return
+        if self._follows or self._orientation.fault:
+            self.told.take_direction(self._followed_orientation(wire))
         else:
-            self._load[:], self.gravity[:, :3], self.gravity[:, 3] = 1.0, down, 0.0
-        self._down = down
-        self._weigh()
+            self.told.take_by_stamp(stamp_ns)
 
-    def _weigh(self) -> None:
-        """Let `felt` be `gravity` with its load."""
-        np.multiply(self.gravity[:, :3], self._load, out=self.felt[:, :3])
-        self.felt[:, 3:] = self.gravity[:, 3:]
-
-    def _follow_orientation(self, wire: JointStateWire | None) -> None:
+    def _followed_orientation(self, wire: JointStateWire | None) -> np.ndarray | None:
+        """Gravity's unit direction (3,) as joints of the root tell it, None where they do not, or TF is at fault."""
         if self._orientation.fault:
             self._on_bad_orientation(self._orientation.fault)
-            return
+            return None
         if wire is None:  # bones have no root tilt: the last one counts
-            return
+            return None
         index = wire.selection.index
         roll, pitch = self.settings.orientation_joints
         if roll not in index or pitch not in index:
             missing = roll if roll not in index else pitch
             self._on_bad_orientation(f"the joint state has no joint {missing!r} (parameter orientation_joints)")
-            return
+            return None
         try:
-            down = gravity_from_tilt(float(wire.values[index[roll]]), float(wire.values[index[pitch]]))
+            return gravity_from_tilt(float(wire.values[index[roll]]), float(wire.values[index[pitch]]))
         except OrientationError as error:
             raise JointStateError(str(error)) from None
-        self.gravity[:, :3] = down
 
     def _on_bad_orientation(self, reason: str) -> None:
         self.statistics.reject_gravity(reason)

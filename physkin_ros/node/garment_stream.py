@@ -26,6 +26,7 @@ from physkin_ros.node.asset_loading import OutfitLayer
 from physkin_ros.node.diagnostics import GarmentStatistics, PoseRange
 from physkin_ros.node.interpolation import PoseInterpolator
 from physkin_ros.node.settings import AvatarSettings, GarmentSettings
+from physkin_ros.root.garment_gravity import GarmentGravity
 
 __all__ = ["Attire", "GarmentStream", "Pass", "WornGarment", "passes_of", "same_mesh", "stream_quality"]
 
@@ -132,6 +133,11 @@ class WornGarment:
         models = draper.outfit.models if isinstance(draper, OutfitLayer) else (draper.model,)
         return all(model.accelerated for model in models)
 
+    @property
+    def learnt_sway(self) -> bool:
+        """Whether a sway network moves it."""
+        return bool(self.draper.bound.sway_layers)
+
     def publish(self, sec: int, nanosec: int) -> None:
         """Publish the frame with the joint state's stamp; all but the cloud only to those who listen."""
         stream = self.stream
@@ -178,18 +184,15 @@ class Pass:
     garments: tuple[WornGarment, ...]
 
 
-def passes_of(
-    garments: Sequence[WornGarment], pose: np.ndarray, gravity: np.ndarray, felt: np.ndarray
-) -> tuple[Pass, ...]:
+def passes_of(garments: Sequence[WornGarment], pose: np.ndarray, told: GarmentGravity) -> tuple[Pass, ...]:
     """What drapes the garments of an avatar, from what these arrays hold then: an outfit at once, others one by one.
 
-    pose: (d,) [rad]. felt: (garments, 5) effective gravity in units of gravity, twist and passed time, for those that
-    have learnt it; the others take gravity (garments, 5), its unit direction and the same.
+    pose: (d,) [rad]. told: `felt` is for garments that have learnt effective gravity, `gravity` for the others.
     """
-    downs = [(felt if worn.accelerated else gravity)[k] for k, worn in enumerate(garments)]
+    downs = [(told.felt if worn.accelerated else told.gravity)[k] for k, worn in enumerate(garments)]
     first = garments[0].draper
     if isinstance(first, OutfitLayer):
-        down = felt if garments[0].accelerated else gravity
+        down = told.felt if garments[0].accelerated else told.gravity
         return (Pass(first.outfit.bind_step(pose, down, [worn.points for worn in garments]), tuple(garments)),)
     return tuple(Pass(worn.draper.bind_step(pose, down, worn.points), (worn,)) for worn, down in zip(garments, downs))
 
@@ -230,6 +233,11 @@ class Attire:
         self.interpolator = PoseInterpolator(len(self.pose), garment_count) if interpolates else None
         self.garments: tuple[WornGarment, ...] = ()
         self.passes: tuple[Pass, ...] = ()
+
+    @cached_property
+    def learnt_sway(self) -> np.ndarray:
+        """(garments,) bool, which of them sway networks move."""
+        return np.array([worn.learnt_sway for worn in self.garments])
 
     @cached_property
     def bone_rotations(self) -> BoneRotationReader:

@@ -15,7 +15,7 @@ from physkin_ros.messages.conversions import gravity_direction
 from physkin_ros.messages.interfaces import missing_tf
 from physkin_ros.node.garment_stream import stream_quality
 from physkin_ros.node.settings import AvatarSettings, SettingsError
-from physkin_ros.root.gravity import FRESH, gravity_from_imu
+from physkin_ros.root.gravity import FRESH, Felt, gravity_from_imu
 from physkin_ros.root.imu_acceleration import ImuAcceleration
 from physkin_ros.root.quaternions import Quaternion, Vector, quaternion_of, vector_of
 from physkin_ros.root.root_motion import RootMotion
@@ -26,8 +26,9 @@ __all__ = ["OrientationSource", "check_orientation"]
 
 SENSOR_QUEUE = 50  # of a sensor, while the machine is busy
 
-Taker = Callable[[np.ndarray, int], None]
-"""Takes what a message says, float32, and its stamp [ns]."""
+DirectionTaker = Callable[[np.ndarray, int], None]
+FeltTaker = Callable[[Felt, int], None]
+"""Take what a message says, float32, and its stamp [ns]."""
 
 
 def check_orientation(avatar: AvatarSettings) -> None:
@@ -41,10 +42,9 @@ def check_orientation(avatar: AvatarSettings) -> None:
 class OrientationSource:
     """Calls back with what messages say, and their stamps, or with why one says nothing.
 
-    on_gravity: takes gravity's unit direction (3,). on_felt: takes effective gravity in units of gravity, and the twist
-    behind it: (4,) from its topic, or (garments, 4), as the root's motion or an IMU tells it by the sway of each, while
-    the topic tells none that is fresh. fault: why TF does not say where
-    the root is at the moment, "" where it does or is not asked.
+    on_gravity: takes gravity's unit direction (3,). on_felt: takes what garments feel, from the topic of effective
+    gravity, or, while that tells none that is fresh, as the root's motion or an IMU tells it by the sway of each.
+    fault: why TF does not say where the root is at the moment, "" where it does or is not asked.
     """
 
     def __init__(
@@ -52,8 +52,8 @@ class OrientationSource:
         node,
         avatar: AvatarSettings,
         transforms: FollowedTransforms,
-        on_gravity: Taker,
-        on_felt: Taker,
+        on_gravity: DirectionTaker,
+        on_felt: FeltTaker,
         on_bad: Callable[[str], None],
     ) -> None:
         self.fault = ""
@@ -106,17 +106,17 @@ class OrientationSource:
     def _on_told(self, message: Vector3Stamped) -> None:
         felt = np.append(in_units_of_gravity(vector_of(message.vector)), 0.0)
         self._told_until = monotonic_ns() + FRESH
-        self._tell(self._on_felt, felt, _stamp_ns(message))
+        self._on_felt(Felt(felt.astype(np.float32)), _stamp_ns(message))
 
     def _on_direction(self, message: Vector3Stamped) -> None:
         down = gravity_direction(list(vector_of(message.vector)))
-        self._tell(self._on_gravity, down / np.linalg.norm(down), _stamp_ns(message))
+        self._tell_direction(down / np.linalg.norm(down), _stamp_ns(message))
 
     def _on_imu(self, message: Imu) -> None:
         stamp_ns = _stamp_ns(message)
         felt = self._acceleration.felt(message, stamp_ns)
-        self._tell(self._on_gravity, gravity_from_imu(message), stamp_ns)
-        self._sway(felt, stamp_ns)
+        self._tell_direction(gravity_from_imu(message), stamp_ns)
+        self._sway(None if felt is None else Felt(felt.astype(np.float32)), stamp_ns)
 
     def _on_pose(self, message: PoseStamped | Odometry, pose) -> None:
         place, turn, stamp_ns = vector_of(pose.position), quaternion_of(pose.orientation), _stamp_ns(message)
@@ -145,15 +145,14 @@ class OrientationSource:
     def _move(self, stamp_ns: int, place: Vector, turn: Quaternion) -> None:
         down, felt = self._motion.move(stamp_ns, place, turn)
         self._sway(felt, stamp_ns)
-        self._tell(self._on_gravity, down, stamp_ns)
+        self._tell_direction(down, stamp_ns)
 
-    def _sway(self, felt: np.ndarray | None, stamp_ns: int) -> None:
+    def _sway(self, felt: Felt | None, stamp_ns: int) -> None:
         if felt is not None and monotonic_ns() > self._told_until:
-            self._tell(self._on_felt, felt, stamp_ns)
+            self._on_felt(felt, stamp_ns)
 
-    @staticmethod
-    def _tell(take: Taker, found: np.ndarray, stamp_ns: int) -> None:
-        take(found.astype(np.float32), stamp_ns)
+    def _tell_direction(self, down: np.ndarray, stamp_ns: int) -> None:
+        self._on_gravity(down.astype(np.float32), stamp_ns)
 
     def _listen(self, kind: type, topic: str, take: Callable[..., None], *, sensor: bool = False) -> None:
         """sensor: the topic's publishers may be best effort, as sensor drivers are."""

@@ -79,7 +79,7 @@ class Reports:
                 values["vertices left out"] = f"{of - draper.vertex_count} of {of}"
         values["model"] = model
         row = stream.garments.index(garment)
-        values["gravity"] = " ".join(f"{value:.3f}" for value in stream.gravity[row, :3])
+        values["gravity"] = " ".join(f"{value:.3f}" for value in stream.told.gravity[row, :3])
         values["effective gravity [m/s2]"] = _effective_gravity(stream, row, worn)
         if worn is None:
             error = stream.statistics.last_error
@@ -101,7 +101,8 @@ class Reports:
 
 
 def _effective_gravity(stream: AvatarStream, row: int, worn) -> str:
-    felt = stream.effective_gravity(row, monotonic_ns())
+    by_network = worn is not None and worn.learnt_sway
+    felt = stream.told.effective_gravity(row, monotonic_ns(), learnt=by_network)
     if felt is None:
         return "none"
     text = " ".join(f"{value:.2f}" for value in felt)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +19,7 @@ __all__ = [
     "FRESH",
     "SAME_CLOCK",
     "EffectiveGravity",
+    "Felt",
     "GravityByStamp",
     "gravity_from_imu",
     "gravity_from_quaternion",
@@ -73,7 +75,7 @@ class GravityByStamp:
     (zero), the direction has none, or all directions are more than a second later, so that the clocks do not agree.
     A direction without stamp, or one stamped more than a second before the latest, ends those before it.
 
-    down: direction (3,), or anything else that is paired so, until there is another.
+    down: direction (3,), or what is felt, which is paired so, too, until there is another.
     """
 
     def __init__(self, down: np.ndarray) -> None:
@@ -105,23 +107,35 @@ class GravityByStamp:
         return self._directions[0] if stamps[0] - stamp_ns <= SAME_CLOCK else self._last
 
 
+@dataclass(frozen=True)
+class Felt:
+    """What garments feel while their root is accelerated.
+
+    rows: (4,) of all or (garments, 4) float32, effective gravity in units of gravity, and the twist [rad]. root: where
+    the root's pose tells how it moves, (14,) float32 gravity's direction and the root's rates behind it, as of
+    `physkin_core.sway.moment`, by which sway networks move cloth; None where effective gravity alone is known.
+    """
+
+    rows: np.ndarray
+    root: np.ndarray | None = None
+
+
 class EffectiveGravity:
-    """What an accelerated root feels, in units of gravity, and the twist, (4,) or (garments, 4), paired with joint
-    states as directions are, while it is fresh: when none has come for `FRESH`, there is none. Times of coming [ns] are
-    monotonic."""
+    """What is felt, paired with joint states as directions are, while it is fresh: when none has come for `FRESH`,
+    there is none. Times of coming [ns] are monotonic."""
 
     def __init__(self) -> None:
         self._by_stamp: GravityByStamp | None = None
         self._came = 0
 
-    def add(self, felt: np.ndarray, stamp_ns: int, now_ns: int) -> None:
+    def add(self, felt: Felt, stamp_ns: int, now_ns: int) -> None:
         """Take what has come now."""
         if self._by_stamp is None or now_ns - self._came > FRESH:
             self._by_stamp = GravityByStamp(felt)
         self._by_stamp.add(felt, stamp_ns)
         self._came = now_ns
 
-    def at(self, stamp_ns: int, now_ns: int) -> np.ndarray | None:
+    def at(self, stamp_ns: int, now_ns: int) -> Felt | None:
         """What goes with a joint state that has come now, None when nothing is fresh. stamp_ns 0: the latest."""
         if self._by_stamp is None or now_ns - self._came > FRESH:
             return None

@@ -52,7 +52,7 @@ class Wired:
             ),
         )
         self.rows = []  # of all garments, with the twist; felt: by the first
-        takers = (lambda down, stamp: self.gravity.append(down), lambda felt, stamp: self.rows.append(felt))
+        takers = (lambda down, stamp: self.gravity.append(down), lambda felt, stamp: self.rows.append(felt.rows))
         self.transforms = FollowedTransforms(node)
         self.source = OrientationSource(node, settings(**given), self.transforms, *takers, self.bad.append)
 

@@ -20,7 +20,7 @@ def test_it_feels_what_sway_says():
     for k in range(30):
         stamp, place = SECOND + k * SECOND // 60, (k * k / 900, 0.0, 1.0)
         down, felt = motion.move(stamp, place, tuple(1.01 * number for number in LEANING))
-        (felt,) = felt[:, :3]
+        (felt,) = felt.rows[:, :3]
         np.testing.assert_allclose(felt, sway.felt(1e-9 * stamp, (*place, *LEANING)) / 9.81, atol=1e-6)
         np.testing.assert_allclose(down, [np.sin(0.4), 0, -np.cos(0.4)])
         assert still.move(stamp, place, LEANING)[1] is None
@@ -37,18 +37,19 @@ def test_each_garment_feels_as_much_as_it_sways():
         turn = (0.0, 0.0, np.sin(0.001 * k * k), np.cos(0.001 * k * k))
         stamp, place = SECOND + k * SECOND // 60, (k * k / 900, 0.0, 1.0)
         (_, felt), *others = (each.move(stamp, place, turn) for each in (motion, *alone))
-        np.testing.assert_array_equal(felt[[0, 2]], [other[0] for _, other in others])
+        felt = felt.rows
+        np.testing.assert_array_equal(felt[[0, 2]], [other.rows[0] for _, other in others])
         np.testing.assert_allclose(felt[1], [0, 0, -1, 0], atol=1e-9)
     assert felt[0, 3] < felt[2, 3] < -0.05 and abs(felt[0, 0]) > abs(felt[2, 0]) > 0.1
     motion.set_sway([0.0, 1.0, 0.0])
-    np.testing.assert_allclose(motion.move(stamp, place, turn)[1][[1, 0]], [felt[0], [0, 0, -1, 0]], atol=1e-9)
+    np.testing.assert_allclose(motion.move(stamp, place, turn)[1].rows[[1, 0]], [felt[0], [0, 0, -1, 0]], atol=1e-9)
 
 
 def test_stamps():
     """A doubled message says the same again; a late one is told; a clock that begins anew is followed."""
     motion = RootMotion([1.0])
     for place in ((0, 0, 0), (1, 0, 0)):
-        np.testing.assert_array_equal(*(motion.move(10 * SECOND, place, LEANING)[1] for _ in range(2)))
+        np.testing.assert_array_equal(*(motion.move(10 * SECOND, place, LEANING)[1].rows for _ in range(2)))
     assert not motion.follows(10 * SECOND) and not motion.follows(9 * SECOND)
     with pytest.raises(OrientationError, match="stamped 0.250 s back"):
         motion.move(9 * SECOND + SECOND * 3 // 4, (0, 0, 0), LEANING)
@@ -74,5 +75,5 @@ def test_what_is_no_pose_changes_nothing(place, turn, told):
         if k == 10:
             with pytest.raises(ValueError, match=told):
                 motion.move(stamp - 1000, place, turn)
-        answers = [each.move(stamp, (k * k / 400, 0, 0), LEANING)[1] for each in (motion, other)]
+        answers = [each.move(stamp, (k * k / 400, 0, 0), LEANING)[1].rows for each in (motion, other)]
         np.testing.assert_array_equal(*answers)
