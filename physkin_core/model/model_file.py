@@ -41,8 +41,6 @@ precision, before 4 there is no sway network."""
 LEAST_PACKED = 2**15
 """Network weights of so many numbers or more are packed. Smaller ones take little space; among them is the pose
 modulator's first layer, whose rounding can move single vertices by almost a millimetre."""
-LEAST_IN_EIGHT_BITS = 2**19
-"""Of so many numbers or more in eight bits, the others in ten: the last layer of shipped pose modulators."""
 MODEL_SUFFIX = ".safetensors"
 MODELS_PATH = Path(__file__).parents[1] / "assets" / "models"
 GEOMETRY_ARRAYS = ("garment.vertices", "garment.normals", "garment_nodes.rest")
@@ -198,7 +196,7 @@ def _stored(name: str, array: np.ndarray) -> dict[str, np.ndarray]:
         return {name: array.astype(np.min_scalar_type(int(array.max())))}
     with np.errstate(over="ignore"):
         if name.endswith(".weight") and array.ndim == 2 and array.size >= LEAST_PACKED:
-            stored = pack_weight(name, array, bits=8 if array.size >= LEAST_IN_EIGHT_BITS else 10)
+            stored = pack_weight(name, array)
         else:
             stored = {name: array.astype(np.float32 if name in GEOMETRY_ARRAYS else np.float16)}
     for tensor in stored.values():

@@ -6,39 +6,42 @@ A weight (out, in) is rounded to whole steps from -511 to 511 and becomes three 
     NAME.low        uint8    (out, ceil(in / 4))  the lower two of columns 4 k to 4 k + 3, the first in the lowest bits
     NAME.largest    float16  (out, 4)             511 steps of a row's columns 4 k, 4 k + 1, 4 k + 2 and 4 k + 3
 
-In eight bits NAME holds the steps themselves, from -127 to 127; NAME.largest_127 says how large 127 are, and there is
-no NAME.low.
+A weight whose rows lie on 127 steps to their largest already, as compensated rounding leaves them, takes eight bits and
+loses nothing: NAME holds the steps, from -127 to 127, NAME.largest_127 (out, 1) how large 127 of them are in each row,
+and there is no NAME.low.
 
-Four scales a row, since the node deformer's first layer reads transforms of 3 x 4 numbers and weighs their translations
-several times as much as the rest.
+In ten bits a row has four scales, since the node deformer's first layer reads transforms of 3 x 4 numbers and weighs
+their translations several times as much as the rest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
 
 import numpy as np
 
 __all__ = ["pack_weight", "unpack_weights"]
 
 MOST_STEPS, MOST_STEPS_IN_8_BITS = 511, 127
+ON_A_STEP = 0.3
+"""How far a weight may be from one of the 127 steps, in steps, to lie on it: half precision and ten bits move it."""
 FIRST_BITS = np.arange(0, 8, 2, dtype=np.uint8)
 """Where the low bits of each of four columns begin in their byte."""
 LOW_BITS = (np.arange(256, dtype=np.uint8)[:, None] >> FIRST_BITS & 3).view(np.uint32)[:, 0]
 """(256,) the four numbers that a byte holds, a byte each: looked up as one word, they unpack fast."""
 
 
-def pack_weight(name: str, weight: np.ndarray, *, bits: Literal[8, 10] = 10) -> dict[str, np.ndarray]:
-    """The tensors that store a network weight (out, in), by name; NAME.largest is inf beyond half precision."""
+def pack_weight(name: str, weight: np.ndarray) -> dict[str, np.ndarray]:
+    """The tensors that store a network weight (out, in), by name; their scales are inf beyond half precision."""
     outputs, inputs = weight.shape
+    row = np.abs(weight).max(axis=1, keepdims=True).astype(np.float16)
+    in_steps = weight / np.where(row > 0, row, 1).astype(np.float32) * MOST_STEPS_IN_8_BITS
+    if np.isfinite(row).all() and np.abs(in_steps - np.rint(in_steps)).max() < ON_A_STEP:
+        return {name: np.rint(in_steps).clip(-127, 127).astype(np.int8), f"{name}.largest_127": row}
     fours = np.pad(weight, ((0, 0), (0, -inputs % 4))).reshape(outputs, -1, 4)
     largest = np.abs(fours).max(axis=1).astype(np.float16)
-    most = MOST_STEPS if bits == 10 else MOST_STEPS_IN_8_BITS
-    step = largest[:, None].astype(np.float32) / most
-    steps = np.rint(fours / np.where(step > 0, step, 1)).clip(-most, most).astype(np.int16)
-    if bits == 8:
-        return {name: steps.astype(np.int8).reshape(outputs, -1)[:, :inputs], f"{name}.largest_127": largest}
+    step = largest[:, None].astype(np.float32) / MOST_STEPS
+    steps = np.rint(fours / np.where(step > 0, step, 1)).clip(-MOST_STEPS, MOST_STEPS).astype(np.int16)
     return {
         name: (steps >> 2).astype(np.int8).reshape(outputs, -1)[:, :inputs],
         f"{name}.low": ((steps & 3).astype(np.uint8) << FIRST_BITS).sum(axis=2, dtype=np.uint8),
@@ -67,20 +70,19 @@ def _unpacked(name: str, high: np.ndarray, low: np.ndarray | None, largest: np.n
         raise ValueError(f"{name} has shape {high.shape}, expected two dimensions")
     outputs, inputs = high.shape
     fours = -(-inputs // 4)
-    largest_name = "largest_127" if low is None else "largest"
-    parts = [(largest_name, largest, np.float16, (outputs, 4))]
-    if low is not None:
-        parts.insert(0, ("low", low, np.uint8, (outputs, fours)))
+    if low is None:
+        parts = [("largest_127", largest, np.float16, (outputs, 1))]
+    else:
+        parts = [("low", low, np.uint8, (outputs, fours)), ("largest", largest, np.float16, (outputs, 4))]
     for part, tensor, dtype, shape in parts:
         if tensor.shape != shape or tensor.dtype != dtype:
             raise ValueError(
                 f"{name}.{part} is {tensor.dtype} of shape {tensor.shape}, expected {np.dtype(dtype)} of shape {shape}"
             )
     if wrong := largest[~(np.isfinite(largest) & (largest >= 0))].tolist():
-        raise ValueError(f"{name}.{largest_name} holds {wrong[0]}, allowed: a finite number, 0 or more")
+        raise ValueError(f"{name}.{parts[-1][0]} holds {wrong[0]}, allowed: a finite number, 0 or more")
     if low is None:
-        steps, most = high, MOST_STEPS_IN_8_BITS
-    else:
-        steps, most = np.multiply(high, 4, dtype=np.int16), MOST_STEPS
-        steps += LOW_BITS[low].view(np.uint8)[:, :inputs]
-    return steps * np.tile(largest.astype(np.float32) / most, fours)[:, :inputs]
+        return high * (largest.astype(np.float32) / MOST_STEPS_IN_8_BITS)
+    steps = np.multiply(high, 4, dtype=np.int16)
+    steps += LOW_BITS[low].view(np.uint8)[:, :inputs]
+    return steps * np.tile(largest.astype(np.float32) / MOST_STEPS, fours)[:, :inputs]

@@ -19,7 +19,7 @@ from physkin_core import (
 )
 from physkin_core.model import model_file
 from physkin_core.model.garment import vertex_normals
-from physkin_core.model.model_file import LEAST_IN_EIGHT_BITS, LEAST_PACKED, MODELS_PATH, SCHEMA_VERSION
+from physkin_core.model.model_file import LEAST_PACKED, MODELS_PATH, SCHEMA_VERSION
 from physkin_core.model.packed_weights import unpack_weights
 
 
@@ -52,8 +52,8 @@ def refused(saved, match, change, *, seal=True):
 @pytest.mark.parametrize("activation, node_outputs", [("silu", 9), ("relu", 12)])
 def test_round_trip(tmp_path, size, activation, node_outputs):
     """Indices, geometry in float32, rig and plain data come back exactly, large network weights to a thousandth of a
-    row's largest, or a 250th in eight bits, the rest to half precision. Saved again, over the file, not a bit differs
-    but in the skinning weights, which are normalised after loading."""
+    row's largest, the rest to half precision. Saved again, over the file, not a bit differs but in the skinning
+    weights, which are normalised after loading."""
     model = random_model(
         np.random.default_rng(1), **SIZES[size], activation=activation, node_outputs=node_outputs, width=16
     )
@@ -68,8 +68,7 @@ def test_round_trip(tmp_path, size, activation, node_outputs):
     assert arrays.keys() == expected.keys()
     for name, array in arrays.items():
         if name.endswith(".weight") and array.ndim == 2 and array.size >= LEAST_PACKED:
-            part = 250 if array.size >= LEAST_IN_EIGHT_BITS else 1000
-            rounding = np.abs(expected[name]).max(axis=1, keepdims=True) / part
+            rounding = np.abs(expected[name]).max(axis=1, keepdims=True) / 1000
             assert (np.abs(array - expected[name]) <= rounding).all(), name
         elif expected[name].dtype.kind == "f" and "garment" not in name:
             np.testing.assert_allclose(array, expected[name], rtol=1e-3, atol=2e-7, err_msg=name)

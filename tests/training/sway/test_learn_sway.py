@@ -32,6 +32,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(walker_simulation, "FIRST_STEPS", 1)
 
 
+@pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning: a random model
 def test_a_model_learns_to_sway(band, quick, tmp_path, capsys):
     path = tmp_path / "swaying.safetensors"
     assert main([str(band), *TINY, "--device", "cpu", "-o", str(path)]) == 0

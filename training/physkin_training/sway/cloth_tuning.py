@@ -28,7 +28,7 @@ from physkin_training.sway.windows import STRIDES, Windows
 
 __all__ = ["OffsetLayer", "tuned_network"]
 
-ENERGY = 8.0
+ENERGY = 4.0
 """[1/J] how much energies count against the error in shapes."""
 SOFTER_CONTACT = 0.3
 WINDOWS, KEPT = 6, 23

@@ -26,10 +26,11 @@ __all__ = ["HIDDEN", "Features", "SwayModule", "swaying_joints"]
 JOINTS = ("spine05", "upperleg", "lowerleg", "foot")
 """Bones whose joints the network looks at."""
 HIDDEN, OSCILLATORS, READ, LAST = 96, 64, 192, 96
-SLOWEST, FASTEST = 1.0, 12.0
+SLOWEST, FASTEST = 4.0, 12.0
 """[1/s] by which oscillators decay at first."""
-LEAST_RATE, MOST_RATE = math.exp(-2), math.exp(4)
-"""[1/s] between which learning leaves them."""
+LEAST_RATE, MOST_RATE = SLOWEST, math.exp(4)
+"""[1/s] between which learning leaves them: slower ones still move cloth seconds after a stop, as windows of motion are
+too short to teach them not to."""
 LOWEST_HZ, HIGHEST_HZ, STILL = 0.3, 4.0, 0.25
 """How often they oscillate at first; a quarter of them does not."""
 

@@ -1,0 +1,88 @@
+"""Learning comes nearer to walkers that are held out, and fine-tuning lets cloth strain less."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from training.small_runs import waist_band_model
+
+from physkin_core.avatar.body_model import load_body_model
+from physkin_training.sway import body_codes, cloth_tuning, learning, walker_simulation
+from physkin_training.sway.body_codes import BodyCodes
+from physkin_training.sway.cloth_tuning import OffsetLayer, tuned_network
+from physkin_training.sway.learning import held_out_millimetres, learnt_network, split
+from physkin_training.sway.modules import Features, swaying_joints
+from physkin_training.sway.walkers import simulated_walkers
+
+BODY_MODEL = load_body_model()
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def band():
+    """A model, eight walkers on two bodies, and what the network sees of them."""
+    model = waist_band_model(node_outputs=12)
+    options = dict(bodies=2, each=4, rounds=1, seconds=0.5, seed=0, held_above=float("inf"), say=lambda text: None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(body_codes, "BODIES", 3)
+        patch.setattr(walker_simulation, "NEWTON", 1)
+        patch.setattr(walker_simulation, "PRODUCTS", 3)
+        patch.setattr(walker_simulation, "FIRST_STEPS", 1)
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)
+        walkers = simulated_walkers(model, BODY_MODEL, BodyCodes.of(model, BODY_MODEL, CPU), CPU, **options)
+        yield model, walkers, Features(model.rig, swaying_joints(model.rig), CPU)
+        torch.set_num_threads(threads)
+
+
+def learnt(band, steps):
+    model, walkers, features = band
+    generator = torch.Generator().manual_seed(0)
+    some, held_out = split(walkers, generator)
+    network = learnt_network(walkers, features, some, generator, joints=len(swaying_joints(model.rig)), steps=steps)
+    return network, some, held_out
+
+
+def test_of_every_body_some_walkers_are_learnt(band):
+    _, walkers, _ = band
+    for seed in range(5):
+        some, held_out = split(walkers, torch.Generator().manual_seed(seed))
+        assert len(held_out) == 1
+        assert set(some.tolist()) | set(held_out.tolist()) == set(range(8)) and len(some) == 7
+        assert set(walkers.body[some].tolist()) == {0, 1}
+
+
+def test_learning_comes_nearer_and_is_the_same_again(band, monkeypatch):
+    monkeypatch.setattr(learning, "BATCH", 8)
+    monkeypatch.setattr(learning, "WARM_UP_STEPS", 5)
+    _, walkers, features = band
+    first, some, _ = learnt(band, 1)
+    later, _, _ = learnt(band, 60)
+    before, after = (held_out_millimetres(walkers, features, some, each.out, each) for each in (first, later))
+    assert after < 0.9 * before
+    again, _, _ = learnt(band, 60)
+    torch.testing.assert_close(again.out.weight, later.out.weight, rtol=0, atol=0)
+
+
+def test_tuning_lets_cloth_strain_less(band, monkeypatch):
+    """With energies that outweigh what was simulated."""
+    monkeypatch.setattr(learning, "BATCH", 8)
+    for name, value in (("ENERGY", 1e3), ("WARM_UP_STEPS", 1), ("OF_LAST_LAYER", 3e-3)):
+        monkeypatch.setattr(cloth_tuning, name, value)
+    model, walkers, features = band
+    network, some, _ = learnt(band, 30)
+    cloth = cloth_tuning._Cloth(model, BODY_MODEL, walkers)
+    walker, frame = torch.tensor([1, 5]), torch.tensor([28, 28])
+
+    def energy(last: OffsetLayer) -> float:
+        windows = cloth_tuning.Windows(walkers, features, torch.Generator().manual_seed(0))
+        with torch.no_grad():
+            offsets = last(windows.drawn(walker, stride=4, kept=8).hidden(network)[:, -1])
+        cloth.forces(offsets, walker, frame)
+        elements = cloth._potential.element_energies
+        return sum(float(elements[name].sum()) for name in ("stretch", "bend", "collision", "band"))
+
+    before = energy(OffsetLayer(network.out, walkers))
+    generator = torch.Generator().manual_seed(1)
+    last = tuned_network(model, BODY_MODEL, walkers, features, network, some, generator, steps=40)
+    assert energy(last) < 0.95 * before
