@@ -92,6 +92,7 @@ def replay(
     points = np.zeros((draper.vertex_count, 6), dtype=np.float32)
     for _ in range(WARM_UP):  # the first evaluations pay for cold caches, which is not what a latency means here
         draper.drape(reader.positions, gravity, out=points)
+    draper.reset()  # another bag may have been draped before
     messages, clouds, downs = hashlib.sha256(), hashlib.sha256(), GravityByStamp(np.array(gravity, dtype=np.float64))
     for message in bag:
         if message.kind == "transforms":

@@ -10,8 +10,10 @@ import sys
 
 import numpy as np
 import pytest
+from random_models import random_sway_network
 
 from physkin_core import save_garment_model
+from physkin_core.model.mlp import modulation_size
 
 
 @pytest.fixture(scope="session")
@@ -37,6 +39,21 @@ def accelerated_model_path(leaning_model, tmp_path_factory):
     path = tmp_path_factory.mktemp("models") / "accelerated.safetensors"
     learnt = dataclasses.replace(leaning_model, name="accelerated", training={"poses": {"accelerated": 0.3}})
     save_garment_model(learnt, path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def swaying_model_path(leaning_model, tmp_path_factory):
+    """A file of the garment that heeds gravity, moved by a random sway network, which has learnt effective gravity."""
+    rng, nodes = np.random.default_rng(5), len(leaning_model.node_rest)
+    *layers, (weight, bias) = leaning_model.node_deformer
+    more = [np.pad(array, [(0, 3 * nodes)] + [(0, 0)] * (array.ndim - 1)) for array in (weight, bias)]
+    network = random_sway_network(
+        rng, len(leaning_model.rig.dofs), nodes, modulation=modulation_size(leaning_model.pose_modulator)
+    )
+    path = tmp_path_factory.mktemp("models") / "swaying.safetensors"
+    changed = {"node_deformer": (*layers, tuple(more)), "sway": network, "training": {"poses": {"accelerated": 0.3}}}
+    save_garment_model(dataclasses.replace(leaning_model, name="swaying", **changed), path)
     return path
 
 

@@ -276,6 +276,37 @@ def test_a_turn_twists_a_skirt(sway, peer, running_node, monkeypatch):
     assert np.abs(expected - draper.drape(rest))[:, :3].max() > 0.04 * sway
 
 
+@pytest.mark.parametrize(("orientation", "sway"), [("pose", 1.0), ("pose", 0.4), ("pose", 0.0), ("gravity", 1.0)])
+def test_a_sway_network_moves_cloth(orientation, sway, peer, running_node, monkeypatch, swaying_model_path):
+    """As that of a draper that is told time and root, or, where nobody tells the root, time alone."""
+    model, moves, move = load_garment_model(swaying_model_path), [], RootMotion.move
+    monkeypatch.setattr(RootMotion, "move", lambda *given: moves.append(given) or move(*given))
+    draper, alone = (Draper(model, load_avatar(BUNDLED_AVATAR, model.rig), precision="fp32") for _ in range(2))
+    draper.sway = sway
+    names, joints, message, swung = model.rig.joint_names, model.rig.rest.astype(np.float32), PoseStamped(), 0.0
+    parameters = {"model": str(swaying_model_path), "orientation": orientation, "precision": "fp32", "sway": sway}
+    with running_node(parameters, gravity=False):
+        publisher = peer.node.create_publisher(PoseStamped, "pose", 50)
+        if orientation == "pose":
+            peer.until(publisher.get_subscription_count, "subscription to poses")
+        for k in range(12):
+            stamp = message.header.stamp.sec, message.header.stamp.nanosec = 7000, k * 25_000_000
+            told, turn = {}, Rotation.from_euler("yz", (0.05 * k, 0.1 * k)).as_quat().tolist()
+            if orientation == "pose":
+                message.pose.orientation = Quaternion(**dict(zip("xyzw", turn)))
+                message.pose.position.x = 0.03 * k
+                publisher.publish(message)
+                peer.until(lambda k=k: len(moves) > k, "pose")
+                told = {"root": (0.03 * k, 0, 0, *turn)}
+            joints += np.float32(0.02)
+            cloud = peer.cloud(names, joints, stamp)
+            np.testing.assert_allclose(cloud, draper.drape(joints, time=stamp[0] + 1e-9 * stamp[1], **told), atol=1e-4)
+            down = Rotation.from_quat(turn).inv().apply(DOWN) if told else DOWN
+            swung = max(swung, np.abs(cloud - alone.drape(joints, down))[:, :3].max())
+        peer.node.destroy_publisher(publisher)
+    assert swung > 0.005 * sway if sway else swung < 1e-5
+
+
 @pytest.mark.parametrize("sway", [1.0, 0.0])
 def test_cloth_keeps_its_pace_by_the_stamps(sway, peer, running_node):
     """As that of a draper that is told the time; without sway every joint state is draped by itself."""

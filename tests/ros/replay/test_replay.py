@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import asdict
 
@@ -78,6 +79,21 @@ def test_figures_are_those_of_the_core(draper, motion, figures):
     assert shown["max_depth_mm"]["max"] == pytest.approx(-1000 * np.min(distances), abs=1e-4)
     assert figures["bag"]["rate_hz"] == pytest.approx(60, rel=1e-6)
     assert figures["counts"]["jitter_clouds"] == 10 and figures["counts"]["contact_clouds"] == 3
+
+
+def test_a_sway_network_moves_cloth_by_the_stamps(swaying_model_path, avatar, bag, motion):
+    """As that of a draper that is told the same times; twice the same, and otherwise than each pose by itself."""
+    draper, told = (Draper(load_garment_model(swaying_model_path), avatar) for _ in range(2))
+    found, clouds, swung = [], hashlib.sha256(), 0.0
+    for _ in range(2):
+        with BagReader(bag) as source:
+            found.append(replay(draper, source).clouds_sha256)
+    stamps = [message.header.stamp for topic, _, message in recorded(bag) if topic == "/joint_states"]
+    for q, down, stamp in zip(motion.positions_for(told.model.rig), motion.gravity, stamps):
+        cloud = told.drape(q, down, time=1e-9 * (stamp.sec * 10**9 + stamp.nanosec))
+        clouds.update(cloud.tobytes())
+        swung = max(swung, np.abs(cloud - draper.drape(q, down))[:, :3].max())
+    assert found == [clouds.hexdigest()] * 2 and swung > 0.005
 
 
 def test_strain_is_against_the_rest_shape_that_is_worn(measured_model_path, avatar, bag, motion):
