@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from types import SimpleNamespace as Message
 
 import numpy as np
@@ -15,6 +16,7 @@ pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 from geometry_msgs.msg import PoseStamped, Quaternion  # noqa: E402
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model  # noqa: E402
+from physkin_core.model.model_file import save_garment_model  # noqa: E402
 from physkin_ros.node import orientation_source  # noqa: E402
 from physkin_ros.node.orientation_source import OrientationSource, check_orientation  # noqa: E402
 from physkin_ros.node.settings import AVATAR_SETTINGS, GARMENT_SETTINGS, AvatarSettings, GarmentSettings, SettingsError  # noqa: E402
@@ -253,14 +255,15 @@ def test_what_tf_needs(asked, monkeypatch):
 
 
 @pytest.mark.parametrize("sway", [1.0, 0.3])
-def test_a_turn_twists_a_skirt(sway, peer, running_node, monkeypatch):
-    """As that of a draper that is told time and root."""
-    model, moves, move = load_garment_model("skirt"), [], RootMotion.move
+def test_a_turn_twists_a_skirt(sway, peer, running_node, monkeypatch, tmp_path):
+    """One that has no sway network: as that of a draper that is told time and root."""
+    save_garment_model(replace(load_garment_model("skirt"), sway=None), path := tmp_path / "skirt.safetensors")
+    model, moves, move = load_garment_model(path), [], RootMotion.move
     monkeypatch.setattr(RootMotion, "move", lambda *given: moves.append(given) or move(*given))
     draper = Draper(model, load_avatar(BUNDLED_AVATAR, model.rig), precision="fp32")
     draper.sway = sway
     names, rest, message = model.rig.joint_names, model.rig.rest.astype(np.float32), PoseStamped()
-    with running_node({"model": "skirt", "orientation": "pose", "precision": "fp32", "sway": sway}, gravity=False):
+    with running_node({"model": str(path), "orientation": "pose", "precision": "fp32", "sway": sway}, gravity=False):
         publisher = peer.node.create_publisher(PoseStamped, "pose", 50)
         peer.until(publisher.get_subscription_count, "subscription to poses")
         for k in range(20):
