@@ -37,7 +37,10 @@ def pack_weight(name: str, weight: np.ndarray) -> dict[str, np.ndarray]:
     row = np.abs(weight).max(axis=1, keepdims=True).astype(np.float16)
     in_steps = weight / np.where(row > 0, row, 1).astype(np.float32) * MOST_STEPS_IN_8_BITS
     if np.isfinite(row).all() and np.abs(in_steps - np.rint(in_steps)).max() < ON_A_STEP:
-        return {name: np.rint(in_steps).clip(-127, 127).astype(np.int8), f"{name}.largest_127": row}
+        return {
+            name: np.rint(in_steps).clip(-MOST_STEPS_IN_8_BITS, MOST_STEPS_IN_8_BITS).astype(np.int8),
+            f"{name}.largest_127": row,
+        }
     fours = np.pad(weight, ((0, 0), (0, -inputs % 4))).reshape(outputs, -1, 4)
     largest = np.abs(fours).max(axis=1).astype(np.float16)
     step = largest[:, None].astype(np.float32) / MOST_STEPS

@@ -1,6 +1,6 @@
 """Figures of cloth in motion: drapes with sway, and without, against references of simulated cloth.
 
-`at_rest_mm` is what a model is away from the simulation before anything moves, which no motion of its own can mend;
+`at_rest_mm` is what a model's drape without sway is away from the simulation before anything moves;
 `moving_rmse_mm` is the distance less that of the first frame, vertex by vertex.
 
 Dimensions: `T` frames, `k` points below the hips, `n` garment vertices. Metres, root frames.

@@ -22,7 +22,7 @@ from physkin_training.sway.learning import LARGEST_GRADIENT, learning_rate
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.node_skinning import NodeSkinning
 from physkin_training.sway.shapes import UNIT
-from physkin_training.sway.walker_simulation import ONE_SIZE
+from physkin_training.sway.walker_simulation import in_one_size
 from physkin_training.sway.walkers import Walkers
 from physkin_training.sway.windows import STRIDES, Windows
 
@@ -118,8 +118,7 @@ class _Cloth:
         self._walkers = walkers
         count, device = len(walkers.bodies), walkers.positions.device
         body = torch.arange(count, device=device)
-        one_size = (body % ONE_SIZE == 1).cpu().numpy()
-        self._dressed = DressedSamples(model, body_model, walkers.bodies, body, one_size=one_size)
+        self._dressed = DressedSamples(model, body_model, walkers.bodies, body, one_size=in_one_size(count))
         self._potential = self._dressed.potential(1 / RATE_HZ, Dynamics())
         self._potential.contact_stiffness *= SOFTER_CONTACT
         self._skinning = NodeSkinning(self._dressed)

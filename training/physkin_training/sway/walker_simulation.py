@@ -24,7 +24,7 @@ from physkin_training.sway.motions import WalkerMotions
 from physkin_training.sway.node_skinning import NodeSkinning
 from physkin_training.sway.node_step_solver import Metric, NodeStepSolver
 
-__all__ = ["ONE_SIZE", "WalkerSimulation"]
+__all__ = ["WalkerSimulation", "in_one_size"]
 
 ONE_SIZE = 3
 """Every third body wears the template, the others what is made to measure, where the model has learnt that."""
@@ -40,6 +40,11 @@ LOST_FOR = 30
 """Frames that do not count after cloth was lost."""
 SLOWLY = (2 * np.pi * 1.4) ** 2
 """[1/s2] inertia of cloth that swings 1.4 times a second, over its mass."""
+
+
+def in_one_size(bodies: int) -> np.ndarray:
+    """(bodies,) bool, which of so many bodies wear the template all the same."""
+    return np.arange(bodies) % ONE_SIZE == 1
 
 
 @dataclass(frozen=True)
@@ -87,7 +92,7 @@ class WalkerSimulation:
         held_above: float = float("inf"),
     ) -> None:
         body = torch.arange(len(bodies) * each, device=device) // each
-        self.dressed = DressedSamples(model, body_model, bodies, body, one_size=np.arange(len(bodies)) % ONE_SIZE == 1)
+        self.dressed = DressedSamples(model, body_model, bodies, body, one_size=in_one_size(len(bodies)))
         self.potential = self.dressed.potential(1 / RATE_HZ, Dynamics())
         self.potential.contact_stiffness *= SOFTER_CONTACT
         self.skinning = NodeSkinning(self.dressed)
