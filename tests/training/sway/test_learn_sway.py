@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
+from torch import nn
 from training.small_runs import waist_band_model
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_core.runtime.draper import Draper
+from physkin_training.dynamics.dressed_samples import DressedSamples
 from physkin_training.sway import body_codes, learning, walker_simulation
+from physkin_training.sway.body_codes import BodyCodes
 from physkin_training.sway.command import main
+from physkin_training.sway.export import exported
+from physkin_training.sway.modules import Features, SwayModule, swaying_joints
 
 TINY = ("--bodies", "2", "--walkers", "2", "--rounds", "1", "--seconds", "0.5", "--steps", "3", "--tuning-steps", "2")
 
@@ -45,6 +53,54 @@ def test_a_model_learns_to_sway(band, quick, tmp_path, capsys):
     still = draper.drape(model.rig.rest, root=np.array([0, 0, 1, 0, 0, 0, 1.0]), time=0.0)
     moved = draper.drape(model.rig.rest, root=np.array([0.05, 0, 1, 0, 0, 0, 1.0]), time=0.05)
     assert np.isfinite(moved).all() and np.abs(moved - still).max() > 1e-5
+
+
+def test_the_file_sways_as_the_network_that_was_learnt(band):
+    model, body_model = load_garment_model(band), load_body_model()
+    joints, device = swaying_joints(model.rig), torch.device("cpu")
+    codes = BodyCodes.of(model, body_model, device)
+    torch.manual_seed(0)
+    network = SwayModule(len(joints), len(codes.directions), 12 * len(model.node_rest))
+    nn.init.normal_(network.out.weight, std=0.01)
+    bodies = body_model.held_out_bodies[:1]
+    dressed = DressedSamples(model, body_model, bodies, torch.zeros(1, dtype=torch.int64))
+    positions = torch.tensor(model.rig.rest, dtype=torch.float32)[None].repeat(2, 1)
+    place = torch.tensor([[0, 0, 1.0], [0.05, 0, 1.0]])
+    upright = torch.eye(3).repeat(1, 2, 1, 1)
+    with torch.no_grad():
+        drive, pose = Features(model.rig, joints, device)(positions[None], place[None], upright, 0.05)
+        offsets = network(drive, pose, codes(dressed.body_modulation), 0.05)[:, 1].view(1, -1, 3, 4)
+        posed = dressed.pose(positions[:1])
+        nodes = dressed.draped_nodes(positions[:1], torch.tensor([[0, 0, -1.0]]), posed)
+        learnt = dressed.skinned(nodes + posed[..., :3] @ offsets)[0].numpy()
+    sway = exported(network, (network.out.weight, network.out.bias), joints, codes)
+    draper = Draper(replace(model, sway=sway), avatar_from_body(body_model, bodies[0]), backend="numpy")
+    for time, at in zip((0.0, 0.05), place.numpy()):
+        drape = draper.drape(model.rig.rest, time=time, root=np.array([*at, 0, 0, 0, 1.0]))[:, :3]
+    without = draper.drape(model.rig.rest)[:, :3]
+    assert np.abs(learnt - without).max() > 5e-3
+    np.testing.assert_allclose(drape, learnt, atol=2e-4)
+
+
+def test_walkers_are_kept_and_taken_from_their_file(band, quick, tmp_path, capsys):
+    kept = tmp_path / "walkers.safetensors"
+    first, again = tmp_path / "first.safetensors", tmp_path / "again.safetensors"
+    options = (str(band), *TINY, "--device", "cpu", "--walkers-file", str(kept))
+    assert main([*options, "-o", str(first)]) == 0
+    assert "4 walkers of 0.5 s simulated" in capsys.readouterr().out
+    assert main([*options, "-o", str(again)]) == 0
+    said = capsys.readouterr().out
+    assert f"walkers of {kept}: 4" in said and "simulated" not in said
+    one, other = (load_garment_model(path).sway.arrays() for path in (first, again))
+    for name, array in one.items():
+        np.testing.assert_allclose(array, other[name], rtol=1e-2, atol=1e-6, err_msg=name)
+    with pytest.raises(ValueError, match="were simulated with seed 0, not 1: name another file"):
+        main([*options, "--seed", "1", "-o", str(again)])
+    with pytest.raises(ValueError, match="holds no simulated walkers"):
+        main([*options[:-1], str(first), "-o", str(again)])
+    kept.write_bytes(b"no tensors")
+    with pytest.raises(ValueError, match="cannot be read"):
+        main([*options, "-o", str(again)])
 
 
 @pytest.mark.parametrize(

@@ -55,6 +55,7 @@ def test_of_every_body_some_walkers_are_learnt(band):
 def test_learning_comes_nearer_and_is_the_same_again(band, monkeypatch):
     monkeypatch.setattr(learning, "BATCH", 8)
     monkeypatch.setattr(learning, "WARM_UP_STEPS", 5)
+    monkeypatch.setattr(learning, "LEARNING_RATE", 2e-2)
     _, walkers, features = band
     first, some, _ = learnt(band, 1)
     later, _, _ = learnt(band, 60)
@@ -67,12 +68,12 @@ def test_learning_comes_nearer_and_is_the_same_again(band, monkeypatch):
 def test_tuning_lets_cloth_strain_less(band, monkeypatch):
     """With energies that outweigh what was simulated."""
     monkeypatch.setattr(learning, "BATCH", 8)
-    for name, value in (("ENERGY", 1e3), ("WARM_UP_STEPS", 1), ("OF_LAST_LAYER", 3e-3)):
+    for name, value in (("ENERGY", 1e3), ("WARM_UP_STEPS", 1), ("LAST_LAYER", 1.0), ("LEARNING_RATE", 3e-3)):
         monkeypatch.setattr(cloth_tuning, name, value)
     model, walkers, features = band
     network, some, _ = learnt(band, 30)
     cloth = cloth_tuning._Cloth(model, BODY_MODEL, walkers)
-    walker, frame = torch.tensor([1, 5]), torch.tensor([28, 28])
+    walker, frame = torch.tensor([1, 2, 5, 6]), torch.full((4,), 28)
 
     def energy(last: OffsetLayer) -> float:
         windows = cloth_tuning.Windows(walkers, features, torch.Generator().manual_seed(0))

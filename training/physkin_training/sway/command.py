@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from physkin_core.avatar.body_model import load_body_model
@@ -21,6 +23,7 @@ from physkin_training.sway.export import exported
 from physkin_training.sway.learning import held_out_millimetres, learnt_network, split
 from physkin_training.sway.modules import Features, swaying_joints
 from physkin_training.sway.walkers import simulated_walkers
+from physkin_training.sway.walkers_file import load_walkers, save_walkers
 
 __all__ = ["SwayPlan", "command_parser", "learn_sway", "main"]
 
@@ -86,6 +89,12 @@ def command_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--seed", type=int, default=plan.seed, help="of bodies, motions and learning (default 0)")
     parser.add_argument("--device", default=DEFAULT_DEVICE)
+    parser.add_argument(
+        "--walkers-file",
+        type=Path,
+        metavar="FILE",
+        help="walkers are kept here (.safetensors) once they are simulated, and taken from here where it is there",
+    )
     parser.add_argument("-o", "--output", type=Path, required=True, help="garment model file to write")
     return parser
 
@@ -93,26 +102,33 @@ def command_parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0; raises ValueError or OSError for bad input."""
     options = vars(command_parser().parse_args(argv))
-    garment, output, device = (options.pop(name) for name in ("garment", "output", "device"))
+    garment, output, device, file = (options.pop(name) for name in ("garment", "output", "device", "walkers_file"))
     plan = SwayPlan(**options)
-    check_folder(output)
-    check_other_file(output, garment)
+    for written in filter(None, (output, file)):
+        check_folder(written)
+    check_other_file(output, garment, *filter(None, [file]))
     model = load_garment_model(garment)
     device = resolve_device(device)
     if device.type == "cpu":
         torch.set_num_threads(1)  # vectors are short: more threads would only wait for each other
-    save_garment_model(learn_sway(model, plan, device, say=print), output)
+    save_garment_model(learn_sway(model, plan, device, walkers_file=file, say=print), output)
     print(f"wrote {output}: {output.stat().st_size / 1e6:.2f} MB")
     return 0
 
 
 def learn_sway(
-    model: GarmentModel, plan: SwayPlan, device: torch.device, *, say: Callable[[str], None]
+    model: GarmentModel,
+    plan: SwayPlan,
+    device: torch.device,
+    *,
+    walkers_file: Path | None = None,
+    say: Callable[[str], None],
 ) -> GarmentModel:
-    """The model with a sway network, in place of one that it may have. say: told how it goes.
+    """The model with a sway network, in place of one that it may have. walkers_file: simulated walkers are read from
+    there, or written to it. say: told how it goes.
 
     Raises ValueError for a model whose node deformer does not give 12 numbers a garment node, for a rig that everyday
-    poses are not of, and as `SwayPlan` and `simulated_walkers`.
+    poses are not of, and as `SwayPlan`, `simulated_walkers` and `load_walkers`.
     """
     numbers = len(model.node_deformer[-1][1]) // len(model.node_rest)
     if numbers != NUMBERS:
@@ -127,16 +143,23 @@ def learn_sway(
         raise ValueError(f"--bodies must be at most {len(body_model.train_bodies)}, got {plan.bodies}")
     joints = swaying_joints(model.rig)
     codes = BodyCodes.of(model, body_model, device)
-    walkers = simulated_walkers(
-        *(model, body_model, codes, device),
-        bodies=plan.bodies,
-        each=plan.walkers,
-        rounds=plan.rounds,
-        seconds=plan.seconds,
-        seed=plan.seed,
-        held_above=plan.held_above,
-        say=say,
-    )
+    described = _described(model, plan)
+    if walkers_file is not None and walkers_file.exists():
+        walkers = load_walkers(described, walkers_file, device)
+        say(f"walkers of {walkers_file}: {len(walkers.body)}")
+    else:
+        walkers = simulated_walkers(
+            *(model, body_model, codes, device),
+            bodies=plan.bodies,
+            each=plan.walkers,
+            rounds=plan.rounds,
+            seconds=plan.seconds,
+            seed=plan.seed,
+            held_above=plan.held_above,
+            say=say,
+        )
+        if walkers_file is not None:
+            save_walkers(walkers, described, walkers_file)
     features, generator = Features(model.rig, joints, device), torch.Generator().manual_seed(plan.seed)
     learnt, held_out = split(walkers, generator)
     network = learnt_network(walkers, features, learnt, generator, joints=len(joints), steps=plan.steps)
@@ -151,3 +174,10 @@ def learn_sway(
     else:
         last = OffsetLayer(network.out, walkers)
     return replace(model, sway=exported(network, last.folded(), joints, codes))
+
+
+def _described(model: GarmentModel, plan: SwayPlan) -> dict[str, object]:
+    """What simulated walkers depend on, as plain data."""
+    networks = hashlib.sha256(b"".join(np.ascontiguousarray(array) for layer in model.node_deformer for array in layer))
+    simulated = ("bodies", "walkers", "rounds", "seconds", "held_above", "seed")
+    return {"garment": model.name, "networks": networks.hexdigest()} | {name: getattr(plan, name) for name in simulated}

@@ -17,7 +17,13 @@ __all__ = ["exported"]
 def exported(
     network: SwayModule, out: tuple[torch.Tensor, torch.Tensor], joints: np.ndarray, codes: BodyCodes
 ) -> SwayNetwork:
-    """out: weight (12 m, h) and bias (12 m,) of the last layer. joints: (j,) int32, what the network looks at."""
+    """out: weight (12 m, h) and bias (12 m,) of the last layer, to offsets of garment nodes (m, 3, 4).
+
+    joints: (j,) int32, what the network looks at.
+    """
+    entry = torch.arange(len(out[1]), device=out[1].device).view(-1, 3, 4)
+    as_corrections = torch.cat([entry[..., :3].flatten(1), entry[..., 3]], dim=1).flatten()  # (m, 9 + 3)
+    weight, bias = (part[as_corrections] for part in out)
 
     def numpy(tensor: torch.Tensor) -> np.ndarray:
         return np.ascontiguousarray(tensor.detach().cpu().numpy(), dtype=np.float32)
@@ -36,7 +42,7 @@ def exported(
         read=layer(network.read),
         read_code=numpy(network.read_code.weight),
         last=layer(network.last),
-        out=(numpy(out[0]), numpy(out[1])),
+        out=(numpy(weight), numpy(bias)),
         code_mean=codes.mean,
         code_directions=codes.directions,
     )

@@ -15,17 +15,15 @@ from physkin_core.progress import progress_line
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.walkers import Walkers
 from physkin_training.sway.windows import STRIDES, Windows
+from physkin_training.train.soap import Soap
 
 __all__ = ["held_out_millimetres", "learnt_network", "learning_rate", "split"]
 
-BATCH, KEPT = 256, 24
-"""Windows of a step, and frames of each that have a target: 1.6 seconds."""
+BATCH, KEPT = 256, 60
+"""Windows of a step, and frames of each that have a target: 4 seconds."""
 LEARNING_RATE, LAST_SHARE, WARM_UP_STEPS = 3e-3, 0.01, 100
-LARGEST_GRADIENT = 1.0
 HELD_OUT, MOST_HELD_OUT = 0.1, 320
 """Of the walkers."""
-KEPT_HELD_OUT = 48
-"""Frames of a held-out window that have a target."""
 
 
 def split(walkers: Walkers, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
@@ -60,19 +58,19 @@ def learnt_network(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(2**31, (), generator=generator)))
         network = SwayModule(joints, walkers.codes.shape[1], walkers.coefficients.shape[2]).to(device)
-    optimiser = torch.optim.Adam(network.parameters(), lr=LEARNING_RATE)
+    optimiser = Soap(network.parameters(), [], device)
     watch = progress_line("learning")
     for step in range(steps):
         for group in optimiser.param_groups:
-            group["lr"] = LEARNING_RATE * learning_rate(step, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE)
+            group["lr"].fill_(LEARNING_RATE * learning_rate(step, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE))
         drawn = learnt[torch.randint(len(learnt), (BATCH,), generator=generator)]
         window = windows.drawn(drawn, stride=STRIDES[step % len(STRIDES)], kept=KEPT)
         error = network.out(window.hidden(network)) - window.coefficients
         loss = window.mean(error.square().sum(dim=-1))
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), LARGEST_GRADIENT)
         optimiser.step()
+        optimiser.turn_bases(step + 1)
         watch((step + 1) / steps)
     return network
 
@@ -89,7 +87,7 @@ def held_out_millimetres(
     windows, errors = Windows(walkers, features, torch.Generator().manual_seed(0)), []
     with torch.no_grad():
         for stride in STRIDES:
-            window = windows.drawn(held_out, stride=stride, kept=KEPT_HELD_OUT)
+            window = windows.drawn(held_out, stride=stride, kept=KEPT)
             differences = coefficients(window.hidden(network)) - window.coefficients
             errors.append(window.mean(walkers.shapes.millimetres(differences)))
     return float(torch.stack(errors).mean().sqrt())

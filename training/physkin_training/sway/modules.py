@@ -26,11 +26,12 @@ __all__ = ["HIDDEN", "Features", "SwayModule", "swaying_joints"]
 JOINTS = ("spine05", "upperleg", "lowerleg", "foot")
 """Bones whose joints the network looks at."""
 HIDDEN, OSCILLATORS, READ, LAST = 96, 64, 192, 96
-SLOWEST, FASTEST = 4.0, 12.0
+SLOWEST, FASTEST = 3.2, 12.0
 """[1/s] by which oscillators decay at first."""
-LEAST_RATE, MOST_RATE = SLOWEST, math.exp(4)
-"""[1/s] between which learning leaves them: slower ones still move cloth seconds after a stop, as windows of motion are
-too short to teach them not to."""
+LEAST_RATE, MOST_RATE = 2.2, 50.0
+"""[1/s] between which learning leaves them, gates included; slower ones still move cloth seconds after a stop."""
+GATE = -1.0
+"""Bias of gates at first: they let oscillators run slower than they could, but not at their slowest."""
 LOWEST_HZ, HIGHEST_HZ, STILL = 0.3, 4.0, 0.25
 """How often they oscillate at first; a quarter of them does not."""
 
@@ -78,21 +79,24 @@ class SwayModule(nn.Module):
         self.first, self.first_code = nn.Linear(drive, HIDDEN), nn.Linear(code, HIDDEN, bias=False)
         self.drive, self.gate = nn.Linear(HIDDEN, 2 * OSCILLATORS), nn.Linear(HIDDEN, OSCILLATORS)
         order = torch.randperm(OSCILLATORS)
-        self.log_rates = nn.Parameter(torch.linspace(math.log(SLOWEST), math.log(FASTEST), OSCILLATORS)[order])
+        slower = MOST_SPEED_UP * math.tanh(GATE)  # than ungated, a logarithm
+        decays = torch.linspace(math.log(SLOWEST), math.log(FASTEST), OSCILLATORS) - slower
+        self.log_rates = nn.Parameter(decays[order])
         turns = torch.exp(torch.empty(OSCILLATORS).uniform_(math.log(LOWEST_HZ), math.log(HIGHEST_HZ)))
         turns[: round(STILL * OSCILLATORS)] = 0
-        self.turns = nn.Parameter(2 * math.pi * turns)
+        self.turns = nn.Parameter(2 * math.pi * math.exp(-slower) * turns)
         self.read = nn.Linear(2 * OSCILLATORS + pose_size(joints) + drive, READ)
         self.read_code = nn.Linear(code, READ, bias=False)
         self.last, self.out = nn.Linear(READ, LAST), nn.Linear(LAST, outputs)
-        for parameter in (self.gate.weight, self.gate.bias):
-            nn.init.zeros_(parameter)
+        nn.init.zeros_(self.gate.weight)
+        nn.init.constant_(self.gate.bias, GATE)
         nn.init.normal_(self.out.weight, std=0.3 / math.sqrt(LAST))
 
     @property
     def rates(self) -> torch.Tensor:
-        """(K,) [1/s] by which oscillators decay."""
-        return torch.exp(self.log_rates.clamp(math.log(LEAST_RATE), math.log(MOST_RATE)))
+        """(K,) [1/s] by which oscillators decay where their gates leave them as they are."""
+        least, most = math.log(LEAST_RATE) + MOST_SPEED_UP, math.log(MOST_RATE)
+        return torch.exp(self.log_rates.clamp(least, most))
 
     def forward(self, drive: torch.Tensor, pose: torch.Tensor, code: torch.Tensor, step: float) -> torch.Tensor:
         """Outputs (B, T, o) of drive (B, T, f), pose (B, T, p) and code (B, c), frames of `step` [s]."""
@@ -113,13 +117,26 @@ class SwayModule(nn.Module):
         own = torch.complex(-self.rates, self.turns)
         rest = torch.complex(*drive.chunk(2, dim=-1)) * (-own.conj() / own.abs())
         kept = torch.exp(own * torch.exp(MOST_SPEED_UP * torch.tanh(gate)) * step)
-        driven = (1 - kept) * rest
-        state, states = rest[:, 0], []
-        for frame_kept, frame_driven in zip(kept.unbind(dim=1), driven.unbind(dim=1)):
-            state = frame_kept * state + frame_driven
-            states.append(state)
-        states = torch.stack(states, dim=1)
+        begun = torch.cat([rest[:, :1], ((1 - kept) * rest)[:, 1:]], dim=1)
+        states = _recurrence(kept, begun)
         return torch.cat([states.real, states.imag], dim=-1)
+
+
+def _recurrence(kept: torch.Tensor, driven: torch.Tensor) -> torch.Tensor:
+    """x (B, T, K) with x[t] = kept[t] x[t - 1] + driven[t], x[-1] = 0.
+
+    Two frames make one of a sequence of half as many: a window takes few kernels, however long it is.
+    """
+    frames = driven.shape[1]
+    if frames == 1:
+        return driven
+    first, second = slice(0, frames - 1, 2), slice(1, None, 2)
+    at_second = _recurrence(kept[:, second] * kept[:, first], kept[:, second] * driven[:, first] + driven[:, second])
+    later = slice(2, None, 2)
+    at_first = kept[:, later] * at_second[:, : (frames - 1) // 2] + driven[:, later]
+    at_first = torch.cat([driven[:, :1], at_first], dim=1)
+    states = torch.stack([at_first[:, : frames // 2], at_second], dim=2).flatten(1, 2)
+    return states if frames % 2 == 0 else torch.cat([states, at_first[:, -1:]], dim=1)
 
 
 def _before(values: torch.Tensor) -> torch.Tensor:

@@ -17,7 +17,7 @@ __all__ = ["STRIDES", "Window", "Windows"]
 
 STRIDES = (1, 2, 4)
 """Frames of 60 a second from one that the network sees to the next."""
-WARM_UP = 1 / 3
+WARM_UP = 1 / 5
 """Share of a window in which states forget that they began at rest: it does not count, where the motion had begun
 before."""
 FROM_THE_START = 0.1
