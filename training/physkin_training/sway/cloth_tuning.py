@@ -31,13 +31,12 @@ __all__ = ["OffsetLayer", "tuned_network"]
 
 ENERGY = 12.0
 """[1/J] how much energies count against the squared distance, in shares of that of drapes without sway."""
-SOFTER_CONTACT = 0.3
 WINDOWS, DRAPED = 6, 2
 """Windows a body in a step, and of how many the last frame is draped."""
 LEARNING_RATE, LAST_SHARE, WARM_UP_STEPS = 1e-3, 0.02, 100
 LAST_LAYER = 0.05
 """How much slower the last layer learns."""
-LARGEST_FORCE = 5.0
+LARGEST_FORCE = 15.0
 """Of a sample, against the median of all."""
 SPREAD_EVERY = 97
 """Frames from one to the next by which it is measured how far cloth is from where it is on average."""
@@ -125,7 +124,6 @@ class _Cloth:
         body = torch.arange(count * DRAPED, device=device) // DRAPED
         self._dressed = DressedSamples(model, body_model, walkers.bodies, body, one_size=in_one_size(count))
         self._potential = self._dressed.potential(1 / RATE_HZ, Dynamics())
-        self._potential.contact_stiffness *= SOFTER_CONTACT
         self._skinning = NodeSkinning(self._dressed)
 
     @torch.no_grad()
