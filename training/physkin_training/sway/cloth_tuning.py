@@ -30,7 +30,7 @@ from physkin_training.train.soap import Soap
 __all__ = ["OffsetLayer", "tuned_network"]
 
 ENERGY = 12.0
-"""[1/J] how much energies count against the squared distance, in shares of that of drapes without sway."""
+"""[1/J] how much energies count against squared distances, in shares of those of cloth from where it is on average."""
 WINDOWS, DRAPED = 6, 2
 """Windows a body in a step, and of how many the last frame is draped."""
 LEARNING_RATE, LAST_SHARE, WARM_UP_STEPS = 1e-3, 0.02, 100
@@ -38,8 +38,6 @@ LAST_LAYER = 0.05
 """How much slower the last layer learns."""
 LARGEST_FORCE = 15.0
 """Of a sample, against the median of all."""
-SPREAD_EVERY = 97
-"""Frames from one to the next by which it is measured how far cloth is from where it is on average."""
 
 
 class OffsetLayer(nn.Module):
@@ -95,7 +93,7 @@ def tuned_network(
     windows, cloth = Windows(walkers, features, generator), _Cloth(model, body_model, walkers)
     of_body = [learnt[walkers.body.cpu()[learnt] == body] for body in range(len(walkers.bodies))]
     is_draped = torch.arange(WINDOWS * len(of_body), device=walkers.positions.device) % WINDOWS < DRAPED
-    without_sway = walkers.shapes.millimetres(walkers.coefficients[walkers.valid][::SPREAD_EVERY].float()).mean()
+    spread = walkers.shapes.millimetres(walkers.coefficients[walkers.valid].float()).mean()
     watch = progress_line("fine-tuning")
     for step in range(steps):
         for group in optimiser.param_groups:
@@ -103,7 +101,7 @@ def tuned_network(
         drawn = [rows[torch.randint(len(rows), (WINDOWS,), generator=generator)] for rows in of_body]
         window = windows.drawn(torch.cat(drawn), stride=STRIDES[step % len(STRIDES)], kept=KEPT)
         hidden = window.hidden(network)
-        error = walkers.shapes.millimetres(last.coefficients(hidden) - window.coefficients) / without_sway
+        error = walkers.shapes.millimetres(last.coefficients(hidden) - window.coefficients) / spread
         offsets = last(hidden[is_draped, -1])
         forces = cloth.forces(offsets.detach(), window.walker[is_draped], window.last[is_draped])
         loss = window.mean(error) + ENERGY * (offsets * forces).sum() / len(forces)
