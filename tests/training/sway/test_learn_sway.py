@@ -130,6 +130,9 @@ def test_what_is_refused(band, tmp_path, options, said):
 def test_files_that_cannot_be_written(band, tmp_path):
     with pytest.raises(ValueError, match="there is no folder"):
         main([str(band), "-o", str(tmp_path / "nowhere" / "x.safetensors")])
+    new = str(tmp_path / "new.safetensors")
+    with pytest.raises(ValueError, match="--walkers-file has the same name"):
+        main([str(band), "--walkers-file", new, "-o", new])
     with pytest.raises(ValueError, match="it is what is read"):
         main([str(band), "-o", str(band)])
 

@@ -49,7 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--seconds", type=float, default=5.5, help="length of every scene (default %(default)s)")
     parser.add_argument("--bodies", type=int, default=3, help="held-out ones, from lean to stout (default %(default)s)")
-    parser.add_argument("--steps", type=int, default=4, help="of implicit Euler in a frame (default %(default)s)")
+    parser.add_argument("--steps", type=int, default=8, help="of implicit Euler in a frame (default %(default)s)")
     parser.add_argument(
         "--held-above",
         type=float,

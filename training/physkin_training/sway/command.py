@@ -107,6 +107,8 @@ def main(argv: list[str] | None = None) -> int:
     for written in filter(None, (output, file)):
         check_folder(written)
     check_other_file(output, garment, *filter(None, [file]))
+    if file is not None and file.resolve() == output.resolve():
+        raise ValueError(f"cannot write {output}: --walkers-file has the same name; give another")
     model = load_garment_model(garment)
     device = resolve_device(device)
     if device.type == "cpu":
