@@ -11,24 +11,18 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 
 from physkin_core.runtime.draper import in_units_of_gravity
-from physkin_ros.messages.conversions import gravity_direction
 from physkin_ros.messages.interfaces import missing_tf
 from physkin_ros.node.garment_stream import stream_quality
 from physkin_ros.node.settings import AvatarSettings, SettingsError
-from physkin_ros.root.gravity import FRESH, Felt, gravity_from_imu
-from physkin_ros.root.imu_acceleration import ImuAcceleration
-from physkin_ros.root.quaternions import Quaternion, Vector, quaternion_of, vector_of
-from physkin_ros.root.root_motion import RootMotion
+from physkin_ros.root.gravity import FRESH, Felt
+from physkin_ros.root.quaternions import quaternion_of, vector_of
+from physkin_ros.root.root_orientation import DirectionTaker, FeltTaker, RootOrientation, stamp_of
 from physkin_ros.root.tf_topics import FollowedTransforms, RootBroadcaster
 from physkin_ros.root.transform_tree import MOST_FRAMES
 
 __all__ = ["OrientationSource", "check_orientation"]
 
 SENSOR_QUEUE = 50  # of a sensor, while the machine is busy
-
-DirectionTaker = Callable[[np.ndarray, int], None]
-FeltTaker = Callable[[Felt, int], None]
-"""Take what a message says, float32, and its stamp [ns]."""
 
 
 def check_orientation(avatar: AvatarSettings) -> None:
@@ -58,11 +52,10 @@ class OrientationSource:
     ) -> None:
         self.fault = ""
         self._transforms, self._follows_tf = transforms, False
-        self._node, self._on_gravity, self._on_felt, self._on_bad = node, on_gravity, on_felt, on_bad
+        self._node, self._on_felt, self._on_bad = node, on_felt, on_bad
         self._frames = avatar.frame_id, avatar.world_frame
         self._subscriptions = []
-        self._motion = RootMotion(avatar.sways)
-        self._acceleration = ImuAcceleration(delay=avatar.imu_delay, sways=avatar.sways)
+        self._root = RootOrientation(on_gravity, self._sway, sways=avatar.sways, imu_delay=avatar.imu_delay)
         self._told_until = 0  # [ns], monotonic: whoever tells effective gravity knows better than we
         self._broadcaster = None
         below = f"~/{avatar.id}" if avatar.id else "~"
@@ -70,10 +63,10 @@ class OrientationSource:
             Vector3Stamped, avatar.effective_gravity_topic or f"{below}/effective_gravity", self._on_told, sensor=True
         )
         kinds = {
-            "gravity": (Vector3Stamped, self._on_direction),
-            "pose": (PoseStamped, lambda message: self._on_pose(message, message.pose)),
-            "odometry": (Odometry, lambda message: self._on_pose(message, message.pose.pose)),
-            "imu": (Imu, self._on_imu),
+            "gravity": (Vector3Stamped, self._root.direction),
+            "pose": (PoseStamped, self._on_pose),
+            "odometry": (Odometry, self._on_odometry),
+            "imu": (Imu, self._root.imu),
         }
         if avatar.orientation in kinds:
             kind, take = kinds[avatar.orientation]
@@ -90,12 +83,11 @@ class OrientationSource:
 
     def set_sway(self, sways: Sequence[float]) -> None:
         """Let the root's motion, or an IMU, count as much from now on, 0 to 1, for each garment."""
-        self._motion.set_sway(sways)
-        self._acceleration.set_sway(sways)
+        self._root.set_sway(sways)
 
     def close(self) -> None:
         """Stop listening."""
-        self._motion.still()  # what is native in it must not outlive the interpreter
+        self._root.still()  # what is native in it must not outlive the interpreter
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         if self._follows_tf:
@@ -106,24 +98,23 @@ class OrientationSource:
     def _on_told(self, message: Vector3Stamped) -> None:
         felt = np.append(in_units_of_gravity(vector_of(message.vector)), 0.0)
         self._told_until = monotonic_ns() + FRESH
-        self._on_felt(Felt(felt.astype(np.float32)), _stamp_ns(message))
+        self._on_felt(Felt(felt.astype(np.float32)), stamp_of(message))
 
-    def _on_direction(self, message: Vector3Stamped) -> None:
-        down = gravity_direction(list(vector_of(message.vector)))
-        self._tell_direction(down / np.linalg.norm(down), _stamp_ns(message))
+    def _on_pose(self, message: PoseStamped) -> None:
+        new = self._root.follows(stamp_of(message))
+        self._root.pose(message)
+        if new:
+            self._broadcast(message.header, message.pose)
 
-    def _on_imu(self, message: Imu) -> None:
-        stamp_ns = _stamp_ns(message)
-        felt = self._acceleration.felt(message, stamp_ns)
-        self._tell_direction(gravity_from_imu(message), stamp_ns)
-        self._sway(None if felt is None else Felt(felt.astype(np.float32)), stamp_ns)
+    def _on_odometry(self, message: Odometry) -> None:
+        new = self._root.follows(stamp_of(message))
+        self._root.odometry(message)
+        if new:
+            self._broadcast(message.header, message.pose.pose)
 
-    def _on_pose(self, message: PoseStamped | Odometry, pose) -> None:
-        place, turn, stamp_ns = vector_of(pose.position), quaternion_of(pose.orientation), _stamp_ns(message)
-        new = self._motion.follows(stamp_ns)
-        self._move(stamp_ns, place, turn)
-        if self._broadcaster is not None and new:
-            self._broadcaster.publish(message.header, place, turn)
+    def _broadcast(self, header, pose) -> None:
+        if self._broadcaster is not None:
+            self._broadcaster.publish(header, vector_of(pose.position), quaternion_of(pose.orientation))
 
     def _on_transforms(self, wrong: Mapping[str, str]) -> None:
         tree = self._transforms.tree
@@ -131,9 +122,7 @@ class OrientationSource:
             self._left_out = tree.left_out
             self._on_bad(f"frame {self._left_out[:60]!r} of TF and further ones are left out: {MOST_FRAMES} are known")
         try:
-            stamp_ns, place, turn = tree.pose(*self._frames)
-            if self._motion.follows(stamp_ns):
-                self._move(stamp_ns, place, turn)
+            self._root.transforms(tree, *self._frames)
         except ValueError as error:
             self.fault = str(error)
         else:
@@ -142,17 +131,9 @@ class OrientationSource:
                 for frame in wrong.keys() & tree.chain(*self._frames):
                     self._on_bad(wrong[frame])
 
-    def _move(self, stamp_ns: int, place: Vector, turn: Quaternion) -> None:
-        down, felt = self._motion.move(stamp_ns, place, turn)
-        self._sway(felt, stamp_ns)
-        self._tell_direction(down, stamp_ns)
-
-    def _sway(self, felt: Felt | None, stamp_ns: int) -> None:
-        if felt is not None and monotonic_ns() > self._told_until:
+    def _sway(self, felt: Felt, stamp_ns: int) -> None:
+        if monotonic_ns() > self._told_until:
             self._on_felt(felt, stamp_ns)
-
-    def _tell_direction(self, down: np.ndarray, stamp_ns: int) -> None:
-        self._on_gravity(down.astype(np.float32), stamp_ns)
 
     def _listen(self, kind: type, topic: str, take: Callable[..., None], *, sensor: bool = False) -> None:
         """sensor: the topic's publishers may be best effort, as sensor drivers are."""
@@ -165,8 +146,3 @@ class OrientationSource:
 
         quality = stream_quality(SENSOR_QUEUE, reliable=False) if sensor else stream_quality()
         self._subscriptions.append(self._node.create_subscription(kind, topic, on_message, **quality))
-
-
-def _stamp_ns(message) -> int:
-    stamp = message.header.stamp
-    return stamp.sec * 1_000_000_000 + stamp.nanosec

@@ -1,0 +1,97 @@
+"""Where down is, and what garments feel, from what messages say of the root: of topics, and of bags alike.
+
+Messages are those of ROS or of `rosbags`, which have the same fields. Stamps are in ns, 0 for none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from physkin_ros.messages.conversions import gravity_direction
+from physkin_ros.root.gravity import Felt, gravity_from_imu
+from physkin_ros.root.imu_acceleration import ImuAcceleration
+from physkin_ros.root.quaternions import Quaternion, Vector, quaternion_of, vector_of
+from physkin_ros.root.root_motion import RootMotion
+from physkin_ros.root.transform_tree import TransformTree
+
+__all__ = ["DirectionTaker", "FeltTaker", "RootOrientation", "stamp_of"]
+
+DirectionTaker = Callable[[np.ndarray, int], None]
+FeltTaker = Callable[[Felt, int], None]
+"""Take what a message says, float32, and its stamp [ns]."""
+
+
+def stamp_of(message) -> int:
+    """The stamp [ns] of a message's header."""
+    stamp = message.header.stamp
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
+
+
+class RootOrientation:
+    """Calls back with what messages say, and their stamps.
+
+    on_direction: takes gravity's unit direction (3,). on_felt: takes what garments feel as the root moves, or its IMU
+    measures. sways: how much of that each garment feels, 0 to 1. imu_delay: [s], see `ImuAcceleration`.
+    Messages that cannot be raise ValueError; what was known last then goes on.
+    """
+
+    def __init__(
+        self, on_direction: DirectionTaker, on_felt: FeltTaker, *, sways: Sequence[float], imu_delay: float
+    ) -> None:
+        self._on_direction, self._on_felt = on_direction, on_felt
+        self._motion = RootMotion(sways)
+        self._acceleration = ImuAcceleration(delay=imu_delay, sways=sways)
+
+    def set_sway(self, sways: Sequence[float]) -> None:
+        """Others, from now on."""
+        self._motion.set_sway(sways)
+        self._acceleration.set_sway(sways)
+
+    def still(self) -> None:
+        """Let the root's motion count no more, only gravity's direction."""
+        self._motion.still()
+
+    def follows(self, stamp_ns: int) -> bool:
+        """Whether a pose of this stamp comes after the last, see `RootMotion.follows`."""
+        return self._motion.follows(stamp_ns)
+
+    def direction(self, message) -> None:
+        """Of a `geometry_msgs/Vector3Stamped`: gravity's direction in the root frame."""
+        down = gravity_direction(list(vector_of(message.vector)))
+        self._tell_direction(down / np.linalg.norm(down), stamp_of(message))
+
+    def pose(self, message) -> None:
+        """Of a `geometry_msgs/PoseStamped` of the root in an upright frame."""
+        self._place(message.pose, stamp_of(message))
+
+    def odometry(self, message) -> None:
+        """The same of a `nav_msgs/Odometry`; its twist is not read."""
+        self._place(message.pose.pose, stamp_of(message))
+
+    def imu(self, message) -> None:
+        """Of a `sensor_msgs/Imu` at the root."""
+        stamp_ns = stamp_of(message)
+        felt = self._acceleration.felt(message, stamp_ns)
+        self._tell_direction(gravity_from_imu(message), stamp_ns)
+        if felt is not None:
+            self._on_felt(Felt(felt.astype(np.float32)), stamp_ns)
+
+    def transforms(self, tree: TransformTree, frame_id: str, world_frame: str) -> None:
+        """Of TF, when something in it has changed: where frame_id is in world_frame, which is upright."""
+        stamp_ns, place, turn = tree.pose(frame_id, world_frame)
+        if self.follows(stamp_ns):
+            self._move(stamp_ns, place, turn)
+
+    def _place(self, pose, stamp_ns: int) -> None:
+        self._move(stamp_ns, vector_of(pose.position), quaternion_of(pose.orientation))
+
+    def _move(self, stamp_ns: int, place: Vector, turn: Quaternion) -> None:
+        down, felt = self._motion.move(stamp_ns, place, turn)
+        if felt is not None:
+            self._on_felt(felt, stamp_ns)
+        self._tell_direction(down, stamp_ns)
+
+    def _tell_direction(self, down: np.ndarray, stamp_ns: int) -> None:
+        self._on_direction(down.astype(np.float32), stamp_ns)
