@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_typestore
 from physkin_core.motion.motion import MotionError
 
 __all__ = [
-    *("GRAVITY", "JOINT_STATE", "ODOMETRY", "TRANSFORMS", "TYPES"),
+    *("GRAVITY", "IMU", "JOINT_STATE", "ODOMETRY", "ORIENTATIONS", "POSE", "TRANSFORMS", "TYPES"),
     *("BagError", "BagReader", "Recorded", "UndecodableError", "bag_errors", "decode"),
 ]
 
@@ -29,9 +29,20 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 GRAVITY = "geometry_msgs/msg/Vector3Stamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-KINDS = {"gravity": GRAVITY, "odometry": ODOMETRY, "transforms": TRANSFORMS, "joint_state": JOINT_STATE}
+POSE = "geometry_msgs/msg/PoseStamped"
+IMU = "sensor_msgs/msg/Imu"
+KINDS = {
+    "gravity": GRAVITY,
+    "pose": POSE,
+    "imu": IMU,
+    "odometry": ODOMETRY,
+    "transforms": TRANSFORMS,
+    "joint_state": JOINT_STATE,
+}
 """What a message is of -> its type, in the order in which messages of one moment are taken."""
 ROOT_TOPICS = {"odometry": ("/odom",), "transforms": ("/tf", "/tf_static")}
+ORIENTATIONS = {"gravity": "/gravity", "pose": "/pose", "odometry": "/odom", "tf": "/tf", "imu": "/imu"}
+"""What may tell where the root is, as the ROS node's parameter `orientation` names it -> its usual topic."""
 REMEDIES = {
     "File end magic is invalid": "The recording was broken off; mcap recover BROKEN -o WHOLE mends it",
     "Unrecognized storage format '.bag'": "Bags of ROS 1 are converted by rosbags-convert --src OLD --dst NEW",
@@ -60,11 +71,12 @@ class Recorded:
 
 
 class BagReader:
-    """The joint states of a bag and the gravity directions between them.
+    """The joint states of a bag and what tells where down is between them.
 
-    topic: of joint states; None: `/joint_states`, or the bag's only topic of that type. gravity_topic: None: `/gravity`
-    if the bag has one. root: "odometry" among these for messages of `/odom`, too, "transforms" for those of `/tf` and
-    `/tf_static`, where the bag has them. Use in a `with` block.
+    topic: of joint states; None: `/joint_states`, or the bag's only topic of that type. orientation: what tells where
+    the root is, one of `ORIENTATIONS`. orientation_topic: of it; None: the usual one, or the bag's only topic of that
+    type. A bag may be without gravity, but not without another orientation. root: "odometry" among these for messages
+    of `/odom`, too, "transforms" for those of `/tf` and `/tf_static`, where the bag has them. Use in a `with` block.
     Raises BagError for a bag that cannot be read and for a topic that is missing, ambiguous or of another type.
     """
 
@@ -73,7 +85,8 @@ class BagReader:
         path: str | Path,
         *,
         topic: str | None = None,
-        gravity_topic: str | None = None,
+        orientation: str = "gravity",
+        orientation_topic: str | None = None,
         root: Collection[Literal["odometry", "transforms"]] = (),
     ) -> None:
         self.path = Path(path)
@@ -83,14 +96,15 @@ class BagReader:
         try:
             types = {connection.topic: connection.msgtype for connection in self._reader.connections}
             self.topic = _topic(self.path, types, topic, JOINT_STATE, "/joint_states", required=True)
-            self.gravity_topic = _topic(self.path, types, gravity_topic, GRAVITY, "/gravity", required=False)
+            self.orientation_topic = _orientation_topic(self.path, types, orientation, orientation_topic)
         except BagError:
             self._reader.close()
             raise
+        root = (*root, "transforms") if orientation == "tf" else root
         self._kinds = {name: kind for kind in root for name in ROOT_TOPICS[kind] if types.get(name) == KINDS[kind]}
         self._kinds[self.topic] = "joint_state"
-        if self.gravity_topic is not None:
-            self._kinds[self.gravity_topic] = "gravity"
+        if self.orientation_topic is not None:
+            self._kinds[self.orientation_topic] = orientation
 
     def __enter__(self) -> BagReader:
         return self
@@ -109,7 +123,7 @@ class BagReader:
         return sum(each.msgcount for each in self._reader.connections if each.topic == self.topic)
 
     def __iter__(self) -> Iterator[Recorded]:
-        """All messages by time of recording; of those recorded at one moment, gravity comes first, as in the node."""
+        """All messages by time of recording; of those recorded at one moment, joint states come last."""
         chosen = [each for each in self._reader.connections if each.topic in self._kinds]
         messages, order = self._reader.messages(chosen), list(KINDS)
         with bag_errors(self.path):
@@ -129,6 +143,24 @@ def decode(message: Recorded):
         raise UndecodableError(f"{len(message.data)} bytes that are no {message.kind.replace('_', ' ')}") from error
 
 
+def _orientation_topic(path: Path, types: dict[str, str], orientation: str, asked: str | None) -> str | None:
+    """The topic that tells where the root is; None for TF, which has two, and for gravity that is not there."""
+    if orientation not in ORIENTATIONS:
+        raise BagError(f"unknown orientation {orientation!r}; allowed: {', '.join(ORIENTATIONS)}")
+    if orientation != "tf":
+        known, required = KINDS[orientation], orientation != "gravity"
+        return _topic(path, types, asked, known, ORIENTATIONS[orientation], required=required)
+    if asked is not None:
+        raise BagError(f"topic {asked}: TF is always taken from {' and '.join(ROOT_TOPICS['transforms'])}")
+    if not any(types.get(topic) == TRANSFORMS for topic in ROOT_TOPICS["transforms"]):
+        raise BagError(f"bag {path} has no transforms on {' or '.join(ROOT_TOPICS['transforms'])}{_listed(types)}")
+    return None
+
+
+def _listed(types: dict[str, str]) -> str:
+    return f"; its topics: {', '.join(f'{topic} ({its})' for topic, its in sorted(types.items())) or 'none'}"
+
+
 def _topic(
     path: Path, types: dict[str, str], asked: str | None, kind: str, default: str, *, required: bool
 ) -> str | None:
@@ -146,8 +178,7 @@ def _topic(
     if len(fitting) == 1:
         return fitting[0]
     if not fitting:
-        has = ", ".join(f"{topic} ({its})" for topic, its in sorted(types.items())) or "none"
-        raise BagError(f"bag {path} has no topic of {kind}; its topics: {has}")
+        raise BagError(f"bag {path} has no topic of {kind}{_listed(types)}")
     raise BagError(f"bag {path}: which topic? Topics of {kind}: {', '.join(fitting)}")
 
 

@@ -13,6 +13,7 @@ from physkin_core import BACKENDS, NORMALS, UPRIGHT_GRAVITY
 from physkin_core.model.model_file import split_fabric
 from physkin_core.runtime.native_evaluator import PRECISIONS
 from physkin_ros.messages.conversions import gravity_direction
+from physkin_ros.root.imu_acceleration import USUAL_DELAY
 
 __all__ = [
     "AVATAR_SETTINGS",
@@ -180,7 +181,7 @@ class AvatarSettings:
         high=1,
     )
     imu_delay: float = _key(
-        0.1,
+        USUAL_DELAY,
         "[s] time constant of the first-order low pass that the acceleration of an IMU goes through; cloth follows "
         "slow changes late by as much. 0: none",
         low=0,

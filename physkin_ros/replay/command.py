@@ -10,19 +10,23 @@ from pathlib import Path
 
 from physkin_core import BACKENDS, BUNDLED_AVATAR, NORMALS, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
 from physkin_core.fit_option import add_fit_option
-from physkin_core.motion.bag_reader import BagError, BagReader
+from physkin_core.motion.bag_reader import ORIENTATIONS, BagError, BagReader
+from physkin_core.outfit.outfit_options import add_sway_option
 from physkin_core.runtime.native_evaluator import PRECISIONS
+from physkin_core.sway.sway import checked_amount
 from physkin_ros.arguments import file_to_write, whole_number
 from physkin_ros.joints.joint_naming import PRESETS
 from physkin_ros.messages.conversions import gravity_direction
 from physkin_ros.replay.bags import STORAGES, BagWriter
 from physkin_ros.replay.figures import describe, load_baseline, regressions, summary
 from physkin_ros.replay.many_bags import holds_bags, replay_all
+from physkin_ros.replay.recorded_root import RecordedRoot
 from physkin_ros.replay.replay import GARMENT_TOPIC, replay
 from physkin_ros.replay.report import thumbnails, write_report
 
 __all__ = ["command_parser", "main", "replay_one"]
 
+WORLD = "world"
 CONTACT_CLOUDS = 24  # measured against the body, unless --contact-every says otherwise
 LIVE = (
     "With --live it only plays joint states and gravity to their topics, which needs ROS: physkin replay --live --help."
@@ -41,15 +45,15 @@ def main(argv: list[str] | None = None) -> int:
 
 def replay_one(options: argparse.Namespace) -> int:
     """Drape one bag, write and tell what the options of `command_parser` ask for. Returns as `main` does."""
-    gravity = gravity_direction(options.gravity)
+    root = _root(options)
     baseline = load_baseline(options.baseline) if options.baseline else None
+    of_root = {"orientation": options.orientation, "orientation_topic": _orientation_topic(options)}
     output = BagWriter(options.output, storage=options.storage) if options.output else nullcontext()
-    topics = {"topic": options.topic, "gravity_topic": options.gravity_topic}
-    with output as writer, BagReader(options.bag, root=["transforms"], **topics) as bag:
+    with output as writer, BagReader(options.bag, topic=options.topic, root=["transforms"], **of_root) as bag:
         draper, every = _draper(options), options.contact_every
         if every is None:
             every = max(1, -(-bag.joint_state_count // CONTACT_CLOUDS))
-        settings = {"joint_map": options.joint_map, "gravity": gravity, "contact_every": every}
+        settings = {"joint_map": options.joint_map, "root": root, "contact_every": every}
         found = replay(draper, bag, writer, topic=options.garment_topic, frame_id=options.frame_id, **settings)
         if not found.frames:
             why = f"; most often: {found.reasons.most_common(1)[0][0]}" if found.reasons else ""
@@ -67,6 +71,25 @@ def replay_one(options: argparse.Namespace) -> int:
     if worse == []:
         print(f"not worse than {options.baseline}")
     return 1 if worse else 0
+
+
+def _root(options: argparse.Namespace) -> RecordedRoot:
+    if options.world_frame is not None and options.orientation != "tf":
+        raise BagError(f"--world-frame is for --orientation tf, not {options.orientation}")
+    frames = {"frame_id": options.frame_id, "world_frame": options.world_frame or WORLD}
+    gravity, sway = gravity_direction(options.gravity), checked_amount(options.sway)
+    return RecordedRoot(options.orientation, gravity=gravity, sway=sway, **frames)
+
+
+def _orientation_topic(options: argparse.Namespace) -> str | None:
+    """Raises BagError for a topic of what is not asked for."""
+    given = {"--gravity-topic": options.gravity_topic, "--orientation-topic": options.orientation_topic}
+    fitting = {"gravity": "--gravity-topic", "tf": ""}.get(options.orientation, "--orientation-topic")
+    for option, topic in given.items():
+        if topic is not None and option != fitting:
+            instead = f"give {fitting}" if fitting else "TF is taken from /tf and /tf_static"
+            raise BagError(f"{option} {topic} is not for --orientation {options.orientation}: {instead}")
+    return given.get(fitting)
 
 
 def _draper(options: argparse.Namespace) -> Draper:
@@ -94,7 +117,20 @@ def command_parser() -> argparse.ArgumentParser:
         "--joint-map", metavar="FILE", help=f"from incoming joint names to the rig's; or {' or '.join(PRESETS)}"
     )
     parser.add_argument("--topic", help="joint states (default /joint_states, or the only one)")
+    parser.add_argument(
+        "--orientation",
+        choices=ORIENTATIONS,
+        default="gravity",
+        help="what tells where the root is, and so how cloth swings (default %(default)s: a direction alone)",
+    )
     parser.add_argument("--gravity-topic", help="gravity's direction (default /gravity, if the bag has it)")
+    parser.add_argument(
+        "--orientation-topic",
+        metavar="TOPIC",
+        help="of a pose, odometry or IMU (default /pose, /odom, /imu, or the only one)",
+    )
+    parser.add_argument("--world-frame", metavar="FRAME", help=f"upright frame of TF (default {WORLD})")
+    add_sway_option(parser)
     parser.add_argument("--gravity", type=float, nargs=3, default=UPRIGHT_GRAVITY.tolist(), metavar=("X", "Y", "Z"))
     parser.add_argument("--backend", choices=BACKENDS, default="native")
     parser.add_argument(
@@ -113,7 +149,7 @@ def command_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--storage", choices=STORAGES, help="of an output folder (default mcap)")
     parser.add_argument("--garment-topic", default=GARMENT_TOPIC, help="of the clouds (default %(default)s)")
-    parser.add_argument("--frame-id", default="base_link", help="of the clouds (default %(default)s)")
+    parser.add_argument("--frame-id", default="base_link", help="of the clouds and of the root (default %(default)s)")
     parser.add_argument(
         "--contact-every",
         type=whole_number(0),

@@ -38,6 +38,14 @@ TOLERANCES = {
 }
 """Figure -> how much larger than the baseline it may be: this share of it plus this much."""
 SPREAD = ("mean", "p50", "p95", "p99", "max")
+ROOT = {
+    "gravity": "gravity messages",
+    "pose": "poses of the root",
+    "odometry": "odometry messages",
+    "tf": "TF messages",
+    "imu": "IMU messages",
+}
+"""What tells where the root is -> what people read."""
 LABELS = {
     "edge_strain_percent": "edge strain [%]",
     "area_strain_percent": "area strain [%]",
@@ -60,8 +68,8 @@ DECIMALS = {
 }
 """What is measured cloud by cloud -> decimals of its series."""
 COUNTS = (
-    *("joint_states", "draped", "rejected", "gravity_messages", "gravity_rejected", "names_unknown"),
-    "out_of_range_clouds",
+    *("joint_states", "draped", "rejected", "gravity_messages", "gravity_rejected", "root_unknown"),
+    *("names_unknown", "out_of_range_clouds"),
 )
 
 
@@ -90,7 +98,7 @@ def describe(found: Replay, draper: Draper, bag: BagReader, *, contact_every: in
         "bag": {
             "name": bag.path.name,
             "topic": bag.topic,
-            "gravity_topic": bag.gravity_topic,
+            "gravity_topic": bag.orientation_topic,
             "sha256": found.bag_sha256,
             "duration_s": float(times[-1]),
             "rate_hz": 1 / usual if usual > 0 else None,
@@ -99,6 +107,8 @@ def describe(found: Replay, draper: Draper, bag: BagReader, *, contact_every: in
             "model": draper.model.name,
             "vertices": draper.vertex_count,
             "avatar": Path(draper.avatar.source).name,
+            "orientation": found.orientation,
+            "sway": found.sway,
             "fit": draper.fit,
             "at_rest": asdict(draper.at_rest),
             "backend": draper.backend,
@@ -161,9 +171,11 @@ def summary(figures: Mapping) -> str:
         "garment": f"{run['model']}, {run['vertices']} vertices, fit {run['fit']:g}, on {run['avatar']}",
         "joint states": f"{counts['joint_states']} in {figures['bag']['duration_s']:.2f} s",
         "draped / rejected": f"{counts['draped']} / {counts['rejected']}",
-        "gravity messages / rejected": f"{counts['gravity_messages']} / {counts['gravity_rejected']}",
+        f"{ROOT[run['orientation']]} / rejected": f"{counts['gravity_messages']} / {counts['gravity_rejected']}",
         "clouds out of training range": f"{counts['out_of_range_clouds']}",
     }
+    if counts["root_unknown"]:
+        rows["draped without knowing where the root is"] = f"{counts['root_unknown']}"
     for name, label in LABELS.items():
         spread = figures["figures"][name]
         if spread["mean"] is not None:

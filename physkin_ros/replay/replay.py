@@ -1,6 +1,6 @@
 """Every joint state of a bag draped, the clouds written to another bag and measured. Needs no ROS.
 
-Messages are read as the ROS node reads them: the same joint maps, gravity by its stamp, bad messages counted and
+Messages are read as the ROS node reads them: the same joint maps, the root by its stamps, bad messages counted and
 skipped while the last good state stays. The same bag gives the same clouds and figures; only latencies differ.
 
 Dimensions: `T` clouds, `d` degrees of freedom, `n` garment vertices, `C` clouds measured against the body.
@@ -17,15 +17,14 @@ from time import perf_counter_ns
 
 import numpy as np
 
-from physkin_core import UPRIGHT_GRAVITY, Draper
+from physkin_core import Draper
 from physkin_core.motion.bag_reader import TRANSFORMS, BagReader, decode
 from physkin_core.quality import area_strain, contact_figures, edge_strain, signed_distance
 from physkin_core.runtime.bound_garment import plain_skinning
 from physkin_ros.joints.joint_naming import load_naming
 from physkin_ros.joints.joint_states import JointStateReader
-from physkin_ros.messages.conversions import gravity_direction
 from physkin_ros.replay.bags import BagWriter
-from physkin_ros.root.gravity import GravityByStamp
+from physkin_ros.replay.recorded_root import RecordedRoot
 
 __all__ = ["GARMENT_TOPIC", "Replay", "replay"]
 
@@ -39,23 +38,29 @@ WARM_UP = 20
 class Replay:
     """What came of a bag's joint states.
 
-    counts: joint_states, draped, rejected, gravity_messages, gravity_rejected, names_unknown, out_of_range_clouds.
+    orientation, sway: as of the `RecordedRoot` that it was replayed with.
+    counts: joint_states, draped, rejected, gravity_messages, gravity_rejected (of whatever tells where the root is),
+    root_unknown, names_unknown, out_of_range_clouds.
     reasons: why messages were rejected, with how often. out_of_range: clouds with a joint beyond its limits, by joint.
     frames, times_ns: (T,) which joint state of the bag each cloud answers, and its time of recording.
-    positions, gravity: (T, d) [rad] and (T, 3), what was draped.
+    positions, told: (T, d) [rad] and (T, 14), what was draped, as `Draper.bind_step` takes it. down: (T, 3) gravity's
+    unit direction.
     measured: by name as in `--json`, (T,) each: edge_strain_percent, area_strain_percent, latency_us; jitter_mm, mean
     second difference of the vertices over this and the two clouds before, NaN for the first two, jitter_skinning_mm,
     the same of plain skinning. Of the clouds `contact_rows` (C,): inside_percent, within_3mm_percent, max_depth_mm.
     bag_sha256: of all messages and their times: whether two bags are the same recording. clouds_sha256: of all clouds.
     """
 
+    orientation: str
+    sway: float
     counts: Counter = field(default_factory=Counter)
     reasons: Counter = field(default_factory=Counter)
     out_of_range: Counter = field(default_factory=Counter)
     frames: list[int] = field(default_factory=list)
     times_ns: list[int] = field(default_factory=list)
     positions: list[np.ndarray] = field(default_factory=list)
-    gravity: list[np.ndarray] = field(default_factory=list)
+    told: list[np.ndarray] = field(default_factory=list)
+    down: list[np.ndarray] = field(default_factory=list)
     measured: defaultdict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     contact_rows: list[int] = field(default_factory=list)
     bag_sha256: str = ""
@@ -74,7 +79,7 @@ def replay(
     writer: BagWriter | None = None,
     *,
     joint_map: str | Path | None = None,
-    gravity: np.ndarray = UPRIGHT_GRAVITY,
+    root: RecordedRoot | None = None,
     contact_every: int = 0,
     topic: str = GARMENT_TOPIC,
     frame_id: str = "base_link",
@@ -82,31 +87,34 @@ def replay(
     """Drape every joint state of `bag`.
 
     writer: where the clouds go, and the bag's transforms, if it is read with them, so that clouds hang in the world.
-    joint_map: a file, or a preset. gravity: (3,) direction in the root frame until the bag gives one. contact_every:
-    every how many joint states a cloud is measured against the body, 0 for never.
+    joint_map: a file, or a preset. root: what the garment is told of it, from the messages that the bag is read with;
+    default upright until the bag says otherwise. contact_every: every how many joint states a cloud is measured against
+    the body, 0 for never.
     Raises JointMapError, and BagError when the bag cannot be read on.
     """
-    rig, found, unknown = draper.model.rig, Replay(), set()
+    root = root or RecordedRoot()
+    rig, found, unknown = draper.model.rig, Replay(root.orientation, root.sway), set()
     reader = JointStateReader(rig.joint_names, rig.rest, naming=load_naming(joint_map, rig), on_unknown=unknown.update)
     recent = _Recent(draper, found)
-    points = np.zeros((draper.vertex_count, 6), dtype=np.float32)
+    pose, points = reader.positions.astype(np.float32), np.zeros((draper.vertex_count, 6), dtype=np.float32)
+    told = root.row(draper)
+    step = draper.bind_step(pose, told, points)
     for _ in range(WARM_UP):  # the first evaluations pay for cold caches, which is not what a latency means here
-        draper.drape(reader.positions, gravity, out=points)
+        step()
     draper.reset()  # another bag may have been draped before
-    messages, clouds, downs = hashlib.sha256(), hashlib.sha256(), GravityByStamp(np.array(gravity, dtype=np.float64))
+    messages, clouds = hashlib.sha256(), hashlib.sha256()
     for message in bag:
         if message.kind == "transforms":
             if writer is not None:
                 writer.write_bytes(message.topic, TRANSFORMS, message.data, message.time_ns)
-            continue
-        messages.update(struct.pack("<?qQ", message.kind == "gravity", message.time_ns, len(message.data)))
+            if root.orientation != "tf":
+                continue
+        messages.update(struct.pack("<?qQ", message.kind != "joint_state", message.time_ns, len(message.data)))
         messages.update(message.data)
-        if message.kind == "gravity":
+        if message.kind != "joint_state":
             found.counts["gravity_messages"] += 1
             try:
-                down = decode(message)
-                vector = down.vector
-                downs.add(gravity_direction([vector.x, vector.y, vector.z]), _nanoseconds(down))
+                root.take(message)
             except ValueError as error:
                 found.reject("gravity_rejected", str(error))
             continue
@@ -114,20 +122,22 @@ def replay(
         found.counts["joint_states"] += 1
         try:
             state = decode(message)
-            stamp_ns = _nanoseconds(state)
-            positions, gravity = reader.read(state.name, state.position), downs.at(stamp_ns)
+            pose[:] = reader.read(state.name, state.position)
+            root.tell(state.header.stamp, message.time_ns)
             started = perf_counter_ns()
-            draper.drape(positions, gravity, time=1e-9 * stamp_ns if stamp_ns else None, out=points)
+            step()
             latency_us = (perf_counter_ns() - started) / 1e3
         except ValueError as error:
             found.reject("rejected", str(error))
             continue
-        reader.positions = positions
+        reader.positions = pose
+        found.counts["root_unknown"] += bool(root.fault)
         found.counts["draped"] += 1
         found.frames.append(index)
         found.times_ns.append(message.time_ns)
-        found.positions.append(positions)
-        found.gravity.append(gravity)
+        found.positions.append(pose.copy())
+        found.told.append(told.copy())
+        found.down.append(root.down)
         found.measured["latency_us"].append(latency_us)
         recent.measure(points, contact=contact_every > 0 and index % contact_every == 0)
         clouds.update(points.tobytes())
@@ -136,10 +146,6 @@ def replay(
     found.counts["names_unknown"] = len(unknown)
     found.bag_sha256, found.clouds_sha256 = messages.hexdigest(), clouds.hexdigest()
     return found
-
-
-def _nanoseconds(message) -> int:
-    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
 
 
 class _Recent:

@@ -18,12 +18,15 @@ from tabulate import tabulate
 
 from physkin_core import Draper
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, render, save_png
+from physkin_core.sway.moment import Moment
 from physkin_ros.replay.figures import LABELS, SPREAD
 from physkin_ros.replay.replay import Replay
 
 __all__ = ["thumbnails", "write_overview", "write_report"]
 
 PICTURE_SIZE = (240, 320)
+REMEMBERED = 120
+"""Clouds after which cloth has forgotten what was before."""
 PLOTS = {
     "Edge strain [%]": ("edge_strain_percent",),
     "Area strain [%]": ("area_strain_percent",),
@@ -52,10 +55,9 @@ def thumbnails(found: Replay, draper: Draper, *, count: int) -> tuple[list[tuple
     chosen = np.unique(np.linspace(0, len(found.frames) - 1, count).round().astype(int))
     scenes = []
     for row in chosen:
-        cloth = draper.drape(found.positions[row], found.gravity[row])[:, :3]
+        cloth = _cloth(found, draper, row)
         body = draper.avatar.posed_vertices(draper.bone_transforms(found.positions[row]))
-        down = found.gravity[row] / np.linalg.norm(found.gravity[row])
-        upright = Rotation.align_vectors([[0.0, 0.0, -1.0]], [down])[0]
+        upright = Rotation.align_vectors([[0.0, 0.0, -1.0]], [found.down[row]])[0]
         scenes.append((upright.apply(body), upright.apply(cloth)))
     drawn = np.concatenate([points for scene in scenes for points in scene])
     bounds = np.stack([drawn.min(axis=0), drawn.max(axis=0)])
@@ -69,6 +71,20 @@ def thumbnails(found: Replay, draper: Draper, *, count: int) -> tuple[list[tuple
     except PictureError as error:
         return [], f"No pictures: {error}"
     return pictures, ""
+
+
+def _cloth(found: Replay, draper: Draper, row: int) -> np.ndarray:
+    """Vertices (n, 3) of a cloud once more, draped from a second or two before on: it remembers no more than that."""
+    pose, told = found.positions[row].copy(), found.told[row].copy()
+    points = np.zeros((draper.vertex_count, 6), dtype=np.float32)
+    step = draper.bind_step(pose, told, points)
+    first = max(0, row - REMEMBERED)
+    for each in range(first, row + 1):
+        pose[:], told[:] = found.positions[each], found.told[each]
+        if each == first:
+            told[3:] = Moment().after(told[:3])[3:]
+        step()
+    return points[:, :3].astype(np.float64)
 
 
 def write_report(

@@ -56,6 +56,10 @@ class GarmentGravity:
         """Take what garments feel, that has come."""
         self._effective.add(felt, stamp_ns, now_ns)
 
+    def direction(self, stamp_ns: int) -> np.ndarray:
+        """Gravity's unit direction (3,) that goes with a joint state, however the root is accelerated."""
+        return self._by_stamp.at(stamp_ns)
+
     def effective_gravity(self, garment: int, now_ns: int, *, learnt: bool) -> np.ndarray | None:
         """The latest (3,) [m/s2] of a garment; None when none is fresh, or it has `learnt` to sway and is moved by the
         root's rates instead."""
@@ -85,7 +89,7 @@ class GarmentGravity:
 
     def take_by_stamp(self, stamp_ns: int) -> None:
         """Let garments feel gravity alone, in the direction that goes with a joint state."""
-        down = self._by_stamp.at(stamp_ns)
+        down = self.direction(stamp_ns)
         if down is not self._down:
             self.take_direction(down)
             self._down = down

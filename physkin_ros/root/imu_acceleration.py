@@ -11,7 +11,10 @@ from physkin_core.runtime.draper import LARGEST_EFFECTIVE_GRAVITY, STANDARD_GRAV
 from physkin_ros.root.gravity import SAME_CLOCK, gravity_from_imu
 from physkin_ros.root.quaternions import OrientationError, inverse, quaternion_of, rotated, unit_quaternion, vector_of
 
-__all__ = ["ImuAcceleration"]
+__all__ = ["USUAL_DELAY", "ImuAcceleration"]
+
+USUAL_DELAY = 0.1
+"""[s] the node's, where it is not told another."""
 
 LARGEST_GAP = 500_000_000
 """[ns] After a longer pause the root is taken to have come to rest."""

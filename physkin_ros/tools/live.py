@@ -39,7 +39,7 @@ def main(argv: list[str] | None = None) -> int:
     if missing := missing_tf():
         root.remove("transforms")
         print(f"/tf and /tf_static, if the bag has them, are not played: {missing}", file=sys.stderr)
-    with BagReader(options.bag, topic=options.topic, gravity_topic=options.gravity_topic, root=root) as bag:
+    with BagReader(options.bag, topic=options.topic, orientation_topic=options.gravity_topic, root=root) as bag:
         late = 1e3 * play(bag, rate=options.rate)
     if not len(late):
         raise BagError(f"bag {bag.path} holds no message on {bag.topic}")

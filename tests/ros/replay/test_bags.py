@@ -47,7 +47,7 @@ def test_the_only_joint_states_are_found(tmp_path):
         for writer, topic in ((one, "/body0/joint_states"), (two, "/body0/joint_states"), (two, "/body1/joint_states")):
             writer.write(topic, JOINT_STATE, state, 1)
     with BagReader(tmp_path / "1.mcap") as bag:
-        assert (bag.topic, bag.gravity_topic, bag.joint_state_count) == ("/body0/joint_states", None, 1)
+        assert (bag.topic, bag.orientation_topic, bag.joint_state_count) == ("/body0/joint_states", None, 1)
     with pytest.raises(BagError, match="which topic.*/body0/joint_states, /body1/joint_states"):
         BagReader(tmp_path / "2.mcap")
 
