@@ -349,7 +349,7 @@ def in_units_of_gravity(effective_gravity: np.ndarray) -> np.ndarray:
 
 def _direction(gravity: np.ndarray) -> np.ndarray:
     down = np.asarray(gravity, dtype=np.float64)
-    length = math.hypot(*down) if down.shape == (3,) else math.nan
+    length = math.hypot(*down.tolist()) if down.shape == (3,) else math.nan
     if not 1e-9 <= length < math.inf:
         raise ValueError(f"gravity must be a finite, non-zero direction (3,), got {down.tolist()}")
     return down / length

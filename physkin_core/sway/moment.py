@@ -6,7 +6,7 @@ order. What is not told is as in `Moment()`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,8 +20,7 @@ FASTEST = 1e6
 """[m/s, rad/s] A root is told to be no faster; all beyond some metres a second is alike to cloth."""
 
 
-@dataclass(frozen=True)
-class Moment:
+class Moment(NamedTuple):
     """twist: [rad] of cloth that hangs round both legs, about the root's vertical (`BoundGarment.node_twist`).
     passed: time [s] since the last frame, by which cloth keeps its pace; negative where that frame does not count.
     sway: how much of a sway network's offsets counts, to 1; at 0 it forgets what was before. elapsed: time [s] since
@@ -40,9 +39,14 @@ class Moment:
 
     def after(self, gravity: np.ndarray) -> np.ndarray:
         """Gravity (3,), then the moment: (14,) float32."""
-        rates = [min(max(rate, -FASTEST), FASTEST) for rate in (*self.velocity, *self.turning)]
-        told = (*gravity, self.twist, self.passed, self.sway, self.elapsed, self.moves, *rates)
-        return np.array(told, dtype=np.float32)
+        *scalars, velocity, turning = self
+        rates = (*velocity, *turning)
+        if not (-FASTEST <= min(rates) and max(rates) <= FASTEST):
+            rates = [min(max(rate, -FASTEST), FASTEST) for rate in rates]
+        told = np.empty(GRAVITY_SIZES[-1], dtype=np.float32)
+        told[:3] = gravity
+        told[3:] = (*scalars, *rates)
+        return told
 
 
 def split_moment(told: np.ndarray) -> tuple[np.ndarray, Moment | None]:

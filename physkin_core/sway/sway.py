@@ -35,7 +35,7 @@ class Sway:
         self.amount = amount
         self.settings = settings or PendulumSettings()
         self._pendulum = _pendulum(backend, self.settings)
-        self._twist = 0.0
+        self._twist, self._rates = 0.0, np.zeros(6)
 
     @property
     def amount(self) -> float:
@@ -115,15 +115,14 @@ class Sway:
     def motion(self) -> tuple[bool, tuple[float, ...], tuple[float, ...]]:
         """The root's velocity (3) [m/s] and turning (3) [rad/s], in its frame, up to the last `felt`, and before them
         whether they are known: after a gap or a jump they are not, and zero."""
-        rates = np.zeros(6)
-        known = self._pendulum.motion(rates)
-        velocity_and_turning = tuple(rates.tolist())
-        return bool(known), velocity_and_turning[:3], velocity_and_turning[3:]
+        known = self._pendulum.motion(self._rates)
+        *velocity, x, y, z = self._rates.tolist()
+        return bool(known), tuple(velocity), (x, y, z)
 
 
 def _gravity_at(root: Sequence[float] | np.ndarray) -> np.ndarray:
     """Unit gravity direction (3,) float32 in the frame of a root (7,), as of `Sway.felt`, that stands still."""
-    x, y, z, w = np.asarray(root, dtype=np.float32)[3:]
+    x, y, z, w = np.asarray(root, dtype=np.float32)[3:].tolist()
     down = [2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1]
     return np.array(down, dtype=np.float32)
 

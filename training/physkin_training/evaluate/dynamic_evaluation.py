@@ -22,6 +22,8 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.motion import Motion
 from physkin_core.quality import edge_strain
 from physkin_core.runtime.draper import Draper
+from physkin_core.sway.pace import FrameClock
+from physkin_core.sway.sway import Sway
 from physkin_training.dynamics.frame_potential import frame_potentials
 from physkin_training.dynamics.reference import Reference, load_reference
 from physkin_training.dynamics.swing_figures import settling, swing, turning
@@ -37,6 +39,7 @@ POTENTIAL_EVERY = 24
 STANDING = 3.0
 """Seconds of standing after the stop, at whose end cloth should hang still."""
 TIMED = 400
+STREAMS = 5
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ def evaluate_dynamics(model: GarmentModel, references: Sequence[Reference], devi
     `stop` and `turn` with overshoot and settling, `turn` also with twist and flare, `swings` with amplitude and phase
     by frequency, each `simulated`, `quasi_static` and `swaying`; `rate_divergence_mm`, `drop_divergence_mm`;
     `strain_percent`, `added_strain_points`; `still_mm`, how far cloth still moves in a frame three seconds after a
-    stop; `added_us`.
+    stop; `added_us` to a call of `Draper.drape`, and `added_step_us` to a step of the evaluator alone.
     """
     body_model = load_body_model()
     drapers: dict[bytes, Draper] = {}
@@ -105,7 +108,8 @@ def evaluate_dynamics(model: GarmentModel, references: Sequence[Reference], devi
     total |= _swinging(rows)
     middle = rows[len(references[0].bodies) // 2].draper
     total |= _robustness(middle, [reference.motion for reference in references])
-    total["added_us"] = _added_microseconds(middle, references[0].motion)
+    total["added_us"] = _added_to_drape(middle, references[0].motion)
+    total["added_step_us"] = _added_to_step(middle, references[0].motion)
     counts = {"scenes": len(scenes), "sequences": len(rows), "frames": sum(len(row.simulated) for row in rows)}
     return {"dynamic": total, "scenes": scenes, "counts": counts}
 
@@ -228,8 +232,8 @@ def _robustness(draper: Draper, motions: list[Motion]) -> dict[str, float]:
     }
 
 
-def _added_microseconds(draper: Draper, motion: Motion) -> float:
-    """Median processor time that time and root add to a drape, both measured in turns."""
+def _added_to_drape(draper: Draper, motion: Motion) -> float:
+    """Median processor time [us] that time and root add to a call of `Draper.drape`, both measured in turns."""
     q, roots, down = motion.positions_for(draper.model.rig), motion_roots(motion), motion.gravity
     out = np.empty((draper.vertex_count, 6), dtype=np.float32)
     differences = []
@@ -242,3 +246,27 @@ def _added_microseconds(draper: Draper, motion: Motion) -> float:
         draper.drape(q[frame], time=k / motion.rate_hz, root=roots[frame], out=out)
         differences.append(time.process_time_ns() - middle - (middle - begin))
     return float(np.median(differences)) / 1000
+
+
+def _added_to_step(draper: Draper, motion: Motion) -> float:
+    """The same [us] of a step of the evaluator alone, as the ROS node and hosts in C take it: streams of frames in
+    turns, so that caches are warm."""
+    q, roots, down = motion.positions_for(draper.model.rig), motion_roots(motion), motion.gravity
+    sway, clock, learnt = Sway(), FrameClock(), bool(draper.bound.sway_layers)
+    rows = []
+    for k, root in enumerate(roots):
+        sway.felt(k / motion.rate_hz, root)
+        passed, twist = clock.passed(k / motion.rate_hz), 0.0 if learnt else sway.twist
+        rows.append(sway.moment(passed, clock.elapsed, twist=twist, learnt=learnt, rooted=True).after(down[k]))
+    pose, out = np.empty(q.shape[1], dtype=np.float32), np.empty((draper.vertex_count, 6), dtype=np.float32)
+    medians = []
+    for told in [down.astype(np.float32), np.array(rows)] * STREAMS:
+        given = told[0].copy()
+        step, took = draper.bind_step(pose, given, out), []
+        for frame in range(len(q)):
+            pose[:], given[:] = q[frame], told[frame]
+            begin = time.process_time_ns()
+            step()
+            took.append(time.process_time_ns() - begin)
+        medians.append(np.median(took))
+    return float(np.median(np.diff(medians)[::2])) / 1000

@@ -118,6 +118,7 @@ def dynamics_table(scores: Mapping) -> str:
         "strain_percent",
         "added_strain_points",
         "added_us",
+        "added_step_us",
     )
     lines += ["", ", ".join(f"{name} {total[name]:.3f}" for name in others)]
     return "\n".join(lines)
