@@ -310,6 +310,27 @@ def test_a_sway_network_moves_cloth(orientation, sway, peer, running_node, monke
     assert swung > 0.005 * sway if sway else swung < 1e-5
 
 
+def test_a_sway_network_moves_cloth_between_joint_states(peer, running_node, swaying_model_path):
+    """Clouds at a rate of their own are those of a draper that is told their stamps, and the poses on the way."""
+    model = load_garment_model(swaying_model_path)
+    draper, alone = (Draper(model, load_avatar(BUNDLED_AVATAR, model.rig), precision="fp32") for _ in range(2))
+    names, rest = model.rig.joint_names, model.rig.rest.astype(np.float32)
+    parameters = {"model": str(swaying_model_path), "precision": "fp32", "cloud_rate": 100.0}
+    with running_node(parameters):
+        for k in range(4):
+            peer.send(names, rest + np.float32(0.1 * k), (8000, 100_000_000 * k))
+            peer.spin(0.1)
+        peer.until(lambda: (8000, 300_000_000) in peer.clouds, "last cloud")
+    swung, stamps = 0.0, sorted(peer.clouds)
+    assert stamps[0] == (8000, 0) and len(stamps) > 10
+    for sec, nanosec in stamps:
+        pose = rest + np.float32(nanosec * 1e-9)
+        expected = draper.drape(pose, time=sec + 1e-9 * nanosec)
+        np.testing.assert_allclose(peer.clouds[sec, nanosec], expected, atol=1e-3)
+        swung = max(swung, np.abs(expected - alone.drape(pose))[:, :3].max())
+    assert swung > 0.005
+
+
 @pytest.mark.parametrize("sway", [1.0, 0.0])
 def test_cloth_keeps_its_pace_by_the_stamps(sway, peer, running_node):
     """As that of a draper that is told the time; without sway every joint state is draped by itself."""
