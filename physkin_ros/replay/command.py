@@ -119,7 +119,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("--topic", help="joint states (default /joint_states, or the only one)")
     parser.add_argument(
         "--orientation",
-        choices=ORIENTATIONS,
+        choices=tuple(ORIENTATIONS),
         default="gravity",
         help="what tells where the root is, and so how cloth swings (default %(default)s: a direction alone)",
     )
