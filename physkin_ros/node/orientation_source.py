@@ -38,7 +38,6 @@ class OrientationSource:
 
     on_gravity: takes gravity's unit direction (3,). on_felt: takes what garments feel, from the topic of effective
     gravity, or, while that tells none that is fresh, as the root's motion or an IMU tells it by the sway of each.
-    fault: why TF does not say where the root is at the moment, "" where it does or is not asked.
     """
 
     def __init__(
@@ -50,7 +49,6 @@ class OrientationSource:
         on_felt: FeltTaker,
         on_bad: Callable[[str], None],
     ) -> None:
-        self.fault = ""
         self._transforms, self._follows_tf = transforms, False
         self._node, self._on_felt, self._on_bad = node, on_felt, on_bad
         self._frames = avatar.frame_id, avatar.world_frame
@@ -80,6 +78,11 @@ class OrientationSource:
             self._follows_tf = True
             transforms.follow(self._on_transforms)
             self._on_transforms({})
+
+    @property
+    def fault(self) -> str:
+        """Why TF does not say where the root is at the moment, "" where it does or is not asked."""
+        return self._root.fault
 
     def set_sway(self, sways: Sequence[float]) -> None:
         """Let the root's motion, or an IMU, count as much from now on, 0 to 1, for each garment."""
@@ -121,15 +124,8 @@ class OrientationSource:
         if tree.left_out != self._left_out:  # once, the first
             self._left_out = tree.left_out
             self._on_bad(f"frame {self._left_out[:60]!r} of TF and further ones are left out: {MOST_FRAMES} are known")
-        try:
-            self._root.transforms(tree, *self._frames)
-        except ValueError as error:
-            self.fault = str(error)
-        else:
-            self.fault = ""
-            if wrong:
-                for frame in wrong.keys() & tree.chain(*self._frames):
-                    self._on_bad(wrong[frame])
+        for reason in self._root.transforms(tree, wrong, *self._frames):
+            self._on_bad(reason)
 
     def _sway(self, felt: Felt, stamp_ns: int) -> None:
         if monotonic_ns() > self._told_until:

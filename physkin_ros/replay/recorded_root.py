@@ -11,7 +11,7 @@ from physkin_core.motion.bag_reader import Recorded, decode
 from physkin_ros.root.garment_gravity import GarmentGravity
 from physkin_ros.root.gravity import Felt
 from physkin_ros.root.imu_acceleration import USUAL_DELAY
-from physkin_ros.root.root_orientation import RootOrientation
+from physkin_ros.root.root_orientation import RootOrientation, stamp_of
 from physkin_ros.root.transform_tree import TransformTree
 
 __all__ = ["RecordedRoot"]
@@ -22,8 +22,7 @@ class RecordedRoot:
 
     orientation, frame_id, world_frame: as the node's parameters. gravity: (3,) direction in the root frame until a
     message tells another. sway: how much cloth swings, 0 to 1. down: unit direction (3,) that goes with the last joint
-    state. fault: why TF does not say where the root is, "" where
-    it does or is not asked.
+    state. fault: why TF does not say where the root is, "" where it does or is not asked.
     """
 
     def __init__(
@@ -35,7 +34,7 @@ class RecordedRoot:
         frame_id: str = "base_link",
         world_frame: str = "world",
     ) -> None:
-        self.orientation, self.sway, self.fault = orientation, sway, ""
+        self.orientation, self.sway = orientation, sway
         self._frames = frame_id, world_frame
         down = np.array(gravity, dtype=np.float64)
         self.down = (down / np.linalg.norm(down)).astype(np.float32)
@@ -44,9 +43,13 @@ class RecordedRoot:
         self._takers = {"gravity": root.direction, "pose": root.pose, "odometry": root.odometry, "imu": root.imu}
         self._root, self._tree = root, TransformTree()
         if orientation == "tf":
-            self.fault = f"no transform to {frame_id!r} has come"
+            root.fault = f"no transform to {frame_id!r} has come"
         self._learnt = np.zeros(1, dtype=bool)
         self._now_ns = 0
+
+    @property
+    def fault(self) -> str:
+        return self._root.fault
 
     def row(self, draper: Draper) -> np.ndarray:
         """(14,) float32, what `Draper.bind_step` reads; changed in place by `tell`."""
@@ -60,18 +63,12 @@ class RecordedRoot:
             self._takers[message.kind](decode(message))
             return
         wrong = self._tree.update(decode(message).transforms, static=message.topic == "/tf_static")
-        try:
-            self._root.transforms(self._tree, *self._frames)
-            self.fault = ""
-        except ValueError as error:
-            self.fault = str(error)
-            return
-        for frame in wrong.keys() & set(self._tree.chain(*self._frames)):
-            raise ValueError(wrong[frame])
+        if reasons := self._root.transforms(self._tree, wrong, *self._frames):
+            raise ValueError("; ".join(reasons))
 
-    def tell(self, stamp, time_ns: int) -> None:
-        """Set the row for a joint state with this stamp, recorded at time_ns."""
-        stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+    def tell(self, state, time_ns: int) -> None:
+        """Set the row for a `sensor_msgs/JointState`, recorded at time_ns."""
+        stamp, stamp_ns = state.header.stamp, stamp_of(state)
         if not self._told.take_felt(stamp_ns, time_ns, self._learnt):
             if self.fault:
                 self._told.take_direction(None)

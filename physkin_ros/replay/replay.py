@@ -123,7 +123,7 @@ def replay(
         try:
             state = decode(message)
             pose[:] = reader.read(state.name, state.position)
-            root.tell(state.header.stamp, message.time_ns)
+            root.tell(state, message.time_ns)
             started = perf_counter_ns()
             step()
             latency_us = (perf_counter_ns() - started) / 1e3

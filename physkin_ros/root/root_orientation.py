@@ -5,7 +5,7 @@ Messages are those of ROS or of `rosbags`, which have the same fields. Stamps ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -34,12 +34,14 @@ class RootOrientation:
 
     on_direction: takes gravity's unit direction (3,). on_felt: takes what garments feel as the root moves, or its IMU
     measures. sways: how much of that each garment feels, 0 to 1. imu_delay: [s], see `ImuAcceleration`.
+    fault: why TF does not say where the root is, "" where it does or is not asked.
     Messages that cannot be raise ValueError; what was known last then goes on.
     """
 
     def __init__(
         self, on_direction: DirectionTaker, on_felt: FeltTaker, *, sways: Sequence[float], imu_delay: float
     ) -> None:
+        self.fault = ""
         self._on_direction, self._on_felt = on_direction, on_felt
         self._motion = RootMotion(sways)
         self._acceleration = ImuAcceleration(delay=imu_delay, sways=sways)
@@ -78,11 +80,20 @@ class RootOrientation:
         if felt is not None:
             self._on_felt(Felt(felt.astype(np.float32)), stamp_ns)
 
-    def transforms(self, tree: TransformTree, frame_id: str, world_frame: str) -> None:
-        """Of TF, when something in it has changed: where frame_id is in world_frame, which is upright."""
-        stamp_ns, place, turn = tree.pose(frame_id, world_frame)
-        if self.follows(stamp_ns):
-            self._move(stamp_ns, place, turn)
+    def transforms(self, tree: TransformTree, wrong: Mapping[str, str], frame_id: str, world_frame: str) -> list[str]:
+        """Of TF, when something in it has changed: where frame_id is in world_frame, which is upright; or sets `fault`.
+
+        wrong: of `TransformTree.update`. Returns what of that is about frames between these two.
+        """
+        try:
+            stamp_ns, place, turn = tree.pose(frame_id, world_frame)
+            if self.follows(stamp_ns):
+                self._move(stamp_ns, place, turn)
+        except ValueError as error:
+            self.fault = str(error)
+            return []
+        self.fault = ""
+        return [wrong[frame] for frame in wrong.keys() & tree.chain(frame_id, world_frame)] if wrong else []
 
     def _place(self, pose, stamp_ns: int) -> None:
         self._move(stamp_ns, vector_of(pose.position), quaternion_of(pose.orientation))

@@ -122,18 +122,19 @@ def test_bad_messages_change_nothing(swaying, avatar, lively, world_bag, tmp_pat
         for k, message in enumerate(bag):
             kind = {"joint_state": JOINT_STATE, "odometry": ODOMETRY}[message.kind]
             writer.write_bytes(message.topic, kind, message.data, message.time_ns)
-            if message.kind == "odometry" and k in (4, 5):
-                told = ros_odometry(world_bag, 0)
-                place = told.pose.pose.position if k == 4 else ros.geometry_msgs__msg__Point(np.nan, 0.0, 0.0)
-                broken = replace(told, pose=replace(told.pose, pose=replace(told.pose.pose, position=place)))
-                writer.write("/odom", ODOMETRY, broken, message.time_ns + 1)
-                writer.write_bytes("/odom", ODOMETRY, b"\0\1\0\0\7", message.time_ns + 2)
+            if k == 4:
+                back, now = ros_odometry(world_bag, 0), ros_odometry(world_bag, 2)
+                nowhere = replace(now.pose.pose, position=ros.geometry_msgs__msg__Point(np.nan, 0.0, 0.0))
+                writer.write("/odom", ODOMETRY, back, message.time_ns + 1)
+                writer.write("/odom", ODOMETRY, replace(now, pose=replace(now.pose, pose=nowhere)), message.time_ns + 2)
+                writer.write_bytes("/odom", ODOMETRY, b"\0\1\0\0\7", message.time_ns + 3)
     clouds, found = clouds_of(draper, bad, RecordedRoot("odometry"), tmp_path)
     (tmp_path / "good").mkdir()
     expected, _ = clouds_of(draper, world_bag, RecordedRoot("odometry"), tmp_path / "good")
     np.testing.assert_array_equal(clouds, expected)
-    assert found.counts["gravity_rejected"] == 2 and found.counts["gravity_messages"] == lively.frame_count + 2
-    assert any("bytes that are no odometry" in reason for reason in found.reasons)
+    assert found.counts["gravity_rejected"] == 3 and found.counts["gravity_messages"] == lively.frame_count + 3
+    for told in ("bytes that are no odometry", "it must be finite [m]", "s back"):
+        assert any(told in reason for reason in found.reasons), told
 
 
 def ros_odometry(path, index):
