@@ -28,7 +28,7 @@ from physkin_ros.node.orientation_source import OrientationSource
 from physkin_ros.node.separated_joint_states import SeparatedJointStates
 from physkin_ros.node.settings import AvatarSettings
 from physkin_ros.root.garment_gravity import GarmentGravity
-from physkin_ros.root.gravity import Felt, gravity_from_tilt
+from physkin_ros.root.gravity import Felt, gravity_from_tilt, unit_direction
 from physkin_ros.root.quaternions import OrientationError
 from physkin_ros.root.tf_topics import FollowedTransforms
 
@@ -62,7 +62,7 @@ class AvatarStream:
     ) -> None:
         self.settings, self.deadline_ns, self.active = settings, deadline_ns, False
         self.statistics = AvatarStatistics()
-        self.told = GarmentGravity(_unit(settings.gravity), settings.sways)
+        self.told = GarmentGravity(unit_direction(settings.gravity), settings.sways)
         self._direction_only: set[str] = set()
         self._follows = settings.orientation == "joints"
         self._unknown: set[str] = set()
@@ -298,7 +298,7 @@ class AvatarStream:
 
     def set_gravity(self, down: Sequence[float]) -> None:
         """Take another direction of gravity (3,), of any length but zero, as of now."""
-        self.told.set_direction(_unit(down))
+        self.told.set_direction(unit_direction(down))
 
     def set_sway(self, sways: Sequence[float]) -> None:
         """Let the cloth of each garment swing as much from now on, 0 to 1."""
@@ -408,8 +408,3 @@ def _carry_on(previous: Attire, attire: Attire) -> None:
     if previous.reader.joint_names == attire.reader.joint_names:
         np.copyto(attire.reader.positions, previous.reader.positions)
         np.copyto(attire.pose, previous.reader.positions)
-
-
-def _unit(direction: Sequence[float]) -> np.ndarray:
-    down = np.array(direction, dtype=np.float64)
-    return (down / np.linalg.norm(down)).astype(np.float32)

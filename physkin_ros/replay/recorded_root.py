@@ -9,7 +9,7 @@ import numpy as np
 from physkin_core import UPRIGHT_GRAVITY, Draper
 from physkin_core.motion.bag_reader import Recorded, decode
 from physkin_ros.root.garment_gravity import GarmentGravity
-from physkin_ros.root.gravity import Felt
+from physkin_ros.root.gravity import Felt, unit_direction
 from physkin_ros.root.imu_acceleration import USUAL_DELAY
 from physkin_ros.root.root_orientation import RootOrientation, stamp_of
 from physkin_ros.root.transform_tree import TransformTree
@@ -36,8 +36,7 @@ class RecordedRoot:
     ) -> None:
         self.orientation, self.sway = orientation, sway
         self._frames = frame_id, world_frame
-        down = np.array(gravity, dtype=np.float64)
-        self.down = (down / np.linalg.norm(down)).astype(np.float32)
+        self.down = unit_direction(gravity)
         self._told = GarmentGravity(self.down, (sway,))
         root = RootOrientation(self._told.add_direction, self._feel, sways=(sway,), imu_delay=USUAL_DELAY)
         self._takers = {"gravity": root.direction, "pose": root.pose, "odometry": root.odometry, "imu": root.imu}

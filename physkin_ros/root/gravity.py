@@ -24,6 +24,7 @@ __all__ = [
     "gravity_from_imu",
     "gravity_from_quaternion",
     "gravity_from_tilt",
+    "unit_direction",
 ]
 
 MOST_DIRECTIONS = 256
@@ -32,6 +33,12 @@ FRESH = 500_000_000
 """[ns] Effective gravity counts for so long after it came."""
 SAME_CLOCK = 1_000_000_000
 """[ns] Stamps farther apart than this, the wrong way round, are of different clocks."""
+
+
+def unit_direction(down: Sequence[float]) -> np.ndarray:
+    """Unit direction of gravity (3,) float32 from one of any length but zero."""
+    down = np.array(down, dtype=np.float64)
+    return (down / np.linalg.norm(down)).astype(np.float32)
 
 
 def gravity_from_quaternion(quaternion: Sequence[float]) -> np.ndarray:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from physkin_ros.messages.conversions import gravity_direction
-from physkin_ros.root.gravity import Felt, gravity_from_imu
+from physkin_ros.root.gravity import Felt, gravity_from_imu, unit_direction
 from physkin_ros.root.imu_acceleration import ImuAcceleration
 from physkin_ros.root.quaternions import Quaternion, Vector, quaternion_of, vector_of
 from physkin_ros.root.root_motion import RootMotion
@@ -62,7 +62,7 @@ class RootOrientation:
     def direction(self, message) -> None:
         """Of a `geometry_msgs/Vector3Stamped`: gravity's direction in the root frame."""
         down = gravity_direction(list(vector_of(message.vector)))
-        self._tell_direction(down / np.linalg.norm(down), stamp_of(message))
+        self._tell_direction(unit_direction(down), stamp_of(message))
 
     def pose(self, message) -> None:
         """Of a `geometry_msgs/PoseStamped` of the root in an upright frame."""
