@@ -151,7 +151,6 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] = MappingProxyType(
         "--strip", type=int, metavar="N", help="instead: a picture of N frames, evenly spread, front and back"
     )
     add_limbs_option(drape)
-    drape.add_argument("--backend", default="native", help="evaluator: native (default) or numpy")
     add_tucked_option(drape)
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garments as .obj, or a .png picture")
     drape.set_defaults(run=_drape)
@@ -189,7 +188,7 @@ def _outfit(options: argparse.Namespace) -> Outfit:
 
     garments = chosen_garments(_garments(options), options.tucked)
     avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
-    outfit = Outfit(garments, avatar, fit=options.fit, backend=options.backend, separate_limbs=options.separate_limbs)
+    outfit = Outfit(garments, avatar, fit=options.fit, separate_limbs=options.separate_limbs)
     _tell(outfit.warnings)
     return outfit
 

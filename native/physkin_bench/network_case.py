@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from physkin_core.model.mlp import Layer
-from physkin_core.model.node_deformer import node_corrections
-from physkin_core.model.pose_modulator import pose_modulation
 from physkin_core.rig.rig import forward_kinematics, pose_vector
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.native_evaluator import NativeEvaluator
 
 __all__ = ["NetworkCase", "network_case"]
 
@@ -25,7 +24,7 @@ class NetworkCase:
     hidden: the pose modulator's hidden layers. heads: its output layer cut in two for each hidden layer of the node
     deformer, 1 + scale and shift, so that no engine has to add the one or to cut the vector.
     deformer: the node deformer's layers, over bone transforms.
-    pose: (1, p) and bones: (1, 12 u) float32 inputs. expected: (1, 9 m or 12 m) float64 output.
+    pose: (1, p) and bones: (1, 12 u) float32 inputs. expected: (1, 9 m or 12 m) float32 output, the native evaluator's.
     """
 
     hidden: tuple[Layer, ...]
@@ -50,8 +49,8 @@ def network_case(bound: BoundGarment, joint_positions: np.ndarray, gravity: np.n
     bones = forward_kinematics(bound.bone_parents, heads, bound.dof_bone, bound.dof_axis, q - bound.dof_rest)
     pose = pose_vector(q, bound.dof_lower.astype(np.float64), bound.dof_upper.astype(np.float64), gravity)
     used = bones[bound.deformer_bones]
-    modulation = pose_modulation(bound.pose_layers, pose, None, bound.activation)
-    expected = node_corrections(bound.deformer_layers, used, modulation, bound.activation)
+    evaluator = NativeEvaluator(bound, precision="fp32")
+    evaluator.evaluate(joint_positions, gravity, np.empty((len(bound.vertices), 3), dtype=np.float32))
     *hidden, (weight, bias) = bound.pose_layers
     pairs, start = [], 0
     for _, hidden_bias in bound.deformer_layers[:-1]:
@@ -66,5 +65,5 @@ def network_case(bound: BoundGarment, joint_positions: np.ndarray, gravity: np.n
         activation=bound.activation,
         pose=np.ascontiguousarray(pose[None], dtype=np.float32),
         bones=np.ascontiguousarray(used.reshape(1, -1), dtype=np.float32),
-        expected=expected.reshape(1, -1),
+        expected=evaluator.corrections().reshape(1, -1),
     )

@@ -114,7 +114,7 @@ class Outfit:
         self._evaluator = self._new_evaluator()
         self._sway, self._clock = Sway(backend=self.backend), FrameClock()
         self._separated = rig.rest.astype(np.float32)
-        self._limb_separator = LimbSeparator(rig, self.avatar, backend=self.backend) if self._separates else None
+        self._limb_separator = LimbSeparator(rig, self.avatar) if self._separates else None
 
     def twin(self) -> Outfit:
         """The same outfit on the same body with frames of its own, for another performer; nothing is bound anew, and

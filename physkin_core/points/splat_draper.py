@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
@@ -32,7 +31,7 @@ STEP = 0.003
 class SplatDraper:
     """Drapes splats of one garment on one body, a pose at a time.
 
-    splats: of the garment, in canonical space. fit, backend, binding: as for `Draper`.
+    splats: of the garment, in canonical space. fit, binding: as for `Draper`.
     Raises ValueError as `Draper` does, and for splats farther than 5 cm from the garment.
     """
 
@@ -43,15 +42,14 @@ class SplatDraper:
         splats: Splats,
         *,
         fit: float | None = None,
-        backend: Literal["native", "numpy"] = "native",
         binding: BoundGarment | None = None,
     ) -> None:
-        bound = Draper(model, avatar, fit=fit, backend=backend).bound if binding is None else binding
+        bound = Draper(model, avatar, fit=fit).bound if binding is None else binding
         bind_points(model, splats.centres)  # so that what is refused is named by its splat
         ends = splats.centres + STEP * splats.axes().transpose(2, 0, 1)
         points = np.concatenate([splats.centres[None], ends]).reshape(-1, 3)
         placed = bind_points(model, points, rest=bound.vertices, farthest=FARTHEST_POINT + STEP)
-        self._draper = Draper(model, avatar, fit=fit, backend=backend, binding=replace(bound, **placed))
+        self._draper = Draper(model, avatar, fit=fit, binding=replace(bound, **placed))
         self._scales = splats.scales
 
     @property

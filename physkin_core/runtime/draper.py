@@ -247,7 +247,7 @@ class Draper:
         return self.drape(positions, gravity, effective_gravity=effective_gravity, out=out)
 
     def _separate_limbs(self) -> LimbSeparator:
-        separator = LimbSeparator(self.model.rig, self.avatar, backend=self.backend)
+        separator = LimbSeparator(self.model.rig, self.avatar)
         for warning in separator.warnings:
             self._warn(f"{self.avatar.source}: {warning}")
         return separator

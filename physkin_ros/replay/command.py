@@ -8,7 +8,7 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 
-from physkin_core import BACKENDS, BUNDLED_AVATAR, NORMALS, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
+from physkin_core import BUNDLED_AVATAR, NORMALS, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
 from physkin_core.fit_option import add_fit_option
 from physkin_core.motion.bag_reader import ORIENTATIONS, BagError, BagReader
 from physkin_core.outfit.outfit_options import add_sway_option
@@ -95,8 +95,8 @@ def _orientation_topic(options: argparse.Namespace) -> str | None:
 def _draper(options: argparse.Namespace) -> Draper:
     model = load_garment_model(options.model)
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
-    chosen = {"backend": options.backend, "precision": options.precision, "fit": options.fit}
-    draper = Draper(model, avatar, normals=options.normals, separate_limbs=options.separate_limbs, **chosen)
+    chosen = {"precision": options.precision, "fit": options.fit, "normals": options.normals}
+    draper = Draper(model, avatar, separate_limbs=options.separate_limbs, **chosen)
     for warning in draper.avatar.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return draper
@@ -132,10 +132,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("--world-frame", metavar="FRAME", help=f"upright frame of TF (default {WORLD})")
     add_sway_option(parser)
     parser.add_argument("--gravity", type=float, nargs=3, default=UPRIGHT_GRAVITY.tolist(), metavar=("X", "Y", "Z"))
-    parser.add_argument("--backend", choices=BACKENDS, default="native")
-    parser.add_argument(
-        "--precision", choices=PRECISIONS, help="of the native backend's network weights (default int8)"
-    )
+    parser.add_argument("--precision", choices=PRECISIONS, help="of the network weights (default int8)")
     add_fit_option(parser)
     parser.add_argument("--normals", choices=NORMALS, default="skinned", help="carried along, or of the draped mesh")
     parser.add_argument(

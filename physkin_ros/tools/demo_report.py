@@ -78,7 +78,7 @@ def table(records: Records, outfit: Outfit, error: float) -> str:
         "largest error [mm]": f"{1e3 * error:.3f} in {len(_kept_frames(records))} poses compared with the core's",
         "evaluator [µs]": evaluator,
         "end to end [ms]": end_to_end,
-        "backend": f"{latest.get('backend', '?')}, instruction set {latest.get('instruction set', '?')}",
+        "instruction set": latest.get("instruction set", "?"),
         "machine": machine_line(),
         "versions": versions_line(),
     }

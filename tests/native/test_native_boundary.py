@@ -67,8 +67,8 @@ def test_input_that_is_not_finite_raises_and_writes_nothing(frame, bad):
             evaluator.evaluate(q, g, out)
 
 
-def test_vanishing_directions_do_not_make_nan(make_garment, make_pose):
-    """A zero rest normal stays zero; a correction without direction collapses its garment node, finitely."""
+def test_a_vanishing_normal_does_not_make_nan(make_garment, make_pose):
+    """A zero rest normal stays zero."""
     rng = np.random.default_rng(13)
     garment = make_garment(rng, nodes=1, influences=1)
     garment.normals[4] = 0.0
@@ -76,12 +76,6 @@ def test_vanishing_directions_do_not_make_nan(make_garment, make_pose):
     out = np.empty((len(garment.vertices), 6), dtype=np.float32)
     evaluator.evaluate(*make_pose(rng, garment), out)
     assert np.isfinite(out).all() and not out[4, 3:].any()
-    weights, bias = garment.deformer_layers[-1]
-    weights[:], bias[:] = 0.0, 0.0
-    bias[0] = -1.0  # e1 + a = 0
-    evaluator = NativeEvaluator(garment)
-    evaluator.evaluate(*make_pose(rng, garment), out)
-    assert np.isfinite(out).all()
 
 
 # --- Rejections of a garment ---
@@ -117,7 +111,7 @@ def changed(array, index, value):
         (lambda g: dict(deformer_layers=g.deformer_layers[:-1]), "deformer_layers|pose_layers"),
         (
             lambda g: dict(deformer_layers=(*g.deformer_layers[:-1], tuple(a[:-1] for a in g.deformer_layers[-1]))),
-            "deformer_layers give 53 values; expected 9 or 12 for each of 6",
+            "deformer_layers give 71 values",
         ),
         (
             lambda g: dict(deformer_layers=((g.deformer_layers[0][0], g.dof_rest), *g.deformer_layers[1:])),

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from point_cloud_utils import closest_points_on_mesh
-from random_models import needs_native, random_model
+from random_models import random_model
 from scipy.spatial import cKDTree
 
 from physkin_core import (
@@ -24,8 +24,6 @@ from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, Referen
 from physkin_core.outfit.tuck import DEEP, SLIDES, tucked_depths
 from physkin_core.quality import signed_distance
 from physkin_core.runtime.native_skinner import NativeSkinner
-
-pytestmark = needs_native
 
 
 @pytest.fixture(scope="module")

@@ -96,7 +96,7 @@ class DrapeSimulation:
         same = np.array_equal(garment.faces, start_model.garment.faces)
         self.garment, self.avatar, self.device = garment, avatar, device
         points = None if same else garment.vertices
-        self._draper = Draper(start_model, avatar, backend="numpy", fit=0.0, points=points)  # as the mesh is
+        self._draper = Draper(start_model, avatar, precision="fp32", fit=0.0, points=points)  # as the mesh is
         self.rig = start_model.rig
         self.body = posed_avatar(avatar, self.rig, samples, device)
         self.losses = PhysicsLosses(garment, material, samples, device, wearing=wearing, reach=REACH)

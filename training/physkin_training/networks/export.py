@@ -157,7 +157,7 @@ class Agreement:
 
 
 def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8, seed: int = 0) -> Agreement:
-    """How far the run time's NumPy drape of `model` is from the torch `drape`, on random poses of a held-out body; of a
+    """How far the run time's drape of `model`, with network weights in fp32, is from the torch `drape`, on random poses of a held-out body; of a
     model that can be made to measure, half of them so, both with the rest shape that the run time finds.
 
     With the trained drape this is what pruning and rounding in the file cost; with `drape_from_model(model)` it tells
@@ -169,7 +169,7 @@ def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8, seed: int = 
     generator = np.random.default_rng(seed)
     distances = []
     fits = (0.0, 1.0) if model.made_to_measure else (0.0,)
-    drapers = [Draper(model, avatar, fit=fit, backend="numpy") for fit in fits]
+    drapers = [Draper(model, avatar, fit=fit, precision="fp32") for fit in fits]
 
     def tensor(array: np.ndarray) -> torch.Tensor:
         return torch.as_tensor(array, dtype=torch.float32, device=device)[None]

@@ -1,0 +1,34 @@
+"""A drape as paper and design state it: a garment model on a body, nothing folded or carried over when it is bound."""
+
+import numpy as np
+
+from reference.garment_nodes import correct_nodes, pose_nodes
+from reference.networks import mlp
+from reference.skeleton import bone_transforms, pose_vector
+
+
+def unfolded_nodes(model, bones, node_positions, modulation, theta):
+    """chi (m, 3, 4). bones: (b, 3, 4) of the body; node_positions: (m, 3) garment nodes on it; modulation: (s,) of the
+    body, from the hyper modulator; theta: the pose vector."""
+    posed = pose_nodes(bones, model.node_bone, node_positions)
+    by_pose = mlp(model.pose_modulator, theta, modulation)
+    return correct_nodes(posed, mlp(model.node_deformer, posed.reshape(-1), by_pose))
+
+
+class UnfoldedRig:
+    """A rig on another body, as `bone_transforms` takes it."""
+
+    def __init__(self, rig, heads):
+        self.parents, self.heads = rig.parents, heads
+        self.dof_bone, self.dof_axis, self.dof_rest = rig.dof_bones, rig.dof_axes, rig.rest
+
+
+def unfolded_drape(model, avatar, modulation, joint_positions, gravity):
+    """chi (m, 3, 4) on an avatar whose garment nodes keep their offset from their bone, by the ratio of bone lengths."""
+    rig, q = model.rig, np.asarray(joint_positions, dtype=np.float64)
+    lengths = [np.linalg.norm(body[1] - body[0], axis=1) for body in
+               ((rig.heads, rig.tails), (avatar.bone_heads, avatar.bone_tails))]  # fmt: skip
+    ratio = (lengths[1] / lengths[0])[model.node_bone, None]
+    carried = avatar.bone_heads[model.node_bone] + ratio * (model.node_rest - rig.heads[model.node_bone])
+    bones = bone_transforms(UnfoldedRig(rig, avatar.bone_heads), q)
+    return unfolded_nodes(model, bones, carried, modulation, pose_vector(q, rig.lower, rig.upper, gravity))
