@@ -49,8 +49,8 @@ class NativeFrame:
 
 
 def clouds(frame, bounds: Sequence[BoundGarment], joint_positions: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
-    """What a `NativeFrame` or a `ReferenceFrame` of bounds makes of a frame: (n, 6) of each. rows: one a garment, or one
-    for all."""
+    """What a `NativeFrame` or a `ReferenceFrame` of bounds makes of a frame: (n, 6) of each. rows: one a garment, or
+    one for all."""
     outs = [np.full((len(bound.vertices), 6), np.nan, dtype=np.float32) for bound in bounds]
     frame.evaluate(joint_positions, np.stack(rows * (len(bounds) // len(rows))), outs)
     return outs

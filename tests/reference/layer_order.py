@@ -22,7 +22,8 @@ LOST, PLANE_REACH, FULL_SHARE = 1.0, 1.3, 0.5
 """In mean edges: beside its partner a contact looks for a closer one at once; how far planes count. Planes that count
 less than the third together push less."""
 STEPS, PASSES, AGAIN = 3, 4, 0.002
-"""The most a partner is walked; times that contacts are looked at, again those that have moved by more than this [m]."""
+"""The most a partner is walked; times that contacts are looked at, again those that have moved by more than the third
+[m]."""
 
 
 class LayerOrder:

@@ -24,11 +24,10 @@ class UnfoldedRig:
 
 
 def unfolded_drape(model, avatar, modulation, joint_positions, gravity):
-    """chi (m, 3, 4) on an avatar whose garment nodes keep their offset from their bone, by the ratio of bone lengths."""
+    """chi (m, 3, 4) on an avatar: garment nodes keep their offset from their bone, by the ratio of bone lengths."""
     rig, q = model.rig, np.asarray(joint_positions, dtype=np.float64)
-    lengths = [np.linalg.norm(body[1] - body[0], axis=1) for body in
-               ((rig.heads, rig.tails), (avatar.bone_heads, avatar.bone_tails))]  # fmt: skip
-    ratio = (lengths[1] / lengths[0])[model.node_bone, None]
+    lengths = np.linalg.norm(rig.tails - rig.heads, axis=1)
+    ratio = (np.linalg.norm(avatar.bone_tails - avatar.bone_heads, axis=1) / lengths)[model.node_bone, None]
     carried = avatar.bone_heads[model.node_bone] + ratio * (model.node_rest - rig.heads[model.node_bone])
     bones = bone_transforms(UnfoldedRig(rig, avatar.bone_heads), q)
     return unfolded_nodes(model, bones, carried, modulation, pose_vector(q, rig.lower, rig.upper, gravity))
