@@ -11,8 +11,10 @@ from reference.frame_input import FrameInput
 from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.native_evaluator import NativeEvaluator
+from physkin_core.sway.pace import FrameClock
+from physkin_core.sway.sway import Sway
 
-__all__ = ["NativeFrame", "NativeLayerOrder", "clouds", "told"]
+__all__ = ["NativeFrame", "NativeFrameInput", "NativeLayerOrder", "clouds", "told"]
 
 
 def told(gravity=(0.0, 0.0, -1.0), **numbers) -> np.ndarray:
@@ -54,6 +56,22 @@ def clouds(frame, bounds: Sequence[BoundGarment], joint_positions: np.ndarray, *
     outs = [np.full((len(bound.vertices), 6), np.nan, dtype=np.float32) for bound in bounds]
     frame.evaluate(joint_positions, np.stack(rows * (len(bounds) // len(rows))), outs)
     return outs
+
+
+class NativeFrameInput:
+    """From time and root to rows, as `ReferenceFrameInput`."""
+
+    def __init__(self, settings, learnt: Sequence[bool]) -> None:
+        self._sway, self._clock, self._learnt = Sway(settings=settings), FrameClock(), learnt
+
+    def rows(self, time: float, root: np.ndarray, amounts: Sequence[float]) -> np.ndarray:
+        passed, rows = self._clock.passed(time), []
+        for amount, learnt in zip(amounts, self._learnt):
+            asked = {"amount": amount, "learnt": learnt}
+            down, felt, twist = self._sway.gravity(time, root, None, accelerated=True, **asked)
+            moment = self._sway.moment(passed, self._clock.elapsed, twist=twist, rooted=True, **asked)
+            rows.append(moment.after(down if felt is None else felt / 9.81))
+        return np.stack(rows)
 
 
 class NativeLayerOrder:

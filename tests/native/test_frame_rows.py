@@ -106,6 +106,8 @@ def test_rows_of_another_size_are_refused(wrong, garment, pose):
     out = np.empty((len(garment.vertices), 6), dtype=np.float32)
     with pytest.raises(ValueError, match="gravity must have shape"):
         NativeFrame([garment]).single.evaluate(pose[0], np.zeros(wrong, np.float32), out)
+    with pytest.raises(ValueError, match="gravity must have shape"):
+        NativeFrame([garment] * 3).evaluate(pose[0], np.zeros(wrong, np.float32), [out, out.copy(), out.copy()])
 
 
 def test_hours_of_anything_stay_finite(garment, make_frames):

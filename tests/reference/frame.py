@@ -67,7 +67,8 @@ class _Garment:
     def drape(self, q, row, jumped):
         """chi (m, 3, 4)."""
         bound = self.bound
-        bones = bone_transforms(bound, q)
+        skeleton = bound.bone_parents, bound.bone_heads, bound.dof_bone, bound.dof_axis
+        bones = bone_transforms(*skeleton, q - bound.dof_rest)
         modulation = mlp(bound.pose_layers, pose_vector(q, bound.dof_lower, bound.dof_upper, row.gravity))
         self.corrections = mlp(bound.deformer_layers, bones[bound.deformer_bones].reshape(-1), modulation)
         if self._sway is not None:

@@ -6,6 +6,9 @@ import numpy as np
 
 from reference.pendulum import GRAVITY, LARGEST_GAP, Pendulum
 
+FASTEST = 1e6
+"""[m/s, rad/s] A root is told to be no faster."""
+
 
 class FrameInput(NamedTuple):
     """The numbers of a row, in their order; by default those of a drape by itself.
@@ -17,14 +20,14 @@ class FrameInput(NamedTuple):
     [rad/s]: of the root since the last frame, in its frame of now, (3,) each.
     """
 
-    gravity: np.ndarray = (0.0, 0.0, -1.0)
+    gravity: np.ndarray = np.array([0.0, 0.0, -1.0])
     twist: float = 0.0
     passed: float = -1.0
     sway: float = 0.0
     elapsed: float = -1.0
     moves: float = 0.0
-    velocity: np.ndarray = (0.0, 0.0, 0.0)
-    turning: np.ndarray = (0.0, 0.0, 0.0)
+    velocity: np.ndarray = np.zeros(3)
+    turning: np.ndarray = np.zeros(3)
 
     @classmethod
     def of(cls, row):
@@ -48,7 +51,7 @@ class ReferenceFrameInput:
         self._passed = -1.0
 
     def rows(self, time, root, amounts):
-        """(g, 14) float64. time: [s]; root: (7,) position and quaternion x, y, z, w; amounts: how much each garment
+        """(g, 14) float32. time: [s]; root: (7,) position and quaternion x, y, z, w; amounts: how much each garment
         sways, 0 to 1."""
         elapsed = -1.0 if self._last is None else max(time - self._last, 0.0)
         if self._last is None or time != self._last:
@@ -59,9 +62,10 @@ class ReferenceFrameInput:
 
     def _row(self, time, root, amount, learnt, elapsed):
         felt, twist = self._pendulum.felt(time, root, 0.0 if learnt else amount)
-        motion = self._pendulum.motion()
-        velocity, turning = motion or np.zeros((2, 3))
         if amount == 0:
-            return np.r_[felt / GRAVITY, 0.0, -1.0, 0.0, -1.0, 0.0, np.zeros(6)]
-        moves = motion is not None and self._passed >= 0
-        return np.r_[felt / GRAVITY, twist, self._passed, amount if learnt else 0.0, elapsed, moves, velocity, turning]
+            return FrameInput(felt / GRAVITY).row()
+        motion = self._pendulum.motion()
+        velocity, turning = np.zeros((2, 3)) if motion is None else np.clip(motion, -FASTEST, FASTEST)
+        moves = float(motion is not None and self._passed >= 0)
+        sway = amount if learnt else 0.0
+        return FrameInput(felt / GRAVITY, twist, self._passed, sway, elapsed, moves, velocity, turning).row()

@@ -42,7 +42,8 @@ class ReferenceLimbSeparator:
         """Of each limb its contacts: how much deeper they get by each of its joints (D,) [m/rad], the value and the
         slope of `soft`, and how often they are counted."""
         shape, found = self._shape, [[] for _ in self._dofs]
-        bones = bone_transforms(shape, q)
+        skeleton = shape.parents, shape.heads, shape.dof_bone, shape.dof_axis
+        bones = bone_transforms(*skeleton, q - shape.dof_rest)
         sphere = bones[shape.sphere_bone]
         centres = (sphere[:, :, :3] @ shape.sphere_centre[..., None])[..., 0] + sphere[:, :, 3]
         for group, target, contact in shape.pairs:

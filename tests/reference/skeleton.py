@@ -10,17 +10,13 @@ def rotation_about(axis, angle):
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
-def bone_transforms(rig, positions):
-    """(b, 3, 4) from the canonical pose to joint positions (d,). rig: a bound garment or collision shape."""
-    parents, heads = getattr(rig, "bone_parents", None), getattr(rig, "bone_heads", None)
-    if parents is None:
-        parents, heads = rig.parents, rig.heads
-    heads, axes = heads.astype(np.float64), rig.dof_axis.astype(np.float64)
-    angles = positions - rig.dof_rest.astype(np.float64)
+def bone_transforms(parents, heads, dof_bone, dof_axis, angles):
+    """(b, 3, 4) from the canonical pose of bones at heads (b, 3), which joints turn by angles (d,) from rest."""
+    heads, axes = heads.astype(np.float64), dof_axis.astype(np.float64)
     rotations, places = [], []
     for bone, parent in enumerate(parents):
         turn, place = np.eye(3), heads[bone]
-        for joint in np.flatnonzero(rig.dof_bone == bone):
+        for joint in np.flatnonzero(dof_bone == bone):
             turn = turn @ rotation_about(axes[joint], angles[joint])
         if parent >= 0:
             place = places[parent] + rotations[parent] @ (heads[bone] - heads[parent])

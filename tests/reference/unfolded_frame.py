@@ -15,19 +15,11 @@ def unfolded_nodes(model, bones, node_positions, modulation, theta):
     return correct_nodes(posed, mlp(model.node_deformer, posed.reshape(-1), by_pose))
 
 
-class UnfoldedRig:
-    """A rig on another body, as `bone_transforms` takes it."""
-
-    def __init__(self, rig, heads):
-        self.parents, self.heads = rig.parents, heads
-        self.dof_bone, self.dof_axis, self.dof_rest = rig.dof_bones, rig.dof_axes, rig.rest
-
-
 def unfolded_drape(model, avatar, modulation, joint_positions, gravity):
     """chi (m, 3, 4) on an avatar: garment nodes keep their offset from their bone, by the ratio of bone lengths."""
     rig, q = model.rig, np.asarray(joint_positions, dtype=np.float64)
     lengths = np.linalg.norm(rig.tails - rig.heads, axis=1)
     ratio = (np.linalg.norm(avatar.bone_tails - avatar.bone_heads, axis=1) / lengths)[model.node_bone, None]
     carried = avatar.bone_heads[model.node_bone] + ratio * (model.node_rest - rig.heads[model.node_bone])
-    bones = bone_transforms(UnfoldedRig(rig, avatar.bone_heads), q)
+    bones = bone_transforms(rig.parents, avatar.bone_heads, rig.dof_bones, rig.dof_axes, q - rig.rest)
     return unfolded_nodes(model, bones, carried, modulation, pose_vector(q, rig.lower, rig.upper, gravity))
