@@ -11,10 +11,11 @@ from reference.frame_input import FrameInput
 from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.native_evaluator import NativeEvaluator
+from physkin_core.runtime.native_skinner import NativeSkinner
 from physkin_core.sway.pace import FrameClock
 from physkin_core.sway.sway import Sway
 
-__all__ = ["NativeFrame", "NativeFrameInput", "NativeLayerOrder", "clouds", "told"]
+__all__ = ["NativeFrame", "NativeFrameInput", "NativeLayerOrder", "clouds", "native_skinner", "told"]
 
 
 def told(gravity=(0.0, 0.0, -1.0), **numbers) -> np.ndarray:
@@ -27,27 +28,35 @@ class NativeFrame:
     unless told otherwise. options: instruction_set, precision, normals."""
 
     def __init__(self, bounds: Sequence[BoundGarment], orders=(), *, precision: str | None = "fp32", **options) -> None:
-        self.single = NativeEvaluator(bounds[0], precision=precision, **options) if len(bounds) == 1 else None
-        self._evaluator = self.single or NativeOutfitEvaluator(bounds, list(orders), precision=precision, **options)
+        self._alone, options = len(bounds) == 1 and not orders, options | {"precision": precision}
+        self._evaluator = (
+            NativeEvaluator(bounds[0], **options)
+            if self._alone
+            else NativeOutfitEvaluator(bounds, list(orders), **options)
+        )
+        self.instruction_set, self.precision = self._evaluator.instruction_set, self._evaluator.precision
 
     def evaluate(self, joint_positions: np.ndarray, rows: np.ndarray, outs: Sequence[np.ndarray]) -> None:
-        if self.single:
-            self.single.evaluate(joint_positions, np.ascontiguousarray(rows[0]), outs[0])
-        else:
-            self._evaluator.evaluate(joint_positions, rows, outs)
+        self.bind_frame(joint_positions, rows, outs).step()
 
-    def bind_step(self, joint_positions: np.ndarray, rows: np.ndarray, outs: Sequence[np.ndarray]):
-        """A function of no arguments: a frame of what the arrays hold then."""
-        if self.single:
-            return self.single.bind_step(joint_positions, rows[0], outs[0]).step
-        return self._evaluator.bind_step(joint_positions, rows, outs).step
+    def bind_frame(self, joint_positions: np.ndarray, rows: np.ndarray, outs: Sequence[np.ndarray]):
+        """What has a method `step`: a frame of what the arrays hold then."""
+        if self._alone:
+            return self._evaluator.bind_step(joint_positions, rows[0], outs[0])
+        return self._evaluator.bind_step(joint_positions, rows, outs)
 
     def node_transforms(self, garment: int = 0) -> np.ndarray:
-        return self.single.node_transforms() if self.single else self._evaluator.node_transforms(garment)
+        return self._evaluator.node_transforms() if self._alone else self._evaluator.node_transforms(garment)
 
     def corrections(self) -> np.ndarray:
         """(12 m,) of a single garment, in the last frame."""
-        return self.single.corrections().reshape(-1)
+        return self._evaluator.corrections().reshape(-1)
+
+
+def native_skinner(garment: BoundGarment) -> NativeSkinner:
+    """What skins a garment from garment nodes that somebody else computed."""
+    arrays = garment.vertices, garment.normals, garment.node_rest, garment.influence_nodes, garment.influence_weights
+    return NativeSkinner(*arrays)
 
 
 def clouds(frame, bounds: Sequence[BoundGarment], joint_positions: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from native_frames import told
+from native_frames import NativeFrame, told
 from reference.frame import ReferenceFrame
 
-from physkin_core.runtime.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
+from physkin_core.runtime.native_evaluator import PRECISIONS, supported_instruction_sets
 
 LEVELS = supported_instruction_sets()
 ANY_FLOAT = st.floats(width=32, allow_nan=True, allow_infinity=True)
@@ -39,7 +39,7 @@ def check_any_step(data, level, make_garment, make_pose):
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
     precision = data.draw(st.sampled_from(PRECISIONS))
     garment = make_garment(rng, **shape)
-    evaluator = NativeEvaluator(garment, instruction_set=level, precision=precision)
+    frame = NativeFrame([garment], instruction_set=level, precision=precision)
     pose, gravity = make_pose(rng, garment)
     inputs = np.concatenate([pose, gravity])
     for index, value in data.draw(st.dictionaries(st.integers(0, len(inputs) - 1), ANY_FLOAT, max_size=2)).items():
@@ -52,7 +52,7 @@ def check_any_step(data, level, make_garment, make_pose):
     rows = np.frombuffer(message, dtype=np.float32, count=stride * n, offset=offset).reshape(n, stride)
     out = rows[:: data.draw(st.sampled_from([1, -1])), :columns]
     try:
-        evaluator.evaluate(pose, told(gravity), out)
+        frame.evaluate(pose, told(gravity)[None], [out])
     except ValueError as error:
         assert "finite" in str(error)
         # Refused only for a reason: an input that is not finite, or so large that what comes of it is not.

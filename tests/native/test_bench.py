@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from native_frames import NativeFrame, clouds, told
 
 from physkin_bench import cases, measurement
 from physkin_bench.cases import paper_case, skinning_case
@@ -14,7 +15,7 @@ from physkin_bench.network_case import network_case
 from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, Peer, prepare_peers
 from physkin_bench.timing import time_in_turns
 from physkin_core import cli, load_garment_model
-from physkin_core.runtime.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
+from physkin_core.runtime.native_evaluator import PRECISIONS, supported_instruction_sets
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "notebook" / "benchmark.md"
 
@@ -90,11 +91,10 @@ def test_peers_compute_the_same():
     case = paper_case()
     pose = case.joint_positions[0], case.gravity[0]
     networks = network_case(case.bound, *pose)
-    evaluator = NativeEvaluator(case.bound, precision="fp32")
-    out = np.empty((len(case.bound.vertices), 6), dtype=np.float32)
-    evaluator.evaluate(*pose, out)
-    skinning = skinning_case(case.bound, evaluator.node_transforms())
-    np.testing.assert_allclose(evaluator.corrections().reshape(1, -1), networks.expected, atol=1e-5)
+    frame = NativeFrame([case.bound])
+    (out,) = clouds(frame, [case.bound], pose[0], told(pose[1]))
+    skinning = skinning_case(case.bound, frame.node_transforms())
+    np.testing.assert_allclose(frame.corrections()[None], networks.expected, atol=1e-5)
     np.testing.assert_allclose(out, skinning.expected, atol=1e-5)
     for peers, task in ((NETWORK_PEERS, networks), (SKINNING_PEERS, skinning)):
         _, missing = prepare_peers(peers, task, task.expected)

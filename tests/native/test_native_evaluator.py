@@ -4,14 +4,13 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from native_frames import NativeFrame, clouds, told
+from native_frames import NativeFrame, clouds, native_skinner, told
 from reference.frame import ReferenceFrame
 from reference.frame_input import FrameInput
 from reference.skinning import skin
 
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.native_evaluator import NativeEvaluator, _native, supported_instruction_sets
-from physkin_core.runtime.native_skinner import NativeSkinner
+from physkin_core.runtime.native_evaluator import _native, supported_instruction_sets
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 
@@ -54,7 +53,7 @@ def test_a_drape_by_itself_agrees_with_the_reference(shape, make_garment, make_p
         clouds(reference, [g], q, told(gravity))
         nodes = reference.node_transforms()
         for level, frame in zip(LEVELS, frames):
-            assert frame.single.instruction_set == level
+            assert frame.instruction_set == level
             out = np.full((len(g.vertices), columns), np.nan, dtype=np.float32)
             frame.evaluate(q, told(gravity)[None], [out])
             assert np.abs(frame.node_transforms() - nodes).max() <= 1e-5 * max(1.0, np.abs(nodes).max())
@@ -71,14 +70,14 @@ def test_a_motion_agrees_with_the_reference(shape, make_garment, make_frames):
     without = {name: ReferenceFrame([g]) for name in ("twist", "passed", "sway")}
     stepped = np.empty((len(g.vertices), 6), dtype=np.float32)
     q_now, row_now, moved = np.zeros(len(g.dof_bone), np.float32), told()[None], dict.fromkeys(without, 0.0)
-    step = NativeFrame([g], instruction_set=LEVELS[-1]).bind_step(q_now, row_now, [stepped])
+    step = NativeFrame([g], instruction_set=LEVELS[-1]).bind_frame(q_now, row_now, [stepped])
     for q, row in make_frames(rng, g, 40 if len(g.vertices) < 1000 else 10):
         (expected,) = clouds(reference, [g], q, row)
         for frame in frames:
             (found,) = clouds(frame, [g], q, row)
             assert np.abs(found - expected)[:, :3].max() < 5e-5 * max(1.0, np.abs(expected[:, :3]).max())
         q_now[:], row_now[:] = q, row
-        step()
+        step.step()
         assert (stepped == found).all()
         for name, lesser in without.items():
             row_without = FrameInput.of(row)._replace(**{name: -1.0 if name == "passed" else 0.0}).row()
@@ -96,55 +95,52 @@ def test_garments_worn_together_agree_with_the_reference(level, make_garment, ma
     reference, native = ReferenceFrame(bounds), NativeFrame(bounds, instruction_set=level)
     q_now, rows_now = np.zeros(7, np.float32), np.stack([told()] * 2)
     stepped = [np.empty((len(bound.vertices), 6), np.float32) for bound in bounds]
-    step = NativeFrame(bounds, instruction_set=level).bind_step(q_now, rows_now, stepped)
+    step = NativeFrame(bounds, instruction_set=level).bind_frame(q_now, rows_now, stepped)
     for (q, row), (_, other) in zip(make_frames(rng, first, 25), make_frames(rng, first, 25)):
         expected, found = (clouds(frame, bounds, q, row, other) for frame in (reference, native))
         q_now[:], rows_now[:] = q, [row, other]
-        step()
+        step.step()
         for a, b, c in zip(found, expected, stepped):
             assert np.abs(a - b)[:, :3].max() < 5e-5 and (a == c).all()
 
 
+@pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("vertices", [1, 5, 15, 16, 17, 40, 210])
-def test_skinning_alone_agrees_with_oracle(vertices, make_garment):
+def test_skinning_alone_agrees_with_the_reference(vertices, level, make_garment, monkeypatch):
     """A last block of any length; transforms need not be rotations. Positions alone are those written with normals, bit
     for bit. Vertices none of which follows a garment node come to lie at the origin, without normals."""
+    monkeypatch.setenv("PHYSKIN_NATIVE_ISA", level)
     rng = np.random.default_rng(vertices)
     g = make_garment(rng, nodes=9, vertices=vertices, influences=1 + vertices % 8)
-    unbound = replace(g, influence_weights=np.zeros_like(g.influence_weights))
     transforms = rng.normal(size=(9, 3, 4)).astype(np.float32)
-    expected = skin(g, transforms)
-    for level in LEVELS:
-        out, positions = np.empty((vertices, 6), dtype=np.float32), np.empty((vertices, 3), dtype=np.float32)
-        for rows in (out, positions):
-            NativeEvaluator(g, instruction_set=level).skin(transforms, rows)
-        assert_agrees(out, *expected)
-        np.testing.assert_array_equal(positions, out[:, :3])
-        NativeEvaluator(unbound, instruction_set=level).skin(transforms, out)
-        np.testing.assert_array_equal(out, 0)
+    out, positions = np.empty((vertices, 6), dtype=np.float32), np.empty((vertices, 3), dtype=np.float32)
+    for rows in (out, positions):
+        native_skinner(g).skin(transforms, rows)
+    assert_agrees(out, *skin(g, transforms))
+    np.testing.assert_array_equal(positions, out[:, :3])
+    native_skinner(replace(g, influence_weights=np.zeros_like(g.influence_weights))).skin(transforms, out)
+    np.testing.assert_array_equal(out, 0)
 
 
-def test_skinning_needs_no_networks(make_garment):
-    """`NativeSkinner` gives the evaluator's bits, and checks what it is given."""
+def test_skinning_alone_checks_what_it_is_given(make_garment):
     rng = np.random.default_rng(9)
     g = make_garment(rng, nodes=11, vertices=137)
-    transforms = rng.normal(size=(11, 3, 4)).astype(np.float32)
-    out, expected = np.empty((2, 137, 6), dtype=np.float32)
-    NativeEvaluator(g).skin(transforms, expected)
-    arrays = [g.vertices, g.normals, g.node_rest, g.influence_nodes, g.influence_weights]
-    skinner = NativeSkinner(*arrays)
-    skinner.skin(transforms, out)
-    assert np.array_equal(out, expected)
-    transforms[3, 1, 2] = np.nan
-    with pytest.raises(ValueError, match=r"node_transforms\[42\] is nan"):
-        skinner.skin(transforms, out)
+    transforms, out = rng.normal(size=(11, 3, 4)).astype(np.float32), np.empty((137, 6), dtype=np.float32)
+    skinner = native_skinner(g)
+    for wrong, error in ((out.astype(np.float64), TypeError), (out[:-1], ValueError), (out[:, ::2], ValueError)):
+        with pytest.raises(error):
+            skinner.skin(transforms, wrong)
+    for bad in (np.nan, np.inf, 1e30):
+        transforms[3, 1, 2] = bad
+        with pytest.raises(ValueError, match=r"node_transforms\[42\]"):
+            skinner.skin(transforms, out)
     with pytest.raises(ValueError, match="node_transforms must have shape"):
         skinner.skin(transforms[1:], out)
     for wrong in (11, -1):
-        arrays[3] = g.influence_nodes.copy()
-        arrays[3][5, 0] = wrong
+        nodes = g.influence_nodes.copy()
+        nodes[5, 0] = wrong
         with pytest.raises(ValueError, match="influence_nodes"):
-            NativeSkinner(*arrays)
+            native_skinner(replace(g, influence_nodes=nodes))
 
 
 def test_silu_over_its_whole_range(make_garment):
@@ -169,8 +165,8 @@ def test_silu_over_its_whole_range(make_garment):
     with np.errstate(over="ignore"):
         expected = x / (1 + np.exp(-x))
     for level in LEVELS:
-        evaluator = NativeEvaluator(g, instruction_set=level)
-        evaluator.evaluate(np.empty(0), np.array([0.0, 0, -1]), np.empty((len(g.vertices), 3), dtype=np.float32))
+        evaluator = NativeFrame([g], instruction_set=level)
+        clouds(evaluator, [g], np.empty(0, dtype=np.float32), told())
         np.testing.assert_allclose(evaluator.node_transforms()[:, :, 3].ravel(), expected, rtol=1e-6, atol=1e-30)
 
 
@@ -178,17 +174,13 @@ def test_frames_do_not_interact(make_garment, make_pose):
     """One pose, another, and the first again gives the first result bit for bit, whatever became of the garment."""
     rng = np.random.default_rng(7)
     g = make_garment(rng)
-    first, second = make_pose(rng, g), make_pose(rng, g)
-    evaluators = [NativeEvaluator(g, instruction_set=level) for level in LEVELS]
-    frames = np.empty((len(evaluators), 3, len(g.vertices), 6), dtype=np.float32)
-    for evaluator, out in zip(evaluators, frames):
-        evaluator.evaluate(*first, out[0])
-        evaluator.evaluate(*second, out[1])
+    first, second = ((q, told(gravity)) for q, gravity in (make_pose(rng, g), make_pose(rng, g)))
+    frames = [NativeFrame([g], instruction_set=level) for level in LEVELS]
+    before = [[clouds(frame, [g], *pose)[0] for pose in (first, second)] for frame in frames]
     for array in (g.vertices, g.bone_heads, g.dof_axis, g.influence_weights, g.pose_layers[0][0]):
         array[:] = np.nan
-    for evaluator, (a, b, c) in zip(evaluators, frames):
-        evaluator.evaluate(*first, c)
-        assert np.array_equal(a, c) and not np.array_equal(a, b)
+    for frame, (a, b) in zip(frames, before):
+        assert np.array_equal(a, clouds(frame, [g], *first)[0]) and not np.array_equal(a, b)
 
 
 def test_both_sides_name_the_same_fields():

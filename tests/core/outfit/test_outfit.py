@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from native_frames import NativeFrame, clouds, told
+from native_frames import NativeFrame, clouds, native_skinner, told
 from point_cloud_utils import closest_points_on_mesh
 from random_models import random_model
 from reference.frame import ReferenceFrame
@@ -24,7 +24,6 @@ from physkin_core.model.garment import vertex_normals
 from physkin_core.outfit.coverage import FROM_HEM, hem_distances
 from physkin_core.outfit.tuck import DEEP, SLIDES, tucked_depths
 from physkin_core.quality import signed_distance
-from physkin_core.runtime.native_skinner import NativeSkinner
 
 
 @pytest.fixture(scope="module")
@@ -231,11 +230,8 @@ def test_garment_nodes_skin_to_what_is_not_moved(tucked, over_trousers, motion):
         assert outfit.moved == moved
         clouds = outfit.drape(positions, gravity)
         for bound, nodes, cloud, is_moved in zip(outfit.bounds, outfit.node_transforms(), clouds, moved):
-            skinned = NativeSkinner(
-                bound.vertices, bound.normals, bound.node_rest, bound.influence_nodes, bound.influence_weights
-            )
             points = np.empty_like(cloud)
-            skinned.skin(np.ascontiguousarray(nodes), points)
+            native_skinner(bound).skin(np.ascontiguousarray(nodes), points)
             assert (np.abs(points - cloud)[:, :3].max() > 1e-4) == is_moved
     with pytest.raises(IndexError, match="garment 2 of 2"):
         outfit._evaluator.node_transforms(2)
