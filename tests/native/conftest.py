@@ -99,7 +99,10 @@ def make_frames():
     def frames(rng, garment, count):
         positions, gravity = random_pose(rng, garment)
         for _ in range(count):
-            positions = (positions + rng.normal(size=len(positions), scale=0.1)).astype(np.float32)
+            far = rng.choice([0, 0.58, 2.0], p=[0.85, 0.1, 0.05]) * (
+                np.arange(len(positions)) == rng.integers(len(positions))
+            )
+            positions = (positions + rng.normal(size=len(positions), scale=0.1 * (far == 0)) + far).astype(np.float32)
             positions = np.clip(positions, garment.dof_lower - 1, garment.dof_upper + 1)
             gravity = 0.9 * gravity + 0.1 * rng.normal(size=3)
             elapsed = rng.choice([1 / 120, 1 / 60, 1 / 15, 0, 0.4, 3, -1], p=[0.3, 0.3, 0.2, 0.1, 0.04, 0.04, 0.02])

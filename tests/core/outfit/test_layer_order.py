@@ -98,20 +98,28 @@ def test_a_push_changes_continuously_with_the_pose(layers):
 
 
 def test_agrees_with_the_reference(layers):
-    """Frame by frame, on a dent that grows and turns."""
+    """Frame by frame, on dents of any depth that turn fast and on bulges, in the middle and at a hem: nearly all vertices
+    are the same to 2 um, none is off by 1 mm, as a partner may be chosen otherwise by rounding."""
     inner, _, order = layers
     native, reference, pushed = NativeLayerOrder(order), LayerOrder(order), 0.0
-    for frame in range(8):
-        outer, _ = dented(0.01 + 2e-3 * frame)
-        angle = 0.01 * frame
-        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-        outer = cloth(outer[:, :3].astype(np.float64) @ turn.T)
+    middle = INNER.vertices[:, 2].mean()
+    for frame in range(12):
+        radius = np.full(len(INNER.vertices), 0.156)
+        for depth, angle, height in (
+            (0.01 * frame, 0.2 * frame, 0.0),
+            (0.03, 2 - 0.1 * frame, 0.18),
+            (-0.03, 4.0, 0.05),
+        ):
+            at = [0.15 * np.cos(angle), 0.15 * np.sin(angle), middle + height]
+            radius -= depth * np.exp(-((np.linalg.norm(INNER.vertices - at, axis=1) / 0.03) ** 2))
+        outer = scaled(radius)
         found, expected = outer.copy(), outer.astype(np.float64)
         native.apply(inner, found, look_at_all=False)
         reference.apply(inner.astype(np.float64), expected, look_at_all=frame == 0)
-        assert np.abs(found - expected)[:, :3].max() < 2e-6
+        apart = np.linalg.norm((found - expected)[:, :3], axis=1)
+        assert apart.max() < 1e-3 and np.quantile(apart, 0.99) < 2e-6
         pushed = max(pushed, np.abs(found - outer)[:, :3].max())
-    assert pushed > 0.01
+    assert pushed > 0.03
 
 
 def test_layers_that_never_meet_need_no_order():

@@ -149,8 +149,8 @@ def test_rows_are_those_of_the_reference(settings):
     native, reference = (make(settings, learnt) for make in (NativeFrameInput, ReferenceFrameInput))
     t, turn, seen = 0.0, Rotation.identity(), []
     for _ in range(300):
-        t += generator.choice([1 / 120, 1 / 60, 1 / 15, 0.0, -0.1, 0.5])
-        turn = turn * Rotation.from_rotvec(generator.normal(size=3) * generator.choice([0.01, 0.1, 2.0]))
+        t += generator.choice([1 / 120, 1 / 60, 1 / 15, 0.28, 0.0, -0.1, 0.5])
+        turn = turn * Rotation.from_rotvec(generator.normal(size=3) * generator.choice([0.01, 0.1, 0.2, 2.0]))
         scale = generator.choice([0.01, 0.1, 2.0, 1e6], p=[0.4, 0.3, 0.28, 0.02])
         root = rooted(generator.normal(size=3) * scale, turn.as_quat())
         found, expected = (each.rows(t, root, amounts) for each in (native, reference))
