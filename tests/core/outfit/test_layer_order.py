@@ -98,8 +98,8 @@ def test_a_push_changes_continuously_with_the_pose(layers):
 
 
 def test_agrees_with_the_reference(layers):
-    """Frame by frame, on dents of any depth that turn fast and on bulges, in the middle and at a hem: nearly all vertices
-    are the same to 2 um, none is off by 1 mm, as a partner may be chosen otherwise by rounding."""
+    """Frame by frame, on dents of any depth that turn fast and on bulges, in the middle and at a hem: nearly all
+    vertices are the same to 2 um, none is off by 1 mm, as a partner may be chosen otherwise by rounding."""
     inner, _, order = layers
     native, reference, pushed = NativeLayerOrder(order), LayerOrder(order), 0.0
     middle = INNER.vertices[:, 2].mean()
