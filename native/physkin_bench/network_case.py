@@ -43,15 +43,15 @@ class NetworkCase:
         return sum(weight.size for weight, _ in (*self.hidden, *heads, *self.deformer))
 
 
-def network_case(bound: BoundGarment, joint_positions: np.ndarray, gravity: np.ndarray) -> NetworkCase:
+def network_case(
+    bound: BoundGarment, joint_positions: np.ndarray, gravity: np.ndarray, expected: np.ndarray
+) -> NetworkCase:
     """The networks of a bound garment at one pose. joint_positions: (d,) [rad]; gravity: (3,) unit, root frame."""
     q = joint_positions.astype(np.float64)
     heads = bound.bone_heads.astype(np.float64)
     bones = forward_kinematics(bound.bone_parents, heads, bound.dof_bone, bound.dof_axis, q - bound.dof_rest)
     pose = pose_vector(q, bound.dof_lower.astype(np.float64), bound.dof_upper.astype(np.float64), gravity)
     used = bones[bound.deformer_bones]
-    modulation = pose_modulation(bound.pose_layers, pose, None, bound.activation)
-    expected = node_corrections(bound.deformer_layers, used, modulation, bound.activation)
     *hidden, (weight, bias) = bound.pose_layers
     pairs, start = [], 0
     for _, hidden_bias in bound.deformer_layers[:-1]:

@@ -6,18 +6,20 @@ Motion of a lean performer puts a stouter body's forearms into its belly. Dimens
 from __future__ import annotations
 
 import logging
-from dataclasses import astuple
+import warnings
+from dataclasses import astuple, replace
 from time import perf_counter
 from typing import Literal
 
 import numpy as np
 
-from physkin_core.avatar.avatar import Avatar
+from physkin_core.avatar.avatar import Avatar, AvatarWarning
+from physkin_core.motion.motion import Motion
 from physkin_core.rig.rig import Rig
 from physkin_core.separation.collision_shape import CollisionShape, fit_collision_shape
 from physkin_core.separation.reference_separator import ReferenceLimbSeparator, SeparationSettings
 
-__all__ = ["LimbSeparator"]
+__all__ = ["LimbSeparator", "separated_motion"]
 
 log = logging.getLogger(__name__)
 
@@ -68,6 +70,16 @@ class LimbSeparator:
         if out is None:
             out = np.empty_like(positions)
         return out, self._separator.separate(positions, out)
+
+
+def separated_motion(motion: Motion, rig: Rig, avatar: Avatar) -> Motion:
+    """A motion whose limbs are separated, frame by frame, for a body bound to the rig. Raises as `LimbSeparator`; what
+    it warns of is issued as AvatarWarning."""
+    separator = LimbSeparator(rig, avatar)
+    for warning in separator.warnings:
+        warnings.warn(f"{avatar.source}: {warning}", AvatarWarning, stacklevel=2)
+    positions = [separator.separate(each)[0] for each in motion.positions_for(rig)]
+    return replace(motion, joint_names=rig.joint_names, positions=np.array(positions))
 
 
 def _separator(backend: str, shape: CollisionShape, settings: SeparationSettings):

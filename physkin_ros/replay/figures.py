@@ -111,7 +111,6 @@ def describe(found: Replay, draper: Draper, bag: BagReader, *, contact_every: in
             "sway": found.sway,
             "fit": draper.fit,
             "at_rest": asdict(draper.at_rest),
-            "backend": draper.backend,
             "instruction_set": draper.instruction_set,
             "contact_every": contact_every,
             "machine": platform.machine(),

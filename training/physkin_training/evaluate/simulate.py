@@ -28,7 +28,8 @@ from physkin_core.motion.loading import load_motion
 from physkin_core.motion.reading_progress import reading_progress
 from physkin_core.quality import area_strain, edge_strain
 from physkin_core.rig.rig import Rig
-from physkin_core.runtime.draper import UPRIGHT_GRAVITY, Draper
+from physkin_core.outfit.draper import Draper
+from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.evaluate.plain_model import plain_model
 from physkin_training.physics.full_space_solver import FullSpaceSolver, Progress, Solution
@@ -96,7 +97,7 @@ class DrapeSimulation:
         same = np.array_equal(garment.faces, start_model.garment.faces)
         self.garment, self.avatar, self.device = garment, avatar, device
         points = None if same else garment.vertices
-        self._draper = Draper(start_model, avatar, backend="numpy", fit=0.0, points=points)  # as the mesh is
+        self._draper = Draper(start_model, avatar, precision="fp32", fit=0.0, points=points)  # as the mesh is
         self.rig = start_model.rig
         self.body = posed_avatar(avatar, self.rig, samples, device)
         self.losses = PhysicsLosses(garment, material, samples, device, wearing=wearing, reach=REACH)

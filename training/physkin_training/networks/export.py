@@ -22,7 +22,7 @@ from physkin_core.model.mlp import Layer
 from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.rig.rig import Rig
-from physkin_core.runtime.draper import Draper
+from physkin_core.outfit.draper import Draper
 from physkin_training.config import NetworkConfig
 from physkin_training.networks.draping import Drape, RestShape
 from physkin_training.networks.garment_nodes import GarmentNodeSet
@@ -169,7 +169,7 @@ def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8, seed: int = 
     generator = np.random.default_rng(seed)
     distances = []
     fits = (0.0, 1.0) if model.made_to_measure else (0.0,)
-    drapers = [Draper(model, avatar, fit=fit, backend="numpy") for fit in fits]
+    drapers = [Draper(model, avatar, fit=fit, precision="fp32") for fit in fits]
 
     def tensor(array: np.ndarray) -> torch.Tensor:
         return torch.as_tensor(array, dtype=torch.float32, device=device)[None]
