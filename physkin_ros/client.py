@@ -14,6 +14,9 @@ import numpy as np
 from physkin_msgs.msg import GarmentMesh, GarmentNodes
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from physkin_core.model.skinning import SkinningData
+from physkin_core.runtime.evaluator import Skinner
+
 __all__ = ["GarmentClient", "GarmentFrame", "GarmentSkin"]
 
 

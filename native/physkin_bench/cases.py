@@ -43,8 +43,9 @@ POSE_WIDTHS, DEFORMER_WIDTHS = (512,) * 4, (128,) * 4
 class BenchmarkCase:
     """A bound garment and poses for it.
 
-    joint_positions: (P, d) float32 [rad]; inputs: (P, 1, 14) float32 as of `FrameInput.rows`. garment: in the rest shape that is worn, for edge strain; None for a random model. limbs: the collision shape of a
-    stout body, and a pose (d,) float32 in which its forearms are inside it; None for another rig than the default one.
+    joint_positions: (P, d) float32 [rad]; inputs: (P, 1, 14) float32 as of `FrameInput.rows`. garment: in the rest
+    shape that is worn, for edge strain; None for a random model. limbs: the collision shape of a stout body, and a pose
+    (d,) float32 in which its forearms are inside it; None for another rig than the default one.
     """
 
     name: str

@@ -14,15 +14,11 @@ from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, prepare_peers
 from physkin_bench.timing import time_in_turns
 from physkin_core.native_module import native
 from physkin_core.quality import edge_strain
-from physkin_core.runtime.native_evaluator import (
-    PRECISIONS,
-    NativeEvaluator,
-    NativeEvaluatorBatch,
-    supported_instruction_sets,
-)
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.evaluator import PRECISIONS, Evaluator, supported_instruction_sets
 from physkin_core.separation.reference_separator import SeparationSettings
 
-__all__ = ["BATCH_SIZES", "STAGES", "measure_case"]
+__all__ = ["STAGES", "measure_case"]
 
 STAGES = {
     "posing": "pose",
@@ -33,7 +29,6 @@ STAGES = {
 }
 """Stage -> method of a bound step."""
 
-BATCH_SIZES = (1, 4, 8)
 BYTES_A_WEIGHT = {"fp32": 4, "bf16": 2, "int8": 1}
 """Bytes of a network weight; in int8 the first layers of both networks have as many as in bf16."""
 MULTIPLY_ADD_ROUNDS = 5000

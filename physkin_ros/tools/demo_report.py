@@ -66,7 +66,8 @@ def table(records: Records, outfit: Outfit, error: float) -> str:
         median, tail = np.median(evaluations[:, 0]), evaluations[:, 1].max()
         evaluator = f"median of each second's p50 {median:.1f}, worst of each second's p99 {tail:.1f}"
     given = [
-        f"{layer.name}, {layer.vertex_count} of {len(layer.hidden)} vertices, {len(layer.bound.node_rest)} garment nodes"
+        f"{layer.name}, {layer.vertex_count} of {len(layer.hidden)} vertices, {len(layer.bound.node_rest)} garment "
+        "nodes"
         for layer in outfit.layers
     ]
     rows = {

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from model_files import edited_header
 from native_library import NATIVE
+from physkin_core.runtime.native_evaluator import PRECISIONS, NativeEvaluator, _native, supported_instruction_sets
 from random_models import random_avatar, random_model, random_pose
 from scipy.spatial.transform import Rotation
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.cli import main
 from physkin_core.runtime.bound_file import save_bound_garment
-from physkin_core.runtime.native_evaluator import PRECISIONS, NativeEvaluator, _native, supported_instruction_sets
 
 OK, BAD_ARGUMENT, BAD_FILE, BAD_POSE = range(4)
 INSTALLED = Path(_native.__file__).parent

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from physkin_core.runtime.native_evaluator import NativeEvaluator, supported_instruction_sets
+from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
 from random_models import BACKENDS, random_avatar, random_model, random_pose
 
 from physkin_core import Draper
 from physkin_core.model.garment import vertex_normals
 from physkin_core.runtime import binding
-from physkin_core.runtime.native_evaluator import NativeEvaluator, supported_instruction_sets
-from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
 
 LEVELS = supported_instruction_sets()
 

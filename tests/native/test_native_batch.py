@@ -5,10 +5,6 @@ from itertools import product
 
 import numpy as np
 import pytest
-from random_models import random_avatar, random_model, random_pose
-
-from physkin_core.runtime import binding
-from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.native_evaluator import (
     PRECISIONS,
     NativeEvaluator,
@@ -16,6 +12,10 @@ from physkin_core.runtime.native_evaluator import (
     supported_instruction_sets,
 )
 from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
+from random_models import random_avatar, random_model, random_pose
+
+from physkin_core.runtime import binding
+from physkin_core.runtime.binding import bind_garment
 
 LEVELS = supported_instruction_sets()
 SHAPES = {

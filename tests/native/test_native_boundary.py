@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from physkin_core.runtime.native_evaluator import NativeEvaluator, supported_instruction_sets
 
 

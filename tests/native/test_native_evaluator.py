@@ -4,10 +4,10 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-
-from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.native_evaluator import NativeEvaluator, _native, supported_instruction_sets
 from physkin_core.runtime.native_skinner import NativeSkinner
+
+from physkin_core.runtime.bound_garment import BoundGarment
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 

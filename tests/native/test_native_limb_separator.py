@@ -6,10 +6,10 @@ from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
+from physkin_core.runtime.native_evaluator import supported_instruction_sets
 from random_models import needs_native
 
 from physkin_core import DegreeOfFreedom, Rig, avatar_from_body, load_body_model
-from physkin_core.runtime.native_evaluator import supported_instruction_sets
 from physkin_core.separation.collision_shape import fit_collision_shape
 from physkin_core.separation.reference_separator import ReferenceLimbSeparator, SeparationSettings
 

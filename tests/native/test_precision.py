@@ -5,10 +5,10 @@ import tracemalloc
 
 import numpy as np
 import pytest
-
-from physkin_bench.network_case import network_case
 from physkin_core.runtime.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
 from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
+
+from physkin_bench.network_case import network_case
 
 LEVELS = supported_instruction_sets()
 ROUNDING = {"fp32": 5e-7, "bf16": 2**-9, "int8": 1 / 127}

@@ -5,13 +5,13 @@ import shutil
 import types
 
 import pytest
+from physkin_core.runtime.native_evaluator import supported_instruction_sets
 from random_models import needs_native
 
 from physkin_core.cli import main
 from physkin_core.doctor import command, installation
 from physkin_core.doctor.finding import Finding
 from physkin_core.extras import EXTRAS
-from physkin_core.runtime.native_evaluator import supported_instruction_sets
 
 pytestmark = needs_native
 

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
+from physkin_core.runtime.native_skinner import NativeSkinner
 from point_cloud_utils import closest_points_on_mesh
 from random_models import needs_native, random_model
 from scipy.spatial import cKDTree
@@ -20,10 +22,8 @@ from physkin_core import (
 )
 from physkin_core.model.garment import vertex_normals
 from physkin_core.outfit.coverage import FROM_HEM, hem_distances
-from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
 from physkin_core.outfit.tuck import DEEP, SLIDES, tucked_depths
 from physkin_core.quality import signed_distance
-from physkin_core.runtime.native_skinner import NativeSkinner
 
 pytestmark = needs_native
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from physkin_core.runtime.draper import in_units_of_gravity
 from random_models import BACKENDS, SIZES, needs_native, random_avatar, random_model, random_pose, tube, unit_rows
 
 from physkin_core import (
@@ -25,7 +26,6 @@ from physkin_core.model.pose_modulator import pose_modulation
 from physkin_core.model.skinning import skin
 from physkin_core.runtime import binding
 from physkin_core.runtime.binding import bind_garment, encode_body
-from physkin_core.runtime.draper import in_units_of_gravity
 from physkin_core.runtime.garment_grading import GarmentGrading
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")

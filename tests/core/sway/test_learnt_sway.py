@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from physkin_core.sway.learnt_sway import LearntSway
+from physkin_core.sway.moment import GRAVITY_SIZES, Moment, split_moment
 from random_models import BACKENDS, random_sway_network
 from scipy.spatial.transform import Rotation
 
 import physkin_core as physkin
 from physkin_core.model.sway_network import fold_body
-from physkin_core.sway.learnt_sway import LearntSway
-from physkin_core.sway.moment import GRAVITY_SIZES, Moment, split_moment
 
 DOFS, NODES = 9, 5
 

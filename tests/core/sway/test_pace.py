@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from physkin_core.sway.pace import PACE, REACH, UNTOLD, FrameClock, Pace
 
 import physkin_core as physkin
-from physkin_core.sway.pace import PACE, REACH, UNTOLD, FrameClock, Pace
 
 
 def test_time_passes_between_frames():

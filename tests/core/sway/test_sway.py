@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from physkin_core.sway.pendulum import LARGEST_GAP, LARGEST_TWIST, PendulumSettings, ReferencePendulum
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import physkin_core as physkin
-from physkin_core.sway.pendulum import LARGEST_GAP, LARGEST_TWIST, PendulumSettings, ReferencePendulum
 
 STILL = (0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0)
 

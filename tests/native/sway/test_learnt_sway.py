@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
 from physkin_core.runtime.native_evaluator import NativeEvaluator, supported_instruction_sets
 from physkin_core.runtime.reference_evaluator import ReferenceEvaluator

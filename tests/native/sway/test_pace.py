@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
 from physkin_core.runtime.native_evaluator import NativeEvaluator
 from physkin_core.runtime.reference_evaluator import ReferenceEvaluator

@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from physkin_core.sway.learnt_sway import LearntSway
+from physkin_core.sway.moment import Moment
 from random_models import random_rig
 from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.sway_network import fold_body
-from physkin_core.sway.learnt_sway import LearntSway
-from physkin_core.sway.moment import Moment
 from physkin_training.sway.body_codes import BodyCodes
 from physkin_training.sway.cloth_tuning import OffsetLayer
 from physkin_training.sway.export import exported

@@ -20,8 +20,8 @@ from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.motion import Motion
-from physkin_core.quality import edge_strain
 from physkin_core.outfit.draper import Draper
+from physkin_core.quality import edge_strain
 from physkin_core.sway.frame_input import FrameInput
 from physkin_training.dynamics.frame_potential import frame_potentials
 from physkin_training.dynamics.reference import Reference, load_reference

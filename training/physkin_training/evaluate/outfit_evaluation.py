@@ -22,10 +22,10 @@ from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment import Garment
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.motion import Motion
-from physkin_core.runtime.layer import WornGarment
+from physkin_core.outfit.draper import Draper
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.quality import jitter
-from physkin_core.outfit.draper import Draper
+from physkin_core.runtime.layer import WornGarment
 from physkin_training.evaluate.evaluate import measured_clips
 from physkin_training.evaluate.layer_pokes import LayerPokes, bind_layer_pokes
 from physkin_training.evaluate.progress import progress

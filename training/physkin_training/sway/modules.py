@@ -12,8 +12,8 @@ import torch
 from torch import nn
 
 from physkin_core.model.sway_network import drive_size, pose_size
-from physkin_core.rig.rig import Rig
 from physkin_core.native_module import native
+from physkin_core.rig.rig import Rig
 
 __all__ = ["HIDDEN", "Features", "SwayModule", "swaying_joints"]
 
