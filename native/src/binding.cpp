@@ -123,6 +123,7 @@ nb::dict constants() {
 }  // namespace physkin
 
 NB_MODULE(_native, module) {
+  nb::set_leak_warnings(false);  // a bound frame that a script keeps until the interpreter ends is none
   using physkin::BoundSkinner;
   using physkin::MachineProbe;
   using physkin::Text;

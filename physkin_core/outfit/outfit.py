@@ -177,8 +177,8 @@ class Outfit:
         if isinstance(joint_positions, Mapping):
             joint_positions = rig.joint_positions(joint_positions)
         positions = np.ascontiguousarray(joint_positions, dtype=np.float32)
-        if positions.shape != (len(rig.joint_names),):
-            raise ValueError(f"joint positions have shape {positions.shape}, expected {(len(rig.joint_names),)}")
+        if positions.shape != rig.rest.shape:
+            raise ValueError(f"joint positions have shape {positions.shape}, expected {rig.rest.shape}")
         if positions.dot(positions) <= FULL_TURN**2:  # the cheapest question that all usual poses pass, and no NaN
             return positions
         if not np.isfinite(positions).all():

@@ -105,7 +105,11 @@ void GarmentEvaluator::run_networks(const GarmentInput& input) noexcept {
 
 void GarmentEvaluator::compose_nodes(const GarmentInput& input) noexcept {
   garment_nodes_.compose(bone_transforms_, corrections_, node_transforms_);
-  pace_.keep(garment_nodes_, bone_transforms_, jumped() ? -1.0f : input.passed, node_transforms_);
+  if (input.passed == kStandsAlone) {
+    pace_.forget();
+  } else {
+    pace_.keep(garment_nodes_, bone_transforms_, jumped() ? -1.0f : input.passed, node_transforms_);
+  }
   garment_nodes_.twist(bone_transforms_, input.twist, node_transforms_);
 }
 

@@ -105,7 +105,8 @@ const char* FrameInput::begin_frame(double time) noexcept {
 void FrameInput::begin_still_frame() noexcept {
   reset();
   for (GarmentInput& row : rows_) {
-    row.passed = row.elapsed = -1;
+    row.passed = kStandsAlone;
+    row.elapsed = -1;
     row.sway = row.moves = 0;
   }
 }
