@@ -7,7 +7,7 @@ import pytest
 from import_graph import PACKAGES, ROOT
 from physkin_core import load_garment_model
 
-DOCUMENTS = [ROOT / name for name in ("README.md", "CONTRIBUTING.md")] + sorted((ROOT / "docs").rglob("*.md"))
+DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def anchors(text):
