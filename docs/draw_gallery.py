@@ -16,7 +16,7 @@ from physkin_core import (
     GarmentModel,
     Motion,
     Outfit,
-    OutfitGarment,
+    WornGarment,
     load_avatar,
     load_body_model,
     load_garment_model,
@@ -45,9 +45,9 @@ FRAMES = 8
 SIZE, QUALITY = (150, 210), 84
 
 
-def named(names: Sequence[str]) -> list[OutfitGarment]:
+def named(names: Sequence[str]) -> list[WornGarment]:
     """Shipped garments; * tucked."""
-    return [OutfitGarment(load_garment_model(name.rstrip("*")), tucked=name.endswith("*")) for name in names]
+    return [WornGarment(load_garment_model(name.rstrip("*")), tucked=name.endswith("*")) for name in names]
 
 
 def lean_to_stout(count: int) -> list[Avatar]:
@@ -58,7 +58,7 @@ def lean_to_stout(count: int) -> list[Avatar]:
 
 def meshes_at(outfit: Outfit, motion: Motion, frame: int) -> list[Mesh]:
     """An outfit in a frame of a motion, in the root frame."""
-    positions = motion.positions_for(outfit.models[0].rig)[frame]
+    positions = motion.positions_for(outfit.rig)[frame]
     cloth = outfit.drape(positions, motion.gravity[frame])
     return dressed_meshes(outfit, outfit.posed_body(positions), cloth)
 
@@ -96,7 +96,7 @@ def draw_motions() -> None:
         save(name, np.array(strip.resize((strip.width * 2 // 3, strip.height * 2 // 3), Image.Resampling.LANCZOS)))
 
 
-def _outfit(garments: Sequence[OutfitGarment]) -> Outfit:
+def _outfit(garments: Sequence[WornGarment]) -> Outfit:
     model: GarmentModel = garments[0].model
     return Outfit(garments, load_avatar(BUNDLED_AVATAR, model.rig))
 

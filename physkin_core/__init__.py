@@ -10,19 +10,17 @@ from physkin_core.model.model_file import ModelFileError, load_garment_model, sa
 from physkin_core.model.skinning import NORMALS
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion, MotionError
-from physkin_core.outfit.layers import OutfitGarment
+from physkin_core.outfit.draper import Draper
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.points.splat_draper import SplatDraper
 from physkin_core.points.splats import Splats
 from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.rig.rig import DegreeOfFreedom, Rig, RigError
-from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
+from physkin_core.runtime.layer import Layer, WornGarment
 from physkin_core.separation.limb_separator import LimbSeparator
-from physkin_core.sway.pendulum import PendulumSettings
-from physkin_core.sway.sway import Sway
+from physkin_core.sway.frame_input import UPRIGHT_GRAVITY, FrameInput
 
 __all__ = [
-    "BACKENDS",
     "BUNDLED_AVATAR",
     "FABRICS",
     "NORMALS",
@@ -35,23 +33,23 @@ __all__ = [
     "DegreeOfFreedom",
     "Draper",
     "Fabric",
+    "FrameInput",
     "Garment",
     "GarmentError",
     "GarmentModel",
     "GarmentModelError",
+    "Layer",
     "LimbSeparator",
     "Material",
     "ModelFileError",
     "Motion",
     "MotionError",
     "Outfit",
-    "OutfitGarment",
-    "PendulumSettings",
     "Rig",
     "RigError",
     "SplatDraper",
     "Splats",
-    "Sway",
+    "WornGarment",
     "avatar_from_body",
     "bundled_motions",
     "load_avatar",

@@ -27,6 +27,7 @@ from physkin_core.outfit.outfit_options import (
     chosen_garments,
 )
 from physkin_core.output_file import check_folder, check_other_file
+from physkin_core.separation.limb_separator import separated_motion
 
 if TYPE_CHECKING:
     from physkin_core import Motion, Outfit
@@ -188,7 +189,7 @@ def _outfit(options: argparse.Namespace) -> Outfit:
 
     garments = chosen_garments(_garments(options), options.tucked)
     avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
-    outfit = Outfit(garments, avatar, fit=options.fit, separate_limbs=options.separate_limbs)
+    outfit = Outfit(garments, avatar, fit=options.fit)
     _tell(outfit.warnings)
     return outfit
 
@@ -209,7 +210,9 @@ def _drape(options: argparse.Namespace) -> int:
     if options.strip is not None:
         return _draw_strip(options, motion)
     outfit = _outfit(options)
-    positions = motion.positions_for(outfit.models[0].rig)[options.frame]
+    if options.separate_limbs:
+        motion = separated_motion(motion, outfit.rig, outfit.avatar)
+    positions = motion.positions_for(outfit.rig)[options.frame]
     cloth = outfit.drape(positions, motion.gravity[options.frame])
     write(options.output, outfit, outfit.posed_body(positions), cloth)
     print(f"wrote {options.output}")
@@ -223,7 +226,10 @@ def _draw_strip(options: argparse.Namespace, motion: Motion) -> int:
 
     if options.output.suffix.lower() != ".png":
         raise ValueError(f"cannot write {options.output}: the name of a strip must end in .png")
-    strip = draw_strip(_outfit(options), motion, options.strip, watch=progress_line(f"drawing {options.output.name}"))
+    outfit = _outfit(options)
+    if options.separate_limbs:
+        motion = separated_motion(motion, outfit.rig, outfit.avatar)
+    strip = draw_strip(outfit, motion, options.strip, watch=progress_line(f"drawing {options.output.name}"))
     save_png(options.output, strip)
     print(f"wrote {options.output}")
     return 0
@@ -248,10 +254,11 @@ def _bind(options: argparse.Namespace) -> int:
 
 def _write_obj(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]) -> None:
     """A Wavefront OBJ with the object `body` and one a garment, metres, Z up. One garment is called `garment`."""
-    names = [model.name for model in outfit.models] if len(cloth) > 1 else ["garment"]
+    names = [layer.name for layer in outfit.layers] if len(cloth) > 1 else ["garment"]
     first = 1
     with open(path, "w", encoding="ascii", errors="replace") as file:
-        for name, points, faces in zip(["body", *names], [body, *cloth], [outfit.body_to_draw.faces, *outfit.faces]):
+        faces_of = [outfit.body_to_draw.faces, *(layer.faces for layer in outfit.layers)]
+        for name, points, faces in zip(["body", *names], [body, *cloth], faces_of):
             file.write(f"o {name}\n")
             file.writelines(f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in points[:, :3].tolist())
             file.writelines(f"f {a} {b} {c}\n" for a, b, c in (first + faces).tolist())

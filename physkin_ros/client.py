@@ -14,7 +14,8 @@ import numpy as np
 from physkin_msgs.msg import GarmentMesh, GarmentNodes
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from physkin_core.runtime.native_skinner import NativeSkinner
+from physkin_core.model.skinning import SkinningData
+from physkin_core.runtime.evaluator import Skinner
 
 __all__ = ["GarmentClient", "GarmentFrame", "GarmentSkin"]
 
@@ -42,14 +43,23 @@ class GarmentSkin:
         counts = (mesh.vertex_count, mesh.node_count, mesh.influences)
         try:
             self.faces = np.array(mesh.faces, dtype=np.uint32).reshape(-1, 3)
-            arrays = [np.array(mesh.rest_vertices, dtype=np.float32).reshape(mesh.vertex_count, 3)]
-            arrays.append(np.array(mesh.rest_normals, dtype=np.float32).reshape(mesh.vertex_count, 3))
-            arrays.append(np.array(mesh.node_rest, dtype=np.float32).reshape(mesh.node_count, 3))
-            for values, dtype in ((mesh.influence_nodes, np.int32), (mesh.influence_weights, np.float32)):
-                arrays.append(np.array(values).astype(dtype).reshape(mesh.vertex_count, mesh.influences))
+            vertices, normals, node_rest = (
+                np.array(values, dtype=np.float32).reshape(-1, 3)
+                for values in (mesh.rest_vertices, mesh.rest_normals, mesh.node_rest)
+            )
+            influences = mesh.vertex_count, mesh.influences
+            if (len(vertices), len(node_rest)) != (mesh.vertex_count, mesh.node_count):
+                raise ValueError(f"{len(vertices)} vertices and {len(node_rest)} garment nodes")
             if self.faces.size and self.faces.max() >= mesh.vertex_count:
                 raise ValueError(f"face index {self.faces.max()} of {mesh.vertex_count} vertices")
-            self._skinner = NativeSkinner(*arrays)
+            skinning = SkinningData(
+                node_rest=node_rest,
+                vertices=vertices,
+                normals=normals,
+                influence_nodes=np.array(mesh.influence_nodes).astype(np.int32).reshape(influences),
+                influence_weights=np.array(mesh.influence_weights, dtype=np.float32).reshape(influences),
+            )
+            self._skinner = Skinner(skinning)
         except ValueError as error:
             raise ValueError(
                 f"garment mesh {mesh.model_name!r} (vertices, garment nodes, influences: {counts}): {error}"

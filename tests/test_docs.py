@@ -7,7 +7,7 @@ import pytest
 from import_graph import PACKAGES, ROOT
 from physkin_core import load_garment_model
 
-DOCUMENTS = [ROOT / name for name in ("README.md", "CONTRIBUTING.md")] + sorted((ROOT / "docs").rglob("*.md"))
+DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def anchors(text):
@@ -31,14 +31,14 @@ def test_links_lead_somewhere(document):
 
 
 def test_architecture_names_files_that_exist():
-    """Python files by their import package, C++ files of native/ by their name."""
+    """Python files and folders by their import package, C++ files of native/ by their name."""
     text = (ROOT / "docs" / "architecture.md").read_text()
-    names = re.findall(r"`([\w/]+\.(?:py|cpp|hpp))`", text)
+    names = re.findall(r"`([\w/]+(?:\.(?:py|cpp|hpp)|/))`", text)
     native = {path.name for path in (ROOT / "native").rglob("*.?pp")}
 
     def exists(name):
         package, _, rest = name.partition("/")
-        return name in native or (ROOT / PACKAGES.get(package, package) / rest).is_file()
+        return name in native or (ROOT / PACKAGES.get(package, package) / rest).exists()
 
     assert len(names) > 30 and [name for name in names if not exists(name)] == []
 

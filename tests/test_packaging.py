@@ -1,5 +1,6 @@
 """The wheel holds every file of the packages, the native module, and asks for nothing heavy."""
 
+import json
 import shutil
 import subprocess
 import sys
@@ -43,10 +44,11 @@ def test_plain_install_asks_for_nothing_heavy(project):
     assert wanted and [line for line in wanted for heavy in HEAVY if heavy in line.lower()] == []
 
 
-def test_release_wheels_are_for_every_python_that_is_promised(project):
+def test_every_python_that_is_promised_is_tested_and_built_for(project):
     versions = [line.rsplit(" ", 1)[1] for line in project["project"]["classifiers"] if " :: Python :: 3." in line]
     built = project["tool"]["cibuildwheel"]["build"].split()
     assert built == [f"cp{version.replace('.', '')}-manylinux_*" for version in versions] and versions
+    assert f"python: {json.dumps(versions)}" in (ROOT / ".github" / "workflows" / "ci.yml").read_text()
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ extern "C" {
 #endif
 
 /* Raised when a host built against an older header would break. */
-#define PHYSKIN_ABI_VERSION 1
+#define PHYSKIN_ABI_VERSION 2
 
 /* Of the loaded library; compare with PHYSKIN_ABI_VERSION before anything else. */
 PHYSKIN_API int32_t physkin_abi_version(void);
@@ -73,23 +73,22 @@ PHYSKIN_API physkin_status physkin_joint_range(const physkin_garment* garment, i
 PHYSKIN_API physkin_status physkin_joint_axis(const physkin_garment* garment, int32_t joint, float* axis);
 
 /* One frame of a root that is not accelerated. Allocates nothing.
- * joint_positions: one a joint. gravity: unit direction in the root frame, (0, 0, -1) for an upright body; 9.81 m/s2.
+ * joint_positions: one a joint. gravity: unit direction in the root frame, (0, 0, -1) for an upright body.
  * out: a row a vertex, `stride` floats from row to row: x y z, and with columns = 6 also the unit normal. columns: 3 or
  * 6; stride: columns or more. Buffers need no alignment beyond a float's. */
 PHYSKIN_API physkin_status physkin_step(physkin_garment* garment, const float* joint_positions, const float* gravity,
                                         float* out, int32_t columns, ptrdiff_t stride);
 
 /* The same of a root that is. effective_gravity: gravity less the root's acceleration [m/s2], root frame; zero in free
- * fall, at most 3 x 9.81 long, else PHYSKIN_BAD_POSE. PHYSKIN_BAD_ARGUMENT for a garment that has not learnt it. */
+ * fall, at most 3 x 9.81 long, else PHYSKIN_BAD_POSE. */
 PHYSKIN_API physkin_status physkin_step_accelerated(physkin_garment* garment, const float* joint_positions,
                                                     const float* effective_gravity, float* out, int32_t columns,
                                                     ptrdiff_t stride);
 
 /* The same of a root that moves through the world: cloth lags, swings, settles, and does not leap. time [s], of any
  * clock; frames come in their order, at any rate. root: (7) where it is in a world with Z up: x, y, z [m], and its unit
- * quaternion x, y, z, w, world <- root. A garment that has not learnt effective gravity follows its direction. After a
- * gap, a jump or a clock that goes back cloth comes to rest by itself. PHYSKIN_BAD_POSE for a time or root that cannot
- * be. */
+ * quaternion x, y, z, w, world <- root. After a gap, a jump or a clock that goes back cloth comes to rest by itself.
+ * PHYSKIN_BAD_POSE for a time or root that cannot be. */
 PHYSKIN_API physkin_status physkin_step_moving(physkin_garment* garment, const float* joint_positions, double time,
                                                const double* root, float* out, int32_t columns, ptrdiff_t stride);
 
@@ -98,12 +97,6 @@ PHYSKIN_API physkin_status physkin_set_sway(physkin_garment* garment, double amo
 
 /* Cloth hangs still in the next physkin_step_moving, as in the first. */
 PHYSKIN_API physkin_status physkin_reset(physkin_garment* garment);
-
-/* Whether a garment has learnt effective gravity: 1 or 0. */
-PHYSKIN_API int32_t physkin_accelerated(const physkin_garment* garment);
-
-/* Push-out was removed: always PHYSKIN_BAD_ARGUMENT, for hosts that still call it. */
-PHYSKIN_API physkin_status physkin_residual(const physkin_garment* garment, float* deepest, int32_t* left_inside);
 
 /* What computes: names as in physkin_options. */
 PHYSKIN_API const char* physkin_precision(const physkin_garment* garment);

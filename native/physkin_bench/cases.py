@@ -5,7 +5,8 @@ Dimensions: `d` degrees of freedom, `m` garment nodes, `n` vertices.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,20 +18,18 @@ from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
 from physkin_core.model.garment import Garment
 from physkin_core.model.mlp import Layer
 from physkin_core.model.model_file import load_garment_model
-from physkin_core.model.skinning import skinning_matrices
+from physkin_core.model.skinning import skin, skinning_matrices
 from physkin_core.motion.loading import load_motion
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.native_evaluator import NativeEvaluator
 from physkin_core.separation.collision_shape import CollisionShape, fit_collision_shape
 from physkin_core.separation.limb_separator import SeparationSettings
+from physkin_core.sway.frame_input import UPRIGHT_GRAVITY, FrameInput
 
 __all__ = ["BenchmarkCase", "SkinningCase", "model_case", "paper_case", "skinning_case"]
 
 SEED = 2603
 MOTIONS, POSES_A_MOTION = ("walk", "dance", "crawl"), 20
-BODIES = 8
-"""Bodies that wear the garment at once."""
 ARMS_DOWN = {"upperarm01.L_x": -0.7, "upperarm01.R_x": 0.7, "lowerarm01.L_z": -0.2, "lowerarm01.R_z": 0.2}
 """[rad] As a lean performer's hang."""
 BONES, DOFS, INFLUENCES = 128, 117, 4
@@ -44,23 +43,22 @@ POSE_WIDTHS, DEFORMER_WIDTHS = (512,) * 4, (128,) * 4
 class BenchmarkCase:
     """A bound garment and poses for it.
 
-    joint_positions: (P, d) float32 [rad]; gravity: (P, 3) float32. bodies: the garment on others, for a batch.
-    garment: in the rest shape that is worn, for edge strain; None for a random model. limbs: the collision shape of a
-    stout body, and a pose (d,) float32 in which its forearms are inside it; None for another rig than the default one.
+    joint_positions: (P, d) float32 [rad]; inputs: (P, 1, 14) float32 as of `FrameInput.rows`. garment: in the rest
+    shape that is worn, for edge strain; None for a random model. limbs: the collision shape of a stout body, and a pose
+    (d,) float32 in which its forearms are inside it; None for another rig than the default one.
     """
 
     name: str
     bound: BoundGarment
     joint_positions: np.ndarray
-    gravity: np.ndarray
-    bodies: tuple[BoundGarment, ...]
+    inputs: np.ndarray
     garment: Garment | None = None
     limbs: tuple[CollisionShape, np.ndarray] | None = None
 
 
 @dataclass(frozen=True)
 class SkinningCase:
-    """Skinning alone. matrices: (m, 3, 4) float32, from rest to posed garment. expected: (n, 6) float32."""
+    """Skinning alone. matrices: (m, 3, 4) float32, from rest to posed garment. expected: (n, 6) float64."""
 
     bound: BoundGarment
     matrices: np.ndarray
@@ -69,10 +67,12 @@ class SkinningCase:
 
 def skinning_case(bound: BoundGarment, node_transforms: np.ndarray) -> SkinningCase:
     """The skinning of a bound garment by given garment nodes (m, 3, 4): positions and unit normals."""
-    expected = np.empty((len(bound.vertices), 6), dtype=np.float32)
-    NativeEvaluator(bound).skin(node_transforms, expected)
-    matrices = skinning_matrices(node_transforms.astype(np.float64), bound.node_rest).astype(np.float32)
-    return SkinningCase(bound, matrices, expected)
+    transforms = node_transforms.astype(np.float64)
+    posed = skin(
+        transforms, bound.node_rest, bound.vertices, bound.normals, bound.influence_nodes, bound.influence_weights
+    )
+    matrices = skinning_matrices(transforms, bound.node_rest).astype(np.float32)
+    return SkinningCase(bound, matrices, np.concatenate(posed, axis=1))
 
 
 def model_case(model: str | Path, *, fit: float | None = None) -> BenchmarkCase:
@@ -83,9 +83,8 @@ def model_case(model: str | Path, *, fit: float | None = None) -> BenchmarkCase:
     loaded = load_garment_model(model)
     avatar = load_avatar(BUNDLED_AVATAR, loaded.rig)
     body = load_body_model()
-    others, limbs = [avatar] * BODIES, None
+    limbs = None
     if loaded.rig.bone_names == body.rig.bone_names:
-        others = [avatar_from_body(body, coefficients) for coefficients in body.held_out_bodies[:BODIES]]
         stout = max((avatar_from_body(body, each) for each in body.held_out_bodies), key=_girth)
         shape, _ = fit_collision_shape(stout, body.rig, onset=SeparationSettings().onset)
         limbs = shape, body.rig.joint_positions(ARMS_DOWN).astype(np.float32)
@@ -99,11 +98,19 @@ def model_case(model: str | Path, *, fit: float | None = None) -> BenchmarkCase:
         name=loaded.name,
         bound=bound,
         joint_positions=np.concatenate(positions).astype(np.float32),
-        gravity=np.concatenate(gravity).astype(np.float32),
-        bodies=tuple(bind_garment(loaded, other, fit=fit, backend="native", fold=False) for other in others),
+        inputs=_inputs(np.concatenate(gravity)),
         garment=loaded.garment.reshaped(bound.vertices) if loaded.checked_fit(fit) else loaded.garment,
         limbs=limbs,
     )
+
+
+def _inputs(gravity: Sequence[np.ndarray]) -> np.ndarray:
+    """(T, 1, 14) inputs of frames that stand by themselves, under directions of gravity (3,)."""
+    frame_input, rows = FrameInput([False]), []
+    for each in gravity:
+        frame_input.fill(each)
+        rows.append(frame_input.rows.copy())
+    return np.array(rows)
 
 
 def _girth(avatar: Avatar) -> float:
@@ -133,7 +140,7 @@ def paper_case() -> BenchmarkCase:
         dof_upper=np.full(DOFS, 0.5, dtype=np.float32),
         pose_layers=_layers(rng, (DOFS + 3, *POSE_WIDTHS, 2 * sum(DEFORMER_WIDTHS)), 0.3),
         deformer_bones=used,
-        deformer_layers=_layers(rng, (12 * len(used), *DEFORMER_WIDTHS, 9 * len(node_rest)), 0.02),
+        deformer_layers=_layers(rng, (12 * len(used), *DEFORMER_WIDTHS, 12 * len(node_rest)), 0.02),
         node_bone=used[np.arange(len(node_rest)) * len(used) // len(node_rest)],
         node_positions=node_rest,
         node_rest=node_rest,
@@ -141,13 +148,9 @@ def paper_case() -> BenchmarkCase:
         normals=normals,
         influence_nodes=nodes.astype(np.int32),
         influence_weights=(weights / weights.sum(axis=1, keepdims=True)).astype(np.float32),
-        activation="silu",
     )
     poses = rng.uniform(-0.5, 0.5, size=(POSES_A_MOTION, DOFS)).astype(np.float32)
-    modulations = 0.1 * rng.standard_normal((BODIES, 2 * sum(POSE_WIDTHS)), dtype=np.float32)
-    bodies = tuple(replace(bound, pose_modulation=modulation) for modulation in modulations)
-    gravity = np.tile(np.array([0, 0, -1], dtype=np.float32), (POSES_A_MOTION, 1))
-    return BenchmarkCase("paper's sizes", bound, poses, gravity, bodies)
+    return BenchmarkCase("paper's sizes", bound, poses, _inputs([UPRIGHT_GRAVITY] * POSES_A_MOTION))
 
 
 def _layers(rng: np.random.Generator, widths: tuple[int, ...], output_scale: float) -> tuple[Layer, ...]:

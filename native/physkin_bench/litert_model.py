@@ -22,7 +22,7 @@ def litert_model(case: NetworkCase, *, int8: bool) -> bytes:
     writer = _Writer(schema, int8)
 
     def activate(x: int) -> int:
-        return writer.add("relu", x) if case.activation == "relu" else writer.add("mul", x, writer.add("sigmoid", x))
+        return writer.add("mul", x, writer.add("sigmoid", x))
 
     x, y = writer.graph.inputs = [writer.tensor(getattr(case, name).shape, name=name) for name in ("pose", "bones")]
     for layer in case.hidden:

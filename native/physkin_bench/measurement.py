@@ -12,17 +12,13 @@ from physkin_bench.cases import BenchmarkCase, skinning_case
 from physkin_bench.network_case import network_case
 from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, prepare_peers
 from physkin_bench.timing import time_in_turns
-from physkin_core import _native
+from physkin_core.native_module import native
 from physkin_core.quality import edge_strain
-from physkin_core.runtime.native_evaluator import (
-    PRECISIONS,
-    NativeEvaluator,
-    NativeEvaluatorBatch,
-    supported_instruction_sets,
-)
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.evaluator import PRECISIONS, Evaluator, supported_instruction_sets
 from physkin_core.separation.limb_separator import SeparationSettings
 
-__all__ = ["BATCH_SIZES", "STAGES", "measure_case"]
+__all__ = ["STAGES", "measure_case"]
 
 STAGES = {
     "posing": "pose",
@@ -33,7 +29,6 @@ STAGES = {
 }
 """Stage -> method of a bound step."""
 
-BATCH_SIZES = (1, 4, 8)
 BYTES_A_WEIGHT = {"fp32": 4, "bf16": 2, "int8": 1}
 """Bytes of a network weight; in int8 the first layers of both networks have as many as in bf16."""
 MULTIPLY_ADD_ROUNDS = 5000
@@ -49,36 +44,32 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
     Returns the keys of docs/notebook/benchmark.md, of which times are microseconds.
     """
     middle = len(case.joint_positions) // 2
-    bound, pose, gravity = case.bound, case.joint_positions[middle].copy(), case.gravity[middle].copy()
+    bound, pose, inputs = case.bound, case.joint_positions[middle].copy(), case.inputs[middle].copy()
     calls: dict[str, Callable[[], object]] = {}
     evaluators, steps = {}, {}
     for level in (levels := supported_instruction_sets()):
         for precision in PRECISIONS:
-            evaluators[precision] = NativeEvaluator(bound, instruction_set=level, precision=precision)
-            steps[precision] = _bound_step(evaluators[precision], bound, pose, gravity)
+            evaluators[precision] = Evaluator([bound], instruction_set=level, precision=precision)
+            steps[precision] = _bound_frame(evaluators[precision], bound, pose, inputs)
             for stage, method in STAGES.items():
                 calls[f"{precision}.{level}.{stage}"] = getattr(steps[precision], method)
         if len(bound.faces):
-            normals = NativeEvaluator(bound, instruction_set=level, normals="faces")
-            calls[f"face_normals.{level}"] = _bound_step(normals, bound, pose, gravity).compute_normals
+            normals = Evaluator([bound], instruction_set=level, normals="faces")
+            calls[f"face_normals.{level}"] = _bound_frame(normals, bound, pose, inputs).compute_normals
         if case.limbs is not None:
             shape, arms_down = case.limbs
-            separator = _native.LimbSeparator(shape, *astuple(SeparationSettings()), level)
+            separator = native.LimbSeparator(shape, *astuple(SeparationSettings()), level)
             calls[f"separate_limbs.{level}"] = partial(separator.separate, arms_down, np.empty_like(arms_down))
-    networks = network_case(bound, pose, gravity)
+    networks = network_case(bound, pose, inputs[0, :3], evaluators["fp32"].corrections())
     skinning = skinning_case(bound, evaluators["fp32"].node_transforms())
     missing = {}
     for kind, engines, task in (("networks", NETWORK_PEERS, networks), ("skinning", SKINNING_PEERS, skinning)):
         built, left_out = prepare_peers(engines if peers else (), task, task.expected)
         calls |= {f"peers.{kind}.{name}": call for name, call in built.items()}
         missing |= {f"{kind}.{name}": reason for name, reason in left_out.items()}
-    calls |= _batches(case)
     first_layers = bound.pose_layers[0][0].size + bound.deformer_layers[0][0].size
     probes, amount = _probes(networks.weight_count, first_layers, levels[-1])
     timings = time_in_turns(calls | probes, rounds=rounds)
-    for count in BATCH_SIZES:
-        timings |= {f"batch.{p}.{count}": timings[f"batch.{p}.{count}"].shared_by(count) for p in PRECISIONS}
-
     cold = {
         f"cold.{stage}.{p}": getattr(steps[p], STAGES[stage]) for stage in ("frame", "networks") for p in PRECISIONS
     }
@@ -89,10 +80,10 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
     timings |= time_in_turns(cold, rounds=cold_rounds, repeats=1, before_each=flush)
 
     figures: dict[str, object] = {"model": case.name, "vertices": len(bound.vertices)}
-    figures |= {"network_weights": networks.weight_count, "activation": bound.activation}
+    figures["network_weights"] = networks.weight_count
     for name, timing in timings.items():
         figures |= {f"{name}.us.{figure}": value for figure, value in asdict(timing).items() if figure != "count"}
-    terms = evaluators["fp32"].skinning_terms
+    terms = evaluators["fp32"].skinning_terms()
     blocks = -(-len(bound.vertices) // BLOCK)
     multiply_adds = BLOCK * (12 * terms + MULTIPLY_ADDS_A_VERTEX * blocks)
     floors = {"fp32.skinning": limits["multiply_add"].p50 * multiply_adds / amount}
@@ -101,28 +92,16 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
         precision, stage = name.split(".")
         figures[f"floor.{name}.us"] = floor
         figures[f"floor.{name}.share"] = floor / timings[f"{precision}.{levels[-1]}.{stage}"].p50
-    for precision in ("bf16", "int8"):
-        errors = _errors(case, evaluators["fp32"], evaluators[precision])
+    for precision in PRECISIONS:
+        errors = _errors(case, evaluators[precision], evaluators["fp32"])
         figures |= {f"error.{precision}.{figure}": value for figure, value in errors.items()}
     return figures | {"missing": missing}
 
 
-def _bound_step(evaluator: NativeEvaluator, bound, pose: np.ndarray, gravity: np.ndarray):
-    step = evaluator.bind_step(pose, gravity, np.empty((len(bound.vertices), 6), dtype=np.float32))
-    step.step()
-    return step
-
-
-def _batches(case: BenchmarkCase) -> dict[str, Callable[[], object]]:
-    """Frames of several bodies computed together."""
-    calls = {}
-    for precision in PRECISIONS:
-        for count in BATCH_SIZES:
-            batch = NativeEvaluatorBatch(case.bodies[:count], precision=precision)
-            out = np.empty((count, len(case.bound.vertices), 6), dtype=np.float32)
-            batch.bind(case.joint_positions[:count].copy(), case.gravity[:count].copy(), out)
-            calls[f"batch.{precision}.{count}"] = batch.step
-    return calls
+def _bound_frame(evaluator: Evaluator, bound: BoundGarment, pose: np.ndarray, inputs: np.ndarray):
+    frame = evaluator.bind_frame(pose, inputs, [np.empty((len(bound.vertices), 6), dtype=np.float32)])
+    frame.step()
+    return frame
 
 
 def _probes(weights: int, first_layers: int, level: str) -> tuple[dict[str, Callable[[], object]], int]:
@@ -132,19 +111,20 @@ def _probes(weights: int, first_layers: int, level: str) -> tuple[dict[str, Call
     """
     calls: dict[str, Callable[[], object]] = {}
     for precision, size in BYTES_A_WEIGHT.items():
-        probe = _native.MachineProbe(size * weights + (first_layers if precision == "int8" else 0), level)
+        probe = native.MachineProbe(size * weights + (first_layers if precision == "int8" else 0), level)
         calls |= {f"read.{precision}.{way}": partial(probe.read, way) for way in (False, True)}
     calls["multiply_add"] = partial(probe.multiply_add, MULTIPLY_ADD_ROUNDS)
     return calls, calls["multiply_add"]()
 
 
-def _errors(case: BenchmarkCase, exact: NativeEvaluator, evaluator: NativeEvaluator) -> dict[str, float]:
-    """Of rounded network weights, over the case's poses: millimetres, and what is added to the edge strain."""
+def _errors(case: BenchmarkCase, evaluator: Evaluator, exact: Evaluator) -> dict[str, float]:
+    """Against network weights as they are, in fp32, over the case's poses: millimetres, and what is added to the edge
+    strain."""
     out, expected = np.empty((2, len(case.bound.vertices), 6), dtype=np.float32)
     distances, strains = [], []
-    for pose, gravity in zip(case.joint_positions, case.gravity):
-        evaluator.evaluate(pose, gravity, out)
-        exact.evaluate(pose, gravity, expected)
+    for pose, inputs in zip(case.joint_positions, case.inputs):
+        evaluator.evaluate(pose, inputs, [out])
+        exact.evaluate(pose, inputs, [expected])
         distances.append(1e3 * np.linalg.norm(out[:, :3].astype(np.float64) - expected[:, :3], axis=1))
         if case.garment is not None:
             strains.append(float(edge_strain(case.garment, out[:, :3]) - edge_strain(case.garment, expected[:, :3])))

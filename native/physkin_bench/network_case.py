@@ -12,7 +12,6 @@ import numpy as np
 from physkin_core.model.mlp import Layer
 from physkin_core.rig.rig import forward_kinematics, pose_vector
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.native_evaluator import NativeEvaluator
 
 __all__ = ["NetworkCase", "network_case"]
 
@@ -24,13 +23,12 @@ class NetworkCase:
     hidden: the pose modulator's hidden layers. heads: its output layer cut in two for each hidden layer of the node
     deformer, 1 + scale and shift, so that no engine has to add the one or to cut the vector.
     deformer: the node deformer's layers, over bone transforms.
-    pose: (1, p) and bones: (1, 12 u) float32 inputs. expected: (1, 9 m or 12 m) float32 output, the native evaluator's.
+    pose: (1, p) and bones: (1, 12 u) float32 inputs. expected: (1, 12 m) output.
     """
 
     hidden: tuple[Layer, ...]
     heads: tuple[tuple[Layer, Layer], ...]
     deformer: tuple[Layer, ...]
-    activation: str
     pose: np.ndarray
     bones: np.ndarray
     expected: np.ndarray
@@ -42,15 +40,16 @@ class NetworkCase:
         return sum(weight.size for weight, _ in (*self.hidden, *heads, *self.deformer))
 
 
-def network_case(bound: BoundGarment, joint_positions: np.ndarray, gravity: np.ndarray) -> NetworkCase:
-    """The networks of a bound garment at one pose. joint_positions: (d,) [rad]; gravity: (3,) unit, root frame."""
+def network_case(
+    bound: BoundGarment, joint_positions: np.ndarray, gravity: np.ndarray, expected: np.ndarray
+) -> NetworkCase:
+    """The networks of a bound garment at one pose. joint_positions: (d,) [rad]; gravity: (3,) unit, root frame;
+    expected: (m, 12) what they give, as of `Evaluator.corrections`."""
     q = joint_positions.astype(np.float64)
     heads = bound.bone_heads.astype(np.float64)
     bones = forward_kinematics(bound.bone_parents, heads, bound.dof_bone, bound.dof_axis, q - bound.dof_rest)
     pose = pose_vector(q, bound.dof_lower.astype(np.float64), bound.dof_upper.astype(np.float64), gravity)
     used = bones[bound.deformer_bones]
-    evaluator = NativeEvaluator(bound, precision="fp32")
-    evaluator.evaluate(joint_positions, gravity, np.empty((len(bound.vertices), 3), dtype=np.float32))
     *hidden, (weight, bias) = bound.pose_layers
     pairs, start = [], 0
     for _, hidden_bias in bound.deformer_layers[:-1]:
@@ -62,8 +61,7 @@ def network_case(bound: BoundGarment, joint_positions: np.ndarray, gravity: np.n
         hidden=tuple(hidden),
         heads=tuple(pairs),
         deformer=bound.deformer_layers,
-        activation=bound.activation,
         pose=np.ascontiguousarray(pose[None], dtype=np.float32),
         bones=np.ascontiguousarray(used.reshape(1, -1), dtype=np.float32),
-        expected=evaluator.corrections().reshape(1, -1),
+        expected=expected.reshape(1, -1),
     )

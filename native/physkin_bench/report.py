@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from physkin_bench.measurement import BATCH_SIZES, STAGES
-from physkin_core.runtime.native_evaluator import PRECISIONS, supported_instruction_sets
+from physkin_bench.measurement import STAGES
+from physkin_core.runtime.evaluator import PRECISIONS, supported_instruction_sets
 
 __all__ = ["case_tables", "machine_keys"]
 
@@ -49,8 +49,6 @@ def case_tables(figures: Mapping[str, object]) -> str:
     lines = [f"## {figures['model']}: {figures['vertices']} vertices, {figures['network_weights']} network weights", ""]
     rows = [[p, level, *(spread(f"{p}.{level}.{stage}") for stage in STAGES)] for p in PRECISIONS for level in levels]
     lines += _table(["µs: median (fastest, p99)", "instructions", *STAGES], rows)
-    rows = [[p, *(spread(f"batch.{p}.{count}") for count in BATCH_SIZES)] for p in PRECISIONS]
-    lines += _table(["a body, frames together", *map(str, BATCH_SIZES)], rows)
 
     timed = [key.removesuffix(".us.p50") for key in figures if key.endswith(".us.p50")]
     others = [name for name in timed if name.split(".")[0] in ("face_normals", "separate_limbs", "cold")]

@@ -21,10 +21,6 @@ class Timing:
     p99: float
     count: int
 
-    def shared_by(self, number: int) -> Timing:
-        """A share each, where a call does the same for so many."""
-        return Timing(self.min / number, self.p50 / number, self.p99 / number, self.count)
-
 
 def time_in_turns(
     calls: Mapping[str, Callable[[], object]],

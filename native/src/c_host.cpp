@@ -14,33 +14,30 @@
 #include "file_format/tensor_file.hpp"
 #include "kernels/dispatch.hpp"
 #include "physkin.h"
-#include "sway/sway.hpp"
+#include "sway/frame_input.hpp"
 
 struct physkin_garment {
   physkin_garment(const physkin::BoundFile& file, const physkin::Kernels& kernels,
                   const physkin::EvaluatorOptions& options)
-      : evaluator(file.garment, kernels, options),
+      : evaluator({file.garment}, kernels, options),
+        input(1),
         joint_names(file.joint_names),
-        accelerated(file.accelerated),
-        learnt_sway(!file.garment.sway_layers.empty()),
         lower(file.garment.dof_lower, file.garment.dof_lower + file.garment.dofs),
         rest(file.garment.dof_rest, file.garment.dof_rest + file.garment.dofs),
         upper(file.garment.dof_upper, file.garment.dof_upper + file.garment.dofs),
         axes(file.garment.dof_axis, file.garment.dof_axis + 3 * std::size_t(file.garment.dofs)),
-        faces(file.garment.faces, file.garment.faces + 3 * std::size_t(file.garment.face_count)) {}
+        faces(file.garment.faces, file.garment.faces + 3 * std::size_t(file.garment.face_count)) {
+    input.set_network(0, file.garment.sways_by_network());
+  }
 
   physkin::Evaluator evaluator;
-  physkin::Sway sway;
+  physkin::FrameInput input;
   std::vector<std::string> joint_names;
-  bool accelerated, learnt_sway;
   std::vector<float> lower, rest, upper, axes;
   std::vector<std::int32_t> faces;
 };
 
 namespace {
-
-constexpr double kStandardGravity = 9.81;       // [m/s2] what a direction of gravity stands for
-constexpr double kLargestEffectiveGravity = 3;  // in units of gravity; training knows no more
 
 // Of fixed size: telling what is wrong allocates nothing either.
 thread_local char last_error[512] = "";
@@ -117,6 +114,39 @@ physkin_status open(const unsigned char* data, std::size_t size, const physkin_o
   return PHYSKIN_OK;
 }
 
+// A frame of what `begin` tells the garment's input; `given` are the numbers that it may refuse, and what they are told by.
+template <class Begin>
+physkin_status step(physkin_garment* garment, const float* joint_positions, const void* given, float* out,
+                    int32_t columns, ptrdiff_t stride, Begin begin) {
+  if (garment == nullptr || joint_positions == nullptr || given == nullptr || out == nullptr) {
+    return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment, joint_positions, gravity or root, or out is null");
+  }
+  if (columns != 3 && columns != 6) return fail(PHYSKIN_BAD_ARGUMENT, "columns is %d; must be 3 or 6", int(columns));
+  if (stride < columns) {
+    return fail(PHYSKIN_BAD_ARGUMENT, "stride is %ld floats; must be %d or more", long(stride), int(columns));
+  }
+  if (const physkin_status status = begin(garment->input)) return status;
+  const physkin::VertexRows rows{reinterpret_cast<unsigned char*>(out), stride, columns == 6};
+  if (const physkin::Rejection bad = garment->evaluator.step(joint_positions, garment->input.rows(), &rows)) {
+    return fail(PHYSKIN_BAD_POSE, "%s[%zu] is %g; every value must be finite and within +-%g", bad.name, bad.index,
+                double(bad.value), double(bad.limit));
+  }
+  return PHYSKIN_OK;
+}
+
+// The same of a frame that stands by itself, under a gravity (3) of a root at rest, or of one that is accelerated.
+physkin_status still_step(physkin_garment* garment, const float* joint_positions, const float* gravity, float* out,
+                          int32_t columns, ptrdiff_t stride, bool accelerated) {
+  return step(garment, joint_positions, gravity, out, columns, stride, [&](physkin::FrameInput& input) {
+    const double vector[3] = {gravity[0], gravity[1], gravity[2]};
+    if (const char* wrong = accelerated ? input.accelerate(vector, nullptr) : input.hang(vector)) {
+      return fail(PHYSKIN_BAD_POSE, "%s, got (%g, %g, %g)", wrong, vector[0], vector[1], vector[2]);
+    }
+    input.begin_still_frame();
+    return PHYSKIN_OK;
+  });
+}
+
 }  // namespace
 
 extern "C" {
@@ -147,7 +177,7 @@ physkin_status physkin_open_memory(const void* data, size_t size, const physkin_
 
 void physkin_close(physkin_garment* garment) { delete garment; }
 
-int32_t physkin_vertex_count(const physkin_garment* garment) { return garment->evaluator.vertex_count(); }
+int32_t physkin_vertex_count(const physkin_garment* garment) { return garment->evaluator[0].vertex_count(); }
 int32_t physkin_joint_count(const physkin_garment* garment) { return garment->evaluator.dofs(); }
 int32_t physkin_face_count(const physkin_garment* garment) { return int32_t(garment->faces.size() / 3); }
 const int32_t* physkin_faces(const physkin_garment* garment) { return garment->faces.data(); }
@@ -176,84 +206,37 @@ physkin_status physkin_joint_range(const physkin_garment* garment, int32_t joint
   return PHYSKIN_OK;
 }
 
-namespace {
-
-physkin_status step(physkin_garment* garment, const float* joint_positions, const float* gravity,
-                    const physkin::Moment* moment, float* out, int32_t columns, ptrdiff_t stride) {
-  if (garment == nullptr || joint_positions == nullptr || gravity == nullptr || out == nullptr) {
-    return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment, joint_positions, gravity or out is null");
-  }
-  if (columns != 3 && columns != 6) return fail(PHYSKIN_BAD_ARGUMENT, "columns is %d; must be 3 or 6", int(columns));
-  if (stride < columns) {
-    return fail(PHYSKIN_BAD_ARGUMENT, "stride is %ld floats; must be %d or more", long(stride), int(columns));
-  }
-  const physkin::VertexRows rows{reinterpret_cast<unsigned char*>(out), stride, columns == 6};
-  if (const physkin::Rejection bad = garment->evaluator.step(joint_positions, gravity, rows, moment)) {
-    return fail(PHYSKIN_BAD_POSE, "%s[%zu] is %g; every value must be finite and within +-%g", bad.name, bad.index,
-                double(bad.value), double(bad.limit));
-  }
-  return PHYSKIN_OK;
-}
-
-}  // namespace
-
 physkin_status physkin_step(physkin_garment* garment, const float* joint_positions, const float* gravity, float* out,
                             int32_t columns, ptrdiff_t stride) {
-  return step(garment, joint_positions, gravity, nullptr, out, columns, stride);
+  return still_step(garment, joint_positions, gravity, out, columns, stride, false);
 }
 
 physkin_status physkin_step_accelerated(physkin_garment* garment, const float* joint_positions,
                                         const float* effective_gravity, float* out, int32_t columns,
                                         ptrdiff_t stride) {
-  if (garment == nullptr || effective_gravity == nullptr) {
-    return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment or effective_gravity is null");
-  }
-  float felt[3];
-  double square = 0.0;
-  for (int axis = 0; axis < 3; ++axis) {
-    const double share = double(effective_gravity[axis]) / kStandardGravity;
-    felt[axis] = float(share);
-    square += share * share;
-  }
-  if (!(std::sqrt(square) <= kLargestEffectiveGravity)) {
-    return fail(PHYSKIN_BAD_POSE, "effective_gravity is (%g, %g, %g) m/s2; must be finite and at most %.1f long",
-                double(effective_gravity[0]), double(effective_gravity[1]), double(effective_gravity[2]),
-                kLargestEffectiveGravity * kStandardGravity);
-  }
-  if (!garment->accelerated) {
-    return fail(PHYSKIN_BAD_ARGUMENT, "%s", "the garment was not trained with accelerated roots; use physkin_step");
-  }
-  return physkin_step(garment, joint_positions, felt, out, columns, stride);
+  return still_step(garment, joint_positions, effective_gravity, out, columns, stride, true);
 }
 
 physkin_status physkin_step_moving(physkin_garment* garment, const float* joint_positions, double time,
                                    const double* root, float* out, int32_t columns, ptrdiff_t stride) {
-  if (garment == nullptr || root == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment or root is null");
-  float told[physkin::kGravityAndMoment];
-  if (const char* wrong = garment->sway.gravity(time, root, garment->accelerated, garment->learnt_sway, told)) {
-    return fail(PHYSKIN_BAD_POSE, "%s", wrong);
-  }
-  const auto moment = physkin::moment_after(told, physkin::kGravityAndMoment);
-  return step(garment, joint_positions, told, &*moment, out, columns, stride);
+  return step(garment, joint_positions, root, out, columns, stride, [&](physkin::FrameInput& input) {
+    const char* wrong = input.move(time, root);
+    if (wrong == nullptr) wrong = input.begin_frame(time);
+    return wrong == nullptr ? PHYSKIN_OK : fail(PHYSKIN_BAD_POSE, "%s", wrong);
+  });
 }
 
 physkin_status physkin_set_sway(physkin_garment* garment, double amount) {
   if (garment == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment is null");
   if (!(amount >= 0 && amount <= 1)) return fail(PHYSKIN_BAD_ARGUMENT, "sway must be from 0 to 1, got %g", amount);
-  garment->sway.set_amount(amount);
+  garment->input.set_sway(0, amount);
   return PHYSKIN_OK;
 }
 
 physkin_status physkin_reset(physkin_garment* garment) {
   if (garment == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment is null");
-  garment->sway.reset();
+  garment->input.reset();
   return PHYSKIN_OK;
-}
-
-int32_t physkin_accelerated(const physkin_garment* garment) { return garment->accelerated; }
-
-physkin_status physkin_residual(const physkin_garment*, float*, int32_t*) {
-  return fail(PHYSKIN_BAD_ARGUMENT, "%s", "push-out was removed: a garment has no residual any more");
 }
 
 const char* physkin_precision(const physkin_garment* garment) {

@@ -93,17 +93,6 @@ class Beginning {
   std::string pattern_, mask_;
 };
 
-class BoundCheck {
- public:
-  BoundCheck(Given positions, float farthest) : positions_(std::move(positions)), farthest_(farthest) {}
-
-  bool ordinary() const { return physkin::ordinary(positions_.data(), positions_.size(), farthest_); }
-
- private:
-  Given positions_;
-  float farthest_;
-};
-
 }  // namespace
 
 void bind_joints(nb::module_& module) {
@@ -120,9 +109,6 @@ void bind_joints(nb::module_& module) {
   nb::class_<Beginning>(module, "MessageBeginning")
       .def(nb::init<const nb::bytes&, const nb::bytes&>(), "pattern"_a, "mask"_a)
       .def("matches", &Beginning::matches, "message"_a);
-  nb::class_<BoundCheck>(module, "PoseCheck")
-      .def(nb::init<Given, float>(), "positions"_a.noconvert(), "farthest"_a)
-      .def("ordinary", &BoundCheck::ordinary);
 }
 
 }  // namespace physkin

@@ -13,7 +13,7 @@
 #include <string>
 #include <vector>
 
-#include "evaluator/evaluator.hpp"
+#include "evaluator/garment_evaluator.hpp"
 #include "garment/bound_garment.hpp"
 #include "kernels/dispatch.hpp"
 
@@ -101,7 +101,6 @@ class PythonReader : public FieldSource {
     }
     return layers;
   }
-  std::string text(const std::string& name) override { return nb::cast<std::string>(attribute(name)); }
 
  private:
   nb::object attribute(const std::string& name) const { return object_.attr(name.c_str()); }
@@ -153,21 +152,6 @@ inline void raise_if(const Rejection& rejection) {
   if (rejection) throw nb::value_error(rejection.message().c_str());
 }
 
-// Numbers of one gravity, the moment behind it included; of an array of another size those of gravity alone.
-template <class Array>
-int gravity_size(const Array& gravity) {
-  const std::size_t size = gravity.ndim() > 0 ? gravity.shape(gravity.ndim() - 1) : 0;
-  const bool told = size == std::size_t(kGravityAndTwist) || size == std::size_t(kGravityAndMoment);
-  return told ? int(size) : kGravityAlone;
-}
-
-// One frame under a gravity of that many numbers.
-inline void step_under(Evaluator& evaluator, const float* joint_positions, const float* gravity, int size,
-                       const VertexRows& rows) {
-  const std::optional<Moment> moment = moment_after(gravity, size);
-  raise_if(evaluator.step(joint_positions, gravity, rows, moment ? &*moment : nullptr));
-}
-
 inline VertexRows vertex_rows(const OutputArray& out, int vertex_count) {
   const std::size_t columns = out.shape(1);
   if (out.shape(0) != std::size_t(vertex_count) || (columns != 3 && columns != 6)) {
@@ -186,19 +170,6 @@ using Text = std::optional<std::string>;  // None: from the environment, or the 
 
 inline EvaluatorOptions evaluator_options(const Text& precision, const std::string& normals) {
   return {select_precision(precision.value_or("")), select_normals(normals)};
-}
-
-// An evaluator of several bound garments, packed while other Python threads run.
-template <class SeveralGarments>
-SeveralGarments evaluator_of(const nb::list& garments, const Text& instruction_set, const Text& precision,
-                             const std::string& normals) {
-  PythonReader reader;
-  std::vector<BoundGarment> bound;
-  for (nb::handle garment : garments) bound.push_back(reader.bound_garment(garment));
-  const Kernels& kernels = select_kernels(instruction_set.value_or(""));
-  const EvaluatorOptions options = evaluator_options(precision, normals);
-  const nb::gil_scoped_release release;
-  return SeveralGarments(bound, kernels, options);
 }
 
 }  // namespace physkin

@@ -17,10 +17,11 @@ from physkin_core.check.likeness import Likeness, body_overlap, likeness
 from physkin_core.fit_option import add_fit_option
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.everyday_poses import everyday_poses
+from physkin_core.outfit.draper import Draper
 from physkin_core.outfit.outfit_options import add_limbs_option
 from physkin_core.output_file import check_folder
-from physkin_core.runtime.draper import UPRIGHT_GRAVITY, Draper
 from physkin_core.separation.limb_separator import LimbSeparator
+from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
 __all__ = ["advice", "command_parser", "main"]
 
@@ -60,13 +61,12 @@ def main(argv: list[str]) -> int:
     models = [load_garment_model(name) for name in options.garment or ["tshirt"]]
     rig = models[0].rig
     avatar = load_avatar(options.avatar, rig, rig_file=options.rig)
-    separate = options.separate_limbs
-    drapers = {model.name: Draper(model, avatar, fit=options.fit, separate_limbs=separate) for model in models}
-    checks = {name: check_garment(draper) for name, draper in drapers.items()}
-    poses, _ = everyday_poses(rig)
-    if separate:
+    drapers = {model.name: Draper(model, avatar, fit=options.fit) for model in models}
+    poses, gravity = everyday_poses(rig)
+    if options.separate_limbs:
         separator = LimbSeparator(rig, avatar)
         poses = np.array([separator.separate(positions)[0] for positions in poses])
+    checks = {name: check_garment(draper, list(zip(poses, gravity))) for name, draper in drapers.items()}
     known, overlap = likeness(avatar, rig), body_overlap(avatar, rig, poses)
     report = _report(avatar, checks, known, overlap)
     _print(report, avatar)

@@ -5,15 +5,15 @@ Dimensions: `P` poses, `d` degrees of freedom. Metres.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Literal
 
 import numpy as np
 
 from physkin_core.check.rest_check import RestCheck, rest_check
-from physkin_core.motion.everyday_poses import everyday_poses
+from physkin_core.outfit.draper import Draper
 from physkin_core.quality import contact_figures, edge_strain, signed_distance
-from physkin_core.runtime.draper import Draper
 
 __all__ = ["GarmentCheck", "Verdict", "check_garment"]
 
@@ -61,12 +61,13 @@ class GarmentCheck:
         return {"rest": rest, "everyday": asdict(self.everyday), "skin_shows_percent": shows, "verdict": self.verdict}
 
 
-def check_garment(draper: Draper) -> GarmentCheck:
-    """Look at a garment on its avatar: a second or two. Raises ValueError for a rig that is not the default one."""
+def check_garment(draper: Draper, poses: Sequence[tuple[np.ndarray, np.ndarray]]) -> GarmentCheck:
+    """Look at a garment on its avatar, at rest and in poses (joint positions (d,) [rad], direction of gravity (3,)),
+    everyday ones: a second or two."""
     avatar, rig = draper.avatar, draper.model.rig
     at_rest = rest_check(draper.model.garment, draper.drape(rig.rest)[:, :3], avatar.vertices, avatar.faces)
     distances, strains = [], []
-    for positions, gravity in zip(*everyday_poses(rig)):
+    for positions, gravity in poses:
         cloth = draper.drape(positions, gravity)[:, :3]
         body = avatar.posed_vertices(draper.bone_transforms(positions))
         distances.append(signed_distance(cloth, body, avatar.faces))

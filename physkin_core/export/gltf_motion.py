@@ -37,22 +37,19 @@ def write_gltf_motion(
     not garment nodes, and are not in the file. looks: of the body's faces that are shown, as of `avatar_look`, and
     of each garment, as of `garment_looks`; default a colour each. Raises OSError when it cannot be written.
     """
-    rig, drapers = outfit.models[0].rig, outfit.drapers
-    bones, nodes = [], [[] for _ in drapers]
-    for draper, sway in zip(drapers, outfit.sways):
-        draper.sway = sway
+    rig, bones, nodes = outfit.rig, [], []
+    outfit.reset()
     for positions, time, root_now in zip(motion.positions_for(rig), motion.times, motion.root):
+        outfit.drape(positions, time=time, root=root_now)
         bones.append(outfit.bone_transforms(positions))
-        for draper, transforms in zip(drapers, nodes):
-            draper.drape(positions, time=time, root=root_now)
-            transforms.append(draper.node_transforms())
-    looks = looks or [None] * (1 + len(drapers))
+        nodes.append(outfit.node_transforms())
+    looks = looks or [None] * (1 + len(outfit.layers))
     scene = _Scene(motion.times)
     root = scene.add_root(translation=motion.root_position[:, None], rotation=motion.root_orientation[:, None])
     scene.add_avatar(outfit.body_to_draw, rig, np.array(bones), outfit.faces_to_draw, root, looks[0])
-    colours = layer_colours(len(drapers))
-    for model, bound, transforms, colour, look in zip(outfit.models, outfit.bounds, nodes, colours, looks[1:]):
-        scene.add_garment(model.name, bound, np.array(transforms), root, colour, look)
+    colours = layer_colours(len(outfit.layers))
+    for layer, transforms, colour, look in zip(outfit.layers, zip(*nodes), colours, looks[1:]):
+        scene.add_garment(layer.name, layer.given, np.array(transforms), root, colour, look)
     write_glb(path, scene.finished())
 
 

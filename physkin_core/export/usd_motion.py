@@ -42,11 +42,11 @@ def write_usd_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Seque
     stage.SetDefaultPrim(root.GetPrim())
     place = root.AddTranslateOp()
     turn = root.AddOrientOp()
-    colours = [BODY_COLOUR, *layer_colours(len(outfit.models))]
-    names = _as_identifiers(["body", *(model.name for model in outfit.models)])
-    faces = [outfit.body_to_draw.faces[outfit.faces_to_draw], *outfit.faces]
+    colours = [BODY_COLOUR, *layer_colours(len(outfit.layers))]
+    names = _as_identifiers(["body", *(layer.name for layer in outfit.layers)])
+    faces = [outfit.body_to_draw.faces[outfit.faces_to_draw], *(layer.faces for layer in outfit.layers)]
     meshes = []
-    looks = looks or [None] * (1 + len(outfit.models))
+    looks = looks or [None] * (1 + len(outfit.layers))
     for name, triangles, colour, look in zip(names, faces, colours, looks):
         mesh = UsdGeom.Mesh.Define(stage, f"/avatar/{name}")
         mesh.CreateFaceVertexCountsAttr(np.full(len(triangles), 3, dtype=np.int32))
@@ -57,7 +57,8 @@ def write_usd_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Seque
         mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
         _paint(mesh, look, linear(colour), len(triangles), path)
         meshes.append(mesh)
-    rig = outfit.models[0].rig
+    rig = outfit.rig
+    outfit.reset()
     for frame, (positions, time, root_now) in enumerate(zip(motion.positions_for(rig), motion.times, motion.root)):
         clouds = outfit.drape(positions, time=time, root=root_now)
         body = outfit.posed_body(positions)

@@ -20,6 +20,7 @@ __all__ = ["MOCAP_SUFFIXES", "MOTIONS_DIRECTORY", "bundled_motions", "load_motio
 
 MOCAP_SUFFIXES = (".bvh", ".amc")
 BAG_SUFFIXES = (".mcap", ".db3")
+ARRAYS = ("positions", "root_orientation", "root_position")
 MOTIONS_DIRECTORY = Path(__file__).parents[1] / "assets" / "motions"
 
 
@@ -73,8 +74,7 @@ def _read(path: Path) -> Motion:
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a mapping)
     except (OSError, SafetensorError) as error:
         raise MotionError(f"cannot read motion file {path}: {error}") from error
-    fields = ("positions", "root_orientation", "root_position")
-    missing = [key for key in fields if key not in tensors]
+    missing = [key for key in ARRAYS if key not in tensors]
     missing += [f"metadata {key!r}" for key in ("joint_names", "rate_hz") if key not in metadata]
     if missing:
         raise MotionError(f"motion file {path} lacks {', '.join(missing)}")
@@ -83,14 +83,14 @@ def _read(path: Path) -> Motion:
         rate_hz = float(metadata["rate_hz"])
     except (ValueError, TypeError) as error:
         raise MotionError(f"motion file {path}: malformed joint_names or rate_hz: {error}") from error
-    return Motion(joint_names, *(tensors[key] for key in fields), rate_hz, metadata.get("name", path.stem))
+    arrays = {key: tensors[key] for key in ARRAYS}
+    return Motion(joint_names, **arrays, rate_hz=rate_hz, name=metadata.get("name", path.stem))
 
 
 def save_motion(motion: Motion, path: Path, *, notes: Mapping[str, str] | None = None) -> None:
     """Write a clip to `path` (.safetensors). notes: further metadata, such as source and licence."""
     from safetensors.numpy import save_file
 
-    fields = ("positions", "root_orientation", "root_position")
     described = {"name": motion.name, "rate_hz": repr(motion.rate_hz), "joint_names": json.dumps(motion.joint_names)}
-    tensors = {key: np.ascontiguousarray(getattr(motion, key)) for key in fields}
+    tensors = {key: np.ascontiguousarray(getattr(motion, key)) for key in ARRAYS}
     save_file(tensors, path, metadata={**(notes or {}), **described})

@@ -17,9 +17,8 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.surface_matching import with_normals
 from physkin_core.model.garment import vertex_normals
-from physkin_core.model.surface_paths import openings, path_lengths
 
-__all__ = ["Cover", "covered", "faces_of", "hem_distances", "slimmed"]
+__all__ = ["Cover", "covered", "faces_of", "slimmed"]
 
 FROM_HEM = 0.03
 """[m] along the cover, from its hem, within which nothing under it is hidden."""
@@ -40,11 +39,6 @@ class Cover:
     vertices: np.ndarray
     normals: np.ndarray
     hem_distance: np.ndarray
-
-
-def hem_distances(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(n,) [m] along a garment at rest from each vertex to its closest opening."""
-    return path_lengths(vertices, faces, np.concatenate([np.empty(0, dtype=int), *openings(vertices, faces)]))
 
 
 def covered(points: np.ndarray, normals: np.ndarray, covers: Sequence[Cover]) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Outfit: several garments on one body, worn over each other. Joint positions in, a cloud for each garment out.
+"""Outfit: one to four garments on one body, worn over each other. Joint positions in, a cloud for each garment out.
 
 Dimensions: `d` degrees of freedom, `n` vertices of a garment, `v` of them given, `f` faces. Radians, metres, root
 frame.
@@ -11,164 +11,133 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from functools import cache, cached_property, partial
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, AvatarWarning
-from physkin_core.model.garment import Garment, vertex_normals
+from physkin_core.model.garment import vertex_normals
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.outfit.coverage import Cover, covered, faces_of, slimmed
+from physkin_core.outfit.dressing import drapes, put_on
 from physkin_core.outfit.layer_order import LayerOrder, bind_layer_order
-from physkin_core.outfit.layers import Layer, OutfitGarment, drapes, put_on
-from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
 from physkin_core.outfit.taking_in import taken_in
 from physkin_core.outfit.tuck import DEEP, SLIDES
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.draper import BACKENDS, UPRIGHT_GRAVITY, Draper
-from physkin_core.separation.limb_separator import LimbSeparator
-from physkin_core.sway.pace import FrameClock
-from physkin_core.sway.sway import Sway, checked_amount
+from physkin_core.runtime.evaluator import Evaluator, Precision
+from physkin_core.runtime.layer import Layer, WornGarment
+from physkin_core.sway.frame_input import UPRIGHT_GRAVITY, FrameInput
 
 __all__ = ["Outfit"]
 
 log = logging.getLogger(__name__)
 
+FULL_TURN = 2 * np.pi
+
 
 class Outfit:
-    """Drapes up to four garments on one body, a pose at a time.
+    """Drapes one to four garments on one body, a pose at a time.
 
-    garments: from the skin outwards; `OutfitGarment(model, tucked=True)` for one whose hem is worn under the waistband
-        of the next. A garment knows what lies under it, so that the same shirt is wider over trousers.
-    hide: leave out what cannot be seen in everyday poses; `visible` says which vertices are given. False: give all.
-    backend, precision, fit, normals, separate_limbs: as of `Draper`; fit of garments without their own.
-    hidden: (n,) bool of each garment, what is covered in all everyday poses; visible: (v,) int32, the vertices that are
-    given; faces: (f, 3) int32 of these. body_mask: (F,) bool, the body's faces that are covered. at_rest: how each
-    garment sits on the skin, a tucked one before it is tucked and taken in: that puts some of the hem into the skin
-    below the waistband, where nobody sees it. fits: what each is worn in. bounds, orders: what a frame needs: bound
-    garments of the vertices given, and what keeps layers in order.
-    What can be worn but looks odd is issued as AvatarWarning, which `warnings` keeps.
+    garments: from the skin outwards; `WornGarment(model, tucked=True)` for one whose hem is worn under the waistband of
+        the next. A garment knows what lies under it, so that the same shirt is wider over trousers.
+    precision: of the network weights, "fp32", "bf16" or "int8" (see `Evaluator`); None for the default, int8.
+    fit: of garments without their own: 1 for made to measure for this body, 0 for the garment's one size, or between;
+        above 0 only with the body model's rig. None, the default: 1 with that, 0 with others. Above 0 it takes some
+        tenths of a second more when the body is bound, nothing a frame.
+    normals: "skinned", rest normals carried along with their vertices, or "faces", recomputed from the draped mesh:
+        truer where the cloth ripples or slides, for some 5 ns a vertex.
+    hide: leave out what cannot be seen in everyday poses; `Layer.visible` says which vertices are given. False: give
+        all.
+    layers: the garments as they are worn here. orders: what keeps them in order. avatar: with all `warnings`.
+    What can be worn but looks odd, or does not sit, is issued as AvatarWarning, which `warnings` keeps.
+    A joint more than a full turn beyond its limits is probably in degrees: the first such one is logged as a warning.
     Raises TypeError for anything but garments and an avatar; ValueError, in one sentence, for what cannot be worn (a
-    garment twice, more than four, several rigs, a tuck or an order that does not go) and for what `Draper` refuses.
+    garment twice, more than four, several rigs, a body of another rig, a tuck or an order that does not go), a fit that
+    is not possible, an unknown precision or kind of normals.
     """
 
     def __init__(
         self,
-        garments: Sequence[GarmentModel | OutfitGarment],
+        garments: Sequence[GarmentModel | WornGarment],
         avatar: Avatar,
         *,
-        backend: Literal["native", "numpy"] = "native",
-        precision: Literal["fp32", "bf16", "int8"] | None = None,
+        precision: Precision | None = None,
         fit: float | None = None,
         normals: Literal["skinned", "faces"] = "skinned",
-        separate_limbs: bool = False,
         hide: bool = True,
     ) -> None:
-        self.garments = _checked_garments(garments, avatar)
-        if backend not in BACKENDS:
-            raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
-        if backend == "numpy" and precision not in (None, "fp32"):
-            raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
-        layers, tucks, worth_saying = put_on(self.garments, avatar, fit=fit, backend=backend)
-        self.at_rest = tuple(layer.at_rest for layer in layers)
-        self.fits = tuple(layer.draper.fit for layer in layers)
-        rig = layers[0].garment.model.rig
-        poses, checked = _poses_to_look_at(rig)
-        if not checked and len(layers) > 1:
-            worth_saying.append("everyday poses are of the default rig: with this one nothing of an outfit is hidden")
-        for inner, outer in tucks:
-            layers[inner] = taken_in(layers[inner], layers[outer], poses)
-        self._drapers = [layer.draper for layer in layers]
-        cloth = drapes(layers, tucks, poses)
-        self.hidden, body_hidden = _hidden(layers, cloth, poses, avatar)
-        if not checked:
-            self.hidden, body_hidden = tuple(np.zeros_like(mask) for mask in self.hidden), np.zeros_like(body_hidden)
-        self.body_mask = faces_of(avatar.faces, body_hidden)
-        self.visible, self.faces = _given(layers, self.hidden if hide else [np.zeros_like(m) for m in self.hidden])
-        self.bounds = tuple(_among(layer, *given) for layer, *given in zip(layers, self.visible, self.faces))
-        self.orders = _orders(layers, self.visible, self.faces, cloth, tucks)
-        kinds = {"native": partial(NativeOutfitEvaluator, precision=precision), "numpy": ReferenceOutfitEvaluator}
-        self._new_evaluator = partial(kinds[backend], self.bounds, self.orders, normals=normals)
-        self.backend = backend
-        self.avatar = avatar
-        self._separates = separate_limbs
-        self._sways = (1.0,) * len(self.models)
-        self._begin()
-        if self._limb_separator is not None:
-            worth_saying.extend(self._limb_separator.warnings)
+        layers, tucks, worth_saying = put_on(_checked_garments(garments, avatar), avatar, fit=fit)
+        self.avatar, self.orders, self._body_hidden = avatar, (), None
+        self._made = {"precision": precision, "normals": normals}
+        if len(layers) > 1:
+            poses, checked = _poses_to_look_at(layers[0].model.rig)
+            for inner, outer in tucks:
+                layers[inner] = taken_in(layers[inner], layers[outer], poses)
+            cloth = drapes(layers, tucks, poses)
+            if checked:
+                layers = self._look_at(layers, cloth, poses)
+            else:
+                worth_saying.append("everyday poses are of the default rig: with this one nothing is hidden")
+            layers = [_giving_visible(layer) if hide else _untwisted(layer, layer.given) for layer in layers]
+            self.orders = _orders(layers, cloth, tucks)
+            moved = {order.yielding for order in self.orders}
+            layers = [replace(layer, moved=k in moved) for k, layer in enumerate(layers)]
+        self._begin(layers)
         for warning in worth_saying:
             warnings.warn(warning, AvatarWarning, stacklevel=2)
-        found = [warning for draper in self._drapers for warning in draper.avatar.warnings]
-        self.warnings = tuple(dict.fromkeys([*found, *worth_saying]))
+        self.warnings = tuple(dict.fromkeys([*avatar.warnings, *worth_saying]))
         self.avatar = replace(avatar, warnings=self.warnings)
-        self._covers_at_rest = _covers(layers, [layer.rest for layer in layers])
-        given = ", ".join(f"{layer.name} {len(v)} of {len(layer.rest)}" for layer, v in zip(layers, self.visible))
-        log.info("draping an outfit on %s, vertices: %s", avatar.source, given)
+        given = ", ".join(f"{layer.name} {layer.vertex_count} of {len(layer.rest)}" for layer in layers)
+        log.info("draping on %s, vertices: %s", avatar.source, given)
 
-    def _begin(self) -> None:
+    def _begin(self, layers: Sequence[Layer]) -> None:
         """Make what a frame writes to."""
-        rig = self.models[0].rig
-        self._evaluator = self._new_evaluator()
-        self._sway, self._clock = Sway(backend=self.backend), FrameClock()
-        self._separated = rig.rest.astype(np.float32)
-        self._limb_separator = LimbSeparator(rig, self.avatar) if self._separates else None
+        self.layers = tuple(layers)
+        self._evaluator = Evaluator([layer.given for layer in layers], self.orders, **self._made)
+        self.frame_input = FrameInput([layer.given.sways_by_network for layer in layers])
+        self._warned_of_degrees = False
+
+    def _look_at(self, layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: list) -> list[Layer]:
+        """The layers, knowing what of them is hidden; and keep what is of the body."""
+        hidden, self._body_hidden = _hidden(layers, cloth, poses, self.avatar)
+        return [replace(layer, hidden=mask) for layer, mask in zip(layers, hidden)]
 
     def twin(self) -> Outfit:
         """The same outfit on the same body with frames of its own, for another performer; nothing is bound anew, and
         `sway` is as it is here now."""
-        twin = copy(self)
-        twin._begin()
+        twin, sways = copy(self), self.frame_input.sways
+        twin._begin(self.layers)
+        twin.frame_input.sways = sways
+        return twin
+
+    def giving(self, garment: int, bound: BoundGarment) -> Outfit:
+        """A twin that gives other vertices of a garment: those of a bound garment on the same garment nodes."""
+        twin, layers = copy(self), list(self.layers)
+        layers[garment] = replace(layers[garment], given=bound, visible=np.empty(0, dtype=np.int32))
+        twin._begin(layers)
         return twin
 
     @property
-    def models(self) -> tuple[GarmentModel, ...]:
-        """From the skin outwards."""
-        return tuple(garment.model for garment in self.garments)
-
-    @property
-    def drapers(self) -> tuple[Draper, ...]:
-        """Each garment by itself and whole, bound over what lies beneath: no order, no tuck."""
-        return tuple(self._drapers)
+    def rig(self) -> Rig:
+        """Of all garments."""
+        return self.layers[0].model.rig
 
     @property
     def joint_names(self) -> tuple[str, ...]:
         """(d,) names of the joint positions, in the order `drape` takes them."""
-        return self.models[0].rig.joint_names
-
-    @property
-    def vertex_counts(self) -> tuple[int, ...]:
-        """Points v that `drape` writes, of each garment."""
-        return tuple(len(indices) for indices in self.visible)
-
-    @property
-    def moved(self) -> tuple[bool, ...]:
-        """Whether vertices of each garment are moved after skinning, to keep the order of layers or a tucked hem."""
-        moved = {order.yielding for order in self.orders}
-        return tuple(k in moved for k in range(len(self.garments)))
-
-    @property
-    def rest_garments(self) -> tuple[Garment, ...]:
-        """Each model's whole mesh in the rest shape worn here."""
-        return tuple(draper.rest_garment for draper in self._drapers)
-
-    @property
-    def separated_positions(self) -> np.ndarray:
-        """(d,) float32 [rad] the joint positions of the last drape, limbs separated, as of `Draper`."""
-        if self._limb_separator is None:
-            raise ValueError("this outfit separates no limbs and drapes positions as given; see separate_limbs")
-        return self._separated.copy()
+        return self.rig.joint_names
 
     @property
     def instruction_set(self) -> str:
-        """What evaluates: the native evaluator's instruction set, or "numpy"."""
+        """Of the evaluator."""
         return self._evaluator.instruction_set
 
     @property
-    def precision(self) -> str:
-        """Of the network weights it computes with: "fp32", "bf16" or "int8"."""
+    def precision(self) -> Precision:
+        """Of the network weights it computes with."""
         return self._evaluator.precision
 
     def drape(
@@ -183,101 +152,98 @@ class Outfit:
     ) -> list[np.ndarray]:
         """Deform all garments for one pose.
 
-        joint_positions, gravity, effective_gravity, time, root: as of `Draper.drape`; where one garment's model knows
-        no accelerated roots, all of them follow the direction alone. outs: writable float32 views, one a garment,
-        all (v, 6) or all (v, 3), any row stride; default new (v, 6). Returns `outs`: x, y, z [m], then unit normals;
-        row k of a garment is its vertex `visible[garment][k]`.
-        Raises ValueError as `Draper.drape` does. Order is kept from one frame to the next: give frames in their order.
+        joint_positions: (d,) [rad] in the order of `joint_names`, or positions by joint name, the others being at rest.
+        gravity: (3,) direction in the root frame, any length but zero, of a root that is not accelerated.
+        effective_gravity: (3,) [m/s2] in the root frame, of one that is: gravity less the root's acceleration, zero in
+        free fall, at most three times gravity; takes the place of `gravity`.
+        time: [s] when this is; frames are then to be given in their order, and cloth that would leap from one to the
+        next goes over at its pace. root: (7,), with time: where the root is in the world, as of `FrameInput.move`,
+        which then also says where down is: cloth lags, swings and settles as much as `sway` says.
+        outs: one a garment, writable float32 views, all (v, 6) or all (v, 3), any row stride; default new (v, 6).
+        Returns `outs`: x, y, z [m], then unit normals; row k of a garment is its vertex `Layer.visible[k]`.
+        Raises ValueError on wrong lengths, unknown joints or values that are not finite, naming the joint.
         """
-        learnt = [bool(bound.sway_layers) and effective_gravity is None for bound in self.bounds]
-        felt = [(gravity, effective_gravity, 0.0)] * len(self._drapers)
-        if root is not None:
-            felt = self._swaying(time, root, effective_gravity, learnt)
-        poses = [draper.checked_pose(joint_positions, *each) for draper, (*each, _) in zip(self._drapers, felt)]
-        positions, down = poses[-1]
-        if time is not None:
-            tell = partial(self._sway.moment, self._clock.passed(time), self._clock.elapsed, rooted=root is not None)
-            told = zip(poses, felt, learnt, self.sways)
-            down = np.stack([tell(twist=t, learnt=by, amount=a).after(each) for (_, each), (*_, t), by, a in told])
-        if self._limb_separator is not None:
-            positions, _ = self._limb_separator.separate(positions, out=self._separated)
+        positions = self.checked_positions(joint_positions)
+        self.frame_input.fill(gravity, effective_gravity=effective_gravity, time=time, root=root)
         if outs is None:
-            outs = [np.empty((count, 6), dtype=np.float32) for count in self.vertex_counts]
-        self._evaluator.evaluate(positions, down, outs)
+            outs = [np.empty((layer.vertex_count, 6), dtype=np.float32) for layer in self.layers]
+        self._evaluator.evaluate(positions, self.frame_input.rows, outs)
         return list(outs)
 
-    def _swaying(
-        self, time: float | None, root: np.ndarray | None, given: np.ndarray | None, learnt: Sequence[bool]
-    ) -> list[tuple]:
-        """Gravity, effective gravity and twist of each garment, as `Sway.gravity` tells them."""
-        tell = cache(
-            partial(self._sway.gravity, time, root, given, accelerated=all(model.accelerated for model in self.models))
-        )  # the root moves once: asked again at that time, only the amount differs
-        return [tell(learnt=by, amount=amount) for by, amount in zip(learnt, self.sways)]
+    def checked_positions(self, joint_positions: np.ndarray | Mapping[str, float]) -> np.ndarray:
+        """Joint positions given as to `drape`, as evaluators take them: (d,) float32 [rad]. Raises ValueError as that
+        does; warns, once, of what looks like degrees."""
+        rig = self.rig
+        if isinstance(joint_positions, Mapping):
+            joint_positions = rig.joint_positions(joint_positions)
+        positions = np.ascontiguousarray(joint_positions, dtype=np.float32)
+        if positions.shape != rig.rest.shape:
+            raise ValueError(f"joint positions have shape {positions.shape}, expected {rig.rest.shape}")
+        if positions.dot(positions) <= FULL_TURN**2:  # the cheapest question that all usual poses pass, and no NaN
+            return positions
+        if not np.isfinite(positions).all():
+            joint = int(np.flatnonzero(~np.isfinite(positions))[0])
+            raise ValueError(f"joint {rig.joint_names[joint]!r} is {positions[joint]}; positions must be finite [rad]")
+        beyond = np.maximum(rig.lower - positions, positions - rig.upper)
+        if not self._warned_of_degrees and beyond.max() > FULL_TURN:
+            self._warned_of_degrees = True
+            joint = int(beyond.argmax())
+            log.warning(
+                "joint %r is %g, a full turn beyond its limits of %.2f to %.2f rad: degrees? Positions are in radians",
+                *(rig.joint_names[joint], positions[joint], rig.lower[joint], rig.upper[joint]),
+            )
+        return positions
+
+    def bind_frame(
+        self, joint_positions: np.ndarray, inputs: np.ndarray, outs: Sequence[np.ndarray]
+    ) -> Callable[[], None]:
+        """A frame bound to its arrays, as of `Evaluator.bind_frame`: called, it drapes what they hold into `outs`."""
+        return self._evaluator.bind_frame(joint_positions, inputs, outs).step
 
     @property
     def sway(self) -> float | tuple[float, ...]:
-        """How much the garments swing where `drape` is told time and root, 0 to 1, as of `Draper`: one number for all,
-        or, where they differ, one each from the skin outwards. Raises ValueError, when set, for other numbers, or
-        another number of them."""
-        return self._sways if len(set(self._sways)) > 1 else self._sways[0]
+        """How much the garments swing where `drape` is given time and root, 0 to 1: one number for all, or, where they
+        differ, one each from the skin outwards. 1, the default: all of it; 0: not at all, and every drape is by itself,
+        whatever time it is. Raises ValueError, when set, for other numbers, or another number of them."""
+        sways = self.frame_input.sways
+        return sways if len(set(sways)) > 1 else sways[0]
 
     @sway.setter
     def sway(self, amount: float | Sequence[float]) -> None:
         many = isinstance(amount, Sequence) or np.ndim(amount) > 0
-        amounts = tuple(amount) if many else (amount,) * len(self.models)
-        if len(amounts) != len(self.models):
-            raise ValueError(f"sway has {len(amounts)} numbers; expected one for each of {len(self.models)} garments")
-        self._sways = tuple(checked_amount(each) for each in amounts)
-
-    @property
-    def sways(self) -> tuple[float, ...]:
-        """`sway` of each garment."""
-        return self._sways
+        self.frame_input.sways = tuple(amount) if many else (amount,) * len(self.layers)
 
     def reset(self) -> None:
-        """Let the cloth hang still, as if the next frame were the first; see `Sway.reset`."""
-        self._sway.reset()
-        self._clock.reset()
-
-    def bind_step(
-        self, joint_positions: np.ndarray, gravity: np.ndarray, outs: Sequence[np.ndarray]
-    ) -> Callable[[], None]:
-        """A frame bound to its arrays, as `Draper.bind_step`: `step()` drapes what they hold now into `outs`."""
-        separator = self._limb_separator
-        draped = joint_positions if separator is None else self._separated
-        if self.backend == "native":
-            evaluate = self._evaluator.bind_step(draped, gravity, outs).step
-        else:
-            evaluate = partial(self._evaluator.evaluate, draped, gravity, outs)
-        check = self._drapers[0].check_unusual
-
-        def step() -> None:
-            check(joint_positions)
-            if separator is not None:
-                separator.separate(joint_positions, out=draped)
-            evaluate()
-
-        return step
+        """Let the cloth hang still, as if the next frame were the first; see `FrameInput.reset`."""
+        self.frame_input.reset()
 
     def node_transforms(self) -> tuple[np.ndarray, ...]:
         """Garment node transforms (m, 3, 4) of each garment in the last frame, canonical garment node frame to root
-        frame. Skinned by `bounds` they give the vertices as they are before `moved` ones are moved."""
-        return tuple(self._evaluator.node_transforms(k) for k in range(len(self.garments)))
+        frame. Skinned by `Layer.given` they give the vertices as they are before those of layers `moved` are moved."""
+        return tuple(self._evaluator.node_transforms(k) for k in range(len(self.layers)))
 
     def bone_transforms(self, joint_positions: np.ndarray) -> np.ndarray:
         """(b, 3, 4) canonical-to-posed transforms of this body's bones, for posing the body beside the garments.
 
-        Limbs are separated, where drapes are."""
-        if self._limb_separator is not None:
-            joint_positions, _ = self._limb_separator.separate(np.asarray(joint_positions, dtype=np.float32))
-        return self._drapers[0].bone_transforms(joint_positions)
+        joint_positions: (d,) [rad], as `drape` takes them."""
+        return self.rig.bone_transforms(joint_positions, heads=self.avatar.bone_heads)
+
+    @cached_property
+    def body_mask(self) -> np.ndarray:
+        """(F,) bool, the body's faces that are covered in all everyday poses."""
+        if self._body_hidden is None:
+            poses, checked = _poses_to_look_at(self.rig)
+            if not checked:
+                return np.zeros(len(self.avatar.faces), dtype=bool)
+            self._look_at(self.layers, list(zip(*(layer.drape(poses) for layer in self.layers))), poses)
+        return faces_of(self.avatar.faces, self._body_hidden)
 
     @cached_property
     def body_to_draw(self) -> Avatar:
         """The avatar and its accessories, skin under cloth up to 6 mm slimmer, so that none shows through where cloth
         lies a little too deep."""
-        return slimmed(self.avatar, self._covers_at_rest).with_accessories()
+        covers = _covers(self.layers, [layer.rest for layer in self.layers])
+        return slimmed(self.avatar, covers).with_accessories()
 
     @cached_property
     def faces_to_draw(self) -> np.ndarray:
@@ -286,20 +252,18 @@ class Outfit:
         return np.concatenate([~self.body_mask, np.ones(accessories, dtype=bool)])
 
     def posed_body(self, joint_positions: np.ndarray) -> np.ndarray:
-        """(V, 3) [m] `body_to_draw` in a pose, for drawing it beside the garments; limbs as of `bone_transforms`."""
+        """(V, 3) [m] `body_to_draw` in a pose, for drawing it beside the garments."""
         return self.body_to_draw.posed_vertices(self.bone_transforms(joint_positions))
 
 
-def _checked_garments(garments: Sequence[GarmentModel | OutfitGarment], avatar: Avatar) -> tuple[OutfitGarment, ...]:
-    if isinstance(garments, GarmentModel | OutfitGarment) or not isinstance(avatar, Avatar):
+def _checked_garments(garments: Sequence[GarmentModel | WornGarment], avatar: Avatar) -> tuple[WornGarment, ...]:
+    if isinstance(garments, GarmentModel | WornGarment) or not isinstance(avatar, Avatar):
         given = f"{type(garments).__name__}, {type(avatar).__name__}"
         raise TypeError(f"Outfit takes a list of garments, then an avatar: Outfit([inner, outer], avatar), got {given}")
-    checked = [OutfitGarment(garment) if isinstance(garment, GarmentModel) else garment for garment in garments]
+    checked = [WornGarment(garment) if isinstance(garment, GarmentModel) else garment for garment in garments]
     for garment in checked:
-        if not isinstance(garment, OutfitGarment) or not isinstance(garment.model, GarmentModel):
-            raise TypeError(
-                f"a garment of an outfit is a GarmentModel or an OutfitGarment, got {type(garment).__name__}"
-            )
+        if not isinstance(garment, WornGarment) or not isinstance(garment.model, GarmentModel):
+            raise TypeError(f"a garment of an outfit is a GarmentModel or an WornGarment, got {type(garment).__name__}")
     return tuple(checked)
 
 
@@ -319,7 +283,9 @@ def _hidden(layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: list,
     for (positions, _), drawn in zip(poses, cloth):
         drawn = [layer.astype(np.float64) for layer in drawn]
         covers = _covers(layers, drawn)
-        skin = avatar.posed_vertices(layers[0].draper.bone_transforms(positions)).astype(np.float64)
+        skin = avatar.posed_vertices(layers[0].model.rig.bone_transforms(positions, heads=avatar.bone_heads)).astype(
+            np.float64
+        )
         skin = np.concatenate([skin, vertex_normals(skin, avatar.faces)], axis=1)
         for mask, points, over in [
             (body, skin, covers),
@@ -337,35 +303,34 @@ def _covers(layers: Sequence[Layer], drawn: Sequence[np.ndarray]) -> list[Cover]
 
 def _over(layer: Layer, covers: Sequence[Cover]) -> list[Cover]:
     """What covers a layer. A tucked one may slide up, so that more of it, below a waistband, counts as near that."""
-    slides = SLIDES if layer.garment.tucked else 0
+    slides = SLIDES if layer.tucked else 0
     return [replace(cover, hem_distance=cover.hem_distance - slides) for cover in covers]
 
 
-def _given(layers: Sequence[Layer], hidden: Sequence[np.ndarray]):
-    """Of each layer the vertices (v,) int32 that are given, and faces (f, 3) of these."""
-    shown = [layer.draper.faces[~faces_of(layer.draper.faces, mask)] for layer, mask in zip(layers, hidden)]
-    visible = [np.unique(faces).astype(np.int32) for faces in shown]
-    return tuple(visible), tuple(np.searchsorted(v, faces).astype(np.int32) for v, faces in zip(visible, shown))
+def _giving_visible(layer: Layer) -> Layer:
+    """A layer of which the faces that are not hidden are given, and their vertices."""
+    shown = layer.bound.faces[~faces_of(layer.bound.faces, layer.hidden)]
+    visible = np.unique(shown).astype(np.int32)
+    faces = np.searchsorted(visible, shown).astype(np.int32)
+    return replace(_untwisted(layer, layer.bound.of_vertices(visible, faces)), visible=visible)
 
 
-def _among(layer: Layer, vertices: np.ndarray, faces: np.ndarray) -> BoundGarment:
-    """A layer's bound garment, of which only some vertices (v,) are computed. What is tucked in does not twist."""
-    bound = layer.bound
-    if layer.garment.tucked:
-        bound = replace(bound, node_twist=np.empty(0, dtype=np.float32))
-    fields = ("vertices", "normals", "influence_nodes", "influence_weights")
-    return replace(
-        bound, faces=faces, **{name: np.ascontiguousarray(getattr(bound, name)[vertices]) for name in fields}
-    )
+def _untwisted(layer: Layer, given: BoundGarment) -> Layer:
+    """What is tucked in does not twist."""
+    if layer.tucked:
+        given = replace(given, node_twist=np.empty(0, dtype=np.float32))
+    return replace(layer, given=given)
 
 
-def _orders(layers, visible, faces, cloth, tucks) -> tuple[LayerOrder, ...]:
+def _orders(
+    layers: Sequence[Layer], cloth: list[list[np.ndarray]], tucks: list[tuple[int, int]]
+) -> tuple[LayerOrder, ...]:
     """What keeps the order of every two layers: the outer one yields, or the inner one where it is tucked in."""
     orders = []
     for outer in range(len(layers)):
         for inner in range(outer):
             pair = (outer, inner) if (inner, outer) in tucks else (inner, outer)
-            rest = tuple(layers[k].rest[visible[k], :3] for k in pair)
-            poses = [tuple(drawn[k][visible[k]] for k in pair) for drawn in cloth]
-            orders.append(bind_layer_order(*pair, rest, tuple(faces[k] for k in pair), poses))
+            rest = tuple(layers[k].rest[layers[k].visible, :3] for k in pair)
+            poses = [tuple(drawn[k][layers[k].visible] for k in pair) for drawn in cloth]
+            orders.append(bind_layer_order(*pair, rest, tuple(layers[k].faces for k in pair), poses))
     return tuple(order for order in orders if order is not None)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from physkin_core.avatar.loading import BUNDLED_AVATAR
 from physkin_core.fit_option import add_fit_option
 from physkin_core.model.model_file import load_garment_model, split_fabric
-from physkin_core.outfit.layers import OutfitGarment
+from physkin_core.runtime.layer import WornGarment
 
 __all__ = [
     "add_avatar_options",
@@ -74,7 +74,7 @@ def add_sway_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def chosen_garments(names: Sequence[str] | None, tucked: Sequence[str]) -> list[OutfitGarment]:
+def chosen_garments(names: Sequence[str] | None, tucked: Sequence[str]) -> list[WornGarment]:
     """Garments by file or shipped name, from the skin outwards; a T-shirt where none is named.
 
     Raises ValueError when one is tucked that is not worn, or a file is no model."""
@@ -84,6 +84,6 @@ def chosen_garments(names: Sequence[str] | None, tucked: Sequence[str]) -> list[
         if name not in names and name not in files:
             raise ValueError(f"--tucked {name}: none of the garments, which are {', '.join(names)}")
     return [
-        OutfitGarment(load_garment_model(name), tucked=name in tucked or file in tucked)
+        WornGarment(load_garment_model(name), tucked=name in tucked or file in tucked)
         for name, file in zip(names, files)
     ]

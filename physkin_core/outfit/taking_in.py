@@ -15,9 +15,10 @@ from dataclasses import replace
 import numpy as np
 
 from physkin_core.model.surface_paths import mesh_edges
-from physkin_core.outfit.layers import Layer, tuck_in
+from physkin_core.outfit.dressing import tuck_in
 from physkin_core.runtime.binding import rest_normals
-from physkin_core.runtime.draper import Draper
+from physkin_core.runtime.layer import Layer
+from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
 __all__ = ["taken_in"]
 
@@ -33,20 +34,19 @@ ROUNDS = 20
 def taken_in(under: Layer, over: Layer, poses: Sequence[tuple[np.ndarray, np.ndarray]]) -> Layer:
     """A tucked layer made narrower where it goes into the waistband of `over`. poses: joint positions [rad] and
     gravity directions."""
-    drawn = [tuple(layer.draper.drape(*pose) for layer in (under, over)) for pose in poses]
+    drawn = list(zip(under.drape(poses), over.drape(poses)))
     loose = [cloth[:, :3].copy() for cloth, _ in drawn]
     tuck_in(under, over, drawn)
     pushes = np.stack([np.linalg.norm(cloth[:, :3] - before, axis=1) for (cloth, _), before in zip(drawn, loose)])
-    model, bound = under.garment.model, under.bound
+    bound = under.bound
     buried = np.clip((under.tucked_depth - FROM) / (TO - FROM), 0, 1)
     seen_push, buried_push = np.quantile(pushes, (SEEN, BURIED), axis=0)
     inwards = ((1 - buried) * seen_push + buried * buried_push)[:, None] * bound.normals
     vertices = (bound.vertices - _smooth(inwards, bound.faces)).astype(np.float32)
-    binding = replace(bound, vertices=vertices, normals=rest_normals(model, vertices))
-    draper = under.draper
-    draper = Draper(model, draper.avatar, fit=draper.fit, backend=draper.backend, binding=binding)
-    rest = draper.drape(model.rig.rest)
-    narrower = replace(under, draper=draper, rest=rest)
+    bound = replace(bound, vertices=vertices, normals=rest_normals(under.model, vertices))
+    narrower = replace(under, bound=bound, given=bound)
+    (rest,) = narrower.drape([(under.model.rig.rest, UPRIGHT_GRAVITY)])
+    narrower = replace(narrower, rest=rest)
     tuck_in(narrower, over, [(rest, over.rest)])
     return narrower
 

@@ -5,29 +5,27 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.avatar.rig_file import AXES, axes_to_root_frame
 from physkin_core.fit_option import add_fit_option
+from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
 from physkin_core.motion.motion import Motion
 from physkin_core.motion.reading_progress import reading_progress
+from physkin_core.outfit.draper import Draper
 from physkin_core.outfit.outfit_options import add_avatar_options
 from physkin_core.output_file import check_other_file
 from physkin_core.points.point_files import POINT_FILES, PointFile, read_points
 from physkin_core.points.splat_draper import SplatDraper
 from physkin_core.progress import progress_line
-from physkin_core.runtime.draper import Draper
 
 __all__ = ["command_parser", "main"]
-
-WriteFrame = Callable[[Path, np.ndarray, np.ndarray], None]
-"""Writes a file with the points in the pose of joint positions and gravity."""
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -70,13 +68,12 @@ def main(argv: list[str]) -> int:
     for output in outputs.values():
         check_other_file(output, options.points, options.avatar)
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
-    garment = Draper(model, avatar, fit=options.fit)
-    for warning in garment.avatar.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
     try:
-        write = _splat_writer(garment, file, to_root) if file.splats else _point_writer(garment, file, to_root)
+        draper, write = (_splat_writer if file.splats else _point_writer)(model, avatar, options.fit, file, to_root)
     except ValueError as error:
         raise ValueError(f"{options.points}: {error}") from error
+    for warning in draper.avatar.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
     positions = motion.positions_for(model.rig)
     watch = progress_line(f"writing {len(outputs)} files")
     for done, (frame, output) in enumerate(outputs.items(), 1):
@@ -109,10 +106,9 @@ def _outputs(options: argparse.Namespace, motion: Motion) -> dict[int, Path]:
     return {options.frame: path}
 
 
-def _point_writer(garment: Draper, file: PointFile, to_root: np.ndarray) -> WriteFrame:
+def _point_writer(model: GarmentModel, avatar: Avatar, fit: float | None, file: PointFile, to_root: np.ndarray):
     points, normals = file.points @ to_root.T, None if file.normals is None else file.normals @ to_root.T
-    known = {"fit": garment.fit, "binding": garment.bound}
-    draper = Draper(garment.model, garment.avatar, points=points, point_normals=normals, **known)
+    draper = Draper(model, avatar, fit=fit, points=points, point_normals=normals)
     to_file = np.linalg.inv(to_root)
     turn_back = to_root.T / np.cbrt(np.linalg.det(to_root))
 
@@ -121,15 +117,14 @@ def _point_writer(garment: Draper, file: PointFile, to_root: np.ndarray) -> Writ
         turned = None if normals is None else cloud[:, 3:] @ turn_back.T
         file.write(path, cloud[:, :3] @ to_file.T, turned)
 
-    return write
+    return draper, write
 
 
-def _splat_writer(garment: Draper, file: PointFile, to_root: np.ndarray) -> WriteFrame:
-    splats = file.splats.transformed(to_root)
-    draper = SplatDraper(garment.model, garment.avatar, splats, fit=garment.fit, binding=garment.bound)
+def _splat_writer(model: GarmentModel, avatar: Avatar, fit: float | None, file: PointFile, to_root: np.ndarray):
+    draper = SplatDraper(model, avatar, file.splats.transformed(to_root), fit=fit)
     to_file = np.linalg.inv(to_root)
 
     def write(path: Path, positions: np.ndarray, gravity: np.ndarray) -> None:
         file.write_splats(path, draper.drape(positions, gravity).transformed(to_file))
 
-    return write
+    return draper, write

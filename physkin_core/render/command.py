@@ -15,6 +15,7 @@ from physkin_core.outfit.outfit_options import add_limbs_option, add_outfit_opti
 from physkin_core.progress import progress_line
 from physkin_core.render.film_files import FILM_KINDS, check_film, write_film
 from physkin_core.render.filming import Camera, film
+from physkin_core.separation.limb_separator import separated_motion
 
 __all__ = ["command_parser", "main"]
 
@@ -40,7 +41,9 @@ def main(argv: list[str]) -> int:
         motion = motion.resampled(rate)
     check_film(options.output, size=camera.size, rate_hz=rate)
     avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
-    outfit = Outfit(garments, avatar, fit=options.fit, separate_limbs=options.separate_limbs)
+    outfit = Outfit(garments, avatar, fit=options.fit)
+    if options.separate_limbs:
+        motion = separated_motion(motion, outfit.rig, outfit.avatar)
     outfit.sway = options.sway
     for warning in outfit.warnings:
         print(f"warning: {warning}", file=sys.stderr)

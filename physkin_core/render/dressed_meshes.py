@@ -20,5 +20,8 @@ def dressed_meshes(outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]
     shown = outfit.faces_to_draw if len(cloth) > 1 else slice(None)
     colours = avatar_colours(outfit.body_to_draw)
     skin = Mesh(body, outfit.body_to_draw.faces[shown], BODY_COLOUR if colours is None else colours[shown])
-    worn = [Mesh(np.asarray(p)[:, :3], f, c) for p, f, c in zip(cloth, outfit.faces, layer_colours(len(cloth)))]
+    worn = [
+        Mesh(np.asarray(points)[:, :3], layer.faces, colour)
+        for points, layer, colour in zip(cloth, outfit.layers, layer_colours(len(cloth)))
+    ]
     return [skin, *worn]

@@ -69,7 +69,7 @@ def film(outfit: Outfit, motion: Motion, camera: Camera, *, watch: Watch = lambd
 def _frames(outfit: Outfit, motion: Motion) -> Iterator[list[Mesh]]:
     """Body and garments of each frame, in the world."""
     turns = Rotation.from_quat(motion.root_orientation)
-    positions = motion.positions_for(outfit.models[0].rig)
+    positions = motion.positions_for(outfit.rig)
     outfit.reset()
     for pose, time, root, turn, place in zip(positions, motion.times, motion.root, turns, motion.root_position):
         cloth = outfit.drape(pose, time=time, root=root)

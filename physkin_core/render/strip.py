@@ -33,7 +33,7 @@ def draw_strip(outfit: Outfit, motion: Motion, count: int, *, watch: Watch = lam
         raise ValueError(f"a strip of motion {motion.name!r} has 2 to {most} frames, got {count}")
     chosen = set(np.linspace(0, motion.frame_count - 1, count).round().astype(int).tolist())
     columns = []
-    for frame, (positions, gravity) in enumerate(zip(motion.positions_for(outfit.models[0].rig), motion.gravity)):
+    for frame, (positions, gravity) in enumerate(zip(motion.positions_for(outfit.rig), motion.gravity)):
         cloth = outfit.drape(positions, gravity)
         if frame in chosen:
             body = outfit.posed_body(positions)

@@ -5,12 +5,12 @@ Dimensions: `d` degrees of freedom, `b` bones of the rig, `k` bones that rotatio
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 
 import numpy as np
 
-from physkin_core.rig.ball_joints import BallRotations
+from physkin_core.rig.ball_joints import BallJoint, BallRotations
 from physkin_core.rig.rig import Rig, RigError
 from physkin_core.rig.vrm_bones import VRM_AXES, rig_ball_joint, vrm_ball_joints
 
@@ -86,12 +86,12 @@ class BoneRotations:
         positions[named] = self._rig.rest[named] + solved[named]
         return positions
 
-    def unknown(self, names: Sequence[str]) -> list[str]:
+    def unknown(self, names: Iterable[str]) -> list[str]:
         """Those of the names that are no bones."""
         return [name for name in names if name not in self._row]
 
 
-def _own_ball_joints(rig: Rig) -> dict:
+def _own_ball_joints(rig: Rig) -> dict[str, BallJoint]:
     """The ball joint of each bone that has joints."""
     joints: dict[str, list[str]] = {}
     for dof in rig.dofs:

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -185,7 +186,7 @@ class Rig:
             change[bone, bone] -= elsewhere[bone]
         return change
 
-    def to_json(self) -> dict:
+    def to_json(self) -> dict[str, Any]:
         """Plain data (lists, strings, numbers) from which `from_json` makes an equal rig."""
         bones = [
             {"name": name, "parent": int(parent), "head": head.tolist(), "tail": tail.tolist()}
@@ -194,7 +195,7 @@ class Rig:
         return {"bones": bones, "dofs": [vars(dof) | {"axis": list(dof.axis)} for dof in self.dofs]}
 
     @classmethod
-    def from_json(cls, data: Mapping) -> Rig:
+    def from_json(cls, data: Mapping[str, Any]) -> Rig:
         """Inverse of `to_json`. Raises RigError on missing, unknown or malformed entries."""
         try:
             bones, dofs = data["bones"], data["dofs"]
@@ -251,7 +252,7 @@ def _reject_duplicates(kind: str, names: Sequence[str]) -> None:
         raise RigError(f"{kind} {twice!r} occurs twice")
 
 
-def _reject_unknown(where: str, entries: Mapping, allowed: Sequence[str]) -> None:
+def _reject_unknown(where: str, entries: Mapping[str, Any], allowed: Sequence[str]) -> None:
     if unknown := sorted(str(key) for key in set(entries) - set(allowed)):
         raise RigError(f"{where} has unknown entries {', '.join(unknown)}; allowed: {', '.join(allowed)}")
 

@@ -11,28 +11,25 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
-from typing import Literal
 
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.hyper_modulator import POINT_COUNT, at_fit, body_modulation
 from physkin_core.model.mlp import fold_modulation
 from physkin_core.model.node_deformer import fold_first_layer
 from physkin_core.model.skinning import unit
-from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.model.sway_network import fold_body
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
+from physkin_core.runtime.body_encoder import encode_body
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.evaluator import make_evaluator
-from physkin_core.runtime.layers_beneath import LayerBeneath
+from physkin_core.runtime.garment_on_body import put_on_body
+from physkin_core.runtime.layer import Layer
 from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
-from physkin_core.runtime.worn_garment import wear
 from physkin_core.sway.node_twist import node_twist
 
-__all__ = ["FARTHEST_POINT", "bind_garment", "bind_points", "encode_body", "rest_normals"]
+__all__ = ["FARTHEST_POINT", "bind_garment", "bind_points", "rest_normals"]
 
 log = logging.getLogger(__name__)
 
@@ -45,38 +42,13 @@ POINTS_AT_ONCE = 8192
 """Points whose skinning weights over all garment nodes `bind_points` holds at a time."""
 
 
-def encode_body(
-    model: GarmentModel, avatar: Avatar, *, fit: float | None = None, backend: Literal["native", "numpy"] = "numpy"
-) -> np.ndarray:
-    """Run the hyper modulator on a body: modulation (s,) float32 of the pose modulator.
-
-    fit: of the garment, as in `bind_garment`. backend: "native" (C++, an order of magnitude faster on one core) or
-    "numpy" (readable reference).
-    """
-    network = at_fit(model.hyper_modulator, model.checked_fit(fit))
-    points, normals = sample_surface(avatar.vertices, avatar.faces, POINT_COUNT)
-    if backend == "native":
-        from physkin_core.runtime.native_body_encoder import native_body_modulation
-
-        return native_body_modulation(network, points, normals)
-    return body_modulation(network, points, normals).astype(np.float32)
-
-
 def bind_garment(
-    model: GarmentModel,
-    avatar: Avatar,
-    *,
-    fit: float | None = None,
-    backend: Literal["native", "numpy"] = "numpy",
-    fold: bool = True,
-    beneath: Sequence[LayerBeneath] = (),
+    model: GarmentModel, avatar: Avatar, *, fit: float | None = None, beneath: Sequence[Layer] = ()
 ) -> BoundGarment:
     """Everything of (model, body) that does not change with the pose. Encodes the body; logs how long that took.
 
     fit: 0 for the template's rest shape, 1 for the one made to measure, between for one between; None for 1 where the
-    model has learnt it, else 0. backend: what encodes the body, as in `encode_body`, and drapes it in some poses. fold:
-    fold the body's modulation into the pose modulator, which saves a little time a frame; without, bodies share its
-    network weights (see `NativeEvaluatorBatch`). beneath: what the body wears already, under this garment.
+    model has learnt it, else 0. beneath: what the body wears already, under this garment.
     Raises ValueError when the avatar's bones are not those of the model's rig, for a fit that the model has not learnt,
     or one above 0 with another rig than the body model's.
     """
@@ -93,10 +65,10 @@ def bind_garment(
                 f"{expected!r} there; load it with `load_avatar(path, model.rig)`"
             )
     started = perf_counter()
-    worn = wear(model, avatar, fit, beneath)
+    worn = put_on_body(model, avatar, fit, beneath)
     log.info("put %s on %s in %.1f s", model.name, avatar.source, perf_counter() - started)
     started = perf_counter()
-    modulation = encode_body(model, worn.seen, fit=fit, backend=backend)
+    modulation = encode_body(model, worn.seen, fit=fit)
     log.info("encoded body %s for %s in %.0f ms", avatar.source, model.name, 1e3 * (perf_counter() - started))
     (first_weight, first_bias), *rest = model.node_deformer
     elsewhere = worn.seen.bone_heads.astype(np.float64) - avatar.bone_heads
@@ -111,7 +83,7 @@ def bind_garment(
         dof_rest=_float(rig.rest),
         dof_lower=_float(rig.lower),
         dof_upper=_float(rig.upper),
-        pose_layers=_float_layers(fold_modulation(model.pose_modulator, modulation) if fold else model.pose_modulator),
+        pose_layers=_float_layers(fold_modulation(model.pose_modulator, modulation)),
         deformer_bones=deformer_bones,
         deformer_layers=_float_layers([(folded_weight, first_bias), *rest]),
         node_bone=np.ascontiguousarray(model.node_bone, dtype=np.int32),
@@ -122,8 +94,6 @@ def bind_garment(
         normals=rest_normals(model, worn.garment.vertices),
         influence_nodes=np.ascontiguousarray(model.influence_nodes, dtype=np.int32),
         influence_weights=_float(model.influence_weights),
-        activation=model.activation,
-        pose_modulation=np.empty(0, dtype=np.float32) if fold else _float(modulation),
         faces=np.ascontiguousarray(worn.garment.faces, dtype=np.int32),
         **({} if model.sway is None else fold_body(model.sway, modulation)),
     )
@@ -137,9 +107,7 @@ def bind_garment(
         draped, bound.faces, wanted, SkinClearance(avatar.vertices, avatar.faces)
     )
     if unlike:
-        clear = replace(bound, vertices=_float(vertices))
-        evaluator = make_evaluator(backend, clear, precision="fp32")
-        vertices = vertices + room_to_move(clear, avatar, rig=rig, evaluator=evaluator)
+        vertices = vertices + room_to_move(replace(bound, vertices=_float(vertices)), avatar, rig)
     return replace(bound, vertices=_float(vertices), normals=rest_normals(model, vertices))
 
 

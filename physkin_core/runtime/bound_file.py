@@ -9,52 +9,42 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
+from physkin_core.native_module import native
 from physkin_core.runtime.bound_garment import BoundGarment
 
 __all__ = ["BOUND_SCHEMA_VERSION", "save_bound_garment"]
 
 FORMAT = "physkin-bound-garment"
-BOUND_SCHEMA_VERSION = 1
+BOUND_SCHEMA_VERSION = 2
 
 
-def save_bound_garment(
-    bound: BoundGarment,
-    path: str | Path,
-    *,
-    name: str,
-    joint_names: Sequence[str],
-    accelerated: bool = False,
-) -> None:
+def save_bound_garment(bound: BoundGarment, path: str | Path, *, name: str, joint_names: Sequence[str]) -> None:
     """Write a bound garment to `path`, replacing what is there in one step.
 
-    joint_names: (d,) in the order of the joint positions. accelerated: whether the networks have learnt effective
-    gravity.
-    Raises ValueError when there is not one name a degree of freedom.
+    joint_names: (d,) in the order of the joint positions. Raises ValueError when there is not one name a degree of
+    freedom.
     """
     from safetensors.numpy import save
 
     if len(joint_names) != len(bound.dof_bone):
         raise ValueError(f"{len(joint_names)} joint names for {len(bound.dof_bone)} degrees of freedom")
     tensors = {}
-    for field in fields(bound):
-        value = getattr(bound, field.name)
-        if isinstance(value, tuple):
-            for index, (weight, bias) in enumerate(value):
-                tensors[f"{field.name}.{index}.weight"], tensors[f"{field.name}.{index}.bias"] = weight, bias
-        elif isinstance(value, np.ndarray):
-            tensors[field.name] = value
+    for field, kind, _ in native.bound_garment_fields():
+        value = getattr(bound, field)
+        if kind != "layers":
+            tensors[field] = value
+            continue
+        for index, (weight, bias) in enumerate(value):
+            tensors[f"{field}.{index}.weight"], tensors[f"{field}.{index}.bias"] = weight, bias
     metadata = {
         "format": FORMAT,
         "schema_version": str(BOUND_SCHEMA_VERSION),
         "name": name,
-        "activation": bound.activation,
         "joint_names": json.dumps(list(joint_names)),
-        "accelerated": json.dumps(accelerated),
     }
     path = Path(path)
     partial = path.with_name(path.name + ".partial")

@@ -7,13 +7,14 @@ are float32 and C-contiguous; lengths in metres, angles in radians, root frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from physkin_core.model.garment_nodes import pose_nodes
 from physkin_core.model.mlp import Layer
 from physkin_core.model.skinning import SkinningData, skinning_matrices
+from physkin_core.native_module import native
 from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
 
 __all__ = ["BoundGarment", "plain_skinning"]
@@ -23,17 +24,19 @@ __all__ = ["BoundGarment", "plain_skinning"]
 class BoundGarment(SkinningData):
     """Constant arrays of the per-frame path for one (garment model, body) pair, those of `SkinningData` among them.
 
-    native/src/garment/bound_garment.cpp lists the same fields, for the evaluator and the bound garment file.
+    native/src/garment/bound_garment.cpp lists the same fields with their types and axes: `native.bound_garment_fields`.
+    The evaluator, the bound garment file and `of_vertices` follow that list.
 
     bone_parents: (b,) int32, parent before child, -1 for the root.
     bone_heads: (b, 3) joint centres of this body at the canonical pose.
     dof_bone: (d,) int32; dof_axis: (d, 3) unit; dof_rest, dof_lower, dof_upper: (d,).
     pose_layers: pose modulator as (network weight (out, in), bias (out,)), the body's modulation folded in; hidden
-        layers are followed by the activation, the last layer is linear and gives the node deformer's modulation
+        layers are followed by SiLU, the last layer is linear and gives the node deformer's modulation
         [scale_0 (h), shift_0 (h), scale_1, shift_1, ...].
     deformer_bones: (u,) int32, the bones whose transforms feed the node deformer.
     deformer_layers: node deformer; the first network weight is (h, 12 u) over the row-major (3, 4) bone transforms,
-        hidden layer k is activation((1 + scale_k) * (W x + bias) + shift_k), the last layer is linear.
+        hidden layer k is SiLU((1 + scale_k) * (W x + bias) + shift_k), the last layer is linear and
+        gives 12 m numbers.
     node_bone: (m,) int32, the bone each garment node follows.
     node_positions: (m, 3) garment nodes at the canonical pose of this body.
     node_twist: (m,) how far each garment node goes along where cloth twists about the root's vertical, 0 to 1; (0,)
@@ -41,9 +44,6 @@ class BoundGarment(SkinningData):
     sway_joints, sway_layers, sway_rates, sway_turns: the sway network, the body's code folded in, or all empty. Joints
         (j,) int32 that it looks at; rates and turns (w,) of its oscillators; two layers from the drive to what drives
         and gates these (3 w), SiLU between, and three from states, pose and drive to offsets (12 m), SiLU between.
-    activation: "silu" or "relu", of the two networks before.
-    pose_modulation: (s,) the body's modulation of the pose modulator, [scale_0, shift_0, scale_1, ...] over its hidden
-        layers, where it is not folded into pose_layers; else empty. Bodies of one garment model then share pose_layers.
     faces: (f, 3) int32 triangles of the vertices; empty for a point set.
     """
 
@@ -59,14 +59,23 @@ class BoundGarment(SkinningData):
     deformer_layers: tuple[Layer, ...]
     node_bone: np.ndarray
     node_positions: np.ndarray
-    activation: str = "silu"
-    pose_modulation: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     node_twist: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     sway_joints: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
     sway_layers: tuple[Layer, ...] = ()
     sway_rates: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     sway_turns: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     faces: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.int32))
+
+    @property
+    def sways_by_network(self) -> bool:
+        """Whether a sway network moves it."""
+        return bool(self.sway_layers)
+
+    def of_vertices(self, vertices: np.ndarray, faces: np.ndarray) -> BoundGarment:
+        """The same of which only some vertices (v,) are computed; faces (f, 3) int32 of these."""
+        per_vertex = [name for name, _, axes in native.bound_garment_fields() if axes[:1] == ("vertices",)]
+        kept = {name: np.ascontiguousarray(getattr(self, name)[vertices]) for name in per_vertex}
+        return replace(self, faces=faces, **kept)
 
 
 def plain_skinning(bound: BoundGarment, bone_transforms: np.ndarray) -> np.ndarray:

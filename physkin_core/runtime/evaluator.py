@@ -1,28 +1,162 @@
-"""What evaluates a bound garment: the native evaluator or the readable reference, as asked for."""
+"""Frames in C++: joint positions to garment vertices and normals, on one core, without allocating.
+
+Dimensions as in `bound_garment`: `d` degrees of freedom, `m` garment nodes, `n` garment vertices; `g` garments.
+"""
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Iterable, Sequence
+from typing import Literal
 
 import numpy as np
 
+from physkin_core.model.skinning import SkinningData
+from physkin_core.native_module import native
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.sway.frame_input import FrameInput
 
-__all__ = ["Evaluator", "make_evaluator"]
+__all__ = ["PRECISIONS", "Evaluator", "Precision", "Skinner", "drape_poses", "supported_instruction_sets"]
+
+Precision = Literal["fp32", "bf16", "int8"]
+PRECISIONS: tuple[Precision, ...] = ("fp32", "bf16", "int8")
+"""Precisions of network weights."""
 
 
-class Evaluator(Protocol):
-    """Both kinds; see `ReferenceEvaluator.evaluate`."""
+def supported_instruction_sets() -> list[str]:
+    """Instruction sets this CPU can run, narrowest first.
 
-    def evaluate(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> None: ...
+    "baseline", "v3" (AVX2 and FMA), "v4" (AVX-512), "v4_vnni" (AVX-512 and its VNNI).
+    """
+    return native.supported_instruction_sets()
 
 
-def make_evaluator(backend: str, bound: BoundGarment, *, precision: str | None = None, normals: str = "skinned"):
-    """Of backend "native", with `precision` as `NativeEvaluator` takes it, or "numpy". Raises what either raises."""
-    if backend == "native":
-        from physkin_core.runtime.native_evaluator import NativeEvaluator
+class Evaluator:
+    """Evaluates one bound garment, or several worn over each other on one body. Not for use by two threads at once.
 
-        return NativeEvaluator(bound, precision=precision, normals=normals)
-    from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
+    bounds: the garments, innermost first; their arrays are copied and packed, later changes to them have no effect.
+    orders: what keeps two of them in order, `LayerOrder`s of `physkin_core.outfit.layer_order`.
+    instruction_set: one of `supported_instruction_sets()`. By default the environment variable PHYSKIN_NATIVE_ISA
+        decides, and without it the widest supported set.
+    precision: of the network weights, one of `PRECISIONS`: "fp32"; "bf16", widened in registers; "int8", with
+        activations rounded to 16 bits and the layers that read bone transforms and the pose vector in bf16. By default
+        the environment variable PHYSKIN_NATIVE_PRECISION decides, and without it "int8", which no quality figure tells
+        from "fp32" for models rounded to it (docs/notebook/benchmark.md).
+    normals: "skinned", rest normals carried along, or "faces", those of the posed mesh's faces around each vertex,
+        weighted by area: slower, and right where the cloth ripples.
 
-    return ReferenceEvaluator(bound, normals=normals)
+    Building one takes milliseconds, without the interpreter's lock: other threads go on. Network weights must not be
+    changed meanwhile.
+
+    Raises ValueError if an array of a bound garment has another dtype, shape or layout than its class states, an index
+    is out of range, a value is not finite, garments are of several rigs or bodies, the instruction set is unknown or
+    not supported by this CPU, the precision or `normals` are unknown, or normals are those of faces and a garment has
+    none.
+    """
+
+    def __init__(
+        self,
+        bounds: Sequence[BoundGarment],
+        orders: Sequence[object] = (),
+        *,
+        instruction_set: str | None = None,
+        precision: Precision | None = None,
+        normals: Literal["skinned", "faces"] = "skinned",
+    ) -> None:
+        self._evaluator = native.Evaluator(list(bounds), list(orders), instruction_set, precision, normals)
+
+    @property
+    def instruction_set(self) -> str:
+        """Name of the instruction set in use."""
+        return self._evaluator.instruction_set
+
+    @property
+    def precision(self) -> Precision:
+        """Precision of the network weights."""
+        return self._evaluator.precision
+
+    def bind_frame(self, joint_positions: np.ndarray, inputs: np.ndarray, outs: Sequence[np.ndarray]) -> native.Step:
+        """A frame bound to its arrays: they are checked once, and then `step()` reads and writes them where they lie.
+
+        joint_positions: (d,) [rad]; inputs: (g, 14) as of `FrameInput.rows`; C-contiguous float32, to be changed in
+        place between frames. outs: one a garment, writable float32, all (n, 6) for x, y, z [m] and unit normals in the
+        root frame, or all (n, 3) for positions alone. Rows must be contiguous but may be any distance apart, so that
+        they can be views of a larger buffer, such as the data of a point cloud message.
+
+        Returns an object whose method `step()`, of no arguments, converts and allocates nothing; it keeps the arrays
+        and this evaluator alive. Its methods `pose`, `run_networks`, `compose_nodes`, `skin`, `keep` (the order of
+        layers) and `compute_normals` repeat single stages of the last frame, for timing.
+
+        Raises TypeError if an array has another dtype or one of `outs` is read-only; ValueError if a shape is wrong;
+        `step()` raises ValueError if an input or the networks' output is not finite (`outs` are then unchanged).
+        """
+        try:
+            return native.Step(self._evaluator, joint_positions, inputs, list(outs))
+        except TypeError:
+            raise TypeError(_explain(joint_positions=joint_positions, inputs=inputs, out=outs[0])) from None
+
+    def evaluate(self, joint_positions: np.ndarray, inputs: np.ndarray, outs: Sequence[np.ndarray]) -> None:
+        """Computes one frame: `bind_frame`, then its `step`."""
+        self.bind_frame(joint_positions, inputs, outs).step()
+
+    def node_transforms(self, garment: int = 0) -> np.ndarray:
+        """Garment node transforms of the last frame, (m, 3, 4) [linear | translation in m], root frame, float32; before
+        layers are put in order. Zeros before the first frame."""
+        return self._evaluator.node_transforms(garment).copy()
+
+    def corrections(self, garment: int = 0) -> np.ndarray:
+        """What the networks gave last, (m, 12) float32; zeros before the first frame."""
+        return self._evaluator.corrections(garment).copy()
+
+    def skinning_terms(self, garment: int = 0) -> int:
+        """Garment nodes blended, summed over blocks of 16 vertices: each costs 12 multiply-adds a vertex."""
+        return self._evaluator.skinning_terms(garment)
+
+
+def drape_poses(
+    bound: BoundGarment, poses: Iterable[tuple[np.ndarray, np.ndarray]], *, precision: Precision | None = None
+) -> list[np.ndarray]:
+    """One garment by itself in poses (joint positions (d,) [rad], direction of gravity (3,)), each for itself: of each
+    (n, 6) float32 vertices and normals. Raises as `Evaluator` does."""
+    evaluator, frame_input = Evaluator([bound], precision=precision), FrameInput([False])
+    clouds = []
+    for positions, gravity in poses:
+        frame_input.fill(gravity)
+        clouds.append(np.empty((len(bound.vertices), 6), dtype=np.float32))
+        evaluator.evaluate(np.ascontiguousarray(positions, dtype=np.float32), frame_input.rows, clouds[-1:])
+    return clouds
+
+
+class Skinner:
+    """Skins one garment from garment nodes that somebody else computed, without having its networks. Not for use by two
+    threads at once.
+
+    Raises ValueError when a shape or dtype is another than of `SkinningData`, an index out of range or a value not
+    finite.
+    """
+
+    def __init__(self, data: SkinningData) -> None:
+        self.vertex_count, self.node_count = len(data.vertices), len(data.node_rest)
+        self._skinner = native.Skinner(data)
+
+    def skin(self, node_transforms: np.ndarray, out: np.ndarray) -> None:
+        """Write x, y, z [m] and unit normals into `out`, (n, 6) or (n, 3) float32 as for `Evaluator.bind_frame`, from
+        node_transforms (m, 3, 4) float32, C-contiguous.
+
+        Raises TypeError or ValueError as `Evaluator.bind_frame` does, and for transforms that are not finite.
+        """
+        try:
+            self._skinner.skin(node_transforms, out)
+        except TypeError:
+            raise TypeError(_explain(node_transforms=node_transforms, out=out)) from None
+
+
+def _explain(**arrays: object) -> str:
+    """What the binding rejected, in place of its list of C++ signatures."""
+    got = []
+    for name, value in arrays.items():
+        if isinstance(value, np.ndarray):
+            access = "" if value.flags.writeable else "read-only "
+            got.append(f"{name} {access}{value.dtype} of shape {value.shape}")
+        else:
+            got.append(f"{name} {type(value).__name__}")
+    return f"arrays must be NumPy float32, C-contiguous, and out writable and 2-D; got {', '.join(got)}"

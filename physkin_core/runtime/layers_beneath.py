@@ -9,14 +9,14 @@ Dimensions: `V` body vertices, `n` garment vertices. Metres, root frame, canonic
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from physkin_core.avatar.surface_matching import with_normals
 from physkin_core.model.garment import vertex_normals
+from physkin_core.runtime.layer import Layer
 
-__all__ = ["LARGEST_SWELLING", "LAYER_GAP", "LayerBeneath", "swelling"]
+__all__ = ["LARGEST_SWELLING", "LAYER_GAP", "swelling"]
 
 LAYER_GAP = 0.002
 """[m] between one layer and the next."""
@@ -33,16 +33,7 @@ RADIUS = 0.045
 NEIGHBOURS = 128
 
 
-@dataclass(frozen=True)
-class LayerBeneath:
-    """What is worn already. cloth: (n, 6) vertices [m] and unit normals of its drape at rest. tucked: into what is worn
-    over it."""
-
-    cloth: np.ndarray
-    tucked: bool = False
-
-
-def swelling(skin: np.ndarray, faces: np.ndarray, beneath: Sequence[LayerBeneath]) -> np.ndarray:
+def swelling(skin: np.ndarray, faces: np.ndarray, beneath: Sequence[Layer]) -> np.ndarray:
     """Displacement (V, 3) [m] of skin (V, 3) with faces (f, 3), outwards to 2 mm over the layers it wears: at most
     15 mm, smooth along the skin."""
     from scipy.spatial import cKDTree
@@ -51,7 +42,7 @@ def swelling(skin: np.ndarray, faces: np.ndarray, beneath: Sequence[LayerBeneath
     tagged = with_normals(skin, outward)
     height = np.zeros(len(skin))
     for layer in beneath:
-        points = layer.cloth.astype(np.float64)
+        points = layer.rest.astype(np.float64)
         gap = points[cKDTree(with_normals(points[:, :3], points[:, 3:])).query(tagged)[1], :3] - skin
         off = np.einsum("vi,vi->v", gap, outward)
         aside = np.linalg.norm(gap - off[:, None] * outward, axis=1)

@@ -20,12 +20,11 @@ from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.evaluator import Evaluator
-from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
+from physkin_core.runtime.evaluator import drape_poses
+from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
 __all__ = ["SkinClearance", "draped_at_rest", "move_clear", "room_to_move"]
 
-UPRIGHT = np.array([0.0, 0.0, -1.0], dtype=np.float32)
 POINTS = 24576
 """Points sampled on a body at rest."""
 POSED_POINTS = 8192
@@ -90,24 +89,22 @@ def move_clear(vertices: np.ndarray, faces: np.ndarray, wanted: np.ndarray, skin
 
 def draped_at_rest(bound: BoundGarment) -> np.ndarray:
     """Vertices (n, 3) float64 [m] of a bound garment at the canonical pose of an upright body."""
-    draped = np.empty(bound.vertices.shape, dtype=np.float32)
-    ReferenceEvaluator(bound).evaluate(bound.dof_rest, UPRIGHT, draped)
-    return draped.astype(np.float64)
+    (cloud,) = drape_poses(bound, [(bound.dof_rest, UPRIGHT_GRAVITY)], precision="fp32")
+    return cloud[:, :3].astype(np.float64)
 
 
-def room_to_move(bound: BoundGarment, avatar: Avatar, *, rig: Rig, evaluator: Evaluator) -> np.ndarray:
+def room_to_move(bound: BoundGarment, avatar: Avatar, rig: Rig) -> np.ndarray:
     """Displacement (n, 3) [m] outwards that frees cloth of the skin in some poses, up to `MOST_ROOM`. rig: the body
-    model's, which the avatar is bound to. evaluator: of `bound`.
+    model's, which the avatar is bound to.
 
     Skin deeper than twice that is another limb's, which no room would help.
     """
     from scipy.spatial import cKDTree
 
     some = slice(None, None, max(1, len(bound.vertices) // MEASURED))
-    lack, draped = np.zeros(len(bound.vertices[some])), np.empty((len(bound.vertices), 6), dtype=np.float32)
-    beneath = _skin_near(avatar, bound.vertices)
-    for positions, gravity in zip(*_poses(rig)):
-        evaluator.evaluate(positions, gravity, draped)
+    lack = np.zeros(len(bound.vertices[some]))
+    beneath, poses = _skin_near(avatar, bound.vertices), _poses(rig)
+    for (positions, _), draped in zip(poses, drape_poses(bound, poses, precision="fp32")):
         bones = rig.bone_transforms(positions, heads=avatar.bone_heads)
         skin = SkinClearance(beneath.posed_vertices(bones), beneath.faces, POSED_POINTS)
         clearance, _ = skin(*np.split(draped[some].astype(np.float64), 2, axis=1))
@@ -124,15 +121,14 @@ def room_to_move(bound: BoundGarment, avatar: Avatar, *, rig: Rig, evaluator: Ev
     return room[:, None] * vertex_normals(bound.vertices, bound.faces)
 
 
-def _poses(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
-    """Joint positions (P, d) [rad] and gravity directions (P, 3), float32: everyday ones and wider ones."""
+def _poses(rig: Rig) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Joint positions (d,) [rad] and a gravity direction (3,) of each pose: everyday ones and wider ones."""
     random = np.random.default_rng(0)
     shape = WIDE_POSES, len(rig.rest)
     limit = np.where(random.random(shape) < 0.5, rig.lower, rig.upper)
     wide = rig.rest + WIDE_RANGE * random.random(shape) * (limit - rig.rest)
     positions, gravity = everyday_poses(rig)
-    gravity = np.concatenate([gravity, np.tile(UPRIGHT, (WIDE_POSES, 1))])
-    return np.concatenate([positions, wide]).astype(np.float32), gravity.astype(np.float32)
+    return [*zip(positions, gravity), *((pose.astype(np.float32), UPRIGHT_GRAVITY) for pose in wide)]
 
 
 def _skin_near(avatar: Avatar, cloth: np.ndarray) -> Avatar:

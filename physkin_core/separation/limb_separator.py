@@ -6,16 +6,19 @@ Motion of a lean performer puts a stouter body's forearms into its belly. Dimens
 from __future__ import annotations
 
 import logging
-from dataclasses import astuple, dataclass
+import warnings
+from dataclasses import astuple, dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
-from physkin_core.avatar.avatar import Avatar
+from physkin_core.avatar.avatar import Avatar, AvatarWarning
+from physkin_core.motion.motion import Motion
+from physkin_core.native_module import native
 from physkin_core.rig.rig import Rig
 from physkin_core.separation.collision_shape import fit_collision_shape
 
-__all__ = ["LimbSeparator", "SeparationSettings"]
+__all__ = ["LimbSeparator", "SeparationSettings", "separated_motion"]
 
 log = logging.getLogger(__name__)
 
@@ -49,8 +52,6 @@ class LimbSeparator:
     """
 
     def __init__(self, rig: Rig, avatar: Avatar, *, settings: SeparationSettings | None = None) -> None:
-        import physkin_core._native as _native
-
         if len(avatar.bone_heads) != rig.bone_count:
             raise ValueError(f"avatar {avatar.source} has {len(avatar.bone_heads)} bones, the rig {rig.bone_count}")
         settings = settings or SeparationSettings()
@@ -58,7 +59,7 @@ class LimbSeparator:
         self.shape, self.warnings = fit_collision_shape(avatar, rig, onset=settings.onset)
         log.info("fitted a collision shape to %s in %.0f ms", avatar.source, 1e3 * (perf_counter() - started))
         self.joint_names = rig.joint_names
-        self._separator = _native.LimbSeparator(self.shape, *astuple(settings))
+        self._separator = native.LimbSeparator(self.shape, *astuple(settings))
 
     def separate(self, joint_positions: np.ndarray, *, out: np.ndarray | None = None) -> tuple[np.ndarray, float]:
         """Positions moved as little as needed, and by how much.
@@ -75,3 +76,13 @@ class LimbSeparator:
         if out is None:
             out = np.empty_like(positions)
         return out, self._separator.separate(positions, out)
+
+
+def separated_motion(motion: Motion, rig: Rig, avatar: Avatar) -> Motion:
+    """A motion whose limbs are separated, frame by frame, for a body bound to the rig. Raises as `LimbSeparator`; what
+    it warns of is issued as AvatarWarning."""
+    separator = LimbSeparator(rig, avatar)
+    for warning in separator.warnings:
+        warnings.warn(f"{avatar.source}: {warning}", AvatarWarning, stacklevel=2)
+    positions = [separator.separate(each)[0] for each in motion.positions_for(rig)]
+    return replace(motion, joint_names=rig.joint_names, positions=np.array(positions))

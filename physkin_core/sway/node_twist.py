@@ -13,14 +13,12 @@ import numpy as np
 from physkin_core.model.garment import Garment
 from physkin_core.rig.rig import Rig
 
-__all__ = ["TWIST_LIFT", "node_twist", "twisted"]
+__all__ = ["node_twist"]
 
 FREE_BELOW = 0.33
 """[m] Cloth so far below the hips twists as the pendulum does; above, the less the nearer to the hips."""
 LOOKED_AT = 0.75
 """Share of the garment's depth below the hips, at which it is looked whether it goes round both legs."""
-TWIST_LIFT = 0.2
-"""[m/rad2] Threads that twist hang askew: what cloth rises by, where it twists as the pendulum does."""
 
 
 def node_twist(garment: Garment, rig: Rig, node_rest: np.ndarray, node_bone: np.ndarray) -> np.ndarray:
@@ -40,23 +38,6 @@ def node_twist(garment: Garment, rig: Rig, node_rest: np.ndarray, node_bone: np.
     shares = np.clip((hip - node_rest[:, 2]) / FREE_BELOW, 0, 1)
     shares[~_of_legs(rig, hips)[node_bone]] = 0  # a sleeve may hang as low
     return shares.astype(np.float32) if shares.any() else none
-
-
-def twisted(
-    nodes: np.ndarray, bones: np.ndarray, shares: np.ndarray, node_bone: np.ndarray, twist: float
-) -> np.ndarray:
-    """Garment nodes (m, 3, 4) turned about the root's vertical by their `shares` (m,) of `twist` [rad], and lifted.
-
-    bones: (b, 3, 4) canonical to posed. On legs that are raised cloth lies and hangs no more: it twists by the mean of
-    how upright they are.
-    """
-    upright = (shares * bones[node_bone, 2, 2]).sum() / shares.sum()
-    angle = twist * max(upright, 0.0) * shares
-    cosine, sine, none = np.cos(angle), np.sin(angle), np.zeros_like(angle)
-    turn = np.array([[cosine, -sine, none], [sine, cosine, none], [none, none, none + 1]]).transpose(2, 0, 1)
-    turned = turn @ nodes
-    turned[:, 2, 3] += TWIST_LIFT * twist * max(upright, 0.0) * angle
-    return turned
 
 
 def _winding(garment: Garment, level: float, axis: np.ndarray) -> float:

@@ -97,7 +97,7 @@ class Viewer:
         frame, contact = self._frame, self._contact
         self._motion.follow()
         self._pose.follow()
-        names = [model.name for model in frame.outfit.models]
+        names = [layer.name for layer in frame.outfit.layers]
         strains = [float(np.mean(strain)) for strain in self._drawing.figures.strains(frame)]
         rows = {"a frame of cloth": f"{frame.microseconds:.0f} µs"}
         rows |= {f"edge strain, {name}": f"{strain:.1f} %" for name, strain in zip(names, strains)}

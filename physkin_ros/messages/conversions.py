@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import sys
 from array import array
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from physkin_core import Draper
+from physkin_core import Outfit
 from physkin_ros.messages.point_cloud import point_cloud
 from physkin_ros.messages.serialised import MARKER, SerialisedMessage
 
@@ -24,6 +23,7 @@ __all__ = [
     "GarmentCloud",
     "NodesMessage",
     "TriangleMarker",
+    "body_covered",
     "garment_mesh",
     "gravity_direction",
     "read_cloud",
@@ -98,35 +98,31 @@ def read_cloud(message) -> np.ndarray:
     return np.ndarray(shape, dtype=np.float32, buffer=message.data, strides=strides)
 
 
-def garment_mesh(
-    draper: Draper,
-    frame_id: str,
-    *,
-    revision: int = 1,
-    avatar: str = "",
-    in_outfit: Mapping[str, object] | None = None,
-):
-    """The `physkin_msgs/GarmentMesh` of what a draper publishes; the stamp is left to the caller.
+def body_covered(outfit: Outfit, index: int) -> np.ndarray:
+    """(F,) bool, the body's faces that an outfit covers, told with its innermost garment; empty with others, and where
+    one garment is worn."""
+    told = index == 0 and len(outfit.layers) > 1
+    return outfit.body_mask if told else np.empty(0, dtype=bool)
 
-    in_outfit: fields of a garment of an outfit, by name; `draper` then tells of that garment as a draper would.
-    """
+
+def garment_mesh(outfit: Outfit, index: int, frame_id: str, *, revision: int = 1, avatar: str = ""):
+    """The `physkin_msgs/GarmentMesh` of a garment of an outfit; the stamp is left to the caller."""
     from physkin_msgs.msg import GarmentMesh
 
-    model, bound, count = draper.model, draper.bound, draper.vertex_count
-    worn = {"layer": 0, "layers": 1, "moved": False, "model_vertex_count": count, "visible": range(count)}
-    worn |= {"body_covered": (), **(in_outfit or {})}
+    layer = outfit.layers[index]
+    model, bound = layer.model, layer.given
     message = GarmentMesh(
         revision=revision,
         model_name=model.name,
         avatar=avatar,
-        layer=worn["layer"],
-        layers=worn["layers"],
-        moved=worn["moved"],
-        vertex_count=count,
-        model_vertex_count=worn["model_vertex_count"],
-        visible=array("I", np.array(worn["visible"], dtype=np.uint32).tobytes()),
-        body_covered=array("B", np.array(worn["body_covered"], dtype=np.uint8).tobytes()),
-        faces=array("I", draper.faces.astype(np.uint32).tobytes()),
+        layer=index,
+        layers=len(outfit.layers),
+        moved=layer.moved,
+        vertex_count=layer.vertex_count,
+        model_vertex_count=len(layer.hidden),
+        visible=array("I", layer.visible.astype(np.uint32).tobytes()),
+        body_covered=array("B", body_covered(outfit, index).astype(np.uint8).tobytes()),
+        faces=array("I", layer.faces.astype(np.uint32).tobytes()),
         rest_vertices=array("f", bound.vertices.tobytes()),
         rest_normals=array("f", bound.normals.tobytes()),
         node_count=len(bound.node_rest),
@@ -134,7 +130,7 @@ def garment_mesh(
         influences=bound.influence_nodes.shape[1],
         influence_nodes=array("I", bound.influence_nodes.astype(np.uint32).tobytes()),
         influence_weights=array("f", bound.influence_weights.tobytes()),
-        joint_names=list(draper.joint_names),
+        joint_names=list(outfit.joint_names),
         joint_rest=array("f", model.rig.rest.astype(np.float32).tobytes()),
     )
     message.header.frame_id = frame_id

@@ -1,6 +1,6 @@
-"""Bodies and garment models from files to drapers and outfits: which paths are allowed, and what was encoded before.
+"""Bodies and garment models from files to outfits: which paths are allowed, and what was bound before.
 
-A network can ask a running node for files, so those must lie below the `asset_roots`. Encodings are kept by the content
+A network can ask a running node for files, so those must lie below the `asset_roots`. Outfits are kept by the content
 of the files they came from, so that a body that comes back is worn at once.
 """
 
@@ -11,40 +11,34 @@ import hashlib
 import json
 import sys
 from collections import OrderedDict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
-from typing import Literal
-
-import numpy as np
 
 from physkin_core import (
     BUNDLED_AVATAR,
     Avatar,
-    Draper,
     GarmentModel,
+    Layer,
     Outfit,
-    OutfitGarment,
+    WornGarment,
     load_avatar,
     load_garment_model,
 )
 from physkin_core.model.fabric import fabric_of
 from physkin_core.model.model_file import MODELS_PATH, shipped_models, split_fabric
-from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.rest_look import RestLook
 from physkin_ros.joints.nearest_names import nearest_names
+from physkin_ros.node.settings import GarmentSettings
 
-__all__ = ["LARGEST_ASSET", "AssetError", "AssetRoots", "DraperLoader", "LoadedDraper", "OutfitLayer", "Outfitting"]
+__all__ = ["LARGEST_ASSET", "AssetError", "AssetRoots", "LoadedLayer", "OutfitLoader"]
 
 LARGEST_ASSET = 1 << 29
 """[bytes] A larger file is not opened while the node runs."""
 LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
-KEPT = 16
-"""Encodings, avatars and garment models that are kept of each."""
-KEPT_OUTFITS = 4
-"""Outfits that are kept, all their encodings among them."""
+KEPT = 8
+"""Outfits, avatars and garment models that are kept of each, the latest."""
 
 
 class AssetError(ValueError):
@@ -63,7 +57,26 @@ class AssetRoots:
             dict.fromkeys(path.resolve() for path in given or [Path(file).parent for file in files if file])
         )
 
-    def check(self, path: str) -> None:
+    def check_garment(self, model: str) -> None:
+        """Raises AssetError for a garment model, a file or a shipped name with a fabric behind it, that may not be used
+        while the node runs; ValueError for an unknown fabric."""
+        file, fabric = split_fabric(model)
+        if fabric:
+            fabric_of(fabric)
+        if file and file not in shipped_models():  # shipped names win over files of the working folder
+            if "/" not in file and not Path(file).suffix:
+                near = nearest_names(file, shipped_models())
+                hint = f"did you mean {near}?" if near else f"allowed: a file, or {', '.join(shipped_models())}"
+                raise AssetError(f"no garment model {file!r}; {hint}")
+            self._check(file)
+
+    def check_body(self, *paths: str) -> None:
+        """The same of a body's files, empty for none."""
+        for path in paths:
+            if path and Path(path) != BUNDLED_AVATAR:
+                self._check(path)
+
+    def _check(self, path: str) -> None:
         """Raises AssetError for a file elsewhere (links are followed), one that is too large, and what is no file."""
         resolved = Path(path).resolve()
         if not any(resolved.is_relative_to(folder) for folder in self.folders):
@@ -76,200 +89,74 @@ class AssetRoots:
 
 
 @dataclass(frozen=True)
-class Outfitting:
-    """What to make a draper of: garment model and body files, the body's empty for the bundled avatar; the rest as
-    `Draper` takes it, precision empty for the backend's default. tucked: of a garment of an outfit."""
-
-    model: str = ""
-    body_mesh: str = ""
-    body_rig: str = ""
-    precision: str = ""
-    fit: float | None = None
-    normals: Literal["skinned", "faces"] = "skinned"
-    tucked: bool = False
-
-    def check(self, roots: AssetRoots) -> None:
-        """Raises AssetError for a file that may not be used while the node runs."""
-        file, fabric = split_fabric(self.model)
-        if fabric:
-            fabric_of(fabric)
-        if file and file not in shipped_models():  # shipped names win over files of the working folder
-            if "/" not in file and not Path(file).suffix:
-                near = nearest_names(file, shipped_models())
-                hint = f"did you mean {near}?" if near else f"allowed: a file, or {', '.join(shipped_models())}"
-                raise AssetError(f"no garment model {file!r}; {hint}")
-            roots.check(file)
-        for path in (self.body_mesh, self.body_rig):
-            if path and Path(path) != BUNDLED_AVATAR:
-                roots.check(path)
-
-
-@dataclass(frozen=True)
-class OutfitLayer:
-    """Garment `index` of `outfit`, from the skin outwards, told as a `Draper` tells of its own; points are those of the
-    vertices that are given."""
+class LoadedLayer:
+    """A garment of an outfit, its index from the skin outwards, whether the outfit was known from before, and how long
+    that took [s]."""
 
     outfit: Outfit
     index: int
-
-    @property
-    def model(self) -> GarmentModel:
-        return self.outfit.models[self.index]
-
-    @property
-    def avatar(self) -> Avatar:
-        """With the warnings of the whole outfit."""
-        return self.outfit.avatar
-
-    @property
-    def bound(self) -> BoundGarment:
-        """Of the vertices that are given alone."""
-        return self.outfit.bounds[self.index]
-
-    @property
-    def faces(self) -> np.ndarray:
-        """(f, 3) int32 triangles between the points of a cloud."""
-        return self.outfit.faces[self.index]
-
-    @property
-    def vertex_count(self) -> int:
-        """Points of a cloud."""
-        return self.outfit.vertex_counts[self.index]
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        return self.outfit.joint_names
-
-    @property
-    def fit(self) -> float:
-        return self.outfit.fits[self.index]
-
-    @property
-    def backend(self) -> str:
-        return self.outfit.backend
-
-    @property
-    def instruction_set(self) -> str:
-        return self.outfit.instruction_set
-
-    @property
-    def precision(self) -> str:
-        return self.outfit.precision
-
-    def node_transforms(self) -> np.ndarray:
-        """Garment node transforms (m, 3, 4) of the last frame."""
-        return self.outfit.node_transforms()[self.index]
-
-    def mesh_fields(self) -> Mapping[str, object]:
-        """What a `physkin_msgs/GarmentMesh` says of a garment of an outfit."""
-        outfit, k = self.outfit, self.index
-        return {
-            "layer": k,
-            "layers": len(outfit.models),
-            "moved": outfit.moved[k],
-            "model_vertex_count": len(outfit.hidden[k]),
-            "visible": outfit.visible[k],
-            "body_covered": outfit.body_mask if k == 0 else (),
-        }
-
-
-@dataclass(frozen=True)
-class LoadedDraper:
-    """A draper or a garment of an outfit, whether the body's encoding for it (or for the outfit) was known from before,
-    how long that took [s], and how the garment sits."""
-
-    draper: Draper | OutfitLayer
     cached: bool
     seconds: float
-    at_rest: RestLook
+
+    @property
+    def layer(self) -> Layer:
+        """The garment as it is worn."""
+        return self.outfit.layers[self.index]
 
 
-class DraperLoader:
-    """Makes drapers and outfits, from any thread. backend: of all of them."""
+class OutfitLoader:
+    """Makes outfits, from any thread."""
 
-    def __init__(self, backend: str) -> None:
-        self._backend = backend
+    def __init__(self) -> None:
         self._lock = Lock()  # one load at a time: a second core is for draping
         self._models: OrderedDict[str, tuple[GarmentModel, str]] = OrderedDict()
         self._avatars: OrderedDict[tuple[str, ...], Avatar] = OrderedDict()
-        self._bindings: OrderedDict[tuple[object, ...], tuple[BoundGarment, RestLook]] = OrderedDict()
         self._outfits: OrderedDict[tuple[object, ...], Outfit] = OrderedDict()
 
-    def load(self, wanted: Outfitting) -> LoadedDraper:
-        """Read the files and bind the garment to the body. Raises ValueError or OSError naming what is wrong."""
-        with self._lock:
-            started = perf_counter()
-            model, rig, model_key = self._model(wanted)
-            avatar, body_key = self._avatar(wanted, model, rig)
-            fit = model.checked_fit(wanted.fit)
-            key = (*body_key, model_key, fit)
-            known, at_rest = self._bindings.get(key, (None, None))
-            draper = Draper(
-                model,
-                avatar,
-                backend=self._backend,
-                precision=wanted.precision or None,
-                fit=fit,
-                normals=wanted.normals,
-                binding=known,
-            )
-            at_rest = at_rest or draper.at_rest
-            _keep(self._bindings, key, (draper.bound, at_rest))
-            _return_memory()
-            return LoadedDraper(draper, known is not None, perf_counter() - started, at_rest)
+    def load(
+        self, garments: Sequence[GarmentSettings], body_mesh: str, body_rig: str, *, hide: bool
+    ) -> list[LoadedLayer]:
+        """Put garments on a body over each other, the innermost first, precision and normals being those of the first.
 
-    def load_outfit(self, wanted: Sequence[Outfitting], *, hide: bool) -> list[LoadedDraper]:
-        """Put garments on over each other, the innermost first, body, precision and normals being those of the first.
-
-        hide: leave out what is covered. Raises ValueError or OSError naming what is wrong, or what cannot be worn so.
+        body_mesh, body_rig: files, the mesh empty for the bundled avatar. hide: leave out what is covered. Raises
+        ValueError or OSError naming what is wrong, or what cannot be worn so.
         """
         with self._lock:
             started = perf_counter()
-            first, models = wanted[0], [self._model(each) for each in wanted]
-            avatar, body_key = self._avatar(first, *models[0][:2])
-            garments = [
-                OutfitGarment(model, tucked=each.tucked, fit=model.checked_fit(each.fit))
-                for each, (model, *_) in zip(wanted, models)
+            first, models = garments[0], [self._model(each.model) for each in garments]
+            avatar, body_key = self._avatar(body_mesh, body_rig, *models[0][:2])
+            worn = [
+                WornGarment(model, tucked=each.tucked and len(garments) > 1, fit=model.checked_fit(each.fit))
+                for each, (model, *_) in zip(garments, models)
             ]
-            worn = ((key, garment.tucked, garment.fit) for (*_, key), garment in zip(models, garments))
-            key = (avatar.source, *body_key, *worn, first.precision, first.normals, hide)
+            known_by = ((key, garment.tucked, garment.fit) for (*_, key), garment in zip(models, worn))
+            key = (avatar.source, *body_key, *known_by, first.precision, first.normals, hide)
             known = self._outfits.get(key)
-            outfit = (
-                Outfit(
-                    garments,
-                    avatar,
-                    backend=self._backend,
-                    precision=first.precision or None,
-                    normals=first.normals,
-                    hide=hide,
-                )
-                if known is None
-                else known.twin()
-            )
-            _keep(self._outfits, key, outfit, most=KEPT_OUTFITS)
+            if known is None:
+                outfit = Outfit(worn, avatar, precision=first.precision or None, normals=first.normals, hide=hide)
+            else:
+                outfit = known.twin()
+            _keep(self._outfits, key, outfit)
             _return_memory()
             took = perf_counter() - started
-            return [
-                LoadedDraper(OutfitLayer(outfit, k), known is not None, took, at_rest)
-                for k, at_rest in enumerate(outfit.at_rest)
-            ]
+            return [LoadedLayer(outfit, k, known is not None, took) for k in range(len(worn))]
 
-    def _model(self, wanted: Outfitting) -> tuple[GarmentModel, str, str]:
+    def _model(self, garment: str) -> tuple[GarmentModel, str, str]:
         """Garment model, its rig as text, and what it is known by: its content and its fabric."""
-        name, fabric = split_fabric(wanted.model)
+        name, fabric = split_fabric(garment)
         source = MODELS_PATH / f"{name}.safetensors" if name in shipped_models() else Path(name)
         key = f"{_digest(source)}:{fabric}" if source.is_file() else name
         if key not in self._models:
-            model = load_garment_model(wanted.model)
+            model = load_garment_model(garment)
             _keep(self._models, key, (model, json.dumps(model.rig.to_json())))
         return *self._models[key], key
 
-    def _avatar(self, wanted: Outfitting, model: GarmentModel, rig: str) -> tuple[Avatar, tuple[str, ...]]:
+    def _avatar(self, body_mesh: str, body_rig: str, model: GarmentModel, rig: str) -> tuple[Avatar, tuple[str, ...]]:
         """The body in the canonical pose of the model's rig, and what its files are known by: their content."""
-        body = Path(wanted.body_mesh or BUNDLED_AVATAR)
-        content = _digests(body, wanted.body_rig)
+        body = Path(body_mesh or BUNDLED_AVATAR)
+        content = _digests(body, body_rig)
         key = (str(body), *content, rig)
-        avatar = self._avatars.get(key) or load_avatar(body, model.rig, rig_file=wanted.body_rig or None)
+        avatar = self._avatars.get(key) or load_avatar(body, model.rig, rig_file=body_rig or None)
         _keep(self._avatars, key, avatar)
         return avatar, content
 
@@ -281,11 +168,11 @@ def _return_memory() -> None:
         trim(0)
 
 
-def _keep(kept: OrderedDict, key: object, value: object, *, most: int | None = None) -> None:
+def _keep(kept: OrderedDict, key: object, value: object) -> None:
     """Put an entry in as the latest, and drop the oldest when there are too many."""
     kept[key] = value
     kept.move_to_end(key)
-    while len(kept) > (KEPT if most is None else most):
+    while len(kept) > KEPT:
         kept.popitem(last=False)
 
 

@@ -1,7 +1,7 @@
 """One avatar: its joint states, its orientation, and the garments it wears.
 
-What is worn at the moment is one object, the attire: garments of one outfit, which are draped in one pass, or garments
-that do not know each other. A swap makes another one elsewhere and puts it in its place between two messages.
+What is worn at the moment is one object: an outfit, whose garments are draped in one pass, or several outfits that do
+not know each other. A swap makes another one elsewhere and puts it in its place between two messages.
 Dimensions: `d` degrees of freedom. Radians, root frame.
 """
 
@@ -15,21 +15,29 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState, MultiDOFJointState
 
-from physkin_core import BUNDLED_AVATAR, GarmentModel, LimbSeparator
+from physkin_core import BUNDLED_AVATAR, FrameInput, GarmentModel, LimbSeparator
+from physkin_core.sway.frame_input import RootSample
 from physkin_ros.joints.joint_naming import load_naming
 from physkin_ros.joints.joint_state_wire import JointStateWire
 from physkin_ros.joints.joint_states import JointNaming, JointStateError, JointStateReader
 from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.joints.vrm_naming import VRM
-from physkin_ros.node.asset_loading import DraperLoader, LoadedDraper, Outfitting
+from physkin_ros.node.asset_loading import LoadedLayer, OutfitLoader
 from physkin_ros.node.diagnostics import AvatarStatistics, Health, HealthReporter
-from physkin_ros.node.garment_stream import Attire, GarmentStream, WornGarment, passes_of, same_mesh, stream_quality
+from physkin_ros.node.garment_stream import (
+    GarmentStream,
+    LayerMessages,
+    WornOutfits,
+    passes_of,
+    same_mesh,
+    stream_quality,
+)
 from physkin_ros.node.orientation_source import OrientationSource
 from physkin_ros.node.separated_joint_states import SeparatedJointStates
 from physkin_ros.node.settings import AvatarSettings
-from physkin_ros.root.garment_gravity import GarmentGravity
-from physkin_ros.root.gravity import Felt, gravity_from_tilt, unit_direction
+from physkin_ros.root.gravity import EffectiveGravity, gravity_from_tilt
 from physkin_ros.root.quaternions import OrientationError
+from physkin_ros.root.root_state import RootState
 from physkin_ros.root.tf_topics import FollowedTransforms
 
 __all__ = ["AvatarStream"]
@@ -45,9 +53,9 @@ JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
 class AvatarStream:
     """Drapes the garments of one avatar, a joint state at a time. Nothing comes in before `listen`.
 
-    told: what its garments are told beside the pose. active: whether joint states are answered. deadline_ns: from the
-    arrival of a joint state to its last cloud, 0 for none. transforms: TF, of all avatars. settings: with the body that
-    is worn.
+    root: what is known of its root, and the input of its frames. active: whether joint states are answered.
+    deadline_ns: from the arrival of a joint state to its last cloud, 0 for none. transforms: TF, of all avatars.
+    settings: with the body that is worn.
     Raises ValueError for a joint map that cannot be read.
     """
 
@@ -55,20 +63,20 @@ class AvatarStream:
         self,
         node,
         settings: AvatarSettings,
-        loader: DraperLoader,
+        loader: OutfitLoader,
         transforms: FollowedTransforms,
         *,
         deadline_ns: int = 0,
     ) -> None:
         self.settings, self.deadline_ns, self.active = settings, deadline_ns, False
         self.statistics = AvatarStatistics()
-        self.told = GarmentGravity(unit_direction(settings.gravity), settings.sways)
-        self._direction_only: set[str] = set()
+        self.root = RootState(np.array(settings.gravity), FrameInput([False] * len(settings.garments)))
+        self.root.frame_input.sways = settings.sways
         self._follows = settings.orientation == "joints"
         self._unknown: set[str] = set()
         self._node, self._loader, self._transforms = node, loader, transforms
         self._naming: tuple[JointNaming, tuple[str, ...]] | None = None
-        self._attire: Attire | None = None
+        self._worn: WornOutfits | None = None
         self._closed = False
         self._reporter = HealthReporter()
         self._log = node.get_logger()
@@ -88,7 +96,7 @@ class AvatarStream:
         """Open the topics that come in. Until something is worn, joint states are counted as `not_ready`."""
         node, settings = self._node, self.settings
         # before the joint states: when both have messages waiting, executors serve the older subscription first
-        takers = (self.told.add_direction, self._on_effective_gravity, self._on_bad_orientation)
+        takers = (self.root.add_direction, self._on_motion, self._on_bad_orientation)
         self._orientation = OrientationSource(node, settings, self._transforms, *takers)
         self._subscriptions = [
             node.create_subscription(JointState, self.topic, self._on_joint_state, raw=True, **stream_quality(QUEUE)),
@@ -109,7 +117,7 @@ class AvatarStream:
     @property
     def ready(self) -> bool:
         """Whether there is something to drape."""
-        return self._attire is not None
+        return self._worn is not None
 
     # Swapping: these run on any thread.
 
@@ -119,7 +127,7 @@ class AvatarStream:
         body: tuple[str, str] | None = None,
         models: dict[int, str] | None = None,
         wanted: Callable[[], bool] = lambda: True,
-    ) -> list[LoadedDraper]:
+    ) -> list[LoadedLayer]:
         """Put on what the settings say, with another body (mesh and rig file) or other models by garment index.
 
         What is worn now serves until all is loaded, and stays when this raises ValueError or OSError, or when it is not
@@ -129,47 +137,34 @@ class AvatarStream:
         garments = list(self.settings.garments)
         for index, model in (models or {}).items():
             garments[index] = replace(garments[index], model=model)
-        wanted_garments = [
-            Outfitting(
-                model=garment.model,
-                body_mesh=mesh,
-                body_rig=rig_file,
-                precision=garment.precision,
-                fit=garment.fit,
-                normals=garment.normals,
-                tucked=garment.tucked,
-            )
-            for garment in garments
-        ]
-        if self.settings.outfit and len(garments) > 1:
-            loaded = self._loader.load_outfit(wanted_garments, hide=self.settings.hide)
-        else:
-            loaded = [self._loader.load(each) for each in wanted_garments]
-        attire = self._attire_of(loaded)
+        together = [garments] if self.settings.outfit else [[garment] for garment in garments]
+        load, hide = self._loader.load, self.settings.hide
+        loaded = [layer for outfit in together for layer in load(outfit, mesh, rig_file, hide=hide)]
+        now = self._worn_now(loaded)
         if self._closed or not wanted():  # the body went meanwhile
             return loaded
-        if previous := self._attire:
-            _carry_on(previous, attire)
+        if previous := self._worn:
+            _carry_on(previous, now)
         self.settings = replace(self.settings, body_mesh=mesh, body_rig=rig_file, garments=tuple(garments))
-        self._attire = attire  # at once: a message is draped by the old one or by the new one
+        self._worn = now  # at once: a message is draped by the old one or by the new one
+        self.root.frame_input.set_networks(now.networks)
         known = {worn.stream: worn.revision for worn in previous.garments} if previous else {}
-        for worn in attire.garments:
+        for worn in now.garments:
             if known.get(worn.stream) != worn.revision:
-                worn.stream.show_mesh(worn.draper, worn.revision)
-        told = [warning for each in loaded for warning in each.draper.avatar.warnings]
-        for warning in dict.fromkeys([*told, *(attire.separator.warnings if attire.separator else ())]):
+                worn.stream.show_mesh(worn.outfit, worn.index, worn.revision)
+        found = [warning for each in loaded for warning in each.outfit.warnings]
+        for warning in dict.fromkeys([*found, *(now.separator.warnings if now.separator else ())]):
             self._log.warning(f"{self._label}{warning}")
         source = mesh if mesh and mesh != str(BUNDLED_AVATAR) else "the bundled avatar"
-        for worn in attire.garments:
+        for worn in now.garments:
             self._log.info(
-                f"{self._label}{worn.draper.model.name} with {worn.draper.vertex_count} vertices on {source}: "
+                f"{self._label}{worn.layer.name} with {worn.layer.vertex_count} vertices on {source}: "
                 f"{self.topic} -> {worn.stream.cloud_publisher.topic_name}"
             )
         return loaded
 
-    def _attire_of(self, loaded: Sequence[LoadedDraper]) -> Attire:
-        drapers = [each.draper for each in loaded]
-        model, *others = [draper.model for draper in drapers]
+    def _worn_now(self, loaded: Sequence[LoadedLayer]) -> WornOutfits:
+        model, *others = [each.layer.model for each in loaded]
         for other in others:
             if other.rig.to_json() != model.rig.to_json():
                 raise ValueError(
@@ -185,17 +180,17 @@ class AvatarStream:
         )
         skeleton = "vrm" if self.settings.joint_map == VRM else "rig"
         bones = {"skeleton": skeleton, "on_unknown": self._warn_unknown}
-        separator = LimbSeparator(model.rig, drapers[0].avatar) if self.settings.separate_limbs else None
-        attire = Attire(reader, model, len(drapers), bool(self.settings.cloud_rate), separator, **bones)
-        worn_now = {worn.stream: worn for worn in self._attire.garments} if self._attire else {}
+        separator = LimbSeparator(model.rig, loaded[0].outfit.avatar) if self.settings.separate_limbs else None
+        now = WornOutfits(reader, model, len(loaded), bool(self.settings.cloud_rate), separator, **bones)
+        worn_before = {worn.stream: worn for worn in self._worn.garments} if self._worn else {}
         garments = []
-        for stream, draper, each in zip(self.garments, drapers, loaded):
-            before = worn_now.get(stream)
-            revision = 1 if before is None else before.revision + (not same_mesh(before.draper, draper))
-            garments.append(WornGarment(stream, draper, each.at_rest, revision))
-        attire.garments = tuple(garments)
-        attire.passes = passes_of(attire.garments, attire.draped, self.told)
-        return attire
+        for stream, each in zip(self.garments, loaded):
+            before = worn_before.get(stream)
+            revision = 1 if before is None else before.revision + (not same_mesh(before, each))
+            garments.append(LayerMessages(stream, each.outfit, each.index, revision))
+        now.garments = tuple(garments)
+        now.passes = passes_of(now.garments, now.draped, self.root.frame_input.rows)
+        return now
 
     def _naming_for(self, model: GarmentModel) -> JointNaming:
         if self._naming is None or self._naming[1] != model.rig.joint_names:
@@ -206,91 +201,88 @@ class AvatarStream:
 
     def _on_joint_state(self, data: bytes) -> None:
         arrived = perf_counter_ns()
-        if (attire := self._receiving()) is None:
+        if (worn := self._receiving()) is None:
             return
-        wire = attire.wire
+        wire = worn.wire
         try:
             wire.read(data)
             sec, nanosec = wire.stamp
-            self._feel(attire, wire, sec * NANOSECONDS + nanosec)
+            self._take_root(wire, sec * NANOSECONDS + nanosec)
         except ValueError as error:
-            self._reject(attire, error)
+            self._reject(worn, error)
             return
-        self._answer(attire, sec, nanosec, arrived)
+        self._answer(worn, sec, nanosec, arrived)
 
     def _on_bone_rotations(self, message: MultiDOFJointState) -> None:
         arrived = perf_counter_ns()
-        if (attire := self._receiving()) is None:
+        if (worn := self._receiving()) is None:
             return
         turns = [(each.rotation.x, each.rotation.y, each.rotation.z, each.rotation.w) for each in message.transforms]
         sec, nanosec = message.header.stamp.sec, message.header.stamp.nanosec
         try:
-            attire.bone_rotations.read(message.joint_names, turns, attire.pose)
-            self._feel(attire, None, sec * NANOSECONDS + nanosec)
+            worn.bone_rotations.read(message.joint_names, turns, worn.pose)
+            self._take_root(None, sec * NANOSECONDS + nanosec)
         except ValueError as error:
-            self._reject(attire, error)
+            self._reject(worn, error)
             return
-        self._answer(attire, sec, nanosec, arrived)
+        self._answer(worn, sec, nanosec, arrived)
 
-    def _receiving(self) -> Attire | None:
+    def _receiving(self) -> WornOutfits | None:
         """What is worn, for a message that has come in; None when it cannot be answered yet."""
         self.statistics.received += 1
-        if self._attire is None or not self.active:
+        if self._worn is None or not self.active:
             self.statistics.not_ready += 1
             return None
-        return self._attire
+        return self._worn
 
-    def _answer(self, attire: Attire, sec: int, nanosec: int, arrived: int) -> None:
+    def _answer(self, worn: WornOutfits, sec: int, nanosec: int, arrived: int) -> None:
         """Drape the pose that has been read, or keep it for the next cloud between poses. arrived: [ns]."""
-        if attire.interpolator is not None:
-            attire.wire.keep()
-            stamp_ns, told = sec * NANOSECONDS + nanosec, self.told
-            attire.interpolator.push(attire.pose, told.gravity[:, :4], told.load, stamp_ns, monotonic_ns())
+        if worn.interpolator is not None:
+            worn.wire.keep()
+            gravity = self.root.frame_input.rows[:, :4]
+            worn.interpolator.push(worn.pose, gravity, sec * NANOSECONDS + nanosec, monotonic_ns())
             return
-        if self._drape(attire, sec, nanosec):
-            attire.wire.keep()
+        if self._drape(worn, sec, nanosec):
+            worn.wire.keep()
             if self.deadline_ns and perf_counter_ns() - arrived > self.deadline_ns:
                 self.statistics.deadline_missed += 1
 
-    def _drape(self, attire: Attire, sec: int, nanosec: int) -> bool:
+    def _drape(self, worn: WornOutfits, sec: int, nanosec: int) -> bool:
         change = None
-        self.told.begin_frame(sec, nanosec)
-        if attire.separator is not None:
-            _, change = attire.separator.separate(attire.pose, out=attire.draped)
-        for each in attire.passes:
+        self.root.begin_frame(sec, nanosec)
+        if worn.separator is not None:
+            _, change = worn.separator.separate(worn.pose, out=worn.draped)
+        for each in worn.passes:
             began = perf_counter_ns()
             try:
                 each.step()
                 took = perf_counter_ns() - began
-                for worn in each.garments:
-                    worn.stream.statistics.draped(took)
-                    worn.publish(sec, nanosec)  # which drapes splats
+                for garment in each.garments:
+                    garment.stream.statistics.draped(took)
+                    garment.publish(sec, nanosec)  # which drapes splats
             except ValueError as error:
-                self._reject(attire, error)
+                self._reject(worn, error)
                 return False
         if change is not None:
             self.statistics.separate(change)
-            self._separated.publish(attire.separator.joint_names, attire.draped, sec, nanosec)
-        attire.range.add()
+            self._separated.publish(worn.separator.joint_names, worn.draped, sec, nanosec)
+        worn.range.add()
         self.statistics.last_stamp_ns = sec * NANOSECONDS + nanosec
         return True
 
     def _on_cloud_time(self) -> None:
-        attire = self._attire
-        if not self.active or attire is None or attire.interpolator is None:
+        worn = self._worn
+        if not self.active or worn is None or worn.interpolator is None:
             return
-        told = self.told
-        gravity, load = np.empty_like(told.gravity[:, :4]), np.empty_like(told.load)
-        stamp = attire.interpolator.sample(monotonic_ns(), attire.pose, gravity, load)
+        rows = self.root.frame_input.rows
+        latest = rows.copy()
+        stamp = worn.interpolator.sample(monotonic_ns(), worn.pose, rows[:, :4])  # rates are those up to the latest
         if stamp is not None:
-            latest = told.gravity.copy(), told.load.copy()
-            told.gravity[:, :4], told.load[:] = gravity, load  # the root's rates are those up to the latest
-            told.weigh()
-            self._drape(attire, *divmod(stamp, NANOSECONDS))
-            told.gravity[:], told.load[:] = latest
+            self._drape(worn, *divmod(stamp, NANOSECONDS))
+        rows[:] = latest
 
-    def _reject(self, attire: Attire, error: Exception) -> None:
-        np.copyto(attire.pose, attire.reader.positions)
+    def _reject(self, worn: WornOutfits, error: Exception) -> None:
+        np.copyto(worn.pose, worn.reader.positions)
         self.statistics.reject(str(error))
         self._log.warning(f"{self._label}joint state ignored: {error}", throttle_duration_sec=WARNING_PERIOD)
 
@@ -298,36 +290,20 @@ class AvatarStream:
 
     def set_gravity(self, down: Sequence[float]) -> None:
         """Take another direction of gravity (3,), of any length but zero, as of now."""
-        self.told.set_direction(unit_direction(down))
+        self.root.set_direction(np.array(down))
 
     def set_sway(self, sways: Sequence[float]) -> None:
         """Let the cloth of each garment swing as much from now on, 0 to 1."""
-        self.told.set_sway(sways)
-        if self._orientation is not None:
-            self._orientation.set_sway(sways)
+        self.root.frame_input.sways = sways
 
-    def _on_effective_gravity(self, felt: Felt, stamp_ns: int) -> None:
-        self.told.add_felt(felt, stamp_ns, monotonic_ns())
-        for worn in self._attire.garments if self._attire is not None else ():
-            if worn.learnt_sway and felt.root is not None:
-                continue  # it is moved by the root's rates
-            model = worn.draper.model
-            if model.accelerated and not worn.accelerated:
-                continue  # another garment of the outfit is told to be why
-            if not model.accelerated and model.name not in self._direction_only:
-                self._direction_only.add(model.name)
-                reason = f"garment model {model.name!r} was not trained with accelerated roots"
-                self.statistics.take_direction_only(reason)
-                self._log.warning(f"{self._label}of effective gravity the direction alone counts: {reason}")
+    def _on_motion(self, motion: RootSample | EffectiveGravity, stamp_ns: int) -> None:
+        self.root.add_motion(motion, stamp_ns, monotonic_ns())
 
-    def _feel(self, attire: Attire, wire: JointStateWire | None, stamp_ns: int) -> None:
-        """Set what garments feel with a joint state, or with bone rotations, which have no `wire`."""
-        if self.told.take_felt(stamp_ns, monotonic_ns(), attire.learnt_sway):
-            return
-        if self._follows or self._orientation.fault:
-            self.told.take_direction(self._followed_orientation(wire))
-        else:
-            self.told.take_by_stamp(stamp_ns)
+    def _take_root(self, wire: JointStateWire | None, stamp_ns: int) -> None:
+        """Tell garments what goes with a joint state, or with bone rotations, which have no `wire`."""
+        now_ns = monotonic_ns()
+        asks_joints = (self._follows or self._orientation.fault) and not self.root.moves(now_ns)
+        self.root.take(stamp_ns, now_ns, down=self._followed_orientation(wire) if asks_joints else None)
 
     def _followed_orientation(self, wire: JointStateWire | None) -> np.ndarray | None:
         """Gravity's unit direction (3,) as joints of the root tell it, None where they do not, or TF is at fault."""
@@ -357,7 +333,7 @@ class AvatarStream:
         if not new:
             return
         self._unknown.update(new)
-        near = nearest_names(new[0], self._attire.reader.joint_names) if self._attire is not None else ""
+        near = nearest_names(new[0], self._worn.reader.joint_names) if self._worn is not None else ""
         self._log.warning(
             f"{self._label}joints without a counterpart in the rig are ignored: {', '.join(each[:60] for each in new)}"
             + (f"; did you mean {near}?" if near else "")
@@ -371,14 +347,14 @@ class AvatarStream:
 
     # Reports.
 
-    def health(self, now_ns: int) -> list[tuple[WornGarment | None, GarmentStream, Health]]:
+    def health(self, now_ns: int) -> list[tuple[LayerMessages | None, GarmentStream, Health]]:
         """What each garment's stream wears and how it fares since the last call. now_ns: monotonic."""
-        attire = self._attire
+        worn = self._worn
         self.statistics.strangers = self._strangers()
-        beyond = attire.range.beyond() if attire is not None else []
+        beyond = worn.range.beyond() if worn is not None else []
         found = self._reporter.report(self.statistics, [each.statistics for each in self.garments], beyond, now_ns)
-        worn = attire.garments if attire is not None else (None,) * len(self.garments)
-        return list(zip(worn, self.garments, found))
+        garments = worn.garments if worn is not None else (None,) * len(self.garments)
+        return list(zip(garments, self.garments, found))
 
     def _strangers(self) -> str:
         publishers = self._node.get_publishers_info_by_topic(self.topic)
@@ -390,7 +366,7 @@ class AvatarStream:
     def close(self) -> None:
         """Take all topics down."""
         self.active, self._closed = False, True
-        self._attire = None
+        self._worn = None
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
         for subscription in self._subscriptions:
@@ -403,8 +379,8 @@ class AvatarStream:
             garment.close()
 
 
-def _carry_on(previous: Attire, attire: Attire) -> None:
+def _carry_on(previous: WornOutfits, worn: WornOutfits) -> None:
     """Keep the last good pose over a swap, where the rig is the same."""
-    if previous.reader.joint_names == attire.reader.joint_names:
-        np.copyto(attire.reader.positions, previous.reader.positions)
-        np.copyto(attire.pose, previous.reader.positions)
+    if previous.reader.joint_names == worn.reader.joint_names:
+        np.copyto(worn.reader.positions, previous.reader.positions)
+        np.copyto(worn.pose, previous.reader.positions)

@@ -62,9 +62,8 @@ class AvatarStatistics:
     """Counts of one avatar since it was configured.
 
     gravity_rejected: messages of a direction that is none, or of an effective gravity that cannot be; they count as
-    rejections to warn about, but not as joint states. direction_only: garment models that effective gravity only tells
-    the direction; last_direction_only says which and why. not_ready: joint states while there was nothing to drape yet,
-    or the node was inactive. implausible: joint states that look like degrees, draped all the same; last_implausible
+    rejections to warn about, but not as joint states. not_ready: joint states while there was nothing to drape yet, or
+    the node was inactive. implausible: joint states that look like degrees, draped all the same; last_implausible
     says which joint. last_error: of a swap. last_stamp_ns: of the last joint state that was draped, None before the
     first. strangers: who publishes something else than joint states on their topic, which DDS does not deliver.
     """
@@ -72,13 +71,11 @@ class AvatarStatistics:
     received: int = 0
     rejected: int = 0
     gravity_rejected: int = 0
-    direction_only: int = 0
     not_ready: int = 0
     implausible: int = 0
     swaps_failed: int = 0
     deadline_missed: int = 0
     last_implausible: str = ""
-    last_direction_only: str = ""
     last_rejection: str = ""
     last_error: str = ""
     strangers: str = ""
@@ -105,11 +102,6 @@ class AvatarStatistics:
         """Count a swap that failed, and keep why."""
         self.swaps_failed += 1
         self.last_error = reason
-
-    def take_direction_only(self, reason: str) -> None:
-        """Count a garment model that effective gravity only tells the direction, and keep which."""
-        self.direction_only += 1
-        self.last_direction_only = reason
 
     def doubt(self, reason: str) -> None:
         """Count a joint state that looks like degrees, and keep which joint."""
@@ -157,7 +149,6 @@ class Health:
             (rejected, f"{rejected} messages rejected: {counts.last_rejection}"),
             (new["swaps_failed"], f"swap failed, the old one goes on: {counts.last_error}"),
             (new["implausible"], f"{new['implausible']} joint states look like degrees: {counts.last_implausible}"),
-            (new["direction_only"], f"of effective gravity the direction alone counts: {counts.last_direction_only}"),
             (new["not_ready"], f"{new['not_ready']} joint states came before the garment was ready"),
             (new["deadline_missed"], f"{new['deadline_missed']} joint states missed the deadline"),
         )

@@ -21,7 +21,7 @@ from physkin_core.model.model_file import shipped_models
 from physkin_ros.joints.ros4hri import ROS4HRI
 from physkin_ros.messages.interfaces import missing_interfaces
 from physkin_ros.middleware.shared_memory import leftovers, remove_shared_memory
-from physkin_ros.node.asset_loading import AssetRoots, DraperLoader, Outfitting
+from physkin_ros.node.asset_loading import AssetRoots, OutfitLoader
 from physkin_ros.node.avatar_stream import AvatarStream
 from physkin_ros.node.body_discovery import BodyDiscovery, body_publishers
 from physkin_ros.node.orientation_source import check_orientation
@@ -79,7 +79,7 @@ class DrapeNode(LifecycleNode):
                 )
             ),
         )
-        self._loader = DraperLoader(self._settings.backend)
+        self._loader = OutfitLoader()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="physkin-loader", initializer=_schedule_as_batch)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._follow_parameters)
@@ -104,7 +104,7 @@ class DrapeNode(LifecycleNode):
             try:
                 value = check_setting(parameter.name, setting, parameter.value)
                 if key in ("body_mesh", "body_rig"):
-                    Outfitting(body_mesh=value).check(self._roots)
+                    self._roots.check_body(value)
                 elif key == "model":
                     self._check_models(parameter.name, value)
             except ValueError as error:
@@ -123,7 +123,7 @@ class DrapeNode(LifecycleNode):
         for model in models:
             if not model:
                 raise SettingsError(f"parameter {name} is {value!r}; allowed: models joined by commas")
-            Outfitting(model=model).check(self._roots)
+            self._roots.check_garment(model)
 
     def _follow_parameters(self, parameters: Iterable[Parameter]) -> None:
         names = {parameter.name for parameter in parameters}
@@ -340,7 +340,7 @@ class DrapeNode(LifecycleNode):
 
     def _set_body(self, request, response):
         def swap(stream: AvatarStream):
-            Outfitting(body_mesh=request.body_mesh, body_rig=request.body_rig).check(self._roots)
+            self._roots.check_body(request.body_mesh, request.body_rig)
             loaded = stream.dress(body=(request.body_mesh, request.body_rig))
             prefix = stream.settings.prefix
             self._show_settings(stream, (f"{prefix}body_mesh", f"{prefix}body_rig"))
@@ -354,7 +354,7 @@ class DrapeNode(LifecycleNode):
             index = _one_of("garment", request.garment, names)
             if not request.model:
                 raise SettingsError("model must not be empty")
-            Outfitting(model=request.model).check(self._roots)
+            self._roots.check_garment(request.model)
             loaded = stream.dress(models={index: request.model})
             self._show_settings(stream, (f"{stream.settings.garments[index].prefix}model",))
             return [loaded[index]]
@@ -372,9 +372,8 @@ class DrapeNode(LifecycleNode):
             response.success, response.message = False, self._report_swap(stream, error)
             return response
         response.success = True
-        response.message = ", ".join(f"{each.draper.model.name} on {each.draper.avatar.source}" for each in loaded)
-        passes = {id(getattr(each.draper, "outfit", each)): each.seconds for each in loaded}  # an outfit loads at once
-        response.seconds = sum(passes.values())
+        response.message = ", ".join(f"{each.layer.name} on {each.outfit.avatar.source}" for each in loaded)
+        response.seconds = sum({id(each.outfit): each.seconds for each in loaded}.values())
         response.cached = all(each.cached for each in loaded)
         return response
 

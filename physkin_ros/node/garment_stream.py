@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
 from time import perf_counter_ns
 
 import numpy as np
@@ -13,22 +14,29 @@ from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker
 
-from physkin_core import Draper, GarmentModel, LimbSeparator, SplatDraper, Splats
+from physkin_core import GarmentModel, Layer, LimbSeparator, Outfit, Splats
 from physkin_core.points.point_files import read_splat_file
-from physkin_core.runtime.rest_look import RestLook
+from physkin_core.points.splat_draper import SplatSkinner
 from physkin_ros.joints.bone_rotation_message import BoneRotationReader
 from physkin_ros.joints.joint_state_wire import JointStateWire
 from physkin_ros.joints.joint_states import JointStateReader
-from physkin_ros.messages.conversions import GarmentCloud, NodesMessage, TriangleMarker, garment_mesh
+from physkin_ros.messages.conversions import GarmentCloud, NodesMessage, TriangleMarker, body_covered, garment_mesh
 from physkin_ros.messages.interfaces import missing_interfaces
 from physkin_ros.messages.splat_cloud import SplatCloud, splat_look
-from physkin_ros.node.asset_loading import OutfitLayer
+from physkin_ros.node.asset_loading import LoadedLayer
 from physkin_ros.node.diagnostics import GarmentStatistics, PoseRange
 from physkin_ros.node.interpolation import PoseInterpolator
 from physkin_ros.node.settings import AvatarSettings, GarmentSettings
-from physkin_ros.root.garment_gravity import GarmentGravity
 
-__all__ = ["Attire", "GarmentStream", "Pass", "WornGarment", "passes_of", "same_mesh", "stream_quality"]
+__all__ = [
+    "GarmentStream",
+    "LayerMessages",
+    "Pass",
+    "WornOutfits",
+    "passes_of",
+    "same_mesh",
+    "stream_quality",
+]
 
 
 def stream_quality(depth: int = 5, *, reliable: bool = True) -> dict[str, object]:
@@ -87,13 +95,10 @@ class GarmentStream:
         self._splats = file.splats
         return file.splats
 
-    def show_mesh(self, draper: Draper | OutfitLayer, revision: int) -> None:
-        """Publish what changes with the garment only."""
+    def show_mesh(self, outfit: Outfit, index: int, revision: int) -> None:
+        """Publish what changes with the garment only. index: of the garment in its outfit."""
         if self._mesh_publisher is not None:
-            told = {"revision": revision, "avatar": self.avatar_id}
-            if isinstance(draper, OutfitLayer):
-                told["in_outfit"] = draper.mesh_fields()
-            message = garment_mesh(draper, self.frame_id, **told)
+            message = garment_mesh(outfit, index, self.frame_id, revision=revision, avatar=self.avatar_id)
             message.header.stamp = self._node.get_clock().now().to_msg()
             self._mesh_publisher.publish(message)
 
@@ -107,61 +112,53 @@ class GarmentStream:
                 self._node.destroy_publisher(publisher)
 
 
-class WornGarment:
-    """A draper, or a garment of an outfit, and the messages it fills.
+class LayerMessages:
+    """A garment of an outfit, and the messages that its frames fill.
 
-    at_rest: how it sits. revision: of the garment's mesh, which a swap of the body alone does not change in one size.
-    points: (n, 6) float32 of the cloud, to be draped into. Raises ValueError for splats that are not this garment's.
+    index: of the garment in its outfit. revision: of the garment's mesh, which a swap of the body alone does not change
+    in one size. points: (n, 6) float32 of the cloud, to be draped into. Raises ValueError for splats that are not this
+    garment's.
     """
 
-    def __init__(self, stream: GarmentStream, draper: Draper | OutfitLayer, at_rest: RestLook, revision: int) -> None:
-        self.stream, self.draper, self.at_rest = stream, draper, at_rest
-        self.revision = revision
-        self._cloud = GarmentCloud(self.draper.vertex_count, stream.frame_id)
+    def __init__(self, stream: GarmentStream, outfit: Outfit, index: int, revision: int) -> None:
+        self.stream, self.outfit, self.index, self.revision = stream, outfit, index, revision
+        self._cloud = GarmentCloud(self.layer.vertex_count, stream.frame_id)
         self.points = self._cloud.points
         self._nodes = self._marker = None
         if stream.nodes_publisher is not None:
-            self._nodes = NodesMessage(len(self.draper.bound.node_rest), stream.frame_id, self.revision)
-        if stream.marker_publisher is not None and len(self.draper.faces):
-            self._marker = TriangleMarker(self.draper.faces, stream.frame_id, stream.name)
-        self._splats = None if stream.splat_publisher is None else WornSplats(stream, draper)
+            self._nodes = NodesMessage(len(self.layer.bound.node_rest), stream.frame_id, self.revision)
+        if stream.marker_publisher is not None and len(self.layer.faces):
+            self._marker = TriangleMarker(self.layer.faces, stream.frame_id, stream.name)
+        self._splats = None if stream.splat_publisher is None else SplatMessages(stream, self.layer)
 
     @property
-    def accelerated(self) -> bool:
-        """Whether effective gravity counts: of an outfit, which has one pose vector, for all garments or for none."""
-        draper = self.draper
-        models = draper.outfit.models if isinstance(draper, OutfitLayer) else (draper.model,)
-        return all(model.accelerated for model in models)
-
-    @property
-    def learnt_sway(self) -> bool:
-        """Whether a sway network moves it."""
-        return bool(self.draper.bound.sway_layers)
+    def layer(self) -> Layer:
+        """The garment as it is worn."""
+        return self.outfit.layers[self.index]
 
     def publish(self, sec: int, nanosec: int) -> None:
         """Publish the frame with the joint state's stamp; all but the cloud only to those who listen."""
         stream = self.stream
         self._cloud.publish(stream.cloud_publisher, sec, nanosec)
         if self._nodes is not None and stream.nodes_publisher.handle.get_subscription_count():
-            self._nodes.transforms[:] = self.draper.node_transforms()
+            self._nodes.transforms[:] = self.outfit.node_transforms()[self.index]
             self._nodes.publish(stream.nodes_publisher, sec, nanosec)
         if self._marker is not None and stream.marker_publisher.get_subscription_count():
             self._marker.publish(stream.marker_publisher, self.points, sec, nanosec)
         if self._splats is not None and stream.splat_publisher.get_subscription_count():
-            self._splats.publish(stream.splat_publisher, self.draper.node_transforms(), sec, nanosec)
+            self._splats.publish(stream.splat_publisher, self.outfit.node_transforms()[self.index], sec, nanosec)
 
 
-class WornSplats:
+class SplatMessages:
     """The splats of a garment, where its garment nodes take them. They take half of the time at most: clouds go
     first."""
 
-    def __init__(self, stream: GarmentStream, draper: Draper) -> None:
+    def __init__(self, stream: GarmentStream, layer: Layer) -> None:
         try:
-            settings = {"fit": draper.fit, "backend": draper.backend, "binding": draper.bound}
-            self._draper = SplatDraper(draper.model, draper.avatar, stream.show_splats(), **settings)
+            self._skinner = SplatSkinner(layer, stream.show_splats())
         except ValueError as error:
             raise ValueError(f"parameter {stream.settings.prefix}points, {stream.settings.points}: {error}") from error
-        self._cloud = SplatCloud(self._draper.splat_count, stream.frame_id)
+        self._cloud = SplatCloud(self._skinner.splat_count, stream.frame_id)
         self._free_ns = 0
 
     def publish(self, publisher, node_transforms: np.ndarray, sec: int, nanosec: int) -> None:
@@ -170,7 +167,7 @@ class WornSplats:
         began = perf_counter_ns()
         if began < self._free_ns:
             return
-        self._cloud.fill(self._draper.skin(node_transforms))
+        self._cloud.fill(self._skinner.skin(node_transforms))
         self._cloud.publish(publisher, sec, nanosec)
         now = perf_counter_ns()
         self._free_ns = 2 * now - began
@@ -178,38 +175,41 @@ class WornSplats:
 
 @dataclass(frozen=True)
 class Pass:
-    """Garments that are draped together. step: drapes them all; raises ValueError when a result is not finite."""
+    """Garments that are draped together, those of one outfit. step: drapes them all; raises ValueError when a result is
+    not finite."""
 
     step: Callable[[], None]
-    garments: tuple[WornGarment, ...]
+    garments: tuple[LayerMessages, ...]
 
 
-def passes_of(garments: Sequence[WornGarment], pose: np.ndarray, told: GarmentGravity) -> tuple[Pass, ...]:
-    """What drapes the garments of an avatar, from what these arrays hold then: an outfit at once, others one by one.
+def passes_of(garments: Sequence[LayerMessages], pose: np.ndarray, inputs: np.ndarray) -> tuple[Pass, ...]:
+    """What drapes the garments of an avatar, outfit by outfit, from what these arrays hold then.
 
-    pose: (d,) [rad]. told: `felt` is for garments that have learnt effective gravity, `gravity` for the others.
+    pose: (d,) [rad]. inputs: (garments, 14) as of `FrameInput.rows`.
     """
-    downs = [(told.felt if worn.accelerated else told.gravity)[k] for k, worn in enumerate(garments)]
-    first = garments[0].draper
-    if isinstance(first, OutfitLayer):
-        down = told.felt if garments[0].accelerated else told.gravity
-        return (Pass(first.outfit.bind_step(pose, down, [worn.points for worn in garments]), tuple(garments)),)
-    return tuple(Pass(worn.draper.bind_step(pose, down, worn.points), (worn,)) for worn, down in zip(garments, downs))
+    passes = []
+    for _, worn in groupby(enumerate(garments), key=lambda each: id(each[1].outfit)):
+        rows, together = zip(*worn)
+        outs = [each.points for each in together]
+        step = together[0].outfit.bind_frame(pose, inputs[rows[0] : rows[-1] + 1], outs)
+        passes.append(Pass(step, together))
+    return tuple(passes)
 
 
-def same_mesh(before: Draper | OutfitLayer, draper: Draper | OutfitLayer) -> bool:
-    """Whether two drapers differ by the body alone. Made to measure, another body means another rest shape; in an
+def same_mesh(before: LayerMessages, now: LoadedLayer) -> bool:
+    """Whether two garments differ by the body alone. Made to measure, another body means another rest shape; in an
     outfit it may mean other hidden vertices."""
-    if before.model is not draper.model or not np.array_equal(before.bound.vertices, draper.bound.vertices):
+    pairs = [(each.layer.model, each.index, len(each.outfit.layers), each.layer.moved) for each in (before, now)]
+    if pairs[0] != pairs[1] or not np.array_equal(before.layer.visible, now.layer.visible):
         return False
-    fields = [each.mesh_fields() if isinstance(each, OutfitLayer) else {} for each in (before, draper)]
-    return all(np.array_equal(fields[0][name], value) for name, value in fields[1].items())
+    masks = [body_covered(each.outfit, each.index) for each in (before, now)]
+    return np.array_equal(*masks) and np.array_equal(before.layer.given.vertices, now.layer.given.vertices)
 
 
-class Attire:
-    """What an avatar wears: drapers bound to its pose, and the reader of joint states for their rig.
+class WornOutfits:
+    """What an avatar wears, bound to its pose, and the reader of joint states for its rig.
 
-    pose: (d,) float32 [rad], what comes in. draped: (d,) what the drapers read: the same array, or another one that
+    pose: (d,) float32 [rad], what comes in. draped: (d,) what is draped: the same array, or another one that
     `separator` fills. garments: in the order of the avatar's streams; passes: what drapes them. bones: further
     arguments of `BoneRotationReader`.
     """
@@ -231,13 +231,13 @@ class Attire:
         self.draped = self.pose if separator is None else self.pose.copy()
         self.range = PoseRange(model.rig, self.pose)
         self.interpolator = PoseInterpolator(len(self.pose), garment_count) if interpolates else None
-        self.garments: tuple[WornGarment, ...] = ()
+        self.garments: tuple[LayerMessages, ...] = ()
         self.passes: tuple[Pass, ...] = ()
 
-    @cached_property
-    def learnt_sway(self) -> np.ndarray:
-        """(garments,) bool, which of them sway networks move."""
-        return np.array([worn.learnt_sway for worn in self.garments])
+    @property
+    def networks(self) -> list[bool]:
+        """Which of the garments sway networks move."""
+        return [each.layer.given.sways_by_network for each in self.garments]
 
     @cached_property
     def bone_rotations(self) -> BoneRotationReader:

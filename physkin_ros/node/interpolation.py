@@ -11,27 +11,30 @@ import numpy as np
 
 __all__ = ["PoseInterpolator"]
 
+WEIGHTLESS = 1e-3  # of gravity: effective gravity that is smaller has no direction
 LONGEST_GAP = 500_000_000  # [ns] joint states farther apart are not joined: the next one starts anew
 
 
 class PoseInterpolator:
-    """Straight lines between the last two poses; gravity is turned along, with its twist and load, how large it is."""
+    """Straight lines between the last two poses; gravity is turned along, its size and the twist go straight."""
 
     def __init__(self, joint_count: int, garment_count: int = 1) -> None:
         self._pose = np.zeros((2, joint_count), dtype=np.float32)
-        self._gravity = np.zeros((2, garment_count, 4), dtype=np.float32)
-        self._load = np.zeros((2, garment_count, 1), dtype=np.float32)
+        self._gravity = np.zeros((2, garment_count, 4), dtype=np.float32)  # unit direction, and the twist
+        self._size = np.ones((2, garment_count, 1), dtype=np.float32)
         self._arrived = [0, 0]
         self._stamp = [0, 0]
         self._count = 0
         self._shown = True
 
-    def push(self, pose: np.ndarray, gravity: np.ndarray, load: np.ndarray, stamp_ns: int, now_ns: int) -> None:
-        """A joint state's pose (d,) [rad], unit gravity and twist (g, 4) and load (g, 1) with its stamp, and when it
-        came [ns]."""
-        for kept, new in ((self._pose, pose), (self._gravity, gravity), (self._load, load)):
+    def push(self, pose: np.ndarray, gravity: np.ndarray, stamp_ns: int, now_ns: int) -> None:
+        """A joint state's pose (d,) [rad], effective gravity and twist (g, 4), its stamp, and when it came [ns]."""
+        for kept in (self._pose, self._gravity, self._size):
             kept[0] = kept[1]
-            kept[1] = new
+        self._pose[1], self._gravity[1] = pose, gravity
+        self._size[1] = size = np.linalg.norm(gravity[:, :3], axis=1, keepdims=True)
+        # where it is weightless, the last direction stays
+        self._gravity[1, :, :3] = np.where(size > WEIGHTLESS, gravity[:, :3] / size, self._gravity[0, :, :3])
         self._arrived = [self._arrived[1], now_ns]
         self._stamp = [self._stamp[1], stamp_ns]
         self._count += 1
@@ -39,9 +42,9 @@ class PoseInterpolator:
             self._count = 1
         self._shown = False
 
-    def sample(self, now_ns: int, pose: np.ndarray, gravity: np.ndarray, load: np.ndarray) -> int | None:
-        """Write the pose (d,), unit gravity and twist (g, 4) and load (g, 1) to show now; returns its stamp [ns], None
-        when nothing is new."""
+    def sample(self, now_ns: int, pose: np.ndarray, gravity: np.ndarray) -> int | None:
+        """Write the pose (d,), effective gravity and twist (g, 4) to show now; returns its stamp [ns], None when
+        nothing is new."""
         if self._shown:
             return None
         share = 1.0
@@ -50,12 +53,13 @@ class PoseInterpolator:
         if share >= 1.0:
             share, self._shown = 1.0, True
         share = max(share, 0.0)
-        for kept, out in ((self._pose, pose), (self._gravity, gravity), (self._load, load)):
-            np.subtract(kept[1], kept[0], out=out)
-            out *= share - 1.0
-            out += kept[1]
+
+        def between(kept: np.ndarray) -> np.ndarray:
+            return kept[1] + (kept[1] - kept[0]) * np.float32(share - 1.0)
+
+        pose[:], gravity[:], size = map(between, (self._pose, self._gravity, self._size))
         length = np.linalg.norm(gravity[:, :3], axis=1)
         opposite = length < 1e-6  # directions, half way
         gravity[opposite], length[opposite] = self._gravity[1][opposite], 1.0
-        gravity[:, :3] /= length[:, None]
+        gravity[:, :3] *= size / length[:, None]
         return self._stamp[1] - round((1.0 - share) * (self._stamp[1] - self._stamp[0]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from time import monotonic_ns
 
 import numpy as np
@@ -10,13 +10,13 @@ from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 
-from physkin_core.runtime.draper import in_units_of_gravity
+from physkin_core.sway.frame_input import LARGEST_EFFECTIVE_GRAVITY, STANDARD_GRAVITY, RootSample
 from physkin_ros.messages.interfaces import missing_tf
 from physkin_ros.node.garment_stream import stream_quality
 from physkin_ros.node.settings import AvatarSettings, SettingsError
-from physkin_ros.root.gravity import FRESH, Felt
+from physkin_ros.root.gravity import FRESH, EffectiveGravity
 from physkin_ros.root.quaternions import quaternion_of, vector_of
-from physkin_ros.root.root_orientation import DirectionTaker, FeltTaker, RootOrientation, stamp_of
+from physkin_ros.root.root_orientation import DirectionTaker, MotionTaker, RootOrientation, stamp_of
 from physkin_ros.root.tf_topics import FollowedTransforms, RootBroadcaster
 from physkin_ros.root.transform_tree import MOST_FRAMES
 
@@ -36,8 +36,8 @@ def check_orientation(avatar: AvatarSettings) -> None:
 class OrientationSource:
     """Calls back with what messages say, and their stamps, or with why one says nothing.
 
-    on_gravity: takes gravity's unit direction (3,). on_felt: takes what garments feel, from the topic of effective
-    gravity, or, while that tells none that is fresh, as the root's motion or an IMU tells it by the sway of each.
+    on_gravity: takes gravity's unit direction (3,). on_motion: takes how the root moves, from the topic of effective
+    gravity, or, while that gives none that is fresh, from the root's poses or an IMU.
     """
 
     def __init__(
@@ -46,14 +46,14 @@ class OrientationSource:
         avatar: AvatarSettings,
         transforms: FollowedTransforms,
         on_gravity: DirectionTaker,
-        on_felt: FeltTaker,
+        on_motion: MotionTaker,
         on_bad: Callable[[str], None],
     ) -> None:
         self._transforms, self._follows_tf = transforms, False
-        self._node, self._on_felt, self._on_bad = node, on_felt, on_bad
+        self._node, self._on_motion, self._on_bad = node, on_motion, on_bad
         self._frames = avatar.frame_id, avatar.world_frame
         self._subscriptions = []
-        self._root = RootOrientation(on_gravity, self._sway, sways=avatar.sways, imu_delay=avatar.imu_delay)
+        self._root = RootOrientation(on_gravity, self._move, imu_delay=avatar.imu_delay)
         self._told_until = 0  # [ns], monotonic: whoever tells effective gravity knows better than we
         self._broadcaster = None
         below = f"~/{avatar.id}" if avatar.id else "~"
@@ -84,10 +84,6 @@ class OrientationSource:
         """Why TF does not say where the root is at the moment, "" where it does or is not asked."""
         return self._root.fault
 
-    def set_sway(self, sways: Sequence[float]) -> None:
-        """Let the root's motion, or an IMU, count as much from now on, 0 to 1, for each garment."""
-        self._root.set_sway(sways)
-
     def close(self) -> None:
         """Stop listening."""
         self._root.still()  # what is native in it must not outlive the interpreter
@@ -99,9 +95,12 @@ class OrientationSource:
             self._broadcaster.close()
 
     def _on_told(self, message: Vector3Stamped) -> None:
-        felt = np.append(in_units_of_gravity(vector_of(message.vector)), 0.0)
+        vector = np.array(vector_of(message.vector))
+        if not np.linalg.norm(vector) <= LARGEST_EFFECTIVE_GRAVITY * STANDARD_GRAVITY:
+            allowed = f"(3,), finite, up to {LARGEST_EFFECTIVE_GRAVITY * STANDARD_GRAVITY:.1f} m/s2 long"
+            raise ValueError(f"effective_gravity must be {allowed}, got {vector.tolist()}")
         self._told_until = monotonic_ns() + FRESH
-        self._on_felt(Felt(felt.astype(np.float32)), stamp_of(message))
+        self._on_motion(EffectiveGravity(vector), stamp_of(message))
 
     def _on_pose(self, message: PoseStamped) -> None:
         new = self._root.follows(stamp_of(message))
@@ -127,9 +126,9 @@ class OrientationSource:
         for reason in self._root.transforms(tree, wrong, *self._frames):
             self._on_bad(reason)
 
-    def _sway(self, felt: Felt, stamp_ns: int) -> None:
+    def _move(self, motion: RootSample | EffectiveGravity, stamp_ns: int) -> None:
         if monotonic_ns() > self._told_until:
-            self._on_felt(felt, stamp_ns)
+            self._on_motion(motion, stamp_ns)
 
     def _listen(self, kind: type, topic: str, take: Callable[..., None], *, sensor: bool = False) -> None:
         """sensor: the topic's publishers may be best effort, as sensor drivers are."""

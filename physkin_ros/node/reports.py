@@ -8,8 +8,8 @@ from time import monotonic_ns
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
+from physkin_core.sway.frame_input import STANDARD_GRAVITY
 from physkin_ros.messages.interfaces import missing_interfaces
-from physkin_ros.node.asset_loading import OutfitLayer
 from physkin_ros.node.avatar_stream import AvatarStream
 from physkin_ros.node.diagnostics import diagnostic_status
 
@@ -51,7 +51,7 @@ class Reports:
 
             numbers = DrapeStatistics(header=report.header)
             for _, worn, garment, found in health:
-                model = garment.settings.model if worn is None else worn.draper.model.name
+                model = garment.settings.model if worn is None else worn.layer.name
                 entry = GarmentStatistics(avatar=garment.avatar_id, garment=garment.settings.name, model_name=model)
                 found.fill(entry)
                 numbers.period = found.period
@@ -66,21 +66,21 @@ class Reports:
             well, summary = False, f"somebody else publishes on {topic}, too; {summary}"
         model, source = garment.settings.model, ""
         if worn is not None:
-            draper = worn.draper
-            model, source = draper.model.name, draper.avatar.source
-            values |= {"backend": draper.backend, "instruction set": draper.instruction_set}
-            values |= {"precision": draper.precision, "fit": f"{draper.fit:g}"}
-            values["cloth inside the body at rest [%]"] = f"{worn.at_rest.inside_percent:.1f}"
-            values["advice"] = worn.at_rest.advice or "none"
-            values["layer"] = values["vertices left out"] = "none"
-            if isinstance(draper, OutfitLayer):
-                of = len(draper.outfit.hidden[draper.index])
-                values["layer"] = f"{draper.index + 1} of {len(draper.outfit.models)} from the skin outwards"
-                values["vertices left out"] = f"{of - draper.vertex_count} of {of}"
+            outfit, layer = worn.outfit, worn.layer
+            model, source, whole = layer.name, outfit.avatar.source, len(layer.hidden)
+            values |= {"instruction set": outfit.instruction_set, "precision": outfit.precision}
+            values |= {"fit": f"{layer.fit:g}", "advice": layer.at_rest.advice or "none"}
+            values["cloth inside the body at rest [%]"] = f"{layer.at_rest.inside_percent:.1f}"
+            values["layer"] = f"{worn.index + 1} of {len(outfit.layers)} from the skin outwards"
+            values["vertices left out"] = f"{whole - layer.vertex_count} of {whole}"
         values["model"] = model
         row = stream.garments.index(garment)
-        values["gravity"] = " ".join(f"{value:.3f}" for value in stream.told.gravity[row, :3])
-        values["effective gravity [m/s2]"] = _effective_gravity(stream, row, worn)
+        gravity = stream.root.frame_input.rows[row, :3]
+        moves = stream.root.moves(monotonic_ns()) and not (worn is not None and worn.layer.given.sways_by_network)
+        values["gravity"] = " ".join(f"{value:.3f}" for value in stream.root.direction(0))
+        values["effective gravity [m/s2]"] = (
+            " ".join(f"{value:.2f}" for value in STANDARD_GRAVITY * gravity) if moves else "none"
+        )
         if worn is None:
             error = stream.statistics.last_error
             well, summary = False, f"nothing to drape: {error}" if error else "the garment is being loaded"
@@ -98,13 +98,3 @@ class Reports:
             )
         self._shared = self._shared | {topic} if shared else self._shared - {topic}
         return shared
-
-
-def _effective_gravity(stream: AvatarStream, row: int, worn) -> str:
-    by_network = worn is not None and worn.learnt_sway
-    felt = stream.told.effective_gravity(row, monotonic_ns(), learnt=by_network)
-    if felt is None:
-        return "none"
-    text = " ".join(f"{value:.2f}" for value in felt)
-    learnt = worn is None or worn.accelerated
-    return text if learnt else f"{text}, of which the direction alone counts"

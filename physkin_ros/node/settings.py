@@ -9,9 +9,9 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from physkin_core import BACKENDS, NORMALS, UPRIGHT_GRAVITY
+from physkin_core import NORMALS, UPRIGHT_GRAVITY
 from physkin_core.model.model_file import split_fabric
-from physkin_core.runtime.native_evaluator import PRECISIONS
+from physkin_core.runtime.evaluator import PRECISIONS
 from physkin_ros.messages.conversions import gravity_direction
 from physkin_ros.root.imu_acceleration import USUAL_DELAY
 
@@ -80,14 +80,13 @@ class GarmentSettings:
     tucked: bool = _key(False, "wear its hem under the waistband of the next garment outwards that is not tucked")
     precision: str = _key(
         "",
-        "of the network weights: fp32, bf16 or int8, each faster and coarser than the last; default int8, and with the "
-        "numpy backend fp32, the only one it knows",
+        "of the network weights: fp32, bf16 or int8, each faster and coarser than the last; default int8",
         choices=("", *PRECISIONS),
     )
     fit: float | None = _key(
         None,
-        "1: made to measure for this body; 0: the garment's one size; or between. Above 0 only for models that have "
-        "learnt it. Empty: 1 for those, 0 for others",
+        "1: made to measure for this body; 0: the garment's one size; or between. Above 0 only with the body model's "
+        "rig. Empty: 1 with that, 0 with others",
         low=0,
         high=1,
     )
@@ -236,7 +235,6 @@ class NodeSettings:
 
     avatars: tuple[AvatarSettings, ...]
     executor: str = _key("events", "rclpy executor: events (least overhead) or single", choices=("events", "single"))
-    backend: str = _key("native", "evaluator: native (C++) or numpy (readable reference, slow)", choices=BACKENDS)
     autostart: bool = _key(True, "configure and activate at once; false: wait for lifecycle transitions")
     asset_roots: tuple[str, ...] = _key(
         [""],

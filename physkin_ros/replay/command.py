@@ -8,12 +8,20 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 
-from physkin_core import BUNDLED_AVATAR, NORMALS, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
+from physkin_core import (
+    BUNDLED_AVATAR,
+    NORMALS,
+    UPRIGHT_GRAVITY,
+    Draper,
+    LimbSeparator,
+    load_avatar,
+    load_garment_model,
+)
 from physkin_core.fit_option import add_fit_option
 from physkin_core.motion.bag_reader import ORIENTATIONS, BagError, BagReader
 from physkin_core.outfit.outfit_options import add_sway_option
-from physkin_core.runtime.native_evaluator import PRECISIONS
-from physkin_core.sway.sway import checked_amount
+from physkin_core.runtime.evaluator import PRECISIONS
+from physkin_core.sway.frame_input import checked_sway
 from physkin_ros.arguments import file_to_write, whole_number
 from physkin_ros.joints.joint_naming import PRESETS
 from physkin_ros.messages.conversions import gravity_direction
@@ -53,7 +61,8 @@ def replay_one(options: argparse.Namespace) -> int:
         draper, every = _draper(options), options.contact_every
         if every is None:
             every = max(1, -(-bag.joint_state_count // CONTACT_CLOUDS))
-        settings = {"joint_map": options.joint_map, "root": root, "contact_every": every}
+        separator = LimbSeparator(draper.model.rig, draper.avatar) if options.separate_limbs else None
+        settings = {"joint_map": options.joint_map, "root": root, "separator": separator, "contact_every": every}
         found = replay(draper, bag, writer, topic=options.garment_topic, frame_id=options.frame_id, **settings)
         if not found.frames:
             why = f"; most often: {found.reasons.most_common(1)[0][0]}" if found.reasons else ""
@@ -77,7 +86,7 @@ def _root(options: argparse.Namespace) -> RecordedRoot:
     if options.world_frame is not None and options.orientation != "tf":
         raise BagError(f"--world-frame is for --orientation tf, not {options.orientation}")
     frames = {"frame_id": options.frame_id, "world_frame": options.world_frame or WORLD}
-    gravity, sway = gravity_direction(options.gravity), checked_amount(options.sway)
+    gravity, sway = gravity_direction(options.gravity), checked_sway(options.sway)
     return RecordedRoot(options.orientation, gravity=gravity, sway=sway, **frames)
 
 
@@ -95,8 +104,7 @@ def _orientation_topic(options: argparse.Namespace) -> str | None:
 def _draper(options: argparse.Namespace) -> Draper:
     model = load_garment_model(options.model)
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
-    chosen = {"precision": options.precision, "fit": options.fit, "normals": options.normals}
-    draper = Draper(model, avatar, separate_limbs=options.separate_limbs, **chosen)
+    draper = Draper(model, avatar, precision=options.precision, fit=options.fit, normals=options.normals)
     for warning in draper.avatar.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return draper

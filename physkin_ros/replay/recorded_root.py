@@ -1,4 +1,4 @@
-"""What a garment is told of the root beside the pose, from a bag's messages, as the ROS node tells it."""
+"""How the root moves by a bag's messages, and what a garment's frames are given by that, as in the ROS node."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from physkin_core import UPRIGHT_GRAVITY, Draper
+from physkin_core import UPRIGHT_GRAVITY, FrameInput, Outfit
 from physkin_core.motion.bag_reader import Recorded, decode
-from physkin_ros.root.garment_gravity import GarmentGravity
-from physkin_ros.root.gravity import Felt, unit_direction
+from physkin_core.sway.frame_input import RootSample
+from physkin_ros.root.gravity import EffectiveGravity
 from physkin_ros.root.imu_acceleration import USUAL_DELAY
 from physkin_ros.root.root_orientation import RootOrientation, stamp_of
+from physkin_ros.root.root_state import RootState
 from physkin_ros.root.transform_tree import TransformTree
 
 __all__ = ["RecordedRoot"]
@@ -21,7 +22,7 @@ class RecordedRoot:
     """Of one garment. Time is that of recording where the node takes its own clock's.
 
     orientation, frame_id, world_frame: as the node's parameters. gravity: (3,) direction in the root frame until a
-    message tells another. sway: how much cloth swings, 0 to 1. down: unit direction (3,) that goes with the last joint
+    message says another. sway: how much cloth swings, 0 to 1. down: unit direction (3,) that goes with the last joint
     state. fault: why TF does not say where the root is, "" where it does or is not asked.
     """
 
@@ -36,24 +37,26 @@ class RecordedRoot:
     ) -> None:
         self.orientation, self.sway = orientation, sway
         self._frames = frame_id, world_frame
-        self.down = unit_direction(gravity)
-        self._told = GarmentGravity(self.down, (sway,))
-        root = RootOrientation(self._told.add_direction, self._feel, sways=(sway,), imu_delay=USUAL_DELAY)
+        self.frame_input = FrameInput([False])
+        self.frame_input.sways = (sway,)
+        self._state = RootState(np.array(gravity), self.frame_input)
+        self.down = self._state.direction(0)
+        root = RootOrientation(self._state.add_direction, self._move, imu_delay=USUAL_DELAY)
         self._takers = {"gravity": root.direction, "pose": root.pose, "odometry": root.odometry, "imu": root.imu}
         self._root, self._tree = root, TransformTree()
         if orientation == "tf":
             root.fault = f"no transform to {frame_id!r} has come"
-        self._learnt = np.zeros(1, dtype=bool)
         self._now_ns = 0
 
     @property
     def fault(self) -> str:
         return self._root.fault
 
-    def row(self, draper: Draper) -> np.ndarray:
-        """(14,) float32, what `Draper.bind_step` reads; changed in place by `tell`."""
-        self._learnt[:] = bool(draper.bound.sway_layers)
-        return (self._told.felt if draper.model.accelerated else self._told.gravity)[0]
+    def rows(self, outfit: Outfit) -> np.ndarray:
+        """(1, 14) float32, what `Outfit.bind_frame` reads for an outfit of one garment; changed in place by
+        `begin_frame`."""
+        self.frame_input.set_networks([layer.given.sways_by_network for layer in outfit.layers])
+        return self.frame_input.rows
 
     def take(self, message: Recorded) -> None:
         """Take a message about the root. Raises ValueError for one that cannot be; what was known then goes on."""
@@ -65,16 +68,12 @@ class RecordedRoot:
         if reasons := self._root.transforms(self._tree, wrong, *self._frames):
             raise ValueError("; ".join(reasons))
 
-    def tell(self, state, time_ns: int) -> None:
-        """Set the row for a `sensor_msgs/JointState`, recorded at time_ns."""
+    def begin_frame(self, state, time_ns: int) -> None:
+        """Set the rows for a `sensor_msgs/JointState`, recorded at time_ns."""
         stamp, stamp_ns = state.header.stamp, stamp_of(state)
-        if not self._told.take_felt(stamp_ns, time_ns, self._learnt):
-            if self.fault:
-                self._told.take_direction(None)
-            else:
-                self._told.take_by_stamp(stamp_ns)
-        self._told.begin_frame(stamp.sec, stamp.nanosec)
-        self.down = self._told.direction(stamp_ns)
+        self._state.take(stamp_ns, time_ns)
+        self._state.begin_frame(stamp.sec, stamp.nanosec)
+        self.down = self._state.direction(stamp_ns)
 
-    def _feel(self, felt: Felt, stamp_ns: int) -> None:
-        self._told.add_felt(felt, stamp_ns, self._now_ns)
+    def _move(self, motion: RootSample | EffectiveGravity, stamp_ns: int) -> None:
+        self._state.add_motion(motion, stamp_ns, self._now_ns)

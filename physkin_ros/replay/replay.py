@@ -17,7 +17,7 @@ from time import perf_counter_ns
 
 import numpy as np
 
-from physkin_core import Draper
+from physkin_core import Draper, LimbSeparator
 from physkin_core.motion.bag_reader import TRANSFORMS, BagReader, decode
 from physkin_core.quality import area_strain, contact_figures, edge_strain, signed_distance
 from physkin_core.runtime.bound_garment import plain_skinning
@@ -43,8 +43,8 @@ class Replay:
     root_unknown, names_unknown, out_of_range_clouds.
     reasons: why messages were rejected, with how often. out_of_range: clouds with a joint beyond its limits, by joint.
     frames, times_ns: (T,) which joint state of the bag each cloud answers, and its time of recording.
-    positions, told: (T, d) [rad] and (T, 14), what was draped, as `Draper.bind_step` takes it. down: (T, 3) gravity's
-    unit direction.
+    positions, inputs: (T, d) [rad] and (T, 1, 14), what was draped, as `Outfit.bind_frame` takes it.
+    down: (T, 3) gravity's unit direction.
     measured: by name as in `--json`, (T,) each: edge_strain_percent, area_strain_percent, latency_us; jitter_mm, mean
     second difference of the vertices over this and the two clouds before, NaN for the first two, jitter_skinning_mm,
     the same of plain skinning. Of the clouds `contact_rows` (C,): inside_percent, within_3mm_percent, max_depth_mm.
@@ -59,7 +59,7 @@ class Replay:
     frames: list[int] = field(default_factory=list)
     times_ns: list[int] = field(default_factory=list)
     positions: list[np.ndarray] = field(default_factory=list)
-    told: list[np.ndarray] = field(default_factory=list)
+    inputs: list[np.ndarray] = field(default_factory=list)
     down: list[np.ndarray] = field(default_factory=list)
     measured: defaultdict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     contact_rows: list[int] = field(default_factory=list)
@@ -79,6 +79,7 @@ def replay(
     writer: BagWriter | None = None,
     *,
     joint_map: str | Path | None = None,
+    separator: LimbSeparator | None = None,
     root: RecordedRoot | None = None,
     contact_every: int = 0,
     topic: str = GARMENT_TOPIC,
@@ -87,9 +88,9 @@ def replay(
     """Drape every joint state of `bag`.
 
     writer: where the clouds go, and the bag's transforms, if it is read with them, so that clouds hang in the world.
-    joint_map: a file, or a preset. root: what the garment is told of it, from the messages that the bag is read with;
-    default upright until the bag says otherwise. contact_every: every how many joint states a cloud is measured against
-    the body, 0 for never.
+    joint_map: a file, or a preset. separator: what poses go through before they are draped. root: how it moves by the
+    messages that the bag is read with; default upright until the bag says otherwise. contact_every: every how many
+    joint states a cloud is measured against the body, 0 for never.
     Raises JointMapError, and BagError when the bag cannot be read on.
     """
     root = root or RecordedRoot()
@@ -97,11 +98,10 @@ def replay(
     reader = JointStateReader(rig.joint_names, rig.rest, naming=load_naming(joint_map, rig), on_unknown=unknown.update)
     recent = _Recent(draper, found)
     pose, points = reader.positions.astype(np.float32), np.zeros((draper.vertex_count, 6), dtype=np.float32)
-    told = root.row(draper)
-    step = draper.bind_step(pose, told, points)
+    inputs, draped = root.rows(draper.outfit), pose.copy()
+    step = draper.bind_frame(draped, inputs, points)
     for _ in range(WARM_UP):  # the first evaluations pay for cold caches, which is not what a latency means here
         step()
-    draper.reset()  # another bag may have been draped before
     messages, clouds = hashlib.sha256(), hashlib.sha256()
     for message in bag:
         if message.kind == "transforms":
@@ -123,8 +123,12 @@ def replay(
         try:
             state = decode(message)
             pose[:] = reader.read(state.name, state.position)
-            root.tell(state, message.time_ns)
+            root.begin_frame(state, message.time_ns)
             started = perf_counter_ns()
+            if separator is None:
+                draped[:] = pose
+            else:
+                separator.separate(pose, out=draped)
             step()
             latency_us = (perf_counter_ns() - started) / 1e3
         except ValueError as error:
@@ -135,8 +139,8 @@ def replay(
         found.counts["draped"] += 1
         found.frames.append(index)
         found.times_ns.append(message.time_ns)
-        found.positions.append(pose.copy())
-        found.told.append(told.copy())
+        found.positions.append(draped.copy())
+        found.inputs.append(inputs.copy())
         found.down.append(root.down)
         found.measured["latency_us"].append(latency_us)
         recent.measure(points, contact=contact_every > 0 and index % contact_every == 0)

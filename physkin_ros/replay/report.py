@@ -16,9 +16,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from tabulate import tabulate
 
-from physkin_core import Draper
+from physkin_core import Draper, FrameInput
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, render, save_png
-from physkin_core.sway.moment import Moment
 from physkin_ros.replay.figures import LABELS, SPREAD
 from physkin_ros.replay.replay import Replay
 
@@ -75,14 +74,14 @@ def thumbnails(found: Replay, draper: Draper, *, count: int) -> tuple[list[tuple
 
 def _cloth(found: Replay, draper: Draper, row: int) -> np.ndarray:
     """Vertices (n, 3) of a cloud once more, draped from a second or two before on: it remembers no more than that."""
-    pose, told = found.positions[row].copy(), found.told[row].copy()
+    pose, inputs = found.positions[row].copy(), found.inputs[row].copy()
     points = np.zeros((draper.vertex_count, 6), dtype=np.float32)
-    step = draper.bind_step(pose, told, points)
+    step = draper.bind_frame(pose, inputs, points)
     first = max(0, row - REMEMBERED)
     for each in range(first, row + 1):
-        pose[:], told[:] = found.positions[each], found.told[each]
+        pose[:], inputs[:] = found.positions[each], found.inputs[each]
         if each == first:
-            told[3:] = Moment().after(told[:3])[3:]
+            inputs[:, 3:] = FrameInput([False]).rows[:, 3:]  # the first frame of all
         step()
     return points[:, :3].astype(np.float64)
 
@@ -147,7 +146,7 @@ def _counts_table(figures: Mapping) -> str:
         "gravity": f"{counts['gravity_messages']} messages, {counts['gravity_rejected']} rejected",
         "garment": f"{run['vertices']} vertices, fit {run['fit']:g} (0: one size, 1: made to measure)",
         "at rest": f"{run['at_rest']['inside_percent']:.1f} % of the cloth inside the body",
-        "evaluator": f"instruction set {run['instruction_set']}",
+        "evaluator": run["instruction_set"],
     }
     if counts["out_of_range_clouds"]:
         joints = ", ".join(f"{name} ({count})" for name, count in list(figures["out_of_range"].items())[:6])

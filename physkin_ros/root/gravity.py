@@ -9,6 +9,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -19,26 +20,19 @@ __all__ = [
     "FRESH",
     "SAME_CLOCK",
     "EffectiveGravity",
-    "Felt",
-    "GravityByStamp",
+    "FreshByStamp",
+    "LatestByStamp",
     "gravity_from_imu",
     "gravity_from_quaternion",
     "gravity_from_tilt",
-    "unit_direction",
 ]
 
-MOST_DIRECTIONS = 256
-"""Directions of gravity that are kept: a quarter of a second of a fast IMU."""
+MOST_KEPT = 256
+"""Entries that are kept: a quarter of a second of a fast IMU."""
 FRESH = 500_000_000
-"""[ns] Effective gravity counts for so long after it came."""
+"""[ns] How the root moves counts for so long after it came."""
 SAME_CLOCK = 1_000_000_000
 """[ns] Stamps farther apart than this, the wrong way round, are of different clocks."""
-
-
-def unit_direction(down: Sequence[float]) -> np.ndarray:
-    """Unit direction of gravity (3,) float32 from one of any length but zero."""
-    down = np.array(down, dtype=np.float64)
-    return (down / np.linalg.norm(down)).astype(np.float32)
 
 
 def gravity_from_quaternion(quaternion: Sequence[float]) -> np.ndarray:
@@ -74,76 +68,78 @@ def gravity_from_tilt(roll: float, pitch: float) -> np.ndarray:
     return np.array([math.sin(pitch), -across * math.sin(roll), -across * math.cos(roll)])
 
 
-class GravityByStamp:
-    """Pairs directions of gravity with joint states by their stamps [ns].
+Kept = TypeVar("Kept")
 
-    A joint state goes with the latest direction stamped no later than itself; where all that are kept are later, with
-    the earliest of them. It never waits. The direction that arrived last counts where the joint state has no stamp
-    (zero), the direction has none, or all directions are more than a second later, so that the clocks do not agree.
-    A direction without stamp, or one stamped more than a second before the latest, ends those before it.
 
-    down: direction (3,), or what is felt, which is paired so, too, until there is another.
+class LatestByStamp(Generic[Kept]):
+    """Pairs what is known of a root, such as directions of gravity, with joint states by their stamps [ns].
+
+    A joint state goes with the latest entry stamped no later than itself; where all that are kept are later, with the
+    earliest of them. It never waits. The entry that arrived last counts where the joint state has no stamp (zero), the
+    entry has none, or all are more than a second later, so that the clocks do not agree. An entry without stamp, or one
+    stamped more than a second before the latest, ends those before it.
+
+    last: what counts until there is another.
     """
 
-    def __init__(self, down: np.ndarray) -> None:
-        self._last = down
+    def __init__(self, last: Kept) -> None:
+        self._last = last
         self._stamps: list[int] = []
-        self._directions: list[np.ndarray] = []
+        self._entries: list[Kept] = []
 
-    def add(self, down: np.ndarray, stamp_ns: int) -> None:
-        """Take a direction that has arrived."""
-        stamps, directions = self._stamps, self._directions
-        self._last = down
+    def add(self, entry: Kept, stamp_ns: int) -> None:
+        """Take one that has arrived."""
+        stamps, entries = self._stamps, self._entries
+        self._last = entry
         if not stamp_ns or (stamps and stamp_ns < stamps[-1] - SAME_CLOCK):
             stamps.clear()
-            directions.clear()
+            entries.clear()
         if stamp_ns:
             at = bisect_right(stamps, stamp_ns)
             stamps.insert(at, stamp_ns)
-            directions.insert(at, down)
-            del stamps[:-MOST_DIRECTIONS], directions[:-MOST_DIRECTIONS]
+            entries.insert(at, entry)
+            del stamps[:-MOST_KEPT], entries[:-MOST_KEPT]
 
-    def at(self, stamp_ns: int) -> np.ndarray:
-        """The direction that goes with a joint state."""
+    def at(self, stamp_ns: int) -> Kept:
+        """What goes with a joint state."""
         stamps = self._stamps
         if not stamps or not stamp_ns:
             return self._last
         later = bisect_right(stamps, stamp_ns)
         if later:
-            return self._directions[later - 1]
-        return self._directions[0] if stamps[0] - stamp_ns <= SAME_CLOCK else self._last
+            return self._entries[later - 1]
+        return self._entries[0] if stamps[0] - stamp_ns <= SAME_CLOCK else self._last
 
 
-@dataclass(frozen=True)
-class Felt:
-    """What garments feel while their root is accelerated.
-
-    rows: (4,) of all or (garments, 4) float32, effective gravity in units of gravity, and the twist [rad]. root: where
-    the root's pose tells how it moves, (14,) float32 gravity's direction and the root's rates behind it, as of
-    `physkin_core.sway.moment`, by which sway networks move cloth; None where effective gravity alone is known.
-    """
-
-    rows: np.ndarray
-    root: np.ndarray | None = None
-
-
-class EffectiveGravity:
-    """What is felt, paired with joint states as directions are, while it is fresh: when none has come for `FRESH`,
-    there is none. Times of coming [ns] are monotonic."""
+class FreshByStamp(Generic[Kept]):
+    """The same of what counts only while it is fresh: when nothing has come for `FRESH`, there is none. Times of coming
+    [ns] are monotonic."""
 
     def __init__(self) -> None:
-        self._by_stamp: GravityByStamp | None = None
+        self._by_stamp: LatestByStamp[Kept] | None = None
         self._came = 0
 
-    def add(self, felt: Felt, stamp_ns: int, now_ns: int) -> None:
+    def add(self, entry: Kept, stamp_ns: int, now_ns: int) -> None:
         """Take what has come now."""
         if self._by_stamp is None or now_ns - self._came > FRESH:
-            self._by_stamp = GravityByStamp(felt)
-        self._by_stamp.add(felt, stamp_ns)
+            self._by_stamp = LatestByStamp(entry)
+        self._by_stamp.add(entry, stamp_ns)
         self._came = now_ns
 
-    def at(self, stamp_ns: int, now_ns: int) -> Felt | None:
+    def at(self, stamp_ns: int, now_ns: int) -> Kept | None:
         """What goes with a joint state that has come now, None when nothing is fresh. stamp_ns 0: the latest."""
         if self._by_stamp is None or now_ns - self._came > FRESH:
             return None
         return self._by_stamp.at(stamp_ns)
+
+
+@dataclass(frozen=True)
+class EffectiveGravity:
+    """What an accelerated root feels, where no more is known of its motion.
+
+    vector: (3,) [m/s2] in the root frame, at most three times gravity. at_rest: (3,) [m/s2] what it would be without
+    acceleration, where garments are to feel as much of the difference as they sway; None where all of it counts.
+    """
+
+    vector: np.ndarray
+    at_rest: np.ndarray | None = None

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
-from physkin_core.runtime.draper import LARGEST_EFFECTIVE_GRAVITY, STANDARD_GRAVITY
-from physkin_ros.root.gravity import SAME_CLOCK, gravity_from_imu
+from physkin_core.sway.frame_input import LARGEST_EFFECTIVE_GRAVITY, STANDARD_GRAVITY
+from physkin_ros.root.gravity import SAME_CLOCK, EffectiveGravity, gravity_from_imu
 from physkin_ros.root.quaternions import OrientationError, inverse, quaternion_of, rotated, unit_quaternion, vector_of
 
 __all__ = ["USUAL_DELAY", "ImuAcceleration"]
@@ -20,6 +19,7 @@ LARGEST_GAP = 500_000_000
 """[ns] After a longer pause the root is taken to have come to rest."""
 LARGEST_FORCE = 1000.0
 """[m/s2] beyond what any IMU on a body measures."""
+LARGEST_FELT = 0.9999 * LARGEST_EFFECTIVE_GRAVITY
 UP = (0.0, 0.0, 1.0)
 
 
@@ -28,29 +28,20 @@ class ImuAcceleration:
 
     The acceleration goes through a first-order low pass, in the world where the IMU knows its orientation, so that
     gravity turns with the body at once; else, gravity with it, in the IMU's own frame. Stamps count, not rates.
-    delay: [s] time constant of the low pass, by which slow changes come late. sways: 0 to 1, how much of it each
-    garment feels.
+    delay: [s] time constant of the low pass, by which slow changes come late.
     """
 
-    def __init__(self, *, delay: float, sways: Sequence[float]) -> None:
+    def __init__(self, *, delay: float) -> None:
         self._delay = delay
-        self.set_sway(sways)
         self._last_ns = 0
         self._in_world = True
         self._smooth = np.zeros(3)
 
-    def set_sway(self, sways: Sequence[float]) -> None:
-        """Others, from now on."""
-        self._sways = np.array(sways)[:, None]
+    def felt(self, message, stamp_ns: int) -> EffectiveGravity | None:
+        """Of a `sensor_msgs/Imu`. None for one without acceleration or stamp, or that comes twice or late.
 
-    def felt(self, message, stamp_ns: int) -> np.ndarray | None:
-        """(garments, 4) effective gravity in units of gravity, at most three, of a `sensor_msgs/Imu`, and no twist.
-
-        None for a message without acceleration or stamp, or one that comes twice or late; or where nothing sways.
         Raises OrientationError for values that are not finite or cannot be.
         """
-        if not self._sways.any():
-            return None
         force = vector_of(message.linear_acceleration)
         if message.linear_acceleration_covariance[0] == -1.0 or not any(force) or not stamp_ns:
             return None
@@ -78,7 +69,5 @@ class ImuAcceleration:
             felt = down - np.array(rotated(inverse(turn), self._smooth)) / STANDARD_GRAVITY
         else:
             felt = -self._smooth / STANDARD_GRAVITY
-        felt = down + self._sways * (felt - down)
-        length = np.linalg.norm(felt, axis=1, keepdims=True)
-        felt = felt * np.minimum(1.0, LARGEST_EFFECTIVE_GRAVITY / np.maximum(length, 1e-9))
-        return np.concatenate([felt, np.zeros_like(length)], axis=1)
+        felt = felt * min(1.0, LARGEST_FELT / max(np.linalg.norm(felt), 1e-9))
+        return EffectiveGravity(STANDARD_GRAVITY * felt, STANDARD_GRAVITY * down)

@@ -5,22 +5,23 @@ Messages are those of ROS or of `rosbags`, which have the same fields. Stamps ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from physkin_core.sway.frame_input import RootSample, unit_direction
 from physkin_ros.messages.conversions import gravity_direction
-from physkin_ros.root.gravity import Felt, gravity_from_imu, unit_direction
+from physkin_ros.root.gravity import EffectiveGravity, gravity_from_imu
 from physkin_ros.root.imu_acceleration import ImuAcceleration
 from physkin_ros.root.quaternions import Quaternion, Vector, quaternion_of, vector_of
 from physkin_ros.root.root_motion import RootMotion
 from physkin_ros.root.transform_tree import TransformTree
 
-__all__ = ["DirectionTaker", "FeltTaker", "RootOrientation", "stamp_of"]
+__all__ = ["DirectionTaker", "MotionTaker", "RootOrientation", "stamp_of"]
 
 DirectionTaker = Callable[[np.ndarray, int], None]
-FeltTaker = Callable[[Felt, int], None]
-"""Take what a message says, float32, and its stamp [ns]."""
+MotionTaker = Callable[[RootSample | EffectiveGravity, int], None]
+"""Take what a message says and its stamp [ns]; directions are float32."""
 
 
 def stamp_of(message) -> int:
@@ -32,24 +33,17 @@ def stamp_of(message) -> int:
 class RootOrientation:
     """Calls back with what messages say, and their stamps.
 
-    on_direction: takes gravity's unit direction (3,). on_felt: takes what garments feel as the root moves, or its IMU
-    measures. sways: how much of that each garment feels, 0 to 1. imu_delay: [s], see `ImuAcceleration`.
+    on_direction: takes gravity's unit direction (3,). on_motion: takes how the root moves, or what its IMU measures.
+    imu_delay: [s], see `ImuAcceleration`.
     fault: why TF does not say where the root is, "" where it does or is not asked.
     Messages that cannot be raise ValueError; what was known last then goes on.
     """
 
-    def __init__(
-        self, on_direction: DirectionTaker, on_felt: FeltTaker, *, sways: Sequence[float], imu_delay: float
-    ) -> None:
+    def __init__(self, on_direction: DirectionTaker, on_motion: MotionTaker, *, imu_delay: float) -> None:
         self.fault = ""
-        self._on_direction, self._on_felt = on_direction, on_felt
-        self._motion = RootMotion(sways)
-        self._acceleration = ImuAcceleration(delay=imu_delay, sways=sways)
-
-    def set_sway(self, sways: Sequence[float]) -> None:
-        """Others, from now on."""
-        self._motion.set_sway(sways)
-        self._acceleration.set_sway(sways)
+        self._on_direction, self._on_motion = on_direction, on_motion
+        self._motion = RootMotion()
+        self._acceleration = ImuAcceleration(delay=imu_delay)
 
     def still(self) -> None:
         """Let the root's motion count no more, only gravity's direction."""
@@ -78,7 +72,7 @@ class RootOrientation:
         felt = self._acceleration.felt(message, stamp_ns)
         self._tell_direction(gravity_from_imu(message), stamp_ns)
         if felt is not None:
-            self._on_felt(Felt(felt.astype(np.float32)), stamp_ns)
+            self._on_motion(felt, stamp_ns)
 
     def transforms(self, tree: TransformTree, wrong: Mapping[str, str], frame_id: str, world_frame: str) -> list[str]:
         """Of TF, when something in it has changed: where frame_id is in world_frame, which is upright; or sets `fault`.
@@ -99,9 +93,9 @@ class RootOrientation:
         self._move(stamp_ns, vector_of(pose.position), quaternion_of(pose.orientation))
 
     def _move(self, stamp_ns: int, place: Vector, turn: Quaternion) -> None:
-        down, felt = self._motion.move(stamp_ns, place, turn)
-        if felt is not None:
-            self._on_felt(felt, stamp_ns)
+        down, sample = self._motion.move(stamp_ns, place, turn)
+        if sample is not None:
+            self._on_motion(sample, stamp_ns)
         self._tell_direction(down, stamp_ns)
 
     def _tell_direction(self, down: np.ndarray, stamp_ns: int) -> None:

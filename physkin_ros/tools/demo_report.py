@@ -36,7 +36,7 @@ def largest_error(records: Records, outfit: Outfit, motion: Motion) -> float:
     kept = dict(_kept_frames(records))
     if not kept:
         return 0.0
-    positions = motion.positions_for(outfit.models[0].rig)
+    positions = motion.positions_for(outfit.rig)
     largest = []
     for asked in range(1, 1 + (TURNS if outfit.orders else 1)):
         core, distance = outfit.twin(), 0.0
@@ -54,7 +54,7 @@ def largest_error(records: Records, outfit: Outfit, motion: Motion) -> float:
 
 def table(records: Records, outfit: Outfit, error: float) -> str:
     """The figures, a line each. error: of the kept clouds [m], from `largest_error`."""
-    answers = [records.answers(garment) for garment in range(len(outfit.models))]
+    answers = [records.answers(garment) for garment in range(len(outfit.layers))]
     counts = np.array([each for each, _ in answers])
     delays = np.max([each for _, each in answers], axis=0)  # of the last garment's cloud
     delays, evaluations = delays[np.isfinite(delays)], records.evaluations()
@@ -66,8 +66,9 @@ def table(records: Records, outfit: Outfit, error: float) -> str:
         median, tail = np.median(evaluations[:, 0]), evaluations[:, 1].max()
         evaluator = f"median of each second's p50 {median:.1f}, worst of each second's p99 {tail:.1f}"
     given = [
-        f"{model.name}, {count} of {len(model.garment.vertices)} vertices, {len(model.node_rest)} garment nodes"
-        for model, count in zip(outfit.models, outfit.vertex_counts)
+        f"{layer.name}, {layer.vertex_count} of {len(layer.hidden)} vertices, {len(layer.bound.node_rest)} garment "
+        "nodes"
+        for layer in outfit.layers
     ]
     rows = {
         **{f"garment {k}" if len(given) > 1 else "garment": text for k, text in enumerate(given, 1)},
@@ -91,11 +92,11 @@ def draw(path: Path, records: Records, outfit: Outfit, motion: Motion) -> None:
 
     Raises PictureError when the extra `[view]` is not installed.
     """
-    positions, rotations = motion.positions_for(outfit.models[0].rig), Rotation.from_quat(motion.root_orientation)
+    positions, rotations = motion.positions_for(outfit.rig), Rotation.from_quat(motion.root_orientation)
     frames, captions = [], []
     for frame, cloud in _kept_frames(records):
         body = outfit.posed_body(positions[frame])
-        cloth = np.split(cloud[:, :3], np.cumsum(outfit.vertex_counts)[:-1])
+        cloth = np.split(cloud[:, :3], np.cumsum([layer.vertex_count for layer in outfit.layers])[:-1])
         frames.append([rotations[frame].apply(points) for points in (body, *cloth)])
         captions.append(f"{frame / motion.rate_hz:.2f} s")
     drawn = np.concatenate([points for frame in frames for points in frame])

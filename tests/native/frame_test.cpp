@@ -1,5 +1,5 @@
-// The evaluator as a C++ library, without Python: counts what a frame allocates, on garments of odd sizes, alone and in
-// a batch, which must give the same bits.
+// The evaluator as a C++ library, without Python: counts what a frame allocates, on garments of odd sizes, alone and two
+// together, which must give the same bits.
 //
 // Prints "<instruction set> <precision> <allocations>" for each garment. All buffers have their exact size,
 // so that a build with the address sanitizer finds a kernel that reads or writes beyond them.
@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "evaluator/evaluator.hpp"
-#include "evaluator/evaluator_batch.hpp"
 #include "kernels/dispatch.hpp"
+#include "sway/frame_input.hpp"
 
 static long allocations = 0;
 
@@ -66,45 +66,40 @@ struct Layers {
   }
 };
 
-// A frame of more bodies than are computed at once; returns how often it reached the heap.
-long run_batch(physkin::BoundGarment g, const physkin::Kernels& kernels, physkin::EvaluatorOptions options) {
-  constexpr int kBodies = physkin::kBatch + 2;
-  const int dofs = g.dofs, vertices = g.vertex_count;
-  int hidden = 0;
-  for (std::size_t k = 0; k + 1 < g.pose_layers.size(); ++k) hidden += g.pose_layers[k].outputs;
-  std::vector<std::vector<float>> modulations, first_layers;
-  std::vector<physkin::BoundGarment> bodies;
-  for (int body = 0; body < kBodies; ++body) {
-    modulations.push_back(uniform(2 * std::size_t(hidden), -0.5f, 0.5f));
-    first_layers.push_back(uniform(std::size_t(g.deformer_layers[0].outputs) * g.deformer_layers[0].inputs, -0.1f, 0.1f));
-    g.pose_modulation = modulations.back().data();
-    g.modulation_size = 2 * hidden;
-    g.deformer_layers[0].matrix = first_layers.back().data();
-    bodies.push_back(g);
+struct Output {
+  std::vector<float> values;
+  physkin::VertexRows full, positions;
+
+  explicit Output(int vertices) : values(6 * std::size_t(vertices)) {
+    full = {reinterpret_cast<unsigned char*>(values.data()), 6, true};
+    positions = {full.data, 3, false};
   }
-  physkin::EvaluatorBatch batch(bodies, kernels, options);
-  const auto q = uniform(std::size_t(kBodies) * dofs, -1, 1), gravity = uniform(3 * kBodies, -1, 1);
-  std::vector<std::vector<float>> out(kBodies, std::vector<float>(6 * std::size_t(vertices)));
-  std::vector<physkin::VertexRows> rows;
-  for (auto& values : out) rows.push_back({reinterpret_cast<unsigned char*>(values.data()), 6, true});
+};
+
+// Frames of one garment, and of it twice; returns how often they reached the heap.
+long run_frames(const physkin::BoundGarment& g, const physkin::Kernels& kernels, physkin::EvaluatorOptions options) {
+  physkin::Evaluator alone({g}, kernels, options), two({g, g}, kernels, options);
+  Output one(g.vertex_count), first(g.vertex_count), second(g.vertex_count);
+  const auto q = uniform(g.dofs, -1, 1);
+  physkin::FrameInput input(2);
+  for (int k = 0; k < 2; ++k) input.set_network(k, true);
+  const physkin::VertexRows full[] = {first.full, second.full}, positions[] = {first.positions, second.positions};
   const long before = allocations;
-  if (batch.step(q.data(), gravity.data(), rows.data())) std::abort();
-  const long count = allocations - before;
-  for (int body = 0; body < kBodies; ++body) {
-    std::vector<float> alone(6 * std::size_t(vertices));
-    physkin::Evaluator evaluator(bodies[body], kernels, options);
-    const physkin::VertexRows to{reinterpret_cast<unsigned char*>(alone.data()), 6, true};
-    if (evaluator.step(q.data() + body * dofs, gravity.data() + 3 * body, to)) std::abort();
+  for (int frame = 0; frame < 3; ++frame) {
+    const double root[7] = {0.1 * frame, 0.2, 1, 0, 0, 0, 1};
+    if (input.move(0.01 * frame, root) != nullptr || input.begin_frame(0.01 * frame) != nullptr) std::abort();
+    if (alone.step(q.data(), input.rows(), &one.full) || two.step(q.data(), input.rows(), full)) std::abort();
 #if !defined(__SANITIZE_ADDRESS__)  // whose checks stand between products and sums that are fused elsewhere
-    if (std::memcmp(alone.data(), out[body].data(), alone.size() * sizeof(float)) != 0) std::abort();
+    if (one.values != first.values || one.values != second.values) std::abort();
 #endif
+    if (two.step(q.data(), input.rows(), positions) || alone.step(q.data(), input.rows(), &one.positions)) std::abort();
   }
-  return count;
+  return allocations - before;
 }
 
-// Frames of one garment; returns how often they reached the heap.
-long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin::Activation activation, int bones,
-         int dofs, int nodes, int vertices, int influences, int width) {
+// A random garment of these sizes, which `run_frames` evaluates.
+long run(const physkin::Kernels& kernels, physkin::Precision precision, int bones, int dofs, int nodes,
+         int vertices, int influences, int width) {
   std::vector<std::int32_t> parents(bones);
   for (int j = 0; j < bones; ++j) parents[j] = j - 1;
   const auto heads = uniform(3 * bones, -1, 1), axis = uniform(3 * dofs, -1, 1), rest = uniform(dofs, -1, 1);
@@ -128,7 +123,6 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
   g.nodes = nodes;
   g.vertex_count = vertices;
   g.influences = influences;
-  g.modulation_size = 0;
   g.bone_parents = parents.data();
   g.bone_heads = heads.data();
   g.dof_bone = dof_bone.data();
@@ -136,7 +130,6 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
   g.dof_rest = rest.data();
   g.dof_lower = lower.data();
   g.dof_upper = upper.data();
-  g.activation = activation;
   g.pose_layers = pose.layers;
   g.deformer_bones = used.data();
   g.deformer_layers = deformer.layers;
@@ -163,33 +156,18 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, physkin:
   physkin::EvaluatorOptions options{precision, physkin::Normals::skinned};
   if (vertices % 2 == 0) options.normals = physkin::Normals::faces;
 
-  physkin::Evaluator evaluator(g, kernels, options);
-  std::vector<float> out(6 * std::size_t(vertices));
-  const auto q = uniform(dofs, -1, 1), gravity = uniform(3, -1, 1);
-  const physkin::VertexRows full{reinterpret_cast<unsigned char*>(out.data()), 6, true};
-  const physkin::VertexRows positions_only{full.data, 3, false};
-  const long before = allocations;
-  const physkin::Moment moment{0.5f, 1e-3f, 1.0f, 1e-3f, 1.0f, {0.1f, 0.2f, 0.3f}, {0.3f, 0.2f, 0.1f}};
-  for (int frame = 0; frame < 3; ++frame) {
-    if (evaluator.step(q.data(), gravity.data(), full, &moment)) std::abort();
-    if (evaluator.step(q.data(), gravity.data(), positions_only, &moment)) std::abort();
-  }
-  const long alone = allocations - before;
-  return alone + run_batch(g, kernels, options);
+  return run_frames(g, kernels, options);
 }
 
 }  // namespace
 
 int main() {
-  using physkin::Activation;
   using physkin::Precision;
   for (const std::string& name : physkin::supported_instruction_sets()) {
     const physkin::Kernels& kernels = physkin::select_kernels(name);
     for (const Precision precision : {Precision::fp32, Precision::bf16, Precision::int8}) {
       for (const int size : {1, 2, 3, 7, 15, 16, 17, 31, 32, 33, 64, 100}) {
-        const Activation activation = size % 2 != 0 ? Activation::relu : Activation::silu;
-        const long count =
-            run(kernels, precision, activation, 1 + size / 3, size, size, 3 * size, 1 + size % 8, size);
+        const long count = run(kernels, precision, 1 + size / 3, size, size, 3 * size, 1 + size % 8, size);
         std::printf("%s %s %ld\n", name.c_str(), physkin::precision_name(precision), count);
       }
     }

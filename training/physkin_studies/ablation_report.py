@@ -20,7 +20,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
-from physkin_core.runtime.native_evaluator import NativeEvaluator
+from physkin_core.runtime.evaluator import Evaluator
 from physkin_studies.ablation_rows import BASE, ROWS, finished_figures, model_path
 from physkin_studies.fantastical_bodies import KINDS, fantastical_body_model
 from physkin_training.evaluate.contact_sheet import drape_all
@@ -100,9 +100,9 @@ def frame_times(models: Mapping[str, Path]) -> dict[str, dict[str, float]]:
     for name, path in models.items():
         case = model_case(path)
         middle = len(case.joint_positions) // 2
-        arrays = case.joint_positions[middle].copy(), case.gravity[middle].copy()
-        evaluator = NativeEvaluator(case.bound, precision="fp32")
-        steps[name] = evaluator.bind_step(*arrays, np.empty((len(case.bound.vertices), 6), dtype=np.float32))
+        arrays = case.joint_positions[middle].copy(), case.inputs[middle].copy()
+        evaluator = Evaluator([case.bound], precision="fp32")
+        steps[name] = evaluator.bind_frame(*arrays, [np.empty((len(case.bound.vertices), 6), dtype=np.float32)])
         steps[name].step()
         stages = {"frame": steps[name].step, "networks": steps[name].run_networks, "skinning": steps[name].skin}
         calls |= {f"{name} {stage}": call for stage, call in stages.items()}

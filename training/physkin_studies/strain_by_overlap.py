@@ -23,8 +23,8 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model, shipped_models
 from physkin_core.motion.loading import bundled_motions, load_motion
+from physkin_core.outfit.draper import Draper
 from physkin_core.quality import area_strain, edge_strain
-from physkin_core.runtime.draper import Draper
 from physkin_training.evaluate.body_overlap import SkinPoints
 from physkin_training.sampling.evaluation_pairs import uniform_pairs
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies

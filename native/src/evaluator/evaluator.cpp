@@ -2,165 +2,143 @@
 
 #include <algorithm>
 #include <cfloat>
-#include <cmath>
+#include <cstring>
 #include <stdexcept>
 
 namespace physkin {
 namespace {
 
-const float* copy_modulation(const BoundGarment& g, Arena& arena) {
-  float* modulation = arena.take<float>(std::size_t(g.modulation_size) + kGroup);
-  std::copy_n(g.pose_modulation, g.modulation_size, modulation);
-  return modulation;
+constexpr int kColumns = 6;
+
+bool same_rig(const BoundGarment& a, const BoundGarment& b) {
+  return a.bones == b.bones && a.dofs == b.dofs && std::equal(a.bone_parents, a.bone_parents + a.bones, b.bone_parents) &&
+         std::equal(a.bone_heads, a.bone_heads + 3 * a.bones, b.bone_heads) &&
+         std::equal(a.dof_bone, a.dof_bone + a.dofs, b.dof_bone) &&
+         std::equal(a.dof_axis, a.dof_axis + 3 * a.dofs, b.dof_axis) &&
+         std::equal(a.dof_rest, a.dof_rest + a.dofs, b.dof_rest) &&
+         std::equal(a.dof_lower, a.dof_lower + a.dofs, b.dof_lower) &&
+         std::equal(a.dof_upper, a.dof_upper + a.dofs, b.dof_upper);
 }
 
-// Whether any of the values is far from the last one, which it then takes the place of.
-bool take_over(const float* values, int count, float* last) {
-  bool jumps = false;
-  for (int k = 0; k < count; ++k) jumps |= !(std::fabs(values[k] - last[k]) <= kJump);  // the last may be no number
-  std::copy_n(values, count, last);
-  return jumps;
-}
-
-// What reads bone transforms sets large rotations off against large translations: in 8 bits that layer, a thirtieth of
-// the network weights, puts vertices out by three to seven times as much as all others together. What reads the pose
-// vector, a fiftieth, is the next: of the skirt it makes the largest errors.
-Precision of_inputs(Precision precision) {
-  return precision == Precision::int8 ? Precision::bf16 : precision;
-}
-
-const BoundGarment& validated(const BoundGarment& garment) {
-  validate(garment);
-  return garment;
+Rejection check(const GarmentInput& input) {
+  if (const auto bad = reject_beyond("gravity", input.gravity, 3, FLT_MAX)) return bad;
+  const std::pair<const char*, const float*> scalars[] = {{"twist", &input.twist},
+                                                          {"passed", &input.passed},
+                                                          {"sway", &input.sway},
+                                                          {"elapsed", &input.elapsed},
+                                                          {"moves", &input.moves}};
+  for (const auto& [name, value] : scalars) {
+    if (const auto bad = reject_beyond(name, value, 1, FLT_MAX)) return bad;
+  }
+  if (const auto bad = reject_beyond("velocity", input.velocity, 3, FLT_MAX)) return bad;
+  return reject_beyond("turning", input.turning, 3, FLT_MAX);
 }
 
 }  // namespace
 
-Normals select_normals(const std::string& name) {
-  if (name == "skinned") return Normals::skinned;
-  if (name == "faces") return Normals::faces;
-  throw std::invalid_argument("normals '" + name + "' are unknown; they may be skinned or faces");
-}
-
-Evaluator::Evaluator(const BoundGarment& g, const Kernels& kernels, const EvaluatorOptions& options,
-                     const Evaluator* shared)
-    : kernels_(kernels),
-      precision_(options.precision),
-      rig_(validated(g), arena_),
-      pose_modulator_(g.pose_layers, g.activation, of_inputs(precision_), precision_, kernels, arena_,
-                      shared == nullptr ? nullptr : &shared->pose_modulator_),
-      node_deformer_(g.deformer_layers, g.activation, of_inputs(precision_), precision_, kernels, arena_,
-                     shared == nullptr ? nullptr : &shared->node_deformer_, 1),
-      learnt_sway_(g.sway_layers.empty() ? std::optional<LearntSway>()
-                                         : std::make_optional<LearntSway>(g, of_inputs(precision_), precision_,
-                                                                          kernels, arena_)),
-      garment_nodes_(g, arena_),
-      pace_(g.nodes, arena_),
-      skinner_(g, kernels, arena_),
-      bone_count_(g.bones),
-      deformer_bone_count_(g.deformer_bone_count),
-      deformer_bones_(arena_.copy(g.deformer_bones, g.deformer_bone_count)),
-      pose_modulation_(g.modulation_size == 0 ? nullptr : copy_modulation(g, arena_)),
-      pose_(arena_.take<float>(g.dofs + 3)),
-      last_positions_(arena_.take<float>(g.dofs)),
-      bone_transforms_(arena_.take<float>(12 * g.bones)),
-      deformer_input_(arena_.take<float>(12 * g.deformer_bone_count)),
-      node_transforms_(arena_.take<float>(12 * g.nodes)),
-      corrections_(arena_.take<float>(g.deformer_layers.back().outputs)) {
-  if (options.normals == Normals::faces) face_normals_.emplace(g, arena_);
-}
-
-Rejection Evaluator::check_inputs(const float* joint_positions, const float* gravity,
-                                  const Moment* moment) const noexcept {
-  if (const auto bad = reject_beyond("joint_positions", joint_positions, rig_.dofs(), FLT_MAX)) return bad;
-  if (const auto bad = reject_beyond("gravity", gravity, 3, FLT_MAX)) return bad;
-  if (moment == nullptr) return {};
-  for (const auto& [name, value] : {std::pair{"twist", moment->twist}, {"passed", moment->passed},
-                                    {"sway", moment->sway}, {"elapsed", moment->elapsed}, {"moves", moment->moves}}) {
-    if (const auto bad = reject_beyond(name, &value, 1, FLT_MAX)) return bad;
+Evaluator::Evaluator(const std::vector<BoundGarment>& garments, const Kernels& kernels, const EvaluatorOptions& options)
+    : kernels_(kernels), precision_(options.precision) {
+  if (garments.empty()) throw std::invalid_argument("there must be at least one garment to evaluate");
+  for (const BoundGarment& garment : garments) {
+    garments_.push_back(std::make_unique<GarmentEvaluator>(garment, kernels, options));
+    if (!same_rig(garments.front(), garment)) {
+      throw std::invalid_argument("garment " + std::to_string(garments_.size() - 1) +
+                                  " has another rig or body than garment 0; they must have one");
+    }
   }
-  if (const auto bad = reject_beyond("velocity", moment->velocity, 3, FLT_MAX)) return bad;
-  return reject_beyond("turning", moment->turning, 3, FLT_MAX);
 }
 
-Rejection Evaluator::check_corrections() noexcept {
-  const Rejection bad = reject_beyond("node deformer output", corrections_, node_deformer_.outputs(), kLargest);
-  if (bad) forget();
-  return bad;
+void Evaluator::keep_order(LayerPair layers, const LayerOrderData& order) {
+  const auto [steady, yielding] = layers;
+  if (std::min(steady, yielding) < 0 || std::max(steady, yielding) >= count() || steady == yielding) {
+    throw std::invalid_argument("layers " + std::to_string(steady) + " and " + std::to_string(yielding) +
+                                " must be two of " + std::to_string(count()));
+  }
+  const Side side = yielding > steady ? Side::kOutside : Side::kInside;
+  orders_.push_back({layers, std::make_unique<LayerOrder>(order, side, (*this)[steady].vertex_count(),
+                                                          (*this)[yielding].vertex_count(), arena_)});
+  if (!own_rows_.empty()) return;
+  for (const auto& garment : garments_) {
+    auto* own = arena_.take<float>(kColumns * std::size_t(garment->vertex_count()));
+    own_rows_.push_back({reinterpret_cast<unsigned char*>(own), kColumns, true});
+  }
 }
 
-Rejection Evaluator::check_nodes() noexcept {
-  const Rejection bad = skinner_.check(node_transforms_);
-  if (bad) forget();
-  return bad;
-}
-
-void Evaluator::forget() noexcept {
-  pace_.forget();
-  if (learnt_sway_) learnt_sway_->forget();
-}
-
-Rejection Evaluator::step(const float* joint_positions, const float* gravity, const VertexRows& rows,
-                          const Moment* moment) noexcept {
-  if (const auto bad = check_inputs(joint_positions, gravity, moment)) return bad;
-  pose(joint_positions, gravity);
-  run_networks(moment);
-  if (const auto bad = check_corrections()) return bad;
-  compose_nodes(corrections_, moment);
-  if (const auto bad = check_nodes()) return bad;
-  skinner_.skin(node_transforms_, rows);
-  compute_normals(rows);
+Rejection Evaluator::step(const float* joint_positions, const GarmentInput* inputs, const VertexRows* rows) noexcept {
+  rejected_ = 0;
+  if (const auto bad = reject_beyond("joint_positions", joint_positions, std::size_t(dofs()), FLT_MAX)) return bad;
+  if (const auto bad = run(joint_positions, inputs)) return bad;
+  rejected_ = -1;
+  const bool look_at_all = jumped_, copied = !orders_.empty() && !rows[0].with_normals;
+  jumped_ = false;
+  const VertexRows* with_normals = copied ? own_rows_.data() : rows;
+  for (int k = 0; k < count(); ++k) {
+    garments_[std::size_t(k)]->skin(with_normals[k]);
+    keep_under(k, with_normals, look_at_all);
+  }
+  if (!copied) {
+    compute_normals(rows);
+    return {};
+  }
+  for (int k = 0; k < count(); ++k) {
+    const std::ptrdiff_t from = kColumns * sizeof(float), to = rows[k].stride * std::ptrdiff_t(sizeof(float));
+    for (int v = 0; v < (*this)[k].vertex_count(); ++v) {
+      std::memcpy(rows[k].data + v * to, own_rows_[std::size_t(k)].data + v * from, 3 * sizeof(float));
+    }
+  }
   return {};
 }
 
-void Evaluator::pose(const float* joint_positions, const float* gravity) noexcept {
-  joints_jump_ = take_over(joint_positions, rig_.dofs(), last_positions_);
-  gravity_jumps_ = take_over(gravity, 3, last_gravity_);
-  rig_.compute_bone_transforms(joint_positions, bone_transforms_);
-  rig_.compute_pose_vector(joint_positions, gravity, pose_);
-  gather_deformer_input();
-}
-
-void Evaluator::pose_as(const Evaluator& other, const float* gravity) noexcept {
-  std::copy_n(other.bone_transforms_, 12 * bone_count_, bone_transforms_);
-  std::copy_n(other.pose_, rig_.dofs(), pose_);
-  std::copy_n(other.last_positions_, rig_.dofs(), last_positions_);
-  joints_jump_ = other.joints_jump_;
-  gravity_jumps_ = take_over(gravity, 3, last_gravity_);
-  std::copy_n(gravity, 3, pose_ + rig_.dofs());
-  gather_deformer_input();
-}
-
-void Evaluator::gather_deformer_input() noexcept {
-  for (int k = 0; k < deformer_bone_count_; ++k) {
-    std::copy_n(bone_transforms_ + 12 * deformer_bones_[k], 12, deformer_input_ + 12 * k);
+// To garment nodes, garment by garment: each one's network weights are then where its own frame left them.
+Rejection Evaluator::run(const float* joint_positions, const GarmentInput* inputs) noexcept {
+  for (; rejected_ < count(); ++rejected_) {
+    GarmentEvaluator& garment = *garments_[std::size_t(rejected_)];
+    const GarmentInput& input = inputs[rejected_];
+    if (const auto bad = check(input)) return bad;
+    if (rejected_ == 0) {
+      garment.pose(joint_positions, input);
+    } else {
+      garment.pose_as(*garments_.front(), input);
+    }
+    jumped_ |= garment.jumped();
+    garment.run_networks(input);
+    if (const auto bad = garment.check_corrections()) return bad;
+    garment.compose_nodes(input);
+    if (const auto bad = garment.check_nodes()) return bad;
   }
-}
-
-const float* Evaluator::run_networks(const Moment* moment) noexcept {
-  corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, pose_modulation_));
-  if (moment != nullptr && learnt_sway_) {
-    corrections_ = learnt_sway_->added(corrections_, last_positions_, last_gravity_, *moment);
-  }
-  return corrections_;
-}
-
-void Evaluator::compose_nodes(const float* corrections, const Moment* moment) noexcept {
-  garment_nodes_.compose(bone_transforms_, corrections, node_transforms_);
-  if (moment == nullptr) return;
-  pace_.keep(garment_nodes_, bone_transforms_, jumped() ? -1.0f : moment->passed, node_transforms_);
-  garment_nodes_.twist(bone_transforms_, moment->twist, node_transforms_);
-}
-
-Rejection Evaluator::skin(const float* node_transforms, const VertexRows& rows) noexcept {
-  if (const auto bad = skinner_.check(node_transforms)) return bad;
-  skinner_.skin(node_transforms, rows);
-  compute_normals(rows);
   return {};
 }
 
-void Evaluator::compute_normals(const VertexRows& rows) noexcept {
-  if (face_normals_ && rows.with_normals) face_normals_->apply(rows);
+void Evaluator::pose(const float* joint_positions, const GarmentInput* inputs) noexcept {
+  garments_.front()->pose(joint_positions, inputs[0]);
+  for (int k = 1; k < count(); ++k) garments_[std::size_t(k)]->pose_as(*garments_.front(), inputs[k]);
+}
+
+void Evaluator::run_networks(const GarmentInput* inputs) noexcept {
+  for (int k = 0; k < count(); ++k) garments_[std::size_t(k)]->run_networks(inputs[k]);
+}
+
+void Evaluator::compose_nodes(const GarmentInput* inputs) noexcept {
+  for (int k = 0; k < count(); ++k) garments_[std::size_t(k)]->compose_nodes(inputs[k]);
+}
+
+void Evaluator::skin(const VertexRows* rows) noexcept {
+  for (int k = 0; k < count(); ++k) garments_[std::size_t(k)]->skin(rows[k]);
+}
+
+void Evaluator::keep(const VertexRows* rows) noexcept {
+  for (int k = 0; k < count(); ++k) keep_under(k, rows, false);
+}
+
+void Evaluator::compute_normals(const VertexRows* rows) noexcept {
+  for (int k = 0; k < count(); ++k) garments_[std::size_t(k)]->compute_normals(rows[k]);
+}
+
+void Evaluator::keep_under(int outer, const VertexRows* rows, bool look_at_all) noexcept {
+  for (Kept& kept : orders_) {
+    const auto [steady, yielding] = kept.layers;
+    if (std::max(steady, yielding) == outer) kept.order->apply(rows[steady], rows[yielding], look_at_all);
+  }
 }
 
 }  // namespace physkin

@@ -7,11 +7,14 @@
 
 namespace physkin {
 
+// [m/rad2] Threads that twist hang askew: what cloth rises by, where it twists as the pendulum does.
+constexpr float kTwistLift = 0.2f;
+
 class GarmentNodes {
  public:
   GarmentNodes(const BoundGarment& garment, Arena& arena);
 
-  // From bone_transforms (bones, 3, 4) and the node deformer's output (nodes, 9 or 12), in metres, root frame:
+  // From bone_transforms (bones, 3, 4) and the node deformer's output (nodes, 12), in metres, root frame:
   // transforms (nodes, 3, 4), chi_i = [R_b | R_b q_i + t_b] * Delta_i with b the bone that garment node i follows.
   void compose(const float* bone_transforms, const float* corrections, float* transforms) const;
 
@@ -22,10 +25,9 @@ class GarmentNodes {
   int bone(int node) const { return bone_[node]; }
   Vector3 position(int node) const { return load_vector(positions_ + 3 * node); }  // at rest, in its bone
   int count() const { return count_; }
-  int correction_size() const { return correction_size_; }
 
  private:
-  int count_, correction_size_;
+  int count_;
   const std::int32_t* bone_;
   const float* positions_;
   const float* shares_;  // null where cloth does not twist

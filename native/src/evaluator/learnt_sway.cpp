@@ -8,10 +8,6 @@
 namespace physkin {
 namespace {
 
-// As in learnt_sway.py.
-constexpr float kBeyond = 1.5f, kLongestStep = 1.0f;
-constexpr double kLargestRate = 8, kLargestVelocity = 4, kLargestTurning = 8;
-
 std::vector<DenseWeights> part(const std::vector<DenseWeights>& layers, int first, int count) {
   return {layers.begin() + first, layers.begin() + first + count};
 }
@@ -45,8 +41,8 @@ LearntSway::LearntSway(const BoundGarment& g, Precision of_inputs, Precision oth
       middle_(arena.take<float>(joint_count_)),
       half_(arena.take<float>(joint_count_)),
       oscillators_(oscillators_of(g, arena)),
-      driver_(part(g.sway_layers, 0, 2), Activation::silu, of_inputs, of_inputs, kernels, arena),
-      reader_(part(g.sway_layers, 2, 3), Activation::silu, of_inputs, others, kernels, arena),
+      driver_(part(g.sway_layers, 0, 2), of_inputs, of_inputs, kernels, arena),
+      reader_(part(g.sway_layers, 2, 3), of_inputs, others, kernels, arena),
       drive_(arena.take<float>(g.sway_layers[0].inputs)),
       now_(arena.take<float>(joint_count_ + 3)),
       before_(arena.take<float>(joint_count_ + 3)),
@@ -59,41 +55,40 @@ LearntSway::LearntSway(const BoundGarment& g, Precision of_inputs, Precision oth
   }
 }
 
-const float* LearntSway::added(const float* corrections, const float* positions, const float* gravity,
-                               const Moment& moment) noexcept {
-  if (!(moment.sway > 0)) {
+const float* LearntSway::added(const float* corrections, const float* positions, const GarmentInput& input) noexcept {
+  if (!(input.sway > 0)) {
     forget();
     return corrections;
   }
   for (int k = 0; k < joint_count_; ++k) {
     now_[k] = std::clamp((positions[joints_[k]] - middle_[k]) / half_[k], -kLargest, kLargest);  // rates are to be finite
   }
-  std::copy_n(gravity, 3, now_ + joint_count_);
-  begins_ = begins_ || moment.elapsed < 0;
-  if (begins_ || moment.elapsed > 0) move(moment);
+  std::copy_n(input.gravity, 3, now_ + joint_count_);
+  begins_ = begins_ || input.elapsed < 0;
+  if (begins_ || input.elapsed > 0) move(input);
   float* pose = read_ + 2 * oscillators_.count;
   for (int k = 0; k < joint_count_; ++k) pose[k] = std::clamp(now_[k], -kBeyond, kBeyond);
-  std::copy_n(gravity, 3, pose + joint_count_);
+  std::copy_n(input.gravity, 3, pose + joint_count_);
   std::swap(now_, before_);
   const float* offsets = reader_.run(read_, nullptr);
-  for (int k = 0; k < outputs_; ++k) result_[k] = corrections[k] + moment.sway * offsets[k];
+  for (int k = 0; k < outputs_; ++k) result_[k] = corrections[k] + input.sway * offsets[k];
   return result_;
 }
 
-void LearntSway::move(const Moment& moment) noexcept {
+void LearntSway::move(const GarmentInput& input) noexcept {
   const int count = joint_count_;
-  const bool moves = !begins_ && moment.moves > 0;
+  const bool moves = !begins_ && input.moves > 0;
   if (!moves) std::copy_n(now_, count + 3, before_);
   float *rate = drive_ + count + 3, *v = rate + count, *w = v + 3;
   for (int k = 0; k < count + 3; ++k) drive_[k] = 0.5f * (now_[k] + before_[k]);
   for (int k = 0; k < count; ++k) {
     drive_[k] = std::clamp(drive_[k], -kBeyond, kBeyond);
-    rate[k] = moves ? softly((double(now_[k]) - before_[k]) / moment.elapsed, kLargestRate) / 3 : 0.0f;
+    rate[k] = moves ? softly((double(now_[k]) - before_[k]) / input.elapsed, kLargestRate) / 3 : 0.0f;
   }
   float turning[3];
   for (int k = 0; k < 3; ++k) {
-    v[k] = moves ? softly(moment.velocity[k], kLargestVelocity) : 0.0f;
-    turning[k] = moves ? softly(moment.turning[k], kLargestTurning) : 0.0f;
+    v[k] = moves ? softly(input.velocity[k], kLargestVelocity) : 0.0f;
+    turning[k] = moves ? softly(input.turning[k], kLargestTurning) : 0.0f;
     w[k] = turning[k] / 2;
     w[6 + k] = turning[k] * turning[k] / 8;
   }
@@ -102,7 +97,7 @@ void LearntSway::move(const Moment& moment) noexcept {
     w[3 + k] = (turning[a] * v[b] - turning[b] * v[a]) / 4;
   }
   std::copy_n(drive_, 2 * count + 15, read_ + 2 * oscillators_.count + count + 3);
-  kernels_.oscillate(oscillators_, driver_.run(drive_, nullptr), begins_ ? -1 : std::min(moment.elapsed, kLongestStep));
+  kernels_.oscillate(oscillators_, driver_.run(drive_, nullptr), begins_ ? -1 : std::min(input.elapsed, kLongestStep));
   begins_ = false;
   std::copy_n(oscillators_.real, oscillators_.count, read_);
   std::copy_n(oscillators_.imaginary, oscillators_.count, read_ + oscillators_.count);

@@ -1,13 +1,26 @@
-// The sway network of one garment: how its garment nodes lag, swing and settle. physkin_core/sway/learnt_sway.py is its
-// readable twin.
+// The sway network of one garment: how its garment nodes lag, swing and settle.
+//
+// Oscillators are complex numbers x, driven by b and sped up by s, which the network makes of a frame's drive:
+//
+//     x' = s (-rate + i turn) (x - rest),    rest = b (rate + i turn) / |rate + i turn|
+//
+// solved in closed form, b and s being constant from frame to frame: whatever the rate of frames, nothing else depends on
+// time. They forget by themselves; where the root is lost, cloth goes over to rest. The first frame begins there.
 #pragma once
 
+#include "evaluator/garment_input.hpp"
 #include "evaluator/mlp.hpp"
-#include "evaluator/moment.hpp"
 #include "garment/bound_garment.hpp"
 #include "kernels/arena.hpp"
 
 namespace physkin {
+
+// Of joint positions, scaled to [-1, 1] by their limits: what is farther out is taken as this far.
+constexpr float kBeyond = 1.5f;
+// [s] After that all oscillators are at rest, or near.
+constexpr float kLongestStep = 1.0f;
+// Of scaled joints [1/s], the root's velocity [m/s] and its turning [rad/s]: what the network sees is never as much.
+constexpr double kLargestRate = 8, kLargestVelocity = 4, kLargestTurning = 8;
 
 class LearntSway {
  public:
@@ -17,13 +30,12 @@ class LearntSway {
   // The next frame is the first one.
   void forget() noexcept { begins_ = true; }
 
-  // The node deformer's corrections with what sways added, as much as the moment says; valid until the next call.
-  // positions (dofs) in radians; gravity (3), a unit direction.
-  const float* added(const float* corrections, const float* positions, const float* gravity,
-                     const Moment& moment) noexcept;
+  // The node deformer's corrections with what sways added, as much as the input says; valid until the next call.
+  // positions (dofs) in radians. The network knows gravity of a root that is not accelerated.
+  const float* added(const float* corrections, const float* positions, const GarmentInput& input) noexcept;
 
  private:
-  void move(const Moment& moment) noexcept;
+  void move(const GarmentInput& input) noexcept;
 
   const Kernels& kernels_;
   int joint_count_, outputs_;

@@ -6,8 +6,6 @@
 namespace physkin {
 namespace {
 
-constexpr float kPace = 2.0f, kReach = 0.1f;  // as PACE and REACH of pace.py
-
 float length(Vector3 a) { return std::sqrt(dot(a, a)); }
 
 Matrix3 transposed(const Matrix3& m) { return from_columns(m.rows[0], m.rows[1], m.rows[2]); }

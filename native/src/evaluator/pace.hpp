@@ -1,4 +1,7 @@
-// Keeps garment nodes from leaping from one frame to the next; physkin_core/sway/pace.py is its readable twin.
+// The pace of cloth: between two frames garment nodes go no farther than their bones carry them, and a little more.
+//
+// Where cloth can lie in two places, networks switch from one to the other within a few degrees of a joint: cloth leaps
+// by a hand's breadth from one frame to the next. Where frames have time stamps, it goes over in some frames instead.
 #pragma once
 
 #include "evaluator/affine.hpp"
@@ -6,6 +9,10 @@
 #include "kernels/arena.hpp"
 
 namespace physkin {
+
+// [m/s] by which a garment node, and cloth beside it, may be faster than its bone; and [m] how far beside a garment node
+// cloth lies that it carries.
+constexpr float kPace = 2.0f, kReach = 0.1f;
 
 class Pace {
  public:

@@ -7,10 +7,7 @@
 namespace physkin {
 namespace {
 
-constexpr char kFormat[] = "physkin-bound-garment", kVersion[] = "1";
-
-// Whether a file may lack a field: one from before cloth twisted, or had learnt to sway.
-bool may_lack(const std::string& name) { return name == "node_twist" || name.rfind("sway_", 0) == 0; }
+constexpr char kFormat[] = "physkin-bound-garment", kVersion[] = "2";
 
 // The fields of one file, its arrays copied into one arena.
 class FileFields : public FieldSource {
@@ -33,15 +30,10 @@ class FileFields : public FieldSource {
     }
     return layers;
   }
-  std::string text(const std::string& name) override { return file_.metadata(name); }
 
  private:
   template <class T>
   const T* copied(const std::string& name, const char* type, std::vector<int>& shape) {
-    if (!file_.contains(name) && may_lack(name)) {
-      shape = {0};
-      return arena_.take<T>(0);
-    }
     const unsigned char* numbers = file_.numbers(name, type, shape);
     std::size_t count = 1;
     for (int size : shape) count *= std::size_t(size);
@@ -64,26 +56,15 @@ BoundFile::BoundFile(const unsigned char* data, std::size_t size) {
   }
   if (file.metadata("schema_version") != kVersion) {
     throw FileError("the file has schema version '" + file.metadata("schema_version") + "'; this library reads " +
-                    kVersion);
-  }
-  if (file.contains("push_out.body_vertices")) {
-    throw FileError("the file holds a push-out (push_out.body_vertices), which was removed; write it anew with "
-                    "`physkin bind`");
+                    kVersion + ", which `physkin bind` writes");
   }
   FileFields fields(file, arena);
-  try {
-    garment = read_bound_garment(fields);
-  } catch (const std::invalid_argument& error) {
-    throw FileError(error.what());
-  }
+  garment = read_bound_garment(fields);
   joint_names = parse_string_list(file.metadata("joint_names"));
   if (joint_names.size() != std::size_t(garment.dofs)) {
     throw FileError("the file names " + std::to_string(joint_names.size()) + " joints; expected " +
                     std::to_string(garment.dofs));
   }
-  const std::string learnt = file.metadata("accelerated", "false");
-  if (learnt != "true" && learnt != "false") throw FileError("accelerated is '" + learnt + "'; expected true or false");
-  accelerated = learnt == "true";
   file.refuse_unread();
 }
 

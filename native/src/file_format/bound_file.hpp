@@ -19,7 +19,6 @@ struct BoundFile {
   Arena arena;
   BoundGarment garment;
   std::vector<std::string> joint_names;  // (dofs,)
-  bool accelerated;                      // whether the networks have learnt effective gravity
 };
 
 }  // namespace physkin

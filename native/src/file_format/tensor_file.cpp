@@ -195,11 +195,6 @@ const std::string& TensorFile::metadata(const std::string& name) const {
   return found->second;
 }
 
-std::string TensorFile::metadata(const std::string& name, const std::string& otherwise) const {
-  const auto found = metadata_.find(name);
-  return found == metadata_.end() ? otherwise : found->second;
-}
-
 const unsigned char* TensorFile::numbers(const std::string& name, const char* type, std::vector<int>& shape) {
   const auto found = tensors_.find(name);
   if (found == tensors_.end()) throw FileError("the file lacks " + name);

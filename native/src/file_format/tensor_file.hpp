@@ -25,8 +25,6 @@ class TensorFile {
 
   // Value of the metadata entry; throws FileError if there is none.
   const std::string& metadata(const std::string& name) const;
-  // The same of an entry that older files lack.
-  std::string metadata(const std::string& name, const std::string& otherwise) const;
   bool contains(const std::string& name) const { return tensors_.count(name) != 0; }
 
   // The numbers of a tensor, four bytes each, at any address. A negative size in `shape` allows any and is filled in.

@@ -33,7 +33,7 @@ void visit_skinning_data(SkinningData& d, Visitor&& visit) {
   visit.floats("influence_weights", d.influence_weights, {&d.vertex_count, &d.influences});
 }
 
-// The same, visit.layers(name, layers) and visit.activation(name, activation).
+// The same, and visit.layers(name, layers).
 template <class Visitor>
 void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.indices("bone_parents", g.bone_parents, {&g.bones}, -1, g.bones);
@@ -43,9 +43,7 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.floats("dof_rest", g.dof_rest, {&g.dofs});
   visit.floats("dof_lower", g.dof_lower, {&g.dofs});
   visit.floats("dof_upper", g.dof_upper, {&g.dofs});
-  visit.activation("activation", g.activation);
   visit.layers("pose_layers", g.pose_layers);
-  visit.floats("pose_modulation", g.pose_modulation, {&g.modulation_size});
   visit.indices("deformer_bones", g.deformer_bones, {&g.deformer_bone_count}, 0, g.bones);
   visit.layers("deformer_layers", g.deformer_layers);
   visit.indices("node_bone", g.node_bone, {&g.nodes}, 0, g.bones);
@@ -85,22 +83,34 @@ struct Reader {
     values = sized(shape, [&](std::vector<int>& sizes) { return source.integers(name, sizes); });
   }
   void layers(const char* name, std::vector<DenseWeights>& layers) const { layers = source.layers(name); }
-  void activation(const char* name, Activation& activation) const {
-    const std::string text = source.text(name);
-    if (text != "silu" && text != "relu") {
-      throw std::invalid_argument("activation is '" + text + "'; must be 'silu' or 'relu'");
-    }
-    activation = text == "silu" ? Activation::silu : Activation::relu;
-  }
 };
 
-struct NameList {
-  std::vector<std::string>& names;
+// --- Describing ---
 
-  void floats(const char* name, const float*, Shape) const { names.push_back(name); }
-  void indices(const char* name, const std::int32_t*, Shape, int, int) const { names.push_back(name); }
-  void layers(const char* name, const std::vector<DenseWeights>&) const { names.push_back(name); }
-  void activation(const char* name, Activation) const { names.push_back(name); }
+struct Describer {
+  const BoundGarment& g;
+  std::vector<FieldDescription>& fields;
+
+  void floats(const char* name, const float*, Shape shape) const { add(name, "float32", shape); }
+  void indices(const char* name, const std::int32_t*, Shape shape, int, int) const { add(name, "int32", shape); }
+  void layers(const char* name, const std::vector<DenseWeights>&) const { add(name, "layers", {}); }
+
+  void add(const char* name, const char* type, Shape shape) const {
+    const std::pair<const int*, const char*> sizes[] = {
+        {&g.nodes, "garment nodes"},       {&g.vertex_count, "vertices"},
+        {&g.influences, "influences"},     {&g.bones, "bones"},
+        {&g.dofs, "degrees of freedom"},   {&g.deformer_bone_count, "deformer bones"},
+        {&g.twist_size, "twisting nodes"}, {&g.face_count, "faces"},
+        {&g.sway_joint_count, "sway joints"}, {&g.sway_states, "oscillators"}};
+    FieldDescription& field = fields.emplace_back(FieldDescription{name, type, {}});
+    for (const Axis& axis : shape) {
+      std::string found = std::to_string(axis.number);
+      for (const auto& [size, size_name] : sizes) {
+        if (axis.size == size) found = size_name;
+      }
+      field.axes.push_back(found);
+    }
+  }
 };
 
 // --- Checking ---
@@ -144,7 +154,6 @@ struct Check {
     }
   }
   void layers(const char*, const std::vector<DenseWeights>&) const {}  // their sizes depend on each other: see below
-  void activation(const char*, Activation) const {}
 
   static std::size_t count(const char* name, Shape shape) {
     std::size_t product = 1;
@@ -171,10 +180,8 @@ void check_sway(const BoundGarment& g) {
     fail("sway_layers[1] gives " + std::to_string(layers[1].outputs) + " values; expected 3 for each of " +
          std::to_string(states) + " oscillators");
   }
-  const int outputs = 12 * g.nodes;
-  if (layers[4].outputs != outputs || g.deformer_layers.back().outputs != outputs) {
-    fail("sway_layers and deformer_layers give " + std::to_string(layers[4].outputs) + " and " +
-         std::to_string(g.deformer_layers.back().outputs) + " values; expected 12 for each of " +
+  if (layers[4].outputs != 12 * g.nodes) {
+    fail("sway_layers give " + std::to_string(layers[4].outputs) + " values; expected 12 for each of " +
          std::to_string(g.nodes) + " garment nodes");
   }
   for (int k = 0; k < states; ++k) {
@@ -202,11 +209,11 @@ BoundGarment read_bound_garment(FieldSource& source) {
   return garment;
 }
 
-std::vector<std::string> bound_garment_fields() {
+std::vector<FieldDescription> bound_garment_fields() {
   BoundGarment garment;
-  std::vector<std::string> names;
-  visit_bound_garment(garment, NameList{names});
-  return names;
+  std::vector<FieldDescription> fields;
+  visit_bound_garment(garment, Describer{garment, fields});
+  return fields;
 }
 
 void validate(const SkinningData& data) {
@@ -238,10 +245,6 @@ void validate(const BoundGarment& garment) {
   }
 
   check_layers("pose_layers", g.pose_layers, g.dofs + 3);
-  if (g.modulation_size != 0 && g.modulation_size != 2 * hidden_activations(g.pose_layers)) {
-    fail("pose_modulation has " + std::to_string(g.modulation_size) + " values; expected none, or a scale and a shift " +
-         "for " + std::to_string(hidden_activations(g.pose_layers)) + " hidden activations of the pose modulator");
-  }
   check_layers("deformer_layers", g.deformer_layers, 12 * g.deformer_bone_count);
   const int hidden = hidden_activations(g.deformer_layers);
   if (g.pose_layers.back().outputs != 2 * hidden) {
@@ -250,8 +253,8 @@ void validate(const BoundGarment& garment) {
          " hidden activations of the node deformer");
   }
   const int outputs = g.deformer_layers.back().outputs;
-  if (outputs != 9 * g.nodes && outputs != 12 * g.nodes) {
-    fail("deformer_layers give " + std::to_string(outputs) + " values; expected 9 or 12 for each of " +
+  if (outputs != 12 * g.nodes) {
+    fail("deformer_layers give " + std::to_string(outputs) + " values; expected 12 for each of " +
          std::to_string(g.nodes) + " garment nodes");
   }
   check_sway(g);

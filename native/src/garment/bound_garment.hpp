@@ -24,7 +24,7 @@ struct SkinningData {
 
 // Metres, radians, root frame.
 struct BoundGarment : SkinningData {
-  int bones = -1, dofs = -1, deformer_bone_count = -1, modulation_size = -1, twist_size = -1, face_count = -1;
+  int bones = -1, dofs = -1, deformer_bone_count = -1, twist_size = -1, face_count = -1;
   int sway_joint_count = -1, sway_states = -1;
 
   const std::int32_t* bone_parents = nullptr;  // (bones,) parent before child, -1 for the root
@@ -36,9 +36,7 @@ struct BoundGarment : SkinningData {
   const float* dof_lower = nullptr;        // (dofs,)
   const float* dof_upper = nullptr;        // (dofs,)
 
-  Activation activation = Activation::silu;
-  std::vector<DenseWeights> pose_layers;
-  const float* pose_modulation = nullptr;  // (modulation_size,) of every hidden activation, or none: it is folded in
+  std::vector<DenseWeights> pose_layers;  // the body's modulation is folded in
   const std::int32_t* deformer_bones = nullptr;  // (deformer_bone_count,)
   std::vector<DenseWeights> deformer_layers;
 
@@ -50,6 +48,7 @@ struct BoundGarment : SkinningData {
   std::vector<DenseWeights> sway_layers;
   const float* sway_rates = nullptr;  // (sway_states,) 1/s
   const float* sway_turns = nullptr;  // (sway_states,) rad/s
+  bool sways_by_network() const { return !sway_layers.empty(); }
   const std::int32_t* faces = nullptr;      // (face_count, 3), none for a point set
 };
 
@@ -61,16 +60,18 @@ class FieldSource {
   virtual const float* floats(const std::string& name, std::vector<int>& shape) = 0;
   virtual const std::int32_t* integers(const std::string& name, std::vector<int>& shape) = 0;
   virtual std::vector<DenseWeights> layers(const std::string& name) = 0;
-  virtual std::string text(const std::string& name) = 0;
 };
 
-// Reads every field; what the arrays hold is for `validate` to check, but for the activation's name: throws
-// std::invalid_argument for an unknown one.
+// Reads every field; what the arrays hold is for `validate` to check.
 SkinningData read_skinning_data(FieldSource& source);
 BoundGarment read_bound_garment(FieldSource& source);
 
-// Names of all fields.
-std::vector<std::string> bound_garment_fields();
+// One field as others are to know it: "float32", "int32" or "layers", and the names of its axes ("3" for a number).
+struct FieldDescription {
+  std::string name, type;
+  std::vector<std::string> axes;
+};
+std::vector<FieldDescription> bound_garment_fields();
 
 // Throws std::invalid_argument where the evaluator would read out of bounds or divide by zero, or a value is not
 // finite.

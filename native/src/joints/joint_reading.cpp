@@ -18,6 +18,13 @@ double load(const unsigned char* bytes, bool swapped) {
   return value;
 }
 
+// Whether every position is within `farthest` [rad] of zero; not so for what is not finite.
+bool ordinary(const float* positions, std::size_t count, float farthest) {
+  bool all = true;
+  for (std::size_t k = 0; k < count; ++k) all &= std::abs(positions[k]) <= farthest;  // false for NaN
+  return all;
+}
+
 }  // namespace
 
 JointReading::JointReading(std::vector<TakenJoint> taken, std::size_t first, bool swapped, double farthest,
@@ -54,12 +61,6 @@ bool begins_with(const unsigned char* message, std::size_t size, const unsigned 
   unsigned char differing = 0;
   for (std::size_t k = 0; k < count; ++k) differing |= (message[k] ^ pattern[k]) & mask[k];
   return differing == 0;
-}
-
-bool ordinary(const float* positions, std::size_t count, float farthest) {
-  bool all = true;
-  for (std::size_t k = 0; k < count; ++k) all &= std::abs(positions[k]) <= farthest;  // false for NaN
-  return all;
 }
 
 void widen(const float* positions, float* least, float* most, std::size_t count) {

@@ -35,9 +35,6 @@ class JointReading {
 bool begins_with(const unsigned char* message, std::size_t size, const unsigned char* pattern,
                  const unsigned char* mask, std::size_t count);
 
-// Whether every position is within `farthest` [rad] of zero; not so for what is not finite.
-bool ordinary(const float* positions, std::size_t count, float farthest);
-
 // Widens the range [least, most] of each of `count` joints by its position.
 void widen(const float* positions, float* least, float* most, std::size_t count);
 

@@ -1,5 +1,4 @@
-// One dense layer with modulation and activation, for one body or several at once: network weights are read once for
-// all. Included by kernel_unit.cpp only (see simd.hpp).
+// One dense layer with modulation and activation. Included by kernel_unit.cpp only (see simd.hpp).
 #pragma once
 
 #include "kernels/dense_rows.hpp"
@@ -25,10 +24,8 @@ inline void activate(float* values, int count, Activation activation) {
         store(values + k, v / (1.0f + exponential(-v)));
       }
       return;
-    case Activation::relu:
-      for (int k = 0; k < count; k += kLanes) store(values + k, at_least(load(values + k), 0.0f));
-      return;
-    case Activation::none: return;
+    case Activation::none:
+    case Activation::relu: return;  // no frame has it; the body encoder's is in token_kernel.hpp
   }
 }
 
@@ -48,89 +45,69 @@ inline void finish(const PackedLayer& layer, const Rows& rows, typename Rows::Su
 
 // Sums that stay in registers, besides network weights and inputs.
 #if defined(__AVX512F__) || defined(__aarch64__)
-constexpr int kBatchSums = 16;
+constexpr int kRegisterSums = 16;
 #else
-constexpr int kBatchSums = 8;
+constexpr int kRegisterSums = 8;
 #endif
 
 // Loads a pass over the rows takes of a panel of kCount * kLanes outputs, so that the sums fit.
 template <class Rows>
-constexpr int loads_a_pass(int bodies, int count) {
+constexpr int loads_a_pass(int count) {
   const int all = count / Rows::kSumsALoad;
-  const int fit = kBatchSums / (bodies * Rows::kSumsALoad * Rows::kRegistersASum);
+  const int fit = kRegisterSums / (Rows::kSumsALoad * Rows::kRegistersASum);
   for (int loads = fit < all ? fit : all; loads > 1; --loads) {
     if (all % loads == 0) return loads;
   }
   return 1;
 }
 
-template <class Rows, bool kAhead, int kBodies, int kCount>
-inline void dense_panel(const PackedLayer& layer, const Rows* rows, const unsigned char* weights, int row_count,
-                        int at, const DenseCall* calls, Activation activation) {
-  constexpr int kPer = Rows::kSumsALoad, kLoads = loads_a_pass<Rows>(kBodies, kCount), kAll = kCount / kPer;
+template <class Rows, bool kAhead, int kCount>
+inline void dense_panel(const PackedLayer& layer, const Rows& rows, const unsigned char* weights, int row_count,
+                        int at, const DenseCall& call, Activation activation) {
+  constexpr int kPer = Rows::kSumsALoad, kLoads = loads_a_pass<Rows>(kCount), kAll = kCount / kPer;
   constexpr std::ptrdiff_t kRow = Rows::bytes(kCount * kLanes), kLoad = Rows::bytes(kPer * kLanes);
   for (int first = 0; first < kAll; first += kLoads) {
-    typename Rows::Sum sum[kBodies][kLoads * kPer] = {};
+    typename Rows::Sum sum[kLoads * kPer] = {};
     const unsigned char* part = weights + first * kLoad;
     for (int row = 0; row < row_count; ++row, part += kRow) {
       if (kAhead) prefetch(part + kBytesAhead, kLoads * kLoad);
-      typename Rows::Weights w[kLoads];
+      const auto x = rows.factor(row);
 #pragma GCC unroll 8
-      for (int v = 0; v < kLoads; ++v) w[v] = Rows::decode(part + v * kLoad);
-#pragma GCC unroll 4
-      for (int body = 0; body < kBodies; ++body) {
-        const auto x = rows[body].factor(row);
-#pragma GCC unroll 8
-        for (int v = 0; v < kLoads; ++v) Rows::multiply_add(w[v], x, sum[body] + v, kLoads);
-      }
+      for (int v = 0; v < kLoads; ++v) Rows::multiply_add(Rows::decode(part + v * kLoad), x, sum + v, kLoads);
     }
-#pragma GCC unroll 4
-    for (int body = 0; body < kBodies; ++body) {
 #pragma GCC unroll 8
-      for (int k = 0; k < kLoads * kPer; ++k) {
-        // A load's second sum belongs to the panel's second half.
-        const int v = k < kLoads ? first + k : kCount / 2 + first + k - kLoads;
-        finish(layer, rows[body], sum[body][k], at + v * kLanes, calls[body]);
-      }
+    for (int k = 0; k < kLoads * kPer; ++k) {
+      // A load's second sum belongs to the panel's second half.
+      const int v = k < kLoads ? first + k : kCount / 2 + first + k - kLoads;
+      finish(layer, rows, sum[k], at + v * kLanes, call);
     }
   }
-  for (int body = 0; body < kBodies; ++body) activate(calls[body].output + at, kCount * kLanes, activation);
+  activate(call.output + at, kCount * kLanes, activation);
 }
 
-template <class Rows, bool kAhead, int kBodies, int kCount = kSums>
-inline void dense_panel_of(int count, const PackedLayer& layer, const Rows* rows, const unsigned char* weights,
-                           int row_count, int at, const DenseCall* calls, Activation activation) {
+template <class Rows, bool kAhead, int kCount = kSums>
+inline void dense_panel_of(int count, const PackedLayer& layer, const Rows& rows, const unsigned char* weights,
+                           int row_count, int at, const DenseCall& call, Activation activation) {
   if (count == kCount) {
-    return dense_panel<Rows, kAhead, kBodies, kCount>(layer, rows, weights, row_count, at, calls, activation);
+    return dense_panel<Rows, kAhead, kCount>(layer, rows, weights, row_count, at, call, activation);
   }
   if constexpr (kCount * kLanes > kGroup) {
-    dense_panel_of<Rows, kAhead, kBodies, kCount - kGroup / kLanes>(count, layer, rows, weights, row_count, at, calls,
-                                                                    activation);
+    dense_panel_of<Rows, kAhead, kCount - kGroup / kLanes>(count, layer, rows, weights, row_count, at, call,
+                                                           activation);
   }
 }
 
-template <class Rows, bool kAhead, int kBodies>
-inline void dense_for(const PackedLayer& layer, Activation activation, const DenseCall* calls) {
-  Rows rows[kBodies];
-  for (int body = 0; body < kBodies; ++body) rows[body].prepare(layer, calls[body]);
+template <class Rows, bool kAhead>
+void dense(const PackedLayer& layer, Activation activation, const DenseCall& call) {
+  Rows rows;
+  rows.prepare(layer, call);
   const int row_count = (layer.inputs + Rows::kInputs - 1) / Rows::kInputs;
   const unsigned char* weights = layer.weights;
   const int padded = padded_to_group(layer.outputs);
   for (int at = 0; at < padded; at += kPanel) {
     const int width = padded - at < kPanel ? padded - at : kPanel;
-    dense_panel_of<Rows, kAhead, kBodies>(width / kLanes, layer, rows, weights, row_count, at, calls, activation);
+    dense_panel_of<Rows, kAhead>(width / kLanes, layer, rows, weights, row_count, at, call, activation);
     weights += std::ptrdiff_t(row_count) * Rows::bytes(width);
-  }
-}
-
-template <class Rows, bool kAhead>
-void dense(const PackedLayer& layer, Activation activation, const DenseCall* calls, int count) {
-  static_assert(kBatch == 4);
-  switch (count) {
-    case 1: return dense_for<Rows, kAhead, 1>(layer, activation, calls);
-    case 2: return dense_for<Rows, kAhead, 2>(layer, activation, calls);
-    case 3: return dense_for<Rows, kAhead, 3>(layer, activation, calls);
-    case 4: return dense_for<Rows, kAhead, 4>(layer, activation, calls);
   }
 }
 

@@ -51,7 +51,7 @@ struct TokenAttention {
 
 constexpr std::size_t attention_scratch(int head_width) { return (std::size_t(head_width) + kTokens + 2) * kTokens; }
 
-// What a dense kernel computes for one body: output = activation((1 + scale) * (W input + bias) + shift). scale and
+// What a dense kernel computes: output = activation((1 + scale) * (W input + bias) + shift). scale and
 // shift may both be null (no modulation). input must be 64-byte aligned and readable to a multiple of 64 bytes. Writes
 // padded_to_group(outputs) floats and reads as many of scale and shift; those beyond outputs are unspecified.
 struct DenseCall {
@@ -64,11 +64,7 @@ struct DenseCall {
   float* output = nullptr;
 };
 
-// Bodies for which network weights are read once: as many as the registers hold sums for.
-constexpr int kBatch = 4;
-
-// One layer for `count` bodies, from 1 to kBatch; how many changes no bit of a body's result.
-using DenseKernel = void (*)(const PackedLayer& layer, Activation activation, const DenseCall* calls, int count);
+using DenseKernel = void (*)(const PackedLayer& layer, Activation activation, const DenseCall& call);
 
 // A body's trunk: a radius about a vertical axis by height, in quadratic B-splines, and direction, a Fourier series;
 // its bones take over from each other with height, from the first one up.
@@ -82,8 +78,11 @@ struct TrunkField {
   const float* coefficients = nullptr;               // (splines, kTrunkWaves)
 };
 
-// Oscillators of a sway network (physkin_core/sway/learnt_sway.py). Arrays are 64-byte aligned, and readable and writable
+// Oscillators of a sway network (evaluator/learnt_sway.hpp). Arrays are 64-byte aligned, and readable and writable
 // to a multiple of 64 bytes.
+// Logarithm of how many times faster, or slower, a gate lets them run at most.
+constexpr float kMostSpeedUp = 1.5f;
+
 struct Oscillators {
   int count = 0;
   const float *rates = nullptr, *turns = nullptr;               // [1/s], [rad/s]

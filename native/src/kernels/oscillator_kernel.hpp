@@ -6,7 +6,6 @@
 
 namespace physkin::PHYSKIN_ISA {
 
-constexpr float kMostSpeedUp = 1.5f;  // as MOST_SPEED_UP of physkin_core/sway/learnt_sway.py
 
 // Sine and cosine of |v| < 1e4, absolute error below 2e-7 besides that of the rounding of v (polynomials of Cephes sinf).
 inline void sine_cosine(Floats v, Floats* sine, Floats* cosine) {

@@ -1,4 +1,4 @@
-// The order of two layers on every frame: physkin_core/outfit/layer_order.py says what it does, and does the same.
+// The order of two layers on every frame; physkin_core/outfit/layer_order.py says what it does, and binds it.
 #pragma once
 
 #include "garment/bound_garment.hpp"
@@ -26,6 +26,13 @@ struct LayerOrderData {
 
 // Reads every field but `edge`; what the arrays hold is for LayerOrder to check.
 LayerOrderData read_layer_order(FieldSource& source);
+
+// [m] A vertex farther on the wrong side is of another part of the body.
+constexpr float kDeepest = 0.07f;
+// Frames in which every vertex has its turn to look for a closer partner; one that lost its own does at once.
+constexpr int kTurns = 8;
+// Contacts around, by whose partners one finds a closer partner of its own.
+constexpr int kBeside = 3;
 
 // Where the yielding layer belongs, seen from the steady one.
 enum class Side { kOutside, kInside };

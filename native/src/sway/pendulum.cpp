@@ -7,14 +7,12 @@ namespace physkin {
 namespace {
 
 constexpr double kPi = 3.14159265358979323846;
-constexpr double kLargestChange = 8.0;
-constexpr double kLargestChangeOfTurning = 20.0;
-constexpr double kLargestTwist = 0.8;
-constexpr double kGravity = 9.81;
-constexpr double kLargestDeflection = 2 * kGravity;
-constexpr double kLeastDeflection = 0.25;
-constexpr double kLargestFelt = 2.999 * kGravity;
-constexpr double kFarthest = 1e9;
+// [m/s], [rad/s] A change of velocity or turning from pose to pose beyond these is a jump of the root, not a motion.
+constexpr double kLargestChange = 8.0, kLargestChangeOfTurning = 20.0;
+constexpr double kLargestTwist = 0.8;                           // [rad] what the twist never reaches
+constexpr double kLargestDeflection = 2 * kStandardGravity;     // [m/s2] what the deflection that is felt never reaches
+constexpr double kLeastDeflection = 0.25;                       // [m/s2] of this size half is felt, of smaller ones the less
+constexpr double kFarthest = 1e9;                               // [m] that the root may be from the world's origin
 
 double squared(const double* v) { return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]; }
 
@@ -31,16 +29,23 @@ void rotation(const double* before, const double* after, double* out) {
 // How far the vertical of a root is that of the world, 0 to 1.
 double upright(const double* turn) { return std::max(0.0, 1 - 2 * (turn[0] * turn[0] + turn[1] * turn[1])); }
 
-// A vector of the world in the frame of a root with that turn.
-void carry_back(const double* turn, const double* v, double* out) {
+// Direction of gravity in the frame of a root (7), in the precision that networks know it.
+void gravity_in(const double* root, float* out) {
+  const double x = float(root[3]), y = float(root[4]), z = float(root[5]), w = float(root[6]);
+  out[0] = float(2 * (w * y - x * z));
+  out[1] = float(-2 * (w * x + y * z));
+  out[2] = float(2 * (x * x + y * y) - 1);
+}
+
+}  // namespace
+
+void carry_back(const double* turn, const double* v, double* out) noexcept {
   const double x = turn[0], y = turn[1], z = turn[2], w = turn[3];
   const double p = y * v[2] - z * v[1], q = z * v[0] - x * v[2], r = x * v[1] - y * v[0];  // axis x v
   out[0] = v[0] + 2 * (y * r - z * q) - 2 * w * p;
   out[1] = v[1] + 2 * (z * p - x * r) - 2 * w * q;
   out[2] = v[2] + 2 * (x * q - y * p) - 2 * w * r;
 }
-
-}  // namespace
 
 Pendulum::Pendulum(const PendulumSettings& s) : air_drag_(s.air_drag) {
   const double sideways = 2 * kPi * s.frequency, along = 2 * kPi * s.lift_frequency;
@@ -60,13 +65,17 @@ void Pendulum::reset() noexcept {
   std::fill_n(rate_, kAxes, 0.0);
   std::fill_n(position_, 3, 0.0);
   std::fill_n(turn_, 4, 0.0);
+  turn_[3] = 1;
+  gravity_[0] = gravity_[1] = 0;
+  gravity_[2] = -1;
   std::fill_n(velocity_, kAxes, 0.0);
   std::fill_n(turning_, 3, 0.0);
   time_ = 0;
   has_time_ = has_velocity_ = false;
 }
 
-void Pendulum::move(double time, const double* position, const double* turn) noexcept {
+void Pendulum::advance(double time, const double* root, const double* turn) noexcept {
+  const double* position = root;
   if (has_time_ && time == time_) return;
   const bool had_time = has_time_;
   const double passed = time - time_;
@@ -86,6 +95,7 @@ void Pendulum::move(double time, const double* position, const double* turn) noe
   }
   std::copy_n(position, 3, position_);
   std::copy_n(turn, 4, turn_);
+  gravity_in(root, gravity_);
   if (known) {
     for (int k = 0; k < kAxes; ++k) {
       if (has_velocity_) rate_[k] -= gain_[k] * frequency_[k] * frequency_[k] * change[k];
@@ -118,23 +128,7 @@ void Pendulum::swing(double passed, const double* equilibrium) noexcept {
   }
 }
 
-void Pendulum::felt_deflection(double* out) const noexcept {
-  const double square = squared(deflection_);
-  const double share = square / (square + kLeastDeflection * kLeastDeflection);
-  const double scale = share / std::sqrt(1 + square / (kLargestDeflection * kLargestDeflection));
-  for (int k = 0; k < 3; ++k) out[k] = deflection_[k] * scale;
-}
-
-bool Pendulum::motion(double* out) const noexcept {
-  std::fill_n(out, 6, 0.0);
-  if (has_velocity_) {
-    carry_back(turn_, velocity_, out);
-    std::copy_n(turning_, 3, out + 3);
-  }
-  return has_velocity_;
-}
-
-const char* Pendulum::felt(double time, const double* root, double amount, double* out) noexcept {
+const char* Pendulum::move(double time, const double* root) noexcept {
   bool finite = std::isfinite(time);
   for (int k = 0; k < 7; ++k) finite = finite && std::isfinite(root[k]);
   if (!finite) return "time and root must be finite, root x, y, z and a quaternion x, y, z, w";
@@ -144,17 +138,26 @@ const char* Pendulum::felt(double time, const double* root, double amount, doubl
     if (std::abs(root[k]) > kFarthest) return "the root must be within 1e+09 m";
   }
   const double turn[4] = {root[3] / length, root[4] / length, root[5] / length, root[6] / length};
-  move(time, root, turn);
-  double v[3];
-  felt_deflection(v);
-  for (double& value : v) value *= amount;
-  v[2] -= kGravity;
-  carry_back(turn, v, out);
-  const double shrink = std::min(1.0, kLargestFelt / std::max(std::sqrt(squared(out)), 1e-9));
-  for (int k = 0; k < 3; ++k) out[k] *= shrink;
-  const double twist = deflection_[3];
-  out[3] = amount * twist / std::sqrt(1 + twist * twist / (kLargestTwist * kLargestTwist));
+  advance(time, root, turn);
   return nullptr;
+}
+
+RootSample Pendulum::sample() const noexcept {
+  RootSample s;
+  std::copy_n(turn_, 4, s.turn);
+  const double length = std::hypot(double(gravity_[0]), double(gravity_[1]), double(gravity_[2]));
+  for (int k = 0; k < 3; ++k) s.gravity[k] = gravity_[k] / length;
+  const double square = squared(deflection_), twist = deflection_[3];
+  const double share = square / (square + kLeastDeflection * kLeastDeflection);
+  const double scale = share / std::sqrt(1 + square / (kLargestDeflection * kLargestDeflection));
+  for (int k = 0; k < 3; ++k) s.deflection[k] = deflection_[k] * scale;
+  s.twist = twist / std::sqrt(1 + twist * twist / (kLargestTwist * kLargestTwist));
+  s.known = has_velocity_;
+  if (s.known) {
+    carry_back(turn_, velocity_, s.velocity);
+    std::copy_n(turning_, 3, s.turning);
+  }
+  return s;
 }
 
 }  // namespace physkin

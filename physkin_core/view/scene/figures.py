@@ -61,11 +61,11 @@ class OutfitFigures:
 
     def __init__(self, outfit: Outfit) -> None:
         self.outfit = outfit
-        worn = list(zip(outfit.rest_garments, outfit.visible, outfit.faces))
-        self._garments = [Garment(rest.vertices[given], faces) for rest, given, faces in worn]
-        self._hem = np.concatenate([near_hem(rest)[given] for rest, given, _ in worn])
-        first = np.cumsum([0, *outfit.vertex_counts[:-1]])
-        self._faces = np.concatenate([faces + start for start, faces in zip(first, outfit.faces)])
+        layers = outfit.layers
+        self._garments = [Garment(layer.rest_garment.vertices[layer.visible], layer.faces) for layer in layers]
+        self._hem = np.concatenate([near_hem(layer.rest_garment)[layer.visible] for layer in layers])
+        first = np.cumsum([0, *(layer.vertex_count for layer in layers[:-1])])
+        self._faces = np.concatenate([layer.faces + start for start, layer in zip(first, layers)])
 
     def strains(self, frame: Frame) -> list[np.ndarray]:
         """|l - l0| / l0 of every edge [%], of each garment."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock, RLock
 from time import perf_counter
@@ -26,6 +26,7 @@ from physkin_core.picture import BODY_COLOUR, layer_colours
 from physkin_core.points.point_files import read_splat_file
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import plain_skinning
+from physkin_core.separation.limb_separator import LimbSeparator
 from physkin_core.view.scene.heat_map import Colour
 from physkin_core.view.scene.motion_player import MotionPlayer, Pose, standing_pose
 from physkin_core.view.scene.worn_splats import SplatFrame, WornSplats
@@ -64,8 +65,8 @@ class SceneState:
 
     garments: names of shipped models or files, from the skin outwards; tucked: those of them whose hem is under the
     next one's waistband. body: an avatar file; rig_file: of one without a skin. motion: as `load_motion` takes it, or
-    None. fit, separate_limbs: as of `Outfit`. points: a file of splats where one of the garments lies; while that is
-    worn, frames have them.
+    None. fit: as of `Outfit`. separate_limbs: whether poses go through a `LimbSeparator`. points: a file of splats
+    where one of the garments lies; while that is worn, frames have them.
     playing, speed: of the motion; seconds: its time. sway: as of `Outfit`. pose: shown now; posed_by_hand: whether a
     joint was set last. show_plain: compute plain skinning too.
     Raises what loading raises; what is shown is then as it was.
@@ -131,16 +132,17 @@ class SceneState:
             warnings.simplefilter("ignore", AvatarWarning)  # they are in `Outfit.warnings`
             known = self.outfit is not None and not new_body and _same_rig(rig, self._rig)
             avatar = self._avatar if known else load_avatar(body, rig, rig_file=rig_file)
-            outfit = Outfit(chosen, avatar, fit=self._fit, separate_limbs=separate_limbs)
+            outfit = Outfit(chosen, avatar, fit=self._fit)
         player = None if self._player is None else MotionPlayer(self._player.motion, rig, outfit.avatar)
         splats = self._bound_splats(outfit)
+        separator = LimbSeparator(rig, avatar) if separate_limbs else None
         with self._lock:
             posed = self.outfit is not None and self._rig.joint_names == rig.joint_names
             positions = self.pose.positions if posed else rig.rest
             self.garments, self.tucked = tuple(garments), frozenset(tucked)
             self.body, self.rig_file, self.separate_limbs = body, rig_file, separate_limbs
             self._avatar, self._rig, self._player, self.outfit = avatar, rig, player, outfit
-            self._splats = splats
+            self._splats, self._separator = splats, separator
             self.pose = standing_pose(positions, avatar) if player is None else player.pose(self.seconds)
             self._begin()
 
@@ -157,7 +159,7 @@ class SceneState:
 
     def _begin(self) -> None:
         """Make what a frame writes to."""
-        self._cloth = tuple(np.zeros((count, 6), dtype=np.float32) for count in self.outfit.vertex_counts)
+        self._cloth = tuple(np.zeros((layer.vertex_count, 6), dtype=np.float32) for layer in self.outfit.layers)
         self._times: deque[float] = deque(maxlen=TIMED_FRAMES)
         self._changed = True
 
@@ -282,6 +284,8 @@ class SceneState:
         outfit.sway = self.sway
         root = np.concatenate([pose.root_position, pose.root_orientation])
         began = perf_counter()
+        if self._separator is not None:
+            pose = replace(pose, positions=self._separator.separate(pose.positions)[0])
         outfit.drape(pose.positions, time=self._clock, root=root, outs=self._cloth)
         self._times.append(1e6 * (perf_counter() - began))
         bones, transforms = outfit.bone_transforms(pose.positions), outfit.node_transforms()
@@ -290,7 +294,7 @@ class SceneState:
             pose=pose,
             body=outfit.body_to_draw.posed_vertices(bones),
             cloth=self._cloth,
-            plain=tuple(plain_skinning(bound, bones) for bound in outfit.bounds) if self.show_plain else (),
+            plain=tuple(plain_skinning(layer.given, bones) for layer in outfit.layers) if self.show_plain else (),
             nodes=tuple(each[..., 3] for each in transforms),
             splats=None if self._splats is None else self._splats.frame(transforms),
             colours=(self.body_colour, *self.cloth_colours),

@@ -9,7 +9,7 @@ import numpy as np
 
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.points.point_files import PointFile, splat_colours
-from physkin_core.points.splat_draper import SplatDraper
+from physkin_core.points.splat_draper import SplatSkinner
 from physkin_core.points.splats import Splats
 from physkin_core.quality import closest_points
 
@@ -35,16 +35,15 @@ class WornSplats:
 
     def __init__(self, path: Path, file: PointFile, outfit: Outfit) -> None:
         some = file.points[:: -(-len(file.points) // 1000)]
-        meshes = [model.garment for model in outfit.models]
+        meshes = [layer.model.garment for layer in outfit.layers]
         apart = [closest_points(some, mesh.vertices, mesh.faces)[0].mean() for mesh in meshes]
         self._garment = int(np.argmin(apart))
-        worn = outfit.drapers[self._garment]
         try:
-            self._draper = SplatDraper(worn.model, worn.avatar, file.splats, fit=worn.fit, binding=worn.bound)
+            self._skinner = SplatSkinner(outfit.layers[self._garment], file.splats)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
         self._look = splat_colours(file.look, len(file.points))
 
     def frame(self, node_transforms: tuple[np.ndarray, ...]) -> SplatFrame:
         """Where they are; as of `Outfit.node_transforms`."""
-        return SplatFrame(self._draper.skin(node_transforms[self._garment]), self._garment, *self._look)
+        return SplatFrame(self._skinner.skin(node_transforms[self._garment]), self._garment, *self._look)

@@ -20,10 +20,9 @@ from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.motion import Motion
+from physkin_core.outfit.draper import Draper
 from physkin_core.quality import edge_strain
-from physkin_core.runtime.draper import Draper
-from physkin_core.sway.pace import FrameClock
-from physkin_core.sway.sway import Sway
+from physkin_core.sway.frame_input import FrameInput
 from physkin_training.dynamics.frame_potential import frame_potentials
 from physkin_training.dynamics.reference import Reference, load_reference
 from physkin_training.dynamics.swing_figures import settling, swing, turning
@@ -252,19 +251,19 @@ def _added_to_step(draper: Draper, motion: Motion) -> float:
     """The same [us] of a step of the evaluator alone, as the ROS node and hosts in C take it: streams of frames in
     turns, so that caches are warm."""
     q, roots, down = motion.positions_for(draper.model.rig), motion_roots(motion), motion.gravity
-    sway, clock, learnt = Sway(), FrameClock(), bool(draper.bound.sway_layers)
-    rows = []
-    for k, root in enumerate(roots):
-        sway.felt(k / motion.rate_hz, root)
-        passed, twist = clock.passed(k / motion.rate_hz), 0.0 if learnt else sway.twist
-        rows.append(sway.moment(passed, clock.elapsed, twist=twist, learnt=learnt, rooted=True).after(down[k]))
+    still, moving = [], []
+    for rows, given in ((still, [{"gravity": each} for each in down]), (moving, [{"root": each} for each in roots])):
+        frame_input = FrameInput([draper.bound.sways_by_network])
+        for k, each in enumerate(given):
+            frame_input.fill(**each, time=k / motion.rate_hz if rows is moving else None)
+            rows.append(frame_input.rows.copy())
     pose, out = np.empty(q.shape[1], dtype=np.float32), np.empty((draper.vertex_count, 6), dtype=np.float32)
     medians = []
-    for told in [down.astype(np.float32), np.array(rows)] * STREAMS:
-        given = told[0].copy()
-        step, took = draper.bind_step(pose, given, out), []
+    for rows in [still, moving] * STREAMS:
+        inputs = rows[0].copy()
+        step, took = draper.bind_frame(pose, inputs, out), []
         for frame in range(len(q)):
-            pose[:], given[:] = q[frame], told[frame]
+            pose[:], inputs[:] = q[frame], rows[frame]
             begin = time.process_time_ns()
             step()
             took.append(time.process_time_ns() - begin)

@@ -19,7 +19,7 @@ from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.motion import Motion
 from physkin_core.rig.rig import Rig
-from physkin_core.runtime.draper import STANDARD_GRAVITY
+from physkin_core.sway.frame_input import STANDARD_GRAVITY
 from physkin_training.evaluate.figures import Figures
 from physkin_training.evaluate.inside_by_vertex import inside_by_vertex
 from physkin_training.evaluate.minimum import subspace_minimum

@@ -22,10 +22,10 @@ from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment import Garment
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.motion import Motion
-from physkin_core.outfit.layers import OutfitGarment
+from physkin_core.outfit.draper import Draper
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.quality import jitter
-from physkin_core.runtime.draper import Draper
+from physkin_core.runtime.layer import WornGarment
 from physkin_training.evaluate.evaluate import measured_clips
 from physkin_training.evaluate.layer_pokes import LayerPokes, bind_layer_pokes
 from physkin_training.evaluate.progress import progress
@@ -42,13 +42,13 @@ LEAD = 8
 """Frames before each run, which are draped and not measured: what is kept from frame to frame is then as in playing."""
 
 
-def parse_outfit(text: str) -> list[OutfitGarment]:
+def parse_outfit(text: str) -> list[WornGarment]:
     """Garments from the skin outwards, as `tshirt:tucked,trousers` names shipped or other models. Raises ValueError for
     less than two, and as `load_garment_model` does."""
     garments = []
     for part in text.split(","):
         name = part.removesuffix(":tucked")
-        garments.append(OutfitGarment(load_garment_model(name), tucked=name != part))
+        garments.append(WornGarment(load_garment_model(name), tucked=name != part))
     if len(garments) < 2:
         raise ValueError(f"--outfit {text}: an outfit that is measured has at least two garments, got {len(garments)}")
     return garments
@@ -122,26 +122,26 @@ class OutfitCounts:
 class DressedBody:
     """An outfit on one body: whole, as given by default, and each garment alone."""
 
-    def __init__(self, garments: Sequence[OutfitGarment], avatar: Avatar) -> None:
+    def __init__(self, garments: Sequence[WornGarment], avatar: Avatar) -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AvatarWarning)
             self.whole, self.given = (Outfit(garments, avatar, hide=hide) for hide in (False, True))
             self.alone = [Draper(garment.model, avatar) for garment in garments]
-        rest = [cloud[:, :3].astype(np.float64) for cloud in self.whole.drape(self.whole.models[0].rig.rest)]
+        rest = [cloud[:, :3].astype(np.float64) for cloud in self.whole.drape(self.whole.rig.rest)]
         self.pokes: dict[tuple[int, int], LayerPokes] = {
-            (i, o): bind_layer_pokes(rest[i], rest[o], (self.whole.faces[i], self.whole.faces[o]))
+            (i, o): bind_layer_pokes(rest[i], rest[o], tuple(self.whole.layers[k].faces for k in (i, o)))
             for i, o in combinations(range(len(garments)), 2)
         }
-        self.removed = [faces[hidden[faces].all(axis=1)] for faces, hidden in zip(self.whole.faces, self.given.hidden)]
+        self.removed = [layer.bound.faces[layer.hidden[layer.bound.faces].all(axis=1)] for layer in self.given.layers]
         self.edges = []
-        for draper, visible in zip(self.alone, self.given.visible):
-            among = np.zeros(len(draper.rest_garment.vertices), dtype=bool)
-            among[visible] = True
+        for draper, layer in zip(self.alone, self.given.layers):
+            among = np.zeros(len(layer.hidden), dtype=bool)
+            among[layer.visible] = True
             self.edges.append(among[draper.rest_garment.edges].all(axis=1))
 
     @property
     def hidden_percent(self) -> float:
-        hidden = np.concatenate(self.given.hidden)
+        hidden = np.concatenate([layer.hidden for layer in self.given.layers])
         return float(100 * hidden.mean())
 
     def count_run(self, positions: np.ndarray, gravity: np.ndarray, lead: int, counts: OutfitCounts) -> list:
@@ -153,7 +153,7 @@ class DressedBody:
             whole = self.whole.drape(q, down)
             alone.append([draper.drape(q, down) for draper in self.alone])
         for k, name in enumerate(counts.names):
-            visible, garment = self.given.visible[k], self.given.rest_garments[k]
+            visible, garment = self.given.layers[k].visible, self.given.layers[k].rest_garment
             worn = np.stack([frame[k][:, :3] for frame in frames[lead:]]).astype(np.float64)
             by_itself = np.stack([frame[k][:, :3] for frame in alone[lead:]]).astype(np.float64)
             counts.jitter[name]["worn"].append(jitter(worn))
@@ -168,12 +168,14 @@ class DressedBody:
     def _count_seen(self, whole: list, given: list, positions: np.ndarray, counts: OutfitCounts) -> None:
         avatar = self.given.avatar
         body = avatar.posed_vertices(self.given.bone_transforms(positions)).astype(np.float64)
-        cloth = [Surface(cloud[:, :3].astype(np.float64), faces) for cloud, faces in zip(whole, self.whole.faces)]
+        cloth = [
+            Surface(cloud[:, :3].astype(np.float64), layer.faces) for cloud, layer in zip(whole, self.whole.layers)
+        ]
         rays = camera_rays(np.concatenate([surface.vertices for surface in cloth]))
         skin = Surface(body, avatar.faces)
         view = look([*cloth, skin], rays)
         mask = self.given.body_mask
-        left = [Surface(cloud[:, :3], faces) for cloud, faces in zip(given, self.given.faces)]
+        left = [Surface(cloud[:, :3], layer.faces) for cloud, layer in zip(given, self.given.layers)]
         removed = [Surface(surface.vertices, faces) for surface, faces in zip(cloth, self.removed)]
         left.append(Surface(body, skin.faces[~mask]))
         removed.append(Surface(body, skin.faces[mask]))
@@ -213,7 +215,7 @@ def _strain(garment: Garment, vertices: np.ndarray, among: np.ndarray) -> float:
 
 
 def evaluate_outfits(
-    outfits: dict[str, Sequence[OutfitGarment]],
+    outfits: dict[str, Sequence[WornGarment]],
     motions: Sequence[Motion],
     device: torch.device,
     *,

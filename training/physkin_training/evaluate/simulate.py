@@ -26,9 +26,10 @@ from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
 from physkin_core.motion.reading_progress import reading_progress
+from physkin_core.outfit.draper import Draper
 from physkin_core.quality import area_strain, edge_strain
 from physkin_core.rig.rig import Rig
-from physkin_core.runtime.draper import UPRIGHT_GRAVITY, Draper
+from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.evaluate.plain_model import plain_model
 from physkin_training.physics.full_space_solver import FullSpaceSolver, Progress, Solution

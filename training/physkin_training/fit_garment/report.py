@@ -18,8 +18,8 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.check.garment_check import check_garment
 from physkin_core.model.garment_model import GarmentModel
+from physkin_core.outfit.draper import Draper
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
-from physkin_core.runtime.draper import Draper
 from physkin_training.evaluate.contact_sheet import chosen_bodies, chosen_poses, drape_all, draw
 from physkin_training.evaluate.evaluate import Evaluation, evaluate_model
 from physkin_training.evaluate.score_table import table

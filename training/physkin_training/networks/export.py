@@ -21,8 +21,8 @@ from physkin_core.model.hyper_modulator import POINT_COUNT
 from physkin_core.model.mlp import Layer
 from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_core.model.surface_sampling import sample_surface
+from physkin_core.outfit.draper import Draper
 from physkin_core.rig.rig import Rig
-from physkin_core.runtime.draper import Draper
 from physkin_training.config import NetworkConfig
 from physkin_training.networks.draping import Drape, RestShape
 from physkin_training.networks.garment_nodes import GarmentNodeSet

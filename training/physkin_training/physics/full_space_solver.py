@@ -17,7 +17,7 @@ import torch
 import warp as wp
 
 from physkin_core.model.garment import Garment
-from physkin_core.runtime.draper import STANDARD_GRAVITY
+from physkin_core.sway.frame_input import STANDARD_GRAVITY
 from physkin_training.physics.energy_hessian import EnergyHessian
 from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.vertex_secants import Trial, VertexSecants

@@ -1,4 +1,4 @@
-"""The sway network in torch: twin of `physkin_core.sway.learnt_sway`, over whole windows of frames.
+"""The sway network in torch: twin of native/src/evaluator/learnt_sway.cpp, over whole windows of frames.
 
 Dimensions: `B` windows, `T` frames, `j` joints, `f = 2 j + 15` drive, `p = j + 3` pose, `c` body code, `K` oscillators.
 """
@@ -12,16 +12,17 @@ import torch
 from torch import nn
 
 from physkin_core.model.sway_network import drive_size, pose_size
+from physkin_core.native_module import native
 from physkin_core.rig.rig import Rig
-from physkin_core.sway.learnt_sway import (
-    BEYOND,
-    LARGEST_RATE,
-    LARGEST_TURNING,
-    LARGEST_VELOCITY,
-    MOST_SPEED_UP,
-)
 
 __all__ = ["HIDDEN", "Features", "SwayModule", "swaying_joints"]
+
+BEYOND: float = native.constants["joints_beyond"]
+LARGEST_RATE: float = native.constants["largest_rate"]
+LARGEST_VELOCITY: float = native.constants["largest_velocity"]
+LARGEST_TURNING: float = native.constants["largest_turning"]
+MOST_SPEED_UP: float = native.constants["most_speed_up"]
+"""As in C++, which says what they are."""
 
 JOINTS = ("spine05", "upperleg", "lowerleg", "foot")
 """Bones whose joints the network looks at."""

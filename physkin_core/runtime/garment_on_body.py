@@ -22,9 +22,10 @@ from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.garment_nodes import node_positions_on_body
 from physkin_core.runtime.garment_grading import GarmentGrading
-from physkin_core.runtime.layers_beneath import LayerBeneath, swelling
+from physkin_core.runtime.layer import Layer
+from physkin_core.runtime.layers_beneath import swelling
 
-__all__ = ["WornGarment", "wear"]
+__all__ = ["GarmentOnBody", "put_on_body"]
 
 NEGLIGIBLE = 2e-4
 """[m] An avatar whose skin is nowhere farther from the body seen is that body, up to rounding."""
@@ -34,7 +35,7 @@ GRADINGS = 8
 
 
 @dataclass(frozen=True)
-class WornGarment:
+class GarmentOnBody:
     """A garment model on one avatar at rest.
 
     garment: its mesh in the rest shape worn here. node_rest, node_positions: (m, 3) as in `BoundGarment`.
@@ -50,7 +51,7 @@ class WornGarment:
     differs: np.ndarray
 
 
-def wear(model: GarmentModel, avatar: Avatar, fit: float, beneath: Sequence[LayerBeneath] = ()) -> WornGarment:
+def put_on_body(model: GarmentModel, avatar: Avatar, fit: float, beneath: Sequence[Layer] = ()) -> GarmentOnBody:
     """Put a garment on an avatar. fit: 0 for the template's rest shape, 1 for the one made to measure. beneath: what is
     worn already.
 
@@ -70,7 +71,7 @@ def wear(model: GarmentModel, avatar: Avatar, fit: float, beneath: Sequence[Laye
         carried, seen = _carried_by_bones(model, avatar), avatar
         if beneath:
             seen = _swollen(avatar, swelling(avatar.vertices.astype(np.float64), avatar.faces, beneath))
-        return WornGarment(garment, model.node_rest, carried, seen, carried, 0 * garment.vertices)
+        return GarmentOnBody(garment, model.node_rest, carried, seen, carried, 0 * garment.vertices)
     laid = lay_body(avatar, body)
     seen = replace(avatar_from_body(body, laid.coefficients), source=avatar.source)
     grading = _grading(garment)
@@ -85,7 +86,7 @@ def wear(model: GarmentModel, avatar: Avatar, fit: float, beneath: Sequence[Laye
     closest = grading.closest_vertices(model.node_rest)
     carried = _carried_by_bones(model, seen)
     seen_positions = carried + fit * (model.node_rest - carried) + measured[closest]
-    return WornGarment(
+    return GarmentOnBody(
         garment=garment.reshaped(garment.vertices + measured + differs),
         node_rest=model.node_rest + (measured + differs)[closest],
         node_positions=seen_positions + differs[closest],

@@ -6,25 +6,23 @@ Dimensions: `n` garment vertices, `P` poses. Metres, root frame.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.surface_matching import with_normals
-from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.surface_paths import openings, path_lengths
-from physkin_core.outfit.coverage import FROM_HEM, hem_distances
-from physkin_core.outfit.layer_order import ReferenceLayerOrder, bind_layer_order
+from physkin_core.native_module import native
+from physkin_core.outfit.coverage import FROM_HEM
+from physkin_core.outfit.layer_order import bind_layer_order
 from physkin_core.outfit.tuck import tucked_depths
 from physkin_core.runtime.binding import bind_garment
-from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.draper import Draper
-from physkin_core.runtime.layers_beneath import LayerBeneath
-from physkin_core.runtime.rest_look import RestLook, look_at_rest
+from physkin_core.runtime.evaluator import drape_poses
+from physkin_core.runtime.layer import Layer, WornGarment
+from physkin_core.runtime.rest_look import look_at_rest
+from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
-__all__ = ["MOST_LAYERS", "Layer", "OutfitGarment", "drapes", "put_on", "standing_out", "tuck_in"]
+__all__ = ["MOST_LAYERS", "drapes", "put_on", "standing_out", "tuck_in"]
 
 MOST_LAYERS = 4
 DEEPEST_TUCK = 0.3
@@ -35,47 +33,12 @@ BELONGS = 0.15
 """[m] Cloth farther from the layer over it at rest is not under it."""
 
 
-@dataclass(frozen=True)
-class OutfitGarment:
-    """A garment of an outfit. tucked: its hem is worn under the waistband of the next layer that is not tucked. fit: as
-    of `Draper`; None: the outfit's."""
-
-    model: GarmentModel
-    tucked: bool = False
-    fit: float | None = None
-
-
-@dataclass(frozen=True)
-class Layer:
-    """A garment as it is worn here, whole.
-
-    draper: bound over what lies under it. at_rest: how it sits on the skin, before it is tucked in. rest: (n, 6)
-    float32 vertices and normals of the drape at rest, tucked in. hem_distance: (n,) [m] along the cloth to its closest
-    opening; tucked hems are none. tucked_depth: (n,) [m] below the waistband that it is tucked into, 0 above.
-    """
-
-    garment: OutfitGarment
-    draper: Draper
-    at_rest: RestLook
-    rest: np.ndarray
-    hem_distance: np.ndarray
-    tucked_depth: np.ndarray
-
-    @property
-    def name(self) -> str:
-        return self.garment.model.name
-
-    @property
-    def bound(self) -> BoundGarment:
-        return self.draper.bound
-
-
 def put_on(
-    garments: Sequence[OutfitGarment], avatar: Avatar, *, fit: float | None, backend: Literal["native", "numpy"]
+    garments: Sequence[WornGarment], avatar: Avatar, *, fit: float | None
 ) -> tuple[list[Layer], list[tuple[int, int]], list[str]]:
-    """Put garments on an avatar, the innermost first. fit: of garments without their own. backend: of every `Draper`.
+    """Put garments on an avatar, the innermost first. fit: of garments without their own.
 
-    Returns the layers, which of them is tucked into which, and sentences to warn of.
+    Returns the layers, all vertices given, which of them is tucked into which, and sentences to warn of.
     Raises ValueError, in one sentence, for what cannot be worn so.
     """
     _check(garments)
@@ -83,17 +46,10 @@ def put_on(
     tucks: list[tuple[int, int]] = []
     worth_saying: list[str] = []
     for k, garment in enumerate(garments):
-        beneath = [LayerBeneath(layer.rest, layer.garment.tucked) for layer in layers]
-        model, own_fit = garment.model, fit if garment.fit is None else garment.fit
-        bound = bind_garment(model, avatar, fit=own_fit, backend=backend, beneath=beneath) if layers else None
-        draper = Draper(model, avatar, fit=own_fit, backend=backend, binding=bound)
-        rest = draper.drape(model.rig.rest)
-        at_rest = draper.at_rest
-        if at_rest is None:
-            at_rest = look_at_rest(rest[:, :3], draper.faces, avatar)
-            worth_saying += [] if at_rest.sits else [f"{model.name} on {avatar.source}: {at_rest}"]
-        hems = hem_distances(draper.bound.vertices, draper.faces)
-        layers.append(Layer(garment, draper, at_rest, rest, hems, np.zeros(len(rest))))
+        own_fit = garment.model.checked_fit(fit if garment.fit is None else garment.fit)
+        layers.append(_worn(garment, avatar, own_fit, layers))
+        if not layers[k].at_rest.sits:
+            worth_saying.append(f"{layers[k].name} on {avatar.source}: {layers[k].at_rest}")
         for inner, under in enumerate(layers[:-1]):
             if _waistband_of(garments, inner) == k:
                 layers[inner] = _tucked_in(under, layers[k])
@@ -104,12 +60,33 @@ def put_on(
     return layers, tucks, worth_saying
 
 
+def _worn(garment: WornGarment, avatar: Avatar, fit: float, beneath: Sequence[Layer]) -> Layer:
+    """One more layer, over those beneath."""
+    model = garment.model
+    bound = bind_garment(model, avatar, fit=fit, beneath=beneath)
+    (rest,) = drape_poses(bound, [(model.rig.rest, UPRIGHT_GRAVITY)])
+    count = len(rest)
+    return Layer(
+        model=model,
+        tucked=garment.tucked,
+        fit=fit,
+        bound=bound,
+        rest=rest,
+        at_rest=look_at_rest(rest[:, :3], bound.faces, avatar),
+        tucked_depth=np.zeros(count),
+        hidden=np.zeros(count, dtype=bool),
+        visible=np.arange(count, dtype=np.int32),
+        given=bound,
+    )
+
+
 def drapes(
     layers: Sequence[Layer], tucks: Sequence[tuple[int, int]], poses: Iterable[tuple[np.ndarray, np.ndarray]]
 ) -> list[list[np.ndarray]]:
     """All layers (n, 6) in poses (joint positions [rad], gravity direction), with hems tucked in: a list a pose. tucks:
     which layer is tucked into which."""
-    cloth = [[layer.draper.drape(*pose) for layer in layers] for pose in poses]
+    poses = list(poses)
+    cloth = [list(drawn) for drawn in zip(*(layer.drape(poses) for layer in layers))]
     for inner, outer in tucks:
         tuck_in(layers[inner], layers[outer], [(drawn[inner], drawn[outer]) for drawn in cloth])
     return cloth
@@ -117,14 +94,14 @@ def drapes(
 
 def tuck_in(under: Layer, over: Layer, drawn: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
     """Move the inner layer (n, 6) inside the outer one (r, 6) in all poses; the inner ones are written."""
-    rest, faces = (over.rest[:, :3], under.rest[:, :3]), (over.draper.faces, under.draper.faces)
+    rest, faces = (over.rest[:, :3], under.rest[:, :3]), (over.bound.faces, under.bound.faces)
     order = bind_layer_order(1, 0, rest, faces, [(outer, inner) for inner, outer in drawn])
     if order is not None:
         for inner, outer in drawn:
-            ReferenceLayerOrder(order).apply(outer, inner, look_at_all=True)
+            native.LayerOrder(order, len(outer), len(inner)).apply(outer, inner, look_at_all=True)
 
 
-def _check(garments: Sequence[OutfitGarment]) -> None:
+def _check(garments: Sequence[WornGarment]) -> None:
     """Raise ValueError for what no body could wear."""
     names = [garment.model.name for garment in garments]
     if not 1 <= len(garments) <= MOST_LAYERS:
@@ -146,7 +123,7 @@ def _check(garments: Sequence[OutfitGarment]) -> None:
             )
 
 
-def _waistband_of(garments: Sequence[OutfitGarment], inner: int) -> int | None:
+def _waistband_of(garments: Sequence[WornGarment], inner: int) -> int | None:
     """Which layer a tucked one is tucked into; None where it is not, or there is none."""
     if not garments[inner].tucked:
         return None
@@ -165,13 +142,11 @@ def _tucked_in(under: Layer, over: Layer) -> Layer:
         )
     rest = under.rest.copy()
     tuck_in(under, over, [(rest, over.rest)])
-    hem = np.concatenate(openings(under.bound.vertices, under.draper.faces))
-    hems = path_lengths(under.bound.vertices, under.draper.faces, hem[depth[hem] == 0])
-    return replace(under, rest=rest, hem_distance=hems, tucked_depth=depth)
+    return replace(under, rest=rest, tucked_depth=depth)
 
 
 def _depths(under: Layer, over: Layer) -> np.ndarray | None:
-    return tucked_depths((under.rest[:, :3], over.rest[:, :3]), (under.draper.faces, over.draper.faces))
+    return tucked_depths((under.rest[:, :3], over.rest[:, :3]), (under.bound.faces, over.bound.faces))
 
 
 def _check_order(under: Layer, over: Layer) -> str | None:
@@ -185,7 +160,7 @@ def _check_order(under: Layer, over: Layer) -> str | None:
             f"{under.name!r} cannot be worn under {over.name!r}: {100 * outside:.0f} % of it there hangs outside, "
             f"up to {1000 * deepest:.0f} mm; put it after {over.name!r}"
         )
-    depth = None if under.garment.tucked else _depths(under, over)
+    depth = None if under.tucked else _depths(under, over)
     if depth is None or depth.max() > DEEPEST_TUCK:
         return None
     return f"{under.name!r} goes under the waistband of {over.name!r} and is not tucked: put it after, or tuck it in"

@@ -1,0 +1,120 @@
+#include "evaluator/garment_evaluator.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+namespace physkin {
+namespace {
+
+// Whether any of the values is far from the last one, which it then takes the place of.
+bool take_over(const float* values, int count, float* last) {
+  bool jumps = false;
+  for (int k = 0; k < count; ++k) jumps |= !(std::fabs(values[k] - last[k]) <= kJump);  // the last may be no number
+  std::copy_n(values, count, last);
+  return jumps;
+}
+
+// What reads bone transforms sets large rotations off against large translations: in 8 bits that layer, a thirtieth of
+// the network weights, puts vertices out by three to seven times as much as all others together. What reads the pose
+// vector, a fiftieth, is the next: of the skirt it makes the largest errors.
+Precision of_inputs(Precision precision) {
+  return precision == Precision::int8 ? Precision::bf16 : precision;
+}
+
+const BoundGarment& validated(const BoundGarment& garment) {
+  validate(garment);
+  return garment;
+}
+
+}  // namespace
+
+Normals select_normals(const std::string& name) {
+  if (name == "skinned") return Normals::skinned;
+  if (name == "faces") return Normals::faces;
+  throw std::invalid_argument("normals '" + name + "' are unknown; they may be skinned or faces");
+}
+
+GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels, const EvaluatorOptions& options)
+    : rig_(validated(g), arena_),
+      pose_modulator_(g.pose_layers, of_inputs(options.precision), options.precision, kernels, arena_),
+      node_deformer_(g.deformer_layers, of_inputs(options.precision), options.precision, kernels, arena_),
+      learnt_sway_(g.sways_by_network()
+                       ? std::make_optional<LearntSway>(g, of_inputs(options.precision), options.precision, kernels, arena_)
+                       : std::optional<LearntSway>()),
+      garment_nodes_(g, arena_),
+      pace_(g.nodes, arena_),
+      skinner_(g, kernels, arena_),
+      bone_count_(g.bones),
+      deformer_bone_count_(g.deformer_bone_count),
+      deformer_bones_(arena_.copy(g.deformer_bones, g.deformer_bone_count)),
+      pose_(arena_.take<float>(g.dofs + 3)),
+      last_positions_(arena_.take<float>(g.dofs)),
+      bone_transforms_(arena_.take<float>(12 * g.bones)),
+      deformer_input_(arena_.take<float>(12 * g.deformer_bone_count)),
+      node_transforms_(arena_.take<float>(12 * g.nodes)),
+      corrections_(arena_.take<float>(12 * g.nodes)) {
+  if (options.normals == Normals::faces) face_normals_.emplace(g, arena_);
+}
+
+Rejection GarmentEvaluator::check_corrections() noexcept {
+  const Rejection bad = reject_beyond("node deformer output", corrections_, node_deformer_.outputs(), kLargest);
+  if (bad) forget();
+  return bad;
+}
+
+Rejection GarmentEvaluator::check_nodes() noexcept {
+  const Rejection bad = skinner_.check(node_transforms_);
+  if (bad) forget();
+  return bad;
+}
+
+void GarmentEvaluator::forget() noexcept {
+  pace_.forget();
+  if (learnt_sway_) learnt_sway_->forget();
+}
+
+void GarmentEvaluator::pose(const float* joint_positions, const GarmentInput& input) noexcept {
+  joints_jump_ = take_over(joint_positions, rig_.dofs(), last_positions_);
+  gravity_jumps_ = take_over(input.gravity, 3, last_gravity_);
+  rig_.compute_bone_transforms(joint_positions, bone_transforms_);
+  rig_.compute_pose_vector(joint_positions, input.gravity, pose_);
+  gather_deformer_input();
+}
+
+void GarmentEvaluator::pose_as(const GarmentEvaluator& other, const GarmentInput& input) noexcept {
+  std::copy_n(other.bone_transforms_, 12 * bone_count_, bone_transforms_);
+  std::copy_n(other.pose_, rig_.dofs(), pose_);
+  std::copy_n(other.last_positions_, rig_.dofs(), last_positions_);
+  joints_jump_ = other.joints_jump_;
+  gravity_jumps_ = take_over(input.gravity, 3, last_gravity_);
+  std::copy_n(input.gravity, 3, pose_ + rig_.dofs());
+  gather_deformer_input();
+}
+
+void GarmentEvaluator::gather_deformer_input() noexcept {
+  for (int k = 0; k < deformer_bone_count_; ++k) {
+    std::copy_n(bone_transforms_ + 12 * deformer_bones_[k], 12, deformer_input_ + 12 * k);
+  }
+}
+
+void GarmentEvaluator::run_networks(const GarmentInput& input) noexcept {
+  corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, nullptr));
+  if (learnt_sway_) corrections_ = learnt_sway_->added(corrections_, last_positions_, input);
+}
+
+void GarmentEvaluator::compose_nodes(const GarmentInput& input) noexcept {
+  garment_nodes_.compose(bone_transforms_, corrections_, node_transforms_);
+  if (input.passed == kStandsAlone) {
+    pace_.forget();
+  } else {
+    pace_.keep(garment_nodes_, bone_transforms_, jumped() ? -1.0f : input.passed, node_transforms_);
+  }
+  garment_nodes_.twist(bone_transforms_, input.twist, node_transforms_);
+}
+
+void GarmentEvaluator::compute_normals(const VertexRows& rows) noexcept {
+  if (face_normals_ && rows.with_normals) face_normals_->apply(rows);
+}
+
+}  // namespace physkin

@@ -1,0 +1,94 @@
+// The stages of one garment's frame: joint positions to garment vertices and normals. A frame allocates nothing.
+#pragma once
+
+#include <optional>
+#include <string>
+
+#include "evaluator/face_normals.hpp"
+#include "evaluator/garment_input.hpp"
+#include "evaluator/garment_nodes.hpp"
+#include "evaluator/learnt_sway.hpp"
+#include "evaluator/mlp.hpp"
+#include "evaluator/pace.hpp"
+#include "evaluator/rig.hpp"
+#include "evaluator/skinner.hpp"
+#include "garment/bound_garment.hpp"
+#include "garment/finite.hpp"
+#include "kernels/arena.hpp"
+#include "kernels/kernels.hpp"
+
+namespace physkin {
+
+// Where normals come from: rest normals carried by skinning, or the faces of the posed mesh.
+enum class Normals { skinned, faces };
+
+// "skinned" or "faces"; throws std::invalid_argument for another name.
+Normals select_normals(const std::string& name);
+
+// [rad], and of gravity: where a frame differs from the last one by more, that one does not count.
+constexpr float kJump = 0.5f;
+
+struct EvaluatorOptions {
+  Precision precision = Precision::fp32;
+  Normals normals = Normals::skinned;
+};
+
+class GarmentEvaluator {
+ public:
+  // Validates and copies the garment; throws std::invalid_argument.
+  GarmentEvaluator(const BoundGarment& garment, const Kernels& kernels, const EvaluatorOptions& options);
+  GarmentEvaluator(const GarmentEvaluator&) = delete;  // its members point into its own arena
+  GarmentEvaluator& operator=(const GarmentEvaluator&) = delete;
+
+  // In order, each from what the last one left. joint_positions (dofs) in radians.
+  void pose(const float* joint_positions, const GarmentInput& input) noexcept;
+  // Takes over what `pose` left in another garment on the same body, under a gravity of its own.
+  void pose_as(const GarmentEvaluator& other, const GarmentInput& input) noexcept;
+  void run_networks(const GarmentInput& input) noexcept;
+  void compose_nodes(const GarmentInput& input) noexcept;
+  void skin(const VertexRows& rows) noexcept { skinner_.skin(node_transforms_, rows); }
+  void compute_normals(const VertexRows& rows) noexcept;  // from faces; does nothing if they are skinned
+
+  // What `run_networks` and `compose_nodes` have left is refused where it is not finite. The next frame is then a first one.
+  Rejection check_corrections() noexcept;
+  Rejection check_nodes() noexcept;
+
+  // (nodes, 3, 4) of the last frame, root frame, metres.
+  const float* node_transforms() const { return node_transforms_; }
+  // Whether a joint, or gravity, is far from where the frame before had it.
+  bool jumped() const { return joints_jump_ || gravity_jumps_; }
+  // What the networks last gave, (nodes, 12); zeros before the first frame.
+  const float* corrections() const { return corrections_; }
+
+  int dofs() const { return rig_.dofs(); }
+  int nodes() const { return garment_nodes_.count(); }
+  int vertex_count() const { return skinner_.vertex_count(); }
+  int skinning_terms() const { return skinner_.terms(); }
+
+ private:
+  void forget() noexcept;  // what was before
+  void gather_deformer_input() noexcept;
+
+  // Members are built in this order, so that a frame walks the arena from front to back.
+  Arena arena_;
+  Rig rig_;
+  Mlp pose_modulator_;
+  Mlp node_deformer_;
+  std::optional<LearntSway> learnt_sway_;
+  GarmentNodes garment_nodes_;
+  Pace pace_;
+  Skinner skinner_;
+  int bone_count_, deformer_bone_count_;
+  const std::int32_t* deformer_bones_;
+  float* pose_;
+  float* last_positions_;  // (dofs) of the frame before
+  float last_gravity_[3] = {};
+  bool joints_jump_ = true, gravity_jumps_ = true;  // since then
+  float* bone_transforms_;
+  float* deformer_input_;
+  float* node_transforms_;
+  const float* corrections_;
+  std::optional<FaceNormals> face_normals_;
+};
+
+}  // namespace physkin

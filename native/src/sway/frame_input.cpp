@@ -1,0 +1,114 @@
+#include "sway/frame_input.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace physkin {
+namespace {
+
+constexpr double kLargestFelt = 2.999;  // in units of gravity: a pendulum never asks for what would be refused
+
+// What is left when nothing but gravity is known.
+GarmentInput under(const double* gravity) {
+  GarmentInput row;
+  for (int k = 0; k < 3; ++k) row.gravity[k] = float(gravity[k]);
+  return row;
+}
+
+// Effective gravity, and the twist, of cloth that swings as much as `amount`.
+GarmentInput swung(const RootSample& root, double amount) {
+  double world[3], felt[3];
+  for (int k = 0; k < 3; ++k) world[k] = amount * root.deflection[k];
+  world[2] -= kStandardGravity;
+  carry_back(root.turn, world, felt);
+  const double length = std::sqrt(felt[0] * felt[0] + felt[1] * felt[1] + felt[2] * felt[2]);
+  const double shrink = std::min(1.0, kLargestFelt * kStandardGravity / std::max(length, 1e-9));
+  for (double& value : felt) value = value * shrink / kStandardGravity;
+  GarmentInput row = under(felt);
+  row.twist = float(amount * root.twist);
+  return row;
+}
+
+}  // namespace
+
+void FrameInput::reset() noexcept {
+  pendulum_.reset();
+  has_time_ = false;
+  passed_ = -1;
+}
+
+const char* FrameInput::hang(const double* direction) noexcept {
+  const double length = std::hypot(direction[0], direction[1], direction[2]);
+  if (!(std::abs(length - 1) <= 1e-3)) return "gravity must be a unit direction (3,)";
+  std::fill(rows_.begin(), rows_.end(), under(direction));
+  rates_known_ = networks_count_ = true;
+  return nullptr;
+}
+
+const char* FrameInput::accelerate(const double* effective_gravity, const double* at_rest) noexcept {
+  const double* felt = effective_gravity;
+  if (!(std::hypot(felt[0], felt[1], felt[2]) <= kLargestEffectiveGravity * kStandardGravity)) {
+    return "effective_gravity must be (3,), finite, up to 29.4 m/s2 long";
+  }
+  for (std::size_t k = 0; k < rows_.size(); ++k) {
+    double own[3];
+    for (int axis = 0; axis < 3; ++axis) {
+      const double start = at_rest == nullptr ? 0 : at_rest[axis], share = at_rest == nullptr ? 1 : garments_[k].sway;
+      own[axis] = (start + share * (felt[axis] - start)) / kStandardGravity;
+    }
+    rows_[k] = under(own);
+  }
+  networks_count_ = false;
+  return nullptr;
+}
+
+void FrameInput::follow(const RootSample& root) noexcept {
+  for (std::size_t k = 0; k < rows_.size(); ++k) {
+    const auto [has_network, sway] = garments_[k];
+    GarmentInput& row = rows_[k] = has_network || sway == 0 ? under(root.gravity) : swung(root, sway);
+    for (int axis = 0; axis < 3; ++axis) {
+      row.velocity[axis] = float(std::clamp(root.velocity[axis], -kFastest, kFastest));
+      row.turning[axis] = float(std::clamp(root.turning[axis], -kFastest, kFastest));
+    }
+  }
+  rates_known_ = root.known;
+  networks_count_ = true;
+}
+
+const char* FrameInput::move(double time, const double* root) noexcept {
+  if (const char* wrong = pendulum_.move(time, root)) return wrong;
+  follow(pendulum_.sample());
+  return nullptr;
+}
+
+const char* FrameInput::begin_frame(double time) noexcept {
+  if (!std::isfinite(time)) return "time must be finite";
+  const double passed = time - time_;
+  const float elapsed = has_time_ ? float(std::max(passed, 0.0)) : -1.0f;
+  if (!has_time_ || passed != 0) {
+    passed_ = has_time_ && passed > 0 && passed <= kLargestGap ? float(passed) : -1.0f;
+    time_ = time;
+    has_time_ = true;
+  }
+  for (std::size_t k = 0; k < rows_.size(); ++k) {
+    const auto [has_network, sway] = garments_[k];
+    GarmentInput& row = rows_[k];
+    const bool swings = sway > 0;
+    row.passed = swings ? passed_ : -1;
+    row.sway = swings && has_network && networks_count_ ? float(sway) : 0;
+    row.elapsed = swings ? elapsed : -1;
+    row.moves = swings && rates_known_ && passed_ >= 0 ? 1.0f : 0.0f;
+  }
+  return nullptr;
+}
+
+void FrameInput::begin_still_frame() noexcept {
+  reset();
+  for (GarmentInput& row : rows_) {
+    row.passed = kStandsAlone;
+    row.elapsed = -1;
+    row.sway = row.moves = 0;
+  }
+}
+
+}  // namespace physkin

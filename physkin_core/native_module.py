@@ -1,0 +1,15 @@
+"""The module in C++, `physkin_core._native`, imported in one place so that its absence is explained in one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+try:
+    import physkin_core._native as native
+except ImportError as error:
+    raise ImportError(
+        f"physkin_core in {Path(__file__).parent} has no native module built for this Python ({error}). In a source "
+        "folder, install with `pip install -e .`, or start Python elsewhere to use the installed package."
+    ) from error
+
+__all__ = ["native"]

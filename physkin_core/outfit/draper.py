@@ -1,0 +1,191 @@
+"""Draper: joint positions in, a garment out. An outfit of one garment, for whoever has no more.
+
+Dimensions: `d` scalar degrees of freedom, `n` garment vertices, `m` garment nodes. Radians, metres, root frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar
+from physkin_core.model.garment import Garment
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.outfit.outfit import Outfit
+from physkin_core.rig.bone_rotations import BoneRotations
+from physkin_core.runtime.binding import bind_points
+from physkin_core.runtime.bound_file import save_bound_garment
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.evaluator import Precision
+from physkin_core.runtime.layer import Layer, WornGarment
+from physkin_core.runtime.rest_look import RestLook
+from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
+
+__all__ = ["Draper"]
+
+
+class Draper:
+    """Drapes one garment on one body, a pose at a time.
+
+    precision, fit, normals: as of `Outfit`.
+    points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
+        space; they have no faces.
+    outfit: that of this one garment.
+    Where the garment does not sit, that joins the `warnings` of `avatar`, and is issued as AvatarWarning.
+    Raises TypeError for anything but a model and an avatar; ValueError for an unknown precision or kind of normals, a
+    body of another rig, a fit that is not possible, points that are not this garment's, or normals of faces where there
+    are points without any.
+    """
+
+    def __init__(
+        self,
+        model: GarmentModel,
+        avatar: Avatar,
+        *,
+        precision: Precision | None = None,
+        fit: float | None = None,
+        normals: Literal["skinned", "faces"] = "skinned",
+        points: np.ndarray | None = None,
+        point_normals: np.ndarray | None = None,
+    ) -> None:
+        if not isinstance(model, GarmentModel) or not isinstance(avatar, Avatar):
+            given = f"{type(model).__name__}, {type(avatar).__name__}"
+            raise TypeError(f"Draper takes a garment model, then an avatar: Draper(model, avatar), got Draper({given})")
+        self.outfit = Outfit([WornGarment(model, fit=fit)], avatar, precision=precision, normals=normals)
+        self._bone_rotations: dict[str, BoneRotations] = {}
+        if points is not None:
+            bound = self.layer.bound
+            placed = bind_points(model, points, normals=point_normals, rest=bound.vertices)
+            self.outfit = self.outfit.giving(0, replace(bound, **placed))
+
+    @property
+    def layer(self) -> Layer:
+        """The garment as it is worn here."""
+        return self.outfit.layers[0]
+
+    @property
+    def model(self) -> GarmentModel:
+        """The garment model."""
+        return self.layer.model
+
+    @property
+    def avatar(self) -> Avatar:
+        """The body, with what was warned of."""
+        return self.outfit.avatar
+
+    @property
+    def fit(self) -> float:
+        """0 for one size to 1 for made to measure."""
+        return self.layer.fit
+
+    @property
+    def bound(self) -> BoundGarment:
+        """What a frame needs."""
+        return self.layer.given
+
+    @property
+    def at_rest(self) -> RestLook:
+        """How the garment sits, seen when it was bound."""
+        return self.layer.at_rest
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """(d,) names of the joint positions, in the order `drape` takes them."""
+        return self.outfit.joint_names
+
+    @property
+    def instruction_set(self) -> str:
+        """Of the evaluator."""
+        return self.outfit.instruction_set
+
+    @property
+    def precision(self) -> Precision:
+        """Of the network weights it computes with."""
+        return self.outfit.precision
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of points n that `drape` writes."""
+        return self.layer.vertex_count
+
+    @property
+    def faces(self) -> np.ndarray:
+        """(f, 3) int32 triangles between the points that `drape` writes; (0, 3) when `points` were given."""
+        return self.layer.faces
+
+    @property
+    def rest_garment(self) -> Garment:
+        """The model's mesh in the rest shape worn here, which depends on the fit: what strains are measured against."""
+        return self.layer.rest_garment
+
+    def drape(
+        self,
+        joint_positions: np.ndarray | Mapping[str, float],
+        gravity: np.ndarray = UPRIGHT_GRAVITY,
+        *,
+        effective_gravity: np.ndarray | None = None,
+        time: float | None = None,
+        root: np.ndarray | None = None,
+        out: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Deform the garment for one pose.
+
+        joint_positions, gravity, effective_gravity, time, root: as of `Outfit.drape`, which raises ValueError for what
+        is not allowed. out: (n, 6) or (n, 3) writable float32 view, any row stride; default a new (n, 6).
+        Returns `out`: x, y, z [m], then the unit normal.
+        """
+        outs = None if out is None else [out]
+        return self.outfit.drape(
+            joint_positions, gravity, effective_gravity=effective_gravity, time=time, root=root, outs=outs
+        )[0]
+
+    def drape_rotations(
+        self,
+        rotations: np.ndarray | Mapping[str, Sequence[float]],
+        gravity: np.ndarray = UPRIGHT_GRAVITY,
+        *,
+        skeleton: Literal["rig", "vrm"] = "rig",
+        effective_gravity: np.ndarray | None = None,
+        out: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """As `drape`, of a pose given as rotations of bones: unit quaternions (x, y, z, w) by bone, others at rest.
+
+        rotations, skeleton: see `BoneRotations`. Raises ValueError as `drape` and `BoneRotations.joint_positions` do.
+        """
+        if skeleton not in self._bone_rotations:
+            self._bone_rotations[skeleton] = BoneRotations(self.model.rig, skeleton=skeleton)
+        positions = self._bone_rotations[skeleton].joint_positions(rotations)
+        return self.drape(positions, gravity, effective_gravity=effective_gravity, out=out)
+
+    @property
+    def sway(self) -> float:
+        """How much the cloth swings where `drape` is given time and root; as of `Outfit`."""
+        return self.outfit.sway
+
+    @sway.setter
+    def sway(self, amount: float) -> None:
+        self.outfit.sway = amount
+
+    def reset(self) -> None:
+        """Let the cloth hang still, as if the next frame were the first."""
+        self.outfit.reset()
+
+    def bind_frame(self, joint_positions: np.ndarray, inputs: np.ndarray, out: np.ndarray) -> Callable[[], None]:
+        """A frame bound to its arrays, as of `Outfit.bind_frame`."""
+        return self.outfit.bind_frame(joint_positions, inputs, [out])
+
+    def save_bound(self, path: str | Path) -> None:
+        """Write what is bound here for hosts without Python: see native/include/physkin.h."""
+        save_bound_garment(self.bound, path, name=self.model.name, joint_names=self.joint_names)
+
+    def node_transforms(self) -> np.ndarray:
+        """Garment node transforms chi (m, 3, 4) of the last `drape`, canonical garment node frame to root frame."""
+        return self.outfit.node_transforms()[0]
+
+    def bone_transforms(self, joint_positions: np.ndarray) -> np.ndarray:
+        """(b, 3, 4) canonical-to-posed transforms of this body's bones; as of `Outfit`."""
+        return self.outfit.bone_transforms(joint_positions)

@@ -1,0 +1,89 @@
+"""A garment as it is worn: what is asked for, and what comes of it on a body.
+
+Dimensions: `n` garment vertices, `v` of them given. Metres, root frame, canonical pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from physkin_core.model.garment import Garment
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.surface_paths import openings, path_lengths
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.evaluator import drape_poses
+from physkin_core.runtime.rest_look import RestLook
+
+__all__ = ["Layer", "WornGarment"]
+
+
+@dataclass(frozen=True)
+class WornGarment:
+    """A garment and how it is to be worn. tucked: its hem goes under the waistband of the next layer that is not
+    tucked. fit: as of `Outfit`; None: the outfit's."""
+
+    model: GarmentModel
+    tucked: bool = False
+    fit: float | None = None
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A garment as an outfit wears it on its body.
+
+    model, tucked, fit: as asked for, the fit being known. bound: what drapes it, whole and by itself, over what lies
+    beneath. rest: (n, 6) float32 vertices and unit normals of the drape at rest, tucked in. at_rest: how it sits on the
+    skin, before it is tucked in and taken in: that puts some of the hem into the skin below the waistband, where nobody
+    sees it. tucked_depth: (n,) [m] below the waistband that it is tucked into, 0 above.
+    hidden: (n,) bool, what is covered in all everyday poses. visible: (v,) int32, the vertices that are given; given:
+    the bound garment of these. moved: whether vertices are moved after skinning, to keep the order of layers or a tuck.
+    """
+
+    model: GarmentModel
+    tucked: bool
+    fit: float
+    bound: BoundGarment
+    rest: np.ndarray
+    at_rest: RestLook
+    tucked_depth: np.ndarray
+    hidden: np.ndarray
+    visible: np.ndarray
+    given: BoundGarment
+    moved: bool = False
+
+    @property
+    def name(self) -> str:
+        """The model's."""
+        return self.model.name
+
+    @property
+    def faces(self) -> np.ndarray:
+        """(f, 3) int32 triangles between the vertices that are given; (0, 3) where these are points without any."""
+        return self.given.faces
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices v that are given."""
+        return len(self.given.vertices)
+
+    @cached_property
+    def rest_garment(self) -> Garment:
+        """The model's whole mesh in the rest shape worn here, which depends on the fit: what strains are measured
+        against."""
+        return self.model.garment.reshaped(self.bound.vertices)
+
+    @cached_property
+    def hem_distance(self) -> np.ndarray:
+        """(n,) [m] along the cloth at rest from each vertex to its closest opening; tucked hems are none."""
+        vertices, faces = self.bound.vertices, self.bound.faces
+        hem = np.concatenate([np.empty(0, dtype=int), *openings(vertices, faces)])
+        return path_lengths(vertices, faces, hem[self.tucked_depth[hem] == 0])
+
+    def drape(self, poses: Iterable[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
+        """The whole garment by itself in poses (joint positions (d,) [rad], direction of gravity (3,)): of each (n, 6)
+        float32."""
+        return drape_poses(self.bound, poses)

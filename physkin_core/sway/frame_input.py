@@ -1,0 +1,167 @@
+"""What the garments of one avatar are given in a frame besides joint positions.
+
+For each garment a row of numbers: how gravity pulls at it, how far its cloth has twisted about the root, how much time
+has passed since the frame before, and how fast the root moves. native/src/sway/frame_input.cpp works them out for
+everybody: `Outfit` and `Draper`, the ROS node, replay and hosts in C.
+
+Dimensions: `g` garments. Metres, seconds, radians, root frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from numbers import Real
+
+import numpy as np
+
+from physkin_core.native_module import native
+
+__all__ = [
+    "LARGEST_EFFECTIVE_GRAVITY",
+    "STANDARD_GRAVITY",
+    "UPRIGHT_GRAVITY",
+    "FrameInput",
+    "Pendulum",
+    "RootSample",
+    "checked_sway",
+    "unit_direction",
+]
+
+STANDARD_GRAVITY: float = native.constants["standard_gravity"]
+"""[m/s2] what a gravity direction stands for."""
+LARGEST_EFFECTIVE_GRAVITY: float = native.constants["largest_effective_gravity"]
+"""In units of gravity; training knows no more."""
+UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
+"""Gravity direction in the root frame of an upright body."""
+
+Pendulum = native.Pendulum
+"""What a root that moves does to cloth, and how fast it moves: `move(time, root)` gives a `RootSample`, for whoever
+learns of the root at other times than of joints, as the ROS node does. `time` and `root` as of `FrameInput.move`."""
+RootSample = native.RootSample
+"""What is known of a root at one pose of it, for `FrameInput.follow`."""
+
+
+class FrameInput:
+    """The rows of one avatar's garments, kept from frame to frame.
+
+    networks: whether a sway network moves each garment. Such a garment is given the root's motion; the others feel the
+    effective gravity of a pendulum that the root moves.
+
+    First say where down is, by `hang`, `accelerate`, `move` or `follow`; then begin the frame.
+    """
+
+    def __init__(self, networks: Sequence[bool]) -> None:
+        self._native = native.FrameInput(len(networks))
+        self.set_networks(networks)
+
+    @property
+    def rows(self) -> np.ndarray:
+        """(g, 14) float32, a view that every frame overwrites: effective gravity (3) in units of gravity; twist [rad];
+        passed time [s], negative where the frame before does not count; how much a sway network counts, 0 to 1; elapsed
+        time [s] for it; whether rates count, 0 or 1; velocity (3) [m/s] and turning (3) [rad/s] of the root."""
+        return self._native.rows
+
+    def set_networks(self, networks: Sequence[bool]) -> None:
+        """Other garments, of the same number."""
+        for garment, has_network in enumerate(networks):
+            self._native.set_network(garment, bool(has_network))
+
+    @property
+    def sways(self) -> tuple[float, ...]:
+        """How much the cloth of each garment swings where the time is known, 1 (the default) all of it. 0: not at all,
+        and every frame stands by itself. Raises ValueError, when set, for other numbers, or another number of them."""
+        return tuple(self._native.sway(garment) for garment in range(len(self.rows)))
+
+    @sways.setter
+    def sways(self, amounts: Sequence[float]) -> None:
+        if len(amounts) != len(self.rows):
+            raise ValueError(f"sway has {len(amounts)} numbers; expected one for each of {len(self.rows)} garments")
+        for garment, amount in enumerate([checked_sway(amount) for amount in amounts]):
+            self._native.set_sway(garment, amount)
+
+    def reset(self) -> None:
+        """Cloth hangs still in the next frame, as in a first one; for another motion, or after the root was moved by
+        hand."""
+        self._native.reset()
+
+    def hang(self, gravity: np.ndarray) -> None:
+        """The root is at rest. gravity: (3,) unit direction in its frame. Raises ValueError for another."""
+        _checked(self._native.hang, gravity)
+
+    def accelerate(self, effective_gravity: np.ndarray, at_rest: np.ndarray | None = None) -> None:
+        """The root is accelerated, and nothing more is known of its motion. effective_gravity: (3,) [m/s2] gravity less
+        the root's acceleration, in its frame: zero in free fall, at most three times gravity. at_rest: (3,) [m/s2] what
+        it would be without the acceleration; each garment then feels as much of the difference as it sways. Raises
+        ValueError for what is not allowed."""
+        rest = None if at_rest is None else np.ascontiguousarray(at_rest, dtype=np.float64)
+        _checked(lambda vector: self._native.accelerate(vector, rest), effective_gravity)
+
+    def move(self, time: float, root: np.ndarray) -> None:
+        """The root moves through the world. time: [s], of any clock; frames may come at any rate. root: (7,) where it
+        is, x, y, z [m], and its unit quaternion x, y, z, w, world <- root; the world has Z up.
+
+        A time that comes twice changes nothing. After more than a quarter of a second, a jump of the root or a clock
+        that goes back, cloth comes to rest by itself. Raises ValueError for values that are not finite, another number
+        of them, or a quaternion of no length.
+        """
+        _checked(lambda vector: self._native.move(time, vector), root)
+
+    def follow(self, root: RootSample) -> None:
+        """The root moves as a pendulum knows it that is moved elsewhere."""
+        self._native.follow(root)
+
+    def begin_frame(self, time: float | None = None) -> None:
+        """Begin a frame at `time` [s], of any clock, or one that stands by itself, and ends what was before. Where the
+        clock stands, what was said last is said again: a joint state may come in parts. Raises ValueError unless the
+        time is finite."""
+        if time is None:
+            self._native.begin_still_frame()
+        else:
+            self._native.begin_frame(time)
+
+    def fill(
+        self,
+        gravity: np.ndarray = UPRIGHT_GRAVITY,
+        *,
+        effective_gravity: np.ndarray | None = None,
+        time: float | None = None,
+        root: np.ndarray | None = None,
+    ) -> None:
+        """All of it in one call, of what is known: `root`, or else `effective_gravity`, or else `gravity`, here of any
+        length but zero. Raises ValueError as the methods above do, and where `root` is given without `time`, or with
+        `effective_gravity`."""
+        if root is not None:
+            if time is None or effective_gravity is not None:
+                raise ValueError("give time with root, and no effective gravity: it follows from them")
+            self.move(time, root)
+        elif effective_gravity is not None:
+            self.accelerate(effective_gravity)
+        else:
+            self.hang(unit_direction(gravity))
+        self.begin_frame(time)
+
+
+def unit_direction(gravity: np.ndarray) -> np.ndarray:
+    """Unit direction (3,) float64 of a gravity of any length. Raises ValueError unless it is finite and has one."""
+    down = np.asarray(gravity, dtype=np.float64)
+    length = math.hypot(*down.tolist()) if down.shape == (3,) else math.nan
+    if not 1e-9 <= length < math.inf:
+        raise ValueError(f"gravity must be a finite, non-zero direction (3,), got {down.tolist()}")
+    return down / length
+
+
+def checked_sway(amount: float) -> float:
+    """How much something sways, as a float. Raises ValueError unless it is a number from 0 to 1."""
+    if not (isinstance(amount, Real) and 0 <= amount <= 1):
+        raise ValueError(f"sway must be a number from 0 to 1, got {amount!r}")
+    return float(amount)
+
+
+def _checked(take: Callable[[np.ndarray], None], values: np.ndarray) -> None:
+    """Hand a vector over; what is refused is told with its values."""
+    vector = np.ascontiguousarray(values, dtype=np.float64)
+    try:
+        take(vector)
+    except ValueError as error:
+        raise ValueError(f"{error}, got {vector.tolist()}") from None
