@@ -62,4 +62,4 @@ class NativeLayerOrder:
         first = self._native is None
         if first:
             self._native = native.LayerOrder(self._order, len(steady), len(yielding))
-        self._native.apply(steady, yielding, look_at_all=look_at_all or first)
+        self.native.apply(steady, yielding, look_at_all=look_at_all or first)

@@ -15,7 +15,7 @@ from physkin_bench.network_case import network_case
 from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, Peer, prepare_peers
 from physkin_bench.timing import time_in_turns
 from physkin_core import cli, load_garment_model
-from physkin_core.runtime.native_evaluator import PRECISIONS, supported_instruction_sets
+from physkin_core.runtime.evaluator import PRECISIONS, supported_instruction_sets
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "notebook" / "benchmark.md"
 

@@ -17,11 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.cli import main
+from physkin_core.native_module import native
 from physkin_core.runtime.bound_file import save_bound_garment
-from physkin_core.runtime.native_evaluator import PRECISIONS, _native, supported_instruction_sets
+from physkin_core.runtime.evaluator import PRECISIONS, supported_instruction_sets
 
 OK, BAD_ARGUMENT, BAD_FILE, BAD_POSE = range(4)
-INSTALLED = Path(_native.__file__).parent
+INSTALLED = Path(native.__file__).parent
 C_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 
 

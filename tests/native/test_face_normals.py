@@ -11,7 +11,7 @@ from reference.frame import ReferenceFrame
 from physkin_core import Draper
 from physkin_core.model.garment import vertex_normals
 from physkin_core.runtime import binding
-from physkin_core.runtime.native_evaluator import supported_instruction_sets
+from physkin_core.runtime.evaluator import supported_instruction_sets
 
 LEVELS = supported_instruction_sets()
 

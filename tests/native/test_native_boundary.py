@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from native_frames import NativeFrame, clouds, told
 
-from physkin_core.runtime.native_evaluator import supported_instruction_sets
+from physkin_core.runtime.evaluator import supported_instruction_sets
 
 # --- A frame: never silently lost, never half written. Rows: test_frame_rows.py; layouts: test_any_step.py. ---
 

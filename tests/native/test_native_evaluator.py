@@ -9,8 +9,9 @@ from reference.frame import ReferenceFrame
 from reference.frame_input import FrameInput
 from reference.skinning import skin
 
+from physkin_core.native_module import native
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.native_evaluator import _native, supported_instruction_sets
+from physkin_core.runtime.evaluator import supported_instruction_sets
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 
@@ -185,4 +186,4 @@ def test_frames_do_not_interact(make_garment, make_pose):
 
 def test_both_sides_name_the_same_fields():
     """The dataclass and the list that native code reads, checks and loads by."""
-    assert sorted(_native.bound_garment_fields()) == sorted(field.name for field in fields(BoundGarment))
+    assert sorted(native.bound_garment_fields()) == sorted(field.name for field in fields(BoundGarment))

@@ -9,7 +9,7 @@ import pytest
 from reference.limb_separator import ReferenceLimbSeparator
 
 from physkin_core import DegreeOfFreedom, Rig, avatar_from_body, load_body_model
-from physkin_core.runtime.native_evaluator import supported_instruction_sets
+from physkin_core.runtime.evaluator import supported_instruction_sets
 from physkin_core.separation.collision_shape import fit_collision_shape
 from physkin_core.separation.limb_separator import SeparationSettings
 

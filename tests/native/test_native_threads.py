@@ -46,12 +46,12 @@ def skinner(make_garment):
 
 
 def encoder(make_garment):
-    from physkin_core.runtime.native_body_encoder import native_body_modulation
+    from physkin_core.runtime.body_encoder import encode_points
 
     rng = np.random.default_rng(0)
     network = random_hyper_modulator(rng, 64, width=32)
     points, normals = rng.uniform(-1, 1, size=(1000, 3)), unit_rows(rng, 1000)
-    return lambda: native_body_modulation(network, points, normals)
+    return lambda: encode_points(network, points, normals)
 
 
 @pytest.mark.parametrize("work", [evaluator, skinner, encoder])

@@ -43,11 +43,11 @@ class FrameInput(NamedTuple):
 class ReferenceFrameInput:
     """From time and root to the rows of garments that are worn together.
 
-    settings: of the pendulum. learnt: whether each garment has a sway network; others are moved by the pendulum.
+    learnt: whether each garment has a sway network; others are moved by the pendulum.
     """
 
-    def __init__(self, settings, learnt):
-        self._pendulum, self._learnt, self._last = Pendulum(settings), learnt, None
+    def __init__(self, learnt):
+        self._pendulum, self._learnt, self._last = Pendulum(), learnt, None
         self._passed = -1.0
 
     def rows(self, time, root, amounts):

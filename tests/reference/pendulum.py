@@ -12,6 +12,7 @@ each; between them the equation is solved in closed form, whatever time has pass
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -29,10 +30,24 @@ LARGEST_FELT = 2.999 * GRAVITY
 """[m/s2] Training knows no more."""
 
 
-class Pendulum:
-    """State of one avatar's cloth. settings: `PendulumSettings`."""
+@dataclass(frozen=True)
+class Settings:
+    """frequency [Hz], damping D [1/s] and gain sideways; lift_frequency [Hz] and lift_gain along gravity, where it is
+    damped without overshoot; twist_damping D [1/s], at the frequency of swinging; air_drag c [1/s]."""
 
-    def __init__(self, settings):
+    frequency: float = 1.5
+    damping: float = 4.0
+    gain: float = 3.5
+    lift_frequency: float = 5.0
+    lift_gain: float = 1.0
+    twist_damping: float = 7.0
+    air_drag: float = 2.0
+
+
+class Pendulum:
+    """State of one avatar's cloth."""
+
+    def __init__(self, settings=Settings()):
         sideways, along = 2 * math.pi * settings.frequency, 2 * math.pi * settings.lift_frequency
         self._frequency = np.array([sideways, sideways, along, sideways])
         self._damping = np.array([settings.damping, settings.damping, 2 * along, settings.twist_damping])

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from physkin_core.runtime.draper import in_units_of_gravity
 from random_models import SIZES, random_avatar, random_model, random_pose, tube, unit_rows
 from reference.hyper_modulator import body_modulation
 from reference.skinning import skin, unit
@@ -25,7 +26,6 @@ from physkin_core.model.hyper_modulator import at_fit
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.runtime import binding
 from physkin_core.runtime.binding import bind_garment
-from physkin_core.runtime.draper import in_units_of_gravity
 from physkin_core.runtime.garment_grading import GarmentGrading
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from native_frames import NativeFrameInput
+from physkin_core.sway.pendulum import PendulumSettings
 from reference.pace import PACE, REACH, Pace
 
 import physkin_core as physkin
-from physkin_core.sway.pendulum import PendulumSettings
 
 UNTOLD = -1.0
 ROOT = (0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0)

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 from native_frames import NativeFrameInput
+from physkin_core.sway.pendulum import PendulumSettings
 from reference.frame_input import ReferenceFrameInput
 from reference.pendulum import LARGEST_GAP, LARGEST_TWIST
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import physkin_core as physkin
-from physkin_core.sway.pendulum import PendulumSettings
 
 STILL = (0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0)
 

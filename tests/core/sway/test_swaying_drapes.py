@@ -101,7 +101,7 @@ def test_an_outfit_swings_as_its_garments_do(skirt):
 def test_garments_of_an_outfit_sway_as_much_as_each_is_told(skirt):
     """Each as where all sway so much; the root moves once for both."""
     shirt = physkin.load_garment_model("tshirt")
-    outfit = physkin.Outfit([physkin.OutfitGarment(shirt, tucked=True), skirt.model], skirt.avatar)
+    outfit = physkin.Outfit([physkin.WornGarment(shirt, tucked=True), skirt.model], skirt.avatar)
     all_of_it, none = outfit.twin(), outfit.twin()
     outfit.sway, all_of_it.sway, none.sway = (0.0, 0.7), 0.7, 0.0
     assert outfit.sway == outfit.sways == (0.0, 0.7) and all_of_it.sways == (0.7, 0.7)
@@ -159,7 +159,7 @@ def test_a_skirt_stays_behind_a_turn(skirt):
 def test_trousers_turn_with_their_wearer_and_nothing_tucked_twists():
     trousers, shirt = physkin.load_garment_model("trousers"), physkin.load_garment_model("tshirt")
     avatar = physkin.load_avatar(physkin.BUNDLED_AVATAR, trousers.rig)
-    outfit = physkin.Outfit([physkin.OutfitGarment(shirt, tucked=True), trousers], avatar)
+    outfit = physkin.Outfit([physkin.WornGarment(shirt, tucked=True), trousers], avatar)
     still = outfit.drape(trousers.rig.rest)
     moved = turned(outfit, trousers.rig.rest)
     assert all(np.abs(a - b).max() < 1e-4 for a, b in zip(moved, still))

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from physkin_ros.root.garment_gravity import GarmentGravity
 from random_models import random_avatar, random_model, tube
 from scipy.spatial.transform import Rotation
 
 from physkin_core import Draper, Outfit
-from physkin_ros.root.garment_gravity import GarmentGravity
 from physkin_ros.root.gravity import FRESH, Felt
 from physkin_ros.root.root_motion import RootMotion
 

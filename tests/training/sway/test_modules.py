@@ -7,8 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from physkin_core.sway.learnt_sway import LearntSway
-from physkin_core.sway.moment import Moment
 from random_models import random_rig
 from reference.frame_input import FrameInput
 from reference.sway_network import SwayNetwork
