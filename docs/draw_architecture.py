@@ -1,4 +1,4 @@
-"""Draw `docs/architecture.svg` from the imports between rooms, as they are now: python docs/draw_architecture.py
+"""Draw `docs/architecture.svg` from the imports between rooms, as they are now; `make docs` does.
 
 One column a package, one box a room: what it is (first sentence of its docstring) and which rooms of its package it
 uses. A room uses only rooms further down.
@@ -12,8 +12,6 @@ from collections.abc import Mapping
 from html import escape
 
 from import_graph import NATIVE, ROOT, Module, modules, room_graph
-
-__all__ = ["DRAWING", "drawing"]
 
 DRAWING = ROOT / "docs" / "architecture.svg"
 COLUMNS = {"physkin_ros": "#e3eefb", "physkin_core": "#e6f4e4", "physkin_training": "#fdeedd"}
@@ -55,14 +53,12 @@ def drawing() -> str:
         left = MARGIN + index * (width + GAP)
         box, height = _box(left, bottom + 8, width, package, _sentence(found[package]), sorted(used), colour)
         parts, deepest = parts + box, max(deepest, height)
-    listing = "\n".join(f"{name}: {' '.join(sorted(targets))}" for name, targets in sorted(graph.items()))
     bottom = round(bottom + deepest + 2 * MARGIN)
     start = '<svg xmlns="http://www.w3.org/2000/svg" font-family="Helvetica, Arial, sans-serif"'
     head = '<marker id="head" orient="auto" markerWidth="6" markerHeight="6" refX="3" refY="3">'
     lines = (
         f'{start} viewBox="0 0 {WIDTH} {bottom}">',
         "<title>Rooms of PhySkin: a room uses only rooms further down</title>",
-        f"<desc>\n{listing}\n</desc>",
         f'<defs>{head}<path d="M0 0L6 3L0 6z" fill="#333"/></marker></defs>',
         '<rect width="100%" height="100%" fill="#fff"/>',
         *parts,

@@ -25,6 +25,7 @@ from physkin_core.outfit.outfit_options import (
     add_limbs_option,
     add_tucked_option,
     chosen_garments,
+    the_garment,
 )
 from physkin_core.output_file import check_folder, check_other_file
 
@@ -139,9 +140,7 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] = MappingProxyType(
         commands.add_parser(name, help=text, add_help=False, parents=parents)
     worn = argparse.ArgumentParser(add_help=False)
     worn.add_argument("avatar", metavar="AVATAR", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
-    worn.add_argument("second", nargs="?", help=argparse.SUPPRESS)
     add_garment_option(worn)
-    worn.add_argument("--model", help=argparse.SUPPRESS)
     worn.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
     add_fit_option(worn)
     drape = commands.add_parser("drape", parents=[worn], help="drape one frame of a motion; write a mesh or a picture")
@@ -158,7 +157,6 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] = MappingProxyType(
     bind = commands.add_parser(
         "bind", parents=[worn], help="write a garment on one avatar for hosts without Python (Unity, C, C++)"
     )
-    bind.add_argument("--push-out", action="store_true", help=argparse.SUPPRESS)  # removed: told so
     bind.add_argument("-o", "--output", type=Path, required=True, help="file to write (docs/c-host.md)")
     bind.set_defaults(run=_bind)
     info = commands.add_parser("info", help="say what a garment model file holds")
@@ -168,13 +166,6 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] = MappingProxyType(
     completion.add_argument("shell", choices=SHELLS)
     completion.set_defaults(run=_complete)
     return parser
-
-
-def _garments(options: argparse.Namespace) -> list[str]:
-    """What `--garment` names."""
-    if options.second or options.model:
-        raise ValueError("the garment is an option: physkin COMMAND AVATAR --garment MODEL -o FILE")
-    return options.garment or ["tshirt"]
 
 
 def _tell(warnings_found: Sequence[str]) -> None:
@@ -187,7 +178,7 @@ def _outfit(options: argparse.Namespace) -> Outfit:
     """The garments on the avatar, over each other."""
     from physkin_core import Outfit, load_avatar
 
-    garments = chosen_garments(_garments(options), options.tucked)
+    garments = chosen_garments(options.garment, options.tucked)
     avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
     outfit = Outfit(garments, avatar, fit=options.fit, backend=options.backend, separate_limbs=options.separate_limbs)
     _tell(outfit.warnings)
@@ -233,13 +224,9 @@ def _draw_strip(options: argparse.Namespace, motion: Motion) -> int:
 def _bind(options: argparse.Namespace) -> int:
     from physkin_core import Draper, load_avatar, load_garment_model
 
-    if options.push_out:
-        raise ValueError("--push-out: push-out was removed; a bound garment is as its model drapes it")
-    names = _garments(options)
-    if len(names) > 1:
-        raise ValueError(f"a bound file holds one garment, got {len(names)}: {', '.join(names)}")
-    check_other_file(options.output, options.avatar, names[0])
-    model = load_garment_model(names[0])
+    name = the_garment(options.garment, "a bound file holds")
+    check_other_file(options.output, options.avatar, name)
+    model = load_garment_model(name)
     draper = Draper(model, load_avatar(options.avatar, model.rig, rig_file=options.rig), fit=options.fit)
     _tell(draper.avatar.warnings)
     draper.save_bound(options.output)

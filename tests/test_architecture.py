@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from draw_architecture import DRAWING, drawing
 from import_graph import PACKAGES, ROOT, SCRIPTS, import_graph, modules, room_graph
 
 MOST_FILES, MOST_LINES = 17, 450
@@ -100,11 +99,6 @@ def test_folders_and_files_are_small():
 
 def test_every_folder_says_what_it_is():
     assert without_docstring(ROOT) == []
-
-
-def test_drawing_is_of_these_imports():
-    """Else: python docs/draw_architecture.py"""
-    assert DRAWING.read_text() == drawing()
 
 
 # --- Each rule, on a made-up tree that breaks it ---

@@ -23,7 +23,6 @@ __all__ = ["command_parser", "main"]
 WRITERS = {
     ".glb": write_gltf_motion,
     ".usd": write_usd_motion,
-    ".usda": write_usd_motion,
     ".usdc": write_usd_motion,
 }
 
@@ -47,7 +46,7 @@ def command_parser() -> argparse.ArgumentParser:
         *("-o", "--output"),
         type=Path,
         required=True,
-        help="a .glb with garment nodes as joints, or .usd, .usda, .usdc with every vertex in every frame",
+        help="a .glb with garment nodes as joints, or .usd, .usdc with every vertex in every frame",
     )
     return parser
 

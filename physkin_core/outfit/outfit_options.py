@@ -18,7 +18,10 @@ __all__ = [
     "add_sway_option",
     "add_tucked_option",
     "chosen_garments",
+    "the_garment",
 ]
+
+DEFAULT = "tshirt"
 
 
 def add_outfit_options(parser: argparse.ArgumentParser) -> None:
@@ -38,14 +41,14 @@ def add_avatar_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
 
 
-def add_garment_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--garment`, a list; None where it is not given."""
+def add_garment_option(parser: argparse.ArgumentParser, default: str = DEFAULT) -> None:
+    """Add `--garment`, a list; None where it is not given. default: what help says is worn then."""
     parser.add_argument(
         *("-g", "--garment"),
         action="append",
         metavar="MODEL",
-        help="a file or a shipped name (default tshirt), of another fabric as in skirt:denim; several, from the skin "
-        "outwards, are an outfit",
+        help=f"a file or a shipped name (default {default}), of another fabric as in skirt:denim; several, from the "
+        "skin outwards, are an outfit",
     )
 
 
@@ -74,11 +77,21 @@ def add_sway_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def the_garment(names: Sequence[str] | None, taker: str) -> str:
+    """The one file or shipped name that `--garment` gives to a command of one garment; a T-shirt where there is none.
+
+    taker: what holds or drapes one, for the ValueError where several are named."""
+    name, *more = names or [DEFAULT]
+    if more:
+        raise ValueError(f"{taker} one garment, got {len(names)}: {', '.join(names)}")
+    return name
+
+
 def chosen_garments(names: Sequence[str] | None, tucked: Sequence[str]) -> list[OutfitGarment]:
     """Garments by file or shipped name, from the skin outwards; a T-shirt where none is named.
 
     Raises ValueError when one is tucked that is not worn, or a file is no model."""
-    names = names or ["tshirt"]
+    names = names or [DEFAULT]
     files = [split_fabric(name)[0] for name in names]
     for name in tucked:
         if name not in names and name not in files:

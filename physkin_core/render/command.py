@@ -27,8 +27,6 @@ def main(argv: list[str]) -> int:
     options = command_parser().parse_args(argv)
     camera = Camera(
         azimuth=_finite("--azimuth", options.azimuth),
-        elevation=_finite("--elevation", options.elevation, low=0, high=89),
-        distance=None if options.distance is None else _finite("--distance", options.distance, low=0.1, high=1000),
         follow=options.follow,
         size=_size(options.size),
         samples=int(_finite("--samples", options.samples, low=1, high=1024)),
@@ -70,16 +68,6 @@ def command_parser() -> argparse.ArgumentParser:
         default=usual.azimuth,
         metavar="DEG",
         help="side the camera is on: 0 in front, 90 on the left, 180 behind (default %(default)s)",
-    )
-    parser.add_argument(
-        "--elevation",
-        type=float,
-        default=usual.elevation,
-        metavar="DEG",
-        help="how far up it stands (default %(default)s)",
-    )
-    parser.add_argument(
-        "--distance", type=float, metavar="M", help="how far away it stands (default: as near as everything fits)"
     )
     parser.add_argument(
         "--follow",

@@ -17,7 +17,7 @@ from pathlib import Path
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_motion
 from physkin_core.fit_option import add_fit_option
 from physkin_core.motion.reading_progress import reading_progress
-from physkin_core.outfit.outfit_options import add_tucked_option, chosen_garments
+from physkin_core.outfit.outfit_options import add_garment_option, add_tucked_option, chosen_garments
 from physkin_ros.arguments import file_to_write, positive
 from physkin_ros.middleware.transport import private_environment
 from physkin_ros.tools.children import ChildFailedError, Children
@@ -83,12 +83,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         *("-o", "--output"), type=file_to_write, default=Path("demo.png"), help="picture (default %(default)s)"
     )
-    parser.add_argument(
-        *("-g", "--garment"),
-        action="append",
-        metavar="MODEL",
-        help=f"shipped garment or model file; several, from the skin outwards (default {', '.join(WORN)})",
-    )
+    add_garment_option(parser, ", ".join(WORN))
     add_tucked_option(parser)
     add_fit_option(parser)
     parser.add_argument("--body", default="", help="avatar file (default: the bundled avatar)")
