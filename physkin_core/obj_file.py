@@ -28,8 +28,8 @@ class FaceNames(NamedTuple):
 
 @dataclass(frozen=True)
 class ObjFile:
-    """vertices: (n, 3) in the order, frame and unit of the file. faces: (f, 3); larger ones, which `polygons` counts, are
-    fans. uv: (f, 3, 2) of each corner, NaN for none. names: what faces are called, each once; face_names: (f,)
+    """vertices: (n, 3) in the order, frame and unit of the file. faces: (f, 3); larger ones, `polygons` of them, are
+    cut into fans. uv: (f, 3, 2) of each corner, NaN for none. names: what faces are called, each once; face_names: (f,)
     indices into them. libraries: material libraries, as they are named. lines: all of the file, continued ones joined.
     """
 

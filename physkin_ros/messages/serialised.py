@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 import sys
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,10 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from rclpy.publisher import Publisher
 
-__all__ = ["MARKER", "SerialisedMessage"]
-
-MARKER = 1.2345678e-30
-"""Fills a payload of floating point until its place among the bytes is known."""
+__all__ = ["SerialisedMessage"]
 
 STAMP_OFFSET = 4  # after the encapsulation, in any message that begins with a header
 
@@ -25,24 +23,26 @@ STAMP_OFFSET = 4  # after the encapsulation, in any message that begins with a h
 class SerialisedMessage:
     """A stamped message of constant size.
 
-    message: with its payload, an array of numbers, filled with `marker`; nothing else in it may be `marker`.
-    payload: view of the payload, of the shape and dtype of `marker`, zeros at first.
+    message_of: makes the message of the bytes of its payload, which here are all the same. payload: view of them in the
+    message as it travels, where two messages of different payloads differ; of this shape and dtype, zeros at first.
     Raises RuntimeError when the middleware lays the message out otherwise than expected.
     """
 
-    def __init__(self, message, marker: np.ndarray) -> None:
+    def __init__(self, message_of: Callable[[bytes], object], shape: tuple[int, ...], dtype: type) -> None:
         from rclpy.serialization import serialize_message
 
-        data = serialize_message(message)
-        pattern = marker.tobytes()
-        at = data.find(pattern)
-        if at < 0 or data[:2] != (b"\0\1" if sys.byteorder == "little" else b"\0\0"):
-            raise RuntimeError(f"cannot fill a serialised {type(message).__name__} in place with this middleware")
-        self._buffer = bytearray(data)
+        count = int(np.prod(shape))
+        size = count * np.dtype(dtype).itemsize
+        blank, full = (serialize_message(message_of(size * byte)) for byte in (b"\0", b"\1"))
+        differing = []
+        if len(blank) == len(full):
+            differing = np.flatnonzero(np.frombuffer(blank, np.uint8) != np.frombuffer(full, np.uint8))
+        if len(differing) != size or blank[:2] != (b"\0\1" if sys.byteorder == "little" else b"\0\0"):
+            raise RuntimeError("cannot fill serialised messages in place with this middleware")
+        self._buffer = bytearray(blank)
         self._stamp = struct.Struct("=iI")
-        self.payload = np.frombuffer(self._buffer, dtype=marker.dtype, count=marker.size, offset=at)
-        self.payload.fill(0)
-        self.payload = self.payload.reshape(marker.shape)
+        at = int(differing[0]) if size else 0
+        self.payload = np.frombuffer(self._buffer, dtype=dtype, count=count, offset=at).reshape(shape)
 
     def stamped(self, sec: int, nanosec: int) -> bytes:
         """The message as it is now, with this stamp; a copy."""
