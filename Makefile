@@ -33,7 +33,7 @@ test-slow: $(VENV)/installed-test
 	$(PYTEST) -m slow
 
 bench: $(VENV)/installed-bench
-	$(VENV)/bin/physkin bench
+	PYTHONPATH=native $(VENV)/bin/python -m physkin_bench
 
 # A site, in build/site, with docs/architecture.svg drawn anew.
 docs: $(VENV)/installed-docs

@@ -16,8 +16,9 @@ from import_graph import NATIVE, ROOT, Module, modules, room_graph
 DRAWING = ROOT / "docs" / "architecture.svg"
 COLUMNS = {"physkin_ros": "#e3eefb", "physkin_core": "#e6f4e4", "physkin_training": "#fdeedd"}
 """Packages side by side, and the colours of their rooms."""
-FOOT = {"physkin_bench": "#f0f0f0", "physkin_studies": "#f0f0f0"}
-"""Packages drawn as one box below."""
+FOOT = ("physkin_bench", "physkin_prepare", "physkin_studies")
+"""Packages drawn as one box below: those that are not installed."""
+FOOT_COLOUR = "#f0f0f0"
 NATIVE_SENTENCE = "The evaluator in C++ (native/), which computes a frame."
 
 WIDTH, MARGIN, GAP, TOP = 960, 12, 28, 56
@@ -46,12 +47,12 @@ def drawing() -> str:
         parts.append(
             f'<path d="M{x} 27h{turn * (GAP - 10)}" stroke="#333" stroke-width="2.5" marker-end="url(#head)"/>'
         )
-    width, deepest = (WIDTH - 2 * MARGIN - GAP) / 2, 0
-    for index, (package, colour) in enumerate(FOOT.items()):
+    deepest = 0
+    for index, package in enumerate(FOOT):
         inside = {name for name in graph if name.split(".")[0] == package}
         used = {target.split(".")[0] for name in inside for target in graph[name] - inside}
-        left = MARGIN + index * (width + GAP)
-        box, height = _box(left, bottom + 8, width, package, _sentence(found[package]), sorted(used), colour)
+        left = MARGIN + index * (COLUMN + GAP)
+        box, height = _box(left, bottom + 8, COLUMN, package, _sentence(found[package]), sorted(used), FOOT_COLOUR)
         parts, deepest = parts + box, max(deepest, height)
     bottom = round(bottom + deepest + 2 * MARGIN)
     start = '<svg xmlns="http://www.w3.org/2000/svg" font-family="Helvetica, Arial, sans-serif"'

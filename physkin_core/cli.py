@@ -49,10 +49,6 @@ FORWARDED = {
         "physkin_ros.tools.demo",
         "run the node between a motion player and a listener; draw a picture",
     ),
-    "ros-bench": (
-        "physkin_ros.tools.ros_bench",
-        "measure the node between real processes: delivery, latency, CPU time",
-    ),
     "fit-garment": (
         "physkin_training.fit_garment.fit_garment",
         "check, train and report on a garment of one's own",
@@ -66,7 +62,7 @@ FORWARDED = {
         "physkin_training.sway.command",
         "learn how a garment lags, swings and settles, from simulated walkers",
     ),
-    "bench": ("physkin_bench", "time a frame, its stages and other engines on this machine"),
+    "bench": ("physkin_core.bench", "time a frame and its stages on this machine"),
     "simulate": ("physkin_training.evaluate.simulate", "drape a garment on an avatar by minimising its energy"),
     "evaluate": ("physkin_training.evaluate.command", "measure a garment model or outfits on bodies it has not seen"),
     "contact-sheet": (

@@ -18,7 +18,8 @@ MAY_IMPORT = {
     "physkin_core": set(),
     "physkin_ros": {"physkin_core"},
     "physkin_training": {"physkin_core"},
-    "physkin_bench": {"physkin_core"},
+    "physkin_bench": {"physkin_core", "physkin_ros"},
+    "physkin_prepare": {"physkin_core", "physkin_training"},
     "physkin_studies": {"physkin_core", "physkin_training", "physkin_bench"},
 }
 """Package -> others of ours that it may import."""

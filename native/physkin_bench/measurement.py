@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, astuple
+from dataclasses import astuple
 from functools import partial
 
 import numpy as np
@@ -11,8 +11,8 @@ import numpy as np
 from physkin_bench.cases import BenchmarkCase, skinning_case
 from physkin_bench.network_case import network_case
 from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, prepare_peers
-from physkin_bench.timing import time_in_turns
 from physkin_core import _native
+from physkin_core.bench import STAGES, bound_step, stage_steps, time_in_turns, timing_keys
 from physkin_core.quality import edge_strain
 from physkin_core.runtime.native_evaluator import (
     PRECISIONS,
@@ -23,16 +23,7 @@ from physkin_core.runtime.native_evaluator import (
 from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
 from physkin_core.separation.reference_separator import SeparationSettings
 
-__all__ = ["BATCH_SIZES", "STAGES", "measure_case"]
-
-STAGES = {
-    "posing": "pose",
-    "networks": "run_networks",
-    "composition": "compose_nodes",
-    "skinning": "skin",
-    "frame": "step",
-}
-"""Stage -> method of a bound step."""
+__all__ = ["BATCH_SIZES", "measure_case"]
 
 BATCH_SIZES = (1, 4, 8)
 BYTES_A_WEIGHT = {"fp32": 4, "bf16": 2, "int8": 1}
@@ -51,17 +42,13 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
     """
     middle = len(case.joint_positions) // 2
     bound, pose, gravity = case.bound, case.joint_positions[middle].copy(), case.gravity[middle].copy()
-    calls: dict[str, Callable[[], object]] = {}
-    evaluators, steps = {}, {}
-    for level in (levels := supported_instruction_sets()):
-        for precision in PRECISIONS:
-            evaluators[precision] = NativeEvaluator(bound, instruction_set=level, precision=precision)
-            steps[precision] = _bound_step(evaluators[precision], bound, pose, gravity)
-            for stage, method in STAGES.items():
-                calls[f"{precision}.{level}.{stage}"] = getattr(steps[precision], method)
+    found, levels = stage_steps(bound, pose, gravity), supported_instruction_sets()
+    evaluators, steps = ({p: found[f"{p}.{levels[-1]}"][k] for p in PRECISIONS} for k in (0, 1))
+    calls = {f"{name}.{stage}": getattr(found[name][1], method) for name in found for stage, method in STAGES.items()}
+    for level in levels:
         if len(bound.faces):
             normals = NativeEvaluator(bound, instruction_set=level, normals="faces")
-            calls[f"face_normals.{level}"] = _bound_step(normals, bound, pose, gravity).compute_normals
+            calls[f"face_normals.{level}"] = bound_step(normals, bound, pose, gravity).compute_normals
         if case.limbs is not None:
             shape, arms_down = case.limbs
             separator = _native.LimbSeparator(shape, *astuple(SeparationSettings()), level)
@@ -91,8 +78,7 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
 
     figures: dict[str, object] = {"model": case.name, "vertices": len(bound.vertices)}
     figures |= {"network_weights": networks.weight_count, "activation": bound.activation}
-    for name, timing in timings.items():
-        figures |= {f"{name}.us.{figure}": value for figure, value in asdict(timing).items() if figure != "count"}
+    figures |= timing_keys(timings)
     terms = evaluators["fp32"].skinning_terms
     blocks = -(-len(bound.vertices) // BLOCK)
     multiply_adds = BLOCK * (12 * terms + MULTIPLY_ADDS_A_VERTEX * blocks)
@@ -106,12 +92,6 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
         errors = _errors(case, evaluators[precision])
         figures |= {f"error.{precision}.{figure}": value for figure, value in errors.items()}
     return figures | {"missing": missing}
-
-
-def _bound_step(evaluator: NativeEvaluator, bound, pose: np.ndarray, gravity: np.ndarray):
-    step = evaluator.bind_step(pose, gravity, np.empty((len(bound.vertices), 6), dtype=np.float32))
-    step.step()
-    return step
 
 
 def _batches(case: BenchmarkCase) -> dict[str, Callable[[], object]]:

@@ -73,7 +73,7 @@ class TriangleMarker:
         from visualization_msgs.msg import Marker
 
         def message_of(data: bytes) -> Marker:
-            x, y, z = np.frombuffer(data, count=3).tolist()  # of every corner: the bytes are all the same
+            x, y, z = np.frombuffer(data, count=3).tolist()  # of every corner, `PERIOD` being as long
             points = [Point(x=x, y=y, z=z)] * faces.size
             message = Marker(ns=name, type=Marker.TRIANGLE_LIST, action=Marker.ADD, points=points)
             message.header.frame_id = frame_id

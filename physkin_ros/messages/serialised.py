@@ -17,14 +17,16 @@ if TYPE_CHECKING:
 
 __all__ = ["SerialisedMessage"]
 
+PERIOD = bytes(range(1, 25))
+"""Three numbers of 8 bytes or six of 4, none of which is the same, or not finite."""
 STAMP_OFFSET = 4  # after the encapsulation, in any message that begins with a header
 
 
 class SerialisedMessage:
     """A stamped message of constant size.
 
-    message_of: makes the message of the bytes of its payload, which here are all the same. payload: view of them in the
-    message as it travels, where two messages of different payloads differ; of this shape and dtype, zeros at first.
+    message_of: makes the message of the bytes of its payload; asked once, of bytes in which `PERIOD` recurs, by which
+    their place is found. payload: view of that place, of this shape and dtype, zeros at first.
     Raises RuntimeError when the middleware lays the message out otherwise than expected.
     """
 
@@ -33,15 +35,14 @@ class SerialisedMessage:
 
         count = int(np.prod(shape))
         size = count * np.dtype(dtype).itemsize
-        blank, full = (serialize_message(message_of(size * byte)) for byte in (b"\0", b"\1"))
-        differing = []
-        if len(blank) == len(full):
-            differing = np.flatnonzero(np.frombuffer(blank, np.uint8) != np.frombuffer(full, np.uint8))
-        if len(differing) != size or blank[:2] != (b"\0\1" if sys.byteorder == "little" else b"\0\0"):
+        pattern = (PERIOD * (size // len(PERIOD) + 1))[:size]
+        data = serialize_message(message_of(pattern))
+        at = data.find(pattern)
+        if at < 0 or data[:2] != (b"\0\1" if sys.byteorder == "little" else b"\0\0"):
             raise RuntimeError("cannot fill serialised messages in place with this middleware")
-        self._buffer = bytearray(blank)
+        self._buffer = bytearray(data)
+        self._buffer[at : at + size] = bytes(size)
         self._stamp = struct.Struct("=iI")
-        at = int(differing[0]) if size else 0
         self.payload = np.frombuffer(self._buffer, dtype=dtype, count=count, offset=at).reshape(shape)
 
     def stamped(self, sec: int, nanosec: int) -> bytes:

@@ -1,4 +1,4 @@
-"""`physkin bench`: its keys, what it says of peers that are missing or wrong, and that peers get the same graph."""
+"""The benchmarks: their keys, what they say of peers that are missing or wrong, and that peers get the same graph."""
 
 import json
 import re
@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from physkin_bench import cases, measurement
+from physkin_bench.__main__ import main
 from physkin_bench.cases import paper_case, skinning_case
 from physkin_bench.network_case import network_case
 from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, Peer, prepare_peers
-from physkin_bench.timing import time_in_turns
 from physkin_core import cli, load_garment_model
+from physkin_core.bench import STAGES, time_in_turns
 from physkin_core.runtime.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "notebook" / "benchmark.md"
@@ -26,15 +27,15 @@ def figures(model_path, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(sys.modules, "ai_edge_litert.interpreter", None)
         patch.setattr(measurement, "SKINNING_PEERS", ())
-        command = ["bench", str(model_path), "--no-paper", "--rounds", "1", "--cold-rounds", "1"]
-        assert cli.main([*command, "--json", str(path)]) == 0
+        command = [str(model_path), "--no-paper", "--rounds", "1", "--cold-rounds", "1"]
+        assert main([*command, "--json", str(path)]) == 0
     return json.loads(path.read_text())
 
 
 def test_times_limits_and_errors_are_told(figures):
     """With their spread, for every stage, precision and instruction set; where they were measured."""
     levels = supported_instruction_sets()
-    names = [f"{p}.{level}.{stage}" for p in PRECISIONS for level in levels for stage in measurement.STAGES]
+    names = [f"{p}.{level}.{stage}" for p in PRECISIONS for level in levels for stage in STAGES]
     names += [f"{name}.{p}" for name in ("cold.frame", "cold.networks") for p in PRECISIONS]
     names += [f"batch.{p}.{count}" for p in PRECISIONS for count in (1, 4, 8)]
     names += [f"{name}.{level}" for name in ("face_normals", "separate_limbs") for level in levels]
@@ -67,7 +68,19 @@ def test_strain_is_against_what_is_worn(fit, monkeypatch):
 
 def test_rounds_below_one_are_refused(capsys):
     assert cli.main(["bench", "--rounds", "0"]) == 2
+    assert "--rounds must be 1 or more, got 0" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["--rounds", "0"])
     assert "got 0 and 30" in capsys.readouterr().err
+
+
+def test_what_is_installed_times_this_machine(model_path, tmp_path, capsys):
+    """Its stages in a table, and the same keys in the file."""
+    path = tmp_path / "mine.json"
+    assert cli.main(["bench", str(model_path), "--rounds", "1", "--json", str(path)]) == 0
+    figures, level = json.loads(path.read_text()), supported_instruction_sets()[-1]
+    assert figures["machine.cpu"] and figures["model"] == "vest"
+    assert f"| int8 | {level} | {figures[f'int8.{level}.posing.us.p50']:.1f} (" in capsys.readouterr().out
 
 
 def test_peers_that_fail_or_differ_are_left_out():

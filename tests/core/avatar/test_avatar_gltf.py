@@ -12,7 +12,7 @@ from physkin_core.avatar.loading import load_avatar
 from physkin_core.export.gltf_builder import write_gltf
 from physkin_core.rig.bone_naming import BONE_MAPS
 from physkin_core.rig.rig import Rig
-from physkin_training.prepare.avatar import AVATAR_PATH, BUNDLED_BODY, prepare_avatar, prepare_vrm, t_posed_body
+from physkin_prepare.avatar import AVATAR_PATH, BUNDLED_BODY, prepare_avatar, prepare_vrm, t_posed_body
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, tested with plain meshes
 

@@ -14,7 +14,7 @@ from physkin_core.avatar.loading import load_avatar
 from physkin_core.avatar.mesh_avatar import _upright_axis
 from physkin_core.export.gltf_builder import GltfBuilder, write_glb
 from physkin_core.rig.rig import Rig
-from physkin_training.prepare.avatar import t_posed_body
+from physkin_prepare.avatar import t_posed_body
 
 T_VERTICES, T_HEADS, T_TAILS = t_posed_body(BODY, BODY.held_out_bodies[0])
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, where it is not what is tested

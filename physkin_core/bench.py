@@ -1,0 +1,207 @@
+"""`physkin bench`: how long a frame of a garment and its stages take on this machine, on one thread.
+
+`make bench` in a clone measures more: other engines, the machine's limits, cold caches.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import os
+import platform
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter_ns
+
+import numpy as np
+
+from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
+from physkin_core.fit_option import add_fit_option
+from physkin_core.machine import processor, versions
+from physkin_core.model.model_file import load_garment_model
+from physkin_core.motion.loading import load_motion
+from physkin_core.runtime.binding import bind_garment
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
+
+__all__ = [
+    "STAGES",
+    "Timing",
+    "bound_step",
+    "command_parser",
+    "finish",
+    "machine_keys",
+    "main",
+    "markdown_table",
+    "spread",
+    "stage_steps",
+    "stage_table",
+    "time_in_turns",
+    "timing_keys",
+]
+
+STAGES = {
+    "posing": "pose",
+    "networks": "run_networks",
+    "composition": "compose_nodes",
+    "skinning": "skin",
+    "frame": "step",
+}
+"""Stage -> method of a bound step."""
+
+
+def command_parser() -> argparse.ArgumentParser:
+    """Options of `physkin bench`."""
+    parser = argparse.ArgumentParser(prog="physkin bench", description=__doc__.split("`: ")[1].splitlines()[0])
+    parser.add_argument("model", nargs="?", default="tshirt", help="garment model (default %(default)s)")
+    add_fit_option(parser)
+    parser.add_argument("--rounds", type=int, default=100, metavar="N", help="turns of 5 calls (default %(default)s)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure to this file")
+    return parser
+
+
+def main(argv: Sequence[str]) -> int:
+    """Print the times as a Markdown table, write them if asked to. Returns 0.
+
+    Raises ValueError for a model that does not exist, or a number of rounds below 1.
+    """
+    options = command_parser().parse_args(argv)
+    if options.rounds < 1:
+        raise ValueError(f"--rounds must be 1 or more, got {options.rounds}")
+    model, motion = load_garment_model(options.model), load_motion("walk")
+    bound = bind_garment(model, load_avatar(BUNDLED_AVATAR, model.rig), fit=options.fit)
+    pose, gravity = (array[motion.frame_count // 2] for array in (motion.positions_for(model.rig), motion.gravity))
+    calls = {
+        f"{name}.{stage}": getattr(step, method)
+        for name, (_, step) in stage_steps(bound, pose, gravity).items()
+        for stage, method in STAGES.items()
+    }
+    figures = {"model": model.name, "vertices": len(bound.vertices)}
+    figures |= timing_keys(time_in_turns(calls, rounds=options.rounds))
+    keys = machine_keys("physkin", "numpy") | figures
+    print(f"{model.name}, {len(bound.vertices)} vertices, on {keys['machine.cpu']}\n\n{stage_table(figures)}")
+    finish(options.json, keys)
+    return 0
+
+
+def finish(path: Path | None, keys: Mapping[str, object]) -> None:
+    """Write figures to a JSON file, if there is to be one."""
+    if path is not None:
+        path.write_text(json.dumps(keys, indent=1) + "\n")
+        print(f"wrote {path}", file=sys.stderr)
+
+
+def machine_keys(*packages: str) -> dict[str, object]:
+    """What ran the benchmark: processor, caches, load, and versions of Python and of packages."""
+    caches = sorted(Path("/sys/devices/system/cpu/cpu0/cache").glob("index*"))
+    return {
+        "machine.cpu": processor(),
+        "machine.cores": os.cpu_count(),
+        "machine.caches": [f"L{(c / 'level').read_text().strip()} {(c / 'size').read_text().strip()}" for c in caches],
+        "machine.instruction_sets": supported_instruction_sets(),
+        "machine.load_average": list(os.getloadavg()),
+        "machine.system": platform.platform(),
+        **{f"versions.{name}": number for name, number in versions(*packages).items()},
+    }
+
+
+def stage_steps(
+    bound: BoundGarment, pose: np.ndarray, gravity: np.ndarray
+) -> dict[str, tuple[NativeEvaluator, object]]:
+    """`PRECISION.ISA` -> evaluator of a bound garment, and its step at a pose (d,) [rad] and gravity (3,)."""
+    found = {}
+    for level in supported_instruction_sets():
+        for precision in PRECISIONS:
+            evaluator = NativeEvaluator(bound, instruction_set=level, precision=precision)
+            found[f"{precision}.{level}"] = evaluator, bound_step(evaluator, bound, pose, gravity)
+    return found
+
+
+def bound_step(evaluator: NativeEvaluator, bound: BoundGarment, pose: np.ndarray, gravity: np.ndarray):
+    """A step of an evaluator that has been run once."""
+    out = np.empty((len(bound.vertices), 6), dtype=np.float32)
+    step = evaluator.bind_step(pose.astype(np.float32), gravity.astype(np.float32), out)
+    step.step()
+    return step
+
+
+def timing_keys(timings: Mapping[str, Timing]) -> dict[str, float]:
+    """`NAME.us.min`, `NAME.us.p50` and `NAME.us.p99` of each."""
+    return {
+        f"{name}.us.{figure}": value
+        for name, timing in timings.items()
+        for figure, value in asdict(timing).items()
+        if figure != "count"
+    }
+
+
+def stage_table(figures: Mapping[str, object]) -> str:
+    """Stages of every precision and instruction set as a Markdown table, in µs."""
+    levels = supported_instruction_sets()[::-1]
+    rows = [
+        [p, level, *(spread(figures, f"{p}.{level}.{stage}") for stage in STAGES)]
+        for p in PRECISIONS
+        for level in levels
+    ]
+    return markdown_table(["µs: median (fastest, p99)", "instructions", *STAGES], rows)
+
+
+def spread(figures: Mapping[str, object], name: str) -> str:
+    """Median (fastest, 99th percentile)."""
+    return "{:.1f} ({:.1f}, {:.1f})".format(*(figures[f"{name}.us.{figure}"] for figure in ("p50", "min", "p99")))
+
+
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Lines of cells, and an empty line."""
+    return "\n".join(["| " + " | ".join(cells) + " |" for cells in (header, ["---"] * len(header), *rows)] + [""])
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Microseconds a call: the fastest, the median and the 99th percentile of `count` calls."""
+
+    min: float
+    p50: float
+    p99: float
+    count: int
+
+    def shared_by(self, number: int) -> Timing:
+        """A share each, where a call does the same for so many."""
+        return Timing(self.min / number, self.p50 / number, self.p99 / number, self.count)
+
+
+def time_in_turns(
+    calls: Mapping[str, Callable[[], object]],
+    *,
+    rounds: int,
+    repeats: int = 5,
+    before_each: Callable[[], object] | None = None,
+) -> dict[str, Timing]:
+    """Time every call `rounds` x `repeats` times, round robin.
+
+    A turn starts with one call that is not timed, so that the timed ones find what the call itself leaves in caches.
+    before_each: run, untimed, before every timed call (to empty the caches); the untimed call is left out then.
+    Each sample holds about 0.1 µs of Python.
+    """
+    samples: dict[str, list[int]] = {name: [] for name in calls}
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        for _ in range(rounds):
+            for name, call in calls.items():
+                if before_each is None:
+                    call()
+                for _ in range(repeats):
+                    if before_each is not None:
+                        before_each()
+                    start = perf_counter_ns()
+                    call()
+                    samples[name].append(perf_counter_ns() - start)
+    finally:
+        if collecting:
+            gc.enable()
+    figures = {name: np.percentile(np.array(taken) / 1e3, [0, 50, 99]) for name, taken in samples.items()}
+    return {name: Timing(*map(float, figures[name]), len(samples[name])) for name in calls}
