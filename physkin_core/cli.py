@@ -23,6 +23,7 @@ from physkin_core.fit_option import add_fit_option
 from physkin_core.outfit.outfit_options import (
     add_garment_option,
     add_limbs_option,
+    add_rig_option,
     add_tucked_option,
     chosen_garments,
     the_garment,
@@ -137,7 +138,7 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] = MappingProxyType(
     worn = argparse.ArgumentParser(add_help=False)
     worn.add_argument("avatar", metavar="AVATAR", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
     add_garment_option(worn)
-    worn.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    add_rig_option(worn)
     add_fit_option(worn)
     drape = commands.add_parser("drape", parents=[worn], help="drape one frame of a motion; write a mesh or a picture")
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")

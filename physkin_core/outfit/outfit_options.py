@@ -15,6 +15,7 @@ __all__ = [
     "add_garment_option",
     "add_limbs_option",
     "add_outfit_options",
+    "add_rig_option",
     "add_sway_option",
     "add_tucked_option",
     "chosen_garments",
@@ -33,11 +34,16 @@ def add_outfit_options(parser: argparse.ArgumentParser) -> None:
     add_fit_option(parser)
 
 
-def add_avatar_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--avatar` and `--rig`."""
-    parser.add_argument(
-        "--avatar", metavar="AVATAR", default=BUNDLED_AVATAR, help="body file (default: the bundled one)"
-    )
+def add_avatar_options(parser: argparse.ArgumentParser, made_on: bool = False) -> None:
+    """Add `--avatar` and `--rig`. made_on: of a garment that is no model yet; None then stands for the body that shipped
+    ones were made on, else the bundled one is the default."""
+    default, said = (None, "that of the shipped garments") if made_on else (BUNDLED_AVATAR, "the bundled one")
+    parser.add_argument("--avatar", metavar="AVATAR", default=default, help=f"body file (default: {said})")
+    add_rig_option(parser)
+
+
+def add_rig_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--rig`."""
     parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
 
 

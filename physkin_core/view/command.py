@@ -10,7 +10,7 @@ from importlib import import_module
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR
 from physkin_core.fit_option import add_fit_option
-from physkin_core.outfit.outfit_options import add_garment_option, add_limbs_option, add_tucked_option
+from physkin_core.outfit.outfit_options import add_garment_option, add_limbs_option, add_rig_option, add_tucked_option
 from physkin_core.view.page import Page
 
 __all__ = ["begin", "command_parser", "main"]
@@ -64,7 +64,7 @@ def command_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = argparse.ArgumentParser(prog="physkin view", description=__doc__.split("`: ")[1])
     parser.add_argument("avatar", metavar="AVATAR", nargs="?", help="body file (default: the bundled one)")
-    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    add_rig_option(parser)
     add_garment_option(parser, ", ".join(WORN))
     add_tucked_option(parser)
     add_fit_option(parser)

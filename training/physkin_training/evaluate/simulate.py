@@ -26,6 +26,7 @@ from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
 from physkin_core.motion.reading_progress import reading_progress
+from physkin_core.outfit.outfit_options import add_avatar_options
 from physkin_core.quality import area_strain, edge_strain
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.draper import UPRIGHT_GRAVITY, Draper
@@ -176,8 +177,7 @@ def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin simulate`."""
     parser = argparse.ArgumentParser(prog="physkin simulate", description=__doc__.splitlines()[0])
     parser.add_argument("garment", type=Path, help="garment mesh (OBJ, PLY, STL), in the canonical pose")
-    parser.add_argument("--avatar", metavar="FILE", help="body (default: the one the shipped garments were made on)")
-    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    add_avatar_options(parser, made_on=True)
     pose = parser.add_mutually_exclusive_group()
     pose.add_argument(
         "--pose", type=Path, metavar="FILE", help='JSON: {"positions": {joint: radians}, "gravity": [...]}'
