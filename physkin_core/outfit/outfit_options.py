@@ -35,8 +35,8 @@ def add_outfit_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_avatar_options(parser: argparse.ArgumentParser, made_on: bool = False) -> None:
-    """Add `--avatar` and `--rig`. made_on: of a garment that is no model yet; None then stands for the body that shipped
-    ones were made on, else the bundled one is the default."""
+    """Add `--avatar` and `--rig`. made_on: of a garment that is no model yet: None then stands for the body that
+    shipped ones were made on; else the bundled one is the default."""
     default, said = (None, "that of the shipped garments") if made_on else (BUNDLED_AVATAR, "the bundled one")
     parser.add_argument("--avatar", metavar="AVATAR", default=default, help=f"body file (default: {said})")
     add_rig_option(parser)

@@ -101,7 +101,7 @@ class DrapeNode(LifecycleNode):
             worn |= _parameters_of(stream.settings)
         for parameter in parameters:
             setting = self._changeable.get(parameter.name)
-            if setting is None or worn.get(parameter.name) == parameter.value:  # which the node may have started with
+            if setting is None or (parameter.name, parameter.value) in worn.items():  # maybe from its start
                 continue
             key = parameter.name.rsplit(".", 1)[-1]
             try:
