@@ -8,21 +8,18 @@ from __future__ import annotations
 import argparse
 import gc
 import json
-import os
-import platform
-import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter_ns
+from typing import NamedTuple
 
 import numpy as np
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
-from physkin_core.fit_option import add_fit_option
-from physkin_core.machine import processor, versions
+from physkin_core.machine import machine_line, versions_line
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
+from physkin_core.outfit.outfit_options import add_fit_option
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.native_evaluator import PRECISIONS, NativeEvaluator, supported_instruction_sets
@@ -32,7 +29,6 @@ __all__ = [
     "Timing",
     "bound_step",
     "command_parser",
-    "finish",
     "machine_keys",
     "main",
     "markdown_table",
@@ -81,30 +77,20 @@ def main(argv: Sequence[str]) -> int:
     }
     figures = {"model": model.name, "vertices": len(bound.vertices)}
     figures |= timing_keys(time_in_turns(calls, rounds=options.rounds))
-    keys = machine_keys("physkin", "numpy") | figures
-    print(f"{model.name}, {len(bound.vertices)} vertices, on {keys['machine.cpu']}\n\n{stage_table(figures)}")
-    finish(options.json, keys)
+    print(f"{model.name}, {len(bound.vertices)} vertices; {machine_line()}\n\n{stage_table(figures)}")
+    if options.json is not None:
+        options.json.write_text(json.dumps(machine_keys("physkin", "numpy") | figures, indent=1) + "\n")
     return 0
 
 
-def finish(path: Path | None, keys: Mapping[str, object]) -> None:
-    """Write figures to a JSON file, if there is to be one."""
-    if path is not None:
-        path.write_text(json.dumps(keys, indent=1) + "\n")
-        print(f"wrote {path}", file=sys.stderr)
-
-
 def machine_keys(*packages: str) -> dict[str, object]:
-    """What ran the benchmark: processor, caches, load, and versions of Python and of packages."""
+    """What ran the benchmark: the machine, its caches and instruction sets, and versions of Python and packages."""
     caches = sorted(Path("/sys/devices/system/cpu/cpu0/cache").glob("index*"))
     return {
-        "machine.cpu": processor(),
-        "machine.cores": os.cpu_count(),
-        "machine.caches": [f"L{(c / 'level').read_text().strip()} {(c / 'size').read_text().strip()}" for c in caches],
-        "machine.instruction_sets": supported_instruction_sets(),
-        "machine.load_average": list(os.getloadavg()),
-        "machine.system": platform.platform(),
-        **{f"versions.{name}": number for name, number in versions(*packages).items()},
+        "machine": machine_line(),
+        "caches": [f"L{(each / 'level').read_text().strip()} {(each / 'size').read_text().strip()}" for each in caches],
+        "instruction_sets": supported_instruction_sets(),
+        "versions": versions_line(*packages),
     }
 
 
@@ -130,12 +116,7 @@ def bound_step(evaluator: NativeEvaluator, bound: BoundGarment, pose: np.ndarray
 
 def timing_keys(timings: Mapping[str, Timing]) -> dict[str, float]:
     """`NAME.us.min`, `NAME.us.p50` and `NAME.us.p99` of each."""
-    return {
-        f"{name}.us.{figure}": value
-        for name, timing in timings.items()
-        for figure, value in asdict(timing).items()
-        if figure != "count"
-    }
+    return {f"{name}.us.{key}": value for name, each in timings.items() for key, value in each._asdict().items()}
 
 
 def stage_table(figures: Mapping[str, object]) -> str:
@@ -159,18 +140,12 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(["| " + " | ".join(cells) + " |" for cells in (header, ["---"] * len(header), *rows)] + [""])
 
 
-@dataclass(frozen=True)
-class Timing:
-    """Microseconds a call: the fastest, the median and the 99th percentile of `count` calls."""
+class Timing(NamedTuple):
+    """Microseconds a call: the fastest, the median and the 99th percentile."""
 
     min: float
     p50: float
     p99: float
-    count: int
-
-    def shared_by(self, number: int) -> Timing:
-        """A share each, where a call does the same for so many."""
-        return Timing(self.min / number, self.p50 / number, self.p99 / number, self.count)
 
 
 def time_in_turns(
@@ -203,5 +178,6 @@ def time_in_turns(
     finally:
         if collecting:
             gc.enable()
-    figures = {name: np.percentile(np.array(taken) / 1e3, [0, 50, 99]) for name, taken in samples.items()}
-    return {name: Timing(*map(float, figures[name]), len(samples[name])) for name in calls}
+    return {
+        name: Timing(*np.percentile(np.array(taken) / 1e3, [0, 50, 99]).tolist()) for name, taken in samples.items()
+    }

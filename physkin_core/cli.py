@@ -19,8 +19,8 @@ import numpy as np
 from physkin_core.avatar.avatar import AvatarWarning
 from physkin_core.completion import SHELLS, completion_script
 from physkin_core.extras import extra_of
-from physkin_core.fit_option import add_fit_option
 from physkin_core.outfit.outfit_options import (
+    add_fit_option,
     add_garment_option,
     add_limbs_option,
     add_rig_option,
@@ -71,7 +71,7 @@ FORWARDED = {
         "draw a model on thin, average and heavy bodies",
     ),
     "replay": (
-        "physkin_ros.tools.replay",
+        "physkin_ros.replay.command",
         "drape the joint states of a bag; write clouds, figures and a report. Needs no ROS",
     ),
     "convert": ("physkin_ros.replay.convert", "write a motion clip, BVH or AMC file as a bag of joint states"),
@@ -184,7 +184,7 @@ def _outfit(options: argparse.Namespace) -> Outfit:
 
 def _drape(options: argparse.Namespace) -> int:
     from physkin_core import load_motion
-    from physkin_core.motion.reading_progress import reading_progress
+    from physkin_core.progress import progress_line
 
     writers: dict[str, Callable] = {".obj": _write_obj, ".png": _write_png}
     write = writers.get(options.output.suffix.lower())
@@ -192,7 +192,7 @@ def _drape(options: argparse.Namespace) -> int:
         raise ValueError(f"cannot write {options.output}: the name must end in {' or '.join(writers)}")
     check_folder(options.output)
     check_other_file(options.output, options.avatar)
-    motion = load_motion(options.motion, watch=reading_progress(options.motion))
+    motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
     if not 0 <= options.frame < motion.frame_count:
         raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
     if options.strip is not None:

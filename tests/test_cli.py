@@ -193,7 +193,7 @@ def test_completion_knows_commands_and_their_options(shell, capsys):
 def test_completion_does_without_what_is_not_installed(monkeypatch, capsys):
     """The command is known all the same."""
     pytest.importorskip("shtab", reason="needs shtab: pip install 'physkin[completion]'")
-    monkeypatch.setitem(sys.modules, "physkin_ros.tools.replay", None)
+    monkeypatch.setitem(sys.modules, "physkin_ros.replay.command", None)
     assert cli.main(["completion", "bash"]) == 0
     script = capsys.readouterr().out
     assert "replay" in script and "--garment-topic" not in script

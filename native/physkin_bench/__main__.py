@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from physkin_bench.cases import model_case, paper_case
-from physkin_bench.measurement import measure_case
-from physkin_bench.report import case_tables
+from physkin_bench.measurement import BATCH_SIZES, measure_case
 from physkin_core import bench
+from physkin_core.bench import markdown_table, spread, stage_table
+from physkin_core.runtime.native_evaluator import PRECISIONS, supported_instruction_sets
 
 __all__ = ["main"]
 
@@ -37,8 +39,30 @@ def main(argv: Sequence[str]) -> int:
         )
         keys |= {prefix + key: value for key, value in figures.items()}
         print(case_tables(figures) + "\n", flush=True)
-    bench.finish(options.json, keys)
+    if options.json is not None:
+        options.json.write_text(json.dumps(keys, indent=1) + "\n")
     return 0
+
+
+def case_tables(figures: Mapping[str, object]) -> str:
+    """One case; times are µs, median (fastest, 99th percentile)."""
+
+    lines = [f"## {figures['model']}: {figures['vertices']} vertices, {figures['network_weights']} network weights", ""]
+    lines.append(stage_table(figures))
+    rows = [[p, *(spread(figures, f"batch.{p}.{count}") for count in BATCH_SIZES)] for p in PRECISIONS]
+    lines.append(markdown_table(["a body, frames together", *map(str, BATCH_SIZES)], rows))
+
+    timed = [key.removesuffix(".us.p50") for key in figures if key.endswith(".us.p50")]
+    others = [name for name in timed if name.split(".")[0] in ("face_normals", "separate_limbs", "cold")]
+    lines.append(markdown_table(["", "µs"], [[name, spread(figures, name)] for name in others]))
+    rows = []
+    for name in (name for name in timed if name.startswith("peers.")):
+        ours = f"{'int8' if name.endswith('int8') else 'fp32'}.{supported_instruction_sets()[-1]}.{name.split('.')[1]}"
+        rows.append([name, spread(figures, name), ours, f"{figures[f'{name}.us.p50'] / figures[f'{ours}.us.p50']:.2f}"])
+    lines.append(markdown_table(["peer", "µs", "ours", "times as fast"], rows))
+    rest = [key for key in figures if key.startswith(("floor.", "error."))]
+    lines.append(markdown_table(["limit or error", ""], [[key, f"{figures[key]:.3g}"] for key in rest]))
+    return "\n".join(lines + [f"missing: {name}: {reason}" for name, reason in figures["missing"].items()])
 
 
 if __name__ == "__main__":

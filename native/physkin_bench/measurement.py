@@ -12,7 +12,7 @@ from physkin_bench.cases import BenchmarkCase, skinning_case
 from physkin_bench.network_case import network_case
 from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, prepare_peers
 from physkin_core import _native
-from physkin_core.bench import STAGES, bound_step, stage_steps, time_in_turns, timing_keys
+from physkin_core.bench import STAGES, Timing, bound_step, stage_steps, time_in_turns, timing_keys
 from physkin_core.quality import edge_strain
 from physkin_core.runtime.native_evaluator import (
     PRECISIONS,
@@ -65,7 +65,8 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
     probes, amount = _probes(networks.weight_count, first_layers, levels[-1])
     timings = time_in_turns(calls | probes, rounds=rounds)
     for count in BATCH_SIZES:
-        timings |= {f"batch.{p}.{count}": timings[f"batch.{p}.{count}"].shared_by(count) for p in PRECISIONS}
+        names = [f"batch.{p}.{count}" for p in PRECISIONS]
+        timings |= {name: Timing(*(value / count for value in timings[name])) for name in names}
 
     cold = {
         f"cold.{stage}.{p}": getattr(steps[p], STAGES[stage]) for stage in ("frame", "networks") for p in PRECISIONS

@@ -19,9 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core import load_garment_model
-from physkin_core.fit_option import add_fit_option
 from physkin_core.machine import machine_line, versions_line
-from physkin_core.outfit.outfit_options import add_garment_option
+from physkin_core.outfit.outfit_options import add_fit_option, add_garment_option
 from physkin_ros.arguments import file_to_write, positive, whole_number
 from physkin_ros.middleware.transport import private_environment
 from physkin_ros.tools.children import ChildFailedError, Children

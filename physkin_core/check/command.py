@@ -14,10 +14,9 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.check.garment_check import GarmentCheck, check_garment
 from physkin_core.check.likeness import Likeness, body_overlap, likeness
-from physkin_core.fit_option import add_fit_option
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.everyday_poses import everyday_poses
-from physkin_core.outfit.outfit_options import add_limbs_option, add_rig_option
+from physkin_core.outfit.outfit_options import add_fit_option, add_limbs_option, add_rig_option
 from physkin_core.output_file import check_folder
 from physkin_core.runtime.draper import UPRIGHT_GRAVITY, Draper
 from physkin_core.separation.limb_separator import LimbSeparator

@@ -6,12 +6,12 @@ import argparse
 from collections.abc import Sequence
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR
-from physkin_core.fit_option import add_fit_option
 from physkin_core.model.model_file import load_garment_model, split_fabric
 from physkin_core.outfit.layers import OutfitGarment
 
 __all__ = [
     "add_avatar_options",
+    "add_fit_option",
     "add_garment_option",
     "add_limbs_option",
     "add_outfit_options",
@@ -45,6 +45,16 @@ def add_avatar_options(parser: argparse.ArgumentParser, made_on: bool = False) -
 def add_rig_option(parser: argparse.ArgumentParser) -> None:
     """Add `--rig`."""
     parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+
+
+def add_fit_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--fit`, a number that is left to `GarmentModel.checked_fit`; None where it is not given."""
+    parser.add_argument(
+        "--fit",
+        type=float,
+        metavar="F",
+        help="1: made to measure, 0: one size, or between (default: 1 for models that have learnt it, else 0)",
+    )
 
 
 def add_garment_option(parser: argparse.ArgumentParser, default: str = DEFAULT) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.motion.loading import load_motion
-from physkin_core.motion.reading_progress import reading_progress
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import add_limbs_option, add_outfit_options, add_sway_option, chosen_garments
 from physkin_core.progress import progress_line
@@ -32,7 +31,7 @@ def main(argv: list[str]) -> int:
         samples=int(_finite("--samples", options.samples, low=1, high=1024)),
     )
     garments = chosen_garments(options.garment, options.tucked)
-    motion = load_motion(options.motion, watch=reading_progress(options.motion))
+    motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
     rate = min(USUAL_RATE, motion.rate_hz) if options.rate is None else options.rate
     if rate != motion.rate_hz:
         motion = motion.resampled(rate)

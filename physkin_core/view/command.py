@@ -9,8 +9,13 @@ import webbrowser
 from importlib import import_module
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR
-from physkin_core.fit_option import add_fit_option
-from physkin_core.outfit.outfit_options import add_garment_option, add_limbs_option, add_rig_option, add_tucked_option
+from physkin_core.outfit.outfit_options import (
+    add_fit_option,
+    add_garment_option,
+    add_limbs_option,
+    add_rig_option,
+    add_tucked_option,
+)
 from physkin_core.view.page import Page
 
 __all__ = ["begin", "command_parser", "main"]

@@ -5,16 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = [
-    "GARMENT",
-    "GARMENT_NODES",
-    "MARKER",
-    "MESH",
-    "SPLATS",
-    "SPLAT_LOOK",
-    "TOPICS",
-    "Topic",
-]
+__all__ = ["GARMENT", "GARMENT_NODES", "MARKER", "MESH", "SPLATS", "SPLAT_LOOK", "TOPICS", "Topic"]
 
 
 @dataclass(frozen=True)

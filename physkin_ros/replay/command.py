@@ -9,10 +9,10 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from physkin_core import BACKENDS, NORMALS, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
-from physkin_core.fit_option import add_fit_option
 from physkin_core.motion.bag_reader import ORIENTATIONS, BagError, BagReader
 from physkin_core.outfit.outfit_options import (
     add_avatar_options,
+    add_fit_option,
     add_garment_option,
     add_limbs_option,
     add_sway_option,
@@ -41,6 +41,11 @@ LIVE = (
 
 def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0, or 1 when something is worse than in the baseline, which is then told."""
+    argv = sys.argv[1:] if argv is None else argv
+    if "--live" in argv:
+        from physkin_ros.tools.live import main as play_live
+
+        return play_live(argv)
     options = command_parser().parse_args(argv)
     if holds_bags(options.bag):
         return replay_all(options, replay_one)

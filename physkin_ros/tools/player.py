@@ -22,7 +22,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
 from physkin_core import Motion, load_motion
-from physkin_ros.middleware.subscriber_discovery import wait_for_subscribers
+from physkin_ros.middleware.spinning import wait_for_subscribers
 
 __all__ = ["STAMP", "STAMP_OFFSET", "cpu_seconds", "main", "play"]
 

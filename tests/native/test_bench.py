@@ -45,7 +45,7 @@ def test_times_limits_and_errors_are_told(figures):
     assert all(figures[f"floor.{name}.share"] > 0 for name in ("fp32.networks", "int8.networks", "fp32.skinning"))
     assert figures["error.fp32.vertices.mm.max"] < 0.01 < 10 > figures["error.bf16.vertices.mm.max"]
     assert abs(figures["error.fp32.edge_strain.points"]) < 1e-4
-    assert figures["machine.cpu"] and figures["versions.numpy"] == np.__version__
+    assert " cores, " in figures["machine"] and f"numpy {np.__version__}" in figures["versions"]
     assert all("not installed" in figures["missing"][f"networks.litert_{kind}"] for kind in ("fp32", "int8"))
 
 
@@ -79,7 +79,7 @@ def test_what_is_installed_times_this_machine(model_path, tmp_path, capsys):
     path = tmp_path / "mine.json"
     assert cli.main(["bench", str(model_path), "--rounds", "1", "--json", str(path)]) == 0
     figures, level = json.loads(path.read_text()), supported_instruction_sets()[-1]
-    assert figures["machine.cpu"] and figures["model"] == "vest"
+    assert figures["machine"] and figures["model"] == "vest"
     assert f"| int8 | {level} | {figures[f'int8.{level}.posing.us.p50']:.1f} (" in capsys.readouterr().out
 
 
@@ -121,7 +121,7 @@ def test_calls_take_turns():
     calls = {name: (lambda name=name: order.append(name)) for name in "ab"}
     timings = time_in_turns(calls, rounds=2, repeats=2)
     assert "".join(order) == "aaabbb" * 2
-    assert all(timing.count == 4 and 0 < timing.min <= timing.p50 <= timing.p99 for timing in timings.values())
+    assert all(0 < timing.min <= timing.p50 <= timing.p99 for timing in timings.values())
     order.clear()
     time_in_turns(calls, rounds=1, repeats=2, before_each=lambda: order.append("-"))
     assert "".join(order) == "-a-a-b-b"
