@@ -29,7 +29,6 @@ __all__ = [
     "Timing",
     "bound_step",
     "command_parser",
-    "machine_keys",
     "main",
     "markdown_table",
     "spread",
@@ -75,23 +74,13 @@ def main(argv: Sequence[str]) -> int:
         for name, (_, step) in stage_steps(bound, pose, gravity).items()
         for stage, method in STAGES.items()
     }
-    figures = {"model": model.name, "vertices": len(bound.vertices)}
+    figures = {"machine": machine_line(), "versions": versions_line("physkin", "numpy")}
+    figures |= {"model": model.name, "vertices": len(bound.vertices)}
     figures |= timing_keys(time_in_turns(calls, rounds=options.rounds))
-    print(f"{model.name}, {len(bound.vertices)} vertices; {machine_line()}\n\n{stage_table(figures)}")
+    print(f"{model.name}, {len(bound.vertices)} vertices; {figures['machine']}\n\n{stage_table(figures)}")
     if options.json is not None:
-        options.json.write_text(json.dumps(machine_keys("physkin", "numpy") | figures, indent=1) + "\n")
+        options.json.write_text(json.dumps(figures, indent=1) + "\n")
     return 0
-
-
-def machine_keys(*packages: str) -> dict[str, object]:
-    """What ran the benchmark: the machine, its caches and instruction sets, and versions of Python and packages."""
-    caches = sorted(Path("/sys/devices/system/cpu/cpu0/cache").glob("index*"))
-    return {
-        "machine": machine_line(),
-        "caches": [f"L{(each / 'level').read_text().strip()} {(each / 'size').read_text().strip()}" for each in caches],
-        "instruction_sets": supported_instruction_sets(),
-        "versions": versions_line(*packages),
-    }
 
 
 def stage_steps(

@@ -46,14 +46,8 @@ FORWARDED = {
     "doctor": ("physkin_core.doctor.command", "look whether this installation works; say what to do where not"),
     "view": ("physkin_core.view.command", "show an avatar and its outfit live, on a page in the browser"),
     "node": ("physkin_ros.node.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
-    "demo": (
-        "physkin_ros.tools.demo",
-        "run the node between a motion player and a listener; draw a picture",
-    ),
-    "fit-garment": (
-        "physkin_training.fit_garment.fit_garment",
-        "check, train and report on a garment of one's own",
-    ),
+    "demo": ("physkin_ros.tools.demo", "run the node between a motion player and a listener; draw a picture"),
+    "fit-garment": ("physkin_training.fit_garment.fit_garment", "check, train and report on a garment of one's own"),
     "train": ("physkin_training.train.train", "train a garment from its mesh and physics"),
     "train-catalogue": (
         "physkin_training.catalogue.command",
@@ -66,10 +60,7 @@ FORWARDED = {
     "bench": ("physkin_core.bench", "time a frame and its stages on this machine"),
     "simulate": ("physkin_training.evaluate.simulate", "drape a garment on an avatar by minimising its energy"),
     "evaluate": ("physkin_training.evaluate.command", "measure a garment model or outfits on bodies it has not seen"),
-    "contact-sheet": (
-        "physkin_training.evaluate.contact_sheet",
-        "draw a model on thin, average and heavy bodies",
-    ),
+    "contact-sheet": ("physkin_training.evaluate.contact_sheet", "draw a model on thin, average and heavy bodies"),
     "replay": (
         "physkin_ros.replay.command",
         "drape the joint states of a bag; write clouds, figures and a report. Needs no ROS",

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 
 from physkin_bench.cases import model_case, paper_case
 from physkin_bench.measurement import BATCH_SIZES, measure_case
-from physkin_core import bench
-from physkin_core.bench import markdown_table, spread, stage_table
+from physkin_core.bench import command_parser, markdown_table, spread, stage_table
+from physkin_core.machine import machine_line, versions_line
 from physkin_core.runtime.native_evaluator import PRECISIONS, supported_instruction_sets
 
 __all__ = ["main"]
@@ -19,7 +19,7 @@ PACKAGES = ("physkin", "numpy", "ai-edge-litert", "warp-lang")
 
 def main(argv: Sequence[str]) -> int:
     """Run the benchmark, print Markdown tables, write the keys of docs/notebook/benchmark.md if asked to."""
-    parser = bench.command_parser()
+    parser = command_parser()
     parser.prog = "python -m physkin_bench"
     parser.add_argument(
         "--cold-rounds", type=int, default=30, metavar="N", help="with cold caches (default %(default)s)"
@@ -29,7 +29,7 @@ def main(argv: Sequence[str]) -> int:
     options = parser.parse_args(argv)
     if min(options.rounds, options.cold_rounds) < 1:
         parser.error(f"rounds must be 1 or more, got {options.rounds} and {options.cold_rounds} with cold caches")
-    keys = bench.machine_keys(*PACKAGES)
+    keys = {"machine": machine_line(), "versions": versions_line(*PACKAGES)}
     print("\n".join(f"{key}: {value}" for key, value in keys.items()) + "\n")
     cases = [("", lambda: model_case(options.model, fit=options.fit))]
     cases += [] if options.no_paper else [("paper.", paper_case)]

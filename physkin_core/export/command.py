@@ -20,11 +20,7 @@ from physkin_core.progress import progress_line
 
 __all__ = ["command_parser", "main"]
 
-WRITERS = {
-    ".glb": write_gltf_motion,
-    ".usd": write_usd_motion,
-    ".usdc": write_usd_motion,
-}
+WRITERS = {".glb": write_gltf_motion, ".usd": write_usd_motion, ".usdc": write_usd_motion}
 
 
 def command_parser() -> argparse.ArgumentParser:

@@ -47,7 +47,7 @@ class GarmentCloud:
             (point_count, len(CLOUD_FIELDS)),
             np.float32,
         )
-        self.points, self.stamped, self.publish = kept.payload, kept.stamped, kept.publish
+        self.points, self.publish = kept.payload, kept.publish
 
 
 class NodesMessage:

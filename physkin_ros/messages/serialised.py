@@ -19,7 +19,7 @@ __all__ = ["SerialisedMessage"]
 
 PERIOD = bytes(range(1, 25))
 """Three numbers of 8 bytes or six of 4, none of which is the same, or not finite."""
-STAMP_OFFSET = 4  # after the encapsulation, in any message that begins with a header
+STAMP, STAMP_OFFSET = struct.Struct("=iI"), 4  # after the encapsulation, in any message that begins with a header
 
 
 class SerialisedMessage:
@@ -42,18 +42,12 @@ class SerialisedMessage:
             raise RuntimeError("cannot fill serialised messages in place with this middleware")
         self._buffer = bytearray(data)
         self._buffer[at : at + size] = bytes(size)
-        self._stamp = struct.Struct("=iI")
         self.payload = np.frombuffer(self._buffer, dtype=dtype, count=count, offset=at).reshape(shape)
-
-    def stamped(self, sec: int, nanosec: int) -> bytes:
-        """The message as it is now, with this stamp; a copy."""
-        self._stamp.pack_into(self._buffer, STAMP_OFFSET, sec, nanosec)
-        return bytes(self._buffer)
 
     def publish(self, publisher: Publisher, sec: int, nanosec: int) -> None:
         """Publish the message as it is now, with this stamp, without the copy that `Publisher.publish` asks for.
 
         Raises rclpy's RCLError when the publisher is destroyed; no other thread may destroy it meanwhile.
         """
-        self._stamp.pack_into(self._buffer, STAMP_OFFSET, sec, nanosec)
+        STAMP.pack_into(self._buffer, STAMP_OFFSET, sec, nanosec)
         publisher.handle.publish_raw(self._buffer)

@@ -19,10 +19,10 @@ from physkin_core.runtime.rest_look import RestLook
 from physkin_ros.joints.bone_rotation_message import BoneRotationReader
 from physkin_ros.joints.joint_state_wire import JointStateWire
 from physkin_ros.joints.joint_states import JointStateReader
-from physkin_ros.messages import topics
 from physkin_ros.messages.conversions import GarmentCloud, NodesMessage, TriangleMarker, garment_mesh
 from physkin_ros.messages.interfaces import missing_interfaces
 from physkin_ros.messages.splat_cloud import SplatCloud, splat_look
+from physkin_ros.messages.topics import GARMENT, GARMENT_NODES, MARKER, MESH, SPLAT_LOOK, SPLATS
 from physkin_ros.node.asset_loading import OutfitLayer
 from physkin_ros.node.diagnostics import GarmentStatistics, PoseRange
 from physkin_ros.node.interpolation import PoseInterpolator
@@ -56,23 +56,21 @@ class GarmentStream:
         self.avatar_id = avatar.id
         self.statistics = GarmentStatistics()
         self._node = node
-        self.cloud_publisher = node.create_publisher(PointCloud2, topics.GARMENT.below(place), **stream_quality())
+        self.cloud_publisher = node.create_publisher(PointCloud2, GARMENT.below(place), **stream_quality())
         self.marker_publisher = None
         if settings.marker:
-            self.marker_publisher = node.create_publisher(Marker, topics.MARKER.below(place), **stream_quality())
+            self.marker_publisher = node.create_publisher(Marker, MARKER.below(place), **stream_quality())
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.splat_publisher = self._look_publisher = self._splats = None
         if settings.points:
-            self.splat_publisher = node.create_publisher(PointCloud2, topics.SPLATS.below(place), **stream_quality())
-            self._look_publisher = node.create_publisher(PointCloud2, topics.SPLAT_LOOK.below(place), latched)
+            self.splat_publisher = node.create_publisher(PointCloud2, SPLATS.below(place), **stream_quality())
+            self._look_publisher = node.create_publisher(PointCloud2, SPLAT_LOOK.below(place), latched)
         self.nodes_publisher = self._mesh_publisher = None
         if not missing_interfaces():
             from physkin_msgs.msg import GarmentMesh, GarmentNodes
 
-            self.nodes_publisher = node.create_publisher(
-                GarmentNodes, topics.GARMENT_NODES.below(place), **stream_quality()
-            )
-            self._mesh_publisher = node.create_publisher(GarmentMesh, topics.MESH.below(place), latched)
+            self.nodes_publisher = node.create_publisher(GarmentNodes, GARMENT_NODES.below(place), **stream_quality())
+            self._mesh_publisher = node.create_publisher(GarmentMesh, MESH.below(place), latched)
 
     def show_splats(self) -> Splats:
         """The splats of the parameter `points`, where they lie on the garment; publishes what else is known of them.
