@@ -9,7 +9,7 @@ from random_models import tube
 
 from physkin_training.fit_garment.mesh_repair import boundary_loops
 
-GARMENT_FOLDER = Path(__file__).parents[3] / "training" / "garments"
+GARMENT_FOLDER = Path(__file__).parents[2] / "training" / "garments"
 VERTEX_COUNTS = {"tshirt": 3930, "longsleeve": 5072, "dress": 6438, "trousers": 4963, "skirt": 2989}
 EDGE_LENGTH = 0.015
 each_garment = pytest.mark.parametrize("name", VERTEX_COUNTS)
