@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from tabulate import tabulate
 
 from physkin_bench.cases import model_case
-from physkin_bench.timing import time_in_turns
+from physkin_core.bench import time_in_turns
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion

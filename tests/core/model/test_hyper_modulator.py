@@ -103,7 +103,7 @@ def test_paper_size_stays_below_64_megabytes():
 @pytest.fixture(scope="module")
 def people(tmp_path_factory):
     """Six A-posed bodies; the first three again as T-posed VRMs, loaded into the canonical pose."""
-    from physkin_training.prepare.avatar import prepare_vrm
+    from physkin_prepare.avatar import prepare_vrm
 
     body = load_body_model()
     folder = tmp_path_factory.mktemp("people")

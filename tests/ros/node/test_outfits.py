@@ -15,7 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 
 pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
 
-from drape_site import scaled_body, text_parameter  # noqa: E402
+from drape_site import text_parameter  # noqa: E402
 from physkin_msgs.srv import SetBody, SetGarment  # noqa: E402
 
 from physkin_core import (  # noqa: E402
@@ -40,14 +40,6 @@ def models():
 @pytest.fixture(scope="module")
 def avatar(models):
     return load_avatar(BUNDLED_AVATAR, models["tshirt"].rig)
-
-
-@pytest.fixture(scope="module")
-def other_body(tmp_path_factory):
-    """A body a tenth larger than the bundled one, in a folder of its own."""
-    path = tmp_path_factory.mktemp("bodies") / "other.glb"
-    path.write_bytes(scaled_body(1.1))
-    return path
 
 
 @pytest.fixture(scope="module")

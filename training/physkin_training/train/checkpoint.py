@@ -38,8 +38,6 @@ OWN_BUFFERS = ("influence_bias", "engine_bias", "networks.node_mean", "networks.
 """What a run sets for itself, beside what it trains."""
 FIT = "networks.hyper_modulator.fit"
 """What only a run that makes to measure, too, has."""
-FORMERLY = {"body_distribution": "adults"}
-"""Keys of configurations of earlier versions, and what all runs have now."""
 SAME = 1e-6
 """Rest positions [m] and joint limits [rad] that differ by less are the same: another processor rounds differently."""
 
@@ -278,7 +276,7 @@ def _set_random_state(random: Mapping[str, torch.Tensor], processes: Processes, 
 
 def _check_same_config(saved: dict, current: dict) -> None:
     for key in sorted(set(saved) | set(current)):
-        before, now = saved.get(key), current.get(key, FORMERLY.get(key))
+        before, now = saved.get(key), current.get(key)
         if isinstance(before, dict) and isinstance(now, dict):
             _check_same_config(before, now)
         elif before != now:
