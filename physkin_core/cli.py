@@ -139,7 +139,6 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] = MappingProxyType(
         "--strip", type=int, metavar="N", help="instead: a picture of N frames, evenly spread, front and back"
     )
     add_limbs_option(drape)
-    drape.add_argument("--backend", default="native", help="evaluator: native (default) or numpy")
     add_tucked_option(drape)
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garments as .obj, or a .png picture")
     drape.set_defaults(run=_drape)

@@ -7,7 +7,6 @@ Everything is of about a person's size and has nothing regular about it. Dimensi
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from physkin_core import Avatar, DegreeOfFreedom, Garment, GarmentModel, Rig
 from physkin_core.model.hyper_modulator import token_features
@@ -36,18 +35,6 @@ PAPER = dict(
 )
 SIZES = {"tiny": TINY, "default rig": DEFAULT_RIG, "paper": PAPER}
 """Arguments of `random_model`; "paper" has 128 bones and a pose vector of 120."""
-
-try:
-    from physkin_core import _native  # noqa: F401
-except ImportError as error:
-    _missing = f"needs the native module: {error}"
-else:
-    _missing = ""
-
-BACKENDS = [pytest.param("native", marks=pytest.mark.skipif(bool(_missing), reason=_missing)), "numpy"]
-"""Both backends, the native one skipped with a reason where it is not built."""
-
-needs_native = pytest.mark.skipif(bool(_missing), reason=_missing)
 
 
 def random_rotation(rng: np.random.Generator) -> np.ndarray:
@@ -159,7 +146,7 @@ def random_model(
     segments: int = 12,
     pose_widths: tuple[int, ...] = (16, 16),
     deformer_widths: tuple[int, ...] = (12, 12),
-    node_outputs: int = 9,
+    node_outputs: int = 12,
     activation: str = "silu",
     width: int = 8,
     correction: float = 0.1,

@@ -122,7 +122,6 @@ def test_warnings_about_an_avatar_are_printed_once(model_path, garment_model, tm
         (["drape", "{avatar}", "-g", "{model}", "--motion", "nosuch", "-o", "out.obj"], "no bundled motion 'nosuch'"),
         (["drape", "{avatar}", "-g", "{model}", "--frame", "-1", "-o", "out.obj"], "has frames 0 to"),
         (["drape", "{avatar}", "-g", "{model}", "-o", "out.fbx"], "must end in .obj or .png"),
-        (["drape", "{avatar}", "-g", "{model}", "--backend", "gpu", "-o", "out.obj"], "unknown backend 'gpu'"),
         (["info", "{avatar}"], "avatar.glb is not a garment model, allowed are .safetensors files and dress"),
         (["drape", "{avatar}", "-g", "{model}", "-o", "{tmp}/none/out.obj"], "none/out.obj: there is no folder"),
         (["drape", "{avatar}", "-g", "{model}", "-o", "{tmp}/folder.obj"], "folder.obj: it is a folder"),

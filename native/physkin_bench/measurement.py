@@ -15,7 +15,7 @@ from physkin_core.bench import STAGES, bound_frame, stage_frames, time_in_turns,
 from physkin_core.native_module import native
 from physkin_core.quality import edge_strain
 from physkin_core.runtime.evaluator import PRECISIONS, Evaluator, supported_instruction_sets
-from physkin_core.separation.reference_separator import SeparationSettings
+from physkin_core.separation.limb_separator import SeparationSettings
 
 __all__ = ["measure_case"]
 
@@ -77,8 +77,8 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
         precision, stage = name.split(".")
         figures[f"floor.{name}.us"] = floor
         figures[f"floor.{name}.share"] = floor / timings[f"{precision}.{levels[-1]}.{stage}"].p50
-    for precision in PRECISIONS:
-        errors = _errors(case, evaluators[precision], evaluators["fp32"])
+    for precision in ("bf16", "int8"):
+        errors = _errors(case, evaluators["fp32"], evaluators[precision])
         figures |= {f"error.{precision}.{figure}": value for figure, value in errors.items()}
     return figures | {"missing": missing}
 
@@ -96,9 +96,8 @@ def _probes(weights: int, first_layers: int, level: str) -> tuple[dict[str, Call
     return calls, calls["multiply_add"]()
 
 
-def _errors(case: BenchmarkCase, evaluator: Evaluator, exact: Evaluator) -> dict[str, float]:
-    """Against network weights as they are, in fp32, over the case's poses: millimetres, and what is added to the edge
-    strain."""
+def _errors(case: BenchmarkCase, exact: Evaluator, evaluator: Evaluator) -> dict[str, float]:
+    """Of rounded network weights, over the case's poses: millimetres, and what is added to the edge strain."""
     out, expected = np.empty((2, len(case.bound.vertices), 6), dtype=np.float32)
     distances, strains = [], []
     for pose, inputs in zip(case.joint_positions, case.inputs):

@@ -1,6 +1,6 @@
 """Engines that do the same on one thread: LiteRT the networks, Warp skinning.
 
-Each is built, its result compared with the float64 reference, and only then timed.
+Each is built, its result compared with the native evaluator's in fp32, and only then timed.
 """
 
 from __future__ import annotations

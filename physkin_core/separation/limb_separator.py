@@ -7,45 +7,52 @@ from __future__ import annotations
 
 import logging
 import warnings
-from dataclasses import astuple, replace
+from dataclasses import astuple, dataclass, replace
 from time import perf_counter
-from typing import Literal
 
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, AvatarWarning
 from physkin_core.motion.motion import Motion
 from physkin_core.rig.rig import Rig
-from physkin_core.separation.collision_shape import CollisionShape, fit_collision_shape
-from physkin_core.separation.reference_separator import ReferenceLimbSeparator, SeparationSettings
+from physkin_core.separation.collision_shape import fit_collision_shape
 
-__all__ = ["LimbSeparator", "separated_motion"]
+__all__ = ["LimbSeparator", "SeparationSettings", "separated_motion"]
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SeparationSettings:
+    """How gently limbs are separated.
+
+    onset: [m] outside the skin where a contact begins to count. softness: [m] over which it comes to count in full.
+    pull: [m2/rad2] of a joint towards where it was given. damping: [m2/rad2] towards where the last step left it.
+    blend: [m] of height over which a trunk bone takes over from the one below. steps: how many.
+    """
+
+    onset: float = 0.01
+    softness: float = 0.03
+    pull: float = 0.01
+    damping: float = 0.01
+    blend: float = 0.06
+    steps: int = 3
 
 
 class LimbSeparator:
     """Separates the limbs of one body, a pose at a time. Not for use by two threads at once.
 
     rig: whose joint positions come in; avatar: a body bound to it. Binding fits a collision shape to the body's skin: a
-    tenth of a second. backend: "native" (C++) or "numpy" (readable reference, slow).
-    settings: how gently, see `SeparationSettings`.
+    tenth of a second. settings: how gently.
     warnings: limbs that are left out, and why. A pose that is free is given back as it is; the canonical pose is, too:
     what touches there may. Positions stay within the rig's limits, or, where they were given beyond, do not go farther.
     The result depends on the pose alone, continuously, so that motion that is smooth stays so.
-    Raises ValueError for an unknown backend, a body of another rig, a rig or body in which no arm or leg is found.
+    Raises ValueError for a body of another rig, a rig or body in which no arm or leg is found.
     """
 
-    def __init__(
-        self,
-        rig: Rig,
-        avatar: Avatar,
-        *,
-        backend: Literal["native", "numpy"] = "native",
-        settings: SeparationSettings | None = None,
-    ) -> None:
-        if backend not in ("native", "numpy"):
-            raise ValueError(f"unknown backend {backend!r}; allowed: native, numpy")
+    def __init__(self, rig: Rig, avatar: Avatar, *, settings: SeparationSettings | None = None) -> None:
+        import physkin_core._native as _native
+
         if len(avatar.bone_heads) != rig.bone_count:
             raise ValueError(f"avatar {avatar.source} has {len(avatar.bone_heads)} bones, the rig {rig.bone_count}")
         settings = settings or SeparationSettings()
@@ -53,7 +60,7 @@ class LimbSeparator:
         self.shape, self.warnings = fit_collision_shape(avatar, rig, onset=settings.onset)
         log.info("fitted a collision shape to %s in %.0f ms", avatar.source, 1e3 * (perf_counter() - started))
         self.joint_names = rig.joint_names
-        self._separator = _separator(backend, self.shape, settings)
+        self._separator = _native.LimbSeparator(self.shape, *astuple(settings))
 
     def separate(self, joint_positions: np.ndarray, *, out: np.ndarray | None = None) -> tuple[np.ndarray, float]:
         """Positions moved as little as needed, and by how much.
@@ -80,11 +87,3 @@ def separated_motion(motion: Motion, rig: Rig, avatar: Avatar) -> Motion:
         warnings.warn(f"{avatar.source}: {warning}", AvatarWarning, stacklevel=2)
     positions = [separator.separate(each)[0] for each in motion.positions_for(rig)]
     return replace(motion, joint_names=rig.joint_names, positions=np.array(positions))
-
-
-def _separator(backend: str, shape: CollisionShape, settings: SeparationSettings):
-    if backend == "numpy":
-        return ReferenceLimbSeparator(shape, settings)
-    import physkin_core._native as _native  # checks what it is given
-
-    return _native.LimbSeparator(shape, *astuple(settings))

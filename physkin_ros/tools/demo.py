@@ -68,7 +68,7 @@ def _play(options: argparse.Namespace, keep_every: int, folder: Path) -> Records
         _say(f"starting the drape node with {' and '.join(options.garment)}")
         worn = [{"model": name, "tucked": name in options.tucked} for name in options.garment]
         asked = {"avatar": {"body_mesh": options.body}, "garment": {"fit": options.fit}, "outfit": worn}
-        start_node(children, folder, 1, **asked, queue=QUEUE, backend=options.backend)
+        start_node(children, folder, 1, **asked, queue=QUEUE)
         played = (options.motion, RATE_HZ, options.seconds, "--gravity")
         start_playing(children, folder, 1, *played, garments=len(worn), keep_every=keep_every)
         _say(f"playing {options.motion} at {RATE_HZ:.0f} Hz, {options.seconds:g} s")
@@ -87,7 +87,6 @@ def command_parser() -> argparse.ArgumentParser:
     add_fit_option(parser)
     parser.add_argument("--body", default="", help="avatar file (default: the bundled avatar)")
     parser.add_argument("--motion", default="dance", help="bundled motion or a motion file (default %(default)s)")
-    parser.add_argument("--backend", default="native", choices=("native", "numpy"), help="default %(default)s")
     return parser
 
 

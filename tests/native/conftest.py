@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from native_frames import told
 from random_models import random_layers, random_sway_network, unit_rows
 
 from physkin_core.model.sway_network import fold_body
@@ -21,8 +22,6 @@ def random_bound_garment(
     influences=3,
     pose_widths=(16, 16),
     deformer_widths=(12, 12),
-    correction_size=9,
-    activation="silu",
     used_bones=None,
     learnt_sway=False,
 ):
@@ -51,9 +50,7 @@ def random_bound_garment(
         dof_upper=lower + rng.uniform(0.5, 3.0, size=dofs).astype(np.float32),
         pose_layers=random_layers(rng, (dofs + 3, *pose_widths, 2 * sum(deformer_widths)), output_scale=0.3),
         deformer_bones=used,
-        deformer_layers=random_layers(
-            rng, (12 * len(used), *deformer_widths, correction_size * nodes), output_scale=0.1
-        ),
+        deformer_layers=random_layers(rng, (12 * len(used), *deformer_widths, 12 * nodes), output_scale=0.1),
         node_bone=rng.integers(0, bones, size=nodes).astype(np.int32),
         node_positions=box(nodes),
         node_rest=box(nodes),
@@ -61,7 +58,6 @@ def random_bound_garment(
         normals=unit_rows(rng, vertices).astype(np.float32),
         influence_nodes=rng.integers(0, nodes, size=(vertices, influences)).astype(np.int32),
         influence_weights=weights.astype(np.float32),
-        activation=activation,
         node_twist=np.maximum(rng.uniform(-0.5, 1, size=nodes), 0).astype(np.float32),
         **sway,
     )
@@ -72,7 +68,7 @@ def small_bound_file(tmp_path_factory):
     """A bound garment file of a few kilobytes with everything that one can hold."""
     rng = np.random.default_rng(40)
     faces = rng.integers(0, 50, size=(90, 3)).astype(np.int32)
-    garment = replace(random_bound_garment(rng, correction_size=12, learnt_sway=True), faces=faces)
+    garment = replace(random_bound_garment(rng, learnt_sway=True), faces=faces)
     path = tmp_path_factory.mktemp("bound") / "small.bound.safetensors"
     save_bound_garment(garment, path, name="small", joint_names=[f"joint {k}" for k in range(7)], accelerated=True)
     return path
@@ -83,13 +79,48 @@ def make_garment():
     return random_bound_garment
 
 
+def random_pose(rng, garment):
+    """Joint positions over and a little beyond the limits, and a direction of gravity."""
+    span = garment.dof_upper - garment.dof_lower
+    positions = rng.uniform(garment.dof_lower - 0.1 * span, garment.dof_upper + 0.1 * span)
+    return positions.astype(np.float32), unit_rows(rng, 1)[0].astype(np.float32)
+
+
 @pytest.fixture
 def make_pose():
-    """Joint positions over and a little beyond the limits, and a direction of gravity."""
+    return random_pose
 
-    def pose(rng, garment):
-        span = garment.dof_upper - garment.dof_lower
-        positions = rng.uniform(garment.dof_lower - 0.1 * span, garment.dof_upper + 0.1 * span)
-        return positions.astype(np.float32), unit_rows(rng, 1)[0].astype(np.float32)
 
-    return pose
+@pytest.fixture
+def make_frames():
+    """Joint positions and rows of a motion that is told anything: several rates, doubled stamps, gaps, jumps, clocks
+    that go back, drapes by themselves, any effective gravity."""
+
+    def frames(rng, garment, count):
+        positions, gravity = random_pose(rng, garment)
+        for _ in range(count):
+            far = rng.choice([0, 0.58, 2.0], p=[0.85, 0.1, 0.05]) * (
+                np.arange(len(positions)) == rng.integers(len(positions))
+            )
+            positions = (positions + rng.normal(size=len(positions), scale=0.1 * (far == 0)) + far).astype(np.float32)
+            positions = np.clip(positions, garment.dof_lower - 1, garment.dof_upper + 1)
+            gravity = 0.9 * gravity + 0.1 * rng.normal(size=3)
+            elapsed = rng.choice([1 / 120, 1 / 60, 1 / 15, 0, 0.4, 3, -1], p=[0.3, 0.3, 0.2, 0.1, 0.04, 0.04, 0.02])
+            if rng.uniform() < 0.05:
+                yield positions, told(gravity)
+                continue
+            yield (
+                positions,
+                told(
+                    gravity,
+                    twist=0.3 * rng.normal(),
+                    passed=elapsed if elapsed < 0.3 else -1.0,
+                    sway=rng.choice([1.0, 0.4, 0.0], p=[0.8, 0.15, 0.05]),
+                    elapsed=elapsed,
+                    moves=float(elapsed < 0.3 and rng.uniform() < 0.9),
+                    velocity=rng.normal(size=3),
+                    turning=rng.normal(size=3),
+                ),
+            )
+
+    return frames

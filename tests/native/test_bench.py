@@ -15,7 +15,7 @@ from physkin_bench.network_case import network_case
 from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, Peer, prepare_peers
 from physkin_core import cli, load_garment_model
 from physkin_core.bench import STAGES, time_in_turns
-from physkin_core.runtime.evaluator import PRECISIONS, supported_instruction_sets
+from physkin_core.runtime.evaluator import PRECISIONS, Evaluator, supported_instruction_sets
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "notebook" / "benchmark.md"
 
@@ -42,8 +42,7 @@ def test_times_limits_and_errors_are_told(figures):
         minimum, median, p99 = (figures[f"{name}.us.{figure}"] for figure in ("min", "p50", "p99"))
         assert 0 < minimum <= median <= p99
     assert all(figures[f"floor.{name}.share"] > 0 for name in ("fp32.networks", "int8.networks", "fp32.skinning"))
-    assert figures["error.fp32.vertices.mm.max"] < 0.01 < 10 > figures["error.bf16.vertices.mm.max"]
-    assert abs(figures["error.fp32.edge_strain.points"]) < 1e-4
+    assert 0 < figures["error.bf16.vertices.mm.max"] < 10 and abs(figures["error.bf16.edge_strain.points"]) < 1
     assert " cores, " in figures["machine"] and f"numpy {np.__version__}" in figures["versions"]
     assert all("not installed" in figures["missing"][f"networks.litert_{kind}"] for kind in ("fp32", "int8"))
 
@@ -99,11 +98,11 @@ def test_peers_that_fail_or_differ_are_left_out():
 def test_peers_compute_the_same():
     """On the paper's sizes; one that is not installed is left out. The graph itself is the native evaluator's."""
     case = paper_case()
-    pose, inputs = case.joint_positions[0], case.inputs[0]
     evaluator = Evaluator([case.bound], precision="fp32")
     out = np.empty((len(case.bound.vertices), 6), dtype=np.float32)
-    evaluator.evaluate(pose, inputs, [out])
-    networks = network_case(case.bound, pose, inputs[0, :3], evaluator.corrections())
+    evaluator.evaluate(case.joint_positions[0], case.inputs[0], [out])
+    corrections = evaluator.corrections()
+    networks = network_case(case.bound, case.joint_positions[0], case.inputs[0, 0, :3], corrections)
     skinning = skinning_case(case.bound, evaluator.node_transforms())
     np.testing.assert_allclose(out, skinning.expected, atol=1e-5)
     for peers, task in ((NETWORK_PEERS, networks), (SKINNING_PEERS, skinning)):

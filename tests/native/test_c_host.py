@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from model_files import edited_header
+from native_frames import NativeFrame, clouds, told
 from native_library import NATIVE
-from physkin_core.runtime.native_evaluator import PRECISIONS, NativeEvaluator, _native, supported_instruction_sets
+from physkin_core.runtime.native_evaluator import PRECISIONS, _native, supported_instruction_sets
 from random_models import random_avatar, random_model, random_pose
 from scipy.spatial.transform import Rotation
 
@@ -111,10 +112,8 @@ def test_every_option_gives_the_same_bits(normals, precision, level, c, make_gar
     garment = replace(make_garment(rng), faces=rng.integers(0, 50, size=(90, 3)).astype(np.int32))
     save_bound_garment(garment, tmp_path / "g", name="g", joint_names=[f"joint {k}" for k in range(7)])
     pose, gravity = make_pose(rng, garment)
-    expected = np.empty((50, 6), dtype=np.float32)
-    NativeEvaluator(garment, precision=precision, instruction_set=level, normals=normals).evaluate(
-        pose, gravity, expected
-    )
+    frame = NativeFrame([garment], precision=precision, instruction_set=level, normals=normals)
+    (expected,) = clouds(frame, [garment], pose, told(gravity))
     how = options(int(normals == "faces"), precision.encode(), level.encode())
     status, loaded = load(c, (tmp_path / "g").read_bytes(), how)
     assert status == OK, c.physkin_last_error()

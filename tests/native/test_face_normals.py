@@ -1,12 +1,13 @@
-"""Normals from the faces of the posed mesh, against the NumPy twin, on every instruction set of this CPU."""
+"""Normals from the faces of the posed mesh, against the reference, on every instruction set of this CPU."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from physkin_core.runtime.native_evaluator import NativeEvaluator, supported_instruction_sets
-from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
-from random_models import BACKENDS, random_avatar, random_model, random_pose
+from native_frames import NativeFrame, clouds, told
+from physkin_core.runtime.native_evaluator import supported_instruction_sets
+from random_models import random_avatar, random_model, random_pose
+from reference.frame import ReferenceFrame
 
 from physkin_core import Draper
 from physkin_core.model.garment import vertex_normals
@@ -33,14 +34,14 @@ def test_agree_with_the_reference(vertices, level, with_faces):
     """In rows at any distance and any byte; positions are as they were."""
     rng = np.random.default_rng(vertices)
     garment, pose, gravity = with_faces(rng, vertices)
-    expected, skinned = np.empty((2, vertices, 6), dtype=np.float32)
-    ReferenceEvaluator(garment, normals="faces").evaluate(pose, gravity, expected)
-    NativeEvaluator(garment, instruction_set=level, precision="fp32").evaluate(pose, gravity, skinned)
-    evaluator = NativeEvaluator(garment, instruction_set=level, precision="fp32", normals="faces")
+    row = told(gravity)
+    (expected,) = clouds(ReferenceFrame([garment], normals="faces"), [garment], pose, row)
+    (skinned,) = clouds(NativeFrame([garment], instruction_set=level), [garment], pose, row)
+    frame = NativeFrame([garment], instruction_set=level, normals="faces")
     message = bytearray(b"\7" * (vertices * 36 + 3))
     out = np.frombuffer(message, dtype=np.float32, offset=3).reshape(vertices, 9)
     before = out[:, 6:].copy()
-    evaluator.evaluate(pose, gravity, out[:, :6])
+    frame.evaluate(pose, row[None], [out[:, :6]])
     assert np.array_equal(out[:, :3], skinned[:, :3]) and np.array_equal(out[:, 6:], before)
     sums = np.zeros((vertices, 3))
     corners = expected[:, :3].astype(np.float64)[garment.faces]
@@ -51,23 +52,22 @@ def test_agree_with_the_reference(vertices, level, with_faces):
     unused = np.setdiff1d(np.arange(vertices), garment.faces)
     assert (out[unused, 3:6] == [0, 0, 1]).all() and len(unused) > 0
     positions = np.empty((vertices, 3), dtype=np.float32)
-    evaluator.evaluate(pose, gravity, positions)
+    frame.evaluate(pose, row[None], [positions])
     assert np.array_equal(positions, skinned[:, :3])
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_draper_takes_them_from_the_mesh_it_draped(backend, monkeypatch):
+def test_draper_takes_them_from_the_mesh_it_draped(monkeypatch):
     monkeypatch.setattr(binding, "POINT_COUNT", 50)
     rng = np.random.default_rng(71)
     model = random_model(rng)
     avatar, pose = random_avatar(rng, model.rig), random_pose(rng, model.rig)
-    draped = Draper(model, avatar, backend=backend, normals="faces").drape(*pose)
+    draped = Draper(model, avatar, normals="faces").drape(*pose)
     expected = vertex_normals(draped[:, :3].astype(np.float64), model.garment.faces)
     assert np.abs(draped[:, 3:] - expected).max() < 1e-4
-    assert np.abs(Draper(model, avatar, backend=backend).drape(*pose)[:, 3:] - expected).max() > 0.01
+    assert np.abs(Draper(model, avatar).drape(*pose)[:, 3:] - expected).max() > 0.01
     for options, message in (
         (dict(normals="smooth"), "may be skinned or faces"),
         (dict(normals="faces", points=model.garment.vertices[:9]), "need a garment with faces"),
     ):
         with pytest.raises(ValueError, match=message):
-            Draper(model, avatar, backend=backend, **options)
+            Draper(model, avatar, **options)

@@ -8,9 +8,8 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from native_frames import NativeFrame, native_skinner
 from random_models import random_hyper_modulator, unit_rows
-
-native_evaluator = pytest.importorskip("physkin_core.runtime.native_evaluator")
 
 
 @contextmanager
@@ -38,19 +37,12 @@ def other_thread() -> Iterator[Callable[[], int]]:
 
 def evaluator(make_garment):
     garment = make_garment(np.random.default_rng(0), vertices=20000, pose_widths=(256,) * 4, nodes=64)
-    return lambda: native_evaluator.NativeEvaluator(garment)
-
-
-def batch(make_garment):
-    garment = make_garment(np.random.default_rng(0), vertices=20000, nodes=64)
-    return lambda: native_evaluator.NativeEvaluatorBatch([garment, garment])
+    return lambda: NativeFrame([garment])
 
 
 def skinner(make_garment):
-    from physkin_core.runtime.native_skinner import NativeSkinner
-
-    g = make_garment(np.random.default_rng(0), vertices=20000, nodes=64)
-    return lambda: NativeSkinner(g.vertices, g.normals, g.node_rest, g.influence_nodes, g.influence_weights)
+    garment = make_garment(np.random.default_rng(0), vertices=20000, nodes=64)
+    return lambda: native_skinner(garment)
 
 
 def encoder(make_garment):
@@ -62,7 +54,7 @@ def encoder(make_garment):
     return lambda: native_body_modulation(network, points, normals)
 
 
-@pytest.mark.parametrize("work", [evaluator, batch, skinner, encoder])
+@pytest.mark.parametrize("work", [evaluator, skinner, encoder])
 def test_other_threads_go_on(work, make_garment):
     """The first of some tries in which the other thread got its turn ends the test."""
     build = work(make_garment)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from random_models import needs_native
 from training.small_runs import waist_band_model
 
 from physkin_core.avatar.body_model import load_body_model
@@ -42,7 +41,6 @@ def test_a_forearm_through_the_belly_covers_it():
     assert share[len(trunk) :].mean() < 0.5 * share[: len(trunk)].mean()
 
 
-@needs_native
 def test_rows_part_all_poses(monkeypatch, capsys):
     """Counts and means of the parts add up to those of all poses, of either kind; the table holds them."""
     monkeypatch.setattr(strain_by_overlap, "bundled_motions", lambda: ["kick"])

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from random_models import needs_native
 
 from physkin_core import BUNDLED_AVATAR, AvatarWarning, Draper, cli, load_avatar, load_body_model, load_garment_model
 from physkin_core.check.command import advice
@@ -14,7 +13,6 @@ from physkin_core.check.likeness import Likeness, body_overlap, likeness
 from physkin_core.check.rest_check import RestCheck, rest_check
 from physkin_core.motion.everyday_poses import everyday_poses
 
-pytestmark = needs_native
 WELL, BADLY = RestCheck(0.0, 0.0, 0.0), RestCheck(3.0, 5.0, 1.0)
 
 

@@ -6,14 +6,11 @@ import types
 
 import pytest
 from physkin_core.runtime.native_evaluator import supported_instruction_sets
-from random_models import needs_native
 
 from physkin_core.cli import main
 from physkin_core.doctor import command, installation
 from physkin_core.doctor.finding import Finding
 from physkin_core.extras import EXTRAS
-
-pytestmark = needs_native
 
 
 def found(look):

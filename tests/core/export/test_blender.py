@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from core.export.test_garment_looks import write_look
-from random_models import needs_native
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -16,7 +15,6 @@ from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model
 from physkin_core.cli import main
 
 pytestmark = [
-    needs_native,
     pytest.mark.skipif(find_spec("bpy") is None, reason="needs Blender as a Python package: pip install bpy"),
 ]
 

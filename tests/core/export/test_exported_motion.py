@@ -3,12 +3,9 @@
 import numpy as np
 import pytest
 from core.export.gltf_reader import Reader, in_gltf_world
-from random_models import needs_native
 
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
 from physkin_core.cli import main
-
-pytestmark = needs_native
 
 RATE = 10.0
 

@@ -9,7 +9,6 @@ import pytest
 import trimesh
 from core.export.gltf_reader import Reader, in_gltf_world
 from PIL import Image
-from random_models import needs_native
 from scipy.spatial import cKDTree
 
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
@@ -18,8 +17,6 @@ from physkin_core.export.garment_looks import LIES_ON, garment_looks
 from physkin_core.export.usd_motion import _as_identifiers
 from physkin_core.look.surfaces import surfaces_of
 from physkin_core.mesh_file import LIBRARY, Look, read_mesh, write_obj
-
-pytestmark = needs_native
 
 RATE = 5.0
 RED = (0.8, 0.05, 0.1)

@@ -6,11 +6,8 @@ import time
 import numpy as np
 import pytest
 from browser import CHROMIUM, Browser
-from random_models import needs_native
 
 from physkin_core.cli import main
-
-pytestmark = needs_native
 
 ONTO_ITS_FEET = (0.5**0.5, 0.5**0.5, 0.0, 0.0)
 """Quaternion w, x, y, z from glTF's Y up to viser's Z up."""

@@ -10,7 +10,6 @@ import pytest
 from core.export.gltf_reader import Reader
 from gltf_person import PERSON, RIG, load_document, person_document, rig_json, write_gltf
 from PIL import Image
-from random_models import needs_native
 
 from physkin_core import BUNDLED_AVATAR, load_avatar
 from physkin_core.cli import main
@@ -254,7 +253,6 @@ def test_few_colours_stand_for_many():
     assert len(palette) == 8 and (distance.argmin(axis=1) == index).mean() > 0.95
 
 
-@needs_native
 def test_exported_files_have_the_avatars_own_look(tmp_path):
     """The picture as it was, the places of the vertices, and colours; in USD the same."""
     load_document(tmp_path, textured())

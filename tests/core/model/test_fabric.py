@@ -21,7 +21,7 @@ def model() -> GarmentModel:
 
 def draped(model: GarmentModel, *, times_gravity: float = 1.0) -> np.ndarray:
     rng = np.random.default_rng(4)
-    draper = Draper(model, random_avatar(rng, model.rig), backend="numpy")
+    draper = Draper(model, random_avatar(rng, model.rig), precision="fp32")
     positions = rng.uniform(model.rig.lower, model.rig.upper).astype(np.float32)
     return draper.drape(
         positions, effective_gravity=times_gravity * STANDARD_GRAVITY * np.array([0.0, 0.6, -0.8])

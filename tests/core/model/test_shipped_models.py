@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from random_models import needs_native
 
 from physkin_core import Draper, load_body_model, load_garment_model
 from physkin_core.avatar.avatar import avatar_from_body
@@ -40,7 +39,6 @@ def test_scores_are_in_the_file(name):
             assert 0 < rows["model"][figure] < share * rows["skinning"][figure], figure
 
 
-@needs_native
 @pytest.mark.parametrize("name", GARMENTS)
 def test_drapes_are_like_the_scores(name):
     """Twelve poses on three held-out bodies, in one size: less strain than plain skinning, near the stored mean, and on

@@ -77,6 +77,6 @@ def test_what_does_not_fit_is_refused(model, change, said):
 
 
 def test_garment_nodes_of_nine_numbers_do_not_sway(model):
-    nine = random_model(np.random.default_rng(0))
+    nine = random_model(np.random.default_rng(0), node_outputs=9)
     with pytest.raises(GarmentModelError, match="needs a node deformer of 12 numbers"):
         replace(nine, sway=model.sway)

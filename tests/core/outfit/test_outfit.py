@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from physkin_core.outfit.outfit_evaluators import NativeOutfitEvaluator, ReferenceOutfitEvaluator
-from physkin_core.runtime.native_skinner import NativeSkinner
+from native_frames import NativeFrame, clouds, native_skinner, told
 from point_cloud_utils import closest_points_on_mesh
-from random_models import needs_native, random_model
+from random_models import random_model
+from reference.frame import ReferenceFrame
 from scipy.spatial import cKDTree
 
 from physkin_core import (
@@ -24,8 +24,6 @@ from physkin_core.model.garment import vertex_normals
 from physkin_core.outfit.coverage import FROM_HEM, hem_distances
 from physkin_core.outfit.tuck import DEEP, SLIDES, tucked_depths
 from physkin_core.quality import signed_distance
-
-pytestmark = needs_native
 
 
 @pytest.fixture(scope="module")
@@ -197,20 +195,16 @@ def test_a_tucked_shirt_is_taken_in(models, avatar, tucked, motion):
 
 
 @pytest.mark.parametrize("kind", ["over_trousers", "tucked"])
-def test_native_and_numpy_agree(kind, request, motion):
+def test_agrees_with_the_reference(kind, request, motion):
     """Over consecutive frames and after a jump nearly all vertices are the same to 2 um, none is off by 1 mm (a partner
     may be chosen otherwise by rounding); and neither is the drape without what is kept."""
     outfit = request.getfixturevalue(kind)
-    kept = outfit.bounds, outfit.orders
-    native, reference = NativeOutfitEvaluator(*kept, precision="fp32"), ReferenceOutfitEvaluator(*kept)
-    alone = NativeOutfitEvaluator(outfit.bounds, [], precision="fp32")
-    ours, theirs, loose = ([np.empty((n, 6), np.float32) for n in outfit.vertex_counts] for _ in range(3))
+    bounds, orders = outfit.bounds, outfit.orders
+    native, reference, alone = NativeFrame(bounds, orders), ReferenceFrame(bounds, orders), NativeFrame(bounds)
     moved = 0.0
-    for frame in (*range(40, 60), 120):
-        pose = motion[0][frame], motion[1][frame]
-        for evaluator, outs in ((native, ours), (reference, theirs), (alone, loose)):
-            evaluator.evaluate(*pose, outs)
-        for a, b, c in zip(ours, theirs, loose):
+    for frame in (*range(40, 50), 120):
+        given = motion[0][frame].astype(np.float32), told(motion[1][frame])
+        for a, b, c in zip(*(clouds(each, bounds, *given) for each in (native, reference, alone))):
             apart = np.linalg.norm(a[:, :3] - b[:, :3], axis=1)
             assert apart.max() < 1e-3 and np.quantile(apart, 0.99) < 2e-6
             moved = max(moved, np.linalg.norm(a[:, :3] - c[:, :3], axis=1).max())
@@ -229,30 +223,6 @@ def test_a_bound_step_and_positions_alone_are_the_same_frame(models, avatar, ove
         np.testing.assert_array_equal(position, cloud[:, :3])
 
 
-@pytest.mark.parametrize("backend", ["native", "numpy"])
-def test_each_garment_may_have_its_own_gravity(over_trousers, backend, motion):
-    """The first as where all have the first's; other shapes are refused. Native: a bound step gives the same."""
-    kinds = {"native": NativeOutfitEvaluator, "numpy": ReferenceOutfitEvaluator}
-    evaluator = kinds[backend](over_trousers.bounds, [])
-    positions, down, leaning = motion[0][60].astype(np.float32), np.float32([0, 0, -1]), np.float32([0.3, 0, -0.95])
-    mixed, same, other, stepped = (
-        [np.empty((n, 6), np.float32) for n in over_trousers.vertex_counts] for _ in range(4)
-    )
-    evaluator.evaluate(positions, np.stack([down, leaning]), mixed)
-    evaluator.evaluate(positions, down, same)
-    evaluator.evaluate(positions, leaning, other)
-    assert (mixed[0] == same[0]).all() and (mixed[1] == other[1]).all()
-    assert np.abs(same[1] - other[1]).max() > 1e-3
-    for shape in ((3, 3), (1, 3), (1,), ()):
-        with pytest.raises(ValueError, match="gravity must have shape"):
-            evaluator.evaluate(positions, np.ones(shape, np.float32), mixed)
-    if backend == "native":
-        evaluator.bind_step(positions, np.stack([down, leaning]), stepped).step()
-        assert all((a == b).all() for a, b in zip(stepped, mixed))
-        with pytest.raises(ValueError, match="gravity must have shape"):
-            evaluator.bind_step(positions, np.zeros((3, 3), np.float32), mixed)
-
-
 def test_garment_nodes_skin_to_what_is_not_moved(tucked, over_trousers, motion):
     """Those of each garment, of the last frame; skinned, they are the cloud where nothing is moved afterwards."""
     positions, gravity = motion[0][30], motion[1][30]
@@ -260,11 +230,8 @@ def test_garment_nodes_skin_to_what_is_not_moved(tucked, over_trousers, motion):
         assert outfit.moved == moved
         clouds = outfit.drape(positions, gravity)
         for bound, nodes, cloud, is_moved in zip(outfit.bounds, outfit.node_transforms(), clouds, moved):
-            skinned = NativeSkinner(
-                bound.vertices, bound.normals, bound.node_rest, bound.influence_nodes, bound.influence_weights
-            )
             points = np.empty_like(cloud)
-            skinned.skin(np.ascontiguousarray(nodes), points)
+            native_skinner(bound).skin(np.ascontiguousarray(nodes), points)
             assert (np.abs(points - cloud)[:, :3].max() > 1e-4) == is_moved
     with pytest.raises(IndexError, match="garment 2 of 2"):
         outfit._evaluator.node_transforms(2)
@@ -338,10 +305,6 @@ def test_what_cannot_be_worn_is_refused_in_one_sentence(models, avatar):
         Outfit(tshirt, avatar)
     with pytest.raises(TypeError, match="got str"):
         Outfit(["tshirt"], avatar)
-    with pytest.raises(ValueError, match="unknown backend 'gpu'"):
-        Outfit([tshirt], avatar, backend="gpu")
-    with pytest.raises(ValueError, match="numpy backend"):
-        Outfit([tshirt], avatar, backend="numpy", precision="int8")
 
 
 def _named(model, models):
@@ -376,7 +339,7 @@ def test_indices_of_what_is_kept_are_checked(over_trousers):
         wrong = getattr(order, field).copy()
         wrong.flat[3] = 1_000_000
         with pytest.raises(ValueError, match=rf"{field}\[3\] is 1000000"):
-            NativeOutfitEvaluator(over_trousers.bounds, [replace(order, **{field: wrong})])
+            NativeFrame(over_trousers.bounds, [replace(order, **{field: wrong})])
     for steady, yielding in ((0, 0), (0, 2), (-1, 1)):
         with pytest.raises(ValueError, match=f"layers {steady} and {yielding} must be two of 2"):
-            NativeOutfitEvaluator(over_trousers.bounds, [replace(order, steady=steady, yielding=yielding)])
+            NativeFrame(over_trousers.bounds, [replace(order, steady=steady, yielding=yielding)])

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from random_models import BACKENDS, needs_native
 from scipy.spatial.transform import Rotation
 
 from physkin_core import (
@@ -52,7 +51,6 @@ def poses(tshirt):
     return [(motion.positions_for(tshirt.rig)[frame], motion.gravity[frame]) for frame in (0, 20, 60)]
 
 
-@needs_native
 def test_splats_follow_the_garment_nodes_of_a_drape(tshirt, avatar, worn, poses):
     splats = splats_at(tshirt.garment.vertices[:50], scales=(0.004, 0.002, 0.001))
     draper = SplatDraper(tshirt, avatar, splats, binding=worn.bound)
@@ -63,7 +61,6 @@ def test_splats_follow_the_garment_nodes_of_a_drape(tshirt, avatar, worn, poses)
             np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-5)
 
 
-@needs_native
 def test_centres_on_vertices_are_the_drape(tshirt, avatar, worn, poses):
     """Of a garment made to measure, too: centres are carried to the rest shape that is worn."""
     draper = SplatDraper(tshirt, avatar, splats_at(tshirt.garment.vertices), binding=worn.bound)
@@ -72,8 +69,7 @@ def test_centres_on_vertices_are_the_drape(tshirt, avatar, worn, poses):
         np.testing.assert_allclose(draper.drape(*pose).centres, worn.drape(*pose)[:, :3], atol=2e-6)
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_rigid_cloth_turns_splats_rigidly(garment_model, backend):
+def test_rigid_cloth_turns_splats_rigidly(garment_model):
     """All garment nodes on one bone, without corrections: what the bone does between two poses, splats do."""
     *hidden, (weight, bias) = garment_model.node_deformer
     spine = BODY.rig.bone_names.index("spine03")
@@ -84,7 +80,7 @@ def test_rigid_cloth_turns_splats_rigidly(garment_model, backend):
     )
     avatar = avatar_from_body(BODY, BODY.held_out_bodies[0])
     splats = splats_at(stiff.garment.vertices[::20], np.array([0.008, 0.004, 0.001]))
-    draper = SplatDraper(stiff, avatar, splats, backend=backend)
+    draper = SplatDraper(stiff, avatar, splats)
     rng = np.random.default_rng(1)
     start, end = (rng.uniform(0.5 * BODY.rig.lower, 0.5 * BODY.rig.upper) for _ in range(2))
     before, after = draper.drape(start), draper.drape(end)
@@ -100,7 +96,6 @@ def test_rigid_cloth_turns_splats_rigidly(garment_model, backend):
     assert turned.magnitude().max() < 2e-3
 
 
-@needs_native
 def test_splats_stretch_as_the_cloth_does(tshirt, avatar, worn, poses):
     """A flat splat on every fifth triangle becomes what the draped triangle makes of it, but for a fraction of the
     strain: inside a triangle the cloth is skinned, not flat."""
@@ -140,7 +135,7 @@ def test_far_splats_are_refused_by_their_own_number(garment_model, avatar):
     vertices = garment_model.garment.vertices[:4].copy()
     normal = garment_model.rest_normals[0].astype(float)
     near = np.concatenate([vertices, vertices[:1] + 0.0495 * normal])
-    SplatDraper(garment_model, avatar, splats_at(near), fit=0, backend="numpy")
+    SplatDraper(garment_model, avatar, splats_at(near), fit=0)
     vertices[2] += [0, 0, 3.0]
     with pytest.raises(ValueError, match=r"point 2 is at least .* cm from garment 'vest'.* 1 of 4 points"):
-        SplatDraper(garment_model, avatar, splats_at(vertices), fit=0, backend="numpy")
+        SplatDraper(garment_model, avatar, splats_at(vertices), fit=0)

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from random_models import needs_native
 from scipy.spatial.transform import Rotation
 
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
@@ -65,7 +64,6 @@ def outfit():
     return Outfit([model], load_avatar(BUNDLED_AVATAR, model.rig))
 
 
-@needs_native
 @pytest.mark.parametrize("follow", [True, False])
 def test_camera_takes_everything_from_one_distance(follow, outfit, monkeypatch):
     """The box filmed has one size, holds each frame's cloth and body as they are in the world, swaying, and, following,
@@ -92,7 +90,6 @@ def test_camera_takes_everything_from_one_distance(follow, outfit, monkeypatch):
         np.testing.assert_allclose(meshes[1].vertices, turn.apply(draped) + motion.root_position[frame], atol=1e-6)
 
 
-@needs_native
 def test_command_films_an_outfit(tmp_path, capsys):
     """Two small pictures: cloth in the colours of its layers, and another pose in each."""
     pytest.importorskip("mitsuba")

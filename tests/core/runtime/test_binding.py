@@ -9,7 +9,7 @@ import numpy as np
 import point_cloud_utils
 import pytest
 import trimesh
-from random_models import needs_native, random_avatar, random_model, tube
+from random_models import random_avatar, random_model, tube
 
 from physkin_core import Draper, avatar_from_body, load_body_model
 from physkin_core.model.garment import vertex_normals
@@ -79,15 +79,14 @@ def point_cloud(garment):
 
 
 @pytest.mark.parametrize("other", [finer, coarser, cropped, point_cloud], ids=lambda f: f.__name__)
-@needs_native
 def test_other_meshes_drape_onto_the_trained_surface(model, avatar, poses, other):
     """Within a fraction of a millimetre of the trained garment's drape on average, beyond what they were apart at rest;
     in a sharp fold, whose corner the trained triangles cut off, several. The garment itself moves by decimetres."""
     points = np.asarray(other(model.garment))
     gap = surface_distance(points, model.garment.vertices, model.garment.faces)
     for pose in poses:
-        trained = Draper(model, avatar, backend="native").drape(pose)[:, :3]
-        draped = Draper(model, avatar, backend="native", points=points).drape(pose)
+        trained = Draper(model, avatar).drape(pose)[:, :3]
+        draped = Draper(model, avatar, points=points).drape(pose)
         assert draped.shape == (len(points), 6)
         distance = surface_distance(draped[:, :3], trained, model.garment.faces)
         beyond = distance - gap
@@ -95,14 +94,13 @@ def test_other_meshes_drape_onto_the_trained_surface(model, avatar, poses, other
         assert np.linalg.norm(trained - model.garment.vertices, axis=1).max() > 0.1
 
 
-@needs_native
 def test_points_off_the_surface_stay_off_it(model, avatar, poses):
     """Splat centres 15 mm outside move with the cloth under them and keep about their distance."""
     garment = model.garment
     points = garment.vertices + 0.015 * vertex_normals(garment.vertices, garment.faces)
     for pose in poses:
-        trained = Draper(model, avatar, backend="native").drape(pose)
-        draped = Draper(model, avatar, backend="native", points=points).drape(pose)
+        trained = Draper(model, avatar).drape(pose)
+        draped = Draper(model, avatar, points=points).drape(pose)
         offset = draped[:, :3] - trained[:, :3]
         outside = (offset * trained[:, 3:]).sum(axis=1)
         assert np.median(outside) == pytest.approx(0.015, abs=0.002)

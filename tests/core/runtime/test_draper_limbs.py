@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from random_models import BACKENDS, random_avatar, random_model
+from random_models import random_avatar, random_model
 from scipy.spatial.transform import Rotation
 
 from physkin_core import UPRIGHT_GRAVITY, AvatarWarning, Draper, LimbSeparator, avatar_from_body, load_body_model
@@ -21,16 +21,15 @@ def few_body_points(monkeypatch):
     monkeypatch.setattr(binding, "POINT_COUNT", 50)
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_limbs_are_separated_before_draping(backend):
+def test_limbs_are_separated_before_draping():
     """The cloth and the bones are those of the separated positions, whichever way the pose comes in."""
     rig = load_body_model().rig
     model = random_model(np.random.default_rng(3), rig=rig)
     avatar = avatar_from_body(load_body_model(), 1.5 * load_body_model().held_out_bodies[55])
-    draper = Draper(model, avatar, backend=backend, separate_limbs=True)
-    plain = Draper(model, avatar, backend=backend, binding=draper.bound)
+    draper = Draper(model, avatar, separate_limbs=True)
+    plain = Draper(model, avatar, binding=draper.bound)
     arms_down = rig.joint_positions({"upperarm01.L_x": -0.7, "upperarm01.R_x": 0.7}).astype(np.float32)
-    expected, change = LimbSeparator(rig, avatar, backend=backend).separate(arms_down)
+    expected, change = LimbSeparator(rig, avatar).separate(arms_down)
     assert change > 0.05
     np.testing.assert_array_equal(draper.separated_positions, rig.rest.astype(np.float32))
     cloth = draper.drape(arms_down)
@@ -65,5 +64,5 @@ def test_limbs_that_are_left_out_are_told():
     stiff = replace(rig, dofs=tuple(dof for dof in rig.dofs if not dof.bone.startswith(("upperleg", "lowerleg"))))
     body = avatar_from_body(load_body_model(), load_body_model().held_out_bodies[0])
     with pytest.warns(AvatarWarning, match="left leg is not separated"):
-        draper = Draper(random_model(np.random.default_rng(1), rig=stiff), body, backend="numpy", separate_limbs=True)
+        draper = Draper(random_model(np.random.default_rng(1), rig=stiff), body, separate_limbs=True)
     assert sum("is not separated" in warning for warning in draper.avatar.warnings) == 2

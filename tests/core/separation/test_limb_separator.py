@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from random_models import BACKENDS, needs_native, random_avatar, random_rig
+from random_models import random_avatar, random_rig
 
 from physkin_core import LimbSeparator, load_motion
 from physkin_core.check.likeness import body_overlap
@@ -15,7 +15,6 @@ def separators(bodies, rig):
     return {name: LimbSeparator(rig, avatar) for name, avatar in bodies.items()}
 
 
-@needs_native
 def test_forearms_leave_a_stout_belly(bodies, separators, rig, arms_down):
     """They are inside it hardly more than at rest afterwards; a lean body in the same pose is moved less."""
     shares = {}
@@ -30,7 +29,6 @@ def test_forearms_leave_a_stout_belly(bodies, separators, rig, arms_down):
     assert lean < 0.3 * stout and 0.05 < stout < 0.6
 
 
-@needs_native
 def test_only_arms_and_legs_are_moved(separators, rig, arms_down):
     """The trunk, the head and the wrists stay as they were given."""
     after, _ = separators["stout"].separate(arms_down)
@@ -39,7 +37,6 @@ def test_only_arms_and_legs_are_moved(separators, rig, arms_down):
     assert not any(name.startswith("lowerarm02") for name in moved)
 
 
-@needs_native
 def test_free_poses_stay_as_they_are(separators, rig):
     """The canonical pose, which may touch, on every body; raised arms on a stout one. To the last bit."""
     for separator in separators.values():
@@ -50,7 +47,6 @@ def test_free_poses_stay_as_they_are(separators, rig):
     assert change == 0 and np.array_equal(after, raised)
 
 
-@needs_native
 def test_legs_give_way_to_legs_alone(separators, rig):
     """Legs that cross are parted by both; a hand in a thigh is taken out by the arm."""
     crossed = rig.joint_positions({"upperleg01.L_x": -0.15, "upperleg01.R_x": 0.15}).astype(np.float32)
@@ -65,7 +61,6 @@ def test_legs_give_way_to_legs_alone(separators, rig):
     assert change > 0.01 and not any("leg" in name for name in moved)
 
 
-@needs_native
 def test_limits_are_kept(separators, rig):
     """In any pose; a position that was given beyond its limits does not go farther."""
     rng = np.random.default_rng(5)
@@ -77,7 +72,6 @@ def test_limits_are_kept(separators, rig):
         ).all()
 
 
-@needs_native
 def test_smooth_motion_stays_smooth(separators, rig):
     """Second differences at 60 Hz grow by a tenth at most, though the arms are moved far; and no step jumps."""
     motion = load_motion("walk")
@@ -88,7 +82,6 @@ def test_smooth_motion_stays_smooth(separators, rig):
     assert rough.mean() < 1.1 * smooth.mean() and np.abs(np.diff(after - given, axis=0)).max() < 0.1
 
 
-@needs_native
 def test_the_result_is_continuous(separators, rig, arms_down):
     """A small change of the pose makes a small change of the result, on the way from free to deep inside."""
     way = np.linspace(0, 1, 2000)[:, None]
@@ -97,10 +90,9 @@ def test_the_result_is_continuous(separators, rig, arms_down):
     assert np.abs(np.diff(after, axis=0)).max() < 6 * np.abs(np.diff(poses, axis=0)).max()
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_bad_input_is_refused(bodies, rig, backend):
+def test_bad_input_is_refused(bodies, rig):
     """Naming it; what was in `out` stays."""
-    separator = LimbSeparator(rig, bodies["average"], backend=backend)
+    separator = LimbSeparator(rig, bodies["average"])
     bad = rig.rest.astype(np.float32).copy()
     bad[3] = np.nan
     out = np.full(len(bad), 7, dtype=np.float32)
@@ -111,10 +103,8 @@ def test_bad_input_is_refused(bodies, rig, backend):
         separator.separate(np.zeros(3))
 
 
-def test_bad_settings_are_refused(bodies, rig):
-    """An unknown backend, another rig's body, and a rig without limbs."""
-    with pytest.raises(ValueError, match="unknown backend 'gpu'; allowed: native, numpy"):
-        LimbSeparator(rig, bodies["average"], backend="gpu")
+def test_bodies_without_these_limbs_are_refused(bodies):
+    """Another rig's body, and a rig without limbs."""
     other = random_rig(np.random.default_rng(0))
     with pytest.raises(ValueError, match="36 bones, the rig 5"):
         LimbSeparator(other, bodies["average"])

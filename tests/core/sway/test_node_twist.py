@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from random_models import random_rig
+from reference.node_twist import twisted
 
 import physkin_core as physkin
 from physkin_core.model.garment import Garment
-from physkin_core.sway.node_twist import node_twist, twisted
+from physkin_core.sway.node_twist import node_twist
 
 
 @pytest.fixture(scope="module")

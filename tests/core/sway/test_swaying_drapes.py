@@ -98,11 +98,10 @@ def test_an_outfit_swings_as_its_garments_do(skirt):
     assert np.allclose(none, still, atol=1e-5)
 
 
-@pytest.mark.parametrize("backend", ["native", "numpy"])
-def test_garments_of_an_outfit_sway_as_much_as_each_is_told(backend, skirt):
+def test_garments_of_an_outfit_sway_as_much_as_each_is_told(skirt):
     """Each as where all sway so much; the root moves once for both."""
     shirt = physkin.load_garment_model("tshirt")
-    outfit = physkin.Outfit([physkin.OutfitGarment(shirt, tucked=True), skirt.model], skirt.avatar, backend=backend)
+    outfit = physkin.Outfit([physkin.OutfitGarment(shirt, tucked=True), skirt.model], skirt.avatar)
     all_of_it, none = outfit.twin(), outfit.twin()
     outfit.sway, all_of_it.sway, none.sway = (0.0, 0.7), 0.7, 0.0
     assert outfit.sway == outfit.sways == (0.0, 0.7) and all_of_it.sways == (0.7, 0.7)
@@ -166,10 +165,9 @@ def test_trousers_turn_with_their_wearer_and_nothing_tucked_twists():
     assert all(np.abs(a - b).max() < 1e-4 for a, b in zip(moved, still))
 
 
-@pytest.mark.parametrize("backend", ["native", "numpy"])
-def test_garments_of_an_outfit_twist_as_much_as_each_sways(skirt, backend):
+def test_garments_of_an_outfit_twist_as_much_as_each_sways(skirt):
     shirt = physkin.load_garment_model("tshirt")
-    outfit = physkin.Outfit([shirt, skirt.model], skirt.avatar, backend=backend)
+    outfit = physkin.Outfit([shirt, skirt.model], skirt.avatar)
     outfit.sway = (0.0, 1.0)
     still, moved = outfit.drape(skirt.model.rig.rest), turned(outfit, skirt.model.rig.rest, steps=4, rate=16)
     assert np.abs(moved[1] - still[1])[:, :3].max() > 0.05

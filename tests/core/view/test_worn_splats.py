@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 from core.points.splat_files import FIELDS, splat_ply, splat_table
-from random_models import needs_native
 
 from physkin_core import BUNDLED_AVATAR, SplatDraper, load_avatar, load_garment_model
 from physkin_core.points.point_files import read_splat_file, splat_colours
 from physkin_core.view.scene.scene_state import SceneState
-
-pytestmark = needs_native
 
 COUNT = 300
 

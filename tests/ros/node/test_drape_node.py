@@ -87,7 +87,7 @@ def test_diagnostics(peer, shared_node, draper):
     peer.until_told("clouds published", str(before + 5))
     report = next(report for report in peer.reports if report["evaluation p50 [us]"] != "none")
     assert 0 < float(report["evaluation p50 [us]"]) <= float(report["evaluation p99 [us]"])
-    assert (report["model"], report["backend"], report["precision"]) == ("vest", "native", "int8")
+    assert (report["model"], report["precision"]) == ("vest", "int8")
     assert report["instruction set"] in ("baseline", "v3", "v4", "v4_vnni")
     assert float(report["last stamp age [s]"]) > 0
     assert report["cloth inside the body at rest [%]"] == f"{draper.at_rest.inside_percent:.1f}"
@@ -173,7 +173,7 @@ def test_gravity_can_change_while_running(peer, shared_node, draper):
     for wrong in ([0.0, 0.0, 0.0], [0, -1], [True, False, True], "down", 9.81, None):
         (result,) = shared_node.set_parameters([Parameter("gravity", value=wrong)])
         assert not result.successful and f"gravity is {wrong!r}" in result.reason
-    (result,) = shared_node.set_parameters([Parameter("backend", value="numpy")])
+    (result,) = shared_node.set_parameters([Parameter("executor", value="single")])
     assert not result.successful
 
 

@@ -81,7 +81,6 @@ def test_sigterm_and_remapping(start, peer, model_path):
         ({"body_mesh": "{tmp}/nosuch.glb"}, "nosuch.glb: no such file"),
         ({"body_mesh": "{tmp}/odd.txt"}, "unknown extension '.txt'"),
         ({"joint_map": "{tmp}/map.json"}, "unknown key 'gain'"),
-        ({"precision": "int8", "backend": "numpy"}, "the numpy backend"),
         ({"modell": "dress"}, "unknown key 'modell'; did you mean 'model'"),
         ({"fit": 0.5}, "has not learnt to be made to measure"),
     ],

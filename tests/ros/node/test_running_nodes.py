@@ -62,15 +62,14 @@ def test_gravity_messages(peer, running_node, leaning_model_path, leaning_draper
             np.testing.assert_allclose(peer.cloud(names, positions, stamp), draper.drape(positions, down), atol=1e-6)
 
 
-@pytest.mark.parametrize("backend", ["native", "numpy"])
-def test_effective_gravity(backend, peer, running_node, accelerated_model_path, draper):
+def test_effective_gravity(peer, running_node, accelerated_model_path, draper):
     """It takes the place of the direction while it comes, zero too; what cannot be leaves the last good one, and after
     half a second the direction counts again."""
     model, avatar = load_garment_model(accelerated_model_path), draper.avatar
-    expected = Draper(model, avatar, backend=backend)
+    expected = Draper(model, avatar)
     names, pose = model.rig.joint_names, np.linspace(-0.2, 0.2, len(model.rig.joint_names)).astype(np.float32)
     tilted = np.array([0.6, 0.0, -0.8])
-    with running_node({"model": str(accelerated_model_path), "backend": backend, "gravity": tilted.tolist()}):
+    with running_node({"model": str(accelerated_model_path), "gravity": tilted.tolist()}):
         at_rest = expected.drape(pose, tilted)
         for felt in ([0.0, 0.0, -29.0], [0.0, 3.0, 0.0], [0.0, 0.0, 0.0]):
             peer.send_effective_gravity(felt)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from physkin_ros.root.garment_gravity import GarmentGravity
-from random_models import BACKENDS, random_avatar, random_model, tube
+from random_models import random_avatar, random_model, tube
 from scipy.spatial.transform import Rotation
 
 from physkin_core import Draper, Outfit
@@ -20,20 +20,20 @@ TIMES = np.cumsum([1000, *[16] * 12, 0, 16, 16, 50, 7, 400, *[16] * 6, -5000, *[
 """Stamps [ns]: frames at several rates, a doubled one, a gap, a clock that goes back."""
 
 
-@pytest.fixture(scope="module", params=BACKENDS)
-def drapers(request):
+@pytest.fixture(scope="module")
+def drapers():
     """One with a sway network and one that a pendulum moves, of one rig and body; both know accelerated roots."""
     rng = np.random.default_rng(3)
     learnt = random_model(rng, node_outputs=12, learnt_sway=True, learnt_fabrics=True)
     other = random_model(rng, rig=learnt.rig, learnt_fabrics=True)
     avatar = random_avatar(rng, learnt.rig)
-    return [Draper(replace(model, name=name), avatar, backend=request.param, precision="fp32")
+    return [Draper(replace(model, name=name), avatar, precision="fp32")
             for name, model in (("learnt", learnt), ("other", other))]  # fmt: skip
 
 
 def another(draper: Draper) -> Draper:
     """The same, with frames of its own."""
-    return Draper(draper.model, draper.avatar, backend=draper.backend, precision="fp32", binding=draper.bound)
+    return Draper(draper.model, draper.avatar, precision="fp32", binding=draper.bound)
 
 
 def stepped(told: GarmentGravity, draper: Draper, row: int = 0):
@@ -133,14 +133,13 @@ def test_without_sway_every_frame_is_draped_by_itself(drapers):
         assert (out == alone.drape(pose, told.gravity[0, :3])).all() == (k >= 10)
 
 
-def test_an_outfit_swings_as_one_told_time_and_root(drapers):
+def test_an_outfit_swings_as_one_told_time_and_root():
     """One garment by its network, one by the pendulum."""
     rng, amounts = np.random.default_rng(4), (0.6, 1.0)
     inner = random_model(rng, garment=tube(radius=0.1), node_outputs=12, learnt_sway=True, learnt_fabrics=True)
     outer = random_model(rng, rig=inner.rig, garment=tube(radius=0.4), learnt_fabrics=True)
     models = [replace(model, name=f"radius {k}") for k, model in enumerate((inner, outer))]
-    backend, avatar = drapers[0].backend, random_avatar(rng, inner.rig)
-    outfit = Outfit(models, avatar, backend=backend, precision="fp32", hide=False)
+    outfit = Outfit(models, random_avatar(rng, inner.rig), precision="fp32", hide=False)
     outfit.sway, worn = amounts, outfit.twin()
     told, motion = GarmentGravity(DOWN, amounts), RootMotion(amounts)
     positions = np.zeros(len(outfit.joint_names), dtype=np.float32)

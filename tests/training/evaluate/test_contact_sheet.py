@@ -64,7 +64,7 @@ def test_drapes_are_the_run_times_and_the_minimum_is_lower(model, rough_minima):
     assert list(drapes.garments) == ["model", "minimum"]
     for pair in (1, 3):
         avatar = avatar_from_body(BODY, BODY.held_out_bodies[bodies[pair % 2]])
-        draper = Draper(model, avatar, backend="numpy")
+        draper = Draper(model, avatar, precision="fp32")
         q, gravity = poses.positions[pair // 2].numpy(), poses.gravity[pair // 2].numpy()
         np.testing.assert_allclose(drapes.garments["model"][pair], draper.drape(q, gravity)[:, :3], atol=1e-4)
         under = avatar.posed_vertices(draper.bone_transforms(q))
@@ -87,7 +87,7 @@ def test_made_to_measure_is_drawn_with_its_own_strain(model):
     drapes = drape_all(evaluation, poses, minimum=False)
     q, gravity = poses.positions[0].numpy(), poses.gravity[0].numpy()
     for pair, body in enumerate([5, 2]):
-        draper = Draper(fitted, avatar_from_body(BODY, BODY.held_out_bodies[body]), backend="numpy")
+        draper = Draper(fitted, avatar_from_body(BODY, BODY.held_out_bodies[body]), precision="fp32")
         assert draper.fit == 1.0
         apart = np.linalg.norm(drapes.garments["model"][pair] - draper.drape(q, gravity)[:, :3], axis=1)
         assert apart.mean() < 3e-3

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from random_models import needs_native, tube
+from random_models import tube
 
 from physkin_core import load_motion
 from physkin_core.model.garment import vertex_normals
@@ -139,7 +139,6 @@ def test_the_command_refuses_what_does_not_go_together(arguments, message, capsy
     assert error.startswith("error: ") and message in error
 
 
-@needs_native
 def test_the_command_writes_all_figures(tmp_path, capsys):
     """Of two outfits in a moment of a shipped clip: order leaves next to nothing to see, at a small cost."""
     clip = load_motion("dance")

@@ -72,13 +72,13 @@ def test_the_exported_model_drapes_as_the_trained_one(trained, tmp_path):
     model = exported(trained, 6)
     save_garment_model(model, tmp_path / "band.safetensors")
     for form, tolerance in ((model, 1e-4), (load_garment_model(tmp_path / "band.safetensors"), 1e-3)):
-        draper = Draper(form, avatar, backend="numpy")
+        draper = Draper(form, avatar, precision="fp32")
         for index in range(len(q)):
             drape = draper.drape(q[index], gravity[index])[:, :3]
             assert np.linalg.norm(drape - expected[index], axis=1).max() < tolerance
     (weight, bias) = model.node_deformer[-1]
     plain = replace(model, node_deformer=(*model.node_deformer[:-1], (0 * weight, 0 * bias)))
-    skinned = Draper(plain, avatar, backend="numpy").drape(q[0], gravity[0])[:, :3]
+    skinned = Draper(plain, avatar, precision="fp32").drape(q[0], gravity[0])[:, :3]
     assert np.linalg.norm(skinned - expected[0], axis=1).max() > 0.02
 
 
@@ -199,7 +199,7 @@ def test_the_untrained_model_is_plain_skinning(trained, tmp_path):
     model = plain_model(path, nodes=12, influences=4)
     assert model.name == "band" and model.influence_nodes.shape == (286, 4)
     avatar = avatar_from_body(BODY, BODY.held_out_bodies[0])
-    draper = Draper(model, avatar, backend="numpy")
+    draper = Draper(model, avatar, precision="fp32")
     q, gravity = poses(1)
     first = draper.drape(q[0], gravity[0])
     np.testing.assert_array_equal(draper.drape(q[0], -gravity[0]), first)

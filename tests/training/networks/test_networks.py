@@ -1,4 +1,4 @@
-"""Torch twins of the networks: the values of the run time, and the standard transformer layer the paper names."""
+"""The networks in torch: the values of the reference, and the standard transformer layer the paper names."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 from random_models import random_hyper_modulator, random_model, unit_rows
+from reference.hyper_modulator import body_modulation
 
-from physkin_core.model.hyper_modulator import at_fit, bending_code, body_modulation, with_bending
+from physkin_core.model.hyper_modulator import at_fit, bending_code, with_bending
 from physkin_core.model.mlp import modulation_size
 from physkin_training.config import NetworkConfig
 from physkin_training.networks.networks import HyperModulator, Networks
@@ -39,7 +40,7 @@ def test_hyper_modulator_agrees(width, blocks, count):
 
 
 def test_the_fit_shifts_tokens_as_at_the_run_time():
-    """Each body at its own fit, against the NumPy network with the fit folded in; without a fit as at fit 0."""
+    """Each body at its own fit, against the reference with the fit folded in; without a fit as at fit 0."""
     rng = np.random.default_rng(2)
     arrays = random_hyper_modulator(rng, 20) | {"fit": rng.normal(size=8).astype(np.float32)}
     config = NetworkConfig(token_width=8, feed_forward=16, residual_blocks=2)
@@ -58,7 +59,7 @@ def test_the_fit_shifts_tokens_as_at_the_run_time():
 
 
 def test_bending_shifts_tokens_as_at_the_run_time():
-    """Each body in cloth of its own, against the NumPy network with that folded in; without any as trained."""
+    """Each body in cloth of its own, against the reference with that folded in; without any as trained."""
     rng = np.random.default_rng(3)
     arrays = random_hyper_modulator(rng, 20) | {"bend": rng.normal(size=8).astype(np.float32)}
     twin = HyperModulator(NetworkConfig(token_width=8, feed_forward=16, residual_blocks=2), 20, other_bending=True)

@@ -49,7 +49,7 @@ def test_a_model_learns_to_sway(band, quick, tmp_path, capsys):
         assert part in said
     model = load_garment_model(path)
     body_model = load_body_model()
-    draper = Draper(model, avatar_from_body(body_model, body_model.held_out_bodies[0]), backend="numpy")
+    draper = Draper(model, avatar_from_body(body_model, body_model.held_out_bodies[0]), precision="fp32")
     still = draper.drape(model.rig.rest, root=np.array([0, 0, 1, 0, 0, 0, 1.0]), time=0.0)
     moved = draper.drape(model.rig.rest, root=np.array([0.05, 0, 1, 0, 0, 0, 1.0]), time=0.05)
     assert np.isfinite(moved).all() and np.abs(moved - still).max() > 1e-5
@@ -74,7 +74,7 @@ def test_the_file_sways_as_the_network_that_was_learnt(band):
         nodes = dressed.draped_nodes(positions[:1], torch.tensor([[0, 0, -1.0]]), posed)
         learnt = dressed.skinned(nodes + posed[..., :3] @ offsets)[0].numpy()
     sway = exported(network, (network.out.weight, network.out.bias), joints, codes)
-    draper = Draper(replace(model, sway=sway), avatar_from_body(body_model, bodies[0]), backend="numpy")
+    draper = Draper(replace(model, sway=sway), avatar_from_body(body_model, bodies[0]), precision="fp32")
     for time, at in zip((0.0, 0.05), place.numpy()):
         drape = draper.drape(model.rig.rest, time=time, root=np.array([*at, 0, 0, 0, 1.0]))[:, :3]
     without = draper.drape(model.rig.rest)[:, :3]

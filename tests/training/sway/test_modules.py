@@ -1,4 +1,4 @@
-"""The sway network in torch is that of the run time, frame by frame."""
+"""The sway network in torch is that of the reference, frame by frame."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from physkin_core.sway.learnt_sway import LearntSway
-from physkin_core.sway.moment import Moment
 from random_models import random_rig
+from reference.frame_input import FrameInput
+from reference.sway_network import SwayNetwork
 from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.body_model import load_body_model
@@ -36,7 +36,7 @@ def learnt(outputs: int):
 
 
 @pytest.mark.parametrize("step", [1 / 60, 1 / 15])
-def test_torch_and_the_run_time_agree(step):
+def test_torch_and_the_reference_agree(step):
     network, codes, joints, modulation = learnt(24)
     frames, generator = 12, np.random.default_rng(1)
     away = np.cumsum(generator.normal(scale=0.05, size=(frames, len(RIG.rest))), axis=0)
@@ -50,15 +50,14 @@ def test_torch_and_the_run_time_agree(step):
         offsets = network(drive, pose, code, step)[0].unflatten(1, (-1, 3, 4))
         here = torch.cat([offsets[..., :3].flatten(2), offsets[..., 3]], dim=2).flatten(1).numpy()
     folded = fold_body(exported(network, (network.out.weight, network.out.bias), joints, codes), modulation)
-    layers = (folded["sway_layers"], folded["sway_rates"], folded["sway_turns"])
-    sway = LearntSway(joints, RIG.lower, RIG.upper, *layers)
+    sway = SwayNetwork(SimpleNamespace(dof_lower=RIG.lower, dof_upper=RIG.upper, **folded))
     for frame in range(frames):
-        told = Moment(sway=1.0, elapsed=-1.0)
+        row = FrameInput(-turn[frame, 2], elapsed=-1.0)
         if frame:
             velocity = turn[frame].T @ (place[frame] - place[frame - 1]) / step
             turning = Rotation.from_matrix(turn[frame - 1].T @ turn[frame]).as_rotvec() / step
-            told = Moment(sway=1.0, elapsed=step, moves=1.0, velocity=tuple(velocity), turning=tuple(turning))
-        there = sway.offsets(positions[frame], -turn[frame, 2], told)
+            row = row._replace(elapsed=step, moves=1.0, velocity=velocity, turning=turning)
+        there = sway.offsets(positions[frame], row)
         np.testing.assert_allclose(here[frame], there, atol=2e-5 * np.abs(there).max() + 2e-5)
 
 

@@ -157,8 +157,9 @@ class Agreement:
 
 
 def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8, seed: int = 0) -> Agreement:
-    """How far the run time's NumPy drape of `model` is from the torch `drape`, on random poses of a held-out body; of a
-    model that can be made to measure, half of them so, both with the rest shape that the run time finds.
+    """How far the run time's drape of `model`, with network weights in fp32, is from the torch `drape`, on random poses
+    of a held-out body; of a model that can be made to measure, half of them so, both with the rest shape that the run
+    time finds.
 
     With the trained drape this is what pruning and rounding in the file cost; with `drape_from_model(model)` it tells
     whether run time and torch compute the same.

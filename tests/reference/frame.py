@@ -1,0 +1,85 @@
+"""A frame: joint positions in, clouds of one to four garments out."""
+
+import numpy as np
+
+from reference.frame_input import FrameInput
+from reference.garment_nodes import correct_nodes, pose_nodes
+from reference.layer_order import LayerOrder
+from reference.networks import mlp
+from reference.node_twist import twisted
+from reference.pace import Pace
+from reference.skeleton import bone_transforms, pose_vector
+from reference.skinning import face_normals, skin, unit
+from reference.sway_network import SwayNetwork
+
+JUMP = 0.5
+"""[rad], and of gravity. Where one has moved farther since the last frame, nothing before it counts."""
+
+
+class ReferenceFrame:
+    """Drapes bound garments of one body frame by frame, as they are worn together, the innermost first.
+
+    bounds: `BoundGarment`s. orders: the product's `LayerOrder`s, what keeps every two layers in order. normals:
+    "skinned", rest normals carried along, or "faces", those of the posed mesh.
+    """
+
+    def __init__(self, bounds, orders=(), normals="skinned"):
+        self._garments = [_Garment(bound) for bound in bounds]
+        self._orders = [(order.steady, order.yielding, LayerOrder(order)) for order in orders]
+        self._normals, self._last = normals, None
+
+    def evaluate(self, joint_positions, rows, outs):
+        """Write one frame. joint_positions: (d,). rows: (g, 14), a `FrameInput` each. outs: of each garment (n, 6), x,
+        y, z and unit normal, or (n, 3)."""
+        q, inputs = np.asarray(joint_positions, dtype=np.float64), [FrameInput.of(row) for row in rows]
+        given = np.stack([np.r_[q, each.gravity] for each in inputs])
+        jumps = np.ones(len(given), dtype=bool) if self._last is None else np.abs(given - self._last).max(axis=1) > JUMP
+        self._last = given
+        layers = []
+        for garment, row, jumped in zip(self._garments, inputs, jumps):
+            positions, normals = skin(garment.bound, garment.drape(q, row, jumped))
+            layers.append(np.concatenate([positions, unit(normals)], axis=1))
+        for outer in range(len(layers)):
+            for steady, yielding, order in self._orders:
+                if max(steady, yielding) == outer:
+                    order.apply(layers[steady], layers[yielding], look_at_all=jumps.any())
+        for garment, layer, out in zip(self._garments, layers, outs):
+            if self._normals == "faces":
+                layer[:, 3:] = face_normals(layer[:, :3], garment.bound.faces)
+            out[:] = layer[:, : out.shape[1]]
+
+    def node_transforms(self, garment=0):
+        """chi (m, 3, 4) of a garment in the last frame."""
+        return self._garments[garment].nodes
+
+    def corrections(self, garment=0):
+        """(12 m,) what the networks made of a garment in the last frame."""
+        return self._garments[garment].corrections
+
+
+class _Garment:
+    """A bound garment and what it remembers."""
+
+    def __init__(self, bound):
+        self.bound, self._pace = bound, Pace()
+        self._sway = SwayNetwork(bound) if bound.sway_layers else None
+
+    def drape(self, q, row, jumped):
+        """chi (m, 3, 4)."""
+        bound = self.bound
+        skeleton = bound.bone_parents, bound.bone_heads, bound.dof_bone, bound.dof_axis
+        bones = bone_transforms(*skeleton, q - bound.dof_rest)
+        modulation = mlp(bound.pose_layers, pose_vector(q, bound.dof_lower, bound.dof_upper, row.gravity))
+        self.corrections = mlp(bound.deformer_layers, bones[bound.deformer_bones].reshape(-1), modulation)
+        if self._sway is not None:
+            if row.sway > 0:
+                self.corrections = self.corrections + row.sway * self._sway.offsets(q, row)
+            else:
+                self._sway.forget()
+        posed = pose_nodes(bones, bound.node_bone, bound.node_positions.astype(np.float64))
+        nodes = correct_nodes(posed, self.corrections)
+        nodes = self._pace.kept(posed, nodes, -1.0 if jumped else row.passed)
+        if row.twist and bound.node_twist.any():
+            nodes = twisted(nodes, bones, bound.node_twist.astype(np.float64), bound.node_bone, row.twist)
+        self.nodes = nodes
+        return nodes

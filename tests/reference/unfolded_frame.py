@@ -1,0 +1,25 @@
+"""A drape as paper and design state it: a garment model on a body, nothing folded or carried over when it is bound."""
+
+import numpy as np
+
+from reference.garment_nodes import correct_nodes, pose_nodes
+from reference.networks import mlp
+from reference.skeleton import bone_transforms, pose_vector
+
+
+def unfolded_nodes(model, bones, node_positions, modulation, theta):
+    """chi (m, 3, 4). bones: (b, 3, 4) of the body; node_positions: (m, 3) garment nodes on it; modulation: (s,) of the
+    body, from the hyper modulator; theta: the pose vector."""
+    posed = pose_nodes(bones, model.node_bone, node_positions)
+    by_pose = mlp(model.pose_modulator, theta, modulation)
+    return correct_nodes(posed, mlp(model.node_deformer, posed.reshape(-1), by_pose))
+
+
+def unfolded_drape(model, avatar, modulation, joint_positions, gravity):
+    """chi (m, 3, 4) on an avatar: garment nodes keep their offset from their bone, by the ratio of bone lengths."""
+    rig, q = model.rig, np.asarray(joint_positions, dtype=np.float64)
+    lengths = np.linalg.norm(rig.tails - rig.heads, axis=1)
+    ratio = (np.linalg.norm(avatar.bone_tails - avatar.bone_heads, axis=1) / lengths)[model.node_bone, None]
+    carried = avatar.bone_heads[model.node_bone] + ratio * (model.node_rest - rig.heads[model.node_bone])
+    bones = bone_transforms(rig.parents, avatar.bone_heads, rig.dof_bones, rig.dof_axes, q - rig.rest)
+    return unfolded_nodes(model, bones, carried, modulation, pose_vector(q, rig.lower, rig.upper, gravity))
