@@ -8,7 +8,8 @@ __all__ = ["add_fit_option"]
 
 
 def add_fit_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--fit`, a number that is left to `GarmentModel.checked_fit`; None where it is not given."""
+    """Add `--fit`, a number that is left to `checked_fit` of `physkin_core.runtime.worn_garment`; None where it is not
+    given."""
     parser.add_argument(
         "--fit",
         type=float,

@@ -21,6 +21,7 @@ from physkin_core.model.skinning import skin, skinning_matrices
 from physkin_core.motion.loading import load_motion
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.worn_garment import checked_fit
 from physkin_core.separation.collision_shape import CollisionShape, fit_collision_shape
 from physkin_core.separation.reference_separator import SeparationSettings
 
@@ -102,7 +103,7 @@ def model_case(model: str | Path, *, fit: float | None = None) -> BenchmarkCase:
         joint_positions=np.concatenate(positions).astype(np.float32),
         gravity=np.concatenate(gravity).astype(np.float32),
         bodies=tuple(bind_garment(loaded, other, fit=fit, backend="native", fold=False) for other in others),
-        garment=loaded.garment.reshaped(bound.vertices) if loaded.checked_fit(fit) else loaded.garment,
+        garment=loaded.garment.reshaped(bound.vertices) if checked_fit(loaded, fit) else loaded.garment,
         limbs=limbs,
     )
 

@@ -50,8 +50,8 @@ def network_case(bound: BoundGarment, joint_positions: np.ndarray, gravity: np.n
     bones = forward_kinematics(bound.bone_parents, heads, bound.dof_bone, bound.dof_axis, q - bound.dof_rest)
     pose = pose_vector(q, bound.dof_lower.astype(np.float64), bound.dof_upper.astype(np.float64), gravity)
     used = bones[bound.deformer_bones]
-    modulation = pose_modulation(bound.pose_layers, pose, None, bound.activation)
-    expected = node_corrections(bound.deformer_layers, used, modulation, bound.activation)
+    modulation = pose_modulation(bound.pose_layers, pose, None)
+    expected = node_corrections(bound.deformer_layers, used, modulation)
     *hidden, (weight, bias) = bound.pose_layers
     pairs, start = [], 0
     for _, hidden_bias in bound.deformer_layers[:-1]:

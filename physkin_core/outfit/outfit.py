@@ -211,7 +211,7 @@ class Outfit:
     ) -> list[tuple]:
         """Gravity, effective gravity and twist of each garment, as `Sway.gravity` tells them."""
         tell = cache(
-            partial(self._sway.gravity, time, root, given, accelerated=all(model.accelerated for model in self.models))
+            partial(self._sway.gravity, time, root, given, accelerated=True)
         )  # the root moves once: asked again at that time, only the amount differs
         return [tell(learnt=by, amount=amount) for by, amount in zip(learnt, self.sways)]
 

@@ -29,7 +29,7 @@ from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import make_evaluator
 from physkin_core.runtime.layers_beneath import LayerBeneath
 from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
-from physkin_core.runtime.worn_garment import wear
+from physkin_core.runtime.worn_garment import checked_fit, wear
 from physkin_core.sway.node_twist import node_twist
 
 __all__ = ["FARTHEST_POINT", "bind_garment", "bind_points", "encode_body", "rest_normals"]
@@ -53,7 +53,7 @@ def encode_body(
     fit: of the garment, as in `bind_garment`. backend: "native" (C++, an order of magnitude faster on one core) or
     "numpy" (readable reference).
     """
-    network = at_fit(model.hyper_modulator, model.checked_fit(fit))
+    network = at_fit(model.hyper_modulator, checked_fit(model, fit))
     points, normals = sample_surface(avatar.vertices, avatar.faces, POINT_COUNT)
     if backend == "native":
         from physkin_core.runtime.native_body_encoder import native_body_modulation
@@ -73,14 +73,13 @@ def bind_garment(
 ) -> BoundGarment:
     """Everything of (model, body) that does not change with the pose. Encodes the body; logs how long that took.
 
-    fit: 0 for the template's rest shape, 1 for the one made to measure, between for one between; None for 1 where the
-    model has learnt it, else 0. backend: what encodes the body, as in `encode_body`, and drapes it in some poses. fold:
-    fold the body's modulation into the pose modulator, which saves a little time a frame; without, bodies share its
-    network weights (see `NativeEvaluatorBatch`). beneath: what the body wears already, under this garment.
-    Raises ValueError when the avatar's bones are not those of the model's rig, for a fit that the model has not learnt,
-    or one above 0 with another rig than the body model's.
+    fit: 0 for the template's rest shape, 1 for the one made to measure, between for one between; default as
+    `checked_fit`. backend: what encodes the body, as in `encode_body`, and drapes it in some poses. fold: fold the
+    body's modulation into the pose modulator, which saves a little time a frame; without, bodies share its network
+    weights (see `NativeEvaluatorBatch`). beneath: what the body wears already, under this garment. Raises ValueError
+    when the avatar's bones are not those of the model's rig, and as `checked_fit`.
     """
-    fit = model.checked_fit(fit)
+    fit = checked_fit(model, fit)
     rig = model.rig
     if avatar.bone_heads.shape != rig.heads.shape:
         raise ValueError(
@@ -122,7 +121,7 @@ def bind_garment(
         normals=rest_normals(model, worn.garment.vertices),
         influence_nodes=np.ascontiguousarray(model.influence_nodes, dtype=np.int32),
         influence_weights=_float(model.influence_weights),
-        activation=model.activation,
+        activation="silu",
         pose_modulation=np.empty(0, dtype=np.float32) if fold else _float(modulation),
         faces=np.ascontiguousarray(worn.garment.faces, dtype=np.int32),
         **({} if model.sway is None else fold_body(model.sway, modulation)),

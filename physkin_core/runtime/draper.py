@@ -24,6 +24,7 @@ from physkin_core.runtime.binding import bind_garment, bind_points
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import make_evaluator
 from physkin_core.runtime.rest_look import RestLook, look_at_rest
+from physkin_core.runtime.worn_garment import checked_fit
 from physkin_core.separation.limb_separator import LimbSeparator
 from physkin_core.sway.pace import FrameClock
 from physkin_core.sway.sway import Sway
@@ -52,8 +53,8 @@ class Draper:
     precision: of the native backend's network weights, "fp32", "bf16" or "int8" (see `NativeEvaluator`); None for its
         default, int8. The NumPy backend knows fp32 only.
     fit: 1 for a garment made to measure for this body, 0 for the garment's one size, or between; above 0 only for
-        models that have learnt it (`GarmentModel.made_to_measure`). None, the default: 1 for those, 0 for others. Above
-        0 it takes some tenths of a second more when the body is bound, nothing a frame.
+        models with the body model's rig. None, the default: 1 for those, 0 for others. Above 0 it takes some tenths of
+        a second more when the body is bound, nothing a frame.
     normals: "skinned", rest normals carried along with their vertices, or "faces", recomputed from the draped mesh:
         truer where the cloth ripples or slides, for some 5 ns a vertex.
     points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
@@ -90,7 +91,7 @@ class Draper:
             raise ValueError(f"unknown backend {backend!r}; allowed: {', '.join(BACKENDS)}")
         if backend == "numpy" and precision not in (None, "fp32"):
             raise ValueError(f"the numpy backend computes with the model's own network weights, not in {precision!r}")
-        self.fit = model.checked_fit(fit)
+        self.fit = checked_fit(model, fit)
         bound = bind_garment(model, avatar, fit=self.fit, backend=backend) if binding is None else binding
         self._rest = rest = bound.vertices
         if points is not None:
@@ -167,12 +168,11 @@ class Draper:
         joint_positions: (d,) [rad] in the order of `joint_names`, or positions by joint name, the others being at rest.
         gravity: (3,) direction in the root frame, any length but zero, of a root that is not accelerated.
         effective_gravity: (3,) [m/s2] in the root frame, of one that is: gravity less the root's acceleration, zero in
-        free fall, at most three times gravity; takes the place of `gravity`, for models that have learnt it
-        (`GarmentModel.accelerated`). time [s]: when this is; frames are then to be given in their order, and cloth
-        that would leap goes over at its pace (`physkin_core.sway.pace`). root (7,), with time: where the root is in the
-        world, as of `Sway.felt`, which then tells gravity: cloth lags, swings and settles as much as `sway` says. Of a
-        model that knows no accelerated roots only gravity's direction changes. A model with a sway network moves by
-        that instead, without a root by the joints alone, and not under effective gravity.
+        free fall, at most three times gravity; takes the place of `gravity`. time [s]: when this is; frames are then to
+        be given in their order, and cloth that would leap goes over at its pace (`physkin_core.sway.pace`). root (7,),
+        with time: where the root is in the world, as of `Sway.felt`, which then tells gravity: cloth lags, swings and
+        settles as much as `sway` says. A model with a sway network moves by that instead, without a root by the joints
+        alone, and not under effective gravity.
         out: (n, 6) or (n, 3) writable float32 view, any row stride; default a new (n, 6).
         Returns `out`: x, y, z [m], then the unit normal.
         Raises ValueError on wrong lengths, unknown joints or values that are not finite, naming the joint.
@@ -180,7 +180,7 @@ class Draper:
         twist, learnt = 0.0, bool(self.bound.sway_layers) and effective_gravity is None
         if root is not None:
             gravity, effective_gravity, twist = self._sway.gravity(
-                time, root, effective_gravity, accelerated=self.model.accelerated, learnt=learnt
+                time, root, effective_gravity, accelerated=True, learnt=learnt
             )
         positions, down = self.checked_pose(joint_positions, gravity, effective_gravity)
         if time is not None:
@@ -290,10 +290,7 @@ class Draper:
 
     def _felt(self, effective_gravity: np.ndarray) -> np.ndarray:
         """Effective gravity (3,) [m/s2] in units of gravity, as the networks know it."""
-        felt = in_units_of_gravity(effective_gravity)
-        if not self.model.accelerated:
-            raise ValueError(f"garment model {self.model.name!r} was not trained with accelerated roots; give gravity")
-        return felt
+        return in_units_of_gravity(effective_gravity)
 
     def check_unusual(self, positions: np.ndarray) -> None:
         """Raise ValueError for joint positions (d,) that are not finite; warn, once, of what looks like degrees."""
@@ -317,9 +314,7 @@ class Draper:
         from physkin_core.runtime.bound_file import save_bound_garment
 
         model = self.model
-        save_bound_garment(
-            self.bound, path, name=model.name, joint_names=self.joint_names, accelerated=model.accelerated
-        )
+        save_bound_garment(self.bound, path, name=model.name, joint_names=self.joint_names, accelerated=True)
 
     def node_transforms(self) -> np.ndarray:
         """Garment node transforms chi (m, 3, 4) of the last `drape`, canonical garment node frame to root frame."""

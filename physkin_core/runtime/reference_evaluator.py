@@ -97,9 +97,9 @@ class ReferenceEvaluator:
         bones = forward_kinematics(bound.bone_parents, heads, bound.dof_bone, bound.dof_axis, q - bound.dof_rest)
         pose = pose_vector(q, bound.dof_lower.astype(np.float64), bound.dof_upper.astype(np.float64), gravity)
         modulation = pose_modulation(
-            bound.pose_layers, pose, bound.pose_modulation if len(bound.pose_modulation) else None, bound.activation
+            bound.pose_layers, pose, bound.pose_modulation if len(bound.pose_modulation) else None
         )
-        raw = node_corrections(bound.deformer_layers, bones[bound.deformer_bones], modulation, bound.activation)
+        raw = node_corrections(bound.deformer_layers, bones[bound.deformer_bones], modulation)
         if moment is not None and self._learnt_sway is not None:
             if moment.sway > 0:
                 raw = raw + moment.sway * self._learnt_sway.offsets(q, gravity, moment)

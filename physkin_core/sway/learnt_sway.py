@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from physkin_core.model.mlp import ACTIVATIONS, Layer
+from physkin_core.model.mlp import Layer, silu
 from physkin_core.sway.moment import Moment
 
 __all__ = ["LONGEST_STEP", "MOST_SPEED_UP", "LearntSway", "drive_features", "pose_features", "softly"]
@@ -29,8 +29,6 @@ LONGEST_STEP = 1.0
 """[s] After that all oscillators are at rest, or near."""
 MOST_SPEED_UP = 1.5
 """Logarithm of how many times faster, or slower, a gate lets oscillators run at most."""
-
-silu = ACTIVATIONS["silu"]
 
 
 def softly(value: np.ndarray, largest: float) -> np.ndarray:

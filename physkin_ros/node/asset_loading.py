@@ -34,6 +34,7 @@ from physkin_core.model.fabric import fabric_of
 from physkin_core.model.model_file import MODELS_PATH, shipped_models, split_fabric
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.rest_look import RestLook
+from physkin_core.runtime.worn_garment import checked_fit
 from physkin_ros.joints.nearest_names import nearest_names
 
 __all__ = ["LARGEST_ASSET", "AssetError", "AssetRoots", "DraperLoader", "LoadedDraper", "OutfitLayer", "Outfitting"]
@@ -201,7 +202,7 @@ class DraperLoader:
             started = perf_counter()
             model, rig, model_key = self._model(wanted)
             avatar, body_key = self._avatar(wanted, model, rig)
-            fit = model.checked_fit(wanted.fit)
+            fit = checked_fit(model, wanted.fit)
             key = (*body_key, model_key, fit)
             known, at_rest = self._bindings.get(key, (None, None))
             draper = Draper(
@@ -228,7 +229,7 @@ class DraperLoader:
             first, models = wanted[0], [self._model(each) for each in wanted]
             avatar, body_key = self._avatar(first, *models[0][:2])
             garments = [
-                OutfitGarment(model, tucked=each.tucked, fit=model.checked_fit(each.fit))
+                OutfitGarment(model, tucked=each.tucked, fit=checked_fit(model, each.fit))
                 for each, (model, *_) in zip(wanted, models)
             ]
             worn = ((key, garment.tucked, garment.fit) for (*_, key), garment in zip(models, garments))

@@ -63,7 +63,6 @@ class AvatarStream:
         self.settings, self.deadline_ns, self.active = settings, deadline_ns, False
         self.statistics = AvatarStatistics()
         self.told = GarmentGravity(unit_direction(settings.gravity), settings.sways)
-        self._direction_only: set[str] = set()
         self._follows = settings.orientation == "joints"
         self._unknown: set[str] = set()
         self._node, self._loader, self._transforms = node, loader, transforms
@@ -308,17 +307,6 @@ class AvatarStream:
 
     def _on_effective_gravity(self, felt: Felt, stamp_ns: int) -> None:
         self.told.add_felt(felt, stamp_ns, monotonic_ns())
-        for worn in self._attire.garments if self._attire is not None else ():
-            if worn.learnt_sway and felt.root is not None:
-                continue  # it is moved by the root's rates
-            model = worn.draper.model
-            if model.accelerated and not worn.accelerated:
-                continue  # another garment of the outfit is told to be why
-            if not model.accelerated and model.name not in self._direction_only:
-                self._direction_only.add(model.name)
-                reason = f"garment model {model.name!r} was not trained with accelerated roots"
-                self.statistics.take_direction_only(reason)
-                self._log.warning(f"{self._label}of effective gravity the direction alone counts: {reason}")
 
     def _feel(self, attire: Attire, wire: JointStateWire | None, stamp_ns: int) -> None:
         """Set what garments feel with a joint state, or with bone rotations, which have no `wire`."""

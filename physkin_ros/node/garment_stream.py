@@ -128,10 +128,8 @@ class WornGarment:
 
     @property
     def accelerated(self) -> bool:
-        """Whether effective gravity counts: of an outfit, which has one pose vector, for all garments or for none."""
-        draper = self.draper
-        models = draper.outfit.models if isinstance(draper, OutfitLayer) else (draper.model,)
-        return all(model.accelerated for model in models)
+        """Whether effective gravity counts: it does."""
+        return True
 
     @property
     def learnt_sway(self) -> bool:

@@ -105,6 +105,4 @@ def _effective_gravity(stream: AvatarStream, row: int, worn) -> str:
     felt = stream.told.effective_gravity(row, monotonic_ns(), learnt=by_network)
     if felt is None:
         return "none"
-    text = " ".join(f"{value:.2f}" for value in felt)
-    learnt = worn is None or worn.accelerated
-    return text if learnt else f"{text}, of which the direction alone counts"
+    return " ".join(f"{value:.2f}" for value in felt)

@@ -53,7 +53,7 @@ class RecordedRoot:
     def row(self, draper: Draper) -> np.ndarray:
         """(14,) float32, what `Draper.bind_step` reads; changed in place by `tell`."""
         self._learnt[:] = bool(draper.bound.sway_layers)
-        return (self._told.felt if draper.model.accelerated else self._told.gravity)[0]
+        return self._told.felt[0]
 
     def take(self, message: Recorded) -> None:
         """Take a message about the root. Raises ValueError for one that cannot be; what was known then goes on."""

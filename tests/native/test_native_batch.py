@@ -21,7 +21,7 @@ LEVELS = supported_instruction_sets()
 SHAPES = {
     "small": dict(),
     "odd widths": dict(pose_widths=(37, 19, 65), deformer_widths=(33, 7, 50), activation="relu"),
-    "wide": dict(pose_widths=(160, 300), deformer_widths=(224, 130), node_outputs=12),
+    "wide": dict(pose_widths=(160, 300), deformer_widths=(224, 130)),
 }
 
 

@@ -53,8 +53,8 @@ def chain(model, avatar, q, gravity):
     )
     posed = pose_nodes(bones, model.node_bone, positions)
     theta = rig.pose_vector(q, gravity / np.linalg.norm(gravity))
-    modulation = pose_modulation(model.pose_modulator, theta, encode_body(model, avatar), model.activation)
-    raw = node_corrections(model.node_deformer, posed, modulation, model.activation)
+    modulation = pose_modulation(model.pose_modulator, theta, encode_body(model, avatar))
+    raw = node_corrections(model.node_deformer, posed, modulation)
     nodes = compose_nodes(posed, delta_transforms(raw, len(posed)))
     normals = vertex_normals(model.garment.vertices, model.garment.faces)
     parts = skin(
@@ -73,12 +73,11 @@ def assert_agrees(result, expected):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("activation, node_outputs", [("silu", 9), ("relu", 9), ("silu", 12), ("relu", 12)])
 @pytest.mark.parametrize("size", SIZES)
-def test_drape_is_the_unfolded_chain(size, activation, node_outputs, backend):
+def test_drape_is_the_unfolded_chain(size, backend):
     """Random rigs, bodies, networks and poses, a little beyond the limits; the tiny size ten times over."""
     for seed in range(10 if size == "tiny" else 1):
-        rng, model, avatar = scene([seed], **SIZES[size], activation=activation, node_outputs=node_outputs)
+        rng, model, avatar = scene([seed], **SIZES[size])
         draper = Draper(model, avatar, backend=backend)
         for _ in range(2):
             q, gravity = random_pose(rng, model.rig)
@@ -305,7 +304,7 @@ def measured():
     body = load_body_model()
     band = tube(rings=9, segments=20, radius=1.0, height=0.3)
     garment = Garment(band.vertices * [0.16, 0.2, 1.0] + [0, 0, 0.12], band.faces)
-    model = random_model(np.random.default_rng(5), rig=body.rig, garment=garment, nodes=12, made_to_measure=True)
+    model = random_model(np.random.default_rng(5), rig=body.rig, garment=garment, nodes=12)
     return model, avatar_from_body(body, body.held_out_bodies[3])
 
 
@@ -330,14 +329,12 @@ def test_made_to_measure_without_correctives_rests_on_the_body(measured, backend
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_made_to_measure_is_the_default_where_it_was_learnt(measured, backend):
-    """Bit for bit fit 1, in the bound garment too; a model that has not learnt it is worn as at fit 0."""
-    model, avatar = measured
-    unlearnt = {name: array for name, array in model.hyper_modulator.items() if name != "fit"}
-    for worn, fit in ((model, 1.0), (replace(model, hyper_modulator=unlearnt), 0.0)):
+def test_made_to_measure_is_the_default_with_the_body_model_s_rig(measured, backend):
+    """Bit for bit fit 1, in the bound garment too; with another rig it is worn as at fit 0."""
+    for (worn, avatar), fit in ((measured, 1.0), (scene(0)[1:], 0.0)):
         default, told = Draper(worn, avatar, backend=backend), Draper(worn, avatar, backend=backend, fit=fit)
         assert default.fit == told.fit == fit
-        np.testing.assert_array_equal(default.drape(model.rig.rest), told.drape(model.rig.rest))
+        np.testing.assert_array_equal(default.drape(worn.rig.rest), told.drape(worn.rig.rest))
         np.testing.assert_array_equal(default.rest_garment.vertices, told.rest_garment.vertices)
         bound = bind_garment(worn, avatar, backend=backend)
         np.testing.assert_array_equal(bound.vertices, told.bound.vertices)
@@ -376,31 +373,28 @@ def test_points_are_made_to_measure_as_the_mesh_they_lie_on(measured):
 
 
 def test_a_fit_that_cannot_be_is_refused(measured):
-    """Not learnt, out of range, or of another rig than the body model's."""
+    """Out of range, or above 0 with another rig than the body model's."""
     model, avatar = measured
-    with pytest.raises(ValueError, match="fit must be 0 .* to 1 .* got 1.5"):
-        Draper(model, avatar, fit=1.5, backend="numpy")
-    _, template_only, other = scene(0)
-    with pytest.raises(ValueError, match="has not learnt to be made to measure"):
-        Draper(template_only, other, fit=1.0, backend="numpy")
-    _, strange, other = scene(0, made_to_measure=True)
+    for bad in (-0.1, 1.5, np.nan, "1", True):
+        with pytest.raises(ValueError, match="fit must be 0 .* to 1 "):
+            Draper(model, avatar, fit=bad, backend="numpy")
+    _, strange, other = scene(0)
     with pytest.raises(ValueError, match="needs the body model's rig"):
         Draper(strange, other, fit=1.0, backend="numpy")
 
 
 def test_effective_gravity():
-    """At 9.81 m/s2 it is gravity; less, more and none at all drape otherwise; where it was not learnt it is refused."""
+    """At 9.81 m/s2 it is gravity; less, more and none at all drape otherwise."""
     model = random_model(np.random.default_rng(3), **SIZES["tiny"])
-    learnt = replace(model, training={"poses": {"accelerated": 0.3}})
     avatar = random_avatar(np.random.default_rng(4), model.rig)
-    draper, pose = Draper(learnt, avatar), random_pose(np.random.default_rng(5), model.rig)[0]
+    draper, pose = Draper(model, avatar), random_pose(np.random.default_rng(5), model.rig)[0]
     down = np.array([0.6, 0.0, -0.8])
     usual = draper.drape(pose, down)
     np.testing.assert_allclose(draper.drape(pose, effective_gravity=9.81 * down), usual, atol=1e-6)
     for size in (0.0, 5.0, 29.0):
         assert np.abs(draper.drape(pose, effective_gravity=size * down) - usual).max() > 1e-5
     for backend in ("native", "numpy"):  # bound to arrays, in units of gravity
-        bound, felt = Draper(learnt, avatar, backend=backend), np.zeros(3, dtype=np.float32)
+        bound, felt = Draper(model, avatar, backend=backend), np.zeros(3, dtype=np.float32)
         out = np.empty((bound.vertex_count, 6), dtype=np.float32)
         step = bound.bind_step(pose, felt, out)
         for size in (0.0, 5.0, 29.0):
@@ -410,5 +404,3 @@ def test_effective_gravity():
     for wrong in ([0, 0, -30.0], [0, np.nan, 0], [0, 0], -9.81):
         with pytest.raises(ValueError, match="effective_gravity must be .* up to 29.4 m/s2"):
             draper.drape(pose, effective_gravity=wrong)
-    with pytest.raises(ValueError, match="was not trained with accelerated roots"):
-        Draper(model, avatar).drape(pose, effective_gravity=9.81 * down)
