@@ -126,4 +126,4 @@ class GarmentModel:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Every array by its name in the garment model file."""
-        return {name: array for name, (array, _) in described_arrays(self)}
+        return {name: array for name, array, _ in described_arrays(self)}

@@ -56,7 +56,7 @@ def hyper_modulator_shapes(names: Collection[str]) -> dict[str, str]:
         "pool": "1 D",
     }
     block = 0
-    while f"residual.{block}.norm.weight" in names:
+    while any(name.startswith(f"residual.{block}.") for name in names):
         inner = f"residual_{block}"
         own = {"norm": "D", "0": f"{inner} D", "1": f"D {inner}"}
         layers |= {f"residual.{block}.{part}": shape for part, shape in own.items()}

@@ -15,8 +15,8 @@ import numpy as np
 
 __all__ = [
     "Array",
-    "ArrayDescription",
     "Chain",
+    "DescribedArray",
     "GarmentModelError",
     "Linear",
     "Named",
@@ -27,7 +27,8 @@ __all__ = [
     "read_described",
 ]
 
-ArrayDescription = tuple[np.ndarray, "Array"]
+DescribedArray = tuple[str, np.ndarray, "Array"]
+"""Name in the file, array and its description."""
 
 
 class GarmentModelError(ValueError):
@@ -50,8 +51,8 @@ class Array:
     below: str = ""
     sums_to_one: bool = False
 
-    def arrays(self, name: str, value: np.ndarray) -> Iterator[tuple[str, ArrayDescription]]:
-        yield name, (value, self)
+    def arrays(self, name: str, value: np.ndarray) -> Iterator[DescribedArray]:
+        yield name, value, self
 
     def read(self, name: str, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
         array = arrays[name]
@@ -102,9 +103,9 @@ class Linear:
     outputs: str
     inputs: str
 
-    def arrays(self, name: str, layer: tuple[np.ndarray, np.ndarray]) -> Iterator[tuple[str, ArrayDescription]]:
-        yield f"{name}.weight", (layer[0], Array(f"{self.outputs} {self.inputs}"))
-        yield f"{name}.bias", (layer[1], Array(self.outputs))
+    def arrays(self, name: str, layer: tuple[np.ndarray, np.ndarray]) -> Iterator[DescribedArray]:
+        yield f"{name}.weight", layer[0], Array(f"{self.outputs} {self.inputs}")
+        yield f"{name}.bias", layer[1], Array(self.outputs)
 
     def read(self, name: str, arrays: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         return arrays[f"{name}.weight"], arrays[f"{name}.bias"]
@@ -117,7 +118,7 @@ class Chain:
     inputs: str
     outputs: str
 
-    def arrays(self, name: str, layers: tuple) -> Iterator[tuple[str, ArrayDescription]]:
+    def arrays(self, name: str, layers: tuple) -> Iterator[DescribedArray]:
         if not layers:
             raise GarmentModelError(f"{name} has no layers")
         widths = [self.inputs, *(str(bias.size) for _, bias in layers[:-1]), self.outputs]
@@ -137,12 +138,12 @@ class Named:
 
     shapes: Callable[[Collection[str]], dict[str, str]]
 
-    def arrays(self, name: str, value: Mapping[str, np.ndarray]) -> Iterator[tuple[str, ArrayDescription]]:
+    def arrays(self, name: str, value: Mapping[str, np.ndarray]) -> Iterator[DescribedArray]:
         shapes = self.shapes(value)
         if odd := sorted(shapes.keys() ^ value.keys()):
             raise GarmentModelError(f"{name} lacks arrays or has unknown ones: {', '.join(odd)}")
         for key, shape in shapes.items():
-            yield f"{name}.{key}", (value[key], Array(shape))
+            yield f"{name}.{key}", value[key], Array(shape)
 
     def read(self, name: str, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         keys = {key.removeprefix(f"{name}.") for key in arrays if key.startswith(f"{name}.")}
@@ -156,7 +157,7 @@ class Part:
     owner: type
     optional: bool = False
 
-    def arrays(self, name: str, value: object) -> Iterator[tuple[str, ArrayDescription]]:
+    def arrays(self, name: str, value: object) -> Iterator[DescribedArray]:
         if value is not None:
             yield from described_arrays(value, f"{name}.")
 
@@ -166,7 +167,7 @@ class Part:
         return self.owner(**read_described(self.owner, arrays, f"{name}."))
 
 
-def described_arrays(instance: object, prefix: str = "") -> Iterator[tuple[str, ArrayDescription]]:
+def described_arrays(instance: object, prefix: str = "") -> Iterator[DescribedArray]:
     """Every array of a dataclass with its description, by its name in the file."""
     for entry in fields(instance):
         if kind := entry.metadata.get("kind"):
@@ -184,5 +185,5 @@ def read_described(owner: type, arrays: Mapping[str, np.ndarray], prefix: str = 
 def check_arrays(instance: object, sizes: Mapping[str, int]) -> None:
     """Check every array of a dataclass. sizes: known ones. Raises GarmentModelError naming what does not fit."""
     known = dict(sizes)
-    for name, (array, kind) in described_arrays(instance):
+    for name, array, kind in described_arrays(instance):
         kind.check(name, array, known)

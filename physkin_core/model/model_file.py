@@ -134,7 +134,7 @@ def save_garment_model(model: GarmentModel, path: str | Path) -> None:
     Raises ModelFileError, and writes nothing, when a value is too large for the precision it is stored in.
     """
     tensors = {}
-    for name, (array, kind) in described_arrays(model):
+    for name, array, kind in described_arrays(model):
         tensors |= {key: np.ascontiguousarray(tensor) for key, tensor in _stored(name, array, kind).items()}
     metadata = {
         "format": FORMAT,

@@ -69,8 +69,8 @@ def write_report(folder: Path) -> Path:
         "# Ablations",
         f"Each row trained for {first['budget_minutes']:g} minutes on one {first['device']}, the reference material. "
         f"Figures on {counts} pairs of held-out adults and uniform poses over the full range, in one size, roots "
-        "upright; frame and skinning times with the native evaluator on one core of the machine that wrote this (median, "
-        "fp32).",
+        "upright; frame and skinning times with the native evaluator on one core of the machine that wrote this "
+        "(median, fp32).",
         "## Garment nodes and skinning weights",
         _node_table(rows, times),
         "The paper's figures are of its own bodies, motion and material; see docs/training.md. Rows with "

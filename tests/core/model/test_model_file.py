@@ -302,7 +302,7 @@ def test_impossible_material_is_refused(field, value, message):
         (lambda m: dict(influence_weights=-m.influence_weights), "non-negative and sum to 1"),
         (lambda m: dict(influence_weights=1.1 * m.influence_weights), "non-negative and sum to 1"),
         (lambda m: dict(influence_nodes=m.influence_nodes + 4), r"skinning.nodes holds index \d\.\.\d, allowed 0\.\.5"),
-        (lambda m: dict(node_bone=m.node_bone - 9), r"garment_nodes.bone holds index -9"),
+        (lambda m: dict(node_bone=m.node_bone - 9), r"garment_nodes.bone holds index -\d"),
         (lambda m: dict(pose_modulator=()), "pose_modulator has no layers"),
         (
             lambda m: dict(pose_modulator=m.pose_modulator[:-1]),

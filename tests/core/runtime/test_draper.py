@@ -346,7 +346,7 @@ def test_the_fit_reaches_the_networks(measured):
     """Correctives differ between fits by more than rest shapes alone would make them."""
     model, avatar = measured
     corrected, folded = Draper(model, avatar, fit=1.0, backend="numpy"), at_fit(model.hyper_modulator, 1.0)
-    same = {**folded, "fit": 0 * model.hyper_modulator["fit"]}
+    same = model.hyper_modulator | folded | {"fit": 0 * model.hyper_modulator["fit"]}
     as_told = Draper(replace(model, hyper_modulator=same), avatar, fit=1.0, backend="numpy")
     deaf = {**model.hyper_modulator, "fit": 0 * model.hyper_modulator["fit"]}
     untold = Draper(replace(model, hyper_modulator=deaf), avatar, fit=1.0, backend="numpy")
