@@ -14,5 +14,5 @@ def add_fit_option(parser: argparse.ArgumentParser) -> None:
         "--fit",
         type=float,
         metavar="F",
-        help="1: made to measure, 0: one size, or between (default: 1 for models that have learnt it, else 0)",
+        help="1: made to measure, 0: one size, or between (default: 1; 0 for another rig than the body model's)",
     )

@@ -55,10 +55,11 @@ class Array:
         yield name, value, self
 
     def read(self, name: str, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+        """What the file holds; indices as int32, rows that sum to 1 relieved of their rounding. `check` comes after."""
         array = arrays[name]
-        if self.sums_to_one:
+        if self.sums_to_one and array.dtype.kind == "f":
             return array / np.maximum(array.sum(axis=-1, keepdims=True), 1e-6)
-        if self.below and array.dtype.kind in "iu" and array.max() <= np.iinfo(np.int32).max:
+        if self.below and array.dtype.kind in "iu" and 0 <= array.min() and array.max() <= np.iinfo(np.int32).max:
             return array.astype(np.int32)
         return array
 

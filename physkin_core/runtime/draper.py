@@ -260,9 +260,9 @@ class Draper:
     def bind_step(self, joint_positions: np.ndarray, gravity: np.ndarray, out: np.ndarray) -> Callable[[], None]:
         """A frame bound to its arrays: `step()` drapes what they hold now into `out`, with nothing to convert.
 
-        joint_positions: (d,) [rad] and gravity: (3,) unit direction, or, for models that have learnt it, effective
-        gravity `in_units_of_gravity`; or with the moment behind, as of `physkin_core.sway.moment`. C-contiguous
-        float32, to be changed in place. out: as for `drape`.
+        joint_positions: (d,) [rad] and gravity: (3,) unit direction, or effective gravity `in_units_of_gravity`; or
+        with the moment behind, as of `physkin_core.sway.moment`. C-contiguous float32, to be changed in place. out: as
+        for `drape`.
         Raises TypeError or ValueError for other arrays; `step()` raises ValueError when a value or what the networks
         make of it is not finite (`out` is then unchanged).
         """
