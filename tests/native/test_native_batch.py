@@ -20,7 +20,7 @@ from physkin_core.runtime.reference_evaluator import ReferenceEvaluator
 LEVELS = supported_instruction_sets()
 SHAPES = {
     "small": dict(),
-    "odd widths": dict(pose_widths=(37, 19, 65), deformer_widths=(33, 7, 50), activation="relu"),
+    "odd widths": dict(pose_widths=(37, 19, 65), deformer_widths=(33, 7, 50)),
     "wide": dict(pose_widths=(160, 300), deformer_widths=(224, 130)),
 }
 

@@ -200,9 +200,9 @@ def load_config(path: str | Path) -> TrainingConfig:
 
 def _in_words(error: dict) -> str:
     """One of pydantic's errors in a sentence: the key, what is allowed, the value."""
-    *tables, key = error["loc"]
     place = ".".join(map(str, error["loc"]))
     if error["type"] == "unexpected_keyword_argument":
+        *tables, key = error["loc"]
         kind = TrainingConfig
         for table in tables:
             kind = get_type_hints(kind)[table]
@@ -212,4 +212,5 @@ def _in_words(error: dict) -> str:
         return f"{place} is missing"
     message = error["msg"].removeprefix("Value error, ")
     message = message[0].lower() + message[1:]
-    return f"{place}: {message}" + ("" if error["type"] == "value_error" else f", got {error['input']!r}")
+    where = f"{place}: " if place else ""
+    return where + message + ("" if error["type"] == "value_error" else f", got {error['input']!r}")

@@ -168,18 +168,6 @@ def test_another_configuration_is_refused_by_its_entry(straight, copy):
             resume(straight, copy, **changes)
 
 
-def test_entries_that_configurations_had_must_be_what_all_runs_have(straight, other, copy):
-    """Runs of an earlier version on adults go on, those on fantastical bodies do not."""
-    state = json.loads((copy / "state.json").read_text())
-    for bodies in ("fantastical", "adults"):
-        state["config"]["body_distribution"] = bodies
-        (copy / "state.json").write_text(json.dumps(state))
-        if bodies == "fantastical":
-            with pytest.raises(CheckpointError, match="body_distribution = 'fantastical'"):
-                other.resume(copy)
-    assert resume(straight, copy).step == 6
-
-
 TENSORS = ("drape", "average", "best", "exp_avg", "exp_avg_sq", "random")
 FILES = ("state.json", *(f"{name}.safetensors" for name in TENSORS))
 

@@ -102,7 +102,7 @@ def test_schedules(tmp_path, monkeypatch):
 
 def test_reports_are_means_over_the_steps_and_the_median_of_the_last(tmp_path, monkeypatch):
     """Against the energies of each step, caught on their way."""
-    trainer, caught, original = Trainer(small_config(tmp_path, samples=5, bodies=1), CPU), [], PhysicsLosses.__call__
+    trainer, caught, original = Trainer(small_config(tmp_path, samples=6, bodies=2), CPU), [], PhysicsLosses.__call__
 
     def catch(*arguments):
         loss, energies = original(*arguments)

@@ -76,7 +76,7 @@ def model_from_drape(
         name=name,
         rig=rig,
         garment=garment,
-        rest_normals=vertex_normals(garment.vertices, garment.faces),
+        rest_normals=vertex_normals(garment.vertices, garment.faces).astype(np.float32),
         node_rest=drape.node_rest.cpu().numpy(),
         node_bone=drape.node_bone.cpu().numpy().astype(np.int32),
         influence_nodes=nodes,
