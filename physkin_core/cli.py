@@ -150,6 +150,10 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] = MappingProxyType(
     info = commands.add_parser("info", help="say what a garment model file holds")
     info.add_argument("model", help="garment model file, or the name of a shipped one")
     info.set_defaults(run=_info)
+    convert = commands.add_parser("convert-model", help="write a garment model file of an earlier release anew")
+    convert.add_argument("old", type=Path, metavar="OLD", help="garment model file of an earlier release")
+    convert.add_argument("-o", "--output", type=Path, required=True, metavar="NEW", help="garment model file to write")
+    convert.set_defaults(run=_convert_model)
     completion = commands.add_parser("completion", help="print what a shell needs to complete this command's options")
     completion.add_argument("shell", choices=SHELLS)
     completion.set_defaults(run=_complete)
@@ -261,19 +265,25 @@ def _info(options: argparse.Namespace) -> int:
         "name": model.name,
         "garment": f"{len(garment.vertices)} vertices, {len(garment.faces)} faces, {garment.face_areas.sum():.3f} m2",
         "garment nodes": f"{len(model.node_rest)}, {model.influence_nodes.shape[1]} influences a vertex",
-        "made to measure": "learnt: fit 0 to 1, by default 1" if model.made_to_measure else "not learnt: fit 0 only",
-        "fabrics": "learnt" if model.learnt_bending else "bending not learnt",
         "sway": "learnt: by a network" if model.sway is not None else "not learnt: by a pendulum",
         "rig": f"{rig.bone_count} bones, {len(rig.dofs)} joints",
         "joints": ", ".join(rig.joint_names),
         **sizes,
-        "network weights": f"{parameters}, activation {model.activation}",
+        "network weights": parameters,
         "material": json.dumps(asdict(model.material)),
         "training": json.dumps(dict(model.training), indent=2),
         "scores": json.dumps(dict(model.scores), indent=2),
     }
     width = max(map(len, rows))
     print("\n".join(f"{name:<{width}}  {value}" for name, value in rows.items()))
+    return 0
+
+
+def _convert_model(options: argparse.Namespace) -> int:
+    from physkin_core.model.model_file import convert_model_file
+
+    convert_model_file(options.old, options.output)
+    print(f"wrote {options.output}")
     return 0
 
 

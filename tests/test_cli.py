@@ -113,8 +113,8 @@ def test_warnings_about_an_avatar_are_printed_once(model_path, garment_model, tm
     ("arguments", "reason"),
     [
         (
-            ["drape", "{avatar}", "-g", "{model}", "--fit", "1", "-o", "{tmp}/out.obj"],
-            "has not learnt to be made to measure",
+            ["drape", "{avatar}", "-g", "{model}", "--fit", "1.1", "-o", "{tmp}/out.obj"],
+            "fit must be 0 (the template) to 1 (made to measure), got 1.1",
         ),
         (["info", "nosuch"], "no garment model 'nosuch'"),
         (["info", "{tmp}/nosuch.safetensors"], "cannot read garment model"),

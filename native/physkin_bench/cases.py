@@ -23,6 +23,7 @@ from physkin_core.model.skinning import skinning_matrices
 from physkin_core.motion.loading import load_motion
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_core.separation.collision_shape import CollisionShape, fit_collision_shape
 from physkin_core.separation.limb_separator import SeparationSettings
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY, FrameInput
@@ -98,7 +99,7 @@ def model_case(model: str | Path, *, fit: float | None = None) -> BenchmarkCase:
         bound=bound,
         joint_positions=np.concatenate(positions).astype(np.float32),
         inputs=_inputs(np.concatenate(gravity)),
-        garment=loaded.garment.reshaped(bound.vertices) if loaded.checked_fit(fit) else loaded.garment,
+        garment=loaded.garment.reshaped(bound.vertices) if checked_fit(loaded, fit) else loaded.garment,
         limbs=limbs,
     )
 

@@ -48,12 +48,12 @@ def add_rig_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_fit_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--fit`, a number that is left to `GarmentModel.checked_fit`; None where it is not given."""
+    """Add `--fit`, a number that is left to `checked_fit`; None where it is not given."""
     parser.add_argument(
         "--fit",
         type=float,
         metavar="F",
-        help="1: made to measure, 0: one size, or between (default: 1 for models that have learnt it, else 0)",
+        help="1: made to measure, 0: one size, or between (default: 1; 0 for another rig than the body model's)",
     )
 
 

@@ -97,9 +97,9 @@ def test_a_sway_network_moves_cloth_by_the_stamps(swaying_model_path, avatar, ba
     assert found == [clouds.hexdigest()] * 2 and swung > 0.005
 
 
-def test_strain_is_against_the_rest_shape_that_is_worn(measured_model_path, avatar, bag, motion):
+def test_strain_is_against_the_rest_shape_that_is_worn(model_path, avatar, bag, motion):
     """Made to measure by default, and told so."""
-    draper = Draper(load_garment_model(measured_model_path), avatar)
+    draper = Draper(load_garment_model(model_path), avatar)
     with BagReader(bag) as source:
         figures = describe(replay(draper, source), draper, source, contact_every=0)
     clouds = np.stack([cloud[:, :3] for cloud in expected_clouds(draper, motion)]).astype(np.float64)
