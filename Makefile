@@ -36,10 +36,11 @@ test-slow: $(VENV)/installed-test
 	$(PYTEST) -m slow
 
 bench: $(VENV)/installed-bench
-	$(VENV)/bin/physkin bench
+	PYTHONPATH=native $(VENV)/bin/python -m physkin_bench
 
-# A site, in build/site.
+# A site, in build/site, with docs/architecture.svg drawn anew.
 docs: $(VENV)/installed-docs
+	$(VENV)/bin/python docs/draw_architecture.py
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet --config-file docs/site/mkdocs.yml
 
 # The pictures and plots of docs/, made anew: some minutes.

@@ -1,4 +1,4 @@
-"""Draw `docs/architecture.svg` from the imports between rooms, as they are now: python docs/draw_architecture.py
+"""Draw `docs/architecture.svg` from the imports between rooms, as they are now; `make docs` does.
 
 One column a package, one box a room: what it is (first sentence of its docstring) and which rooms of its package it
 uses. A room uses only rooms further down.
@@ -13,13 +13,12 @@ from html import escape
 
 from import_graph import NATIVE, ROOT, Module, modules, room_graph
 
-__all__ = ["DRAWING", "drawing"]
-
 DRAWING = ROOT / "docs" / "architecture.svg"
 COLUMNS = {"physkin_ros": "#e3eefb", "physkin_core": "#e6f4e4", "physkin_training": "#fdeedd"}
 """Packages side by side, and the colours of their rooms."""
-FOOT = {"physkin_bench": "#f0f0f0", "physkin_studies": "#f0f0f0"}
-"""Packages drawn as one box below."""
+FOOT = ("physkin_bench", "physkin_prepare", "physkin_studies")
+"""Packages drawn as one box below: those that are not installed."""
+FOOT_COLOUR = "#f0f0f0"
 NATIVE_SENTENCE = "The evaluator in C++ (native/), which computes a frame."
 
 WIDTH, MARGIN, GAP, TOP = 960, 12, 28, 56
@@ -48,21 +47,19 @@ def drawing() -> str:
         parts.append(
             f'<path d="M{x} 27h{turn * (GAP - 10)}" stroke="#333" stroke-width="2.5" marker-end="url(#head)"/>'
         )
-    width, deepest = (WIDTH - 2 * MARGIN - GAP) / 2, 0
-    for index, (package, colour) in enumerate(FOOT.items()):
+    deepest = 0
+    for index, package in enumerate(FOOT):
         inside = {name for name in graph if name.split(".")[0] == package}
         used = {target.split(".")[0] for name in inside for target in graph[name] - inside}
-        left = MARGIN + index * (width + GAP)
-        box, height = _box(left, bottom + 8, width, package, _sentence(found[package]), sorted(used), colour)
+        left = MARGIN + index * (COLUMN + GAP)
+        box, height = _box(left, bottom + 8, COLUMN, package, _sentence(found[package]), sorted(used), FOOT_COLOUR)
         parts, deepest = parts + box, max(deepest, height)
-    listing = "\n".join(f"{name}: {' '.join(sorted(targets))}" for name, targets in sorted(graph.items()))
     bottom = round(bottom + deepest + 2 * MARGIN)
     start = '<svg xmlns="http://www.w3.org/2000/svg" font-family="Helvetica, Arial, sans-serif"'
     head = '<marker id="head" orient="auto" markerWidth="6" markerHeight="6" refX="3" refY="3">'
     lines = (
         f'{start} viewBox="0 0 {WIDTH} {bottom}">',
         "<title>Rooms of PhySkin: a room uses only rooms further down</title>",
-        f"<desc>\n{listing}\n</desc>",
         f'<defs>{head}<path d="M0 0L6 3L0 6z" fill="#333"/></marker></defs>',
         '<rect width="100%" height="100%" fill="#fff"/>',
         *parts,

@@ -7,17 +7,31 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["NATIVE", "PACKAGES", "ROOT", "SCRIPTS", "Module", "import_graph", "modules", "room", "room_graph"]
+__all__ = [
+    "INSTALLED",
+    "NATIVE",
+    "PACKAGES",
+    "ROOT",
+    "SCRIPTS",
+    "Module",
+    "import_graph",
+    "modules",
+    "room",
+    "room_graph",
+]
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {
     "physkin_core": "physkin_core",
     "physkin_ros": "physkin_ros",
     "physkin_training": "training/physkin_training",
+    "physkin_prepare": "training/physkin_prepare",
     "physkin_studies": "training/physkin_studies",
     "physkin_bench": "native/physkin_bench",
 }
 """Import package -> its folder in the repository."""
+INSTALLED = ("physkin_core", "physkin_ros", "physkin_training")
+"""Those of a wheel; the others are run in a clone."""
 
 SCRIPTS = ("launch", "examples")
 """Folders of a package whose files are started or shown, never imported."""

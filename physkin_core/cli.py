@@ -19,12 +19,14 @@ import numpy as np
 from physkin_core.avatar.avatar import AvatarWarning
 from physkin_core.completion import SHELLS, completion_script
 from physkin_core.extras import extra_of
-from physkin_core.fit_option import add_fit_option
 from physkin_core.outfit.outfit_options import (
+    add_fit_option,
     add_garment_option,
     add_limbs_option,
+    add_rig_option,
     add_tucked_option,
     chosen_garments,
+    the_garment,
 )
 from physkin_core.output_file import check_folder, check_other_file
 from physkin_core.separation.limb_separator import separated_motion
@@ -45,18 +47,8 @@ FORWARDED = {
     "doctor": ("physkin_core.doctor.command", "look whether this installation works; say what to do where not"),
     "view": ("physkin_core.view.command", "show an avatar and its outfit live, on a page in the browser"),
     "node": ("physkin_ros.node.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
-    "demo": (
-        "physkin_ros.tools.demo",
-        "run the node between a motion player and a listener; draw a picture",
-    ),
-    "ros-bench": (
-        "physkin_ros.tools.ros_bench",
-        "measure the node between real processes: delivery, latency, CPU time",
-    ),
-    "fit-garment": (
-        "physkin_training.fit_garment.fit_garment",
-        "check, train and report on a garment of one's own",
-    ),
+    "demo": ("physkin_ros.tools.demo", "run the node between a motion player and a listener; draw a picture"),
+    "fit-garment": ("physkin_training.fit_garment.fit_garment", "check, train and report on a garment of one's own"),
     "train": ("physkin_training.train.train", "train a garment from its mesh and physics"),
     "train-catalogue": (
         "physkin_training.catalogue.command",
@@ -66,15 +58,12 @@ FORWARDED = {
         "physkin_training.sway.command",
         "learn how a garment lags, swings and settles, from simulated walkers",
     ),
-    "bench": ("physkin_bench", "time a frame, its stages and other engines on this machine"),
+    "bench": ("physkin_core.bench", "time a frame and its stages on this machine"),
     "simulate": ("physkin_training.evaluate.simulate", "drape a garment on an avatar by minimising its energy"),
     "evaluate": ("physkin_training.evaluate.command", "measure a garment model or outfits on bodies it has not seen"),
-    "contact-sheet": (
-        "physkin_training.evaluate.contact_sheet",
-        "draw a model on thin, average and heavy bodies",
-    ),
+    "contact-sheet": ("physkin_training.evaluate.contact_sheet", "draw a model on thin, average and heavy bodies"),
     "replay": (
-        "physkin_ros.tools.replay",
+        "physkin_ros.replay.command",
         "drape the joint states of a bag; write clouds, figures and a report. Needs no ROS",
     ),
     "convert": ("physkin_ros.replay.convert", "write a motion clip, BVH or AMC file as a bag of joint states"),
@@ -140,10 +129,8 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] = MappingProxyType(
         commands.add_parser(name, help=text, add_help=False, parents=parents)
     worn = argparse.ArgumentParser(add_help=False)
     worn.add_argument("avatar", metavar="AVATAR", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
-    worn.add_argument("second", nargs="?", help=argparse.SUPPRESS)
     add_garment_option(worn)
-    worn.add_argument("--model", help=argparse.SUPPRESS)
-    worn.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    add_rig_option(worn)
     add_fit_option(worn)
     drape = commands.add_parser("drape", parents=[worn], help="drape one frame of a motion; write a mesh or a picture")
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
@@ -158,23 +145,19 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] = MappingProxyType(
     bind = commands.add_parser(
         "bind", parents=[worn], help="write a garment on one avatar for hosts without Python (Unity, C, C++)"
     )
-    bind.add_argument("--push-out", action="store_true", help=argparse.SUPPRESS)  # removed: told so
     bind.add_argument("-o", "--output", type=Path, required=True, help="file to write (docs/c-host.md)")
     bind.set_defaults(run=_bind)
     info = commands.add_parser("info", help="say what a garment model file holds")
     info.add_argument("model", help="garment model file, or the name of a shipped one")
     info.set_defaults(run=_info)
+    convert = commands.add_parser("convert-model", help="write a garment model file of an earlier release anew")
+    convert.add_argument("old", type=Path, metavar="OLD", help="garment model file of an earlier release")
+    convert.add_argument("-o", "--output", type=Path, required=True, metavar="NEW", help="garment model file to write")
+    convert.set_defaults(run=_convert_model)
     completion = commands.add_parser("completion", help="print what a shell needs to complete this command's options")
     completion.add_argument("shell", choices=SHELLS)
     completion.set_defaults(run=_complete)
     return parser
-
-
-def _garments(options: argparse.Namespace) -> list[str]:
-    """What `--garment` names."""
-    if options.second or options.model:
-        raise ValueError("the garment is an option: physkin COMMAND AVATAR --garment MODEL -o FILE")
-    return options.garment or ["tshirt"]
 
 
 def _tell(warnings_found: Sequence[str]) -> None:
@@ -187,7 +170,7 @@ def _outfit(options: argparse.Namespace) -> Outfit:
     """The garments on the avatar, over each other."""
     from physkin_core import Outfit, load_avatar
 
-    garments = chosen_garments(_garments(options), options.tucked)
+    garments = chosen_garments(options.garment, options.tucked)
     avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
     outfit = Outfit(garments, avatar, fit=options.fit)
     _tell(outfit.warnings)
@@ -196,7 +179,7 @@ def _outfit(options: argparse.Namespace) -> Outfit:
 
 def _drape(options: argparse.Namespace) -> int:
     from physkin_core import load_motion
-    from physkin_core.motion.reading_progress import reading_progress
+    from physkin_core.progress import progress_line
 
     writers: dict[str, Callable] = {".obj": _write_obj, ".png": _write_png}
     write = writers.get(options.output.suffix.lower())
@@ -204,7 +187,7 @@ def _drape(options: argparse.Namespace) -> int:
         raise ValueError(f"cannot write {options.output}: the name must end in {' or '.join(writers)}")
     check_folder(options.output)
     check_other_file(options.output, options.avatar)
-    motion = load_motion(options.motion, watch=reading_progress(options.motion))
+    motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
     if not 0 <= options.frame < motion.frame_count:
         raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
     if options.strip is not None:
@@ -238,13 +221,9 @@ def _draw_strip(options: argparse.Namespace, motion: Motion) -> int:
 def _bind(options: argparse.Namespace) -> int:
     from physkin_core import Draper, load_avatar, load_garment_model
 
-    if options.push_out:
-        raise ValueError("--push-out: push-out was removed; a bound garment is as its model drapes it")
-    names = _garments(options)
-    if len(names) > 1:
-        raise ValueError(f"a bound file holds one garment, got {len(names)}: {', '.join(names)}")
-    check_other_file(options.output, options.avatar, names[0])
-    model = load_garment_model(names[0])
+    name = the_garment(options.garment, "a bound file holds")
+    check_other_file(options.output, options.avatar, name)
+    model = load_garment_model(name)
     draper = Draper(model, load_avatar(options.avatar, model.rig, rig_file=options.rig), fit=options.fit)
     _tell(draper.avatar.warnings)
     draper.save_bound(options.output)
@@ -286,19 +265,25 @@ def _info(options: argparse.Namespace) -> int:
         "name": model.name,
         "garment": f"{len(garment.vertices)} vertices, {len(garment.faces)} faces, {garment.face_areas.sum():.3f} m2",
         "garment nodes": f"{len(model.node_rest)}, {model.influence_nodes.shape[1]} influences a vertex",
-        "made to measure": "learnt: fit 0 to 1, by default 1" if model.made_to_measure else "not learnt: fit 0 only",
-        "fabrics": "learnt" if model.learnt_bending else "bending not learnt",
         "sway": "learnt: by a network" if model.sway is not None else "not learnt: by a pendulum",
         "rig": f"{rig.bone_count} bones, {len(rig.dofs)} joints",
         "joints": ", ".join(rig.joint_names),
         **sizes,
-        "network weights": f"{parameters}, activation {model.activation}",
+        "network weights": parameters,
         "material": json.dumps(asdict(model.material)),
         "training": json.dumps(dict(model.training), indent=2),
         "scores": json.dumps(dict(model.scores), indent=2),
     }
     width = max(map(len, rows))
     print("\n".join(f"{name:<{width}}  {value}" for name, value in rows.items()))
+    return 0
+
+
+def _convert_model(options: argparse.Namespace) -> int:
+    from physkin_core.model.model_file import convert_model_file
+
+    convert_model_file(options.old, options.output)
+    print(f"wrote {options.output}")
     return 0
 
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from physkin_core.model.garment import GarmentError
+from physkin_core.obj_file import read_obj
 from physkin_core.quality import closest_points
 
 if TYPE_CHECKING:
@@ -137,50 +138,23 @@ def write_obj(path: Path, vertices: np.ndarray, faces: np.ndarray, look: Look, *
 
 
 def _read_obj(path: Path) -> MeshFile:
-    """Vertices in the order of the file, faces of more corners as fans."""
-    vertices, places, faces, corners, looks = [], [], [], [], []
-    materials: dict[str, int] = {}
-    parts: dict[str, int] = {}
-    material = part = -1
-    libraries, polygons = [], 0
-    for line in path.read_text(encoding="utf-8", errors="replace").replace("\\\n", " ").splitlines():
-        kind, *entries = line.split("#")[0].split() or [""]
-        if kind == "v":
-            vertices.append([float(entry) for entry in entries[:3]])
-        elif kind == "vt":
-            places.append([float(entry) for entry in entries[:2]])
-        elif kind in ("o", "g") and entries:
-            part = parts.setdefault(" ".join(entries), len(parts))
-        elif kind == "usemtl":
-            material = materials.setdefault(" ".join(entries), len(materials))
-        elif kind == "mtllib":
-            libraries.append(" ".join(entries))
-        elif kind == "f":
-            polygons += len(entries) > 3
-            indices = [[int(number) if number else 0 for number in entry.split("/")[:2]] for entry in entries]
-            own = [index[0] - 1 if index[0] > 0 else len(vertices) + index[0] for index in indices]
-            uv = [_place_of(index[1:], places) for index in indices]
-            for corner in range(1, len(entries) - 1):
-                fan = (0, corner, corner + 1)
-                faces.append([own[k] for k in fan])
-                corners.append([uv[k] for k in fan])
-                looks.append((material, part))
-    material, part = np.array(looks, dtype=int).reshape(-1, 2).T
-    used = [name for index, name in enumerate(parts) if (part == index).any()]
-    part = np.array([used.index(list(parts)[index]) if index >= 0 else -1 for index in part], dtype=int)
-    if len(used) == 1:
-        used, part = [], np.full(len(part), -1)
-    files = _library(path.parent, libraries) if materials else {}
-    uv = np.array(corners, dtype=float).reshape(-1, 3, 2)
-    look = Look(uv, material, part, tuple(materials), tuple(used), files)
-    return MeshFile(np.array(vertices, dtype=float).reshape(-1, 3), np.array(faces, int).reshape(-1, 3), polygons, look)
+    file = read_obj(path)
+    materials, material = _numbered([names.material for names in file.names], file.face_names)
+    parts, part = _numbered([names.part for names in file.names], file.face_names)
+    if len(parts) == 1:
+        parts, part = (), np.full(len(part), -1)
+    files = _library(path.parent, file.libraries) if materials else {}
+    look = Look(file.uv, material, part, materials, parts, files)
+    return MeshFile(file.vertices, file.faces, file.polygons, look)
 
 
-def _place_of(index: list[int], places: list) -> list[float]:
-    return places[index[0] - 1 if index[0] > 0 else index[0]] if index and index[0] else [np.nan, np.nan]
+def _numbered(names: Sequence[str], which: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
+    """Names, each once and none empty, and what faces have of them, by `which` (f,) of `names`; -1 for none."""
+    different = tuple(dict.fromkeys(filter(None, names)))
+    return different, np.array([different.index(name) if name else -1 for name in names], dtype=int)[which]
 
 
-def _library(folder: Path, names: list[str]) -> dict[str, bytes]:
+def _library(folder: Path, names: Sequence[str]) -> dict[str, bytes]:
     """Material libraries of a folder as one, and the pictures they name, all by their names alone."""
     files, lines = {}, []
     for name in names:

@@ -16,6 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from physkin_core.model.skinning import SkinningData
 from physkin_core.runtime.evaluator import Skinner
+from physkin_ros.messages.topics import GARMENT_NODES, MESH
 
 __all__ = ["GarmentClient", "GarmentFrame", "GarmentSkin"]
 
@@ -97,8 +98,8 @@ class GarmentClient:
         self._log = node.get_logger()
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._subscriptions = (
-            node.create_subscription(GarmentMesh, f"{topics}/mesh", self._on_mesh, latched),
-            node.create_subscription(GarmentNodes, f"{topics}/garment_nodes", self._on_nodes, depth),
+            node.create_subscription(GarmentMesh, MESH.below(topics), self._on_mesh, latched),
+            node.create_subscription(GarmentNodes, GARMENT_NODES.below(topics), self._on_nodes, depth),
         )
 
     def _on_mesh(self, message: GarmentMesh) -> None:

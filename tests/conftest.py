@@ -7,10 +7,10 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from random_models import random_hyper_modulator
 
 from physkin_core import Garment, GarmentModel, load_body_model, load_garment_model, save_garment_model
 from physkin_core.model.garment import vertex_normals
-from physkin_core.model.hyper_modulator import token_features
 from physkin_core.model.mlp import modulation_size
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background: children would inherit the deafness
@@ -66,37 +66,21 @@ def _vest() -> GarmentModel:
         pairs = zip(sizes[:-1], sizes[1:])
         return tuple((0.1 * random.normal(size=(o, i)) / i**0.5, 0.01 * random.normal(size=o)) for i, o in pairs)
 
-    deformer = layers(12 * 16, 16, 16, 9 * 16)
+    deformer = layers(12 * 16, 16, 16, 12 * 16)
     pose = layers(body.rig.pose_size, 16, 16, modulation_size(deformer))
     strongest = body.influence_weights[used[nodes]].argmax(axis=1)
     return GarmentModel(
         name="vest",
         rig=body.rig,
         garment=Garment(surface, kept.reshape(-1, 3)),
+        rest_normals=vertex_normals(surface, kept.reshape(-1, 3)),
         node_rest=surface[nodes].astype(np.float32),
         node_bone=body.influence_bones[used[nodes], strongest].astype(np.int32),
         influence_nodes=influences.astype(np.int32),
         influence_weights=(weights / weights.sum(axis=1, keepdims=True)).astype(np.float32),
-        hyper_modulator=_hyper_modulator(random, 8, modulation_size(pose)),
+        engine_nodes=influences[:, :2].astype(np.int32),
+        engine_weights=(weights[:, :2] / weights[:, :2].sum(axis=1, keepdims=True)).astype(np.float32),
+        hyper_modulator=random_hyper_modulator(random, modulation_size(pose), blocks=1),
         pose_modulator=tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in pose),
         node_deformer=tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in deformer),
     )
-
-
-def _hyper_modulator(random: np.random.Generator, width: int, outputs: int) -> dict[str, np.ndarray]:
-    linear = {
-        "embed": (width, token_features()),
-        "attention.input": (3 * width, width),
-        "attention.output": (width, width),
-        "feed_forward.0": (16, width),
-        "feed_forward.1": (width, 16),
-        "pool": (1, width),
-        "residual.0.0": (16, width),
-        "residual.0.1": (width, 16),
-        "output": (outputs, width),
-    }
-    arrays = {f"{name}.weight": random.normal(size=shape) / shape[1] ** 0.5 for name, shape in linear.items()}
-    arrays |= {f"{name}.bias": 0.1 * random.normal(size=shape[0]) for name, shape in linear.items()}
-    for name in ("norm_1", "norm_2", "residual.0.norm"):
-        arrays |= {f"{name}.weight": np.ones(width), f"{name}.bias": np.zeros(width)}
-    return {name: array.astype(np.float32) for name, array in arrays.items()}

@@ -1,12 +1,15 @@
 """A held-out body as a glTF document that tests may change before it is written and loaded."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import load_avatar
-from physkin_core.export.gltf_builder import write_glb
-from physkin_training.prepare.gltf_export import skinned_document
+from physkin_core.export.gltf_builder import GltfBuilder, write_glb
+from physkin_prepare.gltf_export import skinned_document
 
 BODY = load_body_model()
 RIG = BODY.rig
@@ -58,3 +61,9 @@ def dense_weights(avatar):
     dense = np.zeros((len(avatar.vertices), RIG.bone_count))
     np.add.at(dense, (np.arange(len(dense))[:, None], avatar.influence_bones), avatar.influence_weights)
     return dense
+
+
+def write_gltf(path: Path, builder: GltfBuilder, *, buffer_uri: str) -> None:
+    """Write the JSON alone; `buffer_uri` is where its buffer is found (a file beside it, or a data URI)."""
+    document = {**builder.document, "buffers": [{**builder.document["buffers"][0], "uri": buffer_uri}]}
+    path.write_text(json.dumps(document), encoding="utf-8")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from physkin_core import Avatar, DegreeOfFreedom, Garment, GarmentModel, Rig
+from physkin_core.model.garment import vertex_normals
 from physkin_core.model.hyper_modulator import token_features
 from physkin_core.model.sway_network import SwayNetwork, drive_size, pose_size
 
@@ -130,6 +131,7 @@ def random_hyper_modulator(
     for name in norms:
         arrays[f"{name}.weight"] = rng.uniform(0.5, 1.5, size=width)
         arrays[f"{name}.bias"] = 0.2 * rng.normal(size=width)
+    arrays |= {"fit": rng.normal(size=width), "bend": rng.normal(size=width)}
     return {name: array.astype(np.float32) for name, array in arrays.items()}
 
 
@@ -146,19 +148,14 @@ def random_model(
     segments: int = 12,
     pose_widths: tuple[int, ...] = (16, 16),
     deformer_widths: tuple[int, ...] = (12, 12),
-    node_outputs: int = 12,
-    activation: str = "silu",
     width: int = 8,
     correction: float = 0.1,
-    made_to_measure: bool = False,
-    learnt_fabrics: bool = False,
     learnt_sway: bool = False,
 ) -> GarmentModel:
     """A garment model with random networks and smooth random skinning weights.
 
     rig, garment: default a random rig of `bones` and `dofs`, and a `tube` of `rings` by `segments`. correction: about
-    how large the node deformer's numbers are. made_to_measure: it has learnt a fit. learnt_fabrics: other bending and
-    accelerated roots. learnt_sway: it has a sway network, for which node_outputs must be 12.
+    how large the node deformer's numbers are. learnt_sway: it has a sway network.
     """
     rig = random_rig(rng, bones=bones, dofs=dofs) if rig is None else rig
     garment = tube(rings=rings, segments=segments) if garment is None else garment
@@ -169,28 +166,26 @@ def random_model(
     weights = np.exp(-np.take_along_axis(distance, influence_nodes, axis=1) / 0.05) * rng.uniform(
         0.5, 1.5, size=influence_nodes.shape
     )
-    deformer = random_layers(rng, (12 * nodes, *deformer_widths, node_outputs * nodes), output_scale=correction)
+    deformer = random_layers(rng, (12 * nodes, *deformer_widths, 12 * nodes), output_scale=correction)
     pose = random_layers(rng, (rig.pose_size, *pose_widths, 2 * sum(deformer_widths)), output_scale=0.3)
     node_bone = rng.integers(0, rig.bone_count, size=nodes).astype(np.int32)
     hyper = random_hyper_modulator(rng, 2 * sum(pose_widths), width=width)
-    if made_to_measure:
-        hyper["fit"] = rng.normal(size=width).astype(np.float32)
-    if learnt_fabrics:
-        hyper["bend"] = rng.normal(size=width).astype(np.float32)
     return GarmentModel(
         name="random",
         rig=rig,
         garment=garment,
+        rest_normals=vertex_normals(garment.vertices, garment.faces).astype(np.float32),
         node_rest=rest,
         node_bone=node_bone,
         influence_nodes=influence_nodes.astype(np.int32),
         influence_weights=(weights / weights.sum(axis=1, keepdims=True)).astype(np.float32),
+        engine_nodes=influence_nodes[:, :2].astype(np.int32),
+        engine_weights=(weights[:, :2] / weights[:, :2].sum(axis=1, keepdims=True)).astype(np.float32),
         hyper_modulator=hyper,
         pose_modulator=pose,
         node_deformer=deformer,
-        activation=activation,
         sway=random_sway_network(rng, len(rig.dofs), nodes, modulation=2 * sum(pose_widths)) if learnt_sway else None,
-        training={"seed": 7, "bodies": 3} | ({"poses": {"accelerated": 0.3}} if learnt_fabrics else {}),
+        training={"seed": 7, "bodies": 3},
         scores={"edge_strain_percent": 3.5},
     )
 

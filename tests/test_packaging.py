@@ -9,9 +9,9 @@ import zipfile
 
 import pytest
 
-from import_graph import PACKAGES, ROOT
+from import_graph import INSTALLED, PACKAGES, ROOT
 
-SHIPPED = {name: folder for name, folder in PACKAGES.items() if name != "physkin_studies"}
+SHIPPED = {name: PACKAGES[name] for name in INSTALLED}
 NOT_SHIPPED = ("__pycache__", "CMakeLists.txt", "package.xml", ".so")
 HEAVY = ("torch", "warp", "anny", "rclpy", "mitsuba")
 
@@ -62,5 +62,6 @@ def test_wheel_holds_every_file(tmp_path):
     wanted = {f"{package}/{path}" for package, path, _ in files()}
     assert {f"{package}/__init__.py" for package in SHIPPED} <= wanted
     assert wanted - names == set()
+    assert {name.split("/")[0] for name in names if name.endswith(".py")} == set(SHIPPED)
     assert any(name.startswith("physkin_core/_native.") for name in names)
     assert "physkin_core/libphyskin_c.so" in names

@@ -3,14 +3,13 @@
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from types import SimpleNamespace
 
 import pytest
 from source_links import on_page_markdown
 
 from draw_flow import FLOW, flow
-from import_graph import PACKAGES, ROOT
+from import_graph import ROOT
 from physkin_core import load_garment_model
 from ros_reference import REFERENCE, reference
 
@@ -62,20 +61,3 @@ def test_reference_has_what_there_is():
         declared = [line for line in path.read_text().splitlines() if line and line[0] not in "#-"]
         part = text.split(f"### {path.stem}\n")[1].split("\n### ")[0]
         assert len(re.findall(r"^\| `", part, re.MULTILINE)) == len(declared), path
-
-
-def sentences() -> Iterator[str]:
-    """The sources, with texts that go over several lines in one piece."""
-    for folder in (*PACKAGES.values(), "native"):
-        for suffix in ("py", "cpp", "txt"):
-            for path in (ROOT / folder).rglob(f"*.{suffix}"):
-                yield re.sub(r'"\s*\n\s*f?"', "", path.read_text())
-
-
-def test_troubleshooting_quotes_what_the_code_says():
-    """First cells that are quoted whole are parts of error sentences."""
-    text = (ROOT / "docs" / "troubleshooting.md").read_text()
-    quoted = re.findall(r"^\| `([^`]+)` \|", text, re.MULTILINE)
-    sources = list(sentences())
-    assert len(quoted) > 20
-    assert [part for part in quoted if not any(part in source for source in sources)] == []

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from physkin_core.runtime.native_evaluator import NativeEvaluator
 from scipy.spatial import cKDTree
 
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
@@ -18,10 +19,11 @@ from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
 from physkin_core.model.garment import Garment
 from physkin_core.model.mlp import Layer
 from physkin_core.model.model_file import load_garment_model
-from physkin_core.model.skinning import skin, skinning_matrices
+from physkin_core.model.skinning import skinning_matrices
 from physkin_core.motion.loading import load_motion
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_core.separation.collision_shape import CollisionShape, fit_collision_shape
 from physkin_core.separation.limb_separator import SeparationSettings
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY, FrameInput
@@ -58,7 +60,7 @@ class BenchmarkCase:
 
 @dataclass(frozen=True)
 class SkinningCase:
-    """Skinning alone. matrices: (m, 3, 4) float32, from rest to posed garment. expected: (n, 6) float64."""
+    """Skinning alone. matrices: (m, 3, 4) float32, from rest to posed garment. expected: (n, 6) float32."""
 
     bound: BoundGarment
     matrices: np.ndarray
@@ -67,12 +69,10 @@ class SkinningCase:
 
 def skinning_case(bound: BoundGarment, node_transforms: np.ndarray) -> SkinningCase:
     """The skinning of a bound garment by given garment nodes (m, 3, 4): positions and unit normals."""
-    transforms = node_transforms.astype(np.float64)
-    posed = skin(
-        transforms, bound.node_rest, bound.vertices, bound.normals, bound.influence_nodes, bound.influence_weights
-    )
-    matrices = skinning_matrices(transforms, bound.node_rest).astype(np.float32)
-    return SkinningCase(bound, matrices, np.concatenate(posed, axis=1))
+    expected = np.empty((len(bound.vertices), 6), dtype=np.float32)
+    NativeEvaluator(bound).skin(node_transforms, expected)
+    matrices = skinning_matrices(node_transforms.astype(np.float64), bound.node_rest).astype(np.float32)
+    return SkinningCase(bound, matrices, expected)
 
 
 def model_case(model: str | Path, *, fit: float | None = None) -> BenchmarkCase:
@@ -99,7 +99,7 @@ def model_case(model: str | Path, *, fit: float | None = None) -> BenchmarkCase:
         bound=bound,
         joint_positions=np.concatenate(positions).astype(np.float32),
         inputs=_inputs(np.concatenate(gravity)),
-        garment=loaded.garment.reshaped(bound.vertices) if loaded.checked_fit(fit) else loaded.garment,
+        garment=loaded.garment.reshaped(bound.vertices) if checked_fit(loaded, fit) else loaded.garment,
         limbs=limbs,
     )
 

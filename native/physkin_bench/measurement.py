@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, astuple
+from dataclasses import astuple
 from functools import partial
 
 import numpy as np
@@ -11,23 +11,13 @@ import numpy as np
 from physkin_bench.cases import BenchmarkCase, skinning_case
 from physkin_bench.network_case import network_case
 from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, prepare_peers
-from physkin_bench.timing import time_in_turns
+from physkin_core.bench import STAGES, bound_frame, stage_frames, time_in_turns, timing_keys
 from physkin_core.native_module import native
 from physkin_core.quality import edge_strain
-from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import PRECISIONS, Evaluator, supported_instruction_sets
 from physkin_core.separation.limb_separator import SeparationSettings
 
-__all__ = ["STAGES", "measure_case"]
-
-STAGES = {
-    "posing": "pose",
-    "networks": "run_networks",
-    "composition": "compose_nodes",
-    "skinning": "skin",
-    "frame": "step",
-}
-"""Stage -> method of a bound step."""
+__all__ = ["measure_case"]
 
 BYTES_A_WEIGHT = {"fp32": 4, "bf16": 2, "int8": 1}
 """Bytes of a network weight; in int8 the first layers of both networks have as many as in bf16."""
@@ -45,17 +35,13 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
     """
     middle = len(case.joint_positions) // 2
     bound, pose, inputs = case.bound, case.joint_positions[middle].copy(), case.inputs[middle].copy()
-    calls: dict[str, Callable[[], object]] = {}
-    evaluators, steps = {}, {}
-    for level in (levels := supported_instruction_sets()):
-        for precision in PRECISIONS:
-            evaluators[precision] = Evaluator([bound], instruction_set=level, precision=precision)
-            steps[precision] = _bound_frame(evaluators[precision], bound, pose, inputs)
-            for stage, method in STAGES.items():
-                calls[f"{precision}.{level}.{stage}"] = getattr(steps[precision], method)
+    found, levels = stage_frames(bound, pose, inputs), supported_instruction_sets()
+    evaluators, steps = ({p: found[f"{p}.{levels[-1]}"][k] for p in PRECISIONS} for k in (0, 1))
+    calls = {f"{name}.{stage}": getattr(found[name][1], method) for name in found for stage, method in STAGES.items()}
+    for level in levels:
         if len(bound.faces):
             normals = Evaluator([bound], instruction_set=level, normals="faces")
-            calls[f"face_normals.{level}"] = _bound_frame(normals, bound, pose, inputs).compute_normals
+            calls[f"face_normals.{level}"] = bound_frame(normals, bound, pose, inputs).compute_normals
         if case.limbs is not None:
             shape, arms_down = case.limbs
             separator = native.LimbSeparator(shape, *astuple(SeparationSettings()), level)
@@ -81,8 +67,7 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
 
     figures: dict[str, object] = {"model": case.name, "vertices": len(bound.vertices)}
     figures["network_weights"] = networks.weight_count
-    for name, timing in timings.items():
-        figures |= {f"{name}.us.{figure}": value for figure, value in asdict(timing).items() if figure != "count"}
+    figures |= timing_keys(timings)
     terms = evaluators["fp32"].skinning_terms()
     blocks = -(-len(bound.vertices) // BLOCK)
     multiply_adds = BLOCK * (12 * terms + MULTIPLY_ADDS_A_VERTEX * blocks)
@@ -92,16 +77,10 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
         precision, stage = name.split(".")
         figures[f"floor.{name}.us"] = floor
         figures[f"floor.{name}.share"] = floor / timings[f"{precision}.{levels[-1]}.{stage}"].p50
-    for precision in PRECISIONS:
-        errors = _errors(case, evaluators[precision], evaluators["fp32"])
+    for precision in ("bf16", "int8"):
+        errors = _errors(case, evaluators["fp32"], evaluators[precision])
         figures |= {f"error.{precision}.{figure}": value for figure, value in errors.items()}
     return figures | {"missing": missing}
-
-
-def _bound_frame(evaluator: Evaluator, bound: BoundGarment, pose: np.ndarray, inputs: np.ndarray):
-    frame = evaluator.bind_frame(pose, inputs, [np.empty((len(bound.vertices), 6), dtype=np.float32)])
-    frame.step()
-    return frame
 
 
 def _probes(weights: int, first_layers: int, level: str) -> tuple[dict[str, Callable[[], object]], int]:
@@ -117,9 +96,8 @@ def _probes(weights: int, first_layers: int, level: str) -> tuple[dict[str, Call
     return calls, calls["multiply_add"]()
 
 
-def _errors(case: BenchmarkCase, evaluator: Evaluator, exact: Evaluator) -> dict[str, float]:
-    """Against network weights as they are, in fp32, over the case's poses: millimetres, and what is added to the edge
-    strain."""
+def _errors(case: BenchmarkCase, exact: Evaluator, evaluator: Evaluator) -> dict[str, float]:
+    """Of rounded network weights, over the case's poses: millimetres, and what is added to the edge strain."""
     out, expected = np.empty((2, len(case.bound.vertices), 6), dtype=np.float32)
     distances, strains = [], []
     for pose, inputs in zip(case.joint_positions, case.inputs):

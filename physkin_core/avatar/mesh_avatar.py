@@ -28,6 +28,7 @@ from physkin_core.avatar.skinned_mesh import (
     unit_scale,
 )
 from physkin_core.model.surface_sampling import sample_surface
+from physkin_core.obj_file import read_obj
 from physkin_core.rig.rig import Rig
 
 __all__ = ["load_mesh", "retarget_plain_mesh"]
@@ -161,37 +162,16 @@ def _template(rig: Rig, source: str) -> BodyModel:
 
 def _read_surface(path: Path) -> Surface:
     """Vertices in the order of the file."""
-    import trimesh
-
     try:
         if path.suffix.lower() == ".obj":
-            return _read_obj(path)
+            file = read_obj(path)
+            parts = list(dict.fromkeys((names.material, names.group, names.object) for names in file.names))
+            number = [parts.index((names.material, names.group, names.object)) for names in file.names]
+            told = tuple(tuple(filter(None, part)) for part in parts)
+            return Surface(file.vertices, file.faces, told, np.array(number, dtype=int)[file.face_names])
+        import trimesh
+
         mesh = trimesh.load_mesh(path, process=False)
         return Surface(np.asarray(mesh.vertices), np.asarray(getattr(mesh, "faces", ())))
     except Exception as error:  # whatever the parser trips over, the file is not a readable mesh
         raise AvatarError(f"avatar {path} is not a readable mesh: {type(error).__name__}: {error}") from error
-
-
-def _read_obj(path: Path) -> Surface:
-    """Geometry alone: texture seams, materials and groups would split the mesh and reorder its vertices. They name the
-    parts instead."""
-    import io
-
-    import trimesh
-
-    kept, face_parts, names = [], [], {}
-    named = {"usemtl": "", "g": "", "o": ""}
-    for line in path.read_text(encoding="utf-8", errors="replace").replace("\\\n", " ").splitlines():
-        kind, *entries = line.split() or [""]
-        if kind == "v":
-            kept.append(" ".join(["v", *entries[:3]]))
-        elif kind in named:
-            named[kind] = " ".join(entries)
-        elif kind == "f":
-            corners = [entry.split("/")[0] for entry in entries]
-            kept += [f"f {corners[0]} {one} {other}" for one, other in zip(corners[1:], corners[2:])]
-            part = names.setdefault(tuple(name for name in named.values() if name), len(names))
-            face_parts += [part] * max(0, len(corners) - 2)
-    text = io.BytesIO("\n".join(kept).encode())
-    mesh = trimesh.load_mesh(text, file_type="obj", process=False, maintain_order=True)
-    return Surface(np.asarray(mesh.vertices), np.asarray(mesh.faces), tuple(names), np.array(face_parts))

@@ -14,11 +14,10 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.check.garment_check import GarmentCheck, check_garment
 from physkin_core.check.likeness import Likeness, body_overlap, likeness
-from physkin_core.fit_option import add_fit_option
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.outfit.draper import Draper
-from physkin_core.outfit.outfit_options import add_limbs_option
+from physkin_core.outfit.outfit_options import add_fit_option, add_limbs_option, add_rig_option
 from physkin_core.output_file import check_folder
 from physkin_core.separation.limb_separator import LimbSeparator
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
@@ -44,7 +43,7 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="MODEL",
         help="a file or a shipped name (default tshirt), of another fabric as in skirt:denim; repeatable",
     )
-    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    add_rig_option(parser)
     add_fit_option(parser)
     add_limbs_option(parser)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")

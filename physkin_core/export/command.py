@@ -13,19 +13,14 @@ from physkin_core.export.gltf_motion import write_gltf_motion
 from physkin_core.export.usd_motion import write_usd_motion
 from physkin_core.look.avatar_look import avatar_look
 from physkin_core.motion.loading import load_motion
-from physkin_core.motion.reading_progress import reading_progress
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import add_outfit_options, add_sway_option, chosen_garments
 from physkin_core.output_file import check_other_file
+from physkin_core.progress import progress_line
 
 __all__ = ["command_parser", "main"]
 
-WRITERS = {
-    ".glb": write_gltf_motion,
-    ".usd": write_usd_motion,
-    ".usda": write_usd_motion,
-    ".usdc": write_usd_motion,
-}
+WRITERS = {".glb": write_gltf_motion, ".usd": write_usd_motion, ".usdc": write_usd_motion}
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -47,7 +42,7 @@ def command_parser() -> argparse.ArgumentParser:
         *("-o", "--output"),
         type=Path,
         required=True,
-        help="a .glb with garment nodes as joints, or .usd, .usda, .usdc with every vertex in every frame",
+        help="a .glb with garment nodes as joints, or .usd, .usdc with every vertex in every frame",
     )
     return parser
 
@@ -62,7 +57,7 @@ def main(argv: list[str]) -> int:
     garments = chosen_garments(options.garment, options.tucked)
     if kind == ".glb":
         garments = [replace(garment, model=garment.model.for_engines()) for garment in garments]
-    motion = load_motion(options.motion, watch=reading_progress(options.motion))
+    motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
     if options.rate:
         motion = motion.resampled(options.rate)
     avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)

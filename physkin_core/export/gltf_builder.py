@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["FROM_ROOT_FRAME", "STORED_INFLUENCES", "GltfBuilder", "strongest_influences", "write_glb", "write_gltf"]
+__all__ = ["FROM_ROOT_FRAME", "STORED_INFLUENCES", "GltfBuilder", "strongest_influences", "write_glb"]
 
 # Rows: glTF's x (left), y (up), z (forward).
 FROM_ROOT_FRAME = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -76,12 +76,6 @@ def write_glb(path: Path, builder: GltfBuilder) -> None:
     chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
-
-
-def write_gltf(path: Path, builder: GltfBuilder, *, buffer_uri: str) -> None:
-    """Write the JSON alone; `buffer_uri` is where its buffer is found (a file beside it, or a data URI)."""
-    document = {**builder.document, "buffers": [{**builder.document["buffers"][0], "uri": buffer_uri}]}
-    path.write_text(json.dumps(document), encoding="utf-8")
 
 
 def _weights_as_integers(weights: np.ndarray) -> np.ndarray:

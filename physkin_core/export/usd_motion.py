@@ -22,7 +22,7 @@ __all__ = ["write_usd_motion"]
 
 
 def write_usd_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None] | None = None) -> None:
-    """Write avatar and garments in motion as .usd, .usda or .usdc: meshes under a moving root, metres, Z up, with all
+    """Write avatar and garments in motion as .usd or .usdc: meshes under a moving root, metres, Z up, with all
     points at each frame.
 
     looks: of the body's faces that are shown, as of `avatar_look`, and of each garment, as of `garment_looks`; default

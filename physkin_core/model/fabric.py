@@ -1,8 +1,8 @@
 """What cloth a garment is made of, chosen when it is put on: nothing a frame.
 
 A drape at rest hangs on ratios alone. Cloth that weighs twice as much, or stretches twice as easily and bends half as
-stiffly, hangs like the trained one under twice the gravity, which models with accelerated roots know; what is left is
-how stiffly it bends against how stiffly it stretches, which networks learn (`optimisation.other_bending`). So weight
+stiffly, hangs like the trained one under twice the gravity, which networks know from accelerated roots; what is left is
+how stiffly it bends against how stiffly it stretches, which they learn, too (`optimisation.other_bending`). So weight
 goes into the network weights for gravity, and bending into a bias of the hyper modulator.
 """
 
@@ -82,10 +82,10 @@ def made_of(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
     stretch = fabric.stretch / material.youngs_modulus
     heavier = fabric.density / material.density / stretch
     stiffer = fabric.bend / material.bending / stretch if material.bending else math.inf
-    if not model.accelerated and not math.isclose(heavier, 1.0, rel_tol=1e-3):
+    if not model.hyper_modulator["bend"].any():
         raise ValueError(
-            f"garment model {model.name!r} was not trained with accelerated roots, so that its cloth cannot weigh "
-            f"{heavier:.3g} times as much for its stretch; train it with poses.accelerated"
+            f"garment model {model.name!r} is of another fabric already, take the model as it was trained; or it has "
+            "learnt no bending, train it with optimisation.other_bending"
         )
     if not LIGHTEST * 0.999 <= heavier <= HEAVIEST * 1.001:
         allowed = " to ".join(f"{times * stretch * material.density:.3g}" for times in (LIGHTEST, HEAVIEST))
@@ -93,25 +93,19 @@ def made_of(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
             f"density {fabric.density:g} kg/m2 at stretch {fabric.stretch:g} N/m is not what {model.name!r} has "
             f"learnt, allowed: {allowed} kg/m2"
         )
-    least, most = (2.0**octave for octave in BENDING_OCTAVES) if model.learnt_bending else (1.0, 1.0)
+    least, most = (2.0**octave for octave in BENDING_OCTAVES)
     if not least * 0.999 <= stiffer <= most * 1.001:
-        hint = ""
-        if not model.learnt_bending:
-            made_of_another = (model.training.get("optimisation") or {}).get("other_bending")
-            known = "it is of another fabric already, take the model as it was trained"
-            hint = f"; {known}" if made_of_another else "; train it with optimisation.other_bending"
-        allowed = " to ".join(f"{times * stretch * material.bending:.2g}" for times in sorted({least, most}))
+        allowed = " to ".join(f"{times * stretch * material.bending:.2g}" for times in (least, most))
         raise ValueError(
             f"bend {fabric.bend:g} J at stretch {fabric.stretch:g} N/m is not what {model.name!r} has learnt, "
-            f"allowed: {allowed} J{hint}"
+            f"allowed: {allowed} J"
         )
     weight, bias = model.pose_modulator[0]
     weight = weight.copy()
     weight[:, -3:] *= np.float32(heavier)
-    hyper = with_bending(model.hyper_modulator, stiffer) if model.learnt_bending else model.hyper_modulator
     return replace(
         model,
-        hyper_modulator=hyper,
+        hyper_modulator=with_bending(model.hyper_modulator, stiffer),
         pose_modulator=((weight, bias), *model.pose_modulator[1:]),
         material=replace(material, youngs_modulus=fabric.stretch, bending=fabric.bend, density=fabric.density),
     )

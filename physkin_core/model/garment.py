@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from physkin_core.model.model_arrays import Array, described
+
 __all__ = ["Garment", "GarmentError", "face_areas", "load_garment", "surface_fault", "vertex_normals"]
 
 
@@ -61,8 +63,8 @@ class Garment:
     Raises GarmentError on non-finite vertices, missing or degenerate faces, or indices out of range.
     """
 
-    vertices: np.ndarray
-    faces: np.ndarray
+    vertices: np.ndarray = described("vertices", Array("n 3", np.float32))
+    faces: np.ndarray = described("faces", Array("f 3", below="n"))
     edges: np.ndarray = field(init=False, repr=False)
     edge_lengths: np.ndarray = field(init=False, repr=False)
     face_areas: np.ndarray = field(init=False, repr=False)

@@ -50,18 +50,12 @@ def pose_nodes(bone_transforms: np.ndarray, node_bone: np.ndarray, node_position
 def delta_transforms(raw: np.ndarray, node_count: int) -> np.ndarray:
     """Delta-chi from the node deformer's output, in each posed node's own frame.
 
-    raw: (..., 9 m), a node's numbers being a 6-D rotation relative to the identity (two columns, orthonormalised) and
-    a translation [m]; or (..., 12 m), a linear part relative to the identity, row-major, and a translation.
+    raw: (..., 12 m), a node's numbers being a linear part relative to the identity, row-major, and a translation [m].
     Returns (..., m, 3, 4).
     """
-    numbers = raw.reshape(*raw.shape[:-1], node_count, -1)
-    if numbers.shape[-1] == 12:
-        linear = np.eye(3) + numbers[..., :9].reshape(*numbers.shape[:-1], 3, 3)
-        return np.concatenate([linear, numbers[..., 9:, None]], axis=-1)
-    first = _unit(numbers[..., 0:3] + np.array([1.0, 0.0, 0.0]))
-    second = numbers[..., 3:6] + np.array([0.0, 1.0, 0.0])
-    second = _unit(second - first * (first * second).sum(axis=-1, keepdims=True))
-    return np.stack([first, second, np.cross(first, second), numbers[..., 6:9]], axis=-1)
+    numbers = raw.reshape(*raw.shape[:-1], node_count, 12)
+    linear = np.eye(3) + numbers[..., :9].reshape(*numbers.shape[:-1], 3, 3)
+    return np.concatenate([linear, numbers[..., 9:, None]], axis=-1)
 
 
 def compose_nodes(posed: np.ndarray, delta: np.ndarray) -> np.ndarray:
@@ -69,7 +63,3 @@ def compose_nodes(posed: np.ndarray, delta: np.ndarray) -> np.ndarray:
     linear = posed[..., :3] @ delta[..., :3]
     translation = (posed[..., :3] @ delta[..., 3:]) + posed[..., 3:]
     return np.concatenate([linear, translation], axis=-1)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-8)

@@ -10,7 +10,7 @@ Dimensions: `N` points, `D` token width, `H` heads.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -22,6 +22,7 @@ __all__ = [
     "bending_code",
     "body_modulation",
     "encode_points",
+    "hyper_modulator_shapes",
     "token_features",
     "with_bending",
 ]
@@ -39,6 +40,32 @@ def token_features() -> int:
     return 3 + 6 * ENCODING_FREQUENCIES + 3
 
 
+def hyper_modulator_shapes(names: Collection[str]) -> dict[str, str]:
+    """Every array by its name, "fit" and "bend" (D,) among them, and its shape (see `physkin_core.model.model_arrays`).
+
+    names: of arrays that are there, by which residual blocks are counted.
+    """
+    layers = {
+        "embed": f"D {token_features()}",
+        "attention.input": "3D D",
+        "attention.output": "D D",
+        "norm_1": "D",
+        "feed_forward.0": "feed_forward D",
+        "feed_forward.1": "D feed_forward",
+        "norm_2": "D",
+        "pool": "1 D",
+    }
+    block = 0
+    while any(name.startswith(f"residual.{block}.") for name in names):
+        inner = f"residual_{block}"
+        own = {"norm": "D", "0": f"{inner} D", "1": f"D {inner}"}
+        layers |= {f"residual.{block}.{part}": shape for part, shape in own.items()}
+        block += 1
+    layers["output"] = "pose_modulation D"
+    shapes = {f"{name}.weight": shape for name, shape in layers.items()}
+    return shapes | {f"{name}.bias": shape.split()[0] for name, shape in layers.items()} | {"fit": "D", "bend": "D"}
+
+
 def encode_points(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Positional encoding: x, sin(2^k pi x), cos(2^k pi x) for k < 6, and the normal.
 
@@ -53,9 +80,9 @@ def encode_points(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
 def at_fit(network: Mapping[str, np.ndarray], fit: float) -> dict[str, np.ndarray]:
     """The hyper modulator of a garment worn at a fit, 0 (the template) to 1 (made to measure).
 
-    Every token is shifted by fit times the learnt vector "fit" (D,), which goes into a bias. At 0 any network will do.
+    Every token is shifted by fit times the learnt vector "fit" (D,), which goes into a bias.
     """
-    return _shifted(_without(network, "bend"), "fit", fit)
+    return {name: array for name, array in _shifted(network, "fit", fit).items() if name not in ("fit", "bend")}
 
 
 def bending_code(stiffer: float) -> float:
@@ -64,23 +91,17 @@ def bending_code(stiffer: float) -> float:
 
 
 def with_bending(network: Mapping[str, np.ndarray], stiffer: float) -> dict[str, np.ndarray]:
-    """The hyper modulator of cloth that bends `stiffer` times as stiffly as the trained one.
+    """The hyper modulator of cloth that bends `stiffer` times as stiffly as the trained one, and can bend no other way.
 
-    Every token is shifted by `bending_code` times the learnt vector "bend" (D,).
+    Every token is shifted by `bending_code` times the learnt vector "bend" (D,), of which zeros are left.
     """
-    return _shifted(network, "bend", bending_code(stiffer))
+    return _shifted(network, "bend", bending_code(stiffer)) | {"bend": np.zeros_like(network["bend"])}
 
 
 def _shifted(network: Mapping[str, np.ndarray], name: str, amount: float) -> dict[str, np.ndarray]:
     """All tokens shifted by `amount` times the vector of that name, which goes into a bias."""
-    folded = _without(network, name)
-    if amount:
-        folded["embed.bias"] = network["embed.bias"] + np.float32(amount) * network[name]
-    return folded
-
-
-def _without(network: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
-    return {key: array for key, array in network.items() if key != name}
+    shift = {"embed.bias": network["embed.bias"] + np.float32(amount) * network[name]} if amount else {}
+    return {**network, **shift}
 
 
 def body_modulation(network: Mapping[str, np.ndarray], points: np.ndarray, normals: np.ndarray) -> np.ndarray:

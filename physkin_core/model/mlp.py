@@ -1,6 +1,6 @@
 """Multi-layer perceptrons with feature-wise modulation: the shared shape of pose modulator and node deformer.
 
-Modulation comes before the activation, as scale and shift: x = activation((1 + scale) * (W x + bias) + shift). With the
+Modulation comes before the activation, as scale and shift: x = silu((1 + scale) * (W x + bias) + shift). With the
 modulation constant for a body it folds into the layer (`fold_modulation`).
 """
 
@@ -11,12 +11,12 @@ from collections.abc import Sequence
 import numpy as np
 
 __all__ = [
-    "ACTIVATIONS",
     "Layer",
     "fold_modulation",
     "layer_inputs",
     "modulated_mlp",
     "modulation_size",
+    "silu",
     "split_modulation",
 ]
 
@@ -24,7 +24,9 @@ Layer = tuple[np.ndarray, np.ndarray]
 """Network weight (out, in) and bias (out,)."""
 
 
-ACTIVATIONS = {"silu": lambda x: x / (1 + np.exp(-np.clip(x, -80, None))), "relu": lambda x: np.maximum(x, 0)}
+def silu(x: np.ndarray) -> np.ndarray:
+    """The activation: x / (1 + exp(-x))."""
+    return x / (1 + np.exp(-np.clip(x, -80, None)))
 
 
 def modulation_size(layers: Sequence[Layer]) -> int:
@@ -42,17 +44,19 @@ def split_modulation(layers: Sequence[Layer], modulation: np.ndarray) -> list[tu
     return parts
 
 
-def modulated_mlp(layers: Sequence[Layer], x: np.ndarray, modulation: np.ndarray, activation: str) -> np.ndarray:
-    """Hidden layers modulated then activated, last layer linear. x: (..., in). Returns (..., out)."""
-    return layer_inputs(layers, x, modulation, activation)[-1]
+def modulated_mlp(layers: Sequence[Layer], x: np.ndarray, modulation: np.ndarray | None) -> np.ndarray:
+    """Hidden layers modulated then activated, last layer linear. x: (..., in). modulation: (..., `modulation_size`),
+    None for layers into which it is folded. Returns (..., out)."""
+    return layer_inputs(layers, x, modulation)[-1]
 
 
-def layer_inputs(layers: Sequence[Layer], x: np.ndarray, modulation: np.ndarray, activation: str) -> list[np.ndarray]:
+def layer_inputs(layers: Sequence[Layer], x: np.ndarray, modulation: np.ndarray | None) -> list[np.ndarray]:
     """What each layer of `modulated_mlp` reads (..., width), the first x itself, and then what the last gives."""
-    act = ACTIVATIONS[activation]
+    if modulation is None:
+        modulation = np.zeros(modulation_size(layers))
     values = [x]
     for (weight, bias), (scale, shift) in zip(layers[:-1], split_modulation(layers, modulation), strict=True):
-        values.append(act((1 + scale) * (values[-1] @ weight.T + bias) + shift))
+        values.append(silu((1 + scale) * (values[-1] @ weight.T + bias) + shift))
     weight, bias = layers[-1]
     return [*values, values[-1] @ weight.T + bias]
 

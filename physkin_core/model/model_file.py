@@ -18,16 +18,16 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core.model.fabric import made_of
-from physkin_core.model.garment import Garment, GarmentError
-from physkin_core.model.garment_model import INDEX_ARRAYS, GarmentModel, GarmentModelError, Material
-from physkin_core.model.mlp import Layer
+from physkin_core.model.garment import GarmentError
+from physkin_core.model.garment_model import GarmentModel, Material
+from physkin_core.model.model_arrays import Array, GarmentModelError, described_arrays, read_described
 from physkin_core.model.packed_weights import pack_weight, unpack_weights
-from physkin_core.model.sway_network import SwayNetwork
 from physkin_core.rig.rig import Rig, RigError
 
 __all__ = [
     "SCHEMA_VERSION",
     "ModelFileError",
+    "convert_model_file",
     "load_garment_model",
     "save_garment_model",
     "shipped_models",
@@ -35,15 +35,12 @@ __all__ = [
 ]
 
 FORMAT = "physkin-garment"
-SCHEMA_VERSION = 4
-"""Files of version 1 lack "garment.normals"; they get those of the mesh. Before 3 all network weights are in half
-precision, before 4 there is no sway network."""
+SCHEMA_VERSION = 5
 LEAST_PACKED = 2**15
 """Network weights of so many numbers or more are packed. Smaller ones take little space; among them is the pose
 modulator's first layer, whose rounding can move single vertices by almost a millimetre."""
 MODEL_SUFFIX = ".safetensors"
 MODELS_PATH = Path(__file__).parents[1] / "assets" / "models"
-GEOMETRY_ARRAYS = ("garment.vertices", "garment.normals", "garment_nodes.rest")
 
 
 class ModelFileError(ValueError):
@@ -54,12 +51,21 @@ def load_garment_model(path: str | Path) -> GarmentModel:
     """Read and check a garment model; the bare name of a shipped one ("tshirt") means that, whatever files there are.
     With a colon and a fabric behind it ("skirt:denim", "my.safetensors:bend=1e-4") it is made of that, see `made_of`.
 
-    Raises ModelFileError when the file is missing, truncated, altered, of a newer schema version, or holds an array of
+    Raises ModelFileError when the file is missing, truncated, altered, of another schema version, or holds an array of
     an unknown name, the wrong shape or type, an index out of range or a value that is not finite; ValueError for a
     fabric that is unknown, or that the model has not learnt.
     """
     file, fabric = split_fabric(path)
-    model = _read(_resolve(file))
+    path = _resolve(file)
+    metadata, tensors = _contents(path)
+    if metadata["schema_version"] != str(SCHEMA_VERSION):
+        version = metadata["schema_version"]
+        older = int(version) < SCHEMA_VERSION
+        remedy = f"convert it: physkin convert-model {path} -o NEW{MODEL_SUFFIX}" if older else "update PhySkin"
+        raise ModelFileError(
+            f"garment model {path} has schema version {version}, this release reads {SCHEMA_VERSION}; {remedy}"
+        )
+    model = _model(path, metadata, tensors)
     return made_of(model, fabric) if fabric else model
 
 
@@ -69,7 +75,8 @@ def split_fabric(name: str | Path) -> tuple[str, str]:
     return (file, fabric) if colon and file and not Path(name).is_file() else (str(name), "")
 
 
-def _read(path: Path) -> GarmentModel:
+def _contents(path: Path) -> tuple[dict[str, str], dict[str, np.ndarray]]:
+    """Metadata and tensors of a file of any schema version, with the digest checked."""
     from safetensors import SafetensorError, safe_open
 
     try:
@@ -85,31 +92,29 @@ def _read(path: Path) -> GarmentModel:
             f"{path} is not a garment model, allowed are {MODEL_SUFFIX} files and {', '.join(shipped_models())}; "
             "physkin fit-garment makes one of a mesh"
         ) from error
-    _check_header(path, metadata, tensors)
+    if metadata.get("format") != FORMAT:
+        raise ModelFileError(f"{path} is not a garment model: format {metadata.get('format')!r}, expected {FORMAT!r}")
+    version = metadata.get("schema_version", "")
+    if not re.fullmatch("[1-9][0-9]{0,8}", version):
+        raise ModelFileError(f"garment model {path} has schema version {version!r}, expected {SCHEMA_VERSION}")
+    if metadata.get("sha256") != _digest(metadata, tensors):
+        raise ModelFileError(f"garment model {path} is damaged or was altered: its SHA-256 digest does not match")
+    return metadata, tensors
+
+
+def _model(path: Path, metadata: Mapping[str, str], tensors: Mapping[str, np.ndarray]) -> GarmentModel:
+    """The model that metadata and tensors of a file hold."""
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused by GarmentModel
             arrays = {
                 name: tensor.astype(np.float32, copy=False) if tensor.dtype.kind == "f" else tensor
                 for name, tensor in unpack_weights(tensors).items()
             }
-            for name in arrays.keys() & {"skinning.weights", "engine_skinning.weights"}:
-                arrays[name] /= np.maximum(arrays[name].sum(axis=-1, keepdims=True), 1e-6)
+            described = read_described(GarmentModel, arrays)
         model = GarmentModel(
             name=metadata["name"],
             rig=Rig.from_json(json.loads(metadata["rig"])),
-            garment=Garment(arrays["garment.vertices"], arrays["garment.faces"]),
-            node_rest=arrays["garment_nodes.rest"],
-            node_bone=arrays["garment_nodes.bone"],
-            influence_nodes=arrays["skinning.nodes"],
-            influence_weights=arrays["skinning.weights"],
-            hyper_modulator=_with_prefix(arrays, "hyper_modulator."),
-            pose_modulator=_layers(arrays, "pose_modulator."),
-            node_deformer=_layers(arrays, "node_deformer."),
-            activation=metadata["activation"],
-            engine_nodes=arrays.get("engine_skinning.nodes"),
-            engine_weights=arrays.get("engine_skinning.weights"),
-            sway=SwayNetwork.from_arrays(_with_prefix(arrays, "sway.")),
-            rest_normals=arrays["garment.normals"] if int(metadata["schema_version"]) > 1 else None,
+            **described,
             material=Material(**json.loads(metadata["material"])),
             training=json.loads(metadata["training"]),
             scores=json.loads(metadata["scores"]),
@@ -128,26 +133,51 @@ def save_garment_model(model: GarmentModel, path: str | Path) -> None:
 
     Raises ModelFileError, and writes nothing, when a value is too large for the precision it is stored in.
     """
-    from safetensors.numpy import save
-
     tensors = {}
-    for name, array in model.arrays().items():
-        tensors |= {key: np.ascontiguousarray(tensor) for key, tensor in _stored(name, array).items()}
+    for name, array, kind in described_arrays(model):
+        tensors |= {key: np.ascontiguousarray(tensor) for key, tensor in _stored(name, array, kind).items()}
     metadata = {
         "format": FORMAT,
-        "schema_version": str(SCHEMA_VERSION),
         "name": model.name,
-        "activation": model.activation,
         "rig": json.dumps(model.rig.to_json()),
         "material": json.dumps(asdict(model.material)),
         "training": json.dumps(dict(model.training)),
         "scores": json.dumps(dict(model.scores)),
     }
+    _write(Path(path), metadata, tensors)
+
+
+def convert_model_file(old: str | Path, new: str | Path) -> None:
+    """Write a model file of an earlier schema version as `new`, with the same tensors bit for bit.
+
+    Raises ModelFileError, and writes nothing, when `old` cannot be read, needs no conversion, or its model lacks what
+    all models of this schema version have.
+    """
+    old = Path(old)
+    metadata, tensors = _contents(old)
+    if int(metadata["schema_version"]) >= SCHEMA_VERSION:
+        raise ModelFileError(f"garment model {old} has schema version {metadata['schema_version']}, nothing to convert")
+    activation = metadata.pop("activation", None)
+    try:
+        model = _model(old, metadata, tensors)
+        if activation != "silu":
+            raise ModelFileError(f"its networks have the activation {activation!r}, allowed is 'silu'")
+        if not (model.training.get("poses") or {}).get("accelerated"):
+            raise ModelFileError("it was not trained with accelerated roots")
+    except ModelFileError as error:
+        raise ModelFileError(f"cannot convert {old}, train it anew: {error}") from error
+    _write(Path(new), metadata, tensors)
+
+
+def _write(path: Path, metadata: Mapping[str, str], tensors: Mapping[str, np.ndarray]) -> None:
+    """Write a file of this schema version in one step, with a digest that fits."""
+    from safetensors.numpy import save
+
+    metadata = {**metadata, "schema_version": str(SCHEMA_VERSION)}
     metadata["sha256"] = _digest(metadata, tensors)
-    path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".partial")
-    partial.write_bytes(save(tensors, metadata=metadata))
+    partial.write_bytes(save(dict(tensors), metadata=metadata))
     partial.replace(path)
 
 
@@ -165,20 +195,6 @@ def _resolve(path: str | Path) -> Path:
     return candidate
 
 
-def _check_header(path: Path, metadata: Mapping[str, str], tensors: Mapping[str, np.ndarray]) -> None:
-    if metadata.get("format") != FORMAT:
-        raise ModelFileError(f"{path} is not a garment model: format {metadata.get('format')!r}, expected {FORMAT!r}")
-    version = metadata.get("schema_version", "")
-    if not re.fullmatch("[1-9][0-9]{0,8}", version):
-        raise ModelFileError(f"garment model {path} has schema version {version!r}, expected 1 to {SCHEMA_VERSION}")
-    if int(version) > SCHEMA_VERSION:
-        raise ModelFileError(
-            f"garment model {path} has schema version {version}; this release reads up to {SCHEMA_VERSION}, update it"
-        )
-    if metadata.get("sha256") != _digest(metadata, tensors):
-        raise ModelFileError(f"garment model {path} is damaged or was altered: its SHA-256 digest does not match")
-
-
 def _digest(metadata: Mapping[str, str], tensors: Mapping[str, np.ndarray]) -> str:
     digest = hashlib.sha256()
     for key in sorted(set(metadata) - {"sha256"}):
@@ -190,29 +206,17 @@ def _digest(metadata: Mapping[str, str], tensors: Mapping[str, np.ndarray]) -> s
     return digest.hexdigest()
 
 
-def _stored(name: str, array: np.ndarray) -> dict[str, np.ndarray]:
+def _stored(name: str, array: np.ndarray, kind: Array) -> dict[str, np.ndarray]:
     """What the file holds of an array, by name."""
-    if name in INDEX_ARRAYS:
+    if kind.below:
         return {name: array.astype(np.min_scalar_type(int(array.max())))}
     with np.errstate(over="ignore"):
         if name.endswith(".weight") and array.ndim == 2 and array.size >= LEAST_PACKED:
             stored = pack_weight(name, array)
         else:
-            stored = {name: array.astype(np.float32 if name in GEOMETRY_ARRAYS else np.float16)}
+            stored = {name: array.astype(kind.stored)}
     for tensor in stored.values():
         if not np.isfinite(tensor).all():
             largest = np.finfo(tensor.dtype).max
             raise ModelFileError(f"{name} holds {np.abs(array).max():.3g}; {tensor.dtype} stores at most {largest:.3g}")
     return stored
-
-
-def _with_prefix(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
-
-
-def _layers(arrays: Mapping[str, np.ndarray], prefix: str) -> tuple[Layer, ...]:
-    layers = []
-    while f"{prefix}{len(layers)}.weight" in arrays:
-        index = len(layers)
-        layers.append((arrays[f"{prefix}{index}.weight"], arrays[f"{prefix}{index}.bias"]))
-    return tuple(layers)

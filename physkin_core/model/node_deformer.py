@@ -16,15 +16,13 @@ from physkin_core.rig.rig import Rig
 __all__ = ["fold_first_layer", "node_corrections"]
 
 
-def node_corrections(
-    layers: Sequence[Layer], transforms: np.ndarray, modulation: np.ndarray, activation: str
-) -> np.ndarray:
+def node_corrections(layers: Sequence[Layer], transforms: np.ndarray, modulation: np.ndarray) -> np.ndarray:
     """Raw numbers of delta-chi (see `garment_nodes.delta_transforms`).
 
     transforms: (..., m, 3, 4) chi_skin; (..., u, 3, 4) of the bones used when the first layer is folded onto them.
-    modulation: from `pose_modulation`. Returns (..., 9 m) or (..., 12 m).
+    modulation: from `pose_modulation`. Returns (..., 12 m).
     """
-    return modulated_mlp(layers, transforms.reshape(*transforms.shape[:-3], -1), modulation, activation)
+    return modulated_mlp(layers, transforms.reshape(*transforms.shape[:-3], -1), modulation)
 
 
 def fold_first_layer(

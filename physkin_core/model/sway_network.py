@@ -9,18 +9,17 @@ Dimensions: `j` joints, `c` body code, `M` modulation of the pose modulator, `h`
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from physkin_core.model.mlp import Layer
+from physkin_core.model.model_arrays import Array, Linear, described
 
 __all__ = ["LARGEST_CODE", "SwayNetwork", "drive_size", "fold_body", "pose_size"]
 
 LARGEST_CODE = 4.0
 """Bodies farther out than this, in standard deviations of those of training, are taken as this far."""
-LAYERS = ("first", "drive", "gate", "read", "last", "out")
 
 
 def drive_size(joints: int) -> int:
@@ -44,40 +43,19 @@ class SwayNetwork:
     out: (12 m, last), linear. code_mean: (M,); code_directions: (c, M).
     """
 
-    joints: np.ndarray
-    first: Layer
-    first_code: np.ndarray
-    drive: Layer
-    gate: Layer
-    rates: np.ndarray
-    turns: np.ndarray
-    read: Layer
-    read_code: np.ndarray
-    last: Layer
-    out: Layer
-    code_mean: np.ndarray
-    code_directions: np.ndarray
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Every array by its name in the garment model file, less the prefix "sway."."""
-        named = {"joints": self.joints, "rates": self.rates, "turns": self.turns}
-        named |= {"first.code": self.first_code, "read.code": self.read_code}
-        named |= {"code.mean": self.code_mean, "code.directions": self.code_directions}
-        for name in LAYERS:
-            named[f"{name}.weight"], named[f"{name}.bias"] = getattr(self, name)
-        return named
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> SwayNetwork | None:
-        """Of what `arrays` gives; None where there are none. Raises KeyError where one is missing."""
-        if not arrays:
-            return None
-        return cls(
-            **{name: arrays[name] for name in ("joints", "rates", "turns")},
-            **{name: (arrays[f"{name}.weight"], arrays[f"{name}.bias"]) for name in LAYERS},
-            **{f"{part}_code": arrays[f"{part}.code"] for part in ("first", "read")},
-            **{f"code_{part}": arrays[f"code.{part}"] for part in ("mean", "directions")},
-        )
+    joints: np.ndarray = described("joints", Array("j", below="d"))
+    code_mean: np.ndarray = described("code.mean", Array("pose_modulation"))
+    code_directions: np.ndarray = described("code.directions", Array("c pose_modulation"))
+    first: Layer = described("first", Linear("h", "drive"))
+    first_code: np.ndarray = described("first.code", Array("h c"))
+    rates: np.ndarray = described("rates", Array("states"))
+    turns: np.ndarray = described("turns", Array("states"))
+    drive: Layer = described("drive", Linear("2states", "h"))
+    gate: Layer = described("gate", Linear("states", "h"))
+    read: Layer = described("read", Linear("r", "2states+pose+drive"))
+    read_code: np.ndarray = described("read.code", Array("r c"))
+    last: Layer = described("last", Linear("l", "r"))
+    out: Layer = described("out", Linear("12m", "l"))
 
     def body_code(self, modulation: np.ndarray) -> np.ndarray:
         """(c,) float64 of the modulation (M,) that the hyper modulator gives for a body."""

@@ -20,7 +20,7 @@ CHECK_POSES = Path(__file__).parents[1] / "assets" / "check_poses.safetensors"
 def everyday_poses(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     """Joint positions (P, d) [rad] and gravity directions (P, 3).
 
-    Made by `physkin_training.prepare.everyday_poses`. Raises ValueError for a rig of other joints.
+    Made by `physkin_prepare.everyday_poses`. Raises ValueError for a rig of other joints.
     """
     names, positions, gravity = _stored_poses()
     if names != rig.joint_names:

@@ -18,6 +18,7 @@ from physkin_core.outfit.layer_order import bind_layer_order
 from physkin_core.outfit.tuck import tucked_depths
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.evaluator import drape_poses
+from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_core.runtime.layer import Layer, WornGarment
 from physkin_core.runtime.rest_look import look_at_rest
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
@@ -46,7 +47,7 @@ def put_on(
     tucks: list[tuple[int, int]] = []
     worth_saying: list[str] = []
     for k, garment in enumerate(garments):
-        own_fit = garment.model.checked_fit(fit if garment.fit is None else garment.fit)
+        own_fit = checked_fit(garment.model, fit if garment.fit is None else garment.fit)
         layers.append(_worn(garment, avatar, own_fit, layers))
         if not layers[k].at_rest.sits:
             worth_saying.append(f"{layers[k].name} on {avatar.source}: {layers[k].at_rest}")

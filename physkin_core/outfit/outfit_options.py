@@ -6,19 +6,23 @@ import argparse
 from collections.abc import Sequence
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR
-from physkin_core.fit_option import add_fit_option
 from physkin_core.model.model_file import load_garment_model, split_fabric
 from physkin_core.runtime.layer import WornGarment
 
 __all__ = [
     "add_avatar_options",
+    "add_fit_option",
     "add_garment_option",
     "add_limbs_option",
     "add_outfit_options",
+    "add_rig_option",
     "add_sway_option",
     "add_tucked_option",
     "chosen_garments",
+    "the_garment",
 ]
+
+DEFAULT = "tshirt"
 
 
 def add_outfit_options(parser: argparse.ArgumentParser) -> None:
@@ -30,22 +34,37 @@ def add_outfit_options(parser: argparse.ArgumentParser) -> None:
     add_fit_option(parser)
 
 
-def add_avatar_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--avatar` and `--rig`."""
-    parser.add_argument(
-        "--avatar", metavar="AVATAR", default=BUNDLED_AVATAR, help="body file (default: the bundled one)"
-    )
+def add_avatar_options(parser: argparse.ArgumentParser, made_on: bool = False) -> None:
+    """Add `--avatar` and `--rig`. made_on: of a garment that is no model yet: None then stands for the body that
+    shipped ones were made on; else the bundled one is the default."""
+    default, said = (None, "that of the shipped garments") if made_on else (BUNDLED_AVATAR, "the bundled one")
+    parser.add_argument("--avatar", metavar="AVATAR", default=default, help=f"body file (default: {said})")
+    add_rig_option(parser)
+
+
+def add_rig_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--rig`."""
     parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
 
 
-def add_garment_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--garment`, a list; None where it is not given."""
+def add_fit_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--fit`, a number that is left to `checked_fit`; None where it is not given."""
+    parser.add_argument(
+        "--fit",
+        type=float,
+        metavar="F",
+        help="1: made to measure, 0: one size, or between (default: 1; 0 for another rig than the body model's)",
+    )
+
+
+def add_garment_option(parser: argparse.ArgumentParser, default: str = DEFAULT) -> None:
+    """Add `--garment`, a list; None where it is not given. default: what help says is worn then."""
     parser.add_argument(
         *("-g", "--garment"),
         action="append",
         metavar="MODEL",
-        help="a file or a shipped name (default tshirt), of another fabric as in skirt:denim; several, from the skin "
-        "outwards, are an outfit",
+        help=f"a file or a shipped name (default {default}), of another fabric as in skirt:denim; several, from the "
+        "skin outwards, are an outfit",
     )
 
 
@@ -74,11 +93,21 @@ def add_sway_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def the_garment(names: Sequence[str] | None, taker: str) -> str:
+    """The one file or shipped name that `--garment` gives to a command of one garment; a T-shirt where there is none.
+
+    taker: what holds or drapes one, for the ValueError where several are named."""
+    name, *more = names or [DEFAULT]
+    if more:
+        raise ValueError(f"{taker} one garment, got {len(names)}: {', '.join(names)}")
+    return name
+
+
 def chosen_garments(names: Sequence[str] | None, tucked: Sequence[str]) -> list[WornGarment]:
     """Garments by file or shipped name, from the skin outwards; a T-shirt where none is named.
 
     Raises ValueError when one is tucked that is not worn, or a file is no model."""
-    names = names or ["tshirt"]
+    names = names or [DEFAULT]
     files = [split_fabric(name)[0] for name in names]
     for name in tucked:
         if name not in names and name not in files:

@@ -12,14 +12,12 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.avatar.rig_file import AXES, axes_to_root_frame
-from physkin_core.fit_option import add_fit_option
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
 from physkin_core.motion.motion import Motion
-from physkin_core.motion.reading_progress import reading_progress
 from physkin_core.outfit.draper import Draper
-from physkin_core.outfit.outfit_options import add_avatar_options
+from physkin_core.outfit.outfit_options import add_avatar_options, add_fit_option
 from physkin_core.output_file import check_other_file
 from physkin_core.points.point_files import POINT_FILES, PointFile, read_points
 from physkin_core.points.splat_draper import SplatDraper
@@ -61,7 +59,7 @@ def main(argv: list[str]) -> int:
     file = read_points(options.points)
     to_root = _to_root(options, file)
     model = load_garment_model(options.garment)
-    motion = load_motion(options.motion, watch=reading_progress(options.motion))
+    motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
     if options.rate is not None:
         motion = motion.resampled(options.rate)
     outputs = _outputs(options, motion)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from physkin_core.obj_file import read_obj
 from physkin_core.points.ply_file import PlyFile, read_ply
 from physkin_core.points.splats import Splats
 
@@ -117,30 +118,11 @@ def _ply_splat_writer(ply: PlyFile) -> Callable[[Path, Splats], None]:
 
 
 def _read_obj(path: Path) -> PointFile:
-    """Normals are left out, which readers make anew."""
-    lines = path.read_text(encoding="utf-8", errors="surrogateescape").replace("\\\n", " ").splitlines()
-    kept = [line for line in lines if not line.startswith("vn")]
-    kept = [_without_normals(line) if line.startswith(("f ", "f\t")) else line for line in kept]
-    places = [index for index, line in enumerate(kept) if line.startswith(("v ", "v\t"))]
     try:
-        points = np.array([kept[index].split()[1:4] for index in places], dtype=np.float64).reshape(-1, 3)
+        file = read_obj(path)
     except ValueError as error:
-        raise ValueError(f"cannot read {path}: each of its vertices must be three numbers") from error
-
-    def write(to: Path, moved: np.ndarray, normals: np.ndarray | None) -> None:
-        written = kept.copy()
-        for index, (x, y, z) in zip(places, moved.tolist()):
-            colours = "".join(f" {word}" for word in kept[index].split()[4:])
-            written[index] = f"v {x:.7g} {y:.7g} {z:.7g}{colours}"
-        to.write_text("\n".join(written) + "\n", encoding="utf-8", errors="surrogateescape")
-
-    return PointFile(points, write)
-
-
-def _without_normals(face: str) -> str:
-    """A face line with its vertices and places in textures alone."""
-    word, *corners = face.split("#")[0].split()
-    return " ".join([word, *("/".join(corner.split("/")[:2]).rstrip("/") for corner in corners)])
+        raise ValueError(f"cannot read {path}: {error}") from error
+    return PointFile(file.vertices, lambda to, moved, normals: file.write(to, moved))
 
 
 def _read_glb(path: Path) -> PointFile:

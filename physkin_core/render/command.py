@@ -9,7 +9,6 @@ from pathlib import Path
 
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.motion.loading import load_motion
-from physkin_core.motion.reading_progress import reading_progress
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import add_limbs_option, add_outfit_options, add_sway_option, chosen_garments
 from physkin_core.progress import progress_line
@@ -28,14 +27,12 @@ def main(argv: list[str]) -> int:
     options = command_parser().parse_args(argv)
     camera = Camera(
         azimuth=_finite("--azimuth", options.azimuth),
-        elevation=_finite("--elevation", options.elevation, low=0, high=89),
-        distance=None if options.distance is None else _finite("--distance", options.distance, low=0.1, high=1000),
         follow=options.follow,
         size=_size(options.size),
         samples=int(_finite("--samples", options.samples, low=1, high=1024)),
     )
     garments = chosen_garments(options.garment, options.tucked)
-    motion = load_motion(options.motion, watch=reading_progress(options.motion))
+    motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
     rate = min(USUAL_RATE, motion.rate_hz) if options.rate is None else options.rate
     if rate != motion.rate_hz:
         motion = motion.resampled(rate)
@@ -73,16 +70,6 @@ def command_parser() -> argparse.ArgumentParser:
         default=usual.azimuth,
         metavar="DEG",
         help="side the camera is on: 0 in front, 90 on the left, 180 behind (default %(default)s)",
-    )
-    parser.add_argument(
-        "--elevation",
-        type=float,
-        default=usual.elevation,
-        metavar="DEG",
-        help="how far up it stands (default %(default)s)",
-    )
-    parser.add_argument(
-        "--distance", type=float, metavar="M", help="how far away it stands (default: as near as everything fits)"
     )
     parser.add_argument(
         "--follow",

@@ -24,14 +24,12 @@ __all__ = ["Camera", "film"]
 class Camera:
     """Where it stands and what it takes.
 
-    azimuth, elevation: [degrees] as of `picture.render`, in the world: azimuth 0 looks at a body that faces X from the
-    front, 90 from its left. distance: [m] to the middle of what is filmed, None: as near as all of it fits. follow: go
-    with the root over the floor, else stand still. size: w, h [pixels]. samples: light paths a pixel.
+    azimuth: [degrees] as of `picture.render`, in the world: 0 looks at a body that faces X from the front, 90 from its
+    left; as near as all that is filmed fits. follow: go with the root over the floor, else stand still. size: w, h
+    [pixels]. samples: light paths a pixel.
     """
 
     azimuth: float = 30.0
-    elevation: float = 8.0
-    distance: float | None = None
     follow: bool = True
     size: tuple[int, int] = (480, 600)
     samples: int = 8
@@ -57,8 +55,6 @@ def film(outfit: Outfit, motion: Motion, camera: Camera, *, watch: Watch = lambd
             meshes,
             size=camera.size,
             azimuth=camera.azimuth,
-            elevation=camera.elevation,
-            distance=camera.distance,
             bounds=bounds + place,
             floor=float(bounds[0, 2]),
             samples=camera.samples,

@@ -24,7 +24,7 @@ from physkin_core.model.sway_network import fold_body
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
 from physkin_core.runtime.body_encoder import encode_body
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.garment_on_body import put_on_body
+from physkin_core.runtime.garment_on_body import checked_fit, put_on_body
 from physkin_core.runtime.layer import Layer
 from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
 from physkin_core.sway.node_twist import node_twist
@@ -47,12 +47,11 @@ def bind_garment(
 ) -> BoundGarment:
     """Everything of (model, body) that does not change with the pose. Encodes the body; logs how long that took.
 
-    fit: 0 for the template's rest shape, 1 for the one made to measure, between for one between; None for 1 where the
-    model has learnt it, else 0. beneath: what the body wears already, under this garment.
-    Raises ValueError when the avatar's bones are not those of the model's rig, for a fit that the model has not learnt,
-    or one above 0 with another rig than the body model's.
+    fit: 0 for the template's rest shape, 1 for the one made to measure, between for one between; default as
+    `checked_fit`. beneath: what the body wears already, under this garment. Raises ValueError when the avatar's bones
+    are not those of the model's rig, and as `checked_fit`.
     """
-    fit = model.checked_fit(fit)
+    fit = checked_fit(model, fit)
     rig = model.rig
     if avatar.bone_heads.shape != rig.heads.shape:
         raise ValueError(

@@ -15,6 +15,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.hyper_modulator import POINT_COUNT, at_fit
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.native_module import native
+from physkin_core.runtime.garment_on_body import checked_fit
 
 __all__ = ["encode_body", "encode_points"]
 
@@ -23,7 +24,7 @@ def encode_body(model: GarmentModel, avatar: Avatar, *, fit: float | None = None
     """Run the hyper modulator on a body: modulation (s,) float32 of the pose modulator. fit: of the garment, as in
     `bind_garment`."""
     points, normals = sample_surface(avatar.vertices, avatar.faces, POINT_COUNT)
-    return encode_points(at_fit(model.hyper_modulator, model.checked_fit(fit)), points, normals)
+    return encode_points(at_fit(model.hyper_modulator, checked_fit(model, fit)), points, normals)
 
 
 def encode_points(

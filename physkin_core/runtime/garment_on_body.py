@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from numbers import Real
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from physkin_core.runtime.garment_grading import GarmentGrading
 from physkin_core.runtime.layer import Layer
 from physkin_core.runtime.layers_beneath import swelling
 
-__all__ = ["GarmentOnBody", "put_on_body"]
+__all__ = ["GarmentOnBody", "checked_fit", "put_on_body"]
 
 NEGLIGIBLE = 2e-4
 """[m] An avatar whose skin is nowhere farther from the body seen is that body, up to rounding."""
@@ -51,6 +52,27 @@ class GarmentOnBody:
     differs: np.ndarray
 
 
+def checked_fit(model: GarmentModel, fit: float | None) -> float:
+    """The fit as a number; None is 1, made to measure, for a model with the body model's rig, and 0 for any other.
+
+    Raises ValueError when it is not 0 to 1, or above 0 for another rig: garments are graded by the body model.
+    """
+    if fit is None:
+        return float(_of_the_body_model(model))
+    if isinstance(fit, bool) or not isinstance(fit, Real) or not 0 <= fit <= 1:
+        raise ValueError(f"fit must be 0 (the template) to 1 (made to measure), got {fit!r}")
+    if fit > 0 and not _of_the_body_model(model):
+        raise ValueError(
+            f"fit {fit:g} needs the body model's rig; garment model {model.name!r} has another one, with which "
+            "only fit 0 is allowed"
+        )
+    return float(fit)
+
+
+def _of_the_body_model(model: GarmentModel) -> bool:
+    return model.rig.to_json() == load_body_model().rig.to_json()
+
+
 def put_on_body(model: GarmentModel, avatar: Avatar, fit: float, beneath: Sequence[Layer] = ()) -> GarmentOnBody:
     """Put a garment on an avatar. fit: 0 for the template's rest shape, 1 for the one made to measure. beneath: what is
     worn already.
@@ -59,15 +81,9 @@ def put_on_body(model: GarmentModel, avatar: Avatar, fit: float, beneath: Sequen
     know; a garment of one size stays what it is, and networks see the swollen body as training showed it: what the fit
     does not take on, they are shown.
     With another rig than the body model's the networks see the avatar as it is, and garment nodes follow bone heads.
-    Raises ValueError for a fit above 0 with such a rig.
     """
     body, garment = load_body_model(), model.garment
-    if model.rig.to_json() != body.rig.to_json():
-        if fit:
-            raise ValueError(
-                f"fit {fit:g} needs the body model's rig; garment model {model.name!r} has another one, with which "
-                "only fit 0 is allowed"
-            )
+    if not _of_the_body_model(model):
         carried, seen = _carried_by_bones(model, avatar), avatar
         if beneath:
             seen = _swollen(avatar, swelling(avatar.vertices.astype(np.float64), avatar.faces, beneath))

@@ -9,12 +9,19 @@ import webbrowser
 from importlib import import_module
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR
-from physkin_core.fit_option import add_fit_option
-from physkin_core.outfit.outfit_options import add_limbs_option, add_tucked_option
+from physkin_core.outfit.outfit_options import (
+    add_fit_option,
+    add_garment_option,
+    add_limbs_option,
+    add_rig_option,
+    add_tucked_option,
+)
 from physkin_core.view.page import Page
 
 __all__ = ["begin", "command_parser", "main"]
 
+WORN = ("trousers", "tshirt")
+"""Unless told otherwise, from the skin outwards."""
 ROS_PAGE = "physkin_ros.tools.view"
 """What `--ros` needs; imported only then."""
 
@@ -29,7 +36,7 @@ def main(argv: list[str]) -> int:
 
     motion = None if options.motion == "none" else options.motion
     state = SceneState(
-        options.garment or ["trousers", "tshirt"],
+        options.garment or WORN,
         tucked=options.tucked,
         body=options.avatar or BUNDLED_AVATAR,
         rig_file=options.rig,
@@ -62,14 +69,8 @@ def command_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = argparse.ArgumentParser(prog="physkin view", description=__doc__.split("`: ")[1])
     parser.add_argument("avatar", metavar="AVATAR", nargs="?", help="body file (default: the bundled one)")
-    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
-    parser.add_argument(
-        *("-g", "--garment"),
-        action="append",
-        metavar="MODEL",
-        help="a file or a shipped name, of another fabric as in skirt:denim; several, from the skin outwards, are an "
-        "outfit (default trousers, tshirt)",
-    )
+    add_rig_option(parser)
+    add_garment_option(parser, ", ".join(WORN))
     add_tucked_option(parser)
     add_fit_option(parser)
     add_limbs_option(parser)

@@ -13,7 +13,7 @@ import numpy as np
 
 from physkin_core import Outfit
 from physkin_ros.messages.point_cloud import point_cloud
-from physkin_ros.messages.serialised import MARKER, SerialisedMessage
+from physkin_ros.messages.serialised import SerialisedMessage
 
 if TYPE_CHECKING:
     from rclpy.publisher import Publisher
@@ -42,10 +42,12 @@ class GarmentCloud:
 
     def __init__(self, point_count: int, frame_id: str) -> None:
         records = np.dtype([(name, "f4") for name in CLOUD_FIELDS])
-        marker = np.full((point_count, len(CLOUD_FIELDS)), MARKER, dtype=np.float32)
-        # a frame that is not finite is never published
-        kept = SerialisedMessage(point_cloud(records, point_count, marker.tobytes(), frame_id), marker)
-        self.points, self.stamped, self.publish = kept.payload, kept.stamped, kept.publish
+        kept = SerialisedMessage(
+            lambda data: point_cloud(records, point_count, data, frame_id),  # a frame not finite is never published
+            (point_count, len(CLOUD_FIELDS)),
+            np.float32,
+        )
+        self.points, self.publish = kept.payload, kept.publish
 
 
 class NodesMessage:
@@ -54,10 +56,12 @@ class NodesMessage:
     def __init__(self, node_count: int, frame_id: str, revision: int) -> None:
         from physkin_msgs.msg import GarmentNodes
 
-        marker = np.full((node_count, 3, 4), MARKER, dtype=np.float32)
-        message = GarmentNodes(revision=revision, transforms=array("f", marker.tobytes()))
-        message.header.frame_id = frame_id
-        kept = SerialisedMessage(message, marker)
+        def message_of(data: bytes) -> GarmentNodes:
+            message = GarmentNodes(revision=revision, transforms=array("f", data))
+            message.header.frame_id = frame_id
+            return message
+
+        kept = SerialisedMessage(message_of, (node_count, 3, 4), np.float32)
         self.transforms, self.publish = kept.payload, kept.publish
 
 
@@ -68,14 +72,17 @@ class TriangleMarker:
         from geometry_msgs.msg import Point
         from visualization_msgs.msg import Marker
 
-        marker = np.full((faces.size, 3), MARKER, dtype=np.float64)
-        corner = Point(x=MARKER, y=MARKER, z=MARKER)
-        message = Marker(ns=name, type=Marker.TRIANGLE_LIST, action=Marker.ADD, points=[corner] * faces.size)
-        message.header.frame_id = frame_id
-        message.pose.orientation.w = message.scale.x = message.scale.y = message.scale.z = message.color.a = 1.0
-        message.color.r, message.color.g, message.color.b = CLOTH_COLOUR
+        def message_of(data: bytes) -> Marker:
+            x, y, z = np.frombuffer(data, count=3).tolist()  # of every corner, `PERIOD` being as long
+            points = [Point(x=x, y=y, z=z)] * faces.size
+            message = Marker(ns=name, type=Marker.TRIANGLE_LIST, action=Marker.ADD, points=points)
+            message.header.frame_id = frame_id
+            message.pose.orientation.w = message.scale.x = message.scale.y = message.scale.z = message.color.a = 1.0
+            message.color.r, message.color.g, message.color.b = CLOTH_COLOUR
+            return message
+
         self._corners = faces.ravel()
-        self._serialised = SerialisedMessage(message, marker)
+        self._serialised = SerialisedMessage(message_of, (faces.size, 3), np.float64)
 
     def publish(self, publisher: Publisher, points: np.ndarray, sec: int, nanosec: int) -> None:
         """Publish the marker of a cloud (n, 6)."""

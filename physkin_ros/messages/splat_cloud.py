@@ -9,7 +9,7 @@ import numpy as np
 
 from physkin_core import Splats
 from physkin_ros.messages.point_cloud import cloud_fields, point_cloud
-from physkin_ros.messages.serialised import MARKER, SerialisedMessage
+from physkin_ros.messages.serialised import SerialisedMessage
 
 __all__ = ["SPLAT", "SplatCloud", "read_splats", "splat_look"]
 
@@ -31,9 +31,8 @@ class SplatCloud:
     """One `sensor_msgs/PointCloud2` of splats, filled in place and published again and again."""
 
     def __init__(self, count: int, frame_id: str) -> None:
-        marker = np.full((count, SPLAT.itemsize // 4), MARKER, dtype=np.float32)
-        kept = SerialisedMessage(point_cloud(SPLAT, count, marker.tobytes(), frame_id), marker)
-        self._splats, self.publish = kept.payload.view(SPLAT)[:, 0], kept.publish
+        kept = SerialisedMessage(lambda data: point_cloud(SPLAT, count, data, frame_id), (count,), SPLAT)
+        self._splats, self.publish = kept.payload, kept.publish
 
     def fill(self, splats: Splats) -> None:
         """Let it hold these."""

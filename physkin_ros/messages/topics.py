@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["TOPICS", "Topic"]
+__all__ = ["GARMENT", "GARMENT_NODES", "MARKER", "MESH", "SPLATS", "SPLAT_LOOK", "TOPICS", "Topic"]
 
 
 @dataclass(frozen=True)
@@ -18,6 +18,47 @@ class Topic:
     description: str
     needs: str = ""
 
+    def below(self, place: str) -> str:
+        """Its name where "~" is another place, such as "~/alice/top"."""
+        return self.name.replace("~", place, 1)
+
+
+GARMENT = Topic(
+    "~/garment",
+    "out",
+    "sensor_msgs/PointCloud2",
+    "x, y, z [m] and normal_x, normal_y, normal_z, float32, in the body's root frame; stamp of the joint state; "
+    "never a value that is not finite",
+)
+SPLATS = Topic(
+    "~/splats",
+    "out",
+    "sensor_msgs/PointCloud2",
+    "the splats of points, draped, 28 bytes each, to readers only: x, y, z [m], float32; rot_x, rot_y, rot_z, "
+    "rot_w, a unit quaternion, int16 in 1/32767; scale_0, scale_1, scale_2, int16, natural logarithms of standard "
+    "deviations [m] in 1/1000",
+    needs="points",
+)
+SPLAT_LOOK = Topic(
+    "~/splat_look",
+    "out",
+    "sensor_msgs/PointCloud2",
+    "what else the file says of each splat, under its names (opacity, f_dc_0, ...), in the same order; latched, once",
+    needs="points",
+)
+MARKER = Topic("~/marker", "out", "visualization_msgs/Marker", "the garment's triangles, for RViz", needs="marker")
+MESH = Topic(
+    "~/mesh",
+    "out",
+    "physkin_msgs/GarmentMesh",
+    "faces, rest vertices, skinning weights, which vertices are given; latched, and again when any of it changes",
+)
+GARMENT_NODES = Topic(
+    "~/garment_nodes",
+    "out",
+    "physkin_msgs/GarmentNodes",
+    "6 KB a frame instead of 90 to 150, for readers that skin by themselves, normals by the cofactors of the blend",
+)
 
 TOPICS = (
     Topic("joint_states", "in", "sensor_msgs/JointState", "pose of the body: joints in any order [rad], some or all"),
@@ -66,13 +107,7 @@ TOPICS = (
         "what an accelerated root feels: gravity less its acceleration [m/s2] in the body's root frame, zero in free "
         "fall, at most 29.4 long; takes gravity's place for 0.5 s",
     ),
-    Topic(
-        "~/garment",
-        "out",
-        "sensor_msgs/PointCloud2",
-        "x, y, z [m] and normal_x, normal_y, normal_z, float32, in the body's root frame; stamp of the joint state; "
-        "never a value that is not finite",
-    ),
+    GARMENT,
     Topic(
         "~/joint_states",
         "out",
@@ -81,36 +116,11 @@ TOPICS = (
         needs="separate_limbs",
     ),
     Topic("/tf", "out", "tf2_msgs/TFMessage", "frame_id in the frame of its pose, with its stamp", needs="publish_tf"),
-    Topic(
-        "~/splats",
-        "out",
-        "sensor_msgs/PointCloud2",
-        "the splats of points, draped, 28 bytes each, to readers only: x, y, z [m], float32; rot_x, rot_y, rot_z, "
-        "rot_w, a unit quaternion, int16 in 1/32767; scale_0, scale_1, scale_2, int16, natural logarithms of standard "
-        "deviations [m] in 1/1000",
-        needs="points",
-    ),
-    Topic(
-        "~/splat_look",
-        "out",
-        "sensor_msgs/PointCloud2",
-        "what else the file says of each splat, under its names (opacity, f_dc_0, ...), in the same order; latched, "
-        "once",
-        needs="points",
-    ),
-    Topic("~/marker", "out", "visualization_msgs/Marker", "the garment's triangles, for RViz", needs="marker"),
-    Topic(
-        "~/mesh",
-        "out",
-        "physkin_msgs/GarmentMesh",
-        "faces, rest vertices, skinning weights, which vertices are given; latched, and again when any of it changes",
-    ),
-    Topic(
-        "~/garment_nodes",
-        "out",
-        "physkin_msgs/GarmentNodes",
-        "6 KB a frame instead of 90 to 150, for readers that skin by themselves, normals by the cofactors of the blend",
-    ),
+    SPLATS,
+    SPLAT_LOOK,
+    MARKER,
+    MESH,
+    GARMENT_NODES,
     Topic(
         "/diagnostics",
         "out",

@@ -38,6 +38,11 @@ def _participant() -> Finding:
     import rclpy
     from rclpy.context import Context
 
+    try:
+        from rclpy.experimental import EventsExecutor  # noqa: F401
+    except ImportError:
+        remedy = "update it: sudo apt upgrade, or pip install --upgrade 'physkin[ros]'"
+        return Finding("rclpy", "broken", "it is older than 7.1.4, which the node needs for its executor", remedy)
     context = Context()
     try:
         rclpy.init(args=[], context=context)

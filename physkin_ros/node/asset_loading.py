@@ -29,6 +29,7 @@ from physkin_core import (
 )
 from physkin_core.model.fabric import fabric_of
 from physkin_core.model.model_file import MODELS_PATH, shipped_models, split_fabric
+from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.node.settings import GarmentSettings
 
@@ -126,7 +127,7 @@ class OutfitLoader:
             first, models = garments[0], [self._model(each.model) for each in garments]
             avatar, body_key = self._avatar(body_mesh, body_rig, *models[0][:2])
             worn = [
-                WornGarment(model, tucked=each.tucked and len(garments) > 1, fit=model.checked_fit(each.fit))
+                WornGarment(model, tucked=each.tucked and len(garments) > 1, fit=checked_fit(model, each.fit))
                 for each, (model, *_) in zip(garments, models)
             ]
             known_by = ((key, garment.tucked, garment.fit) for (*_, key), garment in zip(models, worn))

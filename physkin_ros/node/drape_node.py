@@ -93,12 +93,15 @@ class DrapeNode(LifecycleNode):
     # Parameters.
 
     def _read_settings(self) -> NodeSettings:
-        return read_settings({name: parameter.value for name, parameter in self._parameters.items()})
+        return read_settings({name: parameter.value for name, parameter in self.get_parameters_by_prefix("").items()})
 
     def _check_parameters(self, parameters: Iterable[Parameter]) -> SetParametersResult:
+        worn: dict[str, str] = {}
+        for stream in list(self._streams.values()):
+            worn |= _parameters_of(stream.settings)
         for parameter in parameters:
             setting = self._changeable.get(parameter.name)
-            if setting is None:
+            if setting is None or (parameter.name, parameter.value) in worn.items():  # maybe from its start
                 continue
             key = parameter.name.rsplit(".", 1)[-1]
             try:
@@ -176,22 +179,14 @@ class DrapeNode(LifecycleNode):
 
     def _show_settings(self, stream: AvatarStream, only: Iterable[str] = ()) -> None:
         """Let the parameters say what is worn. only: full names of those that are meant, by default all."""
-        worn = stream.settings
-        values = {worn.prefix + "body_mesh": worn.body_mesh, worn.prefix + "body_rig": worn.body_rig}
-        if worn.prefix:
-            values |= {garment.prefix + "model": garment.model for garment in worn.garments}
-        else:
-            values["model"] = ",".join(garment.model for garment in worn.garments)
+        worn, values = stream.settings, _parameters_of(stream.settings)
         changed = [
             Parameter(name, value=value)
             for name, value in values.items()
             if name in (only or values) and name in self._changeable and self.get_parameter(name).value != value
         ]
         if changed and self._streams.get(worn.id) is stream and not self._is_template(worn.prefix):
-            # not through the callbacks: they would start the swap again, or refuse what the node was started with
-            for parameter in changed:
-                self._parameters[parameter.name] = parameter
-            self._settings = self._read_settings()
+            self.set_parameters_atomically(changed)
 
     def _is_template(self, prefix: str) -> bool:
         return any(template.prefix == prefix for template, _ in self._templates)
@@ -398,6 +393,14 @@ class DrapeNode(LifecycleNode):
                 f"killed processes left {len(names)} Fast DDS segments in /dev/shm, harmless but for the memory; to "
                 "delete them: fastdds shm clean, or start with -p clear_shared_memory:=true"
             )
+
+
+def _parameters_of(worn: AvatarSettings) -> dict[str, str]:
+    """What the parameters say of body and garments when these are worn, by full name."""
+    values = {worn.prefix + "body_mesh": worn.body_mesh, worn.prefix + "body_rig": worn.body_rig}
+    if worn.prefix:
+        return values | {garment.prefix + "model": garment.model for garment in worn.garments}
+    return values | {"model": ",".join(garment.model for garment in worn.garments)}
 
 
 def _settings_for(template: AvatarSettings, body: str) -> AvatarSettings:

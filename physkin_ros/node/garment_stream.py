@@ -23,6 +23,7 @@ from physkin_ros.joints.joint_states import JointStateReader
 from physkin_ros.messages.conversions import GarmentCloud, NodesMessage, TriangleMarker, body_covered, garment_mesh
 from physkin_ros.messages.interfaces import missing_interfaces
 from physkin_ros.messages.splat_cloud import SplatCloud, splat_look
+from physkin_ros.messages.topics import GARMENT, GARMENT_NODES, MARKER, MESH, SPLAT_LOOK, SPLATS
 from physkin_ros.node.asset_loading import LoadedLayer
 from physkin_ros.node.diagnostics import GarmentStatistics, PoseRange
 from physkin_ros.node.interpolation import PoseInterpolator
@@ -53,31 +54,31 @@ def stream_quality(depth: int = 5, *, reliable: bool = True) -> dict[str, object
 class GarmentStream:
     """Topics and counts of one garment. They stay when body or garment are swapped.
 
-    topics: what its topics are below, such as "~" or "~/alice/top".
+    place: what its topics are below, such as "~" or "~/alice/top".
     """
 
-    def __init__(self, node, avatar: AvatarSettings, settings: GarmentSettings, topics: str) -> None:
+    def __init__(self, node, avatar: AvatarSettings, settings: GarmentSettings, place: str) -> None:
         self.settings = settings
         self.name = f"{avatar.id}/{settings.name}" if avatar.id else ""
         self.frame_id = avatar.frame_id
         self.avatar_id = avatar.id
         self.statistics = GarmentStatistics()
         self._node = node
-        self.cloud_publisher = node.create_publisher(PointCloud2, f"{topics}/garment", **stream_quality())
+        self.cloud_publisher = node.create_publisher(PointCloud2, GARMENT.below(place), **stream_quality())
         self.marker_publisher = None
         if settings.marker:
-            self.marker_publisher = node.create_publisher(Marker, f"{topics}/marker", **stream_quality())
+            self.marker_publisher = node.create_publisher(Marker, MARKER.below(place), **stream_quality())
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.splat_publisher = self._look_publisher = self._splats = None
         if settings.points:
-            self.splat_publisher = node.create_publisher(PointCloud2, f"{topics}/splats", **stream_quality())
-            self._look_publisher = node.create_publisher(PointCloud2, f"{topics}/splat_look", latched)
+            self.splat_publisher = node.create_publisher(PointCloud2, SPLATS.below(place), **stream_quality())
+            self._look_publisher = node.create_publisher(PointCloud2, SPLAT_LOOK.below(place), latched)
         self.nodes_publisher = self._mesh_publisher = None
         if not missing_interfaces():
             from physkin_msgs.msg import GarmentMesh, GarmentNodes
 
-            self.nodes_publisher = node.create_publisher(GarmentNodes, f"{topics}/garment_nodes", **stream_quality())
-            self._mesh_publisher = node.create_publisher(GarmentMesh, f"{topics}/mesh", latched)
+            self.nodes_publisher = node.create_publisher(GarmentNodes, GARMENT_NODES.below(place), **stream_quality())
+            self._mesh_publisher = node.create_publisher(GarmentMesh, MESH.below(place), latched)
 
     def show_splats(self) -> Splats:
         """The splats of the parameter `points`, where they lie on the garment; publishes what else is known of them.

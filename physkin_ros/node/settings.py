@@ -85,8 +85,8 @@ class GarmentSettings:
     )
     fit: float | None = _key(
         None,
-        "1: made to measure for this body; 0: the garment's one size; or between. Above 0 only with the body model's "
-        "rig. Empty: 1 with that, 0 with others",
+        "1: made to measure for this body; 0: the garment's one size; or between. Above 0 only for models with the "
+        "body model's rig. Empty: 1 for those, 0 for others",
         low=0,
         high=1,
     )

@@ -28,11 +28,6 @@ from physkin_ros.node.settings import (
 
 __all__ = ["avatar_prefixes", "check_names", "model_names", "read_settings"]
 
-REMOVED = {
-    "push_out": "push_out was removed, and garments are draped as without it: delete the key",
-    "serialised": "serialised was removed, clouds are always filled in place as bytes: delete the key",
-}
-"""Keys of earlier versions -> what became of them and what to do."""
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 TOPIC = re.compile(r"(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides", "service_introspection")
@@ -100,8 +95,6 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def _unknown(name: str, known: Iterable[str], parameter: str = "", where: str = "") -> SettingsError:
-    if name in REMOVED:
-        return SettingsError(f"parameter {parameter or name}: {REMOVED[name]}")
     near = nearest_names(name, known, most=1)
     allowed = f"did you mean {near}?" if near else f"allowed{where}: {', '.join(sorted(known))}"
     return SettingsError(f"parameter {parameter or name}: unknown key {name!r}; {allowed}")

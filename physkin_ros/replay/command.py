@@ -8,18 +8,16 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 
-from physkin_core import (
-    BUNDLED_AVATAR,
-    NORMALS,
-    UPRIGHT_GRAVITY,
-    Draper,
-    LimbSeparator,
-    load_avatar,
-    load_garment_model,
-)
-from physkin_core.fit_option import add_fit_option
+from physkin_core import NORMALS, UPRIGHT_GRAVITY, Draper, LimbSeparator, load_avatar, load_garment_model
 from physkin_core.motion.bag_reader import ORIENTATIONS, BagError, BagReader
-from physkin_core.outfit.outfit_options import add_sway_option
+from physkin_core.outfit.outfit_options import (
+    add_avatar_options,
+    add_fit_option,
+    add_garment_option,
+    add_limbs_option,
+    add_sway_option,
+    the_garment,
+)
 from physkin_core.runtime.evaluator import PRECISIONS
 from physkin_core.sway.frame_input import checked_sway
 from physkin_ros.arguments import file_to_write, whole_number
@@ -43,6 +41,11 @@ LIVE = (
 
 def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0, or 1 when something is worse than in the baseline, which is then told."""
+    argv = sys.argv[1:] if argv is None else argv
+    if "--live" in argv:
+        from physkin_ros.tools.live import main as play_live
+
+        return play_live(argv)
     options = command_parser().parse_args(argv)
     if holds_bags(options.bag):
         return replay_all(options, replay_one)
@@ -102,7 +105,7 @@ def _orientation_topic(options: argparse.Namespace) -> str | None:
 
 
 def _draper(options: argparse.Namespace) -> Draper:
-    model = load_garment_model(options.model)
+    model = load_garment_model(the_garment(options.garment, "replay drapes"))
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
     draper = Draper(model, avatar, precision=options.precision, fit=options.fit, normals=options.normals)
     for warning in draper.avatar.warnings:
@@ -116,11 +119,8 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "bag", type=Path, help="folder with metadata.yaml, or a .mcap or .db3 file; or a folder of such bags"
     )
-    parser.add_argument("--model", default="tshirt", help="garment model: a file or a shipped name (default tshirt)")
-    parser.add_argument(
-        "--avatar", default=BUNDLED_AVATAR, help="body: GLB, glTF, VRM, OBJ, PLY, STL (default: bundled)"
-    )
-    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    add_avatar_options(parser)
+    add_garment_option(parser)
     parser.add_argument(
         "--joint-map", metavar="FILE", help=f"from incoming joint names to the rig's; or {' or '.join(PRESETS)}"
     )
@@ -143,9 +143,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("--precision", choices=PRECISIONS, help="of the network weights (default int8)")
     add_fit_option(parser)
     parser.add_argument("--normals", choices=NORMALS, default="skinned", help="carried along, or of the draped mesh")
-    parser.add_argument(
-        "--separate-limbs", action="store_true", help="move arms and legs out of this body's trunk and each other"
-    )
+    add_limbs_option(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3; of many bags, a folder"
     )

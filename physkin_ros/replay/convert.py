@@ -8,7 +8,7 @@ from pathlib import Path
 from physkin_core import Motion, load_body_model, load_motion
 from physkin_core.motion.loading import MOCAP_SUFFIXES
 from physkin_core.motion.mocap import AMC_RATE_HZ, load_mocap
-from physkin_core.motion.reading_progress import reading_progress
+from physkin_core.progress import progress_line
 from physkin_ros.replay.bags import STORAGES, BagWriter, write_motion
 
 __all__ = ["command_parser", "main"]
@@ -56,7 +56,7 @@ def _motion(options: argparse.Namespace) -> Motion:
     if Path(options.motion).suffix.lower() not in MOCAP_SUFFIXES:
         return load_motion(options.motion)
     settings = {"skeleton": options.skeleton, "source_rate_hz": options.source_rate}
-    watch = reading_progress(options.motion)
+    watch = progress_line(f"reading {options.motion}")
     motion, missed = load_mocap(options.motion, load_body_model().rig, watch=watch, **settings)
     bone = max(missed, key=missed.get)
     print(

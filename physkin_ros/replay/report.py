@@ -146,7 +146,7 @@ def _counts_table(figures: Mapping) -> str:
         "gravity": f"{counts['gravity_messages']} messages, {counts['gravity_rejected']} rejected",
         "garment": f"{run['vertices']} vertices, fit {run['fit']:g} (0: one size, 1: made to measure)",
         "at rest": f"{run['at_rest']['inside_percent']:.1f} % of the cloth inside the body",
-        "evaluator": run["instruction_set"],
+        "evaluator": f"instruction set {run['instruction_set']}",
     }
     if counts["out_of_range_clouds"]:
         joints = ", ".join(f"{name} ({count})" for name, count in list(figures["out_of_range"].items())[:6])

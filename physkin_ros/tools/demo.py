@@ -15,9 +15,8 @@ import tempfile
 from pathlib import Path
 
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_motion
-from physkin_core.fit_option import add_fit_option
-from physkin_core.motion.reading_progress import reading_progress
-from physkin_core.outfit.outfit_options import add_tucked_option, chosen_garments
+from physkin_core.outfit.outfit_options import add_fit_option, add_garment_option, add_tucked_option, chosen_garments
+from physkin_core.progress import progress_line
 from physkin_ros.arguments import file_to_write, positive
 from physkin_ros.middleware.transport import private_environment
 from physkin_ros.tools.children import ChildFailedError, Children
@@ -43,7 +42,7 @@ def main(argv: list[str] | None = None) -> int:
     options.garment = options.garment or list(WORN)
     garments = chosen_garments(options.garment, options.tucked)
     avatar = load_avatar(options.body or BUNDLED_AVATAR, garments[0].model.rig)
-    clip = load_motion(options.motion, watch=reading_progress(options.motion)).resampled(RATE_HZ)
+    clip = load_motion(options.motion, watch=progress_line(f"reading {options.motion}")).resampled(RATE_HZ)
     motion = clip.looped(options.seconds)
     outfit = Outfit(garments, avatar, fit=options.fit)
     keep_every = math.ceil(min(clip.frame_count, motion.frame_count) / KEPT_CLOUDS)
@@ -83,12 +82,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         *("-o", "--output"), type=file_to_write, default=Path("demo.png"), help="picture (default %(default)s)"
     )
-    parser.add_argument(
-        *("-g", "--garment"),
-        action="append",
-        metavar="MODEL",
-        help=f"shipped garment or model file; several, from the skin outwards (default {', '.join(WORN)})",
-    )
+    add_garment_option(parser, ", ".join(WORN))
     add_tucked_option(parser)
     add_fit_option(parser)
     parser.add_argument("--body", default="", help="avatar file (default: the bundled avatar)")

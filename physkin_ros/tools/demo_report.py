@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from physkin_core import Motion, Outfit
+from physkin_core.machine import machine_line, versions_line
 from physkin_core.outfit.layer_order import TURNS
 from physkin_core.picture import contact_sheet, render, save_png
 from physkin_core.render.dressed_meshes import dressed_meshes
-from physkin_ros.tools.machine import machine_line, versions_line
 from physkin_ros.tools.trial import Records
 
 __all__ = ["complete", "draw", "largest_error", "table"]
@@ -81,7 +81,7 @@ def table(records: Records, outfit: Outfit, error: float) -> str:
         "end to end [ms]": end_to_end,
         "instruction set": latest.get("instruction set", "?"),
         "machine": machine_line(),
-        "versions": versions_line(),
+        "versions": versions_line("physkin", "ros-jazzy-rclpy", "numpy"),
     }
     width = max(map(len, rows))
     return "\n".join(["", *(f"  {name:<{width}}  {value}" for name, value in rows.items()), ""])

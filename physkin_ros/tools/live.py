@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from physkin_core.motion.bag_reader import BagError, BagReader
 from physkin_ros.arguments import positive
 from physkin_ros.messages.interfaces import missing_tf
-from physkin_ros.middleware.subscriber_discovery import wait_for_subscribers
+from physkin_ros.middleware.spinning import wait_for_subscribers
 from physkin_ros.middleware.transport import use_shipped_profile
 
 __all__ = ["main", "play"]

@@ -22,10 +22,9 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
 from physkin_core import Motion, load_motion
-from physkin_ros.middleware.subscriber_discovery import wait_for_subscribers
-from physkin_ros.tools.machine import cpu_seconds
+from physkin_ros.middleware.spinning import wait_for_subscribers
 
-__all__ = ["STAMP", "STAMP_OFFSET", "main", "play"]
+__all__ = ["STAMP", "STAMP_OFFSET", "cpu_seconds", "main", "play"]
 
 STAMP = struct.Struct("=iI")
 STAMP_OFFSET = 4  # after the encapsulation, in any message that begins with a header
@@ -67,6 +66,18 @@ def play(
     if watched:
         cpu = np.subtract(cpu_seconds(watched), cpu)
     return {"stamps": stamps, "cpu": cpu, "load": np.array(os.getloadavg()[0])}
+
+
+def cpu_seconds(pid: int) -> tuple[float, float]:
+    """Processor time [s] of a process's first thread and of all its living threads. Linux only: raises OSError."""
+    total = 0.0
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        try:
+            total += int((task / "schedstat").read_text().split()[0]) / 1e9
+        except FileNotFoundError:  # the thread has ended meanwhile
+            continue
+    first = int(Path(f"/proc/{pid}/task/{pid}/schedstat").read_text().split()[0]) / 1e9
+    return first, total
 
 
 def _stamped(data: bytearray, time_ns: int) -> bytes:

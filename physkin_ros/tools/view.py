@@ -26,6 +26,7 @@ from physkin_core.view.scene.heat_map import own_bands
 from physkin_core.view.surface_node import SurfaceNode
 from physkin_ros.messages.conversions import read_cloud
 from physkin_ros.messages.interfaces import missing_tf
+from physkin_ros.messages.topics import GARMENT, MESH
 from physkin_ros.middleware.transport import use_shipped_profile
 from physkin_ros.root.quaternions import OrientationError, Quaternion, Vector
 from physkin_ros.root.tf_topics import TfListener
@@ -87,11 +88,12 @@ class CloudListener(Node):
 
     def look_for_topics(self) -> None:
         """Subscribe to what has come."""
+        end = GARMENT.below("")
         for topic, types in self.get_topic_names_and_types():
-            if CLOUD_TYPE in types and topic.endswith("/garment") and topic not in self.garments:
+            if CLOUD_TYPE in types and topic.endswith(end) and topic not in self.garments:
                 seen = self.garments[topic] = GarmentSeen()
                 self.create_subscription(PointCloud2, topic, lambda cloud, seen=seen: self._on_cloud(seen, cloud), 1)
-                self._subscribe_to_mesh(topic.removesuffix("garment") + "mesh", seen)
+                self._subscribe_to_mesh(MESH.below(topic.removesuffix(end)), seen)
 
     def place(self, frame_id: str) -> tuple[Vector, Quaternion] | None:
         """Where a frame is in the uppermost of TF's above it; None where TF does not know it."""

@@ -34,35 +34,14 @@ def leaning_model_path(leaning_model, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def accelerated_model_path(leaning_model, tmp_path_factory):
-    """A file of the garment that heeds gravity, which has learnt effective gravity."""
-    path = tmp_path_factory.mktemp("models") / "accelerated.safetensors"
-    learnt = dataclasses.replace(leaning_model, name="accelerated", training={"poses": {"accelerated": 0.3}})
-    save_garment_model(learnt, path)
-    return path
-
-
-@pytest.fixture(scope="session")
 def swaying_model_path(leaning_model, tmp_path_factory):
-    """A file of the garment that heeds gravity, moved by a random sway network, which has learnt effective gravity."""
+    """A file of the garment that heeds gravity, moved by a random sway network."""
     rng, nodes = np.random.default_rng(5), len(leaning_model.node_rest)
-    *layers, (weight, bias) = leaning_model.node_deformer
-    more = [np.pad(array, [(0, 3 * nodes)] + [(0, 0)] * (array.ndim - 1)) for array in (weight, bias)]
     network = random_sway_network(
         rng, len(leaning_model.rig.dofs), nodes, modulation=modulation_size(leaning_model.pose_modulator)
     )
     path = tmp_path_factory.mktemp("models") / "swaying.safetensors"
-    changed = {"node_deformer": (*layers, tuple(more)), "sway": network, "training": {"poses": {"accelerated": 0.3}}}
-    save_garment_model(dataclasses.replace(leaning_model, name="swaying", **changed), path)
-    return path
-
-
-@pytest.fixture(scope="session")
-def measured_model_path(garment_model, tmp_path_factory):
-    """A file of the test's garment that has learnt to be made to measure."""
-    hyper = {**garment_model.hyper_modulator, "fit": np.linspace(-1, 1, 8, dtype=np.float32)}
-    path = tmp_path_factory.mktemp("models") / "measured.safetensors"
-    save_garment_model(dataclasses.replace(garment_model, hyper_modulator=hyper), path)
+    save_garment_model(dataclasses.replace(leaning_model, name="swaying", sway=network), path)
     return path
 
 

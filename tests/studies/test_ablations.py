@@ -11,7 +11,7 @@ import torch
 import warp as wp
 from training.small_runs import small_config
 
-from physkin_core import load_body_model, load_garment_model
+from physkin_core import load_garment_model
 from physkin_studies import ablation_report, ablations, supervised
 from physkin_studies.ablation_report import write_report
 from physkin_studies.ablation_rows import (
@@ -19,13 +19,12 @@ from physkin_studies.ablation_rows import (
     ROWS,
     RowOptions,
     finished_figures,
-    frame_weights,
     model_path,
     run_row,
 )
 from physkin_studies.ablations import main, run_rows
 from physkin_studies.fantastical_bodies import fantastical_body_model
-from physkin_training.config import NetworkConfig, TrainingConfig
+from physkin_training.config import TrainingConfig
 from physkin_training.train.trainer import Trainer
 from physkin_training.train.validation import Validation
 
@@ -62,25 +61,8 @@ def test_rows_change_what_they_are_named_after(tmp_path):
             assert config.garment_nodes.count == int("".join(filter(str.isdigit, name)))
             assert (config.optimisation.skinning_rate == 0) == name.endswith("fixed")
     assert ROWS[BASE].change(base) == base == ROWS["supervised"].change(base)
-    wider = replace(base.networks, activation="relu", pose_hidden=768, deformer_hidden=512)
-    assert ROWS["relu"].change(base).networks == wider
     assert ROWS["fantastical"].bodies is fantastical_body_model
     assert ROWS["fantastical"].change(base).train_bodies == 256
-
-
-def test_concatenation_reads_as_many_network_weights():
-    """By a count of its own for one small network, and within eight neurons' worth for the shipped one."""
-    rig = load_body_model().rig
-    sizes = NetworkConfig(pose_hidden=8, pose_layers=2, deformer_hidden=4, deformer_layers=2)
-    bones = rig.bone_count
-    shared = 8 * rig.pose_size + 8 * 8 + 4 * 12 * bones + 4 * 4 + 12 * 50 * 4
-    assert frame_weights(sizes, rig, 50) == shared + 8 * (2 * 2 * 4)
-    assert frame_weights(replace(sizes, conditioning="concatenation"), rig, 50) == shared + 8 * 4
-    base = TrainingConfig(name="shirt", garment="shirt.obj")
-    budget = frame_weights(base.networks, rig, 128)
-    concatenated = ROWS["concatenation"].change(base).networks
-    assert concatenated.conditioning == "concatenation" and concatenated.deformer_hidden > base.networks.deformer_hidden
-    assert 0.97 * budget < frame_weights(concatenated, rig, 128) <= budget
 
 
 @pytest.mark.slow
@@ -104,10 +86,10 @@ def test_finished_rows_are_skipped(tmp_path, monkeypatch):
     (tmp_path / "nodes32-fixed").mkdir()
     (tmp_path / "nodes32-fixed" / "figures.json").write_text(json.dumps({"budget_minutes": OPTIONS.minutes}))
     tried = []
-    monkeypatch.setattr(ablations, "_run", lambda name, *_: tried.append(name) or name != "relu")
-    names = ["nodes32-fixed", "relu", "nodes64"]
+    monkeypatch.setattr(ablations, "_run", lambda name, *_: tried.append(name) or name != "nodes256")
+    names = ["nodes32-fixed", "nodes256", "nodes64"]
     failed = run_rows(names, tmp_path / "none.toml", tmp_path, OPTIONS, devices=["0", "1"])
-    assert sorted(tried) == ["nodes64", "relu"] and failed == ["relu"]
+    assert sorted(tried) == ["nodes64", "nodes256"] and failed == ["nodes256"]
     with pytest.raises(ValueError, match="nodes32-fixed in .* was trained for 0.08 minutes, not 4"):
         run_rows(names, tmp_path / "none.toml", tmp_path, RowOptions(minutes=4.0), devices=["cpu"])
 
@@ -122,7 +104,7 @@ def test_a_row_sees_one_device_alone(tmp_path, monkeypatch):
         return subprocess.CompletedProcess(command, 1)
 
     monkeypatch.setattr(ablations.subprocess, "run", run)
-    assert run_rows(["relu"], tmp_path / "a.toml", tmp_path, OPTIONS, devices=["3"]) == ["relu"]
+    assert run_rows(["nodes256"], tmp_path / "a.toml", tmp_path, OPTIONS, devices=["3"]) == ["nodes256"]
     assert seen == [("3", "cuda")]
 
 
@@ -155,10 +137,3 @@ def test_the_report_holds_what_is_finished(finished, monkeypatch):
 def test_impossible_requests_are_told(tmp_path, capsys, arguments, message):
     assert main(["--output", str(tmp_path), *arguments]) == 2
     assert message in capsys.readouterr().err
-
-
-def test_rows_wear_the_template_whatever_the_configuration(tmp_path):
-    """Shipped garments are trained on both fits; supervision and the paper's figures know the template alone."""
-    base = small_config(tmp_path, fit="both")
-    for row in ROWS.values():
-        assert row.change(ROWS[BASE].change(base)).optimisation.fit == "template", row.label

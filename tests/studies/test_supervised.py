@@ -32,10 +32,10 @@ def made_up(tmp_path_factory):
     trainer = Trainer(config, CPU)
     body, (positions, gravity) = torch.arange(3), trainer.sampler.sample(6, 1.0)
     every = body.repeat_interleave(2)
-    skinned = []
+    skinned, on_bodies = [], trainer.drape.node_positions(trainer.bodies)
     for pair in torch.arange(8).remainder(6).split(4):
         bones = trainer.posed_bodies.pose(positions[pair], every[pair])
-        skinned.append(trainer.drape.skin(trainer.drape.posed_nodes(bones, trainer.node_positions[every[pair]])))
+        skinned.append(trainer.drape.skin(trainer.drape.posed_nodes(bones, on_bodies[every[pair]])))
     fields = (positions, gravity, torch.cat(skinned)[:6] + torch.tensor([0.02, 0.0, 0.0]))
     positions, gravity, vertices = (values.unflatten(0, (3, 2)) for values in fields)
     return config, None, SimulatedDrapes(positions, gravity, body, vertices, torch.zeros(3, 2), torch.ones(3, 2) > 0)
@@ -48,9 +48,9 @@ def test_as_many_drapes_a_body_as_a_step_takes(simulated):
     assert drapes.positions.shape[:2] == drapes.converged.shape == (3, 2)
     assert len(set(drapes.body.tolist())) == 3
     trainer = Trainer(config, CPU)
-    body = drapes.body.repeat_interleave(2)
+    body, on_bodies = drapes.body.repeat_interleave(2), trainer.drape.node_positions(trainer.bodies)
     bones = trainer.posed_bodies.pose(drapes.positions.flatten(0, 1)[:4], body[:4])
-    skinned = trainer.drape.skin(trainer.drape.posed_nodes(bones, trainer.node_positions[body[:4]]))
+    skinned = trainer.drape.skin(trainer.drape.posed_nodes(bones, on_bodies[body[:4]]))
     gravity, minimised = drapes.gravity.flatten(0, 1)[:4], drapes.vertices.flatten(0, 1)[:4]
     energies = [
         trainer.losses(vertices, gravity, trainer.posed_bodies.mesh, trainer.posed_bodies.offset)[1].total
@@ -101,5 +101,5 @@ def test_impossible_counts_are_refused(tmp_path, count, batch):
 
 def test_drapes_of_another_count_a_body_are_refused(made_up, tmp_path):
     config, _, drapes = made_up
-    with pytest.raises(ValueError, match="drapes must be 1 a body, got 2"):
-        SupervisedTrainer(small_config(tmp_path, samples=2, engine_influences=0), CPU, drapes)
+    with pytest.raises(ValueError, match="drapes must be 3 a body, got 2"):
+        SupervisedTrainer(small_config(tmp_path, samples=6), CPU, drapes)

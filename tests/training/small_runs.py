@@ -26,7 +26,6 @@ SIZES = NetworkConfig(
     pose_layers=2,
     deformer_hidden=16,
     deformer_layers=2,
-    node_outputs=9,
     token_width=8,
     feed_forward=16,
     residual_blocks=1,
@@ -51,10 +50,10 @@ def waist_band_model(**options) -> GarmentModel:
     return random_model(np.random.default_rng(1), rig=rig, garment=garment, nodes=12, correction=0.02, **options)
 
 
-NODES = GarmentNodeConfig(count=12, initial_influences=6, influences=3)
+NODES = GarmentNodeConfig(count=12, initial_influences=6, influences=3, engine_influences=2)
 
 
-def small_config(folder: Path, *, engine_influences: int = 2, **optimisation) -> TrainingConfig:
+def small_config(folder: Path, **optimisation) -> TrainingConfig:
     """Twelve steps of four samples; influences are pruned after the third, all body points used in the twelfth.
 
     The average is measured after the eighth and the twelfth.
@@ -72,12 +71,12 @@ def small_config(folder: Path, *, engine_influences: int = 2, **optimisation) ->
         seed=5,
         train_bodies=3,
         optimisation=replace(schedule, **optimisation),
-        garment_nodes=replace(NODES, engine_influences=engine_influences),
+        garment_nodes=NODES,
         networks=SIZES,
     )
 
 
-def exported(trainer: Trainer, influences: int, *, engine_influences: int = 0) -> GarmentModel:
+def exported(trainer: Trainer, influences: int, *, engine_influences: int = 2) -> GarmentModel:
     """The trained drape (not the average) as a model of so many influences a vertex."""
     config = trainer.config
     given = {"name": "band", "influences": influences, "material": config.material, "training": {"seed": config.seed}}

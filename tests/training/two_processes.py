@@ -10,20 +10,25 @@ import warp as wp
 from safetensors.torch import save_file
 from training.small_runs import run, small_config
 
+from physkin_training.config import TrainingConfig
 from physkin_training.train.processes import join, leave
 from physkin_training.train.trainer import Trainer
+
+
+def config(folder: Path) -> TrainingConfig:
+    """Two bodies for each, whose cloth bends as the reference material: each process draws that by itself."""
+    return small_config(folder, gradient_clip=1e9, bodies=4, samples=8, other_bending=0.0)
 
 
 def main(folder: Path) -> None:
     wp.config.quiet = True
     processes, device = join("cpu")
-    config = small_config(folder, gradient_clip=1e9)
 
     def report(name: str, tensors: dict[str, torch.Tensor]) -> None:
         copies = {key: tensor.detach().clone().contiguous() for key, tensor in tensors.items()}
         save_file(copies, folder / f"{name}{processes.rank}.safetensors")
 
-    trainer = Trainer(config, device, processes=processes)
+    trainer = Trainer(config(folder), device, processes=processes)
     trainer.save(folder / "start")
     original, drawn = trainer.draw, []
 
@@ -42,7 +47,7 @@ def main(folder: Path) -> None:
     report("end", trainer.drape.state_dict())
     report("best", trainer.best.parameters | {"step": torch.tensor(trainer.best.step)})
 
-    resumed = Trainer(config, device, processes=processes)
+    resumed = Trainer(config(folder), device, processes=processes)
     resumed.resume(folder / "middle")
     run(resumed, 6)
     report("resumed", resumed.drape.state_dict())

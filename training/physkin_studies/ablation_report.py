@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from tabulate import tabulate
 
 from physkin_bench.cases import model_case
-from physkin_bench.timing import time_in_turns
+from physkin_core.bench import time_in_turns
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
@@ -40,7 +40,7 @@ PAPER = {
     "nodes256": "3.068 / 3.188 / 0.117",
 }
 NODE_ROWS = (*PAPER, "seed1", "seed2")
-NETWORK_ROWS = (BASE, "concatenation", "relu", "supervised")
+NETWORK_ROWS = (BASE, "supervised")
 FIGURES = {
     "edge %": ("edge_strain_percent", "{:.2f}"),
     "area %": ("area_strain_percent", "{:.2f}"),
@@ -68,13 +68,14 @@ def write_report(folder: Path) -> Path:
     parts = [
         "# Ablations",
         f"Each row trained for {first['budget_minutes']:g} minutes on one {first['device']}, the reference material. "
-        f"Figures on {counts} pairs of held-out adults and uniform poses over the full range, roots upright; frame and "
-        "skinning times with the native evaluator on one core of the machine that wrote this (median, fp32).",
+        f"Figures on {counts} pairs of held-out adults and uniform poses over the full range, in one size, roots "
+        "upright; frame and skinning times with the native evaluator on one core of the machine that wrote this "
+        "(median, fp32).",
         "## Garment nodes and skinning weights",
         _node_table(rows, times),
         "The paper's figures are of its own bodies, motion and material; see docs/training.md. Rows with "
         "another seed are the base again: differences within theirs mean nothing.",
-        "## Conditioning, activation, supervision",
+        "## Supervision",
         _network_table(rows, times),
     ]
     parts += ["![Energy over training](ablations_curves.svg)", "![Figures](ablations_figures.svg)"]
@@ -136,18 +137,16 @@ def _node_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
 
 
 def _network_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
-    header = ["", *FIGURES, "network weights a frame", "networks µs", "frame µs", "steps", "training s"]
+    header = ["", *FIGURES, "networks µs", "frame µs", "steps", "training s"]
     lines = []
     for name in NETWORK_ROWS:
         if name in rows:
-            label = "base: modulation, SiLU, self-supervised" if name == BASE else ROWS[name].label
-            # Its model file is filled up with zeros to have modulation's form; what those cost is not its cost.
+            label = "base: self-supervised" if name == BASE else ROWS[name].label
             timed = [f"{times[name][key]:.1f}" for key in ("networks", "frame")]
-            own = ["-", "-"] if name == "concatenation" else timed
             spent = [rows[name]["steps"], f"{rows[name]['seconds']:.0f}"]
-            lines.append([label, *_cells(rows[name]["figures"]["model"]), rows[name]["frame_weights"], *own, *spent])
+            lines.append([label, *_cells(rows[name]["figures"]["model"]), *timed, *spent])
     if BASE in rows:
-        dashes = ["-"] * 5
+        dashes = ["-"] * 4
         lines.append(["plain skinning, with the base's weights", *_cells(rows[BASE]["figures"]["skinning"]), *dashes])
     return _table(header, lines)
 
@@ -200,7 +199,7 @@ def _fantastical_sheet(models: Mapping[str, GarmentModel]) -> np.ndarray:
     pictures, captions = [], []
     for label, model in models.items():
         bodies = list(range(len(KINDS)))
-        evaluation = Evaluation(model, CPU, bodies=bodies, poses=len(poses), seed=0, body_model=body_model)
+        evaluation = Evaluation(model, CPU, bodies=bodies, poses=len(poses), seed=0, fit=0.0, body_model=body_model)
         drapes = drape_all(evaluation, poses, minimum=False)
         for pair, cloth in enumerate(drapes.garments["model"]):
             meshes = [Mesh(drapes.bodies[pair], body_model.faces), Mesh(cloth, model.garment.faces, CLOTH_COLOUR)]

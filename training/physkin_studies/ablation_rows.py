@@ -21,25 +21,21 @@ import torch
 
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.rig.rig import Rig
 from physkin_studies.fantastical_bodies import KINDS, fantastical_body_model
 from physkin_studies.supervised import SupervisedTrainer, simulate_drapes
-from physkin_training.config import NetworkConfig, TrainingConfig, load_config
+from physkin_training.config import TrainingConfig, load_config
 from physkin_training.devices import resolve_device
 from physkin_training.evaluate.evaluate import Evaluation
 from physkin_training.networks.export import model_from_drape, store_checked
 from physkin_training.train.trainer import Trainer, TrainingDiverged
 
-__all__ = ["BASE", "ROWS", "Row", "RowOptions", "finished_figures", "frame_weights", "model_path", "run_row"]
+__all__ = ["BASE", "ROWS", "Row", "RowOptions", "finished_figures", "model_path", "run_row"]
 
 log = logging.getLogger(__name__)
 BASE = "nodes128"
 """The row that all others are compared with."""
 CURVE_POINTS, CURVE_SHARE = 24, 0.02
 """Points of a row's curve, and the share of its time that measuring them may take."""
-RELU_WIDER = 2
-"""ReLU networks are so many times as wide: four fifths of their activations are zero once trained, and the evaluator
-skips those, so that twice the width takes no more time a frame."""
 
 
 @dataclass(frozen=True)
@@ -75,29 +71,10 @@ class RowOptions:
 
 def _nodes(count: int, *, optimised: bool) -> Callable[[TrainingConfig], TrainingConfig]:
     def change(config: TrainingConfig) -> TrainingConfig:
-        optimisation = replace(config.optimisation, fit="template")  # the paper's, and what drapes are simulated for
-        if not optimised:
-            optimisation = replace(optimisation, skinning_rate=0.0)
+        optimisation = config.optimisation if optimised else replace(config.optimisation, skinning_rate=0.0)
         return replace(config, garment_nodes=replace(config.garment_nodes, count=count), optimisation=optimisation)
 
     return change
-
-
-def _relu(config: TrainingConfig) -> TrainingConfig:
-    networks = config.networks
-    wider = {key: RELU_WIDER * getattr(networks, key) for key in ("pose_hidden", "deformer_hidden")}
-    return replace(config, networks=replace(networks, activation="relu", **wider))
-
-
-def _concatenation(config: TrainingConfig) -> TrainingConfig:
-    """A node deformer so wide that there are as many network weights a frame as with modulation."""
-    rig, count = load_body_model().rig, config.garment_nodes.count
-    budget = frame_weights(config.networks, rig, count)
-    concatenated = replace(config.networks, conditioning="concatenation")
-    wider = replace(concatenated, deformer_hidden=concatenated.deformer_hidden + 8)
-    while frame_weights(wider, rig, count) <= budget:
-        concatenated, wider = wider, replace(wider, deformer_hidden=wider.deformer_hidden + 8)
-    return replace(config, networks=concatenated)
 
 
 def _fantastical(config: TrainingConfig) -> TrainingConfig:
@@ -120,23 +97,11 @@ ROWS = {
     "nodes64": Row("64 nodes", _nodes(64, optimised=True)),
     BASE: Row("128 nodes", _nodes(128, optimised=True), on_fantastical=True),
     "nodes256": Row("256 nodes", _nodes(256, optimised=True)),
-    "concatenation": Row("concatenation", _concatenation),
-    "relu": Row("ReLU", _relu),
     "supervised": Row("supervised", _as_it_is, supervised=True),
     "fantastical": Row("fantastical", _fantastical, on_fantastical=True, bodies=fantastical_body_model),
     "seed1": Row("128 nodes, seed 1", _seed(1)),
     "seed2": Row("128 nodes, seed 2", _seed(2)),
 }
-
-
-def frame_weights(networks: NetworkConfig, rig: Rig, node_count: int) -> int:
-    """Network weights that one frame reads at most: the node deformer's first layer is folded to the rig's bones, a
-    concatenated body code into a bias."""
-    h, p = networks.deformer_hidden, networks.pose_hidden
-    codes = h if networks.conditioning == "concatenation" else 2 * h * networks.deformer_layers
-    pose = rig.pose_size * p + (networks.pose_layers - 1) * p * p + p * codes
-    inputs = 12 * min(rig.bone_count, node_count)
-    return pose + inputs * h + (networks.deformer_layers - 1) * h * h + h * networks.node_outputs * node_count
 
 
 def model_path(folder: Path, name: str) -> Path:
@@ -174,7 +139,6 @@ def run_row(name: str, base: TrainingConfig, folder: Path, device: torch.device,
     result |= _train(trainer, options.minutes)
     model = _exported(trainer, model_path(folder, name))
     result["config"] = trainer.config.as_plain_data()
-    result["frame_weights"] = frame_weights(config.networks, model.rig, len(model.node_rest))
     result["figures"] = _measured(model, device, range(options.bodies), options.poses, None)
     if row.on_fantastical:
         result["fantastical"] = _on_fantastical(model, device, options.poses)
@@ -220,6 +184,7 @@ def _exported(trainer: Trainer, path: Path) -> GarmentModel:
         trainer.rig,
         name=config.name,
         influences=config.garment_nodes.influences,
+        engine_influences=config.garment_nodes.engine_influences,
         material=config.material,
         training=config.as_plain_data(),
     )
@@ -229,8 +194,9 @@ def _exported(trainer: Trainer, path: Path) -> GarmentModel:
 def _measured(
     model: GarmentModel, device: torch.device, bodies: range, poses: int, body_model: BodyModel | None
 ) -> dict:
-    batch = 64 if device.type == "cuda" else 16
-    evaluation = Evaluation(model, device, bodies=list(bodies), poses=poses, seed=0, batch=batch, body_model=body_model)
+    """Figures in one size, the paper's: of the template."""
+    given = {"poses": poses, "seed": 0, "batch": 64 if device.type == "cuda" else 16, "body_model": body_model}
+    evaluation = Evaluation(model, device, bodies=list(bodies), fit=0.0, **given)
     return evaluation.figures(upright=True, only=("model", "skinning"))
 
 

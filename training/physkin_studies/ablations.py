@@ -1,6 +1,6 @@
 """The paper's ablations in one command.
 
-    PYTHONPATH=training python -m physkin_studies.ablations --minutes 4 --output DIR
+    PYTHONPATH=training:native python -m physkin_studies.ablations --minutes 4 --output DIR
 
 Every row trains for the same time, as a process of its own, on the next device that is free; rows that are finished are
 skipped, so that the command can be stopped and given again. In the end (or alone, with `--report-only`, on the machine

@@ -34,6 +34,8 @@ __all__ = ["LIMITS", "OverlapRow", "main", "measure_strain_by_overlap"]
 LIMITS = (0.5, 2.0, 5.0)
 """Overlaps [%] at which poses are parted."""
 BODIES, POSES, BATCH = 16, 128, 16
+FITS = (0.0, 1.0)
+"""The template, and made to measure."""
 MOTION_RATE, MOTION_STRIDE = 60.0, 4
 KINDS = ("uniform", "motion")
 
@@ -55,14 +57,11 @@ class OverlapRow:
     area_strain: float
 
 
-def measure_strain_by_overlap(
-    model: GarmentModel, *, fits: Sequence[float] = (0.0,), bodies: int = BODIES, poses: int = POSES
-) -> list[OverlapRow]:
+def measure_strain_by_overlap(model: GarmentModel, *, bodies: int = BODIES, poses: int = POSES) -> list[OverlapRow]:
     """Drape one model and part its poses by overlap: of each fit and kind all poses first, then those between `LIMITS`.
 
-    bodies: the first of the held-out adults. poses: uniform ones a body, those of `physkin evaluate`. fits: each 0
-    (template) to 1 (made to measure). Raises ValueError when the model has not learnt a fit, or there are not so many
-    bodies.
+    bodies: the first of the held-out adults. poses: uniform ones a body, those of `physkin evaluate`. Raises ValueError
+    when there are not so many bodies.
     """
     body_model = load_body_model()
     if not 1 <= bodies <= len(body_model.held_out_bodies):
@@ -72,14 +71,14 @@ def measure_strain_by_overlap(
     clips = [load_motion(name).resampled(MOTION_RATE) for name in bundled_motions()]
     every = slice(None, None, MOTION_STRIDE)
     motion = [(clip.positions_for(model.rig)[every].astype(np.float32), clip.gravity[every]) for clip in clips]
-    figures: dict[tuple[float, str], list[np.ndarray]] = {(fit, kind): [] for fit in fits for kind in KINDS}
+    figures: dict[tuple[float, str], list[np.ndarray]] = {(fit, kind): [] for fit in FITS for kind in KINDS}
     for body, coefficients in enumerate(body_model.held_out_bodies[:bodies]):
         own = uniform.body == body
         takes = {"uniform": [(uniform.positions[own].numpy(), uniform.gravity[own].numpy())], "motion": motion}
         posed = PosedBodies(body_model, BodySet(body_model, coefficients[None], torch.device("cpu")), BATCH)
         overlaps = {kind: [_overlap(seats, posed, positions) for positions, _ in take] for kind, take in takes.items()}
         avatar = avatar_from_body(body_model, coefficients)
-        for fit in fits:
+        for fit in FITS:
             draper = Draper(model, avatar, fit=fit)
             worn = model.garment.reshaped(draper.bound.vertices)
             for kind, take in takes.items():
@@ -113,9 +112,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     tables: dict[str, list[list[str]]] = {kind: [] for kind in KINDS}
     for path in options.models:
         model = load_garment_model(path)
-        fits = (0.0, 1.0) if model.made_to_measure else (0.0,)
-        rows = measure_strain_by_overlap(model, fits=fits, bodies=options.bodies, poses=options.poses)
-        for fit in fits:
+        rows = measure_strain_by_overlap(model, bodies=options.bodies, poses=options.poses)
+        for fit in FITS:
             for kind, lines in tables.items():
                 cells = [
                     f"{row.edge_strain:.2f} / {row.area_strain:.2f} ({100 * row.count / row.of:.0f} %)"

@@ -101,7 +101,7 @@ class _StagedSimulation:
     def __init__(self, trainer: Trainer, body_model: BodyModel, samples: int) -> None:
         garment, device = trainer.garment, trainer.device
         self._drape: Drape = trainer.drape
-        self._node_positions = trainer.node_positions
+        self._node_positions = trainer.drape.node_positions(trainer.bodies)
         self._rest = torch.as_tensor(trainer.rig.rest.copy(), dtype=torch.float32, device=device)
         self._posed = PosedBodies(body_model, trainer.bodies, samples)
         wearing = Wearing.of(garment, body_model)
@@ -132,7 +132,7 @@ class _StagedSimulation:
 
 
 class SupervisedTrainer(Trainer):
-    """A training run on simulated drapes: all of one body's drapes for every body of a step.
+    """A training run on simulated drapes: all of one body's drapes for every body of a step, all of the template.
 
     The model is the moving average at the end: which one has the least energy is not for it to know. Raises ValueError
     when the drapes are not as many a body as a step's samples.
@@ -143,6 +143,7 @@ class SupervisedTrainer(Trainer):
         if drapes.positions.shape[1] != self._samples // self._bodies:
             raise ValueError(f"drapes must be {self._samples // self._bodies} a body, got {drapes.positions.shape[1]}")
         self._drapes = drapes
+        self.made.zero_()
 
     def draw(self) -> tuple[torch.Tensor, ...]:
         group = torch.randint(len(self._drapes.body), (self._bodies,), device=self.device)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from dataclasses import asdict, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Literal, get_type_hints
+from typing import Annotated, get_type_hints
 
 from pydantic import BeforeValidator, ConfigDict, Field, InstanceOf, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
@@ -31,12 +31,6 @@ Share = Annotated[float, Field(strict=True, ge=0, le=1)]
 
 STRICT = ConfigDict(extra="forbid")
 
-REMOVED = {
-    "body_distribution": "every run trains on adults (other bodies: physkin_studies/fantastical_bodies.py)",
-    "optimisation.other_limbs": "other limbs press cloth one way, always",
-}
-"""Keys of earlier versions, and what to do without them."""
-
 
 class ConfigError(ValueError):
     """A training configuration cannot be used."""
@@ -55,9 +49,9 @@ class OptimisationConfig:
     `encoder_points` of them. `contact_linear_beyond` [m], `heavy_energy` [J]: see `PhysicsLosses`. `average`: decay a
     step of the moving average of networks and skinning weights that is exported, 0 for none. `validate_every`: steps
     from one measurement of the average to the next, once range and influences are final; the best one is exported.
-    `steadiness` [J/m2]: weight of garment nodes that jump between poses beside each other (see `Steadiness`). `fit`:
-    "template", one rest shape for all bodies; "both": every second body of a step wears it made to measure.
-    `other_bending`: share of the bodies whose cloth bends otherwise, from a quarter to 16 times as stiffly.
+    `steadiness` [J/m2]: weight of garment nodes that jump between poses beside each other (see `Steadiness`).
+    `other_bending`: share of the bodies whose cloth bends otherwise, from a quarter to 16 times as stiffly. Every
+    second body of a step wears the garment made to measure.
     """
 
     steps: Count = 100000
@@ -81,8 +75,7 @@ class OptimisationConfig:
     steadiness: Real = 100.0
     average: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.999
     validate_every: Count = 500
-    fit: Literal["template", "both"] = "template"
-    other_bending: Share = 0.0
+    other_bending: Share = 0.5
 
     def __post_init__(self) -> None:
         if self.prune_at < self.prune_from:
@@ -90,37 +83,27 @@ class OptimisationConfig:
         if self.samples % self.bodies:
             raise ValueError(f"samples must be a multiple of bodies {self.bodies}, got {self.samples}")
 
-    @property
-    def made_to_measure(self) -> bool:
-        """Whether rest shapes graded to the body are trained on, too."""
-        return self.fit == "both"
-
 
 @dataclass(frozen=True, config=STRICT)
 class GarmentNodeConfig:
     """Garment nodes and skinning: `count` nodes, `initial_influences` a vertex while training, `influences` shipped.
 
-    `engine_influences`: of a second set of skinning weights, for engines; an eighth of the samples is skinned by it. 0
-    for none.
+    `engine_influences`: of a second set of skinning weights, for engines; an eighth of the samples is skinned by it.
     """
 
     count: Count = 128
     initial_influences: Count = 16
     influences: Count = 16
-    engine_influences: Annotated[int, Field(strict=True, ge=0)] = 4
+    engine_influences: Count = 4
 
     def __post_init__(self) -> None:
         if self.initial_influences > self.count:
             raise ValueError(f"initial_influences must be 1 to count {self.count}, got {self.initial_influences}")
-        if self.influences > self.initial_influences:
-            raise ValueError(
-                f"influences must be 1 to initial_influences {self.initial_influences}, got {self.influences}"
-            )
-        if self.engine_influences > self.initial_influences:
-            raise ValueError(
-                f"engine_influences must be 0 to initial_influences {self.initial_influences}, "
-                f"got {self.engine_influences}"
-            )
+        for name in ("influences", "engine_influences"):
+            if getattr(self, name) > self.initial_influences:
+                raise ValueError(
+                    f"{name} must be 1 to initial_influences {self.initial_influences}, got {getattr(self, name)}"
+                )
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -133,7 +116,7 @@ class PoseConfig:
     """
 
     everyday: Share = 0.6
-    accelerated: Share = 0.3
+    accelerated: Annotated[Share, Field(gt=0)] = 0.3
     upright: Share = 0.5
     largest_tilt_degrees: Annotated[float, Field(strict=True, ge=0, le=180)] = 110.0
 
@@ -144,18 +127,12 @@ class NetworkConfig:
 
     As many network weights a frame as the paper's (a pose modulator of 4 layers of 512, a node deformer of 4 of 128),
     spent where they do more: a node deformer twice as wide, whose last layer spans twice as many drapes.
-    node_outputs: numbers a garment node, 9 (6-D rotation, translation) or 12 (affine).
-    conditioning: "modulation" as in the paper, scale and shift for every hidden activation; or, to compare with,
-    "concatenation" of the body's code to the pose vector and of the pose's code to the node deformer's input.
     """
 
     pose_hidden: Count = 384
     pose_layers: Count = 3
     deformer_hidden: Count = 256
     deformer_layers: Count = 4
-    node_outputs: Literal[9, 12] = 12
-    activation: Literal["silu", "relu"] = "silu"
-    conditioning: Literal["modulation", "concatenation"] = "modulation"
     token_width: Annotated[Count, Field(multiple_of=HEADS)] = 128
     feed_forward: Count = 256
     residual_blocks: Annotated[int, Field(strict=True, ge=0)] = 2
@@ -192,10 +169,10 @@ class TrainingConfig:
 
     def __post_init__(self) -> None:
         least = 2 * self.optimisation.bodies
-        if self.garment_nodes.engine_influences and self.optimisation.samples < least:
+        if self.optimisation.samples < least:
             raise ValueError(
-                f"optimisation.samples must be at least {least}, two poses a body, to train skinning weights for "
-                f"engines, got {self.optimisation.samples}; or set garment_nodes.engine_influences = 0"
+                f"optimisation.samples must be at least {least}, two poses a body, one of them for engines, got "
+                f"{self.optimisation.samples}"
             )
 
     def as_plain_data(self) -> dict:
@@ -212,8 +189,6 @@ def load_config(path: str | Path) -> TrainingConfig:
         raise ConfigError(f"cannot read configuration {path}: {error}") from error
     optimisation = data.get("optimisation")
     optimisation = optimisation if isinstance(optimisation, dict) else {}
-    for key in REMOVED.keys() & {*data, *(f"optimisation.{key}" for key in optimisation)}:
-        raise ConfigError(f"{path}: there is no {key} any more, remove it: {REMOVED[key]}")
     if "steps" in optimisation and optimisation.get("minutes"):
         raise ConfigError(f"{path}: optimisation has both steps and minutes; give one of them")
     try:
@@ -225,9 +200,9 @@ def load_config(path: str | Path) -> TrainingConfig:
 
 def _in_words(error: dict) -> str:
     """One of pydantic's errors in a sentence: the key, what is allowed, the value."""
-    *tables, key = error["loc"]
     place = ".".join(map(str, error["loc"]))
     if error["type"] == "unexpected_keyword_argument":
+        *tables, key = error["loc"]
         kind = TrainingConfig
         for table in tables:
             kind = get_type_hints(kind)[table]
@@ -237,4 +212,5 @@ def _in_words(error: dict) -> str:
         return f"{place} is missing"
     message = error["msg"].removeprefix("Value error, ")
     message = message[0].lower() + message[1:]
-    return f"{place}: {message}" + ("" if error["type"] == "value_error" else f", got {error['input']!r}")
+    where = f"{place}: " if place else ""
+    return where + message + ("" if error["type"] == "value_error" else f", got {error['input']!r}")

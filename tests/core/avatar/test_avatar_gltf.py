@@ -5,14 +5,23 @@ import json
 
 import numpy as np
 import pytest
-from gltf_person import BODY, PERSON, RIG, dense_weights, distances, load_document, person_document, primitive_of
+from gltf_person import (
+    BODY,
+    PERSON,
+    RIG,
+    dense_weights,
+    distances,
+    load_document,
+    person_document,
+    primitive_of,
+    write_gltf,
+)
 
 from physkin_core.avatar.avatar import AvatarError, avatar_from_body
 from physkin_core.avatar.loading import load_avatar
-from physkin_core.export.gltf_builder import write_gltf
 from physkin_core.rig.bone_naming import BONE_MAPS
 from physkin_core.rig.rig import Rig
-from physkin_training.prepare.avatar import AVATAR_PATH, BUNDLED_BODY, prepare_avatar, prepare_vrm, t_posed_body
+from physkin_prepare.avatar import AVATAR_PATH, BUNDLED_BODY, prepare_avatar, prepare_vrm, t_posed_body
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, tested with plain meshes
 

@@ -9,7 +9,7 @@ from gltf_person import BODY, PERSON, RIG, distances, load_document, person_docu
 from physkin_core.avatar.avatar import AvatarError
 from physkin_core.rig.bone_naming import BONE_MAPS
 from physkin_core.rig.bone_structure import bones_by_structure
-from physkin_training.prepare.avatar import t_posed_body
+from physkin_prepare.avatar import t_posed_body
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, which `Avatar.warnings` keeps
 LIMB_BONES = ("clavicle", "upperarm01", "lowerarm01", "wrist", "upperleg01", "lowerleg01", "foot")

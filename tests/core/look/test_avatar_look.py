@@ -8,12 +8,11 @@ import re
 import numpy as np
 import pytest
 from core.export.gltf_reader import Reader
-from gltf_person import PERSON, RIG, load_document, person_document, rig_json
+from gltf_person import PERSON, RIG, load_document, person_document, rig_json, write_gltf
 from PIL import Image
 
 from physkin_core import BUNDLED_AVATAR, load_avatar
 from physkin_core.cli import main
-from physkin_core.export.gltf_builder import write_gltf
 from physkin_core.look.avatar_look import avatar_look
 from physkin_core.look.face_colours import avatar_colours
 from physkin_core.look.few_colours import few_colours

@@ -103,7 +103,7 @@ def test_paper_size_stays_below_64_megabytes():
 @pytest.fixture(scope="module")
 def people(tmp_path_factory):
     """Six A-posed bodies; the first three again as T-posed VRMs, loaded into the canonical pose."""
-    from physkin_training.prepare.avatar import prepare_vrm
+    from physkin_prepare.avatar import prepare_vrm
 
     body = load_body_model()
     folder = tmp_path_factory.mktemp("people")
@@ -121,12 +121,13 @@ def random_network(seed):
 @pytest.mark.parametrize("source", [0, *SHIPPED])
 def test_a_person_encodes_alike_from_either_pose(people, source):
     """T-posed VRM and A-posed body of one person: nearest to each other, and a third as far apart as strangers are."""
-    model = random_network(source) if isinstance(source, int) else load_garment_model(source)
+    known = isinstance(source, str)
+    model, fit = (load_garment_model(source), 1.0) if known else (random_network(source), 0.0)
     bodies, vrms = people
-    encoded = np.array([encode_body(model, body) for body in bodies])
+    encoded = np.array([encode_body(model, body, fit=fit) for body in bodies])
     assert encoded.dtype == np.float32
     strangers = np.linalg.norm(encoded[:, None] - encoded, axis=-1)[np.triu_indices(6, 1)].mean()
     for index, vrm in enumerate(vrms):
-        distance = np.linalg.norm(encoded - encode_body(model, vrm), axis=1)
+        distance = np.linalg.norm(encoded - encode_body(model, vrm, fit=fit), axis=1)
         assert distance.argmin() == index
         assert distance[index] < strangers / 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -14,13 +15,12 @@ from physkin_core import (
     GarmentModelError,
     Material,
     ModelFileError,
+    cli,
     load_garment_model,
     save_garment_model,
 )
 from physkin_core.model import model_file
-from physkin_core.model.garment import vertex_normals
-from physkin_core.model.model_file import LEAST_PACKED, MODELS_PATH, SCHEMA_VERSION
-from physkin_core.model.packed_weights import unpack_weights
+from physkin_core.model.model_file import LEAST_PACKED, MODELS_PATH, SCHEMA_VERSION, convert_model_file
 
 
 def tiny(**changes):
@@ -49,19 +49,16 @@ def refused(saved, match, change, *, seal=True):
 
 
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("activation, node_outputs", [("silu", 9), ("relu", 12)])
-def test_round_trip(tmp_path, size, activation, node_outputs):
+def test_round_trip(tmp_path, size):
     """Indices, geometry in float32, rig and plain data come back exactly, large network weights to a thousandth of a
     row's largest, the rest to half precision. Saved again, over the file, not a bit differs but in the skinning
     weights, which are normalised after loading."""
-    model = random_model(
-        np.random.default_rng(1), **SIZES[size], activation=activation, node_outputs=node_outputs, width=16
-    )
+    model = random_model(np.random.default_rng(1), **SIZES[size], width=16)
     model = replace(model, material=Material(youngs_modulus=33.5, contact_stiffness=1e5), name="a b")
     path = tmp_path / "new folder" / "model.safetensors"
     save_garment_model(model, path)
     back = load_garment_model(path)
-    assert back.name == "a b" and back.activation == activation and back.material == model.material
+    assert back.name == "a b" and back.material == model.material
     assert back.training == model.training and back.scores == model.scores
     assert back.rig.to_json() == model.rig.to_json()
     arrays, expected = back.arrays(), model.arrays()
@@ -79,28 +76,9 @@ def test_round_trip(tmp_path, size, activation, node_outputs):
     save_garment_model(back, path)
     again, same = contents(path)
     assert {**again, "sha256": ""} == {**metadata, "sha256": ""} and same.keys() == tensors.keys()
-    for name in same.keys() - {"skinning.weights"}:
+    for name in same.keys() - {"skinning.weights", "engine_skinning.weights"}:
         np.testing.assert_array_equal(same[name], tensors[name], err_msg=name, strict=True)
     assert not list(path.parent.glob("*.partial"))
-
-
-def test_the_file_says_whether_made_to_measure_was_learnt(tmp_path):
-    """Files from before have no fit, and keep loading; one above 0 is refused for them, as are numbers out of range."""
-    for learnt in (True, False):
-        model = tiny(made_to_measure=learnt)
-        save_garment_model(model, tmp_path / "model.safetensors")
-        loaded = load_garment_model(tmp_path / "model.safetensors")
-        assert loaded.made_to_measure == learnt and loaded.checked_fit(0) == 0.0
-        for bad in (-0.1, 1.1, np.nan, "1", True):
-            with pytest.raises(ValueError, match="fit must be 0 .* to 1"):
-                loaded.checked_fit(bad)
-        if learnt:
-            np.testing.assert_allclose(
-                loaded.hyper_modulator["fit"], model.hyper_modulator["fit"], rtol=1e-3, atol=1e-6
-            )
-            assert loaded.checked_fit(0.5) == 0.5
-    with pytest.raises(ValueError, match="'random' has not learnt to be made to measure: fit is 0.5, allowed is 0"):
-        loaded.checked_fit(0.5)
 
 
 # --- Damage ---
@@ -160,7 +138,7 @@ def swap(metadata, tensors, a="hyper_modulator.norm_1.weight", b="hyper_modulato
     "change",
     [
         *(lambda m, t, key=key: m.update({key: m.get(key, "") + " "})
-          for key in ("name", "rig", "material", "training", "scores", "activation", "extra", "sha256")),
+          for key in ("name", "rig", "material", "training", "scores", "extra", "sha256")),
         lambda m, t: t.update({"garment_nodes.bones": t.pop("garment_nodes.bone")}),
         lambda m, t: t.update({"garment.vertices": t["garment.vertices"].reshape(3, -1)}),
         swap,
@@ -176,23 +154,53 @@ def test_schema_version_must_be_known(saved, version):
     refused(saved, f"schema version '?{version}", lambda metadata, _: metadata.update(schema_version=version))
 
 
-def test_files_before_version_three_hold_half_precision(tmp_path, saved):
-    """All of what they hold comes back exactly."""
+@pytest.fixture
+def older(saved, tmp_path):
+    """A file of version 4, and what it holds."""
     metadata, tensors = contents(saved)
-    halves = unpack_weights(tensors)
-    halves |= {name: array.astype(np.float16) for name, array in halves.items() if name.endswith(".weight")}
-    metadata["schema_version"] = "2"
-    old = load_garment_model(written(tmp_path / "old.safetensors", sealed(metadata, halves))).arrays()
-    for name in old.keys() - {"skinning.weights"}:
-        np.testing.assert_array_equal(old[name], halves[name], err_msg=name)
+    metadata |= {"schema_version": "4", "activation": "silu", "training": json.dumps({"poses": {"accelerated": 0.3}})}
+    return written(tmp_path / "old.safetensors", sealed(metadata, tensors)), metadata, tensors
 
 
-def test_files_of_version_one_have_the_mesh_s_normals(tmp_path, saved):
-    metadata, tensors = contents(saved)
-    metadata["schema_version"] = "1"
-    del tensors["garment.normals"]
-    old = load_garment_model(written(tmp_path / "old.safetensors", sealed(metadata, tensors)))
-    np.testing.assert_allclose(old.rest_normals, vertex_normals(old.garment.vertices, old.garment.faces), atol=1e-6)
+def test_older_files_are_refused_by_a_sentence_that_names_what_converts_them(older):
+    with pytest.raises(ModelFileError, match=r"has schema version 4.*: physkin convert-model .*old.safetensors -o NEW"):
+        load_garment_model(older[0])
+
+
+def test_conversion_keeps_every_number(older, tmp_path, capsys):
+    """The same tensors in the same bytes, the same metadata but for the version and what is gone."""
+    old, metadata, tensors = older
+    new = tmp_path / "new.safetensors"
+    assert cli.main(["convert-model", str(old), "-o", str(new)]) == 0
+    converted, same = contents(new)
+    kept = metadata.keys() - {"activation", "sha256", "schema_version"}
+    assert {key: converted[key] for key in kept} == {key: metadata[key] for key in kept}
+    assert converted.keys() == metadata.keys() - {"activation"} and converted["schema_version"] == str(SCHEMA_VERSION)
+    size = sum(tensor.nbytes for tensor in tensors.values())
+    assert new.read_bytes()[-size:] == old.read_bytes()[-size:]
+    for name in same.keys() | tensors.keys():
+        np.testing.assert_array_equal(same[name], tensors[name], err_msg=name, strict=True)
+    assert load_garment_model(new).name == "random"
+    assert cli.main(["convert-model", str(new), "-o", str(tmp_path / "again.safetensors")]) == 2
+    assert "nothing to convert" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "change, lacking",
+    [
+        (lambda metadata, _: metadata.update(activation="relu"), "activation 'relu', allowed is 'silu'"),
+        (lambda metadata, _: metadata.update(training="{}"), "not trained with accelerated roots"),
+        *((lambda _, tensors, name=name: tensors.pop(name), f"lacks '{name}'")
+          for name in ("hyper_modulator.fit", "hyper_modulator.bend", "garment.normals", "engine_skinning.nodes")),
+    ],
+)  # fmt: skip
+def test_a_model_that_lacks_what_all_have_is_not_converted(older, tmp_path, change, lacking):
+    old, metadata, tensors = older
+    change(metadata, tensors)
+    written(old, sealed(metadata, tensors))
+    with pytest.raises(ModelFileError, match=f"cannot convert .*old.safetensors, train it anew: .*{lacking}"):
+        convert_model_file(old, tmp_path / "new.safetensors")
+    assert list(tmp_path.iterdir()) == [old]
 
 
 # --- Inconsistent, though undamaged ---
@@ -201,8 +209,7 @@ def test_files_of_version_one_have_the_mesh_s_normals(tmp_path, saved):
 @pytest.mark.parametrize(
     "key, value",
     [
-        *((key, None) for key in ("name", "rig", "material", "training", "scores", "activation")),
-        ("activation", "tanh"),
+        *((key, None) for key in ("name", "rig", "material", "training", "scores")),
         *(("rig", text) for text in ("{", "[]", '{"bones": [], "dofs": []}')),
         *(("material", text) for text in ("[]", '{"youngs_modulus": 60, "colour": 3}', '{"youngs_modulus": "stiff"}')),
         *(("material", text) for text in ('{"poisson_ratio": 1.0}', '{"density": NaN}')),
@@ -292,16 +299,27 @@ def test_impossible_material_is_refused(field, value, message):
     [
         (lambda m: dict(name=" "), "needs a name"),
         (lambda m: dict(training=[]), r"training must be an object of names and values, got \[\]"),
-        (lambda m: dict(activation="gelu"), "unknown activation 'gelu'; known: silu, relu"),
         (lambda m: dict(influence_weights=-m.influence_weights), "non-negative and sum to 1"),
         (lambda m: dict(influence_weights=1.1 * m.influence_weights), "non-negative and sum to 1"),
         (lambda m: dict(influence_nodes=m.influence_nodes + 4), r"skinning.nodes holds index \d\.\.\d, allowed 0\.\.5"),
-        (lambda m: dict(node_bone=m.node_bone - 9), r"garment_nodes.bone holds index -9"),
+        (lambda m: dict(node_bone=m.node_bone - 9), r"garment_nodes.bone holds index -\d"),
         (lambda m: dict(pose_modulator=()), "pose_modulator has no layers"),
-        (lambda m: dict(pose_modulator=m.pose_modulator[:-1]), r"pose_modulator gives 16 numbers, expected 48"),
-        (lambda m: dict(node_deformer=m.node_deformer[:-1]), "pose_modulator gives 48 numbers, expected 24"),
-        (lambda m: dict(node_deformer=(*m.node_deformer[:-1], (np.zeros((9, 12)), np.zeros(9)))), "expected 54 or 72"),
-        (lambda m: dict(node_deformer=m.node_deformer[::-1]), r"modulator gives 48 numbers, expected 132"),
+        (
+            lambda m: dict(pose_modulator=m.pose_modulator[:-1]),
+            r"1.weight has shape .16, 16., expected .48, 16.",
+        ),
+        (
+            lambda m: dict(node_deformer=m.node_deformer[:-1]),
+            r"2.weight has shape .48, 16., expected .24, 16.",
+        ),
+        (
+            lambda m: dict(node_deformer=(*m.node_deformer[:-1], (np.ones((54, 12)), np.ones(54)))),
+            "expected .72, 12.",
+        ),
+        (
+            lambda m: dict(node_deformer=m.node_deformer[::-1]),
+            r"2.weight has shape .48, 16., expected .168, 16.",
+        ),
         (lambda m: dict(hyper_modulator={**m.hyper_modulator, "extra.weight": np.zeros(1)}), "unknown.*extra.weight"),
         (lambda m: dict(hyper_modulator={**m.hyper_modulator, "fit": np.zeros(3)}), r"fit has shape \(3,\)"),
         (

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core import MotionError, load_body_model, load_motion
 from physkin_core.motion.mocap import load_mocap
-from physkin_core.motion.reading_progress import reading_progress
+from physkin_core.progress import progress_line
 
 # name, parent, offset from the parent (Y up, looks along Z, left is X), arms stretched out sideways
 JOINTS = [
@@ -311,10 +311,10 @@ def test_reading_says_how_far_it_is(rig, tmp_path, monkeypatch, capsys):
     load_motion(path, watch=shares.append)
     assert shares == sorted(shares) and shares[-1] == 1
     monkeypatch.setattr("physkin_core.progress.PATIENCE", -1.0)
-    load_motion(path, watch=reading_progress("a.bvh"))
+    load_motion(path, watch=progress_line("reading a.bvh"))
     assert capsys.readouterr().err == ""
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    load_motion(path, watch=reading_progress("a.bvh"))
+    load_motion(path, watch=progress_line("reading a.bvh"))
     said = capsys.readouterr().err.split("\r\x1b[K")
     assert any(line.startswith("reading a.bvh: 50%, 0:") for line in said) and said[-1] == ""
 

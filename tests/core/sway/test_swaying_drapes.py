@@ -54,15 +54,6 @@ def test_a_skirt_trails_swings_ahead_and_hangs_still(skirt):
     assert abs(ahead[-1] - still) < 5e-4
 
 
-def test_of_a_model_without_accelerated_roots_the_direction_changes(skirt):
-    model = replace(skirt.model, training={})
-    assert not model.accelerated
-    draper = physkin.Draper(model, skirt.avatar, binding=skirt.bound)
-    for k in range(30):
-        swung = draper.drape(model.rig.rest, time=k / 60, root=(1.5 * (k / 60) ** 2, 0, 0, 0, 0, 0, 1))
-    assert np.abs(swung[:, :3] - draper.drape(model.rig.rest)[:, :3]).max() > 1e-3
-
-
 def test_the_root_tells_gravity(skirt):
     skirt.reset()
     turn = Rotation.from_euler("y", 0.6)

@@ -17,20 +17,15 @@ from physkin_ros.messages.splat_cloud import SplatCloud, read_splats, splat_look
 
 
 @pytest.fixture
-def sent():
+def sent(published):
     """Splats of any size from a tenth of a millimetre to a metre, and the message that they come to."""
-    generator, published = np.random.default_rng(3), []
+    generator = np.random.default_rng(3)
     turns = Rotation.random(500, rng=generator).as_quat()
     splats = Splats(generator.normal(size=(500, 3)), turns, 10 ** generator.uniform(-4, 0, size=(500, 3)))
     cloud = SplatCloud(500, "hips")
     cloud.fill(splats)
 
-    class Publisher:
-        class handle:
-            publish_raw = staticmethod(lambda data: published.append(bytes(data)))
-
-    cloud.publish(Publisher, 5, 6)
-    return splats, deserialize_message(published[0], PointCloud2)
+    return splats, deserialize_message(published(cloud, 5, 6), PointCloud2)
 
 
 def test_little_is_lost_of_28_bytes_each(sent):

@@ -47,6 +47,11 @@ def test_middleware_that_refuses(monkeypatch):
     assert finding.state == "broken" and "division" in finding.said and "RMW_IMPLEMENTATION" in finding.remedy
 
 
+def test_rclpy_that_is_too_old(monkeypatch):
+    monkeypatch.setitem(sys.modules, "rclpy.experimental", None)
+    assert "older than 7.1.4" in doctor._participant().said and doctor._participant().state == "broken"
+
+
 @pytest.mark.parametrize("package", ["physkin_msgs", "tf2_msgs"])
 def test_messages_that_are_missing(monkeypatch, package):
     """They cost topics, not clouds: absent, with the command that installs them."""

@@ -34,6 +34,16 @@ def running_node(module_peer):
         yield run
 
 
+@pytest.fixture(scope="module")
+def other_body(tmp_path_factory):
+    """A body a tenth larger than the bundled one, in a folder of its own."""
+    from drape_site import scaled_body
+
+    path = tmp_path_factory.mktemp("bodies") / "other.glb"
+    path.write_bytes(scaled_body(1.1))
+    return path
+
+
 @pytest.fixture(scope="session")
 def draper(garment_model) -> Draper:
     """What the node should compute."""

@@ -74,9 +74,9 @@ def test_encodings_are_kept_by_content(tmp_path, model_path):
     assert not loader.load(wanted).cached
 
 
-def test_fits_are_kept_apart(measured_model_path):
+def test_fits_are_kept_apart(model_path):
     """Made to measure is the default, and known as fit 1; one size is another binding."""
-    loader, wanted = DraperLoader("native"), Outfitting(str(measured_model_path))
+    loader, wanted = DraperLoader("native"), Outfitting(str(model_path))
     loads = [loader.load(replace(wanted, fit=fit)) for fit in (None, 1.0, 0.0, None)]
     assert [each.cached for each in loads] == [False, True, False, True]
     assert [each.draper.fit for each in loads] == [1.0, 1.0, 0.0, 1.0]

@@ -18,18 +18,10 @@ from sensor_msgs.msg import JointState  # noqa: E402
 
 pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
 
-from drape_site import scaled_body, text_parameter  # noqa: E402
+from drape_site import text_parameter  # noqa: E402
 from physkin_msgs.srv import SetBody, SetGarment  # noqa: E402
 
 TOP, LEGS, BOB = "alice/top", "alice/legs", "bob/top"
-
-
-@pytest.fixture(scope="module")
-def other_body(tmp_path_factory):
-    """A body a tenth larger than the bundled one, in a folder of its own."""
-    path = tmp_path_factory.mktemp("bodies") / "other.glb"
-    path.write_bytes(scaled_body(1.1))
-    return path
 
 
 @pytest.fixture(scope="module")

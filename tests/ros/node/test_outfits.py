@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 
 pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
 
-from drape_site import scaled_body, text_parameter  # noqa: E402
+from drape_site import text_parameter  # noqa: E402
 from physkin_msgs.srv import SetBody, SetGarment  # noqa: E402
 
 from physkin_core import (  # noqa: E402
@@ -40,14 +39,6 @@ def models():
 @pytest.fixture(scope="module")
 def avatar(models):
     return load_avatar(BUNDLED_AVATAR, models["tshirt"].rig)
-
-
-@pytest.fixture(scope="module")
-def other_body(tmp_path_factory):
-    """A body a tenth larger than the bundled one, in a folder of its own."""
-    path = tmp_path_factory.mktemp("bodies") / "other.glb"
-    path.write_bytes(scaled_body(1.1))
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -309,19 +300,3 @@ def test_interpolated_outfits(running_node, peer, models):
         for each in (*subscriptions,):
             peer.node.destroy_subscription(each)
         peer.node.destroy_publisher(publisher)
-
-
-def test_effective_gravity_counts_for_all_or_none(models, avatar):
-    """An outfit has one pose vector: its garments take effective gravity where all have learnt it."""
-    from physkin_ros.node.asset_loading import OutfitLayer
-    from physkin_ros.node.garment_stream import WornGarment
-
-    class NoStream:
-        frame_id, nodes_publisher, marker_publisher, splat_publisher = "base_link", None, None, None
-
-    learnt = {"poses": {"accelerated": 0.3}}
-    shirt, trousers = (replace(models[name], training=learnt) for name in ("tshirt", "trousers"))
-    for garments, expected in (([trousers, shirt], True), ([replace(trousers, training={}), shirt], False)):
-        outfit = Outfit(garments, avatar)
-        worn = [WornGarment(NoStream(), OutfitLayer(outfit, k), outfit.at_rest[k], 1) for k in range(2)]
-        assert [each.accelerated for each in worn] == [expected] * 2

@@ -62,14 +62,14 @@ def test_gravity_messages(peer, running_node, leaning_model_path, leaning_draper
             np.testing.assert_allclose(peer.cloud(names, positions, stamp), draper.drape(positions, down), atol=1e-6)
 
 
-def test_effective_gravity(peer, running_node, accelerated_model_path, draper):
+def test_effective_gravity(peer, running_node, leaning_model_path, draper):
     """It takes the place of the direction while it comes, zero too; what cannot be leaves the last good one, and after
     half a second the direction counts again."""
-    model, avatar = load_garment_model(accelerated_model_path), draper.avatar
+    model, avatar = load_garment_model(leaning_model_path), draper.avatar
     expected = Draper(model, avatar)
     names, pose = model.rig.joint_names, np.linspace(-0.2, 0.2, len(model.rig.joint_names)).astype(np.float32)
     tilted = np.array([0.6, 0.0, -0.8])
-    with running_node({"model": str(accelerated_model_path), "gravity": tilted.tolist()}):
+    with running_node({"model": str(leaning_model_path), "gravity": tilted.tolist()}):
         at_rest = expected.drape(pose, tilted)
         for felt in ([0.0, 0.0, -29.0], [0.0, 3.0, 0.0], [0.0, 0.0, 0.0]):
             peer.send_effective_gravity(felt)
@@ -86,35 +86,14 @@ def test_effective_gravity(peer, running_node, accelerated_model_path, draper):
         peer.until(lambda: peer.send_effective_gravity([0, 3, 0]) or peer.latest(key) == told, told)
         peer.until_told(key, "none")
         np.testing.assert_allclose(peer.cloud(names, pose, next(STAMPS)), at_rest, atol=1e-5)
-        assert not any("direction alone" in report["summary"] for report in peer.reports)
 
 
-def test_effective_gravity_of_a_garment_that_has_not_learnt_it(
-    peer, running_node, leaning_model_path, leaning_draper, capfd
-):
-    """Its direction counts, in free fall the last one; the diagnostics say so, once as a warning."""
-    names, pose = leaning_draper.joint_names, leaning_draper.model.rig.rest.astype(np.float32)
-    with running_node({"model": str(leaning_model_path)}):
-        for felt, down in (([3, 0, -4], [0.6, 0, -0.8]), ([0, 20, 0], [0, 1, 0]), ([0, 0, 0], [0, 1, 0])):
-            peer.send_effective_gravity(felt)
-            cloud = peer.cloud(names, pose, next(STAMPS))
-            np.testing.assert_allclose(cloud, leaning_draper.drape(pose, np.array(down)), atol=1e-5)
-        key, told = "effective gravity [m/s2]", "0.00 0.00 0.00, of which the direction alone counts"
-        peer.until(lambda: peer.send_effective_gravity([0, 0, 0]) or peer.latest(key) == told, told)
-        peer.until_told(key, "none")
-        said = [
-            report for report in peer.reports if "'vest' was not trained with accelerated roots" in report["summary"]
-        ]
-        assert len(said) == 1
-    assert capfd.readouterr().err.count("of effective gravity the direction alone counts") == 1
-
-
-def test_effective_gravity_between_joint_states(peer, running_node, accelerated_model_path, draper):
+def test_effective_gravity_between_joint_states(peer, running_node, leaning_model_path, draper):
     """Clouds at a rate of their own go from free fall to a landing."""
-    model = load_garment_model(accelerated_model_path)
+    model = load_garment_model(leaning_model_path)
     expected, names, rest = Draper(model, draper.avatar), model.rig.joint_names, model.rig.rest.astype(np.float32)
     falling, landing = [0.0, 0.0, 0.0], [0.0, 0.0, -20.0]
-    with running_node({"model": str(accelerated_model_path), "cloud_rate": 200.0}):
+    with running_node({"model": str(leaning_model_path), "cloud_rate": 200.0}):
         for felt, stamp in ((falling, (10, 0)), (landing, (11, 0))):
             peer.send_effective_gravity(felt, stamp)
             peer.send(names, rest, stamp)
@@ -165,10 +144,10 @@ def test_options_of_a_garment(peer, running_node, model_path, draper):
     assert len(markers[0].points) == draper.faces.size and markers[0].header.stamp.nanosec == 4
 
 
-def test_made_to_measure(peer, running_node, measured_model_path, tmp_path):
+def test_made_to_measure(peer, running_node, model_path, tmp_path):
     """By default; another body has another rest shape, which readers of garment nodes are told."""
     GarmentClient = pytest.importorskip("physkin_ros.client", reason="needs physkin_msgs").GarmentClient
-    model, other, skinned = load_garment_model(measured_model_path), tmp_path / "other.glb", []
+    model, other, skinned = load_garment_model(model_path), tmp_path / "other.glb", []
     other.write_bytes(scaled_body(1.1))
     names, pose = model.rig.joint_names, model.rig.rest.astype(np.float32)
     client = GarmentClient(peer.node, lambda frame: skinned.append(frame.points.copy()))
@@ -181,7 +160,7 @@ def test_made_to_measure(peer, running_node, measured_model_path, tmp_path):
         peer.spin(0.1)
         return np.array_equal(cloud, expected) and len(skinned) == 1 and np.array_equal(skinned[0], expected)
 
-    parameters = {"model": str(measured_model_path), "asset_roots": [str(tmp_path)]}
+    parameters = {"model": str(model_path), "asset_roots": [str(tmp_path)]}
     with running_node(parameters) as node:
         assert node.get_parameter("fit").value == ""
         peer.until(lambda: wears(BUNDLED_AVATAR, 1.0), "the garment on the first body")

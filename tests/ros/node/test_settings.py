@@ -97,8 +97,6 @@ def test_frames_may_bear_a_slash():
         ("camera: {ros__parameters: {}}", "names 'camera'; expected drape_node"),
         ("drape_node: {model: tshirt}", "expected drape_node: {ros__parameters"),
         ("drape_node: {ros__parameters: {modell: tshirt}}", "unknown key 'modell'; did you mean 'model'"),
-        ("drape_node: {ros__parameters: {push_out: true}}", "parameter push_out: push_out was removed"),
-        ("{avatars: {ann: {garments: {top: {serialised: true}}}}}", "garments.top.serialised: serialised was removed"),
         (
             "drape_node: {ros__parameters: {model: a, avatars: {ann: {garments: {top: {model: a}}}}}}",
             "parameter model: beside avatars it is given to each of them, as avatars.ID.garments.NAME.model",

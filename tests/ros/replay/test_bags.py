@@ -145,7 +145,7 @@ def test_needs_no_ros():
     code = """
 import sys
 sys.modules |= dict.fromkeys(("rclpy", "sensor_msgs", "geometry_msgs", "rosidl_runtime_py", "matplotlib", "mitsuba"))
-import importlib, pkgutil, physkin_ros.replay, physkin_ros.tools.replay
+import importlib, pkgutil, physkin_ros.replay
 for module in pkgutil.iter_modules(physkin_ros.replay.__path__, "physkin_ros.replay."):
     importlib.import_module(module.name)
 """

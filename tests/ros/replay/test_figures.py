@@ -29,7 +29,7 @@ from physkin_ros.replay.figures import TOLERANCES, BaselineError, load_baseline,
 def test_baseline_of_the_same_run_passes(quick, leaning_model_path, bag, tmp_path, capsys):
     """And its report says so."""
     old, page, output = tmp_path / "old.json", tmp_path / "page.html", tmp_path / "out"
-    arguments = ["replay", str(bag), "--model", str(leaning_model_path), "--contact-every", "12"]
+    arguments = ["replay", str(bag), "-g", str(leaning_model_path), "--contact-every", "12"]
     assert cli.main([*arguments, "--json", str(old), "-o", str(output)]) == 0
     clouds = np.stack([read_cloud(message) for _, _, message in recorded(output)])
     assert json.loads(old.read_text())["clouds_sha256"] == hashlib.sha256(clouds.tobytes()).hexdigest()
@@ -45,8 +45,8 @@ def test_worse_garment_fails_against_the_baseline(quick, leaning_model, leaning_
     save_garment_model(crumpled, tmp_path / "crumpled.safetensors")
     old, page = tmp_path / "old.json", tmp_path / "page.html"
     arguments = ["replay", str(bag), "--contact-every", "0"]
-    assert cli.main([*arguments, "--model", str(leaning_model_path), "--json", str(old)]) == 0
-    worse = ["--model", str(tmp_path / "crumpled.safetensors"), "--baseline", str(old)]
+    assert cli.main([*arguments, "-g", str(leaning_model_path), "--json", str(old)]) == 0
+    worse = ["-g", str(tmp_path / "crumpled.safetensors"), "--baseline", str(old)]
     assert cli.main([*arguments, *worse, "--report", str(page), "--pictures", "0"]) == 1
     captured = capsys.readouterr()
     assert "edge_strain_percent mean is" in captured.err and "Worse than the baseline" in page.read_text()

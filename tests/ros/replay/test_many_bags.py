@@ -33,7 +33,7 @@ def command(bags, *more, output="out"):
 
 def test_every_bag_is_replayed_once(bags, quick, leaning_model_path, tmp_path, capsys):
     """One that cannot be read is a row with the reason; what is finished is done again only with other settings."""
-    model = ["--model", str(leaning_model_path)]
+    model = ["-g", str(leaning_model_path)]
     assert cli.main(command(bags, *model)) == 1
     printed = capsys.readouterr().out
     assert "3 bags, 0 of them finished" in printed and "2 of 3: one.mcap: replayed" in printed
@@ -66,7 +66,7 @@ def test_an_interrupt_ends_all_processes(bags, quick, leaning_model_path, tmp_pa
         raise KeyboardInterrupt
 
     monkeypatch.setattr(many_bags, "_write_page", interrupt)  # after the first bag
-    assert cli.main(command(bags, "--model", str(leaning_model_path), "--processes", "2")) == 130
+    assert cli.main(command(bags, "-g", str(leaning_model_path), "--processes", "2")) == 130
     until = time.monotonic() + 10
     while multiprocessing.active_children() and time.monotonic() < until:
         time.sleep(0.02)  # joining is not enough: the pool's thread may reap a process first, and tell of it later
@@ -77,7 +77,7 @@ def test_an_interrupt_ends_all_processes(bags, quick, leaning_model_path, tmp_pa
 @pytest.mark.slow
 def test_processes_give_the_same_clouds(bags, leaning_model_path, tmp_path, capsys):
     (bags / "broken.mcap").unlink()
-    model = ["--model", str(leaning_model_path)]
+    model = ["-g", str(leaning_model_path)]
     assert cli.main(command(bags, *model)) == 0
     assert cli.main(command(bags, *model, "--processes", "2", output="two")) == 0
     found = [json.loads((tmp_path / name / "two.mcap" / "figures.json").read_text()) for name in ("out", "two")]

@@ -157,7 +157,7 @@ def test_the_command_line_takes_what_the_node_takes(quick, swaying_model_path, w
     told = [
         "replay",
         str(world_bag),
-        "--model",
+        "-g",
         str(swaying_model_path),
         "--json",
         str(figures),
@@ -188,7 +188,7 @@ def test_the_command_line_takes_what_the_node_takes(quick, swaying_model_path, w
 )
 def test_what_does_not_fit_is_refused(asked, told, quick, swaying_model_path, world_bag, capsys):
     """With what would."""
-    assert cli.main(["replay", str(world_bag), "--model", str(swaying_model_path), *asked]) != 0
+    assert cli.main(["replay", str(world_bag), "-g", str(swaying_model_path), *asked]) != 0
     assert told in capsys.readouterr().err
 
 

@@ -97,9 +97,9 @@ def test_a_sway_network_moves_cloth_by_the_stamps(swaying_model_path, avatar, ba
     assert found == [clouds.hexdigest()] * 2 and swung > 0.005
 
 
-def test_strain_is_against_the_rest_shape_that_is_worn(measured_model_path, avatar, bag, motion):
+def test_strain_is_against_the_rest_shape_that_is_worn(model_path, avatar, bag, motion):
     """Made to measure by default, and told so."""
-    draper = Draper(load_garment_model(measured_model_path), avatar)
+    draper = Draper(load_garment_model(model_path), avatar)
     with BagReader(bag) as source:
         figures = describe(replay(draper, source), draper, source, contact_every=0)
     clouds = np.stack([cloud[:, :3] for cloud in expected_clouds(draper, motion)]).astype(np.float64)
@@ -116,7 +116,7 @@ def test_limbs_are_separated_when_told_to(quick, leaning_model_path, draper, ava
     bag, output, figures = tmp_path / "in.mcap", tmp_path / "out.mcap", tmp_path / "out.json"
     with BagWriter(bag) as writer:
         writer.write("/joint_states", JOINT_STATE, joint_state(rig.joint_names, folded), 1)
-    told = ["replay", str(bag), "--model", str(leaning_model_path), "-o", str(output), "--json", str(figures)]
+    told = ["replay", str(bag), "-g", str(leaning_model_path), "-o", str(output), "--json", str(figures)]
     assert cli.main([*told, "--separate-limbs", "--contact-every", "1"]) == 0
     separating = Draper(draper.model, avatar, separate_limbs=True, binding=draper.bound)
     expected = separating.drape(folded)
@@ -238,7 +238,7 @@ def test_errors_are_one_line(quick, arguments, reason, bag, model_path, tmp_path
         writer.write("/joint_states", JOINT_STATE, joint_state(["tail"], [0.0]), 1)
     before = sorted(tmp_path.iterdir())
     filled = [word.format(bag=bag, tmp=tmp_path) for word in arguments]
-    model = ["--model", str(model_path), "--contact-every", "0"] if filled[0] == "replay" else []
+    model = ["-g", str(model_path), "--contact-every", "0"] if filled[0] == "replay" else []
     assert cli.main([*filled, *model]) == 2
     *warnings, line = capsys.readouterr().err.splitlines()
     assert line.startswith("error: ") and reason in line
@@ -246,7 +246,7 @@ def test_errors_are_one_line(quick, arguments, reason, bag, model_path, tmp_path
     assert sorted(tmp_path.iterdir()) == before
 
 
-@pytest.mark.parametrize("words", ["--json no/a.json", "--report no/a.html", "--contact-every -1", "--push-out"])
+@pytest.mark.parametrize("words", ["--json no/a.json", "--report no/a.html", "--contact-every -1"])
 def test_wrong_arguments_are_told_before_anything_is_read(words, capsys):
     """By their value."""
     with pytest.raises(SystemExit):

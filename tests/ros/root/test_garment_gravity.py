@@ -22,10 +22,10 @@ TIMES = np.cumsum([1000, *[16] * 12, 0, 16, 16, 50, 7, 400, *[16] * 6, -5000, *[
 
 @pytest.fixture(scope="module")
 def drapers():
-    """One with a sway network and one that a pendulum moves, of one rig and body; both know accelerated roots."""
+    """One with a sway network and one that a pendulum moves, of one rig and body."""
     rng = np.random.default_rng(3)
-    learnt = random_model(rng, node_outputs=12, learnt_sway=True, learnt_fabrics=True)
-    other = random_model(rng, rig=learnt.rig, learnt_fabrics=True)
+    learnt = random_model(rng, learnt_sway=True)
+    other = random_model(rng, rig=learnt.rig)
     avatar = random_avatar(rng, learnt.rig)
     return [Draper(replace(model, name=name), avatar, precision="fp32")
             for name, model in (("learnt", learnt), ("other", other))]  # fmt: skip
@@ -136,8 +136,8 @@ def test_without_sway_every_frame_is_draped_by_itself(drapers):
 def test_an_outfit_swings_as_one_told_time_and_root():
     """One garment by its network, one by the pendulum."""
     rng, amounts = np.random.default_rng(4), (0.6, 1.0)
-    inner = random_model(rng, garment=tube(radius=0.1), node_outputs=12, learnt_sway=True, learnt_fabrics=True)
-    outer = random_model(rng, rig=inner.rig, garment=tube(radius=0.4), learnt_fabrics=True)
+    inner = random_model(rng, garment=tube(radius=0.1), learnt_sway=True)
+    outer = random_model(rng, rig=inner.rig, garment=tube(radius=0.4))
     models = [replace(model, name=f"radius {k}") for k, model in enumerate((inner, outer))]
     outfit = Outfit(models, random_avatar(rng, inner.rig), precision="fp32", hide=False)
     outfit.sway, worn = amounts, outfit.twin()

@@ -76,9 +76,9 @@ def test_options_that_mean_nothing_are_refused(bag, arguments, capsys):
 def test_nobody_listens(bag, domain, monkeypatch, capsys):
     """Told in one line; and that TF is left out where its messages are not installed."""
     monkeypatch.setitem(sys.modules, "tf2_msgs.msg", None)
-    from physkin_ros.middleware import subscriber_discovery
+    from physkin_ros.middleware import spinning
 
-    monkeypatch.setattr(subscriber_discovery, "DISCOVERY_SECONDS", 0.2)
+    monkeypatch.setattr(spinning, "DISCOVERY_SECONDS", 0.2)
     assert cli.main(["replay", str(bag[0]), "--live"]) == 2
     told = capsys.readouterr().err
     assert "nobody has subscribed to /arm/joints" in told

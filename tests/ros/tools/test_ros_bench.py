@@ -1,4 +1,4 @@
-"""`physkin ros-bench`: its arithmetic on made-up records, and a short run between real processes."""
+"""The benchmark of the node: its arithmetic on made-up records, and a short run between real processes."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from physkin_core import cli
+from import_graph import ROOT
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
-from physkin_ros.tools.ros_bench import Case, figures  # noqa: E402
+from physkin_bench.ros_bench import Case, figures, main  # noqa: E402
 
 CASE = Case(2, 5.0)  # whose warm-up is the first five joint states of each avatar
 
@@ -35,16 +35,17 @@ def test_figures_of_a_case(made_records):
 def test_wrong_arguments(arguments, capsys):
     """Told before anything is started, by their value."""
     with pytest.raises(SystemExit):
-        cli.main(["ros-bench", *arguments])
+        main(arguments)
     assert arguments[1] in capsys.readouterr().err
 
 
 @pytest.mark.slow
-def test_a_run(start, model_path, tmp_path):
+def test_a_run(start, model_path, tmp_path, monkeypatch):
     """Three processes, every cloud received, the same figures on the terminal and in the file."""
     path = tmp_path / "figures.json"
-    options = ["--model", str(model_path), "--seconds", "1", "--cases", "2x30", "--queue", "60", "--json", str(path)]
-    bench = start("physkin_core.cli", "ros-bench", *options)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT / "native"))  # not installed
+    options = ["-g", str(model_path), "--seconds", "1", "--cases", "2x30", "--queue", "60", "--json", str(path)]
+    bench = start("physkin_bench.ros_bench", *options)
     output, _ = bench.communicate(timeout=180)
     assert bench.returncode == 0, output
     document = json.loads(path.read_text())

@@ -42,7 +42,7 @@ class LateGarment:
     def on_state(self, state) -> None:
         self.asked += 1
         if self.asked > self.late:
-            self.publisher.publish(self.cloud.stamped(state.header.stamp.sec, state.header.stamp.nanosec))
+            self.cloud.publish(self.publisher, state.header.stamp.sec, state.header.stamp.nanosec)
 
 
 @pytest.mark.parametrize("fit", [None, 0.0])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import torch
 from random_models import random_model, random_rotation, tube
 
@@ -19,11 +18,10 @@ from physkin_training.networks.export import drape_from_model
 CPU = torch.device("cpu")
 
 
-@pytest.mark.parametrize("node_outputs", [9, 12])
-def test_subspace_finds_a_drape_that_the_nodes_can_reach(node_outputs):
-    """The energy is the squared distance to a drape made with known node numbers; sheared ones only 12 can reach."""
+def test_subspace_finds_a_drape_that_the_nodes_can_reach():
+    """The energy is the squared distance to a drape made with known node numbers."""
     rng = np.random.default_rng(0)
-    model = random_model(rng, nodes=4, node_outputs=node_outputs)
+    model = random_model(rng, nodes=4)
     drape = drape_from_model(model)
     posed = torch.as_tensor(
         np.array([[np.c_[random_rotation(rng), rng.normal(size=3)] for _ in range(4)] for _ in range(2)]),
@@ -34,23 +32,16 @@ def test_subspace_finds_a_drape_that_the_nodes_can_reach(node_outputs):
         return drape.skin(compose_nodes(posed, delta_transforms(raw)))
 
     with torch.no_grad():
-        target = shape(torch.as_tensor(0.1 * rng.normal(size=(2, 4, node_outputs)), dtype=torch.float32))
-        sheared = shape(torch.as_tensor(0.1 * rng.normal(size=(2, 4, 12)), dtype=torch.float32))
-    start = torch.zeros(2, 4, node_outputs)
+        goal = shape(torch.as_tensor(0.1 * rng.normal(size=(2, 4, 12)), dtype=torch.float32))
+    start = torch.zeros(2, 4, 12)
 
-    def distance(result, target):
-        return (result - target).square().sum(dim=-1).mean().sqrt().item()
+    def distance(result):
+        return (result - goal).square().sum(dim=-1).mean().sqrt().item()
 
-    steps = 200 if node_outputs == 9 else 500  # sheared nodes pull at each other and settle more slowly
-    for goal, reachable in ((target, True), (sheared, node_outputs == 12)):
-        result = subspace_minimum(
-            lambda x, goal=goal: (x - goal).square().mean(), drape, posed, start, steps=steps, rate=0.02
-        )
-        before, after = distance(shape(start), goal), distance(result.vertices, goal)
-        assert before > 0.02 and after < before
-        assert (after < 1e-3) == reachable
-        assert not result.vertices.requires_grad and not result.gradient_norm.requires_grad
-        assert not start.any(), "the start is left alone"
+    result = subspace_minimum(lambda x: (x - goal).square().mean(), drape, posed, start, steps=500, rate=0.02)
+    assert distance(shape(start)) > 0.02 and distance(result.vertices) < 1e-3
+    assert not result.vertices.requires_grad and not result.gradient_norm.requires_grad
+    assert not start.any(), "the start is left alone"
 
 
 def test_minima_on_a_clothed_body_are_in_order():

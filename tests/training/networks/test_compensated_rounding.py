@@ -7,7 +7,7 @@ from physkin_core import Draper, load_avatar, load_garment_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR
 from physkin_core.model.model_file import shipped_models
 from physkin_core.motion.loading import load_motion
-from physkin_training.networks.compensated_rounding import STEPS, compensated_rounding, main
+from physkin_training.networks.compensated_rounding import STEPS, compensated_rounding
 
 
 def in_steps(weight):
@@ -41,10 +41,3 @@ def test_shipped_models_lose_nothing_more_in_eight_bits(name):
         for q, down in zip(clip.positions_for(model.rig)[::20], clip.gravity[::20])
     ]
     assert np.mean(moved) < 0.45e-3
-
-
-def test_what_is_no_model_is_refused(tmp_path, capsys):
-    path = tmp_path / "none.safetensors"
-    path.write_bytes(b"nothing")
-    assert main([str(path)]) == 2
-    assert "error:" in capsys.readouterr().err

@@ -42,9 +42,9 @@ def test_hyper_modulator_agrees(width, blocks, count):
 def test_the_fit_shifts_tokens_as_at_the_run_time():
     """Each body at its own fit, against the reference with the fit folded in; without a fit as at fit 0."""
     rng = np.random.default_rng(2)
-    arrays = random_hyper_modulator(rng, 20) | {"fit": rng.normal(size=8).astype(np.float32)}
+    arrays = random_hyper_modulator(rng, 20)
     config = NetworkConfig(token_width=8, feed_forward=16, residual_blocks=2)
-    twin = HyperModulator(config, 20, made_to_measure=True)
+    twin = HyperModulator(config, 20)
     twin.load_state_dict({name: torch.as_tensor(array) for name, array in arrays.items()})
     points = rng.uniform(-1, 1, size=(1, 60, 3)).astype(np.float32).repeat(3, axis=0)
     normals = unit_rows(rng, 60).astype(np.float32)[None].repeat(3, axis=0)
@@ -61,8 +61,8 @@ def test_the_fit_shifts_tokens_as_at_the_run_time():
 def test_bending_shifts_tokens_as_at_the_run_time():
     """Each body in cloth of its own, against the reference with that folded in; without any as trained."""
     rng = np.random.default_rng(3)
-    arrays = random_hyper_modulator(rng, 20) | {"bend": rng.normal(size=8).astype(np.float32)}
-    twin = HyperModulator(NetworkConfig(token_width=8, feed_forward=16, residual_blocks=2), 20, other_bending=True)
+    arrays = random_hyper_modulator(rng, 20)
+    twin = HyperModulator(NetworkConfig(token_width=8, feed_forward=16, residual_blocks=2), 20)
     twin.load_state_dict({name: torch.as_tensor(array) for name, array in arrays.items()})
     points = rng.uniform(-1, 1, size=(1, 60, 3)).astype(np.float32).repeat(3, axis=0)
     normals = unit_rows(rng, 60).astype(np.float32)[None].repeat(3, axis=0)

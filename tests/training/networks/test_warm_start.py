@@ -10,7 +10,7 @@ import torch
 from training.small_runs import exported, small_config
 
 from physkin_core.model.model_file import save_garment_model
-from physkin_training.networks.export import agreement, drape_from_model
+from physkin_training.networks.export import agreement
 from physkin_training.networks.warm_start import NEW_INFLUENCE, take_over_model
 from physkin_training.train.trainer import Trainer
 
@@ -54,17 +54,8 @@ def test_the_run_drapes_as_the_model_but_for_its_new_influences(trained):
     assert agreement(model, trainer.drape, poses=2).largest < 3e-4
 
 
-def test_made_to_measure_may_be_learnt_on_top(trained):
-    folder, _ = trained
-    trainer = Trainer(more_influences(folder, fit="both"), CPU)
-    trainer.start_from(folder / "band.safetensors")
-    assert not trainer.drape.networks.hyper_modulator.fit.any()
-    (step,) = trainer.run(1)
-    assert step == 1
-
-
 def test_other_models_are_refused(trained):
-    """Another garment, other sizes, and one that has learnt what the run has not."""
+    """Another garment, and other sizes."""
     folder, model = trained
     config = small_config(folder)
     drape = Trainer(config, CPU).drape
@@ -74,7 +65,3 @@ def test_other_models_are_refused(trained):
     wider = replace(config, networks=replace(config.networks, pose_hidden=25))
     with pytest.raises(ValueError, match=r"pose_modulator.layers.0.* is \(24, .*expected \(25, "):
         take_over_model(model, Trainer(wider, CPU).drape)
-    learnt = exported(Trainer(small_config(folder, fit="both"), CPU), 3)
-    with pytest.raises(ValueError, match="hyper_modulator.fit is .*expected none"):
-        take_over_model(learnt, drape)
-    assert drape_from_model(learnt).networks.hyper_modulator.fit.shape == (8,)

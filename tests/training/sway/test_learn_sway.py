@@ -27,7 +27,7 @@ TINY = ("--bodies", "2", "--walkers", "2", "--rounds", "1", "--seconds", "0.5", 
 @pytest.fixture(scope="module")
 def band(tmp_path_factory):
     path = tmp_path_factory.mktemp("band") / "band.safetensors"
-    save_garment_model(waist_band_model(node_outputs=12, made_to_measure=True), path)
+    save_garment_model(waist_band_model(), path)
     return path
 
 

@@ -21,7 +21,7 @@ CPU = torch.device("cpu")
 @pytest.fixture(scope="module")
 def band():
     """A model, eight walkers on two bodies, and what the network sees of them."""
-    model = waist_band_model(node_outputs=12)
+    model = waist_band_model()
     options = dict(bodies=2, each=4, rounds=1, seconds=0.5, seed=0, held_above=float("inf"), say=lambda text: None)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(body_codes, "BODIES", 3)

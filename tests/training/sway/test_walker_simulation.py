@@ -29,7 +29,7 @@ def one_thread():
 @pytest.fixture(scope="module")
 def simulation():
     """Two bodies of two walkers in a band whose uppermost garment nodes are held."""
-    model = waist_band_model(node_outputs=12, made_to_measure=True)
+    model = waist_band_model()
     return WalkerSimulation(model, BODY_MODEL, BODY_MODEL.train_bodies[[5, 9]], 2, CPU, held_above=HELD_ABOVE)
 
 

@@ -96,21 +96,6 @@ def test_a_new_run_may_start_from_another(straight, tmp_path):
     assert again.started_from == trainer.started_from
 
 
-def test_a_run_of_the_template_may_be_started_from_to_make_to_measure(straight):
-    """What it has not learnt starts at nothing; the other way round is refused."""
-    folder, _ = straight
-    trainer = Trainer(small_config(folder, fit="both"), CPU)
-    with torch.no_grad():
-        trainer.drape.networks.hyper_modulator.fit.fill_(0.0)
-    trainer.start_from(folder / "step6")
-    saved = load_file(folder / "step6/average.safetensors")
-    assert torch.equal(trainer.drape.skinning_logits, saved["skinning_logits"])
-    assert not trainer.drape.networks.hyper_modulator.fit.any()
-    trainer.save(folder / "both")
-    with pytest.raises(CheckpointError, match="networks.hyper_modulator.fit"):
-        Trainer(small_config(folder), CPU).start_from(folder / "both")
-
-
 def test_a_new_run_starts_from_the_best_that_was_kept(straight):
     """Not from the average where the other run stopped."""
     folder, _ = straight
@@ -181,18 +166,6 @@ def test_another_configuration_is_refused_by_its_entry(straight, copy):
     ):
         with pytest.raises(CheckpointError, match=named):
             resume(straight, copy, **changes)
-
-
-def test_entries_that_configurations_had_must_be_what_all_runs_have(straight, other, copy):
-    """Runs of an earlier version on adults go on, those on fantastical bodies do not."""
-    state = json.loads((copy / "state.json").read_text())
-    for bodies in ("fantastical", "adults"):
-        state["config"]["body_distribution"] = bodies
-        (copy / "state.json").write_text(json.dumps(state))
-        if bodies == "fantastical":
-            with pytest.raises(CheckpointError, match="body_distribution = 'fantastical'"):
-                other.resume(copy)
-    assert resume(straight, copy).step == 6
 
 
 TENSORS = ("drape", "average", "best", "exp_avg", "exp_avg_sq", "random")

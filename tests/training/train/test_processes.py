@@ -23,6 +23,7 @@ from physkin_training.train import processes
 from physkin_training.train.processes import Processes, join
 from physkin_training.train.train import main
 from physkin_training.train.trainer import Trainer
+from training import two_processes
 
 TESTS = Path(__file__).parents[2]
 CPU = torch.device("cpu")
@@ -43,7 +44,7 @@ def torchrun(*arguments):
 def folder(tmp_path_factory):
     """The files of `two_processes.py`."""
     path = tmp_path_factory.mktemp("two")
-    small_config(path)
+    two_processes.config(path)
     torchrun(TESTS / "training" / "two_processes.py", path)
     return path
 
@@ -57,13 +58,13 @@ def test_processes_draw_different_samples(folder):
     one, other = reports(folder, "drawn")
     for index in ("1", "3"):  # positions and surface points; body and gravity may be the same by chance
         assert one[index].shape == other[index].shape and not torch.equal(one[index], other[index])
-    assert len(one["0"]) == 1 and len(one["1"]) == 2, "half of the configuration's two bodies and four samples"
+    assert len(one["0"]) == 2 and len(one["1"]) == 4, "half of the configuration's four bodies and eight samples"
 
 
 @pytest.mark.slow
 def test_the_gradient_is_that_of_one_process_on_all_samples(folder):
     """One process that starts from their checkpoint and is given both draws takes the same step."""
-    trainer = Trainer(small_config(folder, gradient_clip=1e9), CPU)
+    trainer = Trainer(two_processes.config(folder), CPU)
     trainer.resume(folder / "start")
     drawn = reports(folder, "drawn")
     trainer.draw = lambda: tuple(torch.cat([part[str(index)] for part in drawn]) for index in range(5))
@@ -98,7 +99,7 @@ def test_one_process_goes_on_from_two(folder):
     """With the same networks, and samples that its number, seed and step decide."""
     first, second = [], []
     for caught in (first, second):
-        trainer = Trainer(small_config(folder, gradient_clip=1e9), CPU)
+        trainer = Trainer(two_processes.config(folder), CPU)
         trainer.resume(folder / "middle")
         saved = load_file(folder / "middle" / "drape.safetensors")
         assert all(torch.equal(tensor, saved[name]) for name, tensor in trainer.drape.state_dict().items())
@@ -111,7 +112,7 @@ def test_one_process_goes_on_from_two(folder):
 def test_the_command_in_two_processes_and_on_in_one(tmp_path):
     """Stopped at the first report, gone on by one process to the end; nothing is written twice."""
     config = tmp_path / "band.toml"
-    config.write_text(as_toml(small_config(tmp_path, steps=4, full_encoding=1.0)))
+    config.write_text(as_toml(small_config(tmp_path, steps=4, full_encoding=1.0, bodies=4, samples=8)))
     out = tmp_path / "out"
     common = ["--config", str(config), "--output", str(out), "--device", "cpu", "--log-every", "2"]
     result = torchrun("-m", "physkin_training", *common, "--stop-after", "1e-9")

@@ -102,7 +102,7 @@ def test_schedules(tmp_path, monkeypatch):
 
 def test_reports_are_means_over_the_steps_and_the_median_of_the_last(tmp_path, monkeypatch):
     """Against the energies of each step, caught on their way."""
-    trainer, caught, original = Trainer(small_config(tmp_path, samples=5, bodies=1), CPU), [], PhysicsLosses.__call__
+    trainer, caught, original = Trainer(small_config(tmp_path, samples=6, bodies=2), CPU), [], PhysicsLosses.__call__
 
     def catch(*arguments):
         loss, energies = original(*arguments)
@@ -141,7 +141,7 @@ def test_impossible_runs_are_refused(tmp_path):
     for wrong, named in (
         (replace(config, train_bodies=1000000), "train_bodies must be 1 to [0-9]+, got 1000000"),
         (replace(config, garment_nodes=replace(config.garment_nodes, count=1000)), "1000 garment nodes from 286"),
-        (small_config(tmp_path, fit="both", bodies=1), "at least 2 bodies a step"),
+        (small_config(tmp_path, bodies=1), "bodies must be at least 2"),
     ):
         with pytest.raises(ValueError, match=named):
             Trainer(wrong, CPU)
@@ -333,7 +333,7 @@ def test_a_resumed_run_keeps_the_steps_that_were_chosen(tmp_path, capsys, monkey
 
 def test_an_eighth_of_the_samples_is_skinned_for_engines(tmp_path):
     """Of each body the last poses, one at least; all others as ever, each by its own rest shape."""
-    trainer = Trainer(small_config(tmp_path, samples=32, bodies=2, fit="both"), CPU)
+    trainer = Trainer(small_config(tmp_path, samples=32, bodies=2), CPU)
     run(trainer, 5)  # both sets are pruned by then, to different influences
     worn = trainer.fits.worn(torch.arange(32) // 16, torch.arange(32) >= 16)
     nodes = torch.eye(4)[:3] + 0.1 * torch.randn(32, 12, 3, 4)

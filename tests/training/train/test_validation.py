@@ -13,6 +13,7 @@ from physkin_core import load_body_model, load_garment_model
 from physkin_training.fit_garment.fit_garment import as_toml
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.physics.physics_losses import PhysicsLosses
+from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.posed_bodies import PosedBodies
 from physkin_training.train.processes import Processes
@@ -26,7 +27,7 @@ BODY = load_body_model()
 
 @pytest.fixture(scope="module")
 def trainer(tmp_path_factory):
-    return Trainer(small_config(tmp_path_factory.mktemp("run"), samples=2, engine_influences=0), CPU)
+    return Trainer(small_config(tmp_path_factory.mktemp("run")), CPU)
 
 
 def wearing_of(trainer):
@@ -34,24 +35,33 @@ def wearing_of(trainer):
 
 
 def test_the_energy_is_the_mean_over_the_set(trainer):
-    """Against each sample by itself, at the material's stiffness and with the body points of the run time."""
+    """Of the template and made to measure, against each sample by itself, at the material's stiffness and with the body
+    points of the run time."""
     validation, drape, material = trainer.validation, trainer.averaged, trainer.config.material
     trainer.losses.contact_stiffness.fill_(1.0)  # training's own must not matter
     wearing = wearing_of(trainer)
     posed = PosedBodies(BODY, trainer.bodies, 1, faces=wearing.faces)
-    losses = PhysicsLosses(trainer.garment, material, 1, CPU, wearing=wearing, linear_beyond=0.01, leads_back=True)
-    modulations = encode_bodies(drape, trainer.bodies.vertices.numpy(), trainer.bodies.faces.numpy())
-    energies = []
+    rest = RestData(trainer.garment, material, CPU, shapes=trainer.fits.shapes)
+    options = {"wearing": wearing, "linear_beyond": 0.01, "leads_back": True, "rest": rest}
+    losses = PhysicsLosses(trainer.garment, material, 1, CPU, **options)
+    surfaces = trainer.bodies.vertices.numpy(), trainer.bodies.faces.numpy()
+    modulations = [encode_bodies(drape, *surfaces, fit=fit) for fit in (0.0, 1.0)]
+    energies: list[list[float]] = [[], []]
     with torch.no_grad():
         for batch, chosen in enumerate(validation.chosen):
             for sample, body in enumerate(chosen.repeat_interleave(len(validation.positions[0]) // len(chosen))):
                 q, g = validation.positions[batch, sample, None], validation.gravity[batch, sample, None]
-                nodes = drape.posed_nodes(posed.pose(q, body[None]), trainer.node_positions[body[None]])
-                x = drape(modulations[body[None]], q, g, nodes)
-                energies.append(losses(x, g, posed.mesh, posed.offset)[0].item())
-    assert len(energies) == len(validation.chosen) * trainer.config.optimisation.samples
-    expected = sum(energies) / len(energies)
-    assert validation.energy(drape, trainer.node_positions) == pytest.approx(expected, rel=1e-3)
+                bones = posed.pose(q, body[None])
+                for made in (False, True):
+                    worn = trainer.fits.worn(body[None], torch.tensor([made]))
+                    losses.rest_row.copy_(worn.rows)
+                    nodes = drape.posed_nodes(bones, worn.node_positions)
+                    x = drape(modulations[made][body[None]], q, g, nodes, worn.rest)
+                    energies[made].append(losses(x, g, posed.mesh, posed.offset)[0].item())
+    assert len(energies[0]) == len(validation.chosen) * trainer.config.optimisation.samples
+    template, measured = (sum(each) / len(each) for each in energies)
+    assert validation.energy(drape) == pytest.approx((template + measured) / 2, rel=1e-3)
+    assert validation.made_to_measure == pytest.approx(measured, rel=1e-3)
 
 
 def test_poses_are_drawn_from_the_full_range(trainer):
@@ -71,12 +81,14 @@ class Silent(Processes):
 
 def test_processes_share_the_set(trainer):
     """The mean over two processes' shares is the one process's figure."""
+    config, garment, fits = trainer.config, trainer.garment, trainer.fits
+    worn = {"fits": fits, "rest": RestData(garment, config.material, CPU, shapes=fits.shapes)}
     shares = [
-        Validation(trainer.config, BODY, trainer.garment, trainer.bodies, wearing_of(trainer), Silent(rank, 2))
+        Validation(config, BODY, garment, trainer.bodies, wearing_of(trainer), Silent(rank, 2), **worn)
         for rank in range(2)
     ]
-    halves = [share.energy(trainer.averaged, trainer.node_positions) for share in shares]
-    whole = trainer.validation.energy(trainer.averaged, trainer.node_positions)
+    halves = [share.energy(trainer.averaged) for share in shares]
+    whole = trainer.validation.energy(trainer.averaged)
     assert sum(halves) / 2 == pytest.approx(whole, rel=1e-4) and halves[0] != halves[1]
 
 
@@ -137,7 +149,8 @@ def test_the_export_is_the_best_model(tmp_path, monkeypatch, unfitted_normals):
     (tmp_path / "band.toml").write_text(as_toml(config))
     averages = []
 
-    def energy(_, drape, __):
+    def energy(validation, drape):
+        validation.made_to_measure = 0.0
         averages.append(drape.skinning_weights.detach().clone())
         return float(len(averages))
 

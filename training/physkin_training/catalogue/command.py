@@ -9,6 +9,7 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+from physkin_core.outfit.outfit_options import add_avatar_options
 from physkin_core.progress import progress_line
 from physkin_training.catalogue.cluster import joined
 from physkin_training.catalogue.page import write_page
@@ -136,8 +137,7 @@ def command_parser() -> argparse.ArgumentParser:
         "folder", type=Path, metavar="FOLDER", help="garment meshes; NAME.toml beside one is its recipe"
     )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="MODELS", help="folder to write")
-    parser.add_argument("--avatar", metavar="FILE", help="body they were made on (default: that of shipped garments)")
-    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    add_avatar_options(parser, made_on=True)
     parser.add_argument(
         "--accept-placement", action="store_true", help="train where the place on the avatar is in doubt"
     )

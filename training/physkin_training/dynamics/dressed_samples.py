@@ -11,6 +11,7 @@ import warp as wp
 
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
+from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_training.dynamics.incremental_potential import Dynamics, IncrementalPotential
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.networks.made_to_measure import MadeToMeasure
@@ -28,7 +29,7 @@ class DressedSamples:
     """Sample `s` is body `body[s]` in the garment.
 
     bodies: (S, c) shape coefficients of `body_model`. body: (B,) int64 into them. fit: as in `Draper`. one_size: (S,)
-    bool, bodies that wear the template all the same; default none. Raises ValueError as `GarmentModel.checked_fit`.
+    bool, bodies that wear the template all the same; default none. Raises ValueError as `checked_fit`.
     """
 
     def __init__(
@@ -42,7 +43,7 @@ class DressedSamples:
         one_size: np.ndarray | None = None,
     ) -> None:
         self.model, self.body, self.device = model, body, body.device
-        self.fit = fit = model.checked_fit(fit)
+        self.fit = fit = checked_fit(model, fit)
         self.body_set = BodySet(body_model, bodies, self.device)
         self.wearing = Wearing.of(model.garment, body_model).worn_faces()  # as in training
         self.posed_bodies = PosedBodies(body_model, self.body_set, len(body), faces=self.wearing.faces)

@@ -56,7 +56,7 @@ class DynamicSimulation:
     bodies: (S, c) shape coefficients of `body_model`. scenes: motions of one length and rate. steps: in a frame.
     held_above: [m] in the canonical pose; vertices above, as those of a bodice, stay as the model drapes them. fit: as
     in `Draper`. `lost_at` (B,) is the first frame in which a sample was nowhere, `frame_count` for the others.
-    Raises ValueError for scenes of different lengths or rates, and as `GarmentModel.checked_fit`.
+    Raises ValueError for scenes of different lengths or rates, and as `checked_fit`.
     """
 
     def __init__(

@@ -35,13 +35,11 @@ def frame_potentials(
 ) -> dict[str, np.ndarray]:
     """Energies (F,) [J] by term, those of motion among them, of drapes (T, n, 3) on a body at frames (F,), 2 or later.
 
-    The garment is made to measure for the body where the model has learnt that.
+    The garment is made to measure for the body.
     """
     garment, count = model.garment, len(frames)
     wearing = Wearing.of(garment, body_model).worn_faces()
-    shapes = garment.vertices[None]
-    if model.made_to_measure:
-        shapes = GarmentGrading(garment, body_model).graded(coefficients[None])
+    shapes = GarmentGrading(garment, body_model).graded(coefficients[None])
     bodies = PosedBodies(body_model, BodySet(body_model, coefficients[None], device), count, faces=wearing.faces)
     potential = IncrementalPotential(
         *(garment, model.material, count, device),

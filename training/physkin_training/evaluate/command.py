@@ -11,7 +11,7 @@ from pathlib import Path
 from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion
-from physkin_core.motion.reading_progress import reading_progress
+from physkin_core.progress import progress_line
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.evaluate.evaluate import evaluate_model
 from physkin_training.evaluate.outfit_evaluation import evaluate_outfits, parse_outfit
@@ -33,7 +33,7 @@ def main(argv: list[str] | None = None) -> int:
         options = _options(arguments)
         if arguments.json and not arguments.json.resolve().parent.is_dir():
             raise ValueError(f"cannot write {arguments.json}: no such directory")
-        motions = [load_motion(clip, watch=reading_progress(clip)) for clip in arguments.motion]
+        motions = [load_motion(clip, watch=progress_line(f"reading {clip}")) for clip in arguments.motion]
         scores = (_score_outfits if arguments.outfit else _score_model)(arguments, options, motions)
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)

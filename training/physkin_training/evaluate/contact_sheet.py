@@ -17,11 +17,11 @@ import numpy as np
 import torch
 
 from physkin_core.avatar.body_model import BodyModel, load_body_model
-from physkin_core.fit_option import add_fit_option
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import upright_orientation
+from physkin_core.outfit.outfit_options import add_fit_option
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
 from physkin_core.quality import edge_strain
 from physkin_core.rig.rig import Rig

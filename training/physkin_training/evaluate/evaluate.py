@@ -6,7 +6,6 @@ Dimensions: `B` samples of a batch, `n` garment vertices, `m` garment nodes.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -19,6 +18,7 @@ from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.motion import Motion
 from physkin_core.rig.rig import Rig
+from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_core.sway.frame_input import STANDARD_GRAVITY
 from physkin_training.evaluate.figures import Figures
 from physkin_training.evaluate.inside_by_vertex import inside_by_vertex
@@ -41,8 +41,6 @@ REACH = 0.3
 """Bodies are looked for up to this distance [m], beyond the deepest penetration."""
 CONTACT = "one_way"
 """How other limbs press (see `Wearing`), whatever a model was trained with: all energies are of one kind."""
-FEWER_INFLUENCES = 4
-"""What skinning to so few influences, which most engines support, would cost is measured too."""
 LARGEST_MEASURED, LARGEST_MINIMISED = 512, 64
 """Batches on a GPU: of pairs that are measured, and minimised."""
 MOTION_RATE = 60.0
@@ -69,7 +67,7 @@ class Evaluation:
     bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, as in `Draper`;
     strains are against the rest shape at that fit. body_model: whose bodies, default the adults that are shipped.
     watch: is told of every batch that was measured. Raises ValueError when the model is for another rig than the body
-    model's or has not learnt the fit, or there are not so many bodies.
+    model's, or there are not so many bodies.
     """
 
     def __init__(
@@ -85,7 +83,7 @@ class Evaluation:
         body_model: BodyModel | None = None,
         watch: Watch = lambda what, pairs: None,
     ) -> None:
-        fit = model.checked_fit(fit)
+        fit = checked_fit(model, fit)
         body_model = body_model or load_body_model()
         held_out = body_model.held_out_bodies
         if isinstance(bodies, int):
@@ -160,8 +158,8 @@ class Evaluation:
     def figures(
         self, *, upright: bool, only: Collection[str] = ("model", "skinning", "fewer_influences")
     ) -> dict[str, dict[str, float]]:
-        """The model, plain skinning, and the model by the skinning weights it learnt for engines, or where it did not
-        with only the `FEWER_INFLUENCES` strongest influences a vertex, over all pairs; of these, those in `only`."""
+        """The model, plain skinning, and the model by the skinning weights for engines ("fewer_influences"), over all
+        pairs; of these, those in `only`."""
         rows = self._rows(self.uniform(upright=upright), only, "upright" if upright else "tilted")
         return {name: figures.result() for name, figures in rows.items()}
 
@@ -178,8 +176,7 @@ class Evaluation:
         comes twice.
         """
         clips = {clip.name: clip for clip in measured_clips(motions)}
-        learnt = self.model.engine_nodes is not None
-        total = {name: self.new_figures() for name in ("model", "skinning", *(["fewer_influences"] if learnt else []))}
+        total = {name: self.new_figures() for name in ("model", "skinning", "fewer_influences")}
         results: dict = {"clips": {}}
         for name, motion in clips.items():
             rows = self._rows(self.frames(motion), total, name, motion=True)
@@ -213,11 +210,7 @@ class Evaluation:
 
     @cached_property
     def _fewer(self) -> Drape:
-        if self.model.engine_nodes is not None:
-            return drape_from_model(self.model.for_engines()).to(self.device).eval()
-        fewer = copy.deepcopy(self.drape)
-        fewer.prune_influences(FEWER_INFLUENCES)
-        return fewer
+        return drape_from_model(self.model.for_engines()).to(self.device).eval()
 
     def minima(self, pairs: Pairs, *, steps: int) -> dict[str, dict[str, float]]:
         """The model, subspace minimum and full-space minimum on the pairs: `model_on_subset`, `subspace_minimum`,
@@ -323,26 +316,23 @@ def evaluate_model(
     """
     clips = measured_clips(motions)
     frames = sum(clip.frame_count for clip in clips)
-    measured = (1 + model.made_to_measure) * bodies * (2 * poses + frames)
+    measured = 2 * bodies * (2 * poses + frames)
     minimised = min(minimum, bodies * poses) + min(minimum, bodies * frames)
     batch = LARGEST_MEASURED if device.type == "cuda" else min(16, bodies * poses)
-    influences = model.influence_weights.shape[1]
-    rows = ["model", "skinning", *(["fewer_influences"] if influences > FEWER_INFLUENCES else [])]
     with progress(measured=measured, minimised=minimised) as watch:
         given = {"bodies": bodies, "poses": poses, "seed": seed, "batch": batch, "watch": watch}
         evaluation = Evaluation(model, device, **given, fit=0.0)
-        scores: dict = evaluation.figures(upright=True, only=rows)
+        scores: dict = evaluation.figures(upright=True)
         scores["tilted"] = evaluation.figures(upright=False, only=["model"])["model"]
         scores["counts"] = {"bodies": bodies, "poses": poses, "seed": seed, "pairs": scores["model"]["pairs"]}
-        scores["counts"]["influences"] = influences
+        scores["counts"]["influences"] = model.influence_weights.shape[1]
         scores["material"] = asdict(model.material)
-        if model.made_to_measure:
-            fitted = Evaluation(model, device, **given, fit=1.0)
-            made: dict = fitted.figures(upright=True, only=["model", "skinning"])
-            made["tilted"] = fitted.figures(upright=False, only=["model"])["model"]
-            if clips:
-                made["motion"] = fitted.motion(clips)
-            scores["made_to_measure"] = made
+        fitted = Evaluation(model, device, **given, fit=1.0)
+        made: dict = fitted.figures(upright=True, only=["model", "skinning"])
+        made["tilted"] = fitted.figures(upright=False, only=["model"])["model"]
+        if clips:
+            made["motion"] = fitted.motion(clips)
+        scores["made_to_measure"] = made
         scores["weight_n"] = float(model.garment.vertex_areas.sum() * model.material.density * STANDARD_GRAVITY)
         if clips:
             scores["motion"] = evaluation.motion(clips)

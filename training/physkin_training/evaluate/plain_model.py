@@ -29,7 +29,8 @@ def plain_model(garment_path: str | Path, *, nodes: int = 128, influences: int =
     drape = Drape(garment, GarmentNodeSet.sample(garment, rig, nodes, influences), rig, config)
     torch.nn.init.zeros_(drape.networks.node_deformer.layers[-1].weight)
     name = Path(garment_path).stem
-    return model_from_drape(drape, garment, rig, name=name, influences=influences, material=Material())
+    sizes = {"influences": influences, "engine_influences": 4}
+    return model_from_drape(drape, garment, rig, name=name, material=Material(), **sizes)
 
 
 def main() -> None:

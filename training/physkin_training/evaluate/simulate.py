@@ -25,8 +25,9 @@ from physkin_core.model.garment import Garment, load_garment
 from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
-from physkin_core.motion.reading_progress import reading_progress
 from physkin_core.outfit.draper import Draper
+from physkin_core.outfit.outfit_options import add_avatar_options
+from physkin_core.progress import progress_line
 from physkin_core.quality import area_strain, edge_strain
 from physkin_core.rig.rig import Rig
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
@@ -177,8 +178,7 @@ def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin simulate`."""
     parser = argparse.ArgumentParser(prog="physkin simulate", description=__doc__.splitlines()[0])
     parser.add_argument("garment", type=Path, help="garment mesh (OBJ, PLY, STL), in the canonical pose")
-    parser.add_argument("--avatar", metavar="FILE", help="body (default: the one the shipped garments were made on)")
-    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    add_avatar_options(parser, made_on=True)
     pose = parser.add_mutually_exclusive_group()
     pose.add_argument(
         "--pose", type=Path, metavar="FILE", help='JSON: {"positions": {joint: radians}, "gravity": [...]}'
@@ -250,7 +250,7 @@ def _poses(options: argparse.Namespace, rig: Rig) -> Poses:
         return load_pose(options.pose, rig)
     if not options.motion:
         return Poses(rig.rest[None].copy(), np.array(UPRIGHT_GRAVITY)[None])
-    motion = load_motion(options.motion, watch=reading_progress(options.motion))
+    motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
     for frame in options.frame:
         if not 0 <= frame < motion.frame_count:
             raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {frame}")

@@ -21,8 +21,9 @@ from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.model.model_file import load_garment_model
+from physkin_core.outfit.outfit_options import add_avatar_options
 from physkin_core.picture import PictureError, save_png
-from physkin_training.config import OptimisationConfig, TrainingConfig, load_config
+from physkin_training.config import TrainingConfig, load_config
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
 from physkin_training.fit_garment.own_pose import OwnPose
@@ -111,8 +112,7 @@ def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin fit-garment`."""
     parser = argparse.ArgumentParser(prog="physkin fit-garment", description=__doc__.splitlines()[0])
     parser.add_argument("garment", type=Path, help="garment mesh: OBJ, PLY, STL, OFF, GLB or glTF")
-    parser.add_argument("--avatar", metavar="FILE", help="body it was made on (default: that of the shipped garments)")
-    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    add_avatar_options(parser, made_on=True)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="NAME.safetensors")
     parser.add_argument(
         "--check-only", action="store_true", help="print the verdicts, write the repaired mesh and a picture, stop"
@@ -260,7 +260,7 @@ def _train_and_report(
 
 def _configuration(options: argparse.Namespace, mesh: Path, device: torch.device, budget: TimeBudget) -> TrainingConfig:
     """Of a new run: the recipe, with as many steps as were asked for or as there is time for."""
-    own = TrainingConfig(options.output.stem, mesh, optimisation=OptimisationConfig(fit="both", other_bending=0.5))
+    own = TrainingConfig(options.output.stem, mesh)
     recipe = load_config(options.recipe) if options.recipe else own
     recipe = replace(recipe, name=options.output.stem, garment=mesh)
     steps = options.steps or choose_steps(recipe, device, budget)

@@ -5,17 +5,13 @@ three times as far as in bf16. Inputs of a layer hang together, so that other ne
 what rounding one of them adds, over the poses of everyday life. What is stored is on the evaluator's own steps, so that
 it rounds nothing again. The first layers, which read pose vector and bones, stay as they are; it keeps them in bf16.
 
-`python -m physkin_training.networks.compensated_rounding MODEL ...` does so to model files of before.
 Dimensions: `k` inputs of a layer, `o` its outputs, `F` frames.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -23,13 +19,12 @@ from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.mlp import Layer, layer_inputs
-from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.rig.rig import Rig, forward_kinematics
 from physkin_core.runtime.binding import bind_garment
 
-__all__ = ["STEPS", "compensated_rounding", "main", "rounded_model"]
+__all__ = ["STEPS", "compensated_rounding", "rounded_model"]
 
 STEPS = 127
 """Of the largest network weight of a row, as native/src/kernels/packed_layer.cpp rounds."""
@@ -72,7 +67,7 @@ def rounded_model(model: GarmentModel, *, seed: int = 0) -> GarmentModel:
     pose_inputs, deformer_inputs = [], []
     for body in random.choice(len(body_model.train_bodies), BODIES, replace=False):
         avatar = avatar_from_body(body_model, body_model.train_bodies[body])
-        bound = bind_garment(model, avatar, fold=False)
+        bound = bind_garment(model, avatar)
         positions, gravity = _poses(model.rig, random)
         poses = np.stack([model.rig.pose_vector(q, g) for q, g in zip(positions, gravity)])
         bones = np.stack(
@@ -83,9 +78,9 @@ def rounded_model(model: GarmentModel, *, seed: int = 0) -> GarmentModel:
                 for q in positions
             ]
         )
-        *of_poses, modulation = layer_inputs(bound.pose_layers, poses, bound.pose_modulation, bound.activation)
+        *of_poses, modulation = layer_inputs(bound.pose_layers, poses, None)
         chi = bones[:, bound.deformer_bones].reshape(len(bones), -1)
-        *of_bones, _ = layer_inputs(bound.deformer_layers, chi, modulation, bound.activation)
+        *of_bones, _ = layer_inputs(bound.deformer_layers, chi, modulation)
         pose_inputs.append(of_poses)
         deformer_inputs.append(of_bones)
     return replace(
@@ -114,20 +109,3 @@ def _poses(rig: Rig, random: np.random.Generator) -> tuple[np.ndarray, np.ndarra
     anywhere = rig.lower + random.random((FARTHER, len(rig.lower))) * (rig.upper - rig.lower)
     farther = positions[near] + random.random((FARTHER, 1)) * (anywhere - positions[near])
     return np.concatenate([positions, farther]), np.concatenate([gravity, gravity[near]])
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Rounds model files in place. Returns 0, 2 for one that is no model or has another rig."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("models", nargs="+", type=Path, help="garment model files")
-    for path in parser.parse_args(argv).models:
-        try:
-            save_garment_model(rounded_model(load_garment_model(path)), path)
-        except ValueError as error:
-            print(f"error: {error}", file=sys.stderr)
-            return 2
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

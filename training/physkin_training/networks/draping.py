@@ -32,37 +32,19 @@ class RestShape:
 class Drape(nn.Module):
     """Pose, body modulation and bone transforms to deformed vertices; skinning weights are a softmax of logits.
 
-    Skinning is one dense product: a vertex's basis is w_vi (x_v - chi-bar_i, 1) over all garment nodes.
-    made_to_measure, other_bending: the networks learn rest shapes graded to the body, and cloth that bends otherwise,
-    too. for_engines: the same garment nodes carry
-    the garment by a second set of skinning weights, of fewer influences a vertex, as engines want them.
+    Skinning is one dense product: a vertex's basis is w_vi (x_v - chi-bar_i, 1) over all garment nodes. The same
+    garment nodes carry the garment by a second set of skinning weights, of fewer influences a vertex, as engines want
+    them.
     """
 
-    def __init__(
-        self,
-        garment: Garment,
-        nodes: GarmentNodeSet,
-        rig: Rig,
-        config: NetworkConfig,
-        *,
-        made_to_measure: bool = False,
-        other_bending: bool = False,
-        for_engines: bool = False,
-    ) -> None:
+    def __init__(self, garment: Garment, nodes: GarmentNodeSet, rig: Rig, config: NetworkConfig) -> None:
         super().__init__()
-        self.networks = Networks(
-            config,
-            pose_size=rig.pose_size,
-            node_count=len(nodes.rest),
-            made_to_measure=made_to_measure,
-            other_bending=other_bending,
-        )
+        self.networks = Networks(config, pose_size=rig.pose_size, node_count=len(nodes.rest))
         self.skinning_logits = nn.Parameter(_tensor(np.log(np.maximum(nodes.influence_weights, 1e-12))))
         self.register_buffer("influence_nodes", _tensor(nodes.influence_nodes, torch.int64))
         self.register_buffer("influence_bias", torch.zeros_like(self.skinning_logits))
-        if for_engines:
-            self.engine_logits = nn.Parameter(self.skinning_logits.detach().clone())
-            self.register_buffer("engine_bias", torch.zeros_like(self.engine_logits))
+        self.engine_logits = nn.Parameter(self.skinning_logits.detach().clone())
+        self.register_buffer("engine_bias", torch.zeros_like(self.engine_logits))
         self.register_buffer("node_rest", _tensor(nodes.rest))
         self.register_buffer("node_bone", _tensor(nodes.bone, torch.int64))
         self.register_buffer("vertices", _tensor(garment.vertices))
@@ -80,11 +62,6 @@ class Drape(nn.Module):
     def engine_weights(self) -> torch.Tensor:
         """The second set of skinning weights, like the first."""
         return torch.softmax(self.engine_logits + self.engine_bias, dim=1)
-
-    @property
-    def for_engines(self) -> bool:
-        """Whether there is a second set of skinning weights."""
-        return hasattr(self, "engine_logits")
 
     def prune_influences(self, keep: int) -> None:
         """Leave only the `keep` strongest influences of every vertex; the others stay zero from here on."""
@@ -169,14 +146,9 @@ def _prune(weights: torch.Tensor, keep: int, bias: torch.Tensor) -> None:
 
 
 def delta_transforms(raw: torch.Tensor) -> torch.Tensor:
-    """Twin of `physkin_core.model.garment_nodes.delta_transforms`: (B, m, 9 or 12) to (B, m, 3, 4)."""
+    """Twin of `physkin_core.model.garment_nodes.delta_transforms`: (B, m, 12) to (B, m, 3, 4)."""
     eye = torch.eye(3, device=raw.device, dtype=raw.dtype)
-    if raw.shape[-1] == 12:
-        return torch.cat([eye + raw[..., :9].unflatten(-1, (3, 3)), raw[..., 9:, None]], dim=-1)
-    first = nn.functional.normalize(raw[..., 0:3] + eye[0], dim=-1)
-    second = raw[..., 3:6] + eye[1]
-    second = nn.functional.normalize(second - first * (first * second).sum(dim=-1, keepdim=True), dim=-1)
-    return torch.stack([first, second, torch.linalg.cross(first, second), raw[..., 6:9]], dim=-1)
+    return torch.cat([eye + raw[..., :9].unflatten(-1, (3, 3)), raw[..., 9:, None]], dim=-1)
 
 
 def compose_nodes(posed: torch.Tensor, delta: torch.Tensor) -> torch.Tensor:

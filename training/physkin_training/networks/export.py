@@ -15,7 +15,7 @@ import torch
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.model.garment import Garment
+from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.hyper_modulator import POINT_COUNT
 from physkin_core.model.mlp import Layer
@@ -58,56 +58,44 @@ def model_from_drape(
     *,
     name: str,
     influences: int,
-    engine_influences: int = 0,
+    engine_influences: int,
     material: Material,
     training: Mapping | None = None,
 ) -> GarmentModel:
     """The garment model of a trained drape, pruned to the `influences` strongest garment nodes a vertex.
-    engine_influences: those of its skinning weights for engines, 0 where it has none."""
+    engine_influences: those of its skinning weights for engines. Rest normals are those of the mesh."""
     nodes, weights = _strongest(drape, drape.skinning_weights, influences)
-    engine = _strongest(drape, drape.engine_weights, engine_influences) if engine_influences else (None, None)
+    engine_nodes, engine_weights = _strongest(drape, drape.engine_weights, engine_influences)
     networks = {key: tensor.detach().cpu().numpy() for key, tensor in drape.networks.state_dict().items()}
     hyper = {
         key.removeprefix("hyper_modulator."): array
         for key, array in networks.items()
         if key.startswith("hyper_modulator.")
     }
-    pose_modulator = _layers(drape.networks.pose_modulator)
-    if drape.networks.conditioning == "concatenation":
-        last = _as_modulation(pose_modulator[-1], drape.networks.node_deformer)
-        pose_modulator = (*pose_modulator[:-1], last)
-        body = (hyper["output.weight"], hyper["output.bias"])
-        hyper["output.weight"], hyper["output.bias"] = _as_modulation(body, drape.networks.pose_modulator)
     return GarmentModel(
         name=name,
         rig=rig,
         garment=garment,
+        rest_normals=vertex_normals(garment.vertices, garment.faces).astype(np.float32),
         node_rest=drape.node_rest.cpu().numpy(),
         node_bone=drape.node_bone.cpu().numpy().astype(np.int32),
         influence_nodes=nodes,
         influence_weights=weights,
-        engine_nodes=engine[0],
-        engine_weights=engine[1],
+        engine_nodes=engine_nodes,
+        engine_weights=engine_weights,
         hyper_modulator=hyper,
-        pose_modulator=pose_modulator,
+        pose_modulator=_layers(drape.networks.pose_modulator),
         node_deformer=(_numpy(*drape.networks.folded_first_layer()), *_layers(drape.networks.node_deformer)[1:]),
-        activation=drape.networks.pose_modulator.activation,
         material=material,
         training=training or {},
     )
 
 
 def drape_from_model(model: GarmentModel) -> Drape:
-    """The torch drape of a garment model (for evaluation, or to train on)."""
+    """The torch drape of a garment model (for evaluation, or to train on); its skinning weights for engines are the
+    model's others."""
     nodes = GarmentNodeSet(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
-    drape = Drape(
-        model.garment,
-        nodes,
-        model.rig,
-        network_config(model),
-        made_to_measure=model.made_to_measure,
-        other_bending=model.learnt_bending,
-    )
+    drape = Drape(model.garment, nodes, model.rig, network_config(model))
     state = {f"hyper_modulator.{key}": array for key, array in model.hyper_modulator.items()}
     for network in ("pose_modulator", "node_deformer"):
         for index, (weight, bias) in enumerate(getattr(model, network)):
@@ -126,8 +114,6 @@ def network_config(model: GarmentModel) -> NetworkConfig:
         pose_layers=len(model.pose_modulator) - 1,
         deformer_hidden=len(model.node_deformer[0][1]),
         deformer_layers=len(model.node_deformer) - 1,
-        node_outputs=len(model.node_deformer[-1][1]) // len(model.node_rest),
-        activation=model.activation,
         token_width=len(model.hyper_modulator["embed.bias"]),
         feed_forward=len(model.hyper_modulator["feed_forward.0.bias"]),
         residual_blocks=blocks,
@@ -136,7 +122,7 @@ def network_config(model: GarmentModel) -> NetworkConfig:
 
 def encode_bodies(drape: Drape, vertices: np.ndarray, faces: np.ndarray, *, fit: float = 0.0) -> torch.Tensor:
     """Body modulations (S, s) of bodies (S, V, 3), from the same surface points as the run time takes. fit: of the
-    garment, above 0 only for a drape that has learnt it."""
+    garment."""
     device = drape.node_rest.device
     fits = torch.full((1,), fit, device=device) if fit else None
     modulations = []
@@ -158,8 +144,7 @@ class Agreement:
 
 def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8, seed: int = 0) -> Agreement:
     """How far the run time's drape of `model`, with network weights in fp32, is from the torch `drape`, on random poses
-    of a held-out body; of a model that can be made to measure, half of them so, both with the rest shape that the run
-    time finds.
+    of a held-out body, every second one made to measure, with the rest shape that the run time finds.
 
     With the trained drape this is what pruning and rounding in the file cost; with `drape_from_model(model)` it tells
     whether run time and torch compute the same.
@@ -169,7 +154,7 @@ def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8, seed: int = 
     rig, device = model.rig, drape.node_rest.device
     generator = np.random.default_rng(seed)
     distances = []
-    fits = (0.0, 1.0) if model.made_to_measure else (0.0,)
+    fits = (0.0, 1.0)
     drapers = [Draper(model, avatar, fit=fit, precision="fp32") for fit in fits]
 
     def tensor(array: np.ndarray) -> torch.Tensor:
@@ -232,13 +217,6 @@ def _strongest(drape: Drape, weights: torch.Tensor, count: int) -> tuple[np.ndar
 
 def _layers(network: ModulatedMLP) -> tuple:
     return tuple(_numpy(layer.weight, layer.bias) for layer in network.layers)
-
-
-def _as_modulation(layer: Layer, network: ModulatedMLP) -> Layer:
-    """A layer that gives the first shift of `network`, filled up with zeros to give all of its modulation."""
-    place, (weight, bias) = network.first_shift, layer
-    fill = (place.start, network.modulation_size - place.stop)
-    return np.pad(weight, (fill, (0, 0))), np.pad(bias, fill)
 
 
 def _numpy(weight: torch.Tensor, bias: torch.Tensor) -> Layer:

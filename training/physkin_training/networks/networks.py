@@ -16,17 +16,14 @@ from physkin_training.config import NetworkConfig
 
 __all__ = ["HyperModulator", "ModulatedMLP", "Networks"]
 
-ACTIVATIONS = {"silu": functional.silu, "relu": functional.relu}
-
 
 class ModulatedMLP(nn.Module):
-    """Hidden layers act((1 + scale) * (W x + bias) + shift), then a linear layer that starts near zero."""
+    """Hidden layers silu((1 + scale) * (W x + bias) + shift), then a linear layer that starts near zero."""
 
-    def __init__(self, inputs: int, hidden: int, hidden_layers: int, outputs: int, activation: str) -> None:
+    def __init__(self, inputs: int, hidden: int, hidden_layers: int, outputs: int) -> None:
         super().__init__()
         sizes = [inputs, *[hidden] * hidden_layers]
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(sizes, [*sizes[1:], outputs], strict=True))
-        self.activation = activation
         nn.init.normal_(self.layers[-1].weight, std=1e-3)
         nn.init.zeros_(self.layers[-1].bias)
 
@@ -35,30 +32,20 @@ class ModulatedMLP(nn.Module):
         """Numbers of modulation this network takes."""
         return 2 * sum(layer.out_features for layer in self.layers[:-1])
 
-    @property
-    def first_shift(self) -> slice:
-        """Where in the modulation the first hidden layer's shift lies."""
-        hidden = self.layers[0].out_features
-        return slice(hidden, 2 * hidden)
-
     def forward(self, x: torch.Tensor, modulation: torch.Tensor) -> torch.Tensor:
         """x: (B, in). modulation: (B, modulation_size). Returns (B, out)."""
-        act = ACTIVATIONS[self.activation]
         start = 0
         for layer in self.layers[:-1]:
             scale, shift = modulation[:, start : start + 2 * layer.out_features].chunk(2, dim=-1)
-            x = act(torch.addcmul(shift, 1 + scale, layer(x)))
+            x = functional.silu(torch.addcmul(shift, 1 + scale, layer(x)))
             start += 2 * layer.out_features
         return self.layers[-1](x)
 
 
 class HyperModulator(nn.Module):
-    """Body points to modulation of the pose modulator. made_to_measure, other_bending: it also learns what the fit, and
-    what the bending stiffness of the cloth changes."""
+    """Body points to modulation of the pose modulator, which the fit and how stiffly the cloth bends shift."""
 
-    def __init__(
-        self, config: NetworkConfig, outputs: int, *, made_to_measure: bool = False, other_bending: bool = False
-    ) -> None:
+    def __init__(self, config: NetworkConfig, outputs: int) -> None:
         super().__init__()
         width = config.token_width
         self.embed = nn.Linear(token_features(), width)
@@ -77,10 +64,7 @@ class HyperModulator(nn.Module):
         self.output = nn.Linear(width, outputs)
         nn.init.normal_(self.output.weight, std=1e-2)
         nn.init.zeros_(self.output.bias)
-        if made_to_measure:
-            self.fit = nn.Parameter(torch.zeros(width))
-        if other_bending:
-            self.bend = nn.Parameter(torch.zeros(width))
+        self.fit, self.bend = nn.Parameter(torch.zeros(width)), nn.Parameter(torch.zeros(width))
 
     def forward(
         self,
@@ -118,47 +102,18 @@ class Networks(nn.Module):
     """The three networks chained: (body points, pose vector, posed garment nodes) -> raw delta-chi.
 
     The node deformer sees node transforms shifted and scaled to about unit variance (`normalise_nodes`); the model file
-    holds its first layer with both folded in. made_to_measure, other_bending: see `HyperModulator`. A code concatenated
-    to a network's input adds its product with the first layer's network weights for it: to modulation that is a shift
-    of the first layer, and nothing for all others. So a network's last layer gives that product at once, and the model
-    file holds it filled up with zeros.
+    holds its first layer with both folded in.
     """
 
-    def __init__(
-        self,
-        config: NetworkConfig,
-        *,
-        pose_size: int,
-        node_count: int,
-        made_to_measure: bool = False,
-        other_bending: bool = False,
-    ) -> None:
+    def __init__(self, config: NetworkConfig, *, pose_size: int, node_count: int) -> None:
         super().__init__()
-        self.node_deformer = ModulatedMLP(
-            12 * node_count,
-            config.deformer_hidden,
-            config.deformer_layers,
-            config.node_outputs * node_count,
-            config.activation,
-        )
-        self.conditioning = config.conditioning
-        concatenated = config.conditioning == "concatenation"
+        numbers = 12 * node_count
+        self.node_deformer = ModulatedMLP(numbers, config.deformer_hidden, config.deformer_layers, numbers)
         self.pose_modulator = ModulatedMLP(
-            pose_size,
-            config.pose_hidden,
-            config.pose_layers,
-            config.deformer_hidden if concatenated else self.node_deformer.modulation_size,
-            config.activation,
+            pose_size, config.pose_hidden, config.pose_layers, self.node_deformer.modulation_size
         )
-        outputs = config.pose_hidden if concatenated else self.pose_modulator.modulation_size
-        self.hyper_modulator = HyperModulator(
-            config, outputs, made_to_measure=made_to_measure, other_bending=other_bending
-        )
-        if concatenated:  # they are part of a first layer, and start as one
-            self.pose_modulator.layers[-1].reset_parameters()
-            self.hyper_modulator.output.reset_parameters()
-        else:
-            nn.init.normal_(self.pose_modulator.layers[-1].weight, std=1e-2)
+        self.hyper_modulator = HyperModulator(config, self.pose_modulator.modulation_size)
+        nn.init.normal_(self.pose_modulator.layers[-1].weight, std=1e-2)
         self.register_buffer("node_mean", torch.zeros(12 * node_count))
         self.register_buffer("node_scale", torch.ones(12 * node_count))
 
@@ -179,18 +134,10 @@ class Networks(nn.Module):
     def forward(
         self, body_modulation: torch.Tensor, pose_vector: torch.Tensor, posed_nodes: torch.Tensor
     ) -> torch.Tensor:
-        """body_modulation: (B, s). pose_vector: (B, p). posed_nodes: (B, m, 3, 4). Returns (B, m, 9 or 12)."""
-        modulation = self.pose_modulator(pose_vector, self._filled_up(self.pose_modulator, body_modulation))
-        modulation = self._filled_up(self.node_deformer, modulation)
+        """body_modulation: (B, s). pose_vector: (B, p). posed_nodes: (B, m, 3, 4). Returns (B, m, 12)."""
+        modulation = self.pose_modulator(pose_vector, body_modulation)
         inputs = (posed_nodes.flatten(1) - self.node_mean) * self.node_scale
         return self.node_deformer(inputs, modulation).unflatten(1, (posed_nodes.shape[1], -1))
-
-    def _filled_up(self, network: ModulatedMLP, modulation: torch.Tensor) -> torch.Tensor:
-        """Modulation of all hidden layers from that of the first shift, where conditioning gives no more."""
-        if self.conditioning == "modulation":
-            return modulation
-        place = network.first_shift
-        return functional.pad(modulation, (place.start, network.modulation_size - place.stop))
 
 
 def encode_points(points: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:

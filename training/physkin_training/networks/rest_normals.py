@@ -141,7 +141,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     for path in options.models:
         try:
             model = load_garment_model(path)
-            rows = {f"{model.name}, those of the mesh": replace(model, rest_normals=None)}
+            of_mesh = vertex_normals(model.garment.vertices, model.garment.faces)
+            rows = {f"{model.name}, those of the mesh": replace(model, rest_normals=of_mesh)}
             if options.store:
                 fitted = fitted_rest_normals(drape_from_model(model), model.garment, model.rig)
                 model = replace(model, rest_normals=fitted)

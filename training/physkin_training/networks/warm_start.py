@@ -1,7 +1,6 @@
 """A new run from a garment model file: its networks and skinning weights, taken back into the drape in training.
 
-A model that was pruned to few influences may go on with more of them, and one of the template alone may learn made to
-measure, too.
+A model that was pruned to few influences may go on with more of them.
 """
 
 from __future__ import annotations
@@ -47,9 +46,7 @@ def take_over_model(model: GarmentModel, drape: Drape) -> dict:
     influences = drape.influence_nodes.cpu().numpy()
     with torch.no_grad():
         drape.skinning_logits.copy_(torch.as_tensor(_logits(model, influences)))
-        if drape.for_engines:
-            of_engines = model if model.engine_nodes is None else model.for_engines()
-            drape.engine_logits.copy_(torch.as_tensor(_logits(of_engines, influences)))
+        drape.engine_logits.copy_(torch.as_tensor(_logits(model.for_engines(), influences)))
     return {"model": model.name} | dict(model.training)
 
 

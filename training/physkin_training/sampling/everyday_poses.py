@@ -1,6 +1,6 @@
 """Everyday poses: what people do when they stand, walk, talk and dance, as a mixture of Gaussians learnt from mocap.
 
-Made by `physkin_training.prepare.everyday_poses`. Dimensions: `K` components, `d` degrees of freedom, `B` samples.
+Made by `physkin_prepare.everyday_poses`. Dimensions: `K` components, `d` degrees of freedom, `B` samples.
 """
 
 from __future__ import annotations

@@ -31,13 +31,12 @@ class BodyCodes:
 
     @classmethod
     def of(cls, model: GarmentModel, body_model: BodyModel, device: torch.device) -> BodyCodes:
-        """Learnt from bodies of training, in the template and, where the model has learnt that, made to measure."""
+        """Learnt from bodies of training, in the template and made to measure."""
         drape = drape_from_model(model).to(device).eval()
         chosen = np.random.default_rng(0).permutation(len(body_model.train_bodies))[:BODIES]
         surfaces = BodySet(body_model, body_model.train_bodies[chosen], device).vertices.cpu().numpy()
-        fits = (0.0, 1.0) if model.made_to_measure else (0.0,)
         modulation = np.concatenate(
-            [encode_bodies(drape, surfaces, body_model.faces, fit=fit).cpu().numpy() for fit in fits]
+            [encode_bodies(drape, surfaces, body_model.faces, fit=fit).cpu().numpy() for fit in (0.0, 1.0)]
         ).astype(np.float64)
         mean = modulation.mean(axis=0)
         _, spread, axes = np.linalg.svd(modulation - mean, full_matrices=False)

@@ -27,8 +27,6 @@ from physkin_training.sway.walkers_file import load_walkers, save_walkers
 
 __all__ = ["SwayPlan", "command_parser", "learn_sway", "main"]
 
-NUMBERS = 12
-"""Of a garment node's correction: the linear part is free."""
 SHORTEST = 0.5
 """[s] of a motion."""
 
@@ -129,15 +127,9 @@ def learn_sway(
     """The model with a sway network, in place of one that it may have. walkers_file: simulated walkers are read from
     there, or written to it. say: told how it goes.
 
-    Raises ValueError for a model whose node deformer does not give 12 numbers a garment node, for a rig that everyday
-    poses are not of, and as `SwayPlan`, `simulated_walkers` and `load_walkers`.
+    Raises ValueError for a rig that everyday poses are not of, and as `SwayPlan`, `simulated_walkers` and
+    `load_walkers`.
     """
-    numbers = len(model.node_deformer[-1][1]) // len(model.node_rest)
-    if numbers != NUMBERS:
-        raise ValueError(
-            f"{model.name}: its node deformer gives {numbers} numbers a garment node, sway needs {NUMBERS} "
-            f"(node_outputs = {NUMBERS} when it is trained)"
-        )
     if not (model.node_rest[:, 2] <= plan.held_above).any():
         raise ValueError(f"--held-above {plan.held_above:g} m holds all garment nodes: none is left to sway")
     body_model = load_body_model()

@@ -27,7 +27,7 @@ from physkin_training.sway.node_step_solver import Metric, NodeStepSolver
 __all__ = ["WalkerSimulation", "in_one_size"]
 
 ONE_SIZE = 3
-"""Every third body wears the template, the others what is made to measure, where the model has learnt that."""
+"""Every third body wears the template, the others what is made to measure."""
 SOFTER_CONTACT = 0.03
 NEWTON, PRODUCTS = 4, 14
 FIRST_STEPS, FIRST_STEP, FIRST_DAMPING = 8, 0.2, 0.05

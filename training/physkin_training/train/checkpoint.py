@@ -36,10 +36,6 @@ OPTIMISER_FILES = ("exp_avg", "exp_avg_sq", *(f"{kind}_{side}" for kind in ("cov
 TENSOR_FILES = ("drape", "average", "best", *OPTIMISER_FILES, "random")
 OWN_BUFFERS = ("influence_bias", "engine_bias", "networks.node_mean", "networks.node_scale")
 """What a run sets for itself, beside what it trains."""
-FIT = "networks.hyper_modulator.fit"
-"""What only a run that makes to measure, too, has."""
-FORMERLY = {"body_distribution": "adults"}
-"""Keys of configurations of earlier versions, and what all runs have now."""
 SAME = 1e-6
 """Rest positions [m] and joint limits [rad] that differ by less are the same: another processor rounds differently."""
 
@@ -148,16 +144,14 @@ def load_drape(folder: Path, drape: Drape) -> dict:
     or where it kept none yet the moving average.
 
     Returns plain data on that run: its configuration, the `step` they are of and `started_from`. Raises CheckpointError
-    when the files cannot be read or are of another garment, another body or other sizes. A run that had only the
-    template may be started from to learn made to measure, too.
+    when the files cannot be read or are of another garment, another body or other sizes.
     """
-    own = {name: tensor for name, tensor in drape.state_dict().items() if name == FIT}
     try:
         state = _read_state(folder)
-        tensors = own | _read_tensors(folder, "drape")
+        tensors = _read_tensors(folder, "drape")
         _check_same_model(tensors, drape)
         file = "best" if state["best"] else "average"
-        learnt = own | _read_tensors(folder, file)
+        learnt = _read_tensors(folder, file)
         _check_fit(learnt, dict(drape.named_parameters()), file)
     except CheckpointError as error:
         raise CheckpointError(f"cannot start from checkpoint {folder}: {error}") from error
@@ -278,7 +272,7 @@ def _set_random_state(random: Mapping[str, torch.Tensor], processes: Processes, 
 
 def _check_same_config(saved: dict, current: dict) -> None:
     for key in sorted(set(saved) | set(current)):
-        before, now = saved.get(key), current.get(key, FORMERLY.get(key))
+        before, now = saved.get(key), current.get(key)
         if isinstance(before, dict) and isinstance(now, dict):
             _check_same_config(before, now)
         elif before != now:

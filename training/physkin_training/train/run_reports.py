@@ -61,7 +61,6 @@ class RunReports:
         row["gradient_norm"] = trainer.gradient_norm.item()
         if trainer.validation_energy is not None:
             row["validation_energy"] = trainer.validation_energy
-        if trainer.validation_energy_made_to_measure is not None:
             row["validation_energy_made_to_measure"] = trainer.validation_energy_made_to_measure
         if trainer.best:
             row |= {"best_validation_energy": trainer.best.energy, "best_step": trainer.best.step}

@@ -61,8 +61,9 @@ class Trainer:
     `step` counts finished steps; `drape` is the model in training, `averaged` its exponential moving average (the drape
     itself where the configuration averages nothing), `best` the average with the lowest `validation_energy` [J] (the
     last one measured), both None until pose range and influences are final. `started_from`: plain data on the run this
-    one took its networks from, or None. `body_model`: whose training bodies it takes, default the shipped adults. Of
-    several `processes` each makes a trainer and calls the same methods.
+    one took its networks from, or None. `made` (S,): which bodies of a step are worn made to measure. `body_model`:
+    whose training bodies it takes, default the shipped adults. Of several `processes` each makes a trainer and calls
+    the same methods.
     """
 
     def __init__(
@@ -88,8 +89,8 @@ class Trainer:
                 f"optimisation.bodies must be a multiple of the {count} processes, got {optimisation.bodies}"
             )
         self._samples, self._bodies = optimisation.samples // count, optimisation.bodies // count
-        if optimisation.made_to_measure and self._bodies < 2:
-            raise ValueError('optimisation.fit = "both" needs at least 2 bodies a step for each process')
+        if self._bodies < 2:
+            raise ValueError("optimisation.bodies must be at least 2 for each process, one of them made to measure for")
         self.body_model = body_model = body_model or load_body_model()
         if config.train_bodies > len(body_model.train_bodies):
             raise ValueError(f"train_bodies must be 1 to {len(body_model.train_bodies)}, got {config.train_bodies}")
@@ -99,24 +100,12 @@ class Trainer:
             self.garment, self.rig, config.garment_nodes.count, config.garment_nodes.initial_influences
         )
         self.nodes = nodes
-        both = optimisation.made_to_measure
-        engines = config.garment_nodes.engine_influences > 0
-        drape = Drape(
-            self.garment,
-            nodes,
-            self.rig,
-            config.networks,
-            made_to_measure=both,
-            other_bending=optimisation.other_bending > 0,
-            for_engines=engines,
-        )
-        self.drape = drape.to(device)
+        self.drape = Drape(self.garment, nodes, self.rig, config.networks).to(device)
         bodies, swelling = training_bodies(body_model, config.train_bodies, swollen=config.swollen, seed=config.seed)
         self.bodies = BodySet(body_model, bodies, device, swelling=swelling)
-        self.node_positions = self.drape.node_positions(self.bodies)
-        self.fits = MadeToMeasure(self.garment, self.drape, self.bodies, body_model) if both else None
-        self._made = torch.arange(self._bodies, device=device) % 2 == 1
-        rest = RestData(self.garment, config.material, device, shapes=self.fits.shapes if self.fits else None)
+        self.fits = MadeToMeasure(self.garment, self.drape, self.bodies, body_model)
+        self.made = torch.arange(self._bodies, device=device) % 2 == 1
+        rest = RestData(self.garment, config.material, device, shapes=self.fits.shapes)
         self.sampler = PoseSampler.configured(config.poses, self.rig, device)
         wearing = Wearing.of(self.garment, body_model).worn_faces()
         self.posed_bodies = PosedBodies(body_model, self.bodies, self._samples, faces=wearing.faces)
@@ -171,7 +160,7 @@ class Trainer:
 
     @property
     def validation_energy_made_to_measure(self) -> float | None:
-        """The part of the last `validation_energy` [J] of rest shapes made to measure; None where there are none."""
+        """The part of the last `validation_energy` [J] of rest shapes made to measure; None before the first."""
         return self.validation.made_to_measure
 
     def choose_steps(self, seconds: float) -> float:
@@ -246,7 +235,7 @@ class Trainer:
         Raises TrainingDiverged when it is not finite.
         """
         with self._recorded.beside():
-            energy = self.validation.energy(self.averaged, self.node_positions, with_gravity=False)
+            energy = self.validation.energy(self.averaged, with_gravity=False)
         if not math.isfinite(energy):
             raise TrainingDiverged(f"the averaged drape's energy is {energy} at step {self.step}")
         return energy
@@ -322,16 +311,13 @@ class Trainer:
             positions, _ = self.sampler.sample(self._samples, 1.0)
             body = torch.randint(len(self.bodies), (self._samples,), device=self.device)
             bones = self.posed_bodies.bone_transforms(positions, body)
-            node_positions = self.node_positions[body]
-            if self.fits is not None:
-                every_second = torch.arange(self._samples, device=self.device) % 2 == 1
-                node_positions = self.fits.worn(body, every_second).node_positions
-            posed.append(self.drape.posed_nodes(bones, node_positions))
+            every_second = torch.arange(self._samples, device=self.device) % 2 == 1
+            posed.append(self.drape.posed_nodes(bones, self.fits.worn(body, every_second).node_positions))
         self.drape.networks.normalise_nodes(torch.cat(posed))
 
     def _logits(self) -> list[torch.nn.Parameter]:
         """Of the skinning weights, both sets."""
-        return [self.drape.skinning_logits, *([self.drape.engine_logits] if self.drape.for_engines else [])]
+        return [self.drape.skinning_logits, self.drape.engine_logits]
 
     def _set_schedules(self) -> None:
         before, self.schedule = self.schedule, Schedule.at(self.step, self.config)
@@ -346,7 +332,7 @@ class Trainer:
         if schedule.influences < before.influences:
             self.drape.prune_influences(schedule.influences)
             self.averaged.influence_bias.copy_(self.drape.influence_bias)
-        if self.drape.for_engines and schedule.engine_influences < before.engine_influences:
+        if schedule.engine_influences < before.engine_influences:
             self.drape.prune_engine_influences(schedule.engine_influences)
             self.averaged.engine_bias.copy_(self.drape.engine_bias)
         self.losses.reach = schedule.reach
@@ -360,12 +346,14 @@ class Trainer:
             return
         last = Schedule.at(self.step - 1, self.config)
         nodes = self.config.garment_nodes
-        if last.pose_range < 1 or last.influences > nodes.influences:
-            return
-        if self.drape.for_engines and last.engine_influences > nodes.engine_influences:
+        if (
+            last.pose_range < 1
+            or last.influences > nodes.influences
+            or last.engine_influences > nodes.engine_influences
+        ):
             return
         with self._recorded.beside():
-            self.validation_energy = self.validation.energy(self.averaged, self.node_positions)
+            self.validation_energy = self.validation.energy(self.averaged)
         if math.isfinite(self.validation_energy) and (self.best is None or self.validation_energy < self.best.energy):
             self.best = BestModel.of(self.averaged, step=self.step, energy=self.validation_energy)
 
@@ -382,20 +370,15 @@ class Trainer:
             chosen, positions, gravity, *surface = self.draw()
             body_index = chosen.repeat_interleave(per_body)
             bone_transforms = self.posed_bodies.pose(positions, body_index)
-            if self.fits is None:
-                node_positions, fit, rest = self.node_positions[body_index], None, None
-            else:
-                worn = self.fits.worn(body_index, self._made.repeat_interleave(per_body))
-                node_positions, fit, rest = worn.node_positions, self._made.float(), worn.rest
-                self.losses.rest_row.copy_(worn.rows)
-            posed_nodes = self.drape.posed_nodes(bone_transforms, node_positions)
-            bending = None
-            if optimisation.other_bending:
-                bending, stiffer = drawn_bending(self._bodies, optimisation.other_bending, self.device)
-                self.losses.stiffer.copy_(stiffer.repeat_interleave(per_body))
-        modulation = self.drape.networks.hyper_modulator(*surface, fit, bending).repeat_interleave(per_body, dim=0)
+            worn = self.fits.worn(body_index, self.made.repeat_interleave(per_body))
+            self.losses.rest_row.copy_(worn.rows)
+            posed_nodes = self.drape.posed_nodes(bone_transforms, worn.node_positions)
+            bending, stiffer = drawn_bending(self._bodies, optimisation.other_bending, self.device)
+            self.losses.stiffer.copy_(stiffer.repeat_interleave(per_body))
+        modulation = self.drape.networks.hyper_modulator(*surface, self.made.float(), bending)
+        modulation = modulation.repeat_interleave(per_body, dim=0)
         nodes = self.drape.draped_nodes(modulation, positions, gravity, posed_nodes)
-        loss = self.objective(self.skinned(nodes, rest), gravity)
+        loss = self.objective(self.skinned(nodes, worn.rest), gravity)
         if optimisation.steadiness:
             loss = loss + self._steadiness(
                 nodes,
@@ -403,7 +386,7 @@ class Trainer:
                 modulation=modulation,
                 positions=positions,
                 gravity=gravity,
-                node_positions=node_positions,
+                node_positions=worn.node_positions,
                 body=body_index,
             )
         self.optimiser.zero_grad(set_to_none=True)
@@ -414,10 +397,8 @@ class Trainer:
         self._update_average()
         self.gradient_norm.copy_(norm)
 
-    def skinned(self, nodes: torch.Tensor, rest: RestShape | None) -> torch.Tensor:
+    def skinned(self, nodes: torch.Tensor, rest: RestShape) -> torch.Tensor:
         """Drapes (B, n, 3) of garment nodes (B, m, 3, 4); each body's last ones by the skinning weights for engines."""
-        if not self.drape.for_engines:
-            return self.drape.skin(nodes, rest)
         parts = []
         last = max(1, round(ENGINE_SHARE * self._samples / self._bodies))
         for poses, for_engines in ((slice(None, -last), False), (slice(-last, None), True)):
@@ -425,7 +406,7 @@ class Trainer:
             def part(values: torch.Tensor, poses: slice = poses) -> torch.Tensor:
                 return values.unflatten(0, (self._bodies, -1))[:, poses].flatten(0, 1)
 
-            own = None if rest is None else RestShape(part(rest.vertices), part(rest.nodes))
+            own = RestShape(part(rest.vertices), part(rest.nodes))
             skinned = self.drape.skin(part(nodes), own, for_engines=for_engines)
             parts.append(skinned.unflatten(0, (self._bodies, -1)))
         return torch.cat(parts, dim=1).flatten(0, 1)

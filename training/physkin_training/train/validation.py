@@ -52,10 +52,10 @@ class Validation:
     """A fixed set of bodies and poses over the full range; the configuration's seed decides it, on any device.
 
     All buffers are its own and it draws nothing from torch's random streams, so that neither a recorded step nor the
-    samples to come notice it. Of several processes each measures its share of the same set.
-    fits, rest: rest shapes of the set, where training has them made to measure, too; then the set is measured both
-    ways. `made_to_measure`: the last mean energy [J] of these, None where there are none. `chosen` (k, S) indices of
-    bodies, `positions` (k, B, d) [rad] and `gravity` (k, B, 3): this process's share of the set.
+    samples to come notice it. Of several processes each measures its share of the same set. fits, rest: rest shapes of
+    the set, which is measured both at the template and made to measure. `made_to_measure`: the last mean energy [J] of
+    the latter, None before the first. `chosen` (k, S) indices of bodies, `positions` (k, B, d) [rad] and `gravity` (k,
+    B, 3): this process's share of the set.
     """
 
     def __init__(
@@ -67,8 +67,8 @@ class Validation:
         wearing: Wearing,
         processes: Processes,
         *,
-        fits: MadeToMeasure | None = None,
-        rest: RestData | None = None,
+        fits: MadeToMeasure,
+        rest: RestData,
     ) -> None:
         device = bodies.vertices.device
         optimisation = config.optimisation
@@ -100,33 +100,28 @@ class Validation:
         )
 
     @torch.no_grad()
-    def energy(self, drape: Drape, node_positions: torch.Tensor, *, with_gravity: bool = True) -> float:
+    def energy(self, drape: Drape, *, with_gravity: bool = True) -> float:
         """Mean energy [J], all terms, or all but gravity, at the material's full contact stiffness; contact grows
-        linearly where it does in training. Where rest shapes are made to measure, too, the mean of both ways.
-        node_positions: of all bodies of the set at the template (see `Drape.node_positions`). Waits for the device."""
-        ways = [False] if self._fits is None else [False, True]
-        totals = torch.zeros(len(ways), device=node_positions.device)
+        linearly where it does in training. The mean of the template and made to measure. Waits for the device."""
+        totals = torch.zeros(2, device=self.chosen.device)
         for batch, chosen in enumerate(self.chosen):
             positions, gravity = self.positions[batch], self.gravity[batch]
             body_index = chosen.repeat_interleave(self._per_body)
             bones = self._posed_bodies.pose(positions, body_index)
-            for way, made in enumerate(ways):
-                placed, fit, rest = node_positions[body_index], None, None
-                if made:
-                    worn = self._fits.worn(body_index, torch.ones_like(body_index, dtype=torch.bool))
-                    placed, fit, rest = worn.node_positions, torch.ones(len(chosen), device=placed.device), worn.rest
-                    self.losses.rest_row.copy_(worn.rows)
-                else:
-                    self.losses.rest_row.zero_()
+            for way, made in enumerate((False, True)):
+                worn = self._fits.worn(body_index, torch.full_like(body_index, made, dtype=torch.bool))
+                self.losses.rest_row.copy_(worn.rows)
+                fit = torch.full(chosen.shape, float(made), device=chosen.device)
                 modulation = drape.networks.hyper_modulator(self._points[batch], self._normals[batch], fit)
                 modulation = modulation.repeat_interleave(self._per_body, dim=0)
-                vertices = drape(modulation, positions, gravity, drape.posed_nodes(bones, placed), rest)
+                vertices = drape(
+                    modulation, positions, gravity, drape.posed_nodes(bones, worn.node_positions), worn.rest
+                )
                 mean, energies = self.losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
                 totals[way] += (mean if with_gravity else mean - energies.gravity.mean()) / BATCHES
         self._processes.average([totals])
-        means = totals.tolist()
-        self.made_to_measure = means[1] if len(ways) > 1 else None
-        return sum(means) / len(means)
+        template, self.made_to_measure = totals.tolist()
+        return (template + self.made_to_measure) / 2
 
     def _surfaces(self, bodies: BodySet) -> tuple[torch.Tensor, torch.Tensor]:
         """Points and normals (k, S, N, 3) of the chosen bodies, the ones that the run time takes."""

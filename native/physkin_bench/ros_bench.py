@@ -1,7 +1,7 @@
-"""`physkin ros-bench`: how many clouds arrive, how late, and what they cost, between real processes.
+"""What the node delivers, how late, and at what cost: `PYTHONPATH=native python -m physkin_bench.ros_bench`.
 
 A publisher process sends joint states of the bundled motion, a node process drapes, a reader process receives the
-clouds; each avatar wears a garment of each `--model`, their joint states evenly spread in time. What it prints is
+clouds; each avatar wears a garment of each `--garment`, their joint states evenly spread in time. What it prints is
 measured from just before a joint state is published to when its last cloud's bytes are in the reader's callback.
 """
 
@@ -19,11 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core import load_garment_model
-from physkin_core.fit_option import add_fit_option
+from physkin_core.machine import machine_line, versions_line
+from physkin_core.outfit.outfit_options import add_fit_option, add_garment_option
 from physkin_ros.arguments import file_to_write, positive, whole_number
 from physkin_ros.middleware.transport import private_environment
 from physkin_ros.tools.children import ChildFailedError, Children
-from physkin_ros.tools.machine import machine_line, versions_line
 from physkin_ros.tools.trial import Records, finish, start_node, start_playing
 
 __all__ = ["Case", "command_parser", "figures", "main"]
@@ -63,11 +63,12 @@ class Case:
 def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0; 1 when a process failed."""
     options = command_parser().parse_args(argv)
+    options.garment = options.garment or ["dress"]
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    models = [load_garment_model(name) for name in options.model]
+    models = [load_garment_model(name) for name in options.garment]
     facts = {
         "machine": machine_line(),
-        "versions": versions_line(),
+        "versions": versions_line("physkin", "ros-jazzy-rclpy", "numpy"),
         "garments of an avatar": "; ".join(
             f"{model.name}, {len(model.garment.vertices)} vertices, {len(model.node_rest)} garment nodes"
             for model in models
@@ -82,7 +83,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         for case in options.cases:
             with tempfile.TemporaryDirectory(prefix="physkin-ros-bench-") as folder:
-                rows.append(figures(case, _measure(case, options, Path(folder)), garments=len(options.model)))
+                rows.append(figures(case, _measure(case, options, Path(folder)), garments=len(options.garment)))
             shown = (rows[-1][key] for key, _, _ in COLUMNS)
             cells = ("-" if value is None else format(value, spec) for value, (_, _, spec) in zip(shown, COLUMNS))
             print(" | ".join(cells), flush=True)
@@ -101,10 +102,10 @@ def _measure(case: Case, options: argparse.Namespace, folder: Path) -> Records:
     seconds = options.seconds + WARM_UP_SECONDS
     with Children(private_environment(), folder) as children:
         settings = {"avatar": {"orientation": "fixed"}, "garment": {"fit": options.fit}, "queue": options.queue}
-        start_node(children, folder, case.avatars, outfit=[{"model": model} for model in options.model], **settings)
+        start_node(children, folder, case.avatars, outfit=[{"model": model} for model in options.garment], **settings)
         more = ("--warm-up", round(WARM_UP_SECONDS * case.rate_hz), "--watched", children.pid("node"))
         played = (children, folder, case.avatars, MOTION, case.rate_hz, seconds, *more)
-        start_playing(*played, garments=len(options.model))
+        start_playing(*played, garments=len(options.garment))
         return finish(children, folder, seconds)
 
 
@@ -144,15 +145,10 @@ def figures(case: Case, records: Records, *, garments: int = 1) -> dict[str, obj
 
 
 def command_parser() -> argparse.ArgumentParser:
-    """Options of `physkin ros-bench`."""
-    parser = argparse.ArgumentParser(prog="physkin ros-bench", description=__doc__.splitlines()[0])
+    """The options."""
+    parser = argparse.ArgumentParser(prog="python -m physkin_bench.ros_bench", description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=file_to_write, metavar="OUT", help="write what is printed to a file, too")
-    parser.add_argument(
-        "--model",
-        nargs="+",
-        default=["dress"],
-        help="garments that each avatar wears: files or shipped names (default dress)",
-    )
+    add_garment_option(parser, "dress")
     add_fit_option(parser)
     parser.add_argument("--seconds", type=positive, default=5.0, help="of each case, after a warm-up (default 5)")
     parser.add_argument(
@@ -174,3 +170,7 @@ def _case(text: str) -> Case:
     if not match:
         raise argparse.ArgumentTypeError(f"{text!r} is no case; write avatars and rate, such as 16x200")
     return Case(int(match[1]), float(match[2]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,6 +1,6 @@
 """The everyday poses that training draws: a mixture of Gaussians over joint positions and gravity, learnt from mocap.
 
-`python -m physkin_training.prepare.everyday_poses POSES.npz` reads poses of the default rig (arrays `joint_names` (d,),
+`python -m physkin_prepare.everyday_poses POSES.npz` reads poses of the default rig (arrays `joint_names` (d,),
 `positions` (P, d) [rad], `gravity` (P, 3), `clip` (P,), `clip_names`), leaves the held-out clips out, adds mirrored
 poses and poses whose arms come from other poses, and writes `EVERYDAY_POSES`, and twenty poses drawn from there as the
 `CHECK_POSES` of `physkin check`. Needs the `data` extra.

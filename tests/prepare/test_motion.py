@@ -7,7 +7,7 @@ import pytest
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.motion.retargeting import retarget
-from physkin_training.prepare.motion import FRAME_SIZE, JOINTS, prepare_motion, read_clip
+from physkin_prepare.motion import FRAME_SIZE, JOINTS, prepare_motion, read_clip
 
 RIG = load_body_model().rig
 STANDING = np.zeros(FRAME_SIZE)

@@ -1,7 +1,7 @@
 """Distil anny into the compact body model that the project ships.
 
 Samples adults, puts them into the default rig's canonical pose, and keeps 32 principal components of vertices and bones
-in half precision. `python -m physkin_training.prepare.bodies` writes `physkin_core/assets/adult_body.safetensors`.
+in half precision. `python -m physkin_prepare.bodies` writes `physkin_core/assets/adult_body.safetensors`.
 
 Dimensions: `s` bodies, `V` vertices, `b` bones.
 """
@@ -19,7 +19,7 @@ from physkin_core.avatar.body_model import BODY_MODEL_PATH
 from physkin_core.rig.canonical_pose import limb_rotations, turned_down_the_chain
 from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
 from physkin_core.rig.rig import Rig
-from physkin_training.prepare.default_rig import default_dofs
+from physkin_prepare.default_rig import default_dofs
 
 __all__ = ["GARMENT_BODY", "prepare_body_model", "to_root_frame"]
 

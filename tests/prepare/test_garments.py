@@ -9,7 +9,7 @@ from random_models import tube
 
 from physkin_training.fit_garment.mesh_repair import boundary_loops
 
-GARMENT_FOLDER = Path(__file__).parents[3] / "training" / "garments"
+GARMENT_FOLDER = Path(__file__).parents[2] / "training" / "garments"
 VERTEX_COUNTS = {"tshirt": 3930, "longsleeve": 5072, "dress": 6438, "trousers": 4963, "skirt": 2989}
 EDGE_LENGTH = 0.015
 each_garment = pytest.mark.parametrize("name", VERTEX_COUNTS)
@@ -39,7 +39,7 @@ def test_triangles_are_even(name):
 @pytest.fixture(scope="module")
 def construction():
     pytest.importorskip("gpytoolbox", reason="garments are made with gpytoolbox, in the extra [data]")
-    from physkin_training.prepare import garment_construction
+    from physkin_prepare import garment_construction
 
     return garment_construction
 
@@ -47,7 +47,7 @@ def construction():
 @pytest.fixture(scope="module")
 def prepare_garments(construction):
     pytest.importorskip("torch", reason="the garment body comes from anny, which needs torch")
-    from physkin_training.prepare import garments as prepare_garments
+    from physkin_prepare import garments as prepare_garments
 
     return prepare_garments
 

@@ -1,6 +1,6 @@
 """Retarget the motion clips inside the pybullet wheel (zlib licence) to the default rig.
 
-`python -m physkin_training.prepare.motion` writes `physkin_core/assets/motions/*.safetensors` and prints how well each
+`python -m physkin_prepare.motion` writes `physkin_core/assets/motions/*.safetensors` and prints how well each
 clip is met. The source humanoid (DeepMimic's) looks along X, has Y up and its right at Z; at zero it stands with arms
 and legs hanging straight down, as `physkin_core.motion.retargeting` wants it.
 

