@@ -5,30 +5,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from reference.frame_input import FrameInput
+from reference.frame_input import FrameInput as ReferenceRow
 
 from physkin_core.native_module import native
-from physkin_core.runtime import evaluator
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.evaluator import Skinner as native_skinner
-from physkin_core.sway import frame_input
+from physkin_core.runtime.evaluator import Evaluator
+from physkin_core.sway.frame_input import FrameInput
 
-__all__ = ["NativeFrame", "NativeFrameInput", "NativeLayerOrder", "clouds", "native_skinner", "told"]
+__all__ = ["NativeFrame", "NativeFrameInput", "NativeLayerOrder", "clouds", "told"]
 
 
 def told(gravity=(0.0, 0.0, -1.0), **numbers) -> np.ndarray:
-    """A row (14,) float32 of `FrameInput`: effective gravity, and what else is told; nothing by default."""
-    return FrameInput(np.asarray(gravity), **numbers).row()
+    """A row (14,) float32: effective gravity, and what else is told; nothing by default."""
+    return ReferenceRow(np.asarray(gravity), **numbers).row()
 
 
-class NativeFrame(evaluator.Evaluator):
-    """With network weights in fp32, unless told otherwise."""
+class NativeFrame(Evaluator):
+    """The native evaluator, called as `ReferenceFrame` is; network weights in fp32 unless asked otherwise."""
 
     def __init__(self, bounds: Sequence[BoundGarment], orders=(), *, precision: str | None = "fp32", **options) -> None:
         super().__init__(bounds, orders, precision=precision, **options)
 
     def corrections(self, garment: int = 0) -> np.ndarray:
-        """(12 m,)."""
+        """(12 m,), in the last frame."""
         return super().corrections(garment).reshape(-1)
 
 
@@ -43,23 +42,23 @@ def clouds(frame, bounds: Sequence[BoundGarment], joint_positions: np.ndarray, *
 class NativeFrameInput:
     """From time and root to rows, as `ReferenceFrameInput`."""
 
-    def __init__(self, learnt: Sequence[bool]) -> None:
-        self._input = frame_input.FrameInput(learnt)
+    def __init__(self, networks: Sequence[bool]) -> None:
+        self.frame_input = FrameInput(networks)
 
     def rows(self, time: float, root: np.ndarray, amounts: Sequence[float]) -> np.ndarray:
-        self._input.sways = amounts
-        self._input.fill(time=time, root=root)
-        return self._input.rows.copy()
+        self.frame_input.sways = amounts
+        self.frame_input.fill(time=time, root=root)
+        return self.frame_input.rows.copy()
 
 
 class NativeLayerOrder:
     """The native order of two layers, called as the reference's `LayerOrder` is."""
 
     def __init__(self, order) -> None:
-        self._order, self._native = order, None
+        self._binding, self._order = order, None
 
     def apply(self, steady: np.ndarray, yielding: np.ndarray, *, look_at_all: bool) -> None:
-        first = self._native is None
-        if first:
-            self._native = native.LayerOrder(self._order, len(steady), len(yielding))
-        self.native.apply(steady, yielding, look_at_all=look_at_all or first)
+        """Move yielding (n, 6) float32."""
+        if self._order is None:
+            self._order = native.LayerOrder(self._binding, len(steady), len(yielding))
+        self._order.apply(steady, yielding, look_at_all)

@@ -70,16 +70,6 @@ def test_only_arrays_that_are_the_callers_own():
         _native.PoseRange(START, np.zeros(3, np.float32), np.zeros(4, np.float32))
 
 
-@pytest.mark.parametrize(("value", "expected"), [(8.9, True), (-9.1, False), (np.nan, False), (-np.inf, False)])
-def test_positions_that_are_looked_at(value, expected):
-    """By what the array holds at each call."""
-    positions = START.copy()
-    check = _native.PoseCheck(positions, 9.0)
-    assert check.ordinary() is True
-    positions[2] = value
-    assert check.ordinary() is expected
-
-
 def test_beginning_of_a_message():
     """Compared where the mask says so; a shorter message begins otherwise."""
     beginning = _native.MessageBeginning(b"abcd", b"\xff\0\xff\xff")

@@ -8,8 +8,10 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from native_frames import NativeFrame, native_skinner
+from native_frames import NativeFrame
 from random_models import random_hyper_modulator, unit_rows
+
+from physkin_core.runtime.evaluator import Skinner
 
 
 @contextmanager
@@ -42,7 +44,7 @@ def evaluator(make_garment):
 
 def skinner(make_garment):
     garment = make_garment(np.random.default_rng(0), vertices=20000, nodes=64)
-    return lambda: native_skinner(garment)
+    return lambda: Skinner(garment)
 
 
 def encoder(make_garment):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from native_frames import NativeFrame, clouds, native_skinner, told
+from native_frames import NativeFrame, clouds, told
 from point_cloud_utils import closest_points_on_mesh
 from random_models import random_model
 from reference.frame import ReferenceFrame
@@ -24,6 +24,7 @@ from physkin_core.model.garment import vertex_normals
 from physkin_core.outfit.coverage import FROM_HEM, hem_distances
 from physkin_core.outfit.tuck import DEEP, SLIDES, tucked_depths
 from physkin_core.quality import signed_distance
+from physkin_core.runtime.evaluator import Skinner
 
 
 @pytest.fixture(scope="module")
@@ -231,7 +232,7 @@ def test_garment_nodes_skin_to_what_is_not_moved(tucked, over_trousers, motion):
         clouds = outfit.drape(positions, gravity)
         for bound, nodes, cloud, is_moved in zip(outfit.bounds, outfit.node_transforms(), clouds, moved):
             points = np.empty_like(cloud)
-            native_skinner(bound).skin(np.ascontiguousarray(nodes), points)
+            Skinner(bound).skin(np.ascontiguousarray(nodes), points)
             assert (np.abs(points - cloud)[:, :3].max() > 1e-4) == is_moved
     with pytest.raises(IndexError, match="garment 2 of 2"):
         outfit._evaluator.node_transforms(2)

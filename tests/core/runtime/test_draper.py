@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from physkin_core.runtime.draper import in_units_of_gravity
 from random_models import SIZES, random_avatar, random_model, random_pose, tube, unit_rows
 from reference.hyper_modulator import body_modulation
 from reference.skinning import skin, unit
@@ -24,9 +23,10 @@ from physkin_core import (
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.hyper_modulator import at_fit
 from physkin_core.model.surface_sampling import sample_surface
-from physkin_core.runtime import binding
+from physkin_core.runtime import body_encoder
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.garment_grading import GarmentGrading
+from physkin_core.sway.frame_input import FrameInput
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 
@@ -34,7 +34,7 @@ pytestmark = pytest.mark.usefixtures("exact_network_weights")
 @pytest.fixture(autouse=True)
 def few_body_points(monkeypatch):
     """The hyper modulator has tests of its own; here a body is 50 points."""
-    monkeypatch.setattr(binding, "POINT_COUNT", 50)
+    monkeypatch.setattr(body_encoder, "POINT_COUNT", 50)
 
 
 def scene(seed, **sizes):
@@ -48,7 +48,7 @@ def test_a_drape_is_the_unfolded_one(size):
     """Random rigs, bodies, networks and poses, a little beyond the limits; the tiny size ten times over."""
     for seed in range(10 if size == "tiny" else 1):
         rng, model, avatar = scene([seed], **SIZES[size])
-        points = sample_surface(avatar.vertices, avatar.faces, binding.POINT_COUNT)
+        points = sample_surface(avatar.vertices, avatar.faces, body_encoder.POINT_COUNT)
         modulation, draper = body_modulation(model.hyper_modulator, *points), Draper(model, avatar)
         normals = vertex_normals(model.garment.vertices, model.garment.faces)
         worn = replace(draper.bound, node_rest=model.node_rest, vertices=model.garment.vertices, normals=normals)
@@ -266,7 +266,7 @@ def measured():
     body = load_body_model()
     band = tube(rings=9, segments=20, radius=1.0, height=0.3)
     garment = Garment(band.vertices * [0.16, 0.2, 1.0] + [0, 0, 0.12], band.faces)
-    model = random_model(np.random.default_rng(5), rig=body.rig, garment=garment, nodes=12, made_to_measure=True)
+    model = random_model(np.random.default_rng(5), rig=body.rig, garment=garment, nodes=12)
     return model, avatar_from_body(body, body.held_out_bodies[3])
 
 
@@ -289,14 +289,12 @@ def test_made_to_measure_without_correctives_rests_on_the_body(measured):
     assert np.linalg.norm(exact - model.garment.vertices, axis=1).max() > 0.02
 
 
-def test_made_to_measure_is_the_default_where_it_was_learnt(measured):
-    """Bit for bit fit 1, in the bound garment too; a model that has not learnt it is worn as at fit 0."""
-    model, avatar = measured
-    unlearnt = {name: array for name, array in model.hyper_modulator.items() if name != "fit"}
-    for worn, fit in ((model, 1.0), (replace(model, hyper_modulator=unlearnt), 0.0)):
+def test_made_to_measure_is_the_default_with_the_body_model_s_rig(measured):
+    """Bit for bit fit 1, in the bound garment too; with another rig it is worn as at fit 0."""
+    for (worn, avatar), fit in ((measured, 1.0), (scene(0)[1:], 0.0)):
         default, told = Draper(worn, avatar), Draper(worn, avatar, fit=fit)
         assert default.fit == told.fit == fit
-        np.testing.assert_array_equal(default.drape(model.rig.rest), told.drape(model.rig.rest))
+        np.testing.assert_array_equal(default.drape(worn.rig.rest), told.drape(worn.rig.rest))
         np.testing.assert_array_equal(default.rest_garment.vertices, told.rest_garment.vertices)
         bound = bind_garment(worn, avatar)
         np.testing.assert_array_equal(bound.vertices, told.bound.vertices)
@@ -308,7 +306,7 @@ def test_the_fit_reaches_the_networks(measured):
     """Correctives differ between fits by more than rest shapes alone would make them."""
     model, avatar = measured
     corrected, folded = Draper(model, avatar, fit=1.0), at_fit(model.hyper_modulator, 1.0)
-    same = {**folded, "fit": 0 * model.hyper_modulator["fit"]}
+    same = model.hyper_modulator | folded | {"fit": 0 * model.hyper_modulator["fit"]}
     as_told = Draper(replace(model, hyper_modulator=same), avatar, fit=1.0)
     deaf = {**model.hyper_modulator, "fit": 0 * model.hyper_modulator["fit"]}
     untold = Draper(replace(model, hyper_modulator=deaf), avatar, fit=1.0)
@@ -335,37 +333,32 @@ def test_points_are_made_to_measure_as_the_mesh_they_lie_on(measured):
 
 
 def test_a_fit_that_cannot_be_is_refused(measured):
-    """Not learnt, out of range, or of another rig than the body model's."""
+    """Out of range, or above 0 with another rig than the body model's."""
     model, avatar = measured
-    with pytest.raises(ValueError, match="fit must be 0 .* to 1 .* got 1.5"):
-        Draper(model, avatar, fit=1.5)
-    _, template_only, other = scene(0)
-    with pytest.raises(ValueError, match="has not learnt to be made to measure"):
-        Draper(template_only, other, fit=1.0)
-    _, strange, other = scene(0, made_to_measure=True)
+    for bad in (-0.1, 1.5, np.nan, "1", True):
+        with pytest.raises(ValueError, match="fit must be 0 .* to 1 "):
+            Draper(model, avatar, fit=bad)
+    _, strange, other = scene(0)
     with pytest.raises(ValueError, match="needs the body model's rig"):
         Draper(strange, other, fit=1.0)
 
 
 def test_effective_gravity():
-    """At 9.81 m/s2 it is gravity; less, more and none at all drape otherwise; where it was not learnt it is refused."""
+    """At 9.81 m/s2 it is gravity; less, more and none at all drape otherwise."""
     model = random_model(np.random.default_rng(3), **SIZES["tiny"])
-    learnt = replace(model, training={"poses": {"accelerated": 0.3}})
     avatar = random_avatar(np.random.default_rng(4), model.rig)
-    draper, pose = Draper(learnt, avatar), random_pose(np.random.default_rng(5), model.rig)[0]
+    draper, pose = Draper(model, avatar), random_pose(np.random.default_rng(5), model.rig)[0]
     down = np.array([0.6, 0.0, -0.8])
     usual = draper.drape(pose, down)
     np.testing.assert_allclose(draper.drape(pose, effective_gravity=9.81 * down), usual, atol=1e-6)
     for size in (0.0, 5.0, 29.0):
         assert np.abs(draper.drape(pose, effective_gravity=size * down) - usual).max() > 1e-5
-    felt, out = np.zeros(3, dtype=np.float32), np.empty_like(usual)
-    step = draper.bind_step(pose, felt, out)  # bound to arrays, in units of gravity
+    frame_input, out = FrameInput([False]), np.empty_like(usual)
+    step = draper.bind_frame(pose, frame_input.rows, out)  # bound to arrays
     for size in (0.0, 5.0, 29.0):
-        felt[:] = in_units_of_gravity(size * down)
+        frame_input.fill(effective_gravity=size * down)
         step()
         np.testing.assert_array_equal(out, draper.drape(pose, effective_gravity=size * down))
     for wrong in ([0, 0, -30.0], [0, np.nan, 0], [0, 0], -9.81):
         with pytest.raises(ValueError, match="effective_gravity must be .* up to 29.4 m/s2"):
             draper.drape(pose, effective_gravity=wrong)
-    with pytest.raises(ValueError, match="was not trained with accelerated roots"):
-        Draper(model, avatar).drape(pose, effective_gravity=9.81 * down)

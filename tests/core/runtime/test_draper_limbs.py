@@ -10,7 +10,7 @@ from random_models import random_avatar, random_model
 from scipy.spatial.transform import Rotation
 
 from physkin_core import UPRIGHT_GRAVITY, AvatarWarning, Draper, LimbSeparator, avatar_from_body, load_body_model
-from physkin_core.runtime import binding
+from physkin_core.runtime import body_encoder
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.usefixtures("exact_network_weights")
 @pytest.fixture(autouse=True)
 def few_body_points(monkeypatch):
     """The hyper modulator has tests of its own; here a body is 50 points."""
-    monkeypatch.setattr(binding, "POINT_COUNT", 50)
+    monkeypatch.setattr(body_encoder, "POINT_COUNT", 50)
 
 
 def test_limbs_are_separated_before_draping():

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from physkin_core.runtime.draper import Draper
+from physkin_core.outfit.draper import Draper
 from torch import nn
 from training.small_runs import waist_band_model
 
