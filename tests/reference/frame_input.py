@@ -62,10 +62,11 @@ class ReferenceFrameInput:
 
     def _row(self, time, root, amount, learnt, elapsed):
         felt, twist = self._pendulum.felt(time, root, 0.0 if learnt else amount)
-        if amount == 0:
-            return FrameInput(felt / GRAVITY).row()
         motion = self._pendulum.motion()
         velocity, turning = np.zeros((2, 3)) if motion is None else np.clip(motion, -FASTEST, FASTEST)
-        moves = float(motion is not None and self._passed >= 0)
-        sway = amount if learnt else 0.0
-        return FrameInput(felt / GRAVITY, twist, self._passed, sway, elapsed, moves, velocity, turning).row()
+        alone = FrameInput(felt / GRAVITY, velocity=velocity, turning=turning)
+        if amount == 0:
+            return alone.row()
+        moves, sway = float(motion is not None and self._passed >= 0), amount if learnt else 0.0
+        told = {"twist": twist, "passed": self._passed, "sway": sway, "elapsed": elapsed, "moves": moves}
+        return alone._replace(**told).row()

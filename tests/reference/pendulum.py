@@ -57,15 +57,14 @@ class Pendulum:
         self._time, self._velocity = None, None
 
     def felt(self, time, root, amount):
-        """Move the root (7,), position and quaternion x, y, z, w, to where it is at `time` [s]; a time that came before
-        moves nothing. Returns effective gravity (3,) [m/s2] in its frame, and the twist [rad], of cloth that sways by
+        """Move the root (7,), position and quaternion x, y, z, w, to where it is at `time` [s]; a time that comes twice
+        changes nothing. Returns effective gravity (3,) [m/s2] in its frame, and the twist [rad], of cloth that sways by
         `amount`."""
-        turn = Rotation.from_quat(root[3:])
-        self._move(time, np.asarray(root[:3], dtype=np.float64), turn)
+        self._move(time, np.asarray(root[:3], dtype=np.float64), Rotation.from_quat(root[3:]))
         *deflection, twist = self._deflection
         square = np.square(deflection).sum()
         share = square / (square + LEAST_DEFLECTION**2) / math.sqrt(1 + square / LARGEST_DEFLECTION**2)
-        felt = turn.inv().apply(amount * share * np.array(deflection) - [0, 0, GRAVITY])
+        felt = self._turn.inv().apply(amount * share * np.array(deflection) - [0, 0, GRAVITY])
         felt *= min(1.0, LARGEST_FELT / max(np.linalg.norm(felt), 1e-9))
         return felt, amount * twist / math.sqrt(1 + (twist / LARGEST_TWIST) ** 2)
 
