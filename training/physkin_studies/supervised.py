@@ -106,7 +106,7 @@ class _StagedSimulation:
         self._posed = PosedBodies(body_model, trainer.bodies, samples)
         wearing = Wearing.of(garment, body_model)
         losses = PhysicsLosses(garment, trainer.config.material, samples, device, wearing=wearing, reach=REACH)
-        self.solver = FullSpaceSolver(garment, losses, samples, device)
+        self.solver = FullSpaceSolver(losses)
 
     @torch.no_grad()
     def run(

@@ -14,7 +14,8 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.motion import Motion
 from physkin_core.runtime.garment_grading import GarmentGrading
 from physkin_training.dynamics.dressed_samples import REACH
-from physkin_training.dynamics.incremental_potential import Dynamics, IncrementalPotential
+from physkin_training.dynamics.incremental_potential import IncrementalPotential
+from physkin_training.energies.motion import Dynamics
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies

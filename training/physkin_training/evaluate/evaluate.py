@@ -260,7 +260,7 @@ class Evaluation:
 
     @cached_property
     def _solver(self) -> FullSpaceSolver:
-        return FullSpaceSolver(self.model.garment, self.losses, self.batch, self.device)
+        return FullSpaceSolver(self.losses)
 
     def _raw(self, batch: Batch) -> torch.Tensor:
         vector = self.drape.pose_vector(batch.positions, batch.gravity)

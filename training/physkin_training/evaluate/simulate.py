@@ -100,7 +100,7 @@ class DrapeSimulation:
         self.rig = start_model.rig
         self.body = posed_avatar(avatar, self.rig, samples, device)
         self.losses = PhysicsLosses(garment, material, samples, device, wearing=wearing, reach=REACH)
-        self.solver = FullSpaceSolver(garment, self.losses, samples, device)
+        self.solver = FullSpaceSolver(self.losses)
 
     def run(
         self,
