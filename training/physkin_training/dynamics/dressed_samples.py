@@ -19,7 +19,7 @@ from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 
-__all__ = ["REACH", "DressedSamples"]
+__all__ = ["DressedSamples"]
 
 REACH = 0.1
 """The body is looked for up to this distance [m]."""

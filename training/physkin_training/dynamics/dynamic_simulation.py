@@ -18,9 +18,10 @@ from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.motion import Motion
 from physkin_training.dynamics.dressed_samples import DressedSamples
-from physkin_training.dynamics.step_solver import Step, StepSolver
+from physkin_training.dynamics.step_solver import StepSolver
 from physkin_training.energies.motion import Dynamics
-from physkin_training.physics.full_space_solver import FullSpaceSolver, Solution
+from physkin_training.physics.full_space_solver import FullSpaceSolver
+from physkin_training.physics.newton_solver import Solution
 
 __all__ = ["A_LONG_TIME", "LARGEST_EXTENT", "TOLERANCE", "DynamicSimulation", "Frame"]
 
@@ -181,7 +182,7 @@ class DynamicSimulation:
         return torch.where(self._held[:, None], self._model_drape(step), local)
 
     def _frame(
-        self, index: int, solution: Solution | Step, taken: torch.Tensor, last: torch.Tensor, before_last: torch.Tensor
+        self, index: int, solution: Solution, taken: torch.Tensor, last: torch.Tensor, before_last: torch.Tensor
     ) -> Frame:
         """last, before_last: (B, n, 3) in the world, the two frames before."""
         step = index * self.steps

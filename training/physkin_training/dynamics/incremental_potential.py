@@ -12,7 +12,7 @@ import torch
 
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material
-from physkin_training.energies.motion import Drag, Dynamics, Inertia, StrainRate, TimeStep
+from physkin_training.energies.motion import Dynamics, TimeStep, energies_of_motion
 from physkin_training.physics.physics_losses import PhysicsLosses
 
 __all__ = ["IncrementalPotential"]
@@ -40,7 +40,7 @@ class IncrementalPotential(PhysicsLosses):
         if rest_row is not None:
             self.rest_row.copy_(rest_row)
         self.time_step = TimeStep(self.cloth, step, dynamics)
-        self.energies += [kind(self.cloth, self.time_step) for kind in (StrainRate, Inertia, Drag)]
+        self.energies += energies_of_motion(self.cloth, self.time_step)
 
     def begin(self, before: torch.Tensor, forecast: torch.Tensor) -> None:
         """A step begins at `before` and would end at `forecast` without forces, both (B, n, 3) [m], as seen from the

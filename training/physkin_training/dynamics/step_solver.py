@@ -10,28 +10,16 @@ Dimensions: `B` samples, `n` garment vertices. Metres, newtons, joules.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 import warp as wp
 
 from physkin_training.physics.energy_hessian import EnergyHessian
-from physkin_training.physics.newton_solver import LARGEST_STEP, NewtonSolver, Point, norm
+from physkin_training.physics.newton_solver import LARGEST_STEP, NewtonSolver, Point, Solution, norm
 
-__all__ = ["Step", "StepSolver"]
+__all__ = ["StepSolver"]
 
 FORCING = 0.03
 """Residual of the linear systems, relative to their right-hand sides."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """Where a step ended: vertices (B, n, 3) [m], gradient norm (B,) [N] of the incremental potential there, and Newton
-    steps taken by each sample (B,)."""
-
-    vertices: torch.Tensor
-    gradient_norm: torch.Tensor
-    iterations: torch.Tensor
 
 
 class StepSolver(NewtonSolver):
@@ -53,12 +41,13 @@ class StepSolver(NewtonSolver):
         tolerance: float,
         iterations: int,
         products: int,
-    ) -> Step:
+    ) -> Solution:
         """From `start` (B, n, 3) on the posed bodies (see `PhysicsLosses`); tolerance [N] of the gradient norm."""
         self.begin(gravity, body, body_offset)
         self._tolerance, self._products = tolerance, products
         here, taken = self.descend(self.point(start), iterations)
-        return Step(here.vertices, norm(here.gradient), taken)
+        norms = norm(here.gradient)
+        return Solution(here.vertices, norms <= tolerance, norms, here.terms, taken)
 
     def under_way(self, here: Point, iteration: int) -> torch.Tensor:
         return norm(here.gradient) > self._tolerance

@@ -1,13 +1,11 @@
 """The band that holds a garment up: squared distance of its vertices beyond a slack from where they are worn."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
-from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy
+from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest, view
 
 if TYPE_CHECKING:
     from physkin_training.physics.wearing import Wearing
@@ -25,34 +23,30 @@ BAND_SLACK = 0.015
 
 @wp.kernel
 def band_kernel(
-    x: wp.array2d(dtype=wp.vec3),
-    body_points: wp.array(dtype=wp.vec3),
-    body_offset: wp.array(dtype=wp.vec3),
-    vertices_per_body: wp.int32,
-    band: wp.array(dtype=wp.int32),
+    rest: Rest,
+    drapes: Drapes,
+    band: wp.array2d(dtype=wp.int32),
     place: wp.array(dtype=wp.int32),
     limit: wp.array(dtype=wp.float32),
-    rest_row: wp.array(dtype=wp.int32),
-    vertex_area: wp.array2d(dtype=wp.float32),
     energy: wp.array2d(dtype=wp.float32),
-    gradient: wp.array2d(dtype=wp.vec3),
     across: wp.array2d(dtype=wp.float32),
     along: wp.array2d(dtype=wp.float32),
     direction: wp.array2d(dtype=wp.vec3),
 ):
     """One vertex of one sample against the body vertex where it is worn."""
     s, k = wp.tid()
-    v = band[k]
-    away = x[s, v] + body_offset[s] - body_points[s * vertices_per_body + place[k]]
+    v = band[k, 0]
+    worn = s * (drapes.body_points.shape[0] / drapes.x.shape[0]) + place[k]
+    away = drapes.x[s, v] + drapes.offset[s] - drapes.body_points[worn]
     distance = wp.length(away)
     beyond = distance - limit[k]
     energy[s, k] = 0.0
     across[s, k] = 0.0
     along[s, k] = 0.0
     if beyond > 0.0:
-        stiffness = BAND_STIFFNESS * vertex_area[rest_row[s], v]
+        stiffness = BAND_STIFFNESS * rest.vertex_area[rest.row[s], v]
         energy[s, k] = stiffness * beyond * beyond
-        wp.atomic_add(gradient, s, v, away * (2.0 * stiffness * beyond / distance))
+        wp.atomic_add(drapes.gradient, s, v, away * (2.0 * stiffness * beyond / distance))
         across[s, k] = 2.0 * stiffness * beyond / distance
         along[s, k] = 2.0 * stiffness - across[s, k]
         direction[s, k] = away / distance
@@ -64,33 +58,19 @@ class Band(Energy):
 
     name = "band"
 
-    def __init__(self, cloth: Cloth, wearing: Wearing | None) -> None:
-        band = np.empty(0, dtype=np.int32) if wearing is None else wearing.band
-        super().__init__(cloth, band[:, None])
+    def __init__(self, cloth: Cloth, wearing: "Wearing | None") -> None:
+        k = 0 if wearing is None else len(wearing.band)
+        super().__init__(cloth, np.empty((0, 1), dtype=np.int32) if wearing is None else wearing.band[:, None])
         self.isotropic = False
-        self._vertex_area = wp.from_torch(cloth.rest.vertex_area)
-        if len(band):
-            self._places = (
-                cloth.array(wearing.band, wp.int32),
-                cloth.array(wearing.band_place, wp.int32),
-                cloth.array(wearing.band_distance + BAND_SLACK, wp.float32),
-            )
-        across, along, direction = (cloth.zeros(len(band), *shape) for shape in ((), (), (3,)))
-        self._stiffness = wp.from_torch(across), wp.from_torch(along), wp.from_torch(direction, dtype=wp.vec3)
+        self._place = cloth.array(wearing.band_place if k else [])
+        self._limit = cloth.array(wearing.band_distance + BAND_SLACK if k else [], wp.float32)
+        self._stiffness = *(wp.from_torch(cloth.zeros(k)) for _ in range(2)), view(cloth.zeros(k, 3))
 
     def evaluate(self, drapes: Drapes) -> None:
-        if not len(self.elements):
-            return
-        points = drapes.body.points
-        body = (points, drapes.offset, len(points) // len(drapes.x))
-        rest = (self.cloth.row, self._vertex_area)
-        self._launch(
-            band_kernel, drapes.points, *body, *self._places, *rest, self._energy, drapes.forces, *self._stiffness
-        )
+        given = self._rest, drapes, self._elements, self._place, self._limit
+        self._launch(band_kernel, *given, self._energy, *self._stiffness)
 
     def add_second_derivative(self, drapes: Drapes, blocks: Blocks) -> None:
-        if not len(self.elements):
-            return
         across, along, direction = self._stiffness
         if self.isotropic:
             self._add_vertex_blocks(blocks, across)

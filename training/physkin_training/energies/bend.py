@@ -1,15 +1,16 @@
 """Bending of hinges, pairs of faces with a common edge: k (theta - rest)^2 (Grinspun et al. 2003)."""
 
-from __future__ import annotations
-
 import torch
 import warp as wp
 
-from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy
+from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest
 
 __all__ = ["Bend"]
 
 wp.set_module_options({"enable_backward": False})
+
+Corners = wp.types.matrix(shape=(4, 3), dtype=wp.float32)
+"""A vector for each corner of a hinge."""
 
 
 @wp.func
@@ -27,9 +28,7 @@ def angle_beyond(e: wp.vec3, a: wp.vec3, b: wp.vec3, rest: wp.float32) -> wp.flo
 
 
 @wp.func
-def angle_gradient(
-    x0: wp.vec3, x1: wp.vec3, x2: wp.vec3, x3: wp.vec3, scale: wp.float32
-) -> tuple[wp.vec3, wp.vec3, wp.vec3, wp.vec3]:
+def angle_gradient(x0: wp.vec3, x1: wp.vec3, x2: wp.vec3, x3: wp.vec3, scale: wp.float32) -> Corners:
     """The angle's gradient at the hinge's four corners, times a scale."""
     edge = x1 - x0
     length = wp.max(wp.length(edge), 1.0e-9)
@@ -39,32 +38,27 @@ def angle_gradient(
     gb = nb * (scale / squared_length(nb))
     g0 = (ga * wp.dot(x2 - x1, edge) + gb * wp.dot(x3 - x1, edge)) / -length
     g1 = (ga * wp.dot(x2 - x0, edge) + gb * wp.dot(x3 - x0, edge)) / length
-    return g0, g1, ga * -length, gb * -length
+    return wp.matrix_from_rows(g0, g1, ga * -length, gb * -length)
 
 
 @wp.kernel
 def bend_kernel(
-    x: wp.array2d(dtype=wp.vec3),
-    rest_row: wp.array(dtype=wp.int32),
+    rest: Rest,
+    drapes: Drapes,
     hinges: wp.array2d(dtype=wp.int32),
-    rest_angle: wp.array2d(dtype=wp.float32),
-    stiffness: wp.array2d(dtype=wp.float32),
     stiffer: wp.array(dtype=wp.float32),
     energy: wp.array2d(dtype=wp.float32),
-    gradient: wp.array2d(dtype=wp.vec3),
 ):
     """One hinge of one sample."""
     s, t = wp.tid()
-    i0, i1, i2, i3 = hinges[t, 0], hinges[t, 1], hinges[t, 2], hinges[t, 3]
-    x0, x1, x2, x3 = x[s, i0], x[s, i1], x[s, i2], x[s, i3]
-    angle = angle_beyond(x1 - x0, x2 - x0, x3 - x0, rest_angle[rest_row[s], t])
-    k = stiffness[rest_row[s], t] * stiffer[s]
+    x0, x1 = drapes.x[s, hinges[t, 0]], drapes.x[s, hinges[t, 1]]
+    x2, x3 = drapes.x[s, hinges[t, 2]], drapes.x[s, hinges[t, 3]]
+    angle = angle_beyond(x1 - x0, x2 - x0, x3 - x0, rest.hinge_angle[rest.row[s], t])
+    k = rest.bend_stiffness[rest.row[s], t] * stiffer[s]
     energy[s, t] = k * angle * angle
-    g0, g1, g2, g3 = angle_gradient(x0, x1, x2, x3, 2.0 * k * angle)
-    wp.atomic_add(gradient, s, i2, g2)
-    wp.atomic_add(gradient, s, i3, g3)
-    wp.atomic_add(gradient, s, i0, g0)
-    wp.atomic_add(gradient, s, i1, g1)
+    gradient = angle_gradient(x0, x1, x2, x3, 2.0 * k * angle)
+    for corner in range(4):
+        wp.atomic_add(drapes.gradient, s, hinges[t, corner], gradient[corner])
 
 
 @wp.func
@@ -94,39 +88,27 @@ def angle_gradient_change(
 
 @wp.kernel
 def bend_hessian_kernel(
-    active: wp.array(dtype=wp.bool),
-    exact: wp.array(dtype=wp.bool),
-    x: wp.array2d(dtype=wp.vec3),
-    rest_row: wp.array(dtype=wp.int32),
+    rest: Rest,
+    drapes: Drapes,
     hinges: wp.array2d(dtype=wp.int32),
-    rest_angle: wp.array2d(dtype=wp.float32),
-    stiffness: wp.array2d(dtype=wp.float32),
     stiffer: wp.array(dtype=wp.float32),
-    slots: wp.array2d(dtype=wp.int32),
-    blocks: wp.array2d(dtype=wp.mat33),
+    blocks: Blocks,
 ):
     """2 k (grad theta grad theta^T), which is positive, and for exact blocks 2 k (theta - rest) hess theta."""
     s, t = wp.tid()
-    if not active[s]:
+    if not blocks.active[s]:
         return
-    x0, x1, x2, x3 = x[s, hinges[t, 0]], x[s, hinges[t, 1]], x[s, hinges[t, 2]], x[s, hinges[t, 3]]
-    g0, g1, g2, g3 = angle_gradient(x0, x1, x2, x3, 1.0)
-    k = 2.0 * stiffness[rest_row[s], t] * stiffer[s]
+    x0, x1 = drapes.x[s, hinges[t, 0]], drapes.x[s, hinges[t, 1]]
+    x2, x3 = drapes.x[s, hinges[t, 2]], drapes.x[s, hinges[t, 3]]
+    gradient = angle_gradient(x0, x1, x2, x3, 1.0)
+    k = 2.0 * rest.bend_stiffness[rest.row[s], t] * stiffer[s]
     for row in range(4):
-        gr = g0
-        if row == 1:
-            gr = g1
-        if row == 2:
-            gr = g2
-        if row == 3:
-            gr = g3
-        wp.atomic_add(blocks, s, slots[t, 4 * row], k * wp.outer(gr, g0))
-        wp.atomic_add(blocks, s, slots[t, 4 * row + 1], k * wp.outer(gr, g1))
-        wp.atomic_add(blocks, s, slots[t, 4 * row + 2], k * wp.outer(gr, g2))
-        wp.atomic_add(blocks, s, slots[t, 4 * row + 3], k * wp.outer(gr, g3))
-    if exact[s]:
+        for column in range(4):
+            block = k * wp.outer(gradient[row], gradient[column])
+            wp.atomic_add(blocks.all, s, blocks.slots[t, 4 * row + column], block)
+    if blocks.exact[s]:
         e, a, b = x1 - x0, x2 - x0, x3 - x0
-        k = k * angle_beyond(e, a, b, rest_angle[rest_row[s], t])
+        k = k * angle_beyond(e, a, b, rest.hinge_angle[rest.row[s], t])
         identity = wp.identity(n=3, dtype=wp.float32)
         zero = wp.vec3(0.0, 0.0, 0.0)
         for column in range(1, 4):
@@ -147,14 +129,14 @@ def bend_hessian_kernel(
                 h2 += wp.outer(dg2, move)
                 h3 += wp.outer(dg3, move)
             h0 = -h1 - h2 - h3
-            wp.atomic_add(blocks, s, slots[t, column], k * h0)
-            wp.atomic_add(blocks, s, slots[t, 4 + column], k * h1)
-            wp.atomic_add(blocks, s, slots[t, 8 + column], k * h2)
-            wp.atomic_add(blocks, s, slots[t, 12 + column], k * h3)
-            wp.atomic_add(blocks, s, slots[t, 0], -k * h0)
-            wp.atomic_add(blocks, s, slots[t, 4], -k * h1)
-            wp.atomic_add(blocks, s, slots[t, 8], -k * h2)
-            wp.atomic_add(blocks, s, slots[t, 12], -k * h3)
+            wp.atomic_add(blocks.all, s, blocks.slots[t, column], k * h0)
+            wp.atomic_add(blocks.all, s, blocks.slots[t, 4 + column], k * h1)
+            wp.atomic_add(blocks.all, s, blocks.slots[t, 8 + column], k * h2)
+            wp.atomic_add(blocks.all, s, blocks.slots[t, 12 + column], k * h3)
+            wp.atomic_add(blocks.all, s, blocks.slots[t, 0], -k * h0)
+            wp.atomic_add(blocks.all, s, blocks.slots[t, 4], -k * h1)
+            wp.atomic_add(blocks.all, s, blocks.slots[t, 8], -k * h2)
+            wp.atomic_add(blocks.all, s, blocks.slots[t, 12], -k * h3)
 
 
 class Bend(Energy):
@@ -166,15 +148,10 @@ class Bend(Energy):
     def __init__(self, cloth: Cloth) -> None:
         super().__init__(cloth, cloth.garment.hinges)
         self.stiffer = torch.ones(len(cloth.rest_row), device=cloth.device)
-        hinges = cloth.array(self.elements, wp.int32)
-        rest = wp.from_torch(cloth.rest.hinge_angle), wp.from_torch(cloth.rest.bend_stiffness)
-        self._hinges = (cloth.row, hinges, *rest, wp.from_torch(self.stiffer))
+        self._stiffer = wp.from_torch(self.stiffer)
 
     def evaluate(self, drapes: Drapes) -> None:
-        self._launch(bend_kernel, drapes.points, *self._hinges, self._energy, drapes.forces)
+        self._launch(bend_kernel, self._rest, drapes, self._elements, self._stiffer, self._energy)
 
     def add_second_derivative(self, drapes: Drapes, blocks: Blocks) -> None:
-        self._launch(
-            bend_hessian_kernel,
-            *(blocks.active, blocks.exact, drapes.points, *self._hinges, blocks.slots, blocks.all),
-        )
+        self._launch(bend_hessian_kernel, self._rest, drapes, self._elements, self._stiffer, blocks)

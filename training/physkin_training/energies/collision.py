@@ -4,8 +4,6 @@ Of each vertex in contact the kernel keeps the way out and both derivatives of i
 follows from them. The second derivative takes the closest surface for a plane, and is positive semidefinite.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -13,7 +11,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy
+from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest, view
 
 if TYPE_CHECKING:
     from physkin_training.physics.wearing import Wearing
@@ -32,11 +30,8 @@ LED_BACK_BEYOND = 0.001
 
 @wp.kernel
 def collision_kernel(
-    x: wp.array2d(dtype=wp.vec3),
-    body: wp.uint64,
-    body_offset: wp.array(dtype=wp.vec3),
-    rest_row: wp.array(dtype=wp.int32),
-    vertex_area: wp.array2d(dtype=wp.float32),
+    rest: Rest,
+    drapes: Drapes,
     stiffness: wp.array(dtype=wp.float32),
     contact_offset: wp.float32,
     linear_beyond: wp.float32,
@@ -46,9 +41,7 @@ def collision_kernel(
     other_limb: wp.array2d(dtype=wp.bool),
     own_face: wp.array(dtype=wp.int32),
     leads_back: wp.bool,
-    normals: wp.array2d(dtype=wp.vec3),
     energy: wp.array2d(dtype=wp.float32),
-    gradient: wp.array2d(dtype=wp.vec3),
     slope: wp.array2d(dtype=wp.float32),
     curvature: wp.array2d(dtype=wp.float32),
     way_out: wp.array2d(dtype=wp.vec3),
@@ -59,7 +52,8 @@ def collision_kernel(
     cloth only towards it, so that cloth which came out on the limb's far side is not held there; leads_back: a vertex
     lost inside the body is pushed before it."""
     s, v = wp.tid()
-    point = x[s, v] + body_offset[s]
+    body = drapes.body
+    point = drapes.x[s, v] + drapes.offset[s]
     hit = wp.mesh_query_point_sign_normal(body, point, reach)
     energy[s, v] = 0.0
     slope[s, v] = 0.0
@@ -84,7 +78,7 @@ def collision_kernel(
     outward = wp.mesh_eval_face_normal(body, hit.face)
     own = s * face_bone.shape[0] + own_face[v]
     own_centre = wp.mesh_eval_position(body, own, 1.0 / 3.0, 1.0 / 3.0)
-    if depth < DEEP or (mine and wp.dot(outward, normals[s, v]) >= 0.0):
+    if depth < DEEP or (mine and wp.dot(outward, drapes.normals[s, v]) >= 0.0):
         if other_limb[v, part] and wp.dot(outward, own_centre - closest) <= 0.0:
             return
         if gap > 1.0e-6:
@@ -97,14 +91,14 @@ def collision_kernel(
             return
     else:
         return
-    k = stiffness[0] * vertex_area[rest_row[s], v]
+    k = stiffness[0] * rest.vertex_area[rest.row[s], v]
     bounded = wp.min(depth, limit)
     energy[s, v] = k * bounded * (2.0 * depth - bounded)
     slope[s, v] = 2.0 * k * bounded
     if depth < limit:
         curvature[s, v] = 2.0 * k
     way_out[s, v] = outward
-    wp.atomic_add(gradient, s, v, outward * (-2.0 * k * bounded))
+    wp.atomic_add(drapes.gradient, s, v, outward * (-2.0 * k * bounded))
 
 
 class Collision(Energy):
@@ -118,7 +112,7 @@ class Collision(Energy):
     name = "collision"
 
     def __init__(
-        self, cloth: Cloth, wearing: Wearing | None, *, reach: float, linear_beyond: float, leads_back: bool
+        self, cloth: Cloth, wearing: "Wearing | None", *, reach: float, linear_beyond: float, leads_back: bool
     ) -> None:
         n = len(cloth.garment.vertices)
         super().__init__(cloth, np.arange(n)[:, None])
@@ -126,27 +120,22 @@ class Collision(Energy):
         self.stiffness = torch.full((1,), cloth.material.contact_stiffness, device=cloth.device)
         everywhere = np.ones((n, 1), dtype=bool)
         self._wearing = (
-            cloth.array(np.zeros(1) if wearing is None else wearing.face_bone, wp.int32),
+            cloth.array(np.zeros(1) if wearing is None else wearing.face_bone),
             cloth.array(everywhere if wearing is None else wearing.worn, wp.bool),
             cloth.array(~everywhere if wearing is None else wearing.other_limb, wp.bool),
-            cloth.array(np.zeros(n) if wearing is None else wearing.own_face, wp.int32),
+            cloth.array(np.zeros(n) if wearing is None else wearing.own_face),
             leads_back and wearing is not None,
         )
-        self._strength = cloth.row, wp.from_torch(cloth.rest.vertex_area), wp.from_torch(self.stiffness)
+        self._stiffness = wp.from_torch(self.stiffness)
         self.signed_distance, self.at_worn_part = cloth.zeros(n), cloth.zeros(n, dtype=torch.bool)
-        self._by_depth = cloth.zeros(n), cloth.zeros(n), cloth.zeros(n, 3)  # slope, curvature, way out
-        slope, curvature, way_out = self._by_depth
-        self._derivatives = wp.from_torch(slope), wp.from_torch(curvature), wp.from_torch(way_out, dtype=wp.vec3)
+        self._by_depth = slope, curvature, way_out = cloth.zeros(n), cloth.zeros(n), cloth.zeros(n, 3)
+        self._derivatives = wp.from_torch(slope), wp.from_torch(curvature), view(way_out)
         self._where = wp.from_torch(self.signed_distance), wp.from_torch(self.at_worn_part)
 
     def evaluate(self, drapes: Drapes) -> None:
-        self._launch(
-            collision_kernel,
-            *(drapes.points, drapes.body.id, drapes.offset, *self._strength),
-            *(self.cloth.material.contact_offset, self.linear_beyond, self.reach, *self._wearing),
-            *(wp.from_torch(drapes.normals, dtype=wp.vec3), self._energy, drapes.forces),
-            *(*self._derivatives, *self._where),
-        )
+        limits = self.cloth.material.contact_offset, self.linear_beyond, self.reach
+        given = self._rest, drapes, self._stiffness, *limits, *self._wearing
+        self._launch(collision_kernel, *given, self._energy, *self._derivatives, *self._where)
 
     def add_second_derivative(self, drapes: Drapes, blocks: Blocks) -> None:
         self._add_vertex_blocks(blocks, None, *self._derivatives[1:])

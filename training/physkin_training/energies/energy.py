@@ -4,13 +4,11 @@ An energy is a sum over elements: faces, hinges or single vertices. One pass wri
 adds dE/dx [N] to a shared gradient. For Newton's method it also gives its second derivative [N/m], a 3 x 3 block for
 every pair of an element's vertices: the exact one, or one made positive semidefinite element by element.
 
-Dimensions: `B` samples, `n` garment vertices, `e` elements of `c` vertices, `z` blocks. Metres, root frame.
+Dimensions: `B` samples, `n` garment vertices, `f` faces, `q` hinges, `e` elements of `c` vertices, `z` blocks, `R` rest
+shapes. Metres, root frame.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -23,9 +21,47 @@ from physkin_core.model.garment_model import Material
 if TYPE_CHECKING:
     from physkin_training.physics.rest_data import RestData
 
-__all__ = ["Blocks", "Cloth", "Drapes", "Energy"]
+__all__ = ["Blocks", "Cloth", "Drapes", "Energy", "Rest", "view"]
 
 wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Rest:
+    """Tables of `RestData`, and which rest shape each sample has, row (B,)."""
+
+    row: wp.array(dtype=wp.int32)
+    inverse: wp.array2d(dtype=wp.mat22)
+    face_area: wp.array2d(dtype=wp.float32)
+    vertex_area: wp.array2d(dtype=wp.float32)
+    hinge_angle: wp.array2d(dtype=wp.float32)
+    bend_stiffness: wp.array2d(dtype=wp.float32)
+    weight: wp.array2d(dtype=wp.float32)
+
+
+@wp.struct
+class Drapes:
+    """Where the cloth is: vertices x (B, n) under gravity (B,), against one mesh of all samples' posed bodies, sample s
+    displaced by offset[s] (B,). Energies add to gradient (B, n), and stretch to the sums of face normals (B, n)."""
+
+    x: wp.array2d(dtype=wp.vec3)
+    gravity: wp.array(dtype=wp.vec3)
+    body: wp.uint64
+    body_points: wp.array(dtype=wp.vec3)
+    offset: wp.array(dtype=wp.vec3)
+    gradient: wp.array2d(dtype=wp.vec3)
+    normals: wp.array2d(dtype=wp.vec3)
+
+
+@wp.struct
+class Blocks:
+    """Where an energy adds its second derivative: all (B, z), and slots (e, c * c) of each element's own, row by row.
+    active: (B,), samples to work on. exact: (B,), else blocks are positive semidefinite."""
+
+    all: wp.array2d(dtype=wp.mat33)
+    slots: wp.array2d(dtype=wp.int32)
+    active: wp.array(dtype=wp.bool)
+    exact: wp.array(dtype=wp.bool)
 
 
 @dataclass(frozen=True)
@@ -34,18 +70,22 @@ class Cloth:
 
     garment: Garment
     material: Material
-    rest: RestData
+    rest: "RestData"
     rest_row: torch.Tensor
+
+    @property
+    def tables(self) -> Rest:
+        """The rest shapes, for kernels."""
+        tables, rest = Rest(), self.rest
+        tables.row, tables.inverse = wp.from_torch(self.rest_row), view(rest.rest_inverse, wp.mat22)
+        for name in ("face_area", "vertex_area", "hinge_angle", "bend_stiffness", "weight"):
+            setattr(tables, name, wp.from_torch(getattr(rest, name)))
+        return tables
 
     @property
     def device(self) -> torch.device:
         """Where the samples are."""
         return self.rest_row.device
-
-    @cached_property
-    def row(self) -> wp.array:
-        """`rest_row`, for kernels."""
-        return wp.from_torch(self.rest_row)
 
     @property
     def lame(self) -> tuple[float, float]:
@@ -57,48 +97,10 @@ class Cloth:
         """(B, *shape)."""
         return torch.zeros(len(self.rest_row), *shape, dtype=dtype, device=self.device)
 
-    def array(self, values: np.ndarray, dtype: type) -> wp.array:
+    def array(self, values: np.ndarray, dtype: type = wp.int32) -> wp.array:
         """The same for all samples, for kernels: of dtype wp.int32, wp.float32 or wp.bool."""
         values = np.ascontiguousarray(values, dtype=wp.dtype_to_numpy(dtype))
         return wp.array(values, dtype=dtype, device=wp.device_from_torch(self.device))
-
-
-@dataclass(frozen=True)
-class Drapes:
-    """Where the cloth is: vertices x (B, n, 3) under gravity (B, 3) against one mesh of all samples' posed bodies,
-    sample s displaced by body_offset[s] (B, 3). Energies add to gradient (B, n, 3) [N], and stretch the sums of face
-    normals to normals (B, n, 3). All are contiguous."""
-
-    x: torch.Tensor
-    gravity: torch.Tensor
-    body: wp.Mesh
-    body_offset: torch.Tensor
-    gradient: torch.Tensor
-    normals: torch.Tensor
-
-    @cached_property
-    def points(self) -> wp.array:
-        """`x`, for kernels, as `forces` is the gradient."""
-        return wp.from_torch(self.x, dtype=wp.vec3)
-
-    @cached_property
-    def forces(self) -> wp.array:
-        return wp.from_torch(self.gradient, dtype=wp.vec3)
-
-    @cached_property
-    def offset(self) -> wp.array:
-        return wp.from_torch(self.body_offset, dtype=wp.vec3)
-
-
-@dataclass(frozen=True)
-class Blocks:
-    """Where an energy adds its second derivative: all (B, z) mat33, and slots (e, c * c) int32 of each element's own,
-    row by row. active: (B,) bool, samples to work on. exact: (B,) bool, else blocks are positive semidefinite."""
-
-    all: wp.array
-    slots: wp.array
-    active: wp.array
-    exact: wp.array
 
 
 class Energy:
@@ -110,7 +112,7 @@ class Energy:
     def __init__(self, cloth: Cloth, elements: np.ndarray) -> None:
         self.cloth, self.elements = cloth, elements
         self.values = cloth.zeros(len(elements))
-        self._energy = wp.from_torch(self.values)
+        self._rest, self._elements, self._energy = cloth.tables, cloth.array(elements), wp.from_torch(self.values)
 
     def evaluate(self, drapes: Drapes) -> None:
         """Write `values`, and add to the gradient."""
@@ -123,27 +125,28 @@ class Energy:
         """Of every element of every sample."""
         wp.launch(kernel, dim=self.values.shape, inputs=arguments, device=wp.device_from_torch(self.cloth.device))
 
-    def _add_vertex_blocks(
-        self, blocks: Blocks, across: wp.array | None, along: wp.array | None = None, direction: wp.array | None = None
-    ) -> None:
-        """Of single vertices: `across` (B, e) [N/m] in all directions, and `along` (B, e) more in `direction`."""
-        self._launch(add_vertex_blocks_kernel, blocks.active, blocks.slots, across, along, direction, blocks.all)
+    def _add_vertex_blocks(self, blocks: Blocks, *stiffness: wp.array | None) -> None:
+        """Of single vertices: (B, e) [N/m] in all directions, and (B, e) more in directions (B, e), if given."""
+        self._launch(add_vertex_blocks_kernel, *stiffness, *[None] * (3 - len(stiffness)), blocks)
 
 
 @wp.kernel
 def add_vertex_blocks_kernel(
-    active: wp.array(dtype=wp.bool),
-    slots: wp.array2d(dtype=wp.int32),
     across: wp.array2d(dtype=wp.float32),
     along: wp.array2d(dtype=wp.float32),
     direction: wp.array2d(dtype=wp.vec3),
-    blocks: wp.array2d(dtype=wp.mat33),
+    blocks: Blocks,
 ):
     """Arrays that are left out have no rows."""
     s, k = wp.tid()
-    if not active[s]:
+    if not blocks.active[s]:
         return
     if across.shape[0] > 0:
-        wp.atomic_add(blocks, s, slots[k, 0], across[s, k] * wp.identity(n=3, dtype=wp.float32))
+        wp.atomic_add(blocks.all, s, blocks.slots[k, 0], across[s, k] * wp.identity(n=3, dtype=wp.float32))
     if along.shape[0] > 0:
-        wp.atomic_add(blocks, s, slots[k, 0], along[s, k] * wp.outer(direction[s, k], direction[s, k]))
+        wp.atomic_add(blocks.all, s, blocks.slots[k, 0], along[s, k] * wp.outer(direction[s, k], direction[s, k]))
+
+
+def view(tensor: torch.Tensor, dtype: type = wp.vec3) -> wp.array:
+    """A tensor of vectors or matrices, for kernels."""
+    return wp.from_torch(tensor, dtype=dtype)

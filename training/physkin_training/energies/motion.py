@@ -7,9 +7,8 @@ m c / (2 h) |x - x_before|^2, and the membrane's energy of the change of strain,
 Dimensions: `B` samples, `n` garment vertices. Metres, root frame, seconds.
 """
 
-from __future__ import annotations
-
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -17,10 +16,10 @@ import torch
 import warp as wp
 
 from physkin_core.runtime.draper import STANDARD_GRAVITY
-from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy
+from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, view
 from physkin_training.energies.stretch import Stretch
 
-__all__ = ["Drag", "Dynamics", "Inertia", "StrainRate", "TimeStep"]
+__all__ = ["Dynamics", "TimeStep", "energies_of_motion"]
 
 
 @dataclass(frozen=True)
@@ -57,48 +56,20 @@ class TimeStep:
         return self.cloth.rest.weight[self.cloth.rest_row.long()] / STANDARD_GRAVITY
 
 
-class _Pull(Energy):
-    """k / 2 |x - place|^2 of every vertex."""
+class Pull(Energy):
+    """k / 2 |x - place|^2 of every vertex, with k (B, n) [N/m]."""
 
-    def __init__(self, cloth: Cloth, step: TimeStep, place: torch.Tensor) -> None:
+    def __init__(self, name: str, cloth: Cloth, place: torch.Tensor, stiffness: Callable[[], torch.Tensor]) -> None:
         super().__init__(cloth, np.arange(len(cloth.garment.vertices))[:, None])
-        self.step, self._place = step, place
-
-    def stiffness(self) -> torch.Tensor:
-        """k (B, n) [N/m]."""
-        raise NotImplementedError
+        self.name, self._place, self._stiffness = name, place, stiffness
 
     def evaluate(self, drapes: Drapes) -> None:
-        stiffness, away = self.stiffness(), drapes.x - self._place
+        stiffness, away = self._stiffness(), wp.to_torch(drapes.x) - self._place
         self.values.copy_(0.5 * stiffness * (away * away).sum(dim=2))
-        drapes.gradient.add_(stiffness[:, :, None] * away)
+        wp.to_torch(drapes.gradient).add_(stiffness[:, :, None] * away)
 
     def add_second_derivative(self, drapes: Drapes, blocks: Blocks) -> None:
-        self._add_vertex_blocks(blocks, wp.from_torch(self.stiffness()))
-
-
-class Inertia(_Pull):
-    """Towards where the cloth would be without forces."""
-
-    name = "inertia"
-
-    def __init__(self, cloth: Cloth, step: TimeStep) -> None:
-        super().__init__(cloth, step, step.forecast)
-
-    def stiffness(self) -> torch.Tensor:
-        return self.step.mass / self.step.seconds**2
-
-
-class Drag(_Pull):
-    """Towards where the cloth was."""
-
-    name = "drag"
-
-    def __init__(self, cloth: Cloth, step: TimeStep) -> None:
-        super().__init__(cloth, step, step.before)
-
-    def stiffness(self) -> torch.Tensor:
-        return self.step.mass * (self.step.dynamics.air_drag / self.step.seconds)
+        self._add_vertex_blocks(blocks, wp.from_torch(self._stiffness()))
 
 
 class StrainRate(Stretch):
@@ -107,7 +78,7 @@ class StrainRate(Stretch):
     name = "strain_rate"
 
     def __init__(self, cloth: Cloth, step: TimeStep) -> None:
-        super().__init__(cloth, unstressed=wp.from_torch(step.before, dtype=wp.vec3))
+        super().__init__(cloth, unstressed=view(step.before))
         self._step = step
 
     @property
@@ -116,3 +87,12 @@ class StrainRate(Stretch):
         mu, lam = self.cloth.lame
         factor = self._step.dynamics.relaxation / self._step.seconds
         return mu * factor, lam * factor
+
+
+def energies_of_motion(cloth: Cloth, step: TimeStep) -> list[Energy]:
+    """Strain rate, inertia and drag, which follow the step as it changes."""
+    return [
+        StrainRate(cloth, step),
+        Pull("inertia", cloth, step.forecast, lambda: step.mass / step.seconds**2),
+        Pull("drag", cloth, step.before, lambda: step.mass * (step.dynamics.air_drag / step.seconds)),
+    ]

@@ -3,11 +3,9 @@
 With E = (F^T F - I) / 2 a face's Green strain, its energy is A (mu E : E + lambda / 2 tr(E)^2).
 """
 
-from __future__ import annotations
-
 import warp as wp
 
-from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy
+from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest
 
 __all__ = ["Stretch"]
 
@@ -57,24 +55,20 @@ def membrane_stress(e: wp.vec3, mu: wp.float32, lam: wp.float32) -> wp.vec3:
 
 @wp.kernel
 def membrane_kernel(
-    x: wp.array2d(dtype=wp.vec3),
-    unstressed: wp.array2d(dtype=wp.vec3),
-    rest_row: wp.array(dtype=wp.int32),
+    rest: Rest,
+    drapes: Drapes,
     faces: wp.array2d(dtype=wp.int32),
-    rest_inverse: wp.array2d(dtype=wp.mat22),
-    rest_area: wp.array2d(dtype=wp.float32),
+    unstressed: wp.array2d(dtype=wp.vec3),
     mu: wp.float32,
     lam: wp.float32,
     energy: wp.array2d(dtype=wp.float32),
-    gradient: wp.array2d(dtype=wp.vec3),
-    normals: wp.array2d(dtype=wp.vec3),
 ):
-    """One face of one sample: its force is A F S. Its normal is added to its corners' if those are asked for."""
+    """One face of one sample: its force is A F S. Against the rest shape, it also adds its normal to its corners'."""
     s, t = wp.tid()
     corners = wp.vec3i(faces[t, 0], faces[t, 1], faces[t, 2])
-    inverse = rest_inverse[rest_row[s], t]
-    area = rest_area[rest_row[s], t]
-    f1, f2 = deformation_columns(x, s, corners, inverse)
+    inverse = rest.inverse[rest.row[s], t]
+    area = rest.face_area[rest.row[s], t]
+    f1, f2 = deformation_columns(drapes.x, s, corners, inverse)
     e = strain_of(f1, f2, unstressed, s, corners, inverse)
     trace = e[0] + e[1]
     energy[s, t] = area * (mu * (e[0] * e[0] + e[1] * e[1] + 2.0 * e[2] * e[2]) + 0.5 * lam * trace * trace)
@@ -83,14 +77,14 @@ def membrane_kernel(
     p2 = (f1 * stress[2] + f2 * stress[1]) * area
     g1 = p1 * inverse[0, 0] + p2 * inverse[0, 1]
     g2 = p1 * inverse[1, 0] + p2 * inverse[1, 1]
-    wp.atomic_add(gradient, s, corners[1], g1)
-    wp.atomic_add(gradient, s, corners[2], g2)
-    wp.atomic_add(gradient, s, corners[0], -g1 - g2)
-    if normals.shape[0] > 0:
-        x0 = x[s, corners[0]]
-        normal = wp.cross(x[s, corners[1]] - x0, x[s, corners[2]] - x0)
+    wp.atomic_add(drapes.gradient, s, corners[1], g1)
+    wp.atomic_add(drapes.gradient, s, corners[2], g2)
+    wp.atomic_add(drapes.gradient, s, corners[0], -g1 - g2)
+    if unstressed.shape[0] == 0:
+        x0 = drapes.x[s, corners[0]]
+        normal = wp.cross(drapes.x[s, corners[1]] - x0, drapes.x[s, corners[2]] - x0)
         for corner in range(3):
-            wp.atomic_add(normals, s, corners[corner], normal)
+            wp.atomic_add(drapes.normals, s, corners[corner], normal)
 
 
 @wp.func
@@ -119,31 +113,26 @@ def corner_gradient(inverse: wp.mat22, corner: wp.int32) -> wp.vec2:
 
 @wp.kernel
 def membrane_hessian_kernel(
-    active: wp.array(dtype=wp.bool),
-    exact: wp.array(dtype=wp.bool),
-    x: wp.array2d(dtype=wp.vec3),
-    unstressed: wp.array2d(dtype=wp.vec3),
-    rest_row: wp.array(dtype=wp.int32),
+    rest: Rest,
+    drapes: Drapes,
     faces: wp.array2d(dtype=wp.int32),
-    rest_inverse: wp.array2d(dtype=wp.mat22),
-    rest_area: wp.array2d(dtype=wp.float32),
+    unstressed: wp.array2d(dtype=wp.vec3),
     mu: wp.float32,
     lam: wp.float32,
-    slots: wp.array2d(dtype=wp.int32),
-    blocks: wp.array2d(dtype=wp.mat33),
+    blocks: Blocks,
 ):
     """With F_i the columns of F, g_a a corner's gradient and u_a = F g_a, the block of corners a, b is
     A ((g_a . S g_b) I + lam u_a u_b^T + mu (u_b u_a^T + (g_a . g_b) F F^T)); its first term alone can be negative, and
     is made positive by leaving compression out of the stress S."""
     s, t = wp.tid()
-    if not active[s]:
+    if not blocks.active[s]:
         return
     corners = wp.vec3i(faces[t, 0], faces[t, 1], faces[t, 2])
-    inverse = rest_inverse[rest_row[s], t]
-    area = rest_area[rest_row[s], t]
-    f1, f2 = deformation_columns(x, s, corners, inverse)
+    inverse = rest.inverse[rest.row[s], t]
+    area = rest.face_area[rest.row[s], t]
+    f1, f2 = deformation_columns(drapes.x, s, corners, inverse)
     stress = membrane_stress(strain_of(f1, f2, unstressed, s, corners, inverse), mu, lam)
-    if not exact[s]:
+    if not blocks.exact[s]:
         stress = positive_part(stress)
     left = wp.outer(f1, f1) + wp.outer(f2, f2)
     identity = wp.identity(n=3, dtype=wp.float32)
@@ -156,7 +145,7 @@ def membrane_hessian_kernel(
             along = ga[0] * gb[0] * stress[0] + ga[1] * gb[1] * stress[1]
             along += (ga[0] * gb[1] + ga[1] * gb[0]) * stress[2]
             block = along * identity + lam * wp.outer(ua, ub) + mu * (wp.outer(ub, ua) + wp.dot(ga, gb) * left)
-            wp.atomic_add(blocks, s, slots[t, 3 * a + b], area * block)
+            wp.atomic_add(blocks.all, s, blocks.slots[t, 3 * a + b], area * block)
 
 
 class Stretch(Energy):
@@ -168,9 +157,6 @@ class Stretch(Energy):
     def __init__(self, cloth: Cloth, *, unstressed: wp.array | None = None) -> None:
         super().__init__(cloth, cloth.garment.faces)
         self._unstressed = unstressed
-        rest_inverse = wp.from_torch(cloth.rest.rest_inverse, dtype=wp.mat22)
-        faces = cloth.array(self.elements, wp.int32)
-        self._membrane = (cloth.row, faces, rest_inverse, wp.from_torch(cloth.rest.face_area))
 
     @property
     def lame(self) -> tuple[float, float]:
@@ -178,16 +164,9 @@ class Stretch(Energy):
         return self.cloth.lame
 
     def evaluate(self, drapes: Drapes) -> None:
-        normals = wp.from_torch(drapes.normals, dtype=wp.vec3) if self._unstressed is None else None
-        self._launch(
-            membrane_kernel,
-            *(drapes.points, self._unstressed, *self._membrane, *self.lame),
-            *(self._energy, drapes.forces, normals),
-        )
+        given = self._rest, drapes, self._elements, self._unstressed, *self.lame
+        self._launch(membrane_kernel, *given, self._energy)
 
     def add_second_derivative(self, drapes: Drapes, blocks: Blocks) -> None:
-        self._launch(
-            membrane_hessian_kernel,
-            *(blocks.active, blocks.exact, drapes.points, self._unstressed, *self._membrane, *self.lame),
-            *(blocks.slots, blocks.all),
-        )
+        given = self._rest, drapes, self._elements, self._unstressed, *self.lame
+        self._launch(membrane_hessian_kernel, *given, blocks)

@@ -31,7 +31,8 @@ from physkin_core.rig.rig import Rig
 from physkin_core.runtime.draper import UPRIGHT_GRAVITY, Draper
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.evaluate.plain_model import plain_model
-from physkin_training.physics.full_space_solver import FullSpaceSolver, Progress, Solution
+from physkin_training.physics.full_space_solver import FullSpaceSolver, Progress
+from physkin_training.physics.newton_solver import Solution
 from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.staged_drape import drape_in_stages
 from physkin_training.physics.wearing import Wearing

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from physkin_training.energies.energy import Blocks
+from physkin_training.energies.energy import Blocks, view
 from physkin_training.physics.physics_losses import PhysicsLosses
 
 __all__ = ["EnergyHessian"]
@@ -80,12 +80,12 @@ class EnergyHessian:
         n = len(cloth.garment.vertices)
         pattern, slots = _pattern([np.arange(n)[:, None], *(energy.elements for energy in losses.energies)], n)
         self.device = wp.device_from_torch(cloth.device)
-        self._columns = cloth.array(pattern % n, wp.int32)
-        self._row_start = cloth.array(np.searchsorted(pattern, np.arange(n + 1) * n), wp.int32)
-        self._diagonal, *self._slots = (cloth.array(each, wp.int32) for each in (slots[0][:, 0], *slots[1:]))
+        self._columns = cloth.array(pattern % n)
+        self._row_start = cloth.array(np.searchsorted(pattern, np.arange(n + 1) * n))
+        self._diagonal, *self._slots = (cloth.array(each) for each in (slots[0][:, 0], *slots[1:]))
         self._vertex_area = cloth.array(cloth.garment.vertex_areas, wp.float32)
         self._blocks, self._inverse = cloth.zeros(len(pattern), 3, 3), cloth.zeros(n, 3, 3)
-        self._all = wp.from_torch(self._blocks, dtype=wp.mat33)
+        self._all = view(self._blocks, wp.mat33)
         self.active = cloth.zeros(dtype=torch.bool).logical_not()
         self._active = wp.from_torch(self.active)
 
@@ -95,9 +95,11 @@ class EnergyHessian:
         exact: (B,) bool, else every element's block is made positive semidefinite.
         """
         self._blocks[self.active] = 0.0
-        exact = wp.from_torch(exact)
+        blocks = Blocks()
+        blocks.all, blocks.active, blocks.exact = self._all, self._active, wp.from_torch(exact)
         for energy, slots in zip(self.losses.energies, self._slots, strict=True):
-            energy.add_second_derivative(self.losses.drapes, Blocks(self._all, slots, self._active, exact))
+            blocks.slots = slots
+            energy.add_second_derivative(self.losses.drapes, blocks)
 
     def add_to_diagonal(self, blocks: torch.Tensor | None = None, damping: torch.Tensor | None = None) -> None:
         """Add a block for every vertex (B, n, 3, 3), and its area times the damping (B,) [N/m3].
@@ -109,11 +111,11 @@ class EnergyHessian:
             dim=self._inverse.shape[:2],
             inputs=[
                 self._active,
-                None if blocks is None else wp.from_torch(blocks, dtype=wp.mat33),
+                None if blocks is None else view(blocks, wp.mat33),
                 None if damping is None else wp.from_torch(damping),
                 *(self._vertex_area, self._diagonal),
             ],
-            outputs=[self._all, wp.from_torch(self._inverse, dtype=wp.mat33)],
+            outputs=[self._all, view(self._inverse, wp.mat33)],
             device=self.device,
         )
 
@@ -122,8 +124,8 @@ class EnergyHessian:
         wp.launch(
             multiply_kernel,
             dim=x.shape[:2],
-            inputs=[self._active, self._row_start, self._columns, self._all, wp.from_torch(x, dtype=wp.vec3)],
-            outputs=[wp.from_torch(product, dtype=wp.vec3)],
+            inputs=[self._active, self._row_start, self._columns, self._all, view(x)],
+            outputs=[view(product)],
             device=self.device,
         )
 

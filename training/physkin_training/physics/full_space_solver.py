@@ -17,11 +17,11 @@ import warp as wp
 
 from physkin_core.runtime.draper import STANDARD_GRAVITY
 from physkin_training.physics.energy_hessian import EnergyHessian
-from physkin_training.physics.newton_solver import LARGEST_STEP, NewtonSolver, Point, inner, norm
+from physkin_training.physics.newton_solver import LARGEST_STEP, NewtonSolver, Point, Solution, inner, norm
 from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.vertex_secants import Trial, VertexSecants
 
-__all__ = ["FullSpaceSolver", "Progress", "Solution"]
+__all__ = ["FullSpaceSolver", "Progress"]
 
 SUFFICIENT = 1e-4
 """Share of the decrease expected along a step that it must bring."""
@@ -43,28 +43,6 @@ FIRST_DAMPING = 100.0
 """[N/m3], against a cloth of 0.2 kg/m2: its own weight would then move it by 2 cm."""
 COOLING, HEATING = 0.5, 4.0
 """Change of the damping after a full step, and after one that had to be shortened much."""
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Where the solver ended.
-
-    vertices: (B, n, 3) [m]. converged: (B,) bool, whether gradient_norm (B,) [N] is at most the tolerance times
-    force_scale [N]; the norm is over all vertices, see `VertexSecants.least_gradient` for those in creases of the body.
-    energies: (B,) float64 [J] by term. iterations: (B,) Newton steps.
-    """
-
-    vertices: torch.Tensor
-    converged: torch.Tensor
-    gradient_norm: torch.Tensor
-    force_scale: float
-    energies: dict[str, torch.Tensor]
-    iterations: torch.Tensor
-
-    @property
-    def energy(self) -> torch.Tensor:
-        """Sum of the terms (B,) float64 [J]."""
-        return sum(self.energies.values())
 
 
 @dataclass(frozen=True)
@@ -127,8 +105,9 @@ class FullSpaceSolver(NewtonSolver):
         self._lowest, self._lowest_then = (torch.full_like(self._damping, torch.inf) for _ in range(2))
         here, taken = self.descend(here, iterations)
         norms = self._norm(here)
-        converged = norms <= tolerance * self.force_scale
-        return Solution(here.vertices, converged, norms, self.force_scale, here.terms, taken)
+        return Solution(
+            here.vertices, norms <= tolerance * self.force_scale, norms, here.terms, taken, self.force_scale
+        )
 
     def under_way(self, here: Point, iteration: int) -> torch.Tensor:
         self._iteration, norms = iteration, self._norm(here)

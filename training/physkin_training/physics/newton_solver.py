@@ -17,7 +17,7 @@ import warp as wp
 
 from physkin_training.physics.energy_hessian import EnergyHessian
 
-__all__ = ["LARGEST_STEP", "NewtonSolver", "Point", "inner", "norm", "of_samples"]
+__all__ = ["LARGEST_STEP", "NewtonSolver", "Point", "Solution", "inner", "norm", "of_samples"]
 
 LARGEST_STEP = 0.02
 """No vertex moves farther [m] in one iteration: contact is looked for anew before cloth can pass through a limb."""
@@ -54,6 +54,28 @@ class Point:
         terms = {name: pick(values, other.terms[name]) for name, values in self.terms.items()}
         mine, others = ((p.variables, p.vertices, p.gradient) for p in (self, other))
         return Point(*map(pick, mine, others), terms)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where a solver ended.
+
+    vertices: (B, n, 3) [m]. converged: (B,) bool, whether gradient_norm (B,) [N] is at most what was asked for; the norm
+    is over all vertices, see `VertexSecants.least_gradient` for those in creases of the body. energies: (B,) float64 [J]
+    by term. iterations: (B,) Newton steps. force_scale [N]: what tolerances are relative to.
+    """
+
+    vertices: torch.Tensor
+    converged: torch.Tensor
+    gradient_norm: torch.Tensor
+    energies: dict[str, torch.Tensor]
+    iterations: torch.Tensor
+    force_scale: float = 1.0
+
+    @property
+    def energy(self) -> torch.Tensor:
+        """Sum of the terms (B,) float64 [J]."""
+        return sum(self.energies.values())
 
 
 class NewtonSolver:

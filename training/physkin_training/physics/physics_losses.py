@@ -19,7 +19,7 @@ from physkin_core.model.garment_model import Material
 from physkin_training.energies.band import Band
 from physkin_training.energies.bend import Bend
 from physkin_training.energies.collision import Collision
-from physkin_training.energies.energy import Cloth, Drapes, Energy
+from physkin_training.energies.energy import Cloth, Drapes, Energy, view
 from physkin_training.energies.gravity import Gravity
 from physkin_training.energies.stretch import Stretch
 from physkin_training.physics.rest_data import RestData
@@ -113,9 +113,12 @@ class PhysicsLosses:
         x = x.detach().contiguous()
         gradient = torch.zeros_like(x)
         self._normals.zero_()
-        self.drapes = Drapes(x, gravity.contiguous(), body, body_offset.contiguous(), gradient, self._normals)
+        self.drapes = drapes = Drapes()
+        drapes.x, drapes.gradient, drapes.normals = view(x), view(gradient), view(self._normals)
+        drapes.gravity, drapes.offset = view(gravity.contiguous()), view(body_offset.contiguous())
+        drapes.body, drapes.body_points = body.id, body.points
         for energy in self.energies:
-            energy.evaluate(self.drapes)
+            energy.evaluate(drapes)
         return {energy.name: energy.values.sum(dim=1) for energy in self.energies}, gradient
 
     @property
