@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from physkin_core.runtime.draper import Draper
 from torch import nn
 from training.small_runs import waist_band_model
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.model_file import load_garment_model, save_garment_model
+from physkin_core.outfit.draper import Draper
 from physkin_training.dynamics.dressed_samples import DressedSamples
 from physkin_training.sway import body_codes, learning, walker_simulation
 from physkin_training.sway.body_codes import BodyCodes
