@@ -19,7 +19,8 @@ from safetensors.torch import load_file, save_file
 from physkin_core.avatar.body_model import BodyModel
 from physkin_training.config import TrainingConfig
 from physkin_training.networks.draping import Drape
-from physkin_training.physics.full_space_solver import FullSpaceSolver, Solution
+from physkin_training.physics.full_space_solver import FullSpaceSolver
+from physkin_training.physics.newton_solver import Solution
 from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.staged_drape import drape_in_stages
 from physkin_training.physics.wearing import Wearing
@@ -106,7 +107,7 @@ class _StagedSimulation:
         self._posed = PosedBodies(body_model, trainer.bodies, samples)
         wearing = Wearing.of(garment, body_model)
         losses = PhysicsLosses(garment, trainer.config.material, samples, device, wearing=wearing, reach=REACH)
-        self.solver = FullSpaceSolver(garment, losses, samples, device)
+        self.solver = FullSpaceSolver(losses)
 
     @torch.no_grad()
     def run(

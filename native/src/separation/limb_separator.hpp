@@ -1,5 +1,5 @@
 // Arms and legs moved out of the trunk and of each other by a few damped Gauss-Newton steps on their joint positions.
-// tests/reference/limb_separator.py is the readable twin, and says what is minimised.
+// tests/reference/limb_separator.py says what is minimised.
 #pragma once
 
 #include <cstdint>

@@ -37,7 +37,7 @@ def solve(garment, material, start, body, *, held=None, **options):
     start = torch.as_tensor(np.asarray(start), dtype=torch.float32)
     samples = len(start)
     losses = PhysicsLosses(garment, material, samples, CPU)
-    solver = FullSpaceSolver(garment, losses, samples, CPU, held=held)
+    solver = FullSpaceSolver(losses, held=held)
     down = torch.tensor([[0.0, 0, -1]] * samples)
     return solver.minimise(start, down, body, torch.zeros(samples, 3), **options)
 
@@ -148,7 +148,7 @@ def test_a_clothed_body_several_samples_at_once():
         losses = PhysicsLosses(garment, material, len(chosen), CPU)
         start = torch.as_tensor(garment.vertices, dtype=torch.float32).repeat(len(chosen), 1, 1)
         down = torch.tensor([[0.0, 0, -1]] * len(chosen))
-        solver = FullSpaceSolver(garment, losses, len(chosen), CPU, held=top)
+        solver = FullSpaceSolver(losses, held=top)
         return solver.minimise(start, down, posed.mesh, posed.offset, tolerance=tolerance, **options)
 
     seen = []

@@ -12,7 +12,8 @@ import warp as wp
 
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material
-from physkin_training.physics.energy_kernels import BAND_SLACK, BAND_STIFFNESS, LED_BACK_BEYOND
+from physkin_training.energies.band import BAND_SLACK, BAND_STIFFNESS
+from physkin_training.energies.collision import LED_BACK_BEYOND
 from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
@@ -74,7 +75,7 @@ def test_cloth_of_a_sample_may_bend_more_stiffly(scene):
     before = {name: energy.clone() for name, energy in before.items()}
     stiffer = PhysicsLosses(garment, replace(MATERIAL, bending=4 * MATERIAL.bending), SAMPLES, torch.device("cpu"))
     expected, expected_gradient = stiffer.evaluate(leaf, down, mesh, places)
-    losses.stiffer.copy_(torch.tensor([1.0, 4.0]))
+    losses.bend.stiffer.copy_(torch.tensor([1.0, 4.0]))
     after, changed = losses.evaluate(leaf, down, mesh, places)
     assert after["bend"][1].item() == pytest.approx(4 * before["bend"][1].item(), rel=1e-5)
     for name in before:

@@ -38,7 +38,7 @@ def same(one, other):
 def state(trainer):
     """All that a run goes on from."""
     best = vars(trainer.best) if trainer.best else {}
-    scalars = trainer.range, trainer.losses.contact_stiffness
+    scalars = trainer.range, trainer.losses.collision.stiffness
     networks = dict(trainer.drape.state_dict()), dict(trainer.averaged.state_dict())
     return *networks, trainer.optimiser.state_dict()["state"], best, scalars
 

@@ -80,9 +80,9 @@ def test_schedules(tmp_path, monkeypatch):
     def record():
         *networks, skinning = (float(group["lr"]) for group in trainer.optimiser.param_groups)
         assert len(set(networks)) == 1
-        rows.append((trainer.range.item(), trainer.losses.contact_stiffness.item(), networks[0], skinning))
+        rows.append((trainer.range.item(), trainer.losses.collision.stiffness.item(), networks[0], skinning))
         points.append(trainer.draw()[3].shape[1])
-        reaches.append(trainer.losses.reach)
+        reaches.append(trainer.losses.collision.reach)
 
     monkeypatch.setattr(trainer, "take_step", record)
     assert list(trainer.run(1000)) == list(range(1, 101)), "no more steps than the configuration has"
@@ -97,7 +97,7 @@ def test_schedules(tmp_path, monkeypatch):
     assert points == [64] * 80 + [POINT_COUNT] * 20
     trainer = Trainer(small_config(tmp_path, growth=0.0, prune_from=0.0, prune_at=0.0), CPU)
     next(trainer.run(1))
-    assert trainer.losses.reach == 0.05, "late at once without growth"
+    assert trainer.losses.collision.reach == 0.05, "late at once without growth"
 
 
 def test_reports_are_means_over_the_steps_and_the_median_of_the_last(tmp_path, monkeypatch):

@@ -38,7 +38,7 @@ def test_the_energy_is_the_mean_over_the_set(trainer):
     """Of the template and made to measure, against each sample by itself, at the material's stiffness and with the body
     points of the run time."""
     validation, drape, material = trainer.validation, trainer.averaged, trainer.config.material
-    trainer.losses.contact_stiffness.fill_(1.0)  # training's own must not matter
+    trainer.losses.collision.stiffness.fill_(1.0)  # training's own must not matter
     wearing = wearing_of(trainer)
     posed = PosedBodies(BODY, trainer.bodies, 1, faces=wearing.faces)
     rest = RestData(trainer.garment, material, CPU, shapes=trainer.fits.shapes)

@@ -16,9 +16,9 @@ from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.motion import Motion
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.dynamics.dynamic_simulation import TOLERANCE, DynamicSimulation, Frame
-from physkin_training.dynamics.incremental_potential import Dynamics
 from physkin_training.dynamics.reference import Reference, save_reference, spread, swinging_vertices
 from physkin_training.dynamics.scenes import ROOT_SCENES, load_scene
+from physkin_training.energies.motion import Dynamics
 from physkin_training.sampling.chosen_bodies import bodies_by_girth
 
 __all__ = ["main"]

@@ -18,9 +18,10 @@ from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.motion import Motion
 from physkin_training.dynamics.dressed_samples import DressedSamples
-from physkin_training.dynamics.incremental_potential import Dynamics, IncrementalHessian
-from physkin_training.dynamics.step_solver import Step, StepSolver
-from physkin_training.physics.full_space_solver import FullSpaceSolver, Solution
+from physkin_training.dynamics.step_solver import StepSolver
+from physkin_training.energies.motion import Dynamics
+from physkin_training.physics.full_space_solver import FullSpaceSolver
+from physkin_training.physics.newton_solver import Solution
 
 __all__ = ["A_LONG_TIME", "LARGEST_EXTENT", "TOLERANCE", "DynamicSimulation", "Frame"]
 
@@ -95,14 +96,11 @@ class DynamicSimulation:
         dynamics = dynamics or Dynamics()
         self.potential = self.dressed.potential(self.step, dynamics)
         self.frame_potential = self.dressed.potential(1 / rate, dynamics)
-        hessian = IncrementalHessian(model.garment, self.potential, self.samples, device)
         self._held = torch.as_tensor(model.garment.vertices[:, 2] > held_above, device=device)
         self._holds = bool(self._held.any())
-        self._solver = FullSpaceSolver(
-            model.garment, self.potential, self.samples, device, held=self._held, hessian=hessian
-        )
+        self._solver = FullSpaceSolver(self.potential, held=self._held)
         self.force_scale = self._solver.force_scale
-        self._step_solver = StepSolver(self.potential, hessian, ~self._held)
+        self._step_solver = StepSolver(self._solver.hessian, ~self._held)
 
     def run(
         self,
@@ -164,12 +162,13 @@ class DynamicSimulation:
         """Drapes at rest in the first frame, from the model's. Inertia is off: nothing has moved for a long time."""
         gravity = self._pose(0)
         local = self._model_drape(0)
-        step, self.potential.step = self.potential.step, A_LONG_TIME
+        time_step = self.potential.time_step
+        step, time_step.seconds = time_step.seconds, A_LONG_TIME
         self.potential.begin(local, local)
         solution = self._solver.minimise(
             local, gravity, *self.dressed.contact, tolerance=FIRST_TOLERANCE, iterations=FIRST_ITERATIONS
         )
-        self.potential.step = step
+        time_step.seconds = step
         return solution
 
     def _model_drape(self, step: int) -> torch.Tensor:
@@ -183,7 +182,7 @@ class DynamicSimulation:
         return torch.where(self._held[:, None], self._model_drape(step), local)
 
     def _frame(
-        self, index: int, solution: Solution | Step, taken: torch.Tensor, last: torch.Tensor, before_last: torch.Tensor
+        self, index: int, solution: Solution, taken: torch.Tensor, last: torch.Tensor, before_last: torch.Tensor
     ) -> Frame:
         """last, before_last: (B, n, 3) in the world, the two frames before."""
         step = index * self.steps

@@ -12,12 +12,8 @@ from scipy.spatial.transform import Rotation
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.motion import Motion
-from physkin_core.runtime.garment_grading import GarmentGrading
-from physkin_training.dynamics.dressed_samples import REACH
-from physkin_training.dynamics.incremental_potential import Dynamics, IncrementalPotential
-from physkin_training.physics.rest_data import RestData
-from physkin_training.physics.wearing import Wearing
-from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
+from physkin_training.dynamics.dressed_samples import DressedSamples
+from physkin_training.energies.motion import Dynamics
 
 __all__ = ["frame_potentials"]
 
@@ -37,18 +33,9 @@ def frame_potentials(
 
     The garment is made to measure for the body.
     """
-    garment, count = model.garment, len(frames)
-    wearing = Wearing.of(garment, body_model).worn_faces()
-    shapes = GarmentGrading(garment, body_model).graded(coefficients[None])
-    bodies = PosedBodies(body_model, BodySet(body_model, coefficients[None], device), count, faces=wearing.faces)
-    potential = IncrementalPotential(
-        *(garment, model.material, count, device),
-        step=1 / motion.rate_hz,
-        dynamics=dynamics or Dynamics(),
-        wearing=wearing,
-        reach=REACH,
-        rest=RestData(garment, model.material, device, shapes=shapes),
-    )
+    body = torch.zeros(len(frames), dtype=torch.int64, device=device)
+    samples = DressedSamples(model, body_model, coefficients[None], body)
+    potential = samples.potential(1 / motion.rate_hz, dynamics or Dynamics())
     turn = Rotation.from_quat(motion.root_orientation).as_matrix()
     place = motion.root_position.astype(np.float64)
 
@@ -62,9 +49,9 @@ def frame_potentials(
         return tensor((world - place[frames, None]) @ turn[frames])
 
     last, before_last = in_world(frames - 1), in_world(frames - 2)
-    bodies.pose(tensor(motion.positions_for(model.rig)[frames]))
+    samples.pose(tensor(motion.positions_for(model.rig)[frames]))
     potential.begin(in_root(last), in_root(2 * last - before_last))
     with torch.no_grad():
         gravity = tensor(-turn[frames, 2])
-        energies, _ = potential.evaluate(tensor(drapes[frames]), gravity, bodies.mesh, bodies.offset)
+        energies, _ = potential.evaluate(tensor(drapes[frames]), gravity, *samples.contact)
     return {name: values.cpu().numpy() for name, values in energies.items()}

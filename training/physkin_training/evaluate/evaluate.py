@@ -28,7 +28,8 @@ from physkin_training.evaluate.skin_shows import SkinShows
 from physkin_training.networks.draping import Drape, RestShape, compose_nodes, delta_transforms
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.networks.made_to_measure import MadeToMeasure
-from physkin_training.physics.full_space_solver import FullSpaceSolver, Solution
+from physkin_training.physics.full_space_solver import FullSpaceSolver
+from physkin_training.physics.newton_solver import Solution
 from physkin_training.physics.physics_losses import Energies, PhysicsLosses
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
@@ -39,8 +40,6 @@ __all__ = ["Evaluation", "evaluate_model", "measured_clips"]
 
 REACH = 0.3
 """Bodies are looked for up to this distance [m], beyond the deepest penetration."""
-CONTACT = "one_way"
-"""How other limbs press (see `Wearing`), whatever a model was trained with: all energies are of one kind."""
 LARGEST_MEASURED, LARGEST_MINIMISED = 512, 64
 """Batches on a GPU: of pairs that are measured, and minimised."""
 MOTION_RATE = 60.0
@@ -253,7 +252,7 @@ class Evaluation:
 
     @cached_property
     def _solver(self) -> FullSpaceSolver:
-        return FullSpaceSolver(self.model.garment, self.losses, self.batch, self.device)
+        return FullSpaceSolver(self.losses)
 
     def _raw(self, batch: Batch) -> torch.Tensor:
         vector = self.drape.pose_vector(batch.positions, batch.gravity)
@@ -284,11 +283,6 @@ def _frame(percent: float, sample: int, motion: Motion) -> dict:
     return {"body": body, "frame": frame, "percent": percent}
 
 
-def _trained_contact(model: GarmentModel) -> str:
-    """How other limbs pressed in training; models that do not tell had the only way there was."""
-    return (model.training.get("optimisation") or {}).get("other_limbs", CONTACT)
-
-
 def _difference(rig: Rig, other: Rig) -> str:
     if rig.bone_names != other.bone_names:
         return f"{rig.bone_count} bones, expected {other.bone_count}, or other names"
@@ -311,7 +305,7 @@ def evaluate_model(
     """All rows of one model as plain data; on a terminal, progress is shown meanwhile.
 
     minimum: pairs for the minima, uniform ones and as many of motion, 0 to leave them out. motions: clips for the rows
-    on motion. `energy_ratio`, model / full-space minimum, only where both have the same contact.
+    on motion. `energy_ratio`: model / full-space minimum.
     Raises ValueError for another rig than the body model's, impossible counts and clips that cannot be used.
     """
     clips = measured_clips(motions)
@@ -340,8 +334,7 @@ def evaluate_model(
             evaluation = Evaluation(model, device, **given | {"batch": min(batch, LARGEST_MINIMISED)}, fit=0.0)
             scores |= evaluation.minima(evaluation.uniform(upright=True).spread(minimum), steps=steps)
             scores["counts"] |= {"minimum_pairs": scores["minimum"]["pairs"], "minimum_steps": steps}
-            if _trained_contact(model) == CONTACT:
-                scores["energy_ratio"] = scores["model_on_subset"]["energy_j"] / scores["minimum"]["energy_j"]
+            scores["energy_ratio"] = scores["model_on_subset"]["energy_j"] / scores["minimum"]["energy_j"]
         if minimum and clips:
             every_frame = Pairs.joined([evaluation.frames(clip) for clip in clips])
             scores["motion"] |= evaluation.minima(every_frame.spread(minimum), steps=steps)

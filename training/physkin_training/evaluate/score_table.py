@@ -64,10 +64,8 @@ def table(scores: Mapping) -> str:
     cells = [[label, *(figures.get(column) for column in COLUMNS)] for label, figures in rows.items()]
     lines = [tabulate(cells, ["", *COLUMNS.values()], tablefmt="pipe", floatfmt=".3f")]
     if "minimum" in scores:
-        ratio = scores.get("energy_ratio")
-        said = f"{ratio:.2f}" if ratio else "not of one kind, the model was trained with another contact"
-        pairs = scores["counts"]["minimum_pairs"]
-        lines += ["", f"Stretch, bend and contact energy, model / full-space minimum: {said} ({pairs} pairs)"]
+        ratio, pairs = scores["energy_ratio"], scores["counts"]["minimum_pairs"]
+        lines += ["", f"Stretch, bend and contact energy, model / full-space minimum: {ratio:.2f} ({pairs} pairs)"]
         lines += [f"Full-space minima converged: {scores['minimum']['converged_percent']:.0f} %"]
     if motion:
         of = "{clips} clips, {frames} frames at {rate_hz:g} Hz, {bodies} bodies".format(**motion["counts"])

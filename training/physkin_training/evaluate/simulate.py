@@ -33,7 +33,8 @@ from physkin_core.rig.rig import Rig
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.evaluate.plain_model import plain_model
-from physkin_training.physics.full_space_solver import FullSpaceSolver, Progress, Solution
+from physkin_training.physics.full_space_solver import FullSpaceSolver, Progress
+from physkin_training.physics.newton_solver import Solution
 from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.staged_drape import drape_in_stages
 from physkin_training.physics.wearing import Wearing
@@ -102,7 +103,7 @@ class DrapeSimulation:
         self.rig = start_model.rig
         self.body = posed_avatar(avatar, self.rig, samples, device)
         self.losses = PhysicsLosses(garment, material, samples, device, wearing=wearing, reach=REACH)
-        self.solver = FullSpaceSolver(garment, self.losses, samples, device)
+        self.solver = FullSpaceSolver(self.losses)
 
     def run(
         self,

@@ -71,7 +71,7 @@ def clear_of(
     start = torch.as_tensor(
         surface.push_out(garment.vertices if start is None else start, CLEARANCE)[None], dtype=torch.float32
     )
-    solver = FullSpaceSolver(garment, losses, 1, device)
+    solver = FullSpaceSolver(losses)
     solution = solver.minimise(
         start, torch.zeros(1, 3), posed.mesh, posed.offset, tolerance=0.05, iterations=iterations
     )

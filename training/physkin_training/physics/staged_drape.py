@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import torch
 
-from physkin_training.physics.full_space_solver import Solution
+from physkin_training.physics.newton_solver import Solution
 
 __all__ = ["ON_THE_WAY", "drape_in_stages"]
 

@@ -17,8 +17,8 @@ from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.progress import progress_line
 from physkin_training.dynamics.dressed_samples import DressedSamples
-from physkin_training.dynamics.incremental_potential import Dynamics
 from physkin_training.dynamics.scenes import RATE_HZ
+from physkin_training.energies.motion import Dynamics
 from physkin_training.sway.learning import KEPT, learning_rate
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.node_skinning import NodeSkinning

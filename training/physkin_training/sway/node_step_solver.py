@@ -1,4 +1,4 @@
-"""A step of implicit Euler in the numbers of garment nodes, in a time that is known before.
+"""A step of implicit Euler in the numbers of garment nodes, in bounded time.
 
 Free are changes q (B, m, 3, 4) of garment nodes, in their own posed frames; vertices are linear in them. A few steps of
 Newton's method, each by a fixed number of conjugate gradients, damped as Levenberg and Marquardt do. What damps, and
@@ -13,25 +13,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 
 from physkin_training.dynamics.dressed_samples import DressedSamples
-from physkin_training.dynamics.incremental_potential import IncrementalHessian, IncrementalPotential
-from physkin_training.physics.energy_kernels import BAND_STIFFNESS
+from physkin_training.dynamics.incremental_potential import IncrementalPotential
+from physkin_training.physics.energy_hessian import EnergyHessian
+from physkin_training.physics.newton_solver import NewtonSolver, Point, of_samples
 from physkin_training.sway.node_skinning import NodeSkinning
 
 __all__ = ["Metric", "NodeStepSolver"]
 
-HESSIAN_EVERY = 2
-"""Newton steps that share a second derivative."""
 FIRST_DAMPING = 0.02
 """Share of the metric that is added to the second derivative at first."""
 COOLING, HEATING = 0.25, 8.0
 """Change of the damping after a step downhill, and after one that was none."""
-NOT_FINITE = 1e9
-"""[J] what an energy counts that is not a number."""
 
 
 @dataclass(frozen=True)
@@ -53,45 +50,23 @@ class Metric:
         return cls(matrix, (inverse + inverse.mT) / 2)
 
 
-@dataclass(frozen=True)
-class _Point:
-    """Garment nodes (B, m, 3, 4), the vertices that they carry (B, n, 3), their energy (B,) float64 and its gradient
-    (B, n, 3), contact's energy (B, n) and the band's (B, k) by vertex."""
-
-    nodes: torch.Tensor
-    vertices: torch.Tensor
-    energy: torch.Tensor
-    gradient: torch.Tensor
-    contact: torch.Tensor
-    band: torch.Tensor
-
-    def or_lower(self, other: _Point) -> _Point:
-        """Of each sample what has less energy."""
-        lower = other.energy < self.energy
-
-        def chosen(name: str) -> torch.Tensor:
-            mine, others = getattr(self, name), getattr(other, name)
-            return torch.where(lower.view(-1, *[1] * (mine.dim() - 1)), others, mine)
-
-        return _Point(*(chosen(entry.name) for entry in fields(self)))
-
-
-class NodeStepSolver:
-    """Minimises an incremental potential over garment nodes. free: (m,) bool, those that move.
+class NodeStepSolver(NewtonSolver):
+    """Minimises an incremental potential over garment nodes; gradients and steps are of changes in their own posed
+    frames. free: (m,) bool, those that move.
 
     `metric` is to be set, from `mean_stiffness`, before the first step.
     """
 
     metric: Metric
+    asks = False
+    hessian_every = 2
 
     def __init__(
         self, samples: DressedSamples, potential: IncrementalPotential, skinning: NodeSkinning, free: torch.Tensor
     ) -> None:
-        self.samples, self.potential, self.skinning, self.free = samples, potential, skinning, free
-        self._hessian = IncrementalHessian(samples.model.garment, potential, len(samples.body), samples.device)
-        self._band = torch.as_tensor(samples.wearing.band, device=samples.device).long()
-        self._band_stiffness = 2 * BAND_STIFFNESS * samples.rest.vertex_area[samples.worn.rows][:, self._band]
-        self._identity = torch.eye(3, device=samples.device)
+        potential.band.isotropic = True
+        super().__init__(EnergyHessian(potential), free[:, None, None])
+        self.samples, self.skinning = samples, skinning
 
     def minimise(
         self,
@@ -108,29 +83,28 @@ class NodeStepSolver:
         turns: (B, m, 3, 3) of the posed garment nodes. gravity: (B, 3). newton: steps; products: in each of them.
         damping: the first one.
         """
-        here = self._point(starts[0], self.skinning.vertices(starts[0]), gravity)
+        self.begin(gravity, *self.samples.contact)
+        self._turns, self._products = turns, products
+        here = self.point(starts[0])
         for start in starts[1:]:
-            here = here.or_lower(self._point(start, self.skinning.vertices(start), gravity))
-        damp = torch.full_like(here.energy, damping)
-        for step in range(newton):
-            if step % HESSIAN_EVERY == 0:
-                self._assemble(here)
-            change = turns @ self._direction(here.gradient, turns, damp, products)
-            there = self._point(here.nodes + change, here.vertices + self.skinning.vertices(change), gravity)
-            damp = damp * torch.where(there.energy < here.energy, COOLING, HEATING)
-            here = here.or_lower(there)
-        return here.nodes, here.vertices
+            other = self.point(start)
+            here = here.or_where(other.energy < here.energy, other)
+        self._damping = torch.full_like(here.energy, damping, dtype=torch.float32)
+        here, _ = self.descend(here, newton)
+        return here.variables, here.vertices
 
     def mean_stiffness(self, nodes: torch.Tensor, turns: torch.Tensor, gravity: torch.Tensor) -> torch.Tensor:
         """Second derivative (12 m, 12 m) at garment nodes (B, m, 3, 4), the mean over bodies; the samples of a body
         must be alike."""
-        here = self._point(nodes, self.skinning.vertices(nodes), gravity)
-        self._assemble(here)
-        return self._mean(lambda q: self._times(q, turns))
+        self.begin(gravity, *self.samples.contact)
+        self._turns = turns
+        self.point(nodes)
+        self.assemble()
+        return self._mean(self._times)
 
     def mean_inertia(self, turns: torch.Tensor) -> torch.Tensor:
         """Mass matrix (12 m, 12 m) [kg], the mean over bodies."""
-        mass = self.potential.mass[..., None]
+        mass = self.losses.time_step.mass[..., None]
 
         def times(q: torch.Tensor) -> torch.Tensor:
             return turns.mT @ self.skinning.transposed(mass * self.skinning.vertices(turns @ q))
@@ -138,7 +112,7 @@ class NodeStepSolver:
         return self._mean(times)
 
     def _mean(self, times: Callable[[torch.Tensor], torch.Tensor]) -> torch.Tensor:
-        bodies, numbers = len(self.samples.body_set), _numbers(self.free)
+        bodies, numbers = len(self.samples.body_set), _numbers(self.free.flatten())
         samples, size = len(self.samples.body), len(numbers)
         each = samples // bodies
         sample = torch.arange(samples, device=numbers.device)
@@ -151,50 +125,38 @@ class NodeStepSolver:
         matrix = (matrix + matrix.mT) / 2
         return matrix * numbers * numbers[:, None]
 
-    def _point(self, nodes: torch.Tensor, vertices: torch.Tensor, gravity: torch.Tensor) -> _Point:
-        _, gradient = self.potential.evaluate(vertices, gravity, *self.samples.contact)
-        element = self.potential.element_energies
-        energy = sum(values.sum(dim=1, dtype=torch.float64) for values in element.values()).nan_to_num(NOT_FINITE)
-        return _Point(nodes, vertices, energy, gradient, element["collision"].clone(), element["band"].clone())
+    def vertices(self, variables: torch.Tensor) -> torch.Tensor:
+        return self.skinning.vertices(variables)
 
-    def _assemble(self, here: _Point) -> None:
-        self.potential.element_energies["collision"].copy_(here.contact)
-        exact = torch.zeros_like(self._hessian.active)
-        self._hessian.assemble(here.vertices, *self.samples.contact, exact)
-        held = torch.zeros(here.vertices.shape[:2], device=exact.device)
-        held[:, self._band] = torch.where(here.band > 0, self._band_stiffness, 0.0)
-        none = torch.zeros(len(held), device=exact.device)
-        self._hessian.add_to_diagonal((held[..., None, None] * self._identity).contiguous(), none)
+    def pulled_back(self, gradient: torch.Tensor) -> torch.Tensor:
+        return self._turns.mT @ self.skinning.transposed(gradient) * self.free
 
-    def _times(self, q: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
+    def step(self, here: Point) -> torch.Tensor:
+        return self._turns @ self.solve(-here.gradient, self._products, None)[0]
+
+    def search(self, here: Point, active: torch.Tensor) -> Point:
+        there = super().search(here, active)
+        self._damping = self._damping * torch.where(there.energy < here.energy, COOLING, HEATING)
+        return there
+
+    def multiply(self, direction: torch.Tensor, product: torch.Tensor) -> None:
+        damped = of_samples(self._damping, direction) * _through(self.metric.matrix, direction)
+        product.copy_(self._times(direction) * self.free + damped)
+
+    def precondition(self, residual: torch.Tensor) -> torch.Tensor:
+        return _through(self.metric.inverse, residual)
+
+    def _times(self, q: torch.Tensor) -> torch.Tensor:
         """Second derivative times q."""
         with _coarse_products():
-            x = self.skinning.vertices(turns @ q)
+            x = self.skinning.vertices(self._turns @ q)
             product = torch.empty_like(x)
-            self._hessian.multiply(x, product)
-            return turns.mT @ self.skinning.transposed(product)
+            self.hessian.multiply(x, product)
+            return self._turns.mT @ self.skinning.transposed(product)
 
-    def _direction(
-        self, gradient: torch.Tensor, turns: torch.Tensor, damping: torch.Tensor, products: int
-    ) -> torch.Tensor:
-        free, damp = self.free[:, None, None], damping.float()[:, None, None, None]
 
-        def through(matrix: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
-            return (v.flatten(1) @ matrix).view_as(v)
-
-        residual = -(turns.mT @ self.skinning.transposed(gradient)) * free
-        step = torch.zeros_like(residual)
-        direction = through(self.metric.inverse, residual)
-        rho = _dot(residual, direction)
-        for _ in range(products):
-            product = self._times(direction, turns) * free + damp * through(self.metric.matrix, direction)
-            alpha = rho / _dot(direction, product).clamp_min(1e-20)
-            step = step + alpha * direction
-            residual = residual - alpha * product
-            ahead = through(self.metric.inverse, residual)
-            previous, rho = rho, _dot(residual, ahead)
-            direction = ahead + rho / previous.clamp_min(1e-20) * direction
-        return step
+def _through(matrix: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+    return (v.flatten(1) @ matrix).view_as(v)
 
 
 @contextmanager
@@ -211,7 +173,3 @@ def _coarse_products() -> Iterator[None]:
 def _numbers(free: torch.Tensor) -> torch.Tensor:
     """Which of the 12 m numbers are free, of garment nodes (m,)."""
     return free.repeat_interleave(12)
-
-
-def _dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    return (a * b).sum(dim=(1, 2, 3), keepdim=True)

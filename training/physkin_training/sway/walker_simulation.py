@@ -18,8 +18,8 @@ from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
 from physkin_training.dynamics.dressed_samples import DressedSamples
 from physkin_training.dynamics.dynamic_simulation import A_LONG_TIME, LARGEST_EXTENT
-from physkin_training.dynamics.incremental_potential import Dynamics
 from physkin_training.dynamics.scenes import RATE_HZ
+from physkin_training.energies.motion import Dynamics
 from physkin_training.sway.motions import WalkerMotions
 from physkin_training.sway.node_skinning import NodeSkinning
 from physkin_training.sway.node_step_solver import Metric, NodeStepSolver
@@ -94,7 +94,7 @@ class WalkerSimulation:
         body = torch.arange(len(bodies) * each, device=device) // each
         self.dressed = DressedSamples(model, body_model, bodies, body, one_size=in_one_size(len(bodies)))
         self.potential = self.dressed.potential(1 / RATE_HZ, Dynamics())
-        self.potential.contact_stiffness *= SOFTER_CONTACT
+        self.potential.collision.stiffness *= SOFTER_CONTACT
         self.skinning = NodeSkinning(self.dressed)
         self.free = torch.as_tensor(model.node_rest[:, 2] <= held_above, device=device)
         self._solver = NodeStepSolver(self.dressed, self.potential, self.skinning, self.free)
@@ -110,9 +110,10 @@ class WalkerSimulation:
         self.potential.begin(still, still)
         at = (stance.drape, stance.node_turns, stance.gravity)
         moving = self._solver.mean_stiffness(*at)
-        step, self.potential.step = self.potential.step, A_LONG_TIME
+        time_step = self.potential.time_step
+        step, time_step.seconds = time_step.seconds, A_LONG_TIME
         strained = self._solver.mean_stiffness(*at)
-        self.potential.step = step
+        time_step.seconds = step
         self._solver.metric = Metric.regular(moving, self.free)
         self.inertia = self._solver.mean_inertia(stance.node_turns)
         self.cost = Metric.regular(strained + SLOWLY / RATE_HZ**2 * (moving - strained), self.free).matrix
@@ -155,7 +156,8 @@ class WalkerSimulation:
         return _Stance(posed[..., :3].contiguous(), drape, gravity, turn, place)
 
     def _at_rest(self, now: _Stance) -> torch.Tensor:
-        step, self.potential.step = self.potential.step, FIRST_STEP
+        time_step = self.potential.time_step
+        step, time_step.seconds = time_step.seconds, FIRST_STEP
         nodes = now.drape
         for _ in range(FIRST_STEPS):
             still = self.skinning.vertices(nodes)
@@ -167,7 +169,7 @@ class WalkerSimulation:
                 products=2 * PRODUCTS,
                 damping=FIRST_DAMPING,
             )
-        self.potential.step = step
+        time_step.seconds = step
         return nodes
 
     def _step(

@@ -323,7 +323,7 @@ class Trainer:
         before, self.schedule = self.schedule, Schedule.at(self.step, self.config)
         schedule = self.schedule
         self.range.fill_(schedule.pose_range)
-        self.losses.contact_stiffness.fill_(self.config.material.contact_stiffness * schedule.contact)
+        self.losses.collision.stiffness.fill_(self.config.material.contact_stiffness * schedule.contact)
         *networks, skinning = self.optimiser.param_groups
         for group in networks:
             group["lr"].fill_(schedule.learning_rate)
@@ -335,7 +335,7 @@ class Trainer:
         if schedule.engine_influences < before.engine_influences:
             self.drape.prune_engine_influences(schedule.engine_influences)
             self.averaged.engine_bias.copy_(self.drape.engine_bias)
-        self.losses.reach = schedule.reach
+        self.losses.collision.reach = schedule.reach
         if (schedule.encoder_points, schedule.reach) != (before.encoder_points, before.reach):
             self._recorded.forget()
 
@@ -374,7 +374,7 @@ class Trainer:
             self.losses.rest_row.copy_(worn.rows)
             posed_nodes = self.drape.posed_nodes(bone_transforms, worn.node_positions)
             bending, stiffer = drawn_bending(self._bodies, optimisation.other_bending, self.device)
-            self.losses.stiffer.copy_(stiffer.repeat_interleave(per_body))
+            self.losses.bend.stiffer.copy_(stiffer.repeat_interleave(per_body))
         modulation = self.drape.networks.hyper_modulator(*surface, self.made.float(), bending)
         modulation = modulation.repeat_interleave(per_body, dim=0)
         nodes = self.drape.draped_nodes(modulation, positions, gravity, posed_nodes)
