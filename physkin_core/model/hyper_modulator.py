@@ -14,6 +14,8 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
+from physkin_core.native_module import native
+
 __all__ = [
     "BENDING_OCTAVES",
     "ENCODING_FREQUENCIES",
@@ -28,8 +30,8 @@ __all__ = [
 ]
 
 POINT_COUNT = 4096
-ENCODING_FREQUENCIES = 6
-HEADS = 4
+ENCODING_FREQUENCIES: int = native.constants["encoding_frequencies"]
+HEADS: int = native.constants["heads"]
 BENDING_OCTAVES = (-2.0, 4.0)
 """How much softer and stiffer than the trained cloth others bend, as powers of two."""
 QUERY_CHUNK = 256

@@ -20,7 +20,10 @@ struct CollisionShape {
       sphere_centre, sphere_radius, group_reach, allowed;
 };
 
-// See `SeparationSettings` beside the twin.
+// [m] So near to a capsule's axis there is no way out to prefer: arms may pass through each other.
+constexpr double kCapsuleBlur = 0.015;
+
+// See `SeparationSettings` in physkin_core/separation/limb_separator.py.
 struct SeparationSettings {
   float onset, softness, pull, damping, blend;
   int steps;
