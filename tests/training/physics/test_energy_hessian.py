@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from training.crumpled_tube import SAMPLES, CrumpledTube
+from training.crumpled_tube import LINEAR_BEYOND, SAMPLES, CrumpledTube
+
+from physkin_training.dynamics.step_solver import StepSolver
 
 
 def test_it_is_the_sum_of_those_of_the_energies():
@@ -46,3 +48,19 @@ def test_only_active_samples_are_worked_on():
     assert (product[0] == 7.0).all() and not (product[1] == 7.0).any()
     tube.hessian.active.fill_(True)
     assert torch.equal(tube.product(tube.x)[0], torch.zeros_like(tube.x[0])), "nothing was assembled there"
+
+
+def test_solvers_return_to_the_better_of_two_points_of_each_sample():
+    tube = CrumpledTube(linear_beyond=LINEAR_BEYOND)
+    solver = StepSolver(tube.hessian, torch.ones(tube.x.shape[1], dtype=torch.bool))
+    solver.begin(tube.down, tube.body, tube.offset)
+    products, points = [], []
+    for seed in (0, 3):
+        points.append(solver.point(tube.crumpled(seed)))
+        solver.assemble()
+        products.append(tube.product(tube.rest))
+    solver._return_to(points[1].or_where(torch.tensor([True, False]), points[0]))
+    solver.assemble()
+    expected = torch.stack([products[0][0], products[1][1]])
+    torch.testing.assert_close(tube.product(tube.rest), expected, rtol=0, atol=0)
+    assert not torch.equal(products[0][0], products[1][0])

@@ -64,7 +64,8 @@ class Band(Energy):
         self.isotropic = False
         self._place = cloth.array(wearing.band_place if k else [])
         self._limit = cloth.array(wearing.band_distance + BAND_SLACK if k else [], wp.float32)
-        self._stiffness = *(wp.from_torch(cloth.zeros(k)) for _ in range(2)), view(cloth.zeros(k, 3))
+        self.state = across, along, direction = cloth.zeros(k), cloth.zeros(k), cloth.zeros(k, 3)
+        self._stiffness = wp.from_torch(across), wp.from_torch(along), view(direction)
 
     def evaluate(self, drapes: Drapes) -> None:
         given = self._rest, drapes, self._elements, self._place, self._limit

@@ -62,11 +62,10 @@ def bend_kernel(
 
 
 @wp.func
-def angle_gradient_change(
-    e: wp.vec3, a: wp.vec3, b: wp.vec3, de: wp.vec3, da: wp.vec3, db: wp.vec3
-) -> tuple[wp.vec3, wp.vec3, wp.vec3]:
-    """Change of the angle's gradient at corners 1, 2, 3 when e = x1 - x0, a = x2 - x0, b = x3 - x0 change by de, da,
-    db."""
+def angle_gradient_change(e: wp.vec3, a: wp.vec3, b: wp.vec3, corner: wp.int32, move: wp.vec3) -> Corners:
+    """Change of the angle's gradient, with e = x1 - x0, a = x2 - x0, b = x3 - x0, when corner 1, 2 or 3 moves."""
+    none = wp.vec3(0.0, 0.0, 0.0)
+    de, da, db = wp.where(corner == 1, move, none), wp.where(corner == 2, move, none), wp.where(corner == 3, move, none)
     length = wp.length(e)
     dlength = wp.dot(e, de) / length
     na = wp.cross(e, a)
@@ -83,7 +82,9 @@ def angle_gradient_change(
     dg1 = dpa * wp.dot(a, e) + dpb * wp.dot(b, e)
     dg1 += pa * (wp.dot(da, e) + wp.dot(a, de)) + pb * (wp.dot(db, e) + wp.dot(b, de))
     dg1 = (dg1 - g1 * dlength) / length
-    return dg1, -dlength * pa - length * dpa, -dlength * pb - length * dpb
+    dg2 = -dlength * pa - length * dpa
+    dg3 = -dlength * pb - length * dpb
+    return wp.matrix_from_rows(-dg1 - dg2 - dg3, dg1, dg2, dg3)
 
 
 @wp.kernel
@@ -109,34 +110,14 @@ def bend_hessian_kernel(
     if blocks.exact[s]:
         e, a, b = x1 - x0, x2 - x0, x3 - x0
         k = k * angle_beyond(e, a, b, rest.hinge_angle[rest.row[s], t])
-        identity = wp.identity(n=3, dtype=wp.float32)
-        zero = wp.vec3(0.0, 0.0, 0.0)
         for column in range(1, 4):
-            h1 = wp.mat33(0.0)
-            h2 = wp.mat33(0.0)
-            h3 = wp.mat33(0.0)
-            for axis in range(3):
-                move = identity[axis]
-                de, da, db = zero, zero, zero
-                if column == 1:
-                    de = move
-                if column == 2:
-                    da = move
-                if column == 3:
-                    db = move
-                dg1, dg2, dg3 = angle_gradient_change(e, a, b, de, da, db)
-                h1 += wp.outer(dg1, move)
-                h2 += wp.outer(dg2, move)
-                h3 += wp.outer(dg3, move)
-            h0 = -h1 - h2 - h3
-            wp.atomic_add(blocks.all, s, blocks.slots[t, column], k * h0)
-            wp.atomic_add(blocks.all, s, blocks.slots[t, 4 + column], k * h1)
-            wp.atomic_add(blocks.all, s, blocks.slots[t, 8 + column], k * h2)
-            wp.atomic_add(blocks.all, s, blocks.slots[t, 12 + column], k * h3)
-            wp.atomic_add(blocks.all, s, blocks.slots[t, 0], -k * h0)
-            wp.atomic_add(blocks.all, s, blocks.slots[t, 4], -k * h1)
-            wp.atomic_add(blocks.all, s, blocks.slots[t, 8], -k * h2)
-            wp.atomic_add(blocks.all, s, blocks.slots[t, 12], -k * h3)
+            along_x = angle_gradient_change(e, a, b, column, wp.vec3(1.0, 0.0, 0.0))
+            along_y = angle_gradient_change(e, a, b, column, wp.vec3(0.0, 1.0, 0.0))
+            along_z = angle_gradient_change(e, a, b, column, wp.vec3(0.0, 0.0, 1.0))
+            for row in range(4):
+                block = k * wp.matrix_from_cols(along_x[row], along_y[row], along_z[row])
+                wp.atomic_add(blocks.all, s, blocks.slots[t, 4 * row + column], block)
+                wp.atomic_add(blocks.all, s, blocks.slots[t, 4 * row], -block)
 
 
 class Bend(Energy):

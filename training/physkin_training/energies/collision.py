@@ -128,7 +128,7 @@ class Collision(Energy):
         )
         self._stiffness = wp.from_torch(self.stiffness)
         self.signed_distance, self.at_worn_part = cloth.zeros(n), cloth.zeros(n, dtype=torch.bool)
-        self._by_depth = slope, curvature, way_out = cloth.zeros(n), cloth.zeros(n), cloth.zeros(n, 3)
+        self.state = slope, curvature, way_out = cloth.zeros(n), cloth.zeros(n), cloth.zeros(n, 3)
         self._derivatives = wp.from_torch(slope), wp.from_torch(curvature), view(way_out)
         self._where = wp.from_torch(self.signed_distance), wp.from_torch(self.at_worn_part)
 
@@ -143,7 +143,7 @@ class Collision(Energy):
     def forecast(self) -> Callable[[torch.Tensor], torch.Tensor]:
         """Of a step (B, n, 3) [m] from where this was evaluated last: the energies (B, n) [J] that both derivatives
         foresee after it."""
-        values, slope, curvature, way_out = (tensor.clone() for tensor in (self.values, *self._by_depth))
+        values, slope, curvature, way_out = (tensor.clone() for tensor in (self.values, *self.state))
 
         def after(step: torch.Tensor) -> torch.Tensor:
             along = (way_out * step).sum(dim=2)

@@ -105,9 +105,10 @@ class Cloth:
 
 class Energy:
     """elements: (e, c) int, the vertices that each element's energy depends on. values: (B, e) [J] where evaluated
-    last."""
+    last, and state, (B, ...) each: what else its second derivative needs to know of that."""
 
     name: ClassVar[str]
+    state: tuple[torch.Tensor, ...] = ()
 
     def __init__(self, cloth: Cloth, elements: np.ndarray) -> None:
         self.cloth, self.elements = cloth, elements

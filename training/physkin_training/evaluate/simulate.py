@@ -133,11 +133,6 @@ class DrapeSimulation:
         self.body.pose(*self._tensors(poses.positions.copy()))
         return self.solver.minimise(*self._tensors(start, poses.gravity), self.body.mesh, self.body.offset, **options)
 
-    def energies(self, vertices: np.ndarray, poses: Poses) -> dict[str, torch.Tensor]:
-        """Energies (B,) [J] by term of drapes (B, n, 3) at the poses."""
-        self.body.pose(*self._tensors(poses.positions.copy()))
-        return self.losses.evaluate(*self._tensors(vertices, poses.gravity), self.body.mesh, self.body.offset)[0]
-
     def _partly(self, poses: Poses, share: float) -> Poses:
         if share == 1:
             return poses

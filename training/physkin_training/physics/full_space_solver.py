@@ -104,10 +104,8 @@ class FullSpaceSolver(NewtonSolver):
         self._used, self._then = 0, here.energy
         self._lowest, self._lowest_then = (torch.full_like(self._damping, torch.inf) for _ in range(2))
         here, taken = self.descend(here, iterations)
-        norms = self._norm(here)
-        return Solution(
-            here.vertices, norms <= tolerance * self.force_scale, norms, here.terms, taken, self.force_scale
-        )
+        norms, scale = self._norm(here), self.force_scale
+        return Solution(here.vertices, norms <= tolerance * scale, norms, here.terms, taken, scale)
 
     def under_way(self, here: Point, iteration: int) -> torch.Tensor:
         self._iteration, norms = iteration, self._norm(here)

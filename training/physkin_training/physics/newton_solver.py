@@ -15,6 +15,7 @@ from functools import cached_property
 import torch
 import warp as wp
 
+from physkin_training.energies.energy import view
 from physkin_training.physics.energy_hessian import EnergyHessian
 
 __all__ = ["LARGEST_STEP", "NewtonSolver", "Point", "Solution", "inner", "norm", "of_samples"]
@@ -27,13 +28,14 @@ SYNCHRONISE_EVERY = 8
 
 @dataclass(frozen=True)
 class Point:
-    """Variables (B, ...), the vertices (B, n, 3) [m] that they make, the energy's gradient by the variables, and
-    energies (B,) float64 [J] by term."""
+    """Variables (B, ...), the vertices (B, n, 3) [m] that they make, the energy's gradient by the variables, energies
+    (B,) float64 [J] by term, and what the second derivative needs, `Energy.state`."""
 
     variables: torch.Tensor
     vertices: torch.Tensor
     gradient: torch.Tensor
     terms: dict[str, torch.Tensor]
+    state: list[torch.Tensor]
 
     @cached_property
     def energy(self) -> torch.Tensor:
@@ -53,16 +55,16 @@ class Point:
 
         terms = {name: pick(values, other.terms[name]) for name, values in self.terms.items()}
         mine, others = ((p.variables, p.vertices, p.gradient) for p in (self, other))
-        return Point(*map(pick, mine, others), terms)
+        return Point(*map(pick, mine, others), terms, list(map(pick, self.state, other.state)))
 
 
 @dataclass(frozen=True)
 class Solution:
     """Where a solver ended.
 
-    vertices: (B, n, 3) [m]. converged: (B,) bool, whether gradient_norm (B,) [N] is at most what was asked for; the norm
-    is over all vertices, see `VertexSecants.least_gradient` for those in creases of the body. energies: (B,) float64 [J]
-    by term. iterations: (B,) Newton steps. force_scale [N]: what tolerances are relative to.
+    vertices: (B, n, 3) [m]. converged: (B,) bool, whether gradient_norm (B,) [N] is at most what was asked for; the
+    norm is over all vertices, see `VertexSecants.least_gradient` for those in creases of the body. energies: (B,)
+    float64 [J] by term. iterations: (B,) Newton steps. force_scale [N]: what a tolerance is relative to.
     """
 
     vertices: torch.Tensor
@@ -108,7 +110,7 @@ class NewtonSolver:
                 break
             if iteration % self.hessian_every == 0:
                 if here is not self._last:
-                    self.losses.evaluate(here.vertices, *self._surroundings)
+                    self._return_to(here)
                 self.hessian.active.copy_(active)
                 self.assemble()
             here = self.search(here, active)
@@ -124,8 +126,15 @@ class NewtonSolver:
         vertices = self.vertices(variables)
         _, gradient = self.losses.evaluate(vertices, *self._surroundings)
         terms = {energy.name: energy.values.sum(dim=1, dtype=torch.float64) for energy in self.losses.energies}
-        self._last = Point(variables, vertices, self.pulled_back(gradient), terms)
+        state = [tensor.clone() for energy in self.losses.energies for tensor in energy.state]
+        self._last = Point(variables, vertices, self.pulled_back(gradient), terms, state)
         return self._last
+
+    def _return_to(self, here: Point) -> None:
+        """As if the losses had been evaluated there last."""
+        for mine, kept in zip((tensor for energy in self.losses.energies for tensor in energy.state), here.state):
+            mine.copy_(kept)
+        self.losses.drapes.x = view(here.vertices)
 
     def vertices(self, variables: torch.Tensor) -> torch.Tensor:
         """(B, n, 3)."""

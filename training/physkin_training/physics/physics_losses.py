@@ -85,13 +85,9 @@ class PhysicsLosses:
         self.rest = rest or RestData(garment, material, device)
         self.rest_row = torch.zeros(samples, dtype=torch.int32, device=device)
         self.cloth = Cloth(garment, material, self.rest, self.rest_row)
-        self.bend = Bend(self.cloth)
+        self.bend, self.band = Bend(self.cloth), Band(self.cloth, wearing)
         self.collision = Collision(self.cloth, wearing, reach=reach, linear_beyond=linear_beyond, leads_back=leads_back)
-        self.band = Band(self.cloth, wearing)
-        self.energies: list[Energy] = [
-            *(Stretch(self.cloth), self.bend, self.collision),
-            *(Gravity(self.cloth), self.band),
-        ]
+        self.energies: list[Energy] = [Stretch(self.cloth), self.bend, self.collision, Gravity(self.cloth), self.band]
         self._normals = self.cloth.zeros(len(garment.vertices), 3)
 
     def __call__(
@@ -120,11 +116,6 @@ class PhysicsLosses:
         for energy in self.energies:
             energy.evaluate(drapes)
         return {energy.name: energy.values.sum(dim=1) for energy in self.energies}, gradient
-
-    @property
-    def element_energies(self) -> dict[str, torch.Tensor]:
-        """Energies [J] by term and element, each (B, elements), where last evaluated; contact and gravity by vertex."""
-        return {energy.name: energy.values for energy in self.energies}
 
 
 class _PhysicsEnergy(torch.autograd.Function):

@@ -84,7 +84,7 @@ def simulated_walkers(
     if counted < LEAST_VALID:
         lost = f"{1 - counted:.0%} of the frames, allowed {1 - LEAST_VALID:.0%}"
         raise ValueError(f"{model.name}: cloth was lost in {lost}; does it hold? (--held-above keeps a bodice)")
-    mass = float(simulation.potential.mass.mean(dim=0).sum())
+    mass = float(simulation.potential.time_step.mass.mean(dim=0).sum())
     parts = (part[kept].float() for part, kept in zip(offsets.split(at_once), valid.split(at_once)))
     shapes, moved, missed = principal_shapes(parts, simulation.inertia, simulation.cost, MOST_SHAPES, mass)
     say(f"cloth is {moved:.1f} mm from where it is on average; {len(shapes.directions)} shapes leave {missed:.2f} mm")
