@@ -83,7 +83,7 @@ class Drawing:
         counts = [len(frame.body), *map(len, frame.cloth)]
         return [
             SurfaceNode(server, f"{where}/{name}", count, faces, colour)
-            for name, count, faces, colour in zip(names, counts, (shown, *outfit.faces), frame.colours)
+            for name, count, faces, colour in zip(names, counts, (shown, *(layer.faces for layer in outfit.layers)), frame.colours)
         ]
 
     def _place(self, frame: Frame) -> None:
