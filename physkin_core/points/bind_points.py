@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +13,8 @@ from physkin_core.avatar.loading import load_avatar
 from physkin_core.avatar.rig_file import AXES, axes_to_root_frame
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
-from physkin_core.motion.loading import load_motion
-from physkin_core.motion.motion import Motion
 from physkin_core.outfit.draper import Draper
-from physkin_core.outfit.outfit_options import add_avatar_options, add_fit_option
+from physkin_core.outfit.outfit_options import add_avatar_options, add_fit_option, print_warnings, read_motion
 from physkin_core.output_file import check_other_file
 from physkin_core.points.point_files import POINT_FILES, PointFile, read_points
 from physkin_core.points.splat_draper import SplatDraper
@@ -59,10 +56,10 @@ def main(argv: list[str]) -> int:
     file = read_points(options.points)
     to_root = _to_root(options, file)
     model = load_garment_model(options.garment)
-    motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
-    if options.rate is not None:
-        motion = motion.resampled(options.rate)
-    outputs = _outputs(options, motion)
+    motion, path = read_motion(options), options.output
+    outputs = {options.frame: path}
+    if options.all:
+        outputs = {frame: path.with_stem(f"{path.stem}_{frame:04d}") for frame in range(motion.frame_count)}
     for output in outputs.values():
         check_other_file(output, options.points, options.avatar)
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
@@ -70,8 +67,7 @@ def main(argv: list[str]) -> int:
         draper, write = (_splat_writer if file.splats else _point_writer)(model, avatar, options.fit, file, to_root)
     except ValueError as error:
         raise ValueError(f"{options.points}: {error}") from error
-    for warning in draper.avatar.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+    print_warnings(draper.avatar.warnings)
     positions = motion.positions_for(model.rig)
     watch = progress_line(f"writing {len(outputs)} files")
     for done, (frame, output) in enumerate(outputs.items(), 1):
@@ -92,16 +88,6 @@ def _to_root(options: argparse.Namespace, file: PointFile) -> np.ndarray:
         said = f"--up {up}" + (f" --forward {forward}" if forward else "")
         raise ValueError(f"{said}: allowed are two different axes of {', '.join(AXES)}")
     return options.scale * axes_to_root_frame(up, forward)
-
-
-def _outputs(options: argparse.Namespace, motion: Motion) -> dict[int, Path]:
-    """What to write of which frame."""
-    path = options.output
-    if options.all:
-        return {frame: path.with_stem(f"{path.stem}_{frame:04d}") for frame in range(motion.frame_count)}
-    if not 0 <= options.frame < motion.frame_count:
-        raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
-    return {options.frame: path}
 
 
 def _point_writer(model: GarmentModel, avatar: Avatar, fit: float | None, file: PointFile, to_root: np.ndarray):
