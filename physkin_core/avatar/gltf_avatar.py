@@ -14,6 +14,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.gltf_file import GltfFile
+from physkin_core.avatar.mesh_avatar import retarget_plain_mesh
 from physkin_core.avatar.retargeting import retarget
 from physkin_core.avatar.skinned_mesh import SkinnedMesh, Surface, clean_surface, unit_scale
 from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
@@ -31,22 +32,16 @@ def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None) -> Av
     """Read a GLB, glTF or VRM file. Raises AvatarError (see `physkin_core.load_avatar`)."""
     try:
         file = GltfFile(path)
-        if file.document.skins:
-            if rig_file is not None:
-                raise AvatarError(f"avatar {path} has its own skeleton; a rig file ({rig_file}) is for plain meshes")
-            mesh = _skinned_mesh(file)
-        else:
-            mesh = None
-            surface = _plain_mesh(file)
+        if file.document.skins and rig_file is not None:
+            raise AvatarError(f"avatar {path} has its own skeleton; a rig file ({rig_file}) is for plain meshes")
+        mesh = _skinned_mesh(file) if file.document.skins else _plain_mesh(file)
     except AvatarError:
         raise
     except (AttributeError, IndexError, KeyError, MemoryError, TypeError, ValueError) as error:
         raise AvatarError(f"avatar {path} is malformed: {type(error).__name__}: {error}") from error
-    if mesh is not None:
-        return retarget(mesh, rig)
-    from physkin_core.avatar.mesh_avatar import retarget_plain_mesh
-
-    return retarget_plain_mesh(surface, rig, path=path, rig_file=rig_file, up="Y")
+    if isinstance(mesh, Surface):
+        return retarget_plain_mesh(mesh, rig, path=path, rig_file=rig_file, up="Y")
+    return retarget(mesh, rig)
 
 
 def _plain_mesh(file: GltfFile) -> Surface:

@@ -13,7 +13,7 @@ import numpy as np
 
 from physkin_core.rig.rig import Rig
 
-__all__ = ["bones_by_structure", "limb_ends", "spine_bones", "spine_by_place"]
+__all__ = ["LIMB_BONES", "bones_by_structure", "limb_ends", "spine_bones", "spine_by_place"]
 
 ASYMMETRY = 0.03
 """Of all following lengths the unit is the skeleton's largest extent. Mean distance of joints from mirror images."""
@@ -38,6 +38,7 @@ LIMB_BONES = {
     "arm": ("upperarm01", "lowerarm01", "wrist", "clavicle"),
     "leg": ("upperleg01", "lowerleg01", "foot", ""),
 }
+"""Bones without their side at which upper and lower segment and the end begin, and the one above."""
 
 
 def bones_by_structure(heads: np.ndarray, parents: np.ndarray, rig: Rig) -> dict[str, int] | None:
@@ -248,8 +249,4 @@ def spine_bones(rig: Rig) -> list[str]:
     """The rig's bones between its root and its collar bones."""
     if "clavicle.L" not in rig.bone_names:
         return []
-    way, bone = [], int(rig.parents[rig.bone_index("clavicle.L")])
-    while bone > 0:
-        way.append(rig.bone_names[bone])
-        bone = int(rig.parents[bone])
-    return way[::-1]
+    return [rig.bone_names[bone] for bone in rig.ancestors(rig.bone_index("clavicle.L"))[-2:0:-1]]
