@@ -9,7 +9,7 @@ import numpy as np
 
 from physkin_core.view.page import Page
 from physkin_core.view.scene.figures import OutfitFigures
-from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Bands, Colour, own_bands
+from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Bands, Colour, as_bytes, own_bands
 from physkin_core.view.scene.scene_state import Frame
 from physkin_core.view.scene.worn_splats import SplatFrame
 from physkin_core.view.surface_node import SurfaceNode
@@ -83,7 +83,9 @@ class Drawing:
         counts = [len(frame.body), *map(len, frame.cloth)]
         return [
             SurfaceNode(server, f"{where}/{name}", count, faces, colour)
-            for name, count, faces, colour in zip(names, counts, (shown, *(layer.faces for layer in outfit.layers)), frame.colours)
+            for name, count, faces, colour in zip(
+                names, counts, (shown, *(layer.faces for layer in outfit.layers)), frame.colours
+            )
         ]
 
     def _place(self, frame: Frame) -> None:
@@ -152,7 +154,7 @@ class Drawing:
                 lambda: self._scene.add_point_cloud(
                     "/world/figure/nodes",
                     points,
-                    _bytes(NODE_COLOUR),
+                    as_bytes(NODE_COLOUR),
                     point_size=NODE_SIZE,
                     point_shape="circle",
                     precision="float32",
@@ -168,7 +170,7 @@ class Drawing:
                 lambda: self._scene.add_line_segments(
                     "/world/figure/normals",
                     lines,
-                    _bytes(NORMAL_COLOUR),
+                    as_bytes(NORMAL_COLOUR),
                     thickness=1.0,
                     thickness_units="screen",
                 ),
@@ -200,7 +202,3 @@ def _normal_lines(points: np.ndarray) -> np.ndarray:
     """(N, 2, 3) from evenly chosen points (v, 6) along their normals."""
     chosen = points[:: -(-len(points) // MOST_NORMALS)]
     return np.stack([chosen[:, :3], chosen[:, :3] + NORMAL_LENGTH * chosen[:, 3:]], axis=1)
-
-
-def _bytes(colour: Colour) -> np.ndarray:
-    return np.round(255 * np.array(colour)).astype(np.uint8)
