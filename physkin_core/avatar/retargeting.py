@@ -29,7 +29,6 @@ MAX_INFLUENCES = 8
 JOINT_DEVIATIONS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 """[m] how far a joint may lie from where the compact body model has it on the same person."""
 LIKELY_COEFFICIENT = 3.0
-SIDES = ("L", "R")
 
 
 def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
@@ -80,7 +79,7 @@ def place_bones(
     scale = _leg_ratio(known, rig, reference_heads)
     root = rig.bone_names[0]
     if root_joint is None:
-        hips = [f"upperleg01.{side}" for side in SIDES]
+        hips = [f"upperleg01.{side}" for side in "LR"]
         offset = np.mean([reference_heads[rig.bone_index(name)] for name in hips], axis=0) - reference_heads[0]
         known[root] = np.mean([known[name] for name in hips], axis=0) - scale * offset
     heads = np.empty((rig.bone_count, 3))

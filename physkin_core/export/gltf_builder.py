@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["FROM_ROOT_FRAME", "STORED_INFLUENCES", "GltfBuilder", "strongest_influences", "write_glb"]
+__all__ = ["FROM_ROOT_FRAME", "GltfBuilder", "strongest_influences", "write_glb"]
 
 # Rows: glTF's x (left), y (up), z (forward).
 FROM_ROOT_FRAME = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])

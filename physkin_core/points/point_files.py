@@ -27,7 +27,7 @@ PLAIN_COLOUR, CONSTANT_HARMONIC = ("f_dc_0", "f_dc_1", "f_dc_2"), 0.5 / np.sqrt(
 @dataclass(frozen=True)
 class PointFile:
     """points: (n, 3). normals: (n, 3) unit, where the file has any that must move with the points. splats: what the
-    points are, if they are splats. up: axis of the file that is up, if its format says so. faces: how many there are.
+    points are, if they are splats. up: axis of the file that is up, if its format says so.
 
     write: writes the file to a path with other points, and other normals or None; write_splats: with other splats.
     look: (n,) records of all else that a splat has, such as opacity and colour, where there is any.
@@ -102,7 +102,7 @@ def _ply_writer(ply: PlyFile) -> Callable[[Path, np.ndarray, np.ndarray | None],
         columns = dict(zip(POSITION, points.T))
         if normals is not None:
             columns |= zip(NORMAL, normals.T)
-        ply.with_columns(columns).write(path)
+        ply.write(path, columns)
 
     return write
 
@@ -112,7 +112,7 @@ def _ply_splat_writer(ply: PlyFile) -> Callable[[Path, Splats], None]:
         columns = dict(zip(POSITION, splats.centres.T))
         columns |= zip(ROTATION, splats.rotations.T)
         columns |= zip(SCALE, np.log(splats.scales.T))
-        ply.with_columns(columns).write(path)
+        ply.write(path, columns)
 
     return write
 

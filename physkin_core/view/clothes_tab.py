@@ -39,9 +39,8 @@ class ClothesTab:
             fabric = gui.add_dropdown("fabric", (AS_TRAINED, *FABRICS), hint="what it is made of")
             tucked = gui.add_checkbox("tucked in", False, hint="its hem is under the next one's waistband")
             colour = gui.add_rgb("colour", (0, 0, 0))
-            garment.on_update(page.by_hand(self._wear))
-            fabric.on_update(page.by_hand(self._wear))
-            tucked.on_update(page.by_hand(self._wear))
+            for widget in (garment, fabric, tucked):
+                widget.on_update(page.by_hand(self._wear))
             colour.on_update(page.by_hand(self._recolour))
             self._layers.append((garment, fabric, tucked, colour))
         uploads.add_button(page, "Load a garment model", hint="a .safetensors file", load=self._load_model)
@@ -85,7 +84,7 @@ class ClothesTab:
                 change()
         finally:
             self.show_what_is_worn()
-        for warning in self._state.warnings:
+        for warning in self._state.outfit.warnings:
             self._page.notice("How it sits", warning, kind="warning")
 
     def _wear(self) -> None:

@@ -183,11 +183,6 @@ class SceneState:
         """Whether there is a file of splats."""
         return self._points is not None
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What was assumed of the body, and how garments sit if not well."""
-        return self.outfit.warnings
-
     # --- In which pose ---
 
     @property
