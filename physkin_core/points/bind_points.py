@@ -64,7 +64,7 @@ def main(argv: list[str]) -> int:
         check_other_file(output, options.points, options.avatar)
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
     try:
-        draper, write = (_splat_writer if file.splats else _point_writer)(model, avatar, options.fit, file, to_root)
+        draper, write = _bound(model, avatar, options.fit, file, to_root)
     except ValueError as error:
         raise ValueError(f"{options.points}: {error}") from error
     print_warnings(draper.avatar.warnings)
@@ -90,25 +90,19 @@ def _to_root(options: argparse.Namespace, file: PointFile) -> np.ndarray:
     return options.scale * axes_to_root_frame(up, forward)
 
 
-def _point_writer(model: GarmentModel, avatar: Avatar, fit: float | None, file: PointFile, to_root: np.ndarray):
+def _bound(model: GarmentModel, avatar: Avatar, fit: float | None, file: PointFile, to_root: np.ndarray):
+    """What drapes the file's splats or points, and what writes a pose of them: a path, joint positions, gravity."""
+    to_file = np.linalg.inv(to_root)
+    if file.splats:
+        splats = SplatDraper(model, avatar, file.splats.transformed(to_root), fit=fit)
+        return splats, lambda path, *pose: file.write_splats(path, splats.drape(*pose).transformed(to_file))
     points, normals = file.points @ to_root.T, None if file.normals is None else file.normals @ to_root.T
     draper = Draper(model, avatar, fit=fit, points=points, point_normals=normals)
-    to_file = np.linalg.inv(to_root)
     turn_back = to_root.T / np.cbrt(np.linalg.det(to_root))
 
-    def write(path: Path, positions: np.ndarray, gravity: np.ndarray) -> None:
-        cloud = draper.drape(positions, gravity).astype(np.float64)
+    def write(path: Path, *pose: np.ndarray) -> None:
+        cloud = draper.drape(*pose).astype(np.float64)
         turned = None if normals is None else cloud[:, 3:] @ turn_back.T
         file.write(path, cloud[:, :3] @ to_file.T, turned)
-
-    return draper, write
-
-
-def _splat_writer(model: GarmentModel, avatar: Avatar, fit: float | None, file: PointFile, to_root: np.ndarray):
-    draper = SplatDraper(model, avatar, file.splats.transformed(to_root), fit=fit)
-    to_file = np.linalg.inv(to_root)
-
-    def write(path: Path, positions: np.ndarray, gravity: np.ndarray) -> None:
-        file.write_splats(path, draper.drape(positions, gravity).transformed(to_file))
 
     return draper, write

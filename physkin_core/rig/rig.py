@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["DegreeOfFreedom", "Rig", "RigError", "forward_kinematics", "pose_vector"]
+__all__ = ["DegreeOfFreedom", "Rig", "RigError", "ancestors", "forward_kinematics", "pose_vector"]
 
 
 class RigError(ValueError):
@@ -164,11 +164,7 @@ class Rig:
 
     def ancestors(self, bone: int) -> list[int]:
         """From a bone itself up to the root."""
-        way = []
-        while bone >= 0:
-            way.append(bone)
-            bone = int(self.parents[bone])
-        return way
+        return ancestors(self.parents, bone)
 
     def inherited(self, own: Mapping[int, int], otherwise: int) -> np.ndarray:
         """(b,) int, of each bone the value that it has in `own`, or else its nearest ancestor that has one."""
@@ -218,6 +214,15 @@ class Rig:
             raise
         except (KeyError, TypeError, ValueError) as error:
             raise RigError(f"malformed rig description: {type(error).__name__}: {error}") from error
+
+
+def ancestors(parents: Sequence[int], joint: int) -> list[int]:
+    """From a joint itself up to the root. parents: of each joint, -1 for none."""
+    way = []
+    while joint >= 0:
+        way.append(joint)
+        joint = int(parents[joint])
+    return way
 
 
 def pose_vector(positions: np.ndarray, lower: np.ndarray, upper: np.ndarray, gravity: np.ndarray) -> np.ndarray:
