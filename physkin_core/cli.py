@@ -7,32 +7,32 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from physkin_core.avatar.avatar import AvatarWarning
+from physkin_core import AvatarWarning, Draper, Outfit, load_avatar, load_garment_model
 from physkin_core.completion import SHELLS, completion_script
 from physkin_core.extras import extra_of
+from physkin_core.model.model_file import convert_model_file
 from physkin_core.outfit.outfit_options import (
     add_fit_option,
     add_garment_option,
     add_limbs_option,
     add_rig_option,
     add_tucked_option,
-    chosen_garments,
+    dressed,
+    print_warnings,
+    read_motion,
     the_garment,
 )
 from physkin_core.output_file import check_folder, check_other_file
+from physkin_core.picture import PictureError, render, save_png
+from physkin_core.progress import progress_line
 from physkin_core.separation.limb_separator import separated_motion
-
-if TYPE_CHECKING:
-    from physkin_core import Motion, Outfit
 
 __all__ = ["main"]
 
@@ -105,8 +105,6 @@ def _run(arguments: list[str]) -> int:
 
 def _told(error: Exception, arguments: list[str]) -> int:
     """Say what went wrong, and what to do. Returns the exit status."""
-    from physkin_core.picture import PictureError
-
     extra = extra_of(error.name) if isinstance(error, ModuleNotFoundError) else None
     if extra is not None:
         print(f"error: {error}; physkin {arguments[0]} needs: pip install 'physkin[{extra}]'", file=sys.stderr)
@@ -119,13 +117,13 @@ def _told(error: Exception, arguments: list[str]) -> int:
     return 2
 
 
-def _parser(forwarded: Mapping[str, argparse.ArgumentParser] = MappingProxyType({})) -> argparse.ArgumentParser:
+def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> argparse.ArgumentParser:
     """forwarded: options of commands that have their own parser, where they are to be known, too."""
     parser = argparse.ArgumentParser(prog="physkin", description="Clothes for any avatar, live, on one CPU core.")
     parser.add_argument(DEBUG, action="store_true", help="show where an error was raised")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for name, (_, text) in FORWARDED.items():
-        parents = [forwarded[name]] if name in forwarded else []
+        parents = [forwarded[name]] if forwarded and name in forwarded else []
         commands.add_parser(name, help=text, add_help=False, parents=parents)
     worn = argparse.ArgumentParser(add_help=False)
     worn.add_argument("avatar", metavar="AVATAR", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
@@ -160,72 +158,38 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] = MappingProxyType(
     return parser
 
 
-def _tell(warnings_found: Sequence[str]) -> None:
-    """What was assumed, and how garments sit if not well."""
-    for warning in warnings_found:
-        print(f"warning: {warning}", file=sys.stderr)
-
-
-def _outfit(options: argparse.Namespace) -> Outfit:
-    """The garments on the avatar, over each other."""
-    from physkin_core import Outfit, load_avatar
-
-    garments = chosen_garments(options.garment, options.tucked)
-    avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
-    outfit = Outfit(garments, avatar, fit=options.fit)
-    _tell(outfit.warnings)
-    return outfit
-
-
 def _drape(options: argparse.Namespace) -> int:
-    from physkin_core import load_motion
-    from physkin_core.progress import progress_line
+    from physkin_core.render.filming import draw_strip, dressed_meshes
 
-    writers: dict[str, Callable] = {".obj": _write_obj, ".png": _write_png}
-    write = writers.get(options.output.suffix.lower())
-    if write is None:
-        raise ValueError(f"cannot write {options.output}: the name must end in {' or '.join(writers)}")
-    check_folder(options.output)
-    check_other_file(options.output, options.avatar)
-    motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
-    if not 0 <= options.frame < motion.frame_count:
-        raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
-    if options.strip is not None:
-        return _draw_strip(options, motion)
-    outfit = _outfit(options)
+    path, is_strip = options.output, options.strip is not None
+    kind = path.suffix.lower()
+    if kind not in (allowed := (".png",) if is_strip else (".obj", ".png")):
+        raise ValueError(f"cannot write {path}: the name{' of a strip' * is_strip} must end in {' or '.join(allowed)}")
+    check_folder(path)
+    check_other_file(path, options.avatar)
+    motion = read_motion(options)
+    outfit = dressed(options)
     if options.separate_limbs:
         motion = separated_motion(motion, outfit.rig, outfit.avatar)
-    positions = motion.positions_for(outfit.rig)[options.frame]
-    cloth = outfit.drape(positions, motion.gravity[options.frame])
-    write(options.output, outfit, outfit.posed_body(positions), cloth)
-    print(f"wrote {options.output}")
-    return 0
-
-
-def _draw_strip(options: argparse.Namespace, motion: Motion) -> int:
-    from physkin_core.picture import save_png
-    from physkin_core.progress import progress_line
-    from physkin_core.render.filming import draw_strip
-
-    if options.output.suffix.lower() != ".png":
-        raise ValueError(f"cannot write {options.output}: the name of a strip must end in .png")
-    outfit = _outfit(options)
-    if options.separate_limbs:
-        motion = separated_motion(motion, outfit.rig, outfit.avatar)
-    strip = draw_strip(outfit, motion, options.strip, watch=progress_line(f"drawing {options.output.name}"))
-    save_png(options.output, strip)
-    print(f"wrote {options.output}")
+    if is_strip:
+        save_png(path, draw_strip(outfit, motion, options.strip, watch=progress_line(f"drawing {path.name}")))
+    else:
+        positions = motion.positions_for(outfit.rig)[options.frame]
+        cloth, body = outfit.drape(positions, motion.gravity[options.frame]), outfit.posed_body(positions)
+        if kind == ".png":
+            save_png(path, render(dressed_meshes(outfit, body, cloth), size=PICTURE_SIZE))
+        else:
+            _write_obj(path, outfit, body, cloth)
+    print(f"wrote {path}")
     return 0
 
 
 def _bind(options: argparse.Namespace) -> int:
-    from physkin_core import Draper, load_avatar, load_garment_model
-
     name = the_garment(options.garment, "a bound file holds")
     check_other_file(options.output, options.avatar, name)
     model = load_garment_model(name)
     draper = Draper(model, load_avatar(options.avatar, model.rig, rig_file=options.rig), fit=options.fit)
-    _tell(draper.avatar.warnings)
+    print_warnings(draper.avatar.warnings)
     draper.save_bound(options.output)
     print(f"wrote {options.output}: {options.output.stat().st_size / 1e6:.1f} MB")
     return 0
@@ -244,16 +208,7 @@ def _write_obj(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.
             first += len(points)
 
 
-def _write_png(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]) -> None:
-    from physkin_core.picture import render, save_png
-    from physkin_core.render.filming import dressed_meshes
-
-    save_png(path, render(dressed_meshes(outfit, body, cloth), size=PICTURE_SIZE))
-
-
 def _info(options: argparse.Namespace) -> int:
-    from physkin_core import load_garment_model
-
     model = load_garment_model(options.model)
     garment, rig = model.garment, model.rig
     sizes = {
@@ -280,8 +235,6 @@ def _info(options: argparse.Namespace) -> int:
 
 
 def _convert_model(options: argparse.Namespace) -> int:
-    from physkin_core.model.model_file import convert_model_file
-
     convert_model_file(options.old, options.output)
     print(f"wrote {options.output}")
     return 0

@@ -71,13 +71,9 @@ class Look:
     def __str__(self) -> str:
         """What there is, in words."""
         has_uv = np.isfinite(self.uv).all(axis=(1, 2)).any()
+        named = {"materials": self.materials, "parts": self.parts}
         return ", ".join(
-            (["UVs"] if has_uv else [])
-            + [
-                f"{len(names)} {word}"
-                for names, word in ((self.materials, "materials"), (self.parts, "parts"))
-                if names
-            ]
+            (["UVs"] if has_uv else []) + [f"{len(names)} {word}" for word, names in named.items() if names]
         )
 
 

@@ -22,6 +22,7 @@ __all__ = [
     "PictureError",
     "contact_sheet",
     "layer_colours",
+    "pillow",
     "render",
     "save_png",
 ]
@@ -145,7 +146,7 @@ def contact_sheet(
         sheet[top : top + height, left : left + width] = image
     if captions is None:
         return sheet
-    pil = _pillow()
+    pil = pillow()
     drawn = pil.Image.fromarray(sheet)
     pen, font = pil.ImageDraw.Draw(drawn), pil.ImageFont.load_default(text_height)
     for (top, left), caption in zip(places, captions, strict=True):
@@ -155,7 +156,7 @@ def contact_sheet(
 
 def save_png(path: str | Path, image: np.ndarray) -> None:
     """Write a picture (h, w, 3) uint8 to a PNG file. Raises PictureError when pillow is not installed."""
-    _pillow().Image.fromarray(np.asarray(image, dtype=np.uint8)).save(path, format="PNG", optimize=True)
+    pillow().Image.fromarray(np.asarray(image, dtype=np.uint8)).save(path, format="PNG", optimize=True)
 
 
 def _checked(mesh: Mesh) -> np.ndarray:
@@ -281,7 +282,8 @@ def _mitsuba():
     return mitsuba
 
 
-def _pillow():
+def pillow():
+    """The package `PIL` with what is used of it. Raises PictureError when pillow is not installed."""
     try:
         import PIL.Image
         import PIL.ImageDraw

@@ -11,7 +11,7 @@ from physkin_core.model.garment import Garment, face_areas
 
 __all__ = [
     *("CLOSE", "SNAP", "area_strain", "closest_points", "contact_figures", "edge_strain", "edge_strains"),
-    *("inside_by_vertex", "jitter", "signed_distance", "snaps"),
+    *("jitter", "signed_distance", "snaps"),
 ]
 
 CLOSE = 0.003
@@ -72,22 +72,6 @@ def signed_distance(points: np.ndarray, body_vertices: np.ndarray, body_faces: n
     normal = np.where(touched == 2, at_edge[face, barycentric.argmin(axis=1)], at_face[face])
     normal = np.where(touched == 1, at_corner[faces[face, barycentric.argmax(axis=1)]], normal)
     return np.where(((points - closest) * normal).sum(axis=1) < 0, -distance, distance)
-
-
-def inside_by_vertex(points: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray) -> np.ndarray:
-    """Whether points (n, 3) are behind the nearest body vertex, by its area-weighted normal. Returns (n,) bool.
-
-    As GAPS counts them (Chen et al. 2024), for comparison: unlike the sign of `signed_distance` it depends on how the
-    body is triangulated.
-    """
-    from scipy.spatial import cKDTree
-
-    corners = np.asarray(body_vertices, dtype=np.float64)[body_faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros((len(body_vertices), 3))
-    np.add.at(normals, body_faces, cross[:, None])
-    _, nearest = cKDTree(body_vertices).query(points)
-    return ((points - body_vertices[nearest]) * normals[nearest]).sum(axis=-1) < 0
 
 
 def _pseudo_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

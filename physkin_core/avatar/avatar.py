@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physkin_core.avatar.body_model import BodyModel
-from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
+from physkin_core.rig.linear_blend_skinning import joined_influences, linear_blend_skinning
 
 __all__ = ["Avatar", "AvatarError", "AvatarWarning", "avatar_from_body"]
 
@@ -67,18 +67,12 @@ class Avatar:
         more = self.accessories
         if more is None:
             return self
-        width = max(self.influence_bones.shape[1], more.influence_bones.shape[1])
-
-        def joined(own: np.ndarray, others: np.ndarray) -> np.ndarray:
-            padded = [np.pad(rows, ((0, 0), (0, width - rows.shape[1]))) for rows in (own, others)]
-            return np.concatenate(padded)
-
         return replace(
             self,
             vertices=np.concatenate([self.vertices, more.vertices]),
             faces=np.concatenate([self.faces, more.faces + len(self.vertices)]),
-            influence_bones=joined(self.influence_bones, more.influence_bones),
-            influence_weights=joined(self.influence_weights, more.influence_weights),
+            influence_bones=joined_influences([self.influence_bones, more.influence_bones]),
+            influence_weights=joined_influences([self.influence_weights, more.influence_weights]),
             file_vertices=None,  # nobody asks where a picture's vertices were
             file_corners=np.concatenate([self.file_corners, more.file_corners]),
             accessories=None,

@@ -56,11 +56,11 @@ class BodyModel:
 
 
 @cache
-def load_body_model(path: Path = BODY_MODEL_PATH) -> BodyModel:
+def load_body_model() -> BodyModel:
     """Read the compact body file (see `BodyModel`); the result is shared, do not write into it."""
     from safetensors import safe_open
 
-    with safe_open(path, framework="numpy") as file:
+    with safe_open(BODY_MODEL_PATH, framework="numpy") as file:
         rig = Rig.from_json(json.loads(file.metadata()["rig"]))
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
     integers = {"faces", "influence_bones"}

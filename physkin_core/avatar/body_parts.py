@@ -150,21 +150,14 @@ def _listed(names: Sequence[Sequence[str]], chosen: np.ndarray) -> str:
 
 def _bone_regions(rig: Rig) -> np.ndarray:
     """(b,) region of each bone."""
-    regions = np.full(rig.bone_count, len(REGION_BONES))
-    for bone, name in enumerate(rig.bone_names):
-        if name in REGION_BONES:
-            regions[bone] = REGION_BONES.index(name)
-        elif bone:
-            regions[bone] = regions[rig.parents[bone]]
-    return regions
+    starts = {bone: REGION_BONES.index(name) for bone, name in enumerate(rig.bone_names) if name in REGION_BONES}
+    return rig.inherited(starts, len(REGION_BONES))
 
 
 def _are_free(rig: Rig) -> np.ndarray:
     """(b,) bool: bones of head, hands and feet."""
-    free = np.zeros(rig.bone_count, dtype=bool)
-    for bone, name in enumerate(rig.bone_names):
-        free[bone] = name.split(".")[0] in FREE_BONES or (bone > 0 and free[rig.parents[bone]])
-    return free
+    starts = {bone: 1 for bone, name in enumerate(rig.bone_names) if name.split(".")[0] in FREE_BONES}
+    return rig.inherited(starts, 0).astype(bool)
 
 
 def _usual_areas(rig: Rig) -> np.ndarray:

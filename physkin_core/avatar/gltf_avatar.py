@@ -14,10 +14,11 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.gltf_file import GltfFile
+from physkin_core.avatar.mesh_avatar import retarget_plain_mesh
 from physkin_core.avatar.retargeting import retarget
 from physkin_core.avatar.skinned_mesh import SkinnedMesh, Surface, clean_surface, unit_scale
-from physkin_core.rig.linear_blend_skinning import linear_blend_skinning
-from physkin_core.rig.rig import Rig
+from physkin_core.rig.linear_blend_skinning import joined_influences, linear_blend_skinning
+from physkin_core.rig.rig import Rig, ancestors
 
 __all__ = ["load_gltf", "primitives"]
 
@@ -31,50 +32,41 @@ def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None) -> Av
     """Read a GLB, glTF or VRM file. Raises AvatarError (see `physkin_core.load_avatar`)."""
     try:
         file = GltfFile(path)
-        if file.document.skins:
-            if rig_file is not None:
-                raise AvatarError(f"avatar {path} has its own skeleton; a rig file ({rig_file}) is for plain meshes")
-            mesh = _skinned_mesh(file)
-        else:
-            mesh = None
-            surface = _plain_mesh(file)
+        if file.document.skins and rig_file is not None:
+            raise AvatarError(f"avatar {path} has its own skeleton; a rig file ({rig_file}) is for plain meshes")
+        mesh = _skinned_mesh(file) if file.document.skins else _plain_mesh(file)
     except AvatarError:
         raise
     except (AttributeError, IndexError, KeyError, MemoryError, TypeError, ValueError) as error:
         raise AvatarError(f"avatar {path} is malformed: {type(error).__name__}: {error}") from error
-    if mesh is not None:
-        return retarget(mesh, rig)
-    from physkin_core.avatar.mesh_avatar import retarget_plain_mesh
-
-    return retarget_plain_mesh(surface, rig, path=path, rig_file=rig_file, up="Y")
+    if isinstance(mesh, Surface):
+        return retarget_plain_mesh(mesh, rig, path=path, rig_file=rig_file, up="Y")
+    return retarget(mesh, rig)
 
 
 def _plain_mesh(file: GltfFile) -> Surface:
     """All meshes of a file without skins, in glTF's frame."""
-    parts, names, clear, start = [], [], set(), 0
+    parts, start = [], 0
     for node, primitive, positions, faces, _ in primitives(file):
-        if _is_clear(file, primitive):
-            clear.add(len(parts))
-        world = file.node_worlds[node]
-        parts.append((positions @ world[:3, :3].T + world[:3, 3], faces + start))
-        names.append(_part_names(file, node, primitive))
+        placed = _in_scene(file, node, positions)
+        parts.append((placed, faces + start, _part_names(file, node, primitive), _is_clear(file, primitive)))
         start += len(positions)
     if not parts:
         raise AvatarError(f"avatar {file.path} has no faces; a triangle mesh is needed")
-    vertices, faces = (np.concatenate([part[index] for part in parts]) for index in (0, 1))
-    face_parts = np.repeat(np.arange(len(parts)), [len(part[1]) for part in parts])
-    return Surface(vertices, faces, tuple(names), face_parts, frozenset(clear))
+    vertices, faces, names, clear = zip(*parts)
+    face_parts = np.repeat(np.arange(len(parts)), list(map(len, faces)))
+    clear_parts = frozenset(np.flatnonzero(clear).tolist())
+    return Surface(np.concatenate(vertices), np.concatenate(faces), names, face_parts, clear_parts)
 
 
 def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
     humanoid = _humanoid_nodes(file)
     joint_nodes, node_joint = _joints(file, humanoid or {})
     frame = _frame(file)
-    warnings, parts, names, clear, start = [], [], [], set(), 0
+    warnings, parts, start = [], [], 0
     for node, primitive, positions, faces, corners in primitives(file):
         label = file.document.nodes[node].name or f"node {node}"
         skin = file.document.nodes[node].skin
-        world = file.node_worlds[node]
         if skin is not None:
             joints, weights, unbound = _skin_influences(file, primitive, skin, len(positions), label)
             if unbound:
@@ -82,27 +74,24 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
             positions = linear_blend_skinning(positions, _skin_transforms(file, skin), joints, weights)
             joints = np.array([node_joint[joint] for joint in file.document.skins[skin].joints])[joints]
         else:
-            carrier = _carrier(file, node, node_joint)
+            carrier = next(
+                (node_joint[each] for each in ancestors(file.node_parents, node) if each in node_joint), None
+            )
             if carrier is None:
                 warnings.append(f"mesh {label!r} has no skin and hangs on no joint: left out")
                 continue
-            positions = positions @ world[:3, :3].T + world[:3, 3]
+            positions = _in_scene(file, node, positions)
             joints, weights = np.full((len(positions), 1), carrier), np.ones((len(positions), 1))
-        if _is_clear(file, primitive):
-            clear.add(len(parts))
-        parts.append((positions, faces + start, joints, weights, corners))
-        names.append(_part_names(file, node, primitive))
+        named = _part_names(file, node, primitive), _is_clear(file, primitive)
+        parts.append((positions, faces + start, joints, weights, corners, *named))
         start += len(positions)
     if not parts:
         raise AvatarError(f"avatar {file.path} has no faces on its skeleton; a triangle mesh is needed")
-    influences = max(part[2].shape[1] for part in parts)
-    vertices, faces, corners = (np.concatenate([part[index] for part in parts]) for index in (0, 1, 4))
-    joints, weights = (
-        np.concatenate([np.pad(part[index], ((0, 0), (0, influences - part[index].shape[1]))) for part in parts])
-        for index in (2, 3)
-    )
-    face_parts = np.repeat(np.arange(len(parts)), [len(part[1]) for part in parts])
-    vertices, faces, (joints, weights), kept = clean_surface(vertices, faces, (joints, weights), str(file.path))
+    vertices, faces, joints, weights, corners, names, clear = zip(*parts)
+    face_parts = np.repeat(np.arange(len(parts)), list(map(len, faces)))
+    vertices, faces, corners = map(np.concatenate, (vertices, faces, corners))
+    influences = joined_influences(joints), joined_influences(weights)
+    vertices, faces, (joints, weights), kept = clean_surface(vertices, faces, influences, str(file.path))
     heads = file.node_worlds[joint_nodes][:, :3, 3]
     scale, unit_warning = unit_scale(vertices)
     frame = scale * frame
@@ -118,9 +107,9 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
         source=str(file.path),
         humanoid=None if humanoid is None else {name: node_joint[node] for name, node in humanoid.items()},
         warnings=(*dict.fromkeys(warnings), *unit_warning),
-        part_names=tuple(names),
+        part_names=names,
         face_parts=face_parts[kept],
-        clear_parts=frozenset(clear),
+        clear_parts=frozenset(np.flatnonzero(clear).tolist()),
         file_vertices=vertices,
         file_corners=corners[kept],
     )
@@ -147,6 +136,12 @@ def primitives(file: GltfFile):
             faces = _faces(file, primitive, positions, mirrored=mirrored)
             yield node, primitive, positions, faces, count + np.arange(faces.size).reshape(-1, 3)
             count += faces.size
+
+
+def _in_scene(file: GltfFile, node: int, positions: np.ndarray) -> np.ndarray:
+    """Positions (V, 3) of a node's mesh where its transform puts them."""
+    world = file.node_worlds[node]
+    return positions @ world[:3, :3].T + world[:3, 3]
 
 
 def _part_names(file: GltfFile, node: int, primitive) -> tuple[str, ...]:
@@ -176,12 +171,8 @@ def _joints(file: GltfFile, humanoid: dict[str, int]) -> tuple[list[int], dict[i
 
     These are all skins' joints, the VRM humanoid bones (a skin need not use them all), and their ancestors.
     """
-    nodes: set[int] = set()
-    for joints in (humanoid.values(), *(skin.joints for skin in file.document.skins)):
-        for node in joints:
-            while node >= 0 and node not in nodes:
-                nodes.add(node)
-                node = int(file.node_parents[node])
+    joints = [*humanoid.values(), *(joint for skin in file.document.skins for joint in skin.joints)]
+    nodes = {node for joint in set(joints) for node in ancestors(file.node_parents, joint)}
     joint_nodes = [node for node in file.node_order if node in nodes]
     return joint_nodes, {node: joint for joint, node in enumerate(joint_nodes)}
 
@@ -227,13 +218,6 @@ def _skin_transforms(file: GltfFile, skin: int) -> np.ndarray:
             )
         inverse_bind = stored[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1)
     return (file.node_worlds[joints] @ inverse_bind)[:, :3]
-
-
-def _carrier(file: GltfFile, node: int, node_joint: dict[int, int]) -> int | None:
-    """The joint that a mesh without a skin is attached to."""
-    while node >= 0 and node not in node_joint:
-        node = int(file.node_parents[node])
-    return node_joint.get(node)
 
 
 def _joint_tails(file: GltfFile, joint_nodes: list[int]) -> np.ndarray:

@@ -174,16 +174,12 @@ class GltfFile:
         return data
 
     def _content(self, what: str, uri: str, length: int) -> bytes:
-        """What a URI holds; of a file the first `length` bytes."""
+        """What a URI holds; of a file the first `length` bytes. It must lie in the avatar's folder, links followed."""
         if uri.startswith("data:"):
             return base64.b64decode(uri.split(",", 1)[1])
         if "://" in uri:
             raise AvatarError(f"avatar {self.path}: {what} is at {uri}; only files beside the avatar are read")
-        return self._read_beside(what, unquote(uri), length)
-
-    def _read_beside(self, what: str, name: str, length: int) -> bytes:
-        """The first `length` bytes of a file, which must lie in the avatar's folder, links followed."""
-        folder = self.path.parent.resolve()
+        name, folder = unquote(uri), self.path.parent.resolve()
         beside = (folder / name).resolve()
         if not beside.is_relative_to(folder):
             raise AvatarError(f"avatar {self.path}: {what} is {name!r}, outside the avatar's folder; it must be in it")

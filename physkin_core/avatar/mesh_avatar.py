@@ -165,8 +165,9 @@ def _read_surface(path: Path) -> Surface:
     try:
         if path.suffix.lower() == ".obj":
             file = read_obj(path)
-            parts = list(dict.fromkeys((names.material, names.group, names.object) for names in file.names))
-            number = [parts.index((names.material, names.group, names.object)) for names in file.names]
+            called = [(names.material, names.group, names.object) for names in file.names]
+            parts = list(dict.fromkeys(called))
+            number = [parts.index(each) for each in called]
             told = tuple(tuple(filter(None, part)) for part in parts)
             return Surface(file.vertices, file.faces, told, np.array(number, dtype=int)[file.face_names])
         import trimesh

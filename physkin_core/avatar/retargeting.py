@@ -29,7 +29,6 @@ MAX_INFLUENCES = 8
 JOINT_DEVIATIONS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 """[m] how far a joint may lie from where the compact body model has it on the same person."""
 LIKELY_COEFFICIENT = 3.0
-SIDES = ("L", "R")
 
 
 def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
@@ -41,14 +40,15 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
     mesh = turn_upright(mesh, bone_joint)
     mesh = _canonical(mesh, bone_joint, rig)
     check_size(mesh.vertices, mesh.source)
-    scale = _skeleton_scale(mesh, bone_joint, rig)
-    mesh, accessories = split_body(mesh, _joint_bones(mesh, bone_joint, rig), rig, scale=scale)
+    scale = _leg_ratio({bone: mesh.joint_heads[joint] for bone, joint in bone_joint.items()}, rig, rig.heads)
+    joint_bones = _joint_bones(mesh, bone_joint, rig)
+    mesh, accessories = split_body(mesh, joint_bones, rig, scale=scale)
     root_joint = bone_joint.get(rig.bone_names[0]) if naming == OWN_NAMES else None
     heads, tails, root = place_bones(mesh, bone_joint, rig, root_joint=root_joint)
     outward = slice(None, None, _orientation(mesh.vertices, mesh.faces))
 
     def bound(part: SkinnedMesh) -> Avatar:
-        bones, weights = _rig_influences(part, bone_joint, rig, heads, tails)
+        bones, weights = _rig_influences(part, joint_bones, bone_joint, rig, heads, tails)
         return Avatar(
             vertices=(part.vertices - root).astype(np.float32),
             faces=part.faces[:, outward].astype(np.int32),
@@ -79,7 +79,7 @@ def place_bones(
     scale = _leg_ratio(known, rig, reference_heads)
     root = rig.bone_names[0]
     if root_joint is None:
-        hips = [f"upperleg01.{side}" for side in SIDES]
+        hips = [f"upperleg01.{side}" for side in "LR"]
         offset = np.mean([reference_heads[rig.bone_index(name)] for name in hips], axis=0) - reference_heads[0]
         known[root] = np.mean([known[name] for name in hips], axis=0) - scale * offset
     heads = np.empty((rig.bone_count, 3))
@@ -129,15 +129,8 @@ def _leg_ratio(known: Mapping[str, np.ndarray], rig: Rig, reference: np.ndarray)
     return float(own / model) if own > 1e-9 and model > 1e-9 else 1.0
 
 
-def _skeleton_scale(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> float:
-    """Size of the skeleton over that of the rig."""
-    return _leg_ratio({bone: mesh.joint_heads[joint] for bone, joint in bone_joint.items()}, rig, rig.heads)
-
-
 def _between(bone: int, rig: Rig, heads: np.ndarray, known: Mapping, reference: np.ndarray, scale: float) -> np.ndarray:
-    above = int(rig.parents[bone])
-    while rig.bone_names[above] not in known:
-        above = int(rig.parents[above])
+    above = next(each for each in rig.ancestors(bone)[1:] if rig.bone_names[each] in known)
     below = _nearest_known_below(bone, rig, known)
     offset = reference[bone] - reference[above]
     if below:
@@ -189,11 +182,15 @@ def _joint_bones(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> 
 
 
 def _rig_influences(
-    mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig, heads: np.ndarray, tails: np.ndarray
+    mesh: SkinnedMesh,
+    joint_bones: np.ndarray,
+    bone_joint: Mapping[str, int],
+    rig: Rig,
+    heads: np.ndarray,
+    tails: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Influences over rig bones: each joint's go to its bone, or to its nearest mapped ancestor's."""
-    target = _joint_bones(mesh, bone_joint, rig)
-    dense = dense_weights(target[mesh.influence_joints], mesh.influence_weights, rig.bone_count)
+    """Influences over rig bones, each joint's on its bone of `joint_bones` (j,)."""
+    dense = dense_weights(joint_bones[mesh.influence_joints], mesh.influence_weights, rig.bone_count)
     for bone in {0, *map(rig.bone_index, bone_joint)}:
         _spread_along_chain(dense, bone, rig, bone_joint, mesh.vertices, heads, tails)
     bones, weights = strongest_influences(dense, min(MAX_INFLUENCES, max(1, int((dense > 0).sum(axis=1).max()))))

@@ -35,7 +35,6 @@ class RigFile:
     where the file does not say.
     """
 
-    path: Path | None = None
     bones: tuple[tuple[str, int, np.ndarray, np.ndarray], ...] = ()
     influences: tuple[np.ndarray, np.ndarray] | None = None
     up: str | None = None
@@ -71,7 +70,7 @@ def read_rig_file(path: Path) -> RigFile:
         raise AvatarError(
             f"rig file {path}: up {up!r} and forward {forward!r}; allowed are two different axes of {', '.join(AXES)}"
         )
-    return RigFile(path, bones, influences, up, forward, scale)
+    return RigFile(bones, influences, up, forward, scale)
 
 
 def _bones(entries: list, path: Path) -> tuple:

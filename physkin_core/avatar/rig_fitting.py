@@ -18,6 +18,7 @@ from physkin_core.avatar.body_model import BodyModel
 from physkin_core.avatar.surface_matching import normal_equations, spread_vertices, with_normals
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.surface_sampling import sample_surface
+from physkin_core.quality import closest_points
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, turned_down_the_chain
 from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning, strongest_influences
 from physkin_core.rig.rig import Rig
@@ -123,11 +124,8 @@ def _improve(state: _State, body: BodyModel, points: np.ndarray, iterations: int
 
 def _residual(state: _State, body: BodyModel, points: np.ndarray) -> float:
     """Mean distance [m] from the mesh to the body's surface."""
-    from point_cloud_utils import closest_points_on_mesh
-
-    surface = np.ascontiguousarray(_posed_surface(state, body)[0], dtype=np.float64)
-    some = np.ascontiguousarray(points[:: len(points) // RESIDUAL_SAMPLES, :3], dtype=np.float64)
-    return float(closest_points_on_mesh(some, surface, body.faces.astype(np.int64))[0].mean())
+    some = points[:: len(points) // RESIDUAL_SAMPLES, :3]
+    return float(closest_points(some, _posed_surface(state, body)[0], body.faces)[0].mean())
 
 
 @dataclass
@@ -250,10 +248,7 @@ def _place(state: _State, points: np.ndarray) -> np.ndarray:
 
 def _limb_owners(rig: Rig) -> np.ndarray:
     """(b,) index of the limb segment each bone turns with, -1 for the trunk."""
-    limbs, owner = list(LIMB_SEGMENTS), np.full(rig.bone_count, -1)
-    for bone, name in enumerate(rig.bone_names):
-        owner[bone] = limbs.index(name) if name in limbs else owner[rig.parents[bone]] if bone else -1
-    return owner
+    return rig.inherited({rig.bone_index(name): limb for limb, name in enumerate(LIMB_SEGMENTS)}, -1)
 
 
 def _bone_rotations(rig: Rig, limbs: np.ndarray) -> np.ndarray:

@@ -19,7 +19,6 @@ HEIGHT_RANGE = (0.5, 3.0)
 UNITS = {"decimetres": 0.1, "centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001}
 ADULT_SIZES = (1.2, 2.4)
 """[m] of the largest extent of a mesh that is taken to be in one of `UNITS`; none of these can be mistaken."""
-SIDES = ("L", "R")
 
 
 @dataclass(frozen=True)
@@ -122,7 +121,7 @@ def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int]) -> SkinnedMes
     """Turn by quarters until the skeleton stands up and looks forward; a warning says when that was needed."""
     from scipy.spatial.transform import Rotation
 
-    ends = [f"{bone}.{side}" for bone in ("upperarm01", "upperleg01") for side in SIDES]
+    ends = [f"{bone}.{side}" for bone in ("upperarm01", "upperleg01") for side in "LR"]
     if any(name not in bone_joint for name in ends):
         return mesh
     left_arm, right_arm, left_leg, right_leg = (mesh.joint_heads[bone_joint[name]] for name in ends)

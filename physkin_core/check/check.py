@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import asdict
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from physkin_core.check.likeness import Likeness, body_overlap, likeness
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.outfit.draper import Draper
-from physkin_core.outfit.outfit_options import add_fit_option, add_limbs_option, add_rig_option
+from physkin_core.outfit.outfit_options import add_fit_option, add_limbs_option, add_rig_option, print_warnings
 from physkin_core.output_file import check_folder
 from physkin_core.separation.limb_separator import LimbSeparator
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
@@ -61,11 +60,11 @@ def main(argv: list[str]) -> int:
     rig = models[0].rig
     avatar = load_avatar(options.avatar, rig, rig_file=options.rig)
     drapers = {model.name: Draper(model, avatar, fit=options.fit) for model in models}
-    poses, gravity = everyday_poses(rig)
+    poses, _ = everyday_poses(rig)
     if options.separate_limbs:
         separator = LimbSeparator(rig, avatar)
         poses = np.array([separator.separate(positions)[0] for positions in poses])
-    checks = {name: check_garment(draper, list(zip(poses, gravity))) for name, draper in drapers.items()}
+    checks = {name: check_garment(draper, poses=poses) for name, draper in drapers.items()}
     known, overlap = likeness(avatar, rig), body_overlap(avatar, rig, poses)
     report = _report(avatar, checks, known, overlap)
     _print(report, avatar)
@@ -107,17 +106,17 @@ def advice(checks: dict[str, GarmentCheck], known: Likeness, overlap_percent: fl
 def _report(avatar: Avatar, checks: dict[str, GarmentCheck], known: Likeness, overlap: float) -> dict:
     """Of several garments the worst figures, and each by name."""
     garments = {name: check.as_plain_data() for name, check in checks.items()}
+    first = next(iter(garments.values()))
 
-    def worst(*keys: str) -> float:
-        return max(_at(garment, keys) for garment in garments.values())
+    def worst(when: str) -> dict[str, float]:
+        return {key: max(each[when][key] for each in garments.values()) for key in first[when]}
 
-    inside, deepest, strain = "inside_percent", "deepest_mm", "edge_strain_percent"
     return {
         "avatar": avatar.source,
         "warnings": list(avatar.warnings),
-        "rest": {key: worst("rest", key) for key in (inside, deepest)},
-        "everyday": {key: worst("everyday", key) for key in (inside, deepest, strain)},
-        "skin_shows_percent": worst("skin_shows_percent"),
+        "rest": worst("rest"),
+        "everyday": worst("everyday"),
+        "skin_shows_percent": max(each["skin_shows_percent"] for each in garments.values()),
         "verdict": max((check.verdict for check in checks.values()), key=VERDICTS.index),
         "advice": advice(checks, known, overlap),
         "likeness": asdict(known),
@@ -126,15 +125,8 @@ def _report(avatar: Avatar, checks: dict[str, GarmentCheck], known: Likeness, ov
     }
 
 
-def _at(data: dict, keys: tuple[str, ...]) -> float:
-    for key in keys:
-        data = data[key]
-    return data
-
-
 def _print(report: dict, avatar: Avatar) -> None:
-    for warning in avatar.warnings:  # how garments sit is in the report
-        print(f"warning: {warning}", file=sys.stderr)
+    print_warnings(avatar.warnings)  # how garments sit is in the report
     for name, found in report["garments"].items():
         rest, everyday = found["rest"], found["everyday"]
         print(f"{name}: {found['verdict']}")

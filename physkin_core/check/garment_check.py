@@ -6,7 +6,6 @@ Dimensions: `P` poses, `d` degrees of freedom, `n` garment vertices, `V` body ve
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Literal
 
@@ -14,6 +13,7 @@ import numpy as np
 
 from physkin_core.model.garment import Garment, face_areas
 from physkin_core.model.surface_paths import mesh_edges, path_lengths
+from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.outfit.draper import Draper
 from physkin_core.quality import contact_figures, edge_strain, signed_distance
 
@@ -179,13 +179,16 @@ class GarmentCheck:
         return {"rest": rest, "everyday": asdict(self.everyday), "skin_shows_percent": shows, "verdict": self.verdict}
 
 
-def check_garment(draper: Draper, poses: Sequence[tuple[np.ndarray, np.ndarray]]) -> GarmentCheck:
-    """Look at a garment on its avatar, at rest and in poses (joint positions (d,) [rad], direction of gravity (3,)),
-    everyday ones: a second or two."""
+def check_garment(draper: Draper, *, poses: np.ndarray | None = None) -> GarmentCheck:
+    """Look at a garment on its avatar, at rest and in everyday poses: a second or two.
+
+    poses: (P, d) [rad] joint positions in place of the everyday ones, as where limbs have been separated.
+    """
     avatar, rig = draper.avatar, draper.model.rig
     at_rest = rest_check(draper.model.garment, draper.drape(rig.rest)[:, :3], avatar.vertices, avatar.faces)
     distances, strains = [], []
-    for positions, gravity in poses:
+    usual, downs = everyday_poses(rig)
+    for positions, gravity in zip(usual if poses is None else poses, downs):
         cloth = draper.drape(positions, gravity)[:, :3]
         body = avatar.posed_vertices(draper.bone_transforms(positions))
         distances.append(signed_distance(cloth, body, avatar.faces))

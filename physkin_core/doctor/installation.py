@@ -46,18 +46,15 @@ def _version() -> Finding:
 
 
 def _instruction_set() -> Finding:
-    sets = supported_instruction_sets()
-    forced = os.environ.get("PHYSKIN_NATIVE_ISA")
-    if forced is not None and forced not in sets:
-        remedy = "unset PHYSKIN_NATIVE_ISA"
-        return Finding("evaluator", "broken", f"PHYSKIN_NATIVE_ISA={forced}: this CPU has {', '.join(sets)}", remedy)
-    if forced is not None:
-        said = f"instruction set {forced}, as PHYSKIN_NATIVE_ISA says; this CPU has {', '.join(sets)}"
-        return Finding("evaluator", "good", said)
-    slow = (
-        "" if len(sets) > 1 or platform.machine() != "x86_64" else "; without AVX2 a frame takes several times as long"
-    )
-    return Finding("evaluator", "good", f"instruction set {sets[-1]}{slow}")
+    sets, forced = supported_instruction_sets(), os.environ.get("PHYSKIN_NATIVE_ISA")
+    has = f"this CPU has {', '.join(sets)}"
+    if forced is None:
+        is_slow = len(sets) == 1 and platform.machine() == "x86_64"
+        slow = "; without AVX2 a frame takes several times as long" if is_slow else ""
+        return Finding("evaluator", "good", f"instruction set {sets[-1]}{slow}")
+    if forced in sets:
+        return Finding("evaluator", "good", f"instruction set {forced}, as PHYSKIN_NATIVE_ISA says; {has}")
+    return Finding("evaluator", "broken", f"PHYSKIN_NATIVE_ISA={forced}: {has}", "unset PHYSKIN_NATIVE_ISA")
 
 
 def _shipped() -> Iterator[Finding]:

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from physkin_core.avatar.loading import load_avatar
 from physkin_core.export.gltf_motion import write_gltf_motion
 from physkin_core.export.usd_motion import write_usd_motion
 from physkin_core.look.avatar_look import avatar_look
 from physkin_core.look.surfaces import surfaces_of
 from physkin_core.mesh_file import Look, read_mesh
-from physkin_core.motion.loading import load_motion
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.outfit.outfit_options import add_outfit_options, add_sway_option, chosen_garments
+from physkin_core.outfit.outfit_options import add_outfit_options, add_sway_option, dressed, read_motion
 from physkin_core.output_file import check_other_file
-from physkin_core.progress import progress_line
 from physkin_core.quality import closest_points
 
 __all__ = ["command_parser", "garment_looks", "main"]
@@ -61,17 +56,8 @@ def main(argv: list[str]) -> int:
     if kind not in WRITERS:
         raise ValueError(f"cannot write {options.output.name}: allowed are {', '.join(WRITERS)}")
     check_other_file(options.output, options.avatar, options.motion, *options.look)
-    garments = chosen_garments(options.garment, options.tucked)
-    if kind == ".glb":
-        garments = [replace(garment, model=garment.model.for_engines()) for garment in garments]
-    motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
-    if options.rate:
-        motion = motion.resampled(options.rate)
-    avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
-    outfit = Outfit(garments, avatar, fit=options.fit)
-    outfit.sway = options.sway
-    for warning in outfit.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+    motion = read_motion(options)
+    outfit = dressed(options, for_engines=kind == ".glb")
     looks = [avatar_look(outfit.body_to_draw, outfit.faces_to_draw), *garment_looks(options.look, outfit)]
     WRITERS[kind](options.output, outfit, motion, looks=looks)
     size = options.output.stat().st_size / 1e6

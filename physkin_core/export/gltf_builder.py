@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["FROM_ROOT_FRAME", "STORED_INFLUENCES", "GltfBuilder", "strongest_influences", "write_glb"]
+__all__ = ["FROM_ROOT_FRAME", "GltfBuilder", "strongest_influences", "write_glb"]
 
 # Rows: glTF's x (left), y (up), z (forward).
 FROM_ROOT_FRAME = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -65,7 +65,9 @@ def strongest_influences(joints: np.ndarray, weights: np.ndarray) -> tuple[np.nd
     chosen[:, weights.shape[1] :] = 0
     chosen = chosen / chosen.sum(axis=1, keepdims=True)
     stored = np.where(chosen > 0, np.take_along_axis(joints, strongest, axis=1), 0).astype(np.uint16)
-    return stored, _weights_as_integers(chosen)
+    integers = np.round(chosen * 65535).astype(np.int64)
+    integers[:, 0] += 65535 - integers.sum(axis=1)  # else vertices would shrink towards the origin
+    return stored, integers.astype(np.uint16)
 
 
 def write_glb(path: Path, builder: GltfBuilder) -> None:
@@ -76,10 +78,3 @@ def write_glb(path: Path, builder: GltfBuilder) -> None:
     chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
-
-
-def _weights_as_integers(weights: np.ndarray) -> np.ndarray:
-    """uint16 whose rows sum to exactly 65535, so that vertices do not shrink towards the origin."""
-    stored = np.round(weights * 65535).astype(np.int64)
-    stored[:, 0] += 65535 - stored.sum(axis=1)
-    return stored.astype(np.uint16)

@@ -58,23 +58,27 @@ class _Scene:
 
     def __init__(self, times: np.ndarray) -> None:
         self.builder = GltfBuilder({"generator": "PhySkin"})
-        self.nodes: list[dict] = []
-        self.roots: list[int] = []
-        self._meshes: list[dict] = []
-        self._skins: list[dict] = []
-        self._materials: list[dict] = []
+        self._nodes, self._meshes, self._skins, self._materials, self._channels, self._samplers = ([] for _ in range(6))
+        self._roots: list[int] = []
         self._pictures: dict[Picture, int] = {}
-        self._channels: list[dict] = []
-        self._samplers: list[dict] = []
+        self.builder.document |= {
+            "scene": 0,
+            "scenes": [{"nodes": self._roots}],
+            "nodes": self._nodes,
+            "meshes": self._meshes,
+            "skins": self._skins,
+            "materials": self._materials,
+            "animations": [{"name": "motion", "channels": self._channels, "samplers": self._samplers}],
+        }
         self._times = self.builder.add_accessor(times.astype(np.float32))
         span = {"min": [float(np.float32(times[0]))], "max": [float(np.float32(times[-1]))]}
         self.builder.document["accessors"][self._times] |= span
 
     def add_root(self, **paths: np.ndarray) -> int:
         """What all else hangs on. paths: translation (T, 1, 3) [m] and rotation (T, 1, 4)."""
-        self.roots.append(len(self.nodes))
+        self._roots.append(len(self._nodes))
         self._add_joints(["root"], parent=None, **paths)
-        return self.roots[-1]
+        return self._roots[-1]
 
     def add_avatar(
         self, avatar: Avatar, rig: Rig, bones: np.ndarray, shown: np.ndarray, root: int, look: Look | None
@@ -84,7 +88,7 @@ class _Scene:
         heads = avatar.bone_heads.astype(np.float64)
         turned = bones[..., :3].astype(np.float64)
         posed = np.einsum("tbij,bj->tbi", turned, heads) + bones[..., 3]
-        first = len(self.nodes)
+        first = len(self._nodes)
         for bone, (name, parent) in enumerate(zip(rig.bone_names, rig.parents)):
             rotation, place, rest = turned[:, bone], posed[:, bone], heads[bone]
             if parent >= 0:
@@ -127,15 +131,6 @@ class _Scene:
 
     def finished(self) -> GltfBuilder:
         """The document, whole."""
-        self.builder.document |= {
-            "scene": 0,
-            "scenes": [{"nodes": self.roots}],
-            "nodes": self.nodes,
-            "meshes": self._meshes,
-            "skins": self._skins,
-            "materials": self._materials,
-            "animations": [{"name": "motion", "channels": self._channels, "samplers": self._samplers}],
-        }
         if self._pictures:
             images = [
                 {"name": each.name, "mimeType": each.kind, "bufferView": view} for each, view in self._pictures.items()
@@ -153,7 +148,7 @@ class _Scene:
         Blender skins a mesh to the joints at rest and from there to the motion. That is the same as at once only if
         they rest where the mesh was bound.
         """
-        first = len(self.nodes)
+        first = len(self._nodes)
         for joint, name in enumerate(names):
             node: dict = {"name": name}
             if rest is not None:
@@ -163,13 +158,13 @@ class _Scene:
                 if rest is None:
                     node[path] = moved[0].tolist()
                 self._channels.append(
-                    {"sampler": len(self._samplers), "target": {"node": len(self.nodes), "path": path}}
+                    {"sampler": len(self._samplers), "target": {"node": len(self._nodes), "path": path}}
                 )
                 self._samplers.append({"input": self._times, "output": self.builder.add_accessor(moved)})
             if parent is not None:
-                self.nodes[parent].setdefault("children", []).append(len(self.nodes))
-            self.nodes.append(node)
-        return list(range(first, len(self.nodes)))
+                self._nodes[parent].setdefault("children", []).append(len(self._nodes))
+            self._nodes.append(node)
+        return list(range(first, len(self._nodes)))
 
     def _add_mesh(
         self,
@@ -208,8 +203,8 @@ class _Scene:
         inverse = self.builder.add_accessor(bind.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32))
         self._meshes.append({"name": name, "primitives": primitives})
         self._skins.append({"joints": joints, "inverseBindMatrices": inverse})
-        self.roots.append(len(self.nodes))
-        self.nodes.append({"name": name, "mesh": len(self._meshes) - 1, "skin": len(self._skins) - 1})
+        self._roots.append(len(self._nodes))
+        self._nodes.append({"name": name, "mesh": len(self._meshes) - 1, "skin": len(self._skins) - 1})
 
     def _add_material(self, surface: Surface) -> int:
         """Its index."""

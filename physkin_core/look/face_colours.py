@@ -15,7 +15,7 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.look.avatar_look import avatar_look
 from physkin_core.look.surfaces import Surface, linear, surfaces_of
 from physkin_core.mesh_file import Look
-from physkin_core.picture import BODY_COLOUR, PictureError
+from physkin_core.picture import BODY_COLOUR, pillow
 
 __all__ = ["avatar_colours", "face_colours"]
 
@@ -50,10 +50,7 @@ def _picture_colours(surface: Surface, uv: np.ndarray) -> np.ndarray:
     """(k, 3) linear RGB of faces with texture places (k, 3, 2); ones without a picture."""
     if surface.picture is None:
         return np.ones((len(uv), 3))
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise PictureError("an avatar's pictures need pillow: pip install 'physkin[view]'") from error
+    Image = pillow().Image
     try:
         image = Image.open(io.BytesIO(surface.picture.content)).convert("RGB")
     except Exception as error:  # whatever pillow trips over: damaged files, some too large

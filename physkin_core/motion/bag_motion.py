@@ -29,7 +29,7 @@ MOST_FRAMES = 100
 
 @dataclass(frozen=True)
 class _Sample:
-    """A message: when it was stamped (0: never) and recorded, and its values (k,) by name."""
+    """A message: when it was stamped (0: never) and recorded [ns], and its values (k,) by name."""
 
     stamp_ns: int
     time_ns: int
@@ -56,21 +56,22 @@ def load_bag_motion(path: str | Path) -> Motion:
                 left_out += 1
     if left_out:
         log.warning("bag %s: %d messages that cannot be used were left out", path, left_out)
+    if not all(sample.stamp_ns for samples in kept.values() for sample in samples):
+        kept = {kind: [replace(each, stamp_ns=each.time_ns) for each in samples] for kind, samples in kept.items()}
     states, downs, roots = kept.values()
-    stamped = all(sample.stamp_ns for sample in (*states, *downs, *roots))
-    times = np.unique([sample.stamp_ns if stamped else sample.time_ns for sample in states])
+    times = np.unique([sample.stamp_ns for sample in states])
     if len(times) < 2:
         raise BagError(f"bag {path}: a clip needs joint states at two times at least, {bag.topic} has {len(times)}")
     step, length = float(np.median(np.diff(times))), float(times[-1] - times[0])
     if length / step > MOST_FRAMES * len(times):
         raise BagError(f"bag {path}: {len(times)} joint states {step / 1e6:.3g} ms apart span {length / 1e9:.3g} s")
     frames = times[0] + np.linspace(0.0, length, 1 + round(length / step))
-    positions = _tracks(states, frames, stamped=stamped)
-    down = _tracks(downs, frames, stamped=stamped)
+    positions = _tracks(states, frames)
+    down = _tracks(downs, frames)
     gravity = np.stack([down[axis] for axis in AXES], axis=1) if downs else np.tile([0.0, 0.0, -1.0], (len(frames), 1))
     joints = np.stack(list(positions.values()), axis=1)
     still = upright_orientation(gravity), np.zeros((len(frames), 3))
-    root = _root(roots, frames, stamped=stamped) if roots else still
+    root = _root(roots, frames) if roots else still
     clip = Motion(tuple(positions), joints, *root, 1e9 * (len(frames) - 1) / length, Path(path).stem)
     apart = np.degrees(np.median(np.arccos(np.clip((clip.gravity * gravity).sum(axis=1), -1, 1)))) if downs else 0.0
     if apart > LARGEST_DISAGREEMENT:
@@ -79,13 +80,13 @@ def load_bag_motion(path: str | Path) -> Motion:
     return clip
 
 
-def _root(samples: Sequence[_Sample], frames: np.ndarray, *, stamped: bool) -> tuple[np.ndarray, np.ndarray]:
+def _root(samples: Sequence[_Sample], frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Orientation (T, 4) x, y, z, w and position (T, 3) [m] of the root."""
-    samples = sorted(samples, key=lambda sample: sample.stamp_ns if stamped else sample.time_ns)
+    samples = sorted(samples, key=lambda sample: sample.stamp_ns)
     turns = np.array([sample.values[3:] for sample in samples])
     flips = np.cumprod([1.0, *np.where((turns[1:] * turns[:-1]).sum(axis=1) < 0, -1.0, 1.0)])
     turned = [replace(each, values=each.values * [1, 1, 1, *[flip] * 4]) for each, flip in zip(samples, flips)]
-    values = np.stack(list(_tracks(turned, frames, stamped=stamped).values()), axis=1)
+    values = np.stack(list(_tracks(turned, frames).values()), axis=1)
     return values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True), values[:, :3]
 
 
@@ -110,14 +111,14 @@ def _sample(recorded: Recorded) -> _Sample:
     return _Sample(stamp.sec * 10**9 + stamp.nanosec, recorded.time_ns, names, values)
 
 
-def _tracks(samples: Sequence[_Sample], frames: np.ndarray, *, stamped: bool) -> dict[str, np.ndarray]:
+def _tracks(samples: Sequence[_Sample], frames: np.ndarray) -> dict[str, np.ndarray]:
     """Values (T,) at the times `frames` (T,) by name."""
     alike: dict[tuple[str, ...], list[_Sample]] = defaultdict(list)
     for sample in samples:
         alike[sample.names].append(sample)
     known: dict[str, list[np.ndarray]] = defaultdict(list)
     for names, group in alike.items():
-        times = np.array([sample.stamp_ns if stamped else sample.time_ns for sample in group], dtype=np.float64)
+        times = np.array([sample.stamp_ns for sample in group], dtype=np.float64)
         for name, values in zip(names, np.stack([sample.values for sample in group], axis=1), strict=True):
             known[name].append(np.stack([times, values]))
     tracks = {}

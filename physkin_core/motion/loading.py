@@ -29,7 +29,7 @@ def bundled_motions() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in MOTIONS_DIRECTORY.glob("*.safetensors")))
 
 
-def load_motion(path_or_name: str | Path, *, watch: Watch | None = None) -> Motion:
+def load_motion(path_or_name: str | Path, *, watch: Watch = lambda share: None) -> Motion:
     """Read a clip: a bundled name (`bundled_motions`), a file that `save_motion` wrote, motion capture, .bvh or .amc
     (see `physkin_core.motion.mocap`), as motion of the default rig, or the joint states of a bag: .mcap, .db3 or a
     folder with `metadata.yaml` (see `physkin_core.motion.bag_motion`). watch: told the share done of motion capture.

@@ -60,7 +60,7 @@ def load_mocap(
     *,
     skeleton: str | Path | None = None,
     source_rate_hz: float = AMC_RATE_HZ,
-    watch: Watch | None = None,
+    watch: Watch = lambda share: None,
 ) -> tuple[Motion, dict[str, float]]:
     """Read a .bvh or .amc file as motion of the default rig at 60 Hz, standing on the floor and facing X at first.
 

@@ -16,9 +16,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-import physkin_core._native as _native
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.motion.motion import Motion
+from physkin_core.native_module import native
 from physkin_core.progress import Watch
 from physkin_core.rig.linear_blend_skinning import dense_weights
 from physkin_core.rig.rig import Rig
@@ -42,11 +42,12 @@ FOOT_SHARE = 0.5  # the rig's ankle does not turn about the shin: its foot must 
 PULL = 0.03  # towards the canonical pose [1/rad]; a limb's direction counts 1
 SMOOTHING = 0.3  # towards the mean of the frames before and after [1/rad]
 MAX_STEP = 0.4  # [rad] an iteration
+ITERATIONS = 60
 BLOCK = 128  # frames posed together: bounds the memory
 
 
 def retarget(
-    rig: Rig, rotations: dict[str, Rotation], *, iterations: int = 60, watch: Watch | None = None
+    rig: Rig, rotations: dict[str, Rotation], *, watch: Watch = lambda share: None
 ) -> tuple[np.ndarray, dict[str, float]]:
     """Joint positions (T, d) [rad] that follow global source rotations, and how well they do.
 
@@ -64,11 +65,10 @@ def retarget(
     q = np.tile(np.clip(rig.rest, rig.lower, rig.upper), (len(targets), 1))
     here = np.ascontiguousarray(q[:, turns])
     there = np.empty_like(here)
-    for done in range(iterations):
+    for done in range(ITERATIONS):
         solver.step(targets, here, there)
         here, there = there, here
-        if watch is not None:
-            watch((done + 1) / iterations)
+        watch((done + 1) / ITERATIONS)
     q[:, turns] = here
     turned = np.concatenate([rig.bone_transforms(part)[:, bones, :, :3] for part in _parts(q)]) @ axes
     report = {}
@@ -131,14 +131,13 @@ def _directions(rig: Rig, rotations: dict[str, Rotation], joint: str) -> tuple[n
     return here @ weights, relative @ there @ weights
 
 
-def _pose_solver(rig: Rig, bones: list[int], axes: np.ndarray) -> tuple[list[int], _native.PoseSolver]:
+def _pose_solver(rig: Rig, bones: list[int], axes: np.ndarray) -> tuple[list[int], native.PoseSolver]:
     """Degrees of freedom that are solved for, parents first, and what solves for them so that the weighted axes
     (followers, 3, 3) of rig bones come to lie where they should."""
     turns: list[int] = []
     last: dict[int, int] = {-1: -1}  # the last turn, as an index of `turns`, that moves a bone
     parents = []
-    moving = _with_ancestors(rig, bones)
-    for bone in moving:
+    for bone in sorted({above for each in bones for above in rig.ancestors(each)}):
         last[bone] = last[int(rig.parents[bone])]
         for dof in np.flatnonzero(rig.dof_bones == bone).tolist():
             if not rig.bone_names[bone].startswith(UNUSED_BONES):
@@ -148,14 +147,4 @@ def _pose_solver(rig: Rig, bones: list[int], axes: np.ndarray) -> tuple[list[int
     numbers = np.column_stack([rig.dof_axes, rig.rest, rig.lower, rig.upper])[turns]
     followers = [last[bone] for bone in bones]
     pulls = [PULL, SMOOTHING, MAX_STEP]
-    return turns, _native.PoseSolver(parents, numbers.tolist(), followers, axes.reshape(-1, 9).tolist(), pulls)
-
-
-def _with_ancestors(rig: Rig, bones: list[int]) -> list[int]:
-    """Bones and all that carry them, parents first."""
-    found: set[int] = set()
-    for bone in bones:
-        while bone >= 0:
-            found.add(bone)
-            bone = int(rig.parents[bone])
-    return sorted(found)
+    return turns, native.PoseSolver(parents, numbers.tolist(), followers, axes.reshape(-1, 9).tolist(), pulls)

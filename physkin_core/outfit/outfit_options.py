@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
+from dataclasses import replace
 
-from physkin_core.avatar.loading import BUNDLED_AVATAR
+from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
 from physkin_core.model.model_file import load_garment_model, split_fabric
+from physkin_core.motion.loading import load_motion
+from physkin_core.motion.motion import Motion
+from physkin_core.outfit.outfit import Outfit
+from physkin_core.progress import progress_line
 from physkin_core.runtime.layer import WornGarment
 
 __all__ = [
@@ -19,6 +25,9 @@ __all__ = [
     "add_sway_option",
     "add_tucked_option",
     "chosen_garments",
+    "dressed",
+    "print_warnings",
+    "read_motion",
     "the_garment",
 ]
 
@@ -116,3 +125,36 @@ def chosen_garments(names: Sequence[str] | None, tucked: Sequence[str]) -> list[
         WornGarment(load_garment_model(name), tucked=name in tucked or file in tucked)
         for name, file in zip(names, files)
     ]
+
+
+def dressed(options: argparse.Namespace, *, for_engines: bool = False) -> Outfit:
+    """The garments on the avatar, as the options have them; prints what was assumed, and how garments sit if not well.
+
+    for_engines: with the skinning weights that engines take. Raises as `chosen_garments`, `load_avatar` and `Outfit`.
+    """
+    garments = chosen_garments(options.garment, options.tucked)
+    if for_engines:
+        garments = [replace(garment, model=garment.model.for_engines()) for garment in garments]
+    avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
+    outfit = Outfit(garments, avatar, fit=options.fit)
+    outfit.sway = getattr(options, "sway", outfit.sway)
+    print_warnings(outfit.warnings)
+    return outfit
+
+
+def print_warnings(warnings: Sequence[str]) -> None:
+    """On standard error, a line each."""
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+
+
+def read_motion(options: argparse.Namespace) -> Motion:
+    """The motion that a command is given, at `--rate` where it has that, with a line of progress.
+
+    Raises MotionError for what is no motion, ValueError where it has no frame `--frame`."""
+    motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
+    if getattr(options, "rate", None) not in (None, motion.rate_hz):
+        motion = motion.resampled(options.rate)
+    if not 0 <= getattr(options, "frame", 0) < motion.frame_count:
+        raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
+    return motion

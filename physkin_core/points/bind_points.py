@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +13,8 @@ from physkin_core.avatar.loading import load_avatar
 from physkin_core.avatar.rig_file import AXES, axes_to_root_frame
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
-from physkin_core.motion.loading import load_motion
-from physkin_core.motion.motion import Motion
 from physkin_core.outfit.draper import Draper
-from physkin_core.outfit.outfit_options import add_avatar_options, add_fit_option
+from physkin_core.outfit.outfit_options import add_avatar_options, add_fit_option, print_warnings, read_motion
 from physkin_core.output_file import check_other_file
 from physkin_core.points.point_files import POINT_FILES, PointFile, read_points
 from physkin_core.points.splat_draper import SplatDraper
@@ -59,19 +56,18 @@ def main(argv: list[str]) -> int:
     file = read_points(options.points)
     to_root = _to_root(options, file)
     model = load_garment_model(options.garment)
-    motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
-    if options.rate is not None:
-        motion = motion.resampled(options.rate)
-    outputs = _outputs(options, motion)
+    motion, path = read_motion(options), options.output
+    outputs = {options.frame: path}
+    if options.all:
+        outputs = {frame: path.with_stem(f"{path.stem}_{frame:04d}") for frame in range(motion.frame_count)}
     for output in outputs.values():
         check_other_file(output, options.points, options.avatar)
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
     try:
-        draper, write = (_splat_writer if file.splats else _point_writer)(model, avatar, options.fit, file, to_root)
+        draper, write = _bound(model, avatar, options.fit, file, to_root)
     except ValueError as error:
         raise ValueError(f"{options.points}: {error}") from error
-    for warning in draper.avatar.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+    print_warnings(draper.avatar.warnings)
     positions = motion.positions_for(model.rig)
     watch = progress_line(f"writing {len(outputs)} files")
     for done, (frame, output) in enumerate(outputs.items(), 1):
@@ -94,35 +90,19 @@ def _to_root(options: argparse.Namespace, file: PointFile) -> np.ndarray:
     return options.scale * axes_to_root_frame(up, forward)
 
 
-def _outputs(options: argparse.Namespace, motion: Motion) -> dict[int, Path]:
-    """What to write of which frame."""
-    path = options.output
-    if options.all:
-        return {frame: path.with_stem(f"{path.stem}_{frame:04d}") for frame in range(motion.frame_count)}
-    if not 0 <= options.frame < motion.frame_count:
-        raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {options.frame}")
-    return {options.frame: path}
-
-
-def _point_writer(model: GarmentModel, avatar: Avatar, fit: float | None, file: PointFile, to_root: np.ndarray):
+def _bound(model: GarmentModel, avatar: Avatar, fit: float | None, file: PointFile, to_root: np.ndarray):
+    """What drapes the file's splats or points, and what writes a pose of them: a path, joint positions, gravity."""
+    to_file = np.linalg.inv(to_root)
+    if file.splats:
+        splats = SplatDraper(model, avatar, file.splats.transformed(to_root), fit=fit)
+        return splats, lambda path, *pose: file.write_splats(path, splats.drape(*pose).transformed(to_file))
     points, normals = file.points @ to_root.T, None if file.normals is None else file.normals @ to_root.T
     draper = Draper(model, avatar, fit=fit, points=points, point_normals=normals)
-    to_file = np.linalg.inv(to_root)
     turn_back = to_root.T / np.cbrt(np.linalg.det(to_root))
 
-    def write(path: Path, positions: np.ndarray, gravity: np.ndarray) -> None:
-        cloud = draper.drape(positions, gravity).astype(np.float64)
+    def write(path: Path, *pose: np.ndarray) -> None:
+        cloud = draper.drape(*pose).astype(np.float64)
         turned = None if normals is None else cloud[:, 3:] @ turn_back.T
         file.write(path, cloud[:, :3] @ to_file.T, turned)
-
-    return draper, write
-
-
-def _splat_writer(model: GarmentModel, avatar: Avatar, fit: float | None, file: PointFile, to_root: np.ndarray):
-    draper = SplatDraper(model, avatar, file.splats.transformed(to_root), fit=fit)
-    to_file = np.linalg.inv(to_root)
-
-    def write(path: Path, positions: np.ndarray, gravity: np.ndarray) -> None:
-        file.write_splats(path, draper.drape(positions, gravity).transformed(to_file))
 
     return draper, write

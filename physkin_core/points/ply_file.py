@@ -43,18 +43,14 @@ class PlyFile:
             return None
         return np.stack([self.vertices[name] for name in names], axis=1).astype(np.float64)
 
-    def with_columns(self, columns: Mapping[str, np.ndarray]) -> PlyFile:
-        """With other values (n,) of some properties."""
+    def write(self, path: Path, columns: Mapping[str, np.ndarray]) -> None:
+        """Write a file of the same kind with other values (n,) of some properties of the vertices."""
         vertices = self.vertices.copy()
         for name, column in columns.items():
             vertices[name] = column
-        return PlyFile(self.header, self.is_ascii, vertices, self.rest)
-
-    def write(self, path: Path) -> None:
-        """Write the file, of the kind that it was."""
-        rows = self.vertices.tobytes()
+        rows = vertices.tobytes()
         if self.is_ascii:
-            rows = "".join(" ".join(map(_text, row)) + "\n" for row in self.vertices).encode()
+            rows = "".join(" ".join(map(_text, row)) + "\n" for row in vertices).encode()
         path.write_bytes(self.header + rows + self.rest)
 
 

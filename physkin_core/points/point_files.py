@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core.obj_file import read_obj
-from physkin_core.points.ply_file import PlyFile, read_ply
+from physkin_core.points.ply_file import read_ply
 from physkin_core.points.splats import Splats
 
 __all__ = ["POINT_FILES", "PointFile", "read_points", "read_splat_file", "splat_colours"]
@@ -27,7 +27,7 @@ PLAIN_COLOUR, CONSTANT_HARMONIC = ("f_dc_0", "f_dc_1", "f_dc_2"), 0.5 / np.sqrt(
 @dataclass(frozen=True)
 class PointFile:
     """points: (n, 3). normals: (n, 3) unit, where the file has any that must move with the points. splats: what the
-    points are, if they are splats. up: axis of the file that is up, if its format says so. faces: how many there are.
+    points are, if they are splats. up: axis of the file that is up, if its format says so.
 
     write: writes the file to a path with other points, and other normals or None; write_splats: with other splats.
     look: (n,) records of all else that a splat has, such as opacity and colour, where there is any.
@@ -86,35 +86,24 @@ def _read_ply(path: Path) -> PointFile:
     ply = read_ply(path)
     points, normals = ply.columns(POSITION), ply.columns(NORMAL)
     rotations, scales = ply.columns(ROTATION), ply.columns(SCALE)
+
+    def write(to: Path, moved: np.ndarray, turned: np.ndarray | None) -> None:
+        columns = moved if turned is None else np.column_stack([moved, turned])
+        ply.write(to, dict(zip((*POSITION, *NORMAL), columns.T)))
+
+    def write_splats(to: Path, moved: Splats) -> None:
+        columns = np.column_stack([moved.centres, moved.rotations, np.log(moved.scales)])
+        ply.write(to, dict(zip((*POSITION, *ROTATION, *SCALE), columns.T)))
+
     if rotations is not None and scales is not None:
         with np.errstate(over="ignore"):
             splats = Splats(points, rotations, np.exp(scales))
         rest = [name for name in ply.vertices.dtype.names if name not in (*POSITION, *ROTATION, *SCALE)]
         look = ply.vertices[rest] if rest else None
-        return PointFile(points, _ply_writer(ply), splats=splats, write_splats=_ply_splat_writer(ply), look=look)
+        return PointFile(points, write, splats=splats, write_splats=write_splats, look=look)
     if normals is not None and (np.linalg.norm(normals, axis=1) < 1e-9).any():
         normals = None  # a column of zeros is how many tools leave them out
-    return PointFile(points, _ply_writer(ply), normals=normals)
-
-
-def _ply_writer(ply: PlyFile) -> Callable[[Path, np.ndarray, np.ndarray | None], None]:
-    def write(path: Path, points: np.ndarray, normals: np.ndarray | None) -> None:
-        columns = dict(zip(POSITION, points.T))
-        if normals is not None:
-            columns |= zip(NORMAL, normals.T)
-        ply.with_columns(columns).write(path)
-
-    return write
-
-
-def _ply_splat_writer(ply: PlyFile) -> Callable[[Path, Splats], None]:
-    def write(path: Path, splats: Splats) -> None:
-        columns = dict(zip(POSITION, splats.centres.T))
-        columns |= zip(ROTATION, splats.rotations.T)
-        columns |= zip(SCALE, np.log(splats.scales.T))
-        ply.with_columns(columns).write(path)
-
-    return write
+    return PointFile(points, write, normals=normals)
 
 
 def _read_obj(path: Path) -> PointFile:

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from physkin_core.output_file import check_folder
-from physkin_core.picture import PictureError, save_png
+from physkin_core.picture import pillow, save_png
 
 __all__ = ["FILM_KINDS", "check_film", "write_film"]
 
@@ -66,23 +67,11 @@ def _write_mp4(path: Path, pictures: Iterable[np.ndarray], rate_hz: float) -> li
 
 def _write_animation(path: Path, pictures: Iterable[np.ndarray], rate_hz: float, *, tick: int, **options) -> list[Path]:
     """tick: [ms] what the format can tell apart; durations add up to the rate."""
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise PictureError("pictures need pillow: pip install 'physkin[view]'") from error
-    first, *others = [Image.fromarray(picture) for picture in pictures]
+    first, *others = [pillow().Image.fromarray(picture) for picture in pictures]
     stamps = np.round(1000 / tick / rate_hz * np.arange(len(others) + 2)).astype(int)
     durations = (tick * np.diff(stamps)).tolist()
     first.save(path, save_all=True, append_images=others, duration=durations, loop=0, **options)
     return [path]
-
-
-def _write_gif(path: Path, pictures: Iterable[np.ndarray], rate_hz: float) -> list[Path]:
-    return _write_animation(path, pictures, rate_hz, tick=10, optimize=True)
-
-
-def _write_webp(path: Path, pictures: Iterable[np.ndarray], rate_hz: float) -> list[Path]:
-    return _write_animation(path, pictures, rate_hz, tick=1, quality=WEBP_QUALITY, method=6, minimize_size=True)
 
 
 def _write_numbered(path: Path, pictures: Iterable[np.ndarray], rate_hz: float) -> list[Path]:
@@ -95,8 +84,8 @@ def _write_numbered(path: Path, pictures: Iterable[np.ndarray], rate_hz: float) 
 
 FILM_KINDS: dict[str, Callable[[Path, Iterable[np.ndarray], float], list[Path]]] = {
     ".mp4": _write_mp4,
-    ".gif": _write_gif,
-    ".webp": _write_webp,
+    ".gif": partial(_write_animation, tick=10, optimize=True),
+    ".webp": partial(_write_animation, tick=1, quality=WEBP_QUALITY, method=6, minimize_size=True),
     ".png": _write_numbered,
 }
 """Ending of a film's name -> what writes it."""

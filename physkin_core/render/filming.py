@@ -76,15 +76,9 @@ def _frames(outfit: Outfit, motion: Motion) -> Iterator[list[Mesh]]:
     positions = motion.positions_for(outfit.rig)
     outfit.reset()
     for pose, time, root, turn, place in zip(positions, motion.times, motion.root, turns, motion.root_position):
-        cloth = outfit.drape(pose, time=time, root=root)
-        body = outfit.posed_body(pose)
-        yield dressed_meshes(outfit, *_moved(turn, place, [body, *cloth]))
-
-
-def _moved(turn: Rotation, place: np.ndarray, clouds: list[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Positions of body and garments from root to world."""
-    body, *cloth = (turn.apply(cloud[:, :3]) + place for cloud in clouds)
-    return body, cloth
+        clouds = outfit.drape(pose, time=time, root=root)
+        body, *cloth = (turn.apply(cloud[:, :3]) + place for cloud in (outfit.posed_body(pose), *clouds))
+        yield dressed_meshes(outfit, body, cloth)
 
 
 def dressed_meshes(outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]) -> list[Mesh]:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from pathlib import Path
 
-from physkin_core.avatar.loading import load_avatar
-from physkin_core.motion.loading import load_motion
-from physkin_core.outfit.outfit import Outfit
-from physkin_core.outfit.outfit_options import add_limbs_option, add_outfit_options, add_sway_option, chosen_garments
+from physkin_core.outfit.outfit_options import (
+    add_limbs_option,
+    add_outfit_options,
+    add_sway_option,
+    dressed,
+    read_motion,
+)
 from physkin_core.progress import progress_line
 from physkin_core.render.film_files import FILM_KINDS, check_film, write_film
 from physkin_core.render.filming import Camera, film
@@ -31,24 +33,18 @@ def main(argv: list[str]) -> int:
         size=_size(options.size),
         samples=int(_finite("--samples", options.samples, low=1, high=1024)),
     )
-    garments = chosen_garments(options.garment, options.tucked)
-    motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
-    rate = min(USUAL_RATE, motion.rate_hz) if options.rate is None else options.rate
-    if rate != motion.rate_hz:
-        motion = motion.resampled(rate)
-    check_film(options.output, size=camera.size, rate_hz=rate)
-    avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
-    outfit = Outfit(garments, avatar, fit=options.fit)
+    motion = read_motion(options)
+    if options.rate is None and motion.rate_hz > USUAL_RATE:
+        motion = motion.resampled(USUAL_RATE)
+    check_film(options.output, size=camera.size, rate_hz=motion.rate_hz)
+    outfit = dressed(options)
     if options.separate_limbs:
         motion = separated_motion(motion, outfit.rig, outfit.avatar)
-    outfit.sway = options.sway
-    for warning in outfit.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
     pictures = film(outfit, motion, camera, watch=progress_line(f"drawing {motion.frame_count} frames"))
-    files = write_film(options.output, pictures, rate)
+    files = write_film(options.output, pictures, motion.rate_hz)
     written = str(files[0]) if len(files) == 1 else f"{files[0]} to {files[-1].name}"
     size = sum(file.stat().st_size for file in files) / 1e6
-    print(f"wrote {written}: {motion.frame_count} frames at {rate:g} Hz, {size:.1f} MB")
+    print(f"wrote {written}: {motion.frame_count} frames at {motion.rate_hz:g} Hz, {size:.1f} MB")
     return 0
 
 

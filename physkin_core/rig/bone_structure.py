@@ -11,9 +11,9 @@ from itertools import combinations, permutations, product
 
 import numpy as np
 
-from physkin_core.rig.rig import Rig
+from physkin_core.rig.rig import Rig, ancestors
 
-__all__ = ["bones_by_structure", "limb_ends", "spine_bones", "spine_by_place"]
+__all__ = ["LIMB_BONES", "bones_by_structure", "limb_ends", "spine_bones", "spine_by_place"]
 
 ASYMMETRY = 0.03
 """Of all following lengths the unit is the skeleton's largest extent. Mean distance of joints from mirror images."""
@@ -38,6 +38,7 @@ LIMB_BONES = {
     "arm": ("upperarm01", "lowerarm01", "wrist", "clavicle"),
     "leg": ("upperleg01", "lowerleg01", "foot", ""),
 }
+"""Bones without their side at which upper and lower segment and the end begin, and the one above."""
 
 
 def bones_by_structure(heads: np.ndarray, parents: np.ndarray, rig: Rig) -> dict[str, int] | None:
@@ -140,14 +141,6 @@ class _Tree:
         gaps = np.linalg.norm(mirrored[beside, None] - self.heads[None], axis=2).min(axis=1)
         return float(gaps.mean()) if beside.any() else np.inf
 
-    def ancestors(self, joint: int) -> list[int]:
-        """From the joint itself up to the root."""
-        way = []
-        while joint >= 0:
-            way.append(joint)
-            joint = self.parents[joint]
-        return way
-
     def straightness(self, before: int, joint: int, after: int) -> float:
         """Cosine of the turn at a joint; 1 where a neighbour lies at the same place."""
         come, go = self.heads[joint] - self.heads[before], self.heads[after] - self.heads[joint]
@@ -183,16 +176,16 @@ def _limbs(tree: _Tree, axis: int) -> dict[str, tuple[int, list[list[int]]]] | N
     for one in (joint for joint in starts if tree.heads[joint, axis] > 0 and tree.reach[joint] > SHORTEST_LIMB):
         mirrored = tree.heads[one] * (1 - 2 * np.eye(3)[axis])
         other = min(starts, key=lambda joint: np.linalg.norm(tree.heads[joint] - mirrored))
-        meeting = [joint for joint in tree.ancestors(one) if joint in tree.ancestors(other)]
+        meeting = [joint for joint in ancestors(tree.parents, one) if joint in ancestors(tree.parents, other)]
         if meeting and np.linalg.norm(tree.heads[other] - mirrored) < PAIR_GAP and other != one:
             ways = []
             for start in (one, other):
-                above = tree.ancestors(start)
+                above = ancestors(tree.parents, start)
                 ways.append([*above[1 : above.index(meeting[0])][::-1], *tree.way_down(start)])
             pairs.append((tree.reach[one], meeting[0], ways))
     pairs.sort(key=lambda pair: -pair[0])
     for (_, hub, legs), (_, chest, arms) in permutations(pairs[:3], 2):
-        if hub != chest and hub in tree.ancestors(chest):
+        if hub != chest and hub in ancestors(tree.parents, chest):
             return {"leg": (hub, legs), "arm": (chest, arms)}
     return None
 
@@ -231,7 +224,7 @@ def _trunk(tree: _Tree, hub: int, chest: int, upwards: list[int], rig: Rig) -> d
     The joints between legs and arms are spread over the rig's spine.
     """
     found = {rig.bone_names[0]: hub}
-    between = tree.ancestors(chest)
+    between = ancestors(tree.parents, chest)
     between = between[: between.index(hub)][::-1]
     spine = spine_bones(rig)
     for place, joint in enumerate(between, start=1):
@@ -248,8 +241,4 @@ def spine_bones(rig: Rig) -> list[str]:
     """The rig's bones between its root and its collar bones."""
     if "clavicle.L" not in rig.bone_names:
         return []
-    way, bone = [], int(rig.parents[rig.bone_index("clavicle.L")])
-    while bone > 0:
-        way.append(rig.bone_names[bone])
-        bone = int(rig.parents[bone])
-    return way[::-1]
+    return [rig.bone_names[bone] for bone in rig.ancestors(rig.bone_index("clavicle.L"))[-2:0:-1]]

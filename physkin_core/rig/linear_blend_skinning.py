@@ -5,9 +5,17 @@ Dimensions: `V` vertices, `j` transforms (of joints, bones or garment nodes), `K
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-__all__ = ["blended_transforms", "dense_weights", "linear_blend_skinning", "strongest_influences"]
+__all__ = [
+    "blended_transforms",
+    "dense_weights",
+    "joined_influences",
+    "linear_blend_skinning",
+    "strongest_influences",
+]
 
 
 def blended_transforms(transforms: np.ndarray, influences: np.ndarray, influence_weights: np.ndarray) -> np.ndarray:
@@ -21,6 +29,12 @@ def linear_blend_skinning(
     """Vertices (V, 3) moved by their blended transforms. Returns (V, 3)."""
     blended = blended_transforms(transforms, influences, influence_weights)
     return np.einsum("vij,vj->vi", blended[..., :3], vertices) + blended[..., 3]
+
+
+def joined_influences(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Influences, or their weights, (V, K) of several meshes as of one, with zeros where some have fewer a vertex."""
+    width = max(each.shape[1] for each in parts)
+    return np.concatenate([np.pad(each, ((0, 0), (0, width - each.shape[1]))) for each in parts])
 
 
 def dense_weights(influences: np.ndarray, influence_weights: np.ndarray, count: int) -> np.ndarray:

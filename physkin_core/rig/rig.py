@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["DegreeOfFreedom", "Rig", "RigError"]
+__all__ = ["DegreeOfFreedom", "Rig", "RigError", "ancestors", "forward_kinematics", "pose_vector"]
 
 
 class RigError(ValueError):
@@ -145,13 +145,6 @@ class Rig:
             positions[index[name]] = value
         return positions
 
-    def pose_vector(self, joint_positions: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-        """Network input theta: joint positions scaled to [-1, 1] by their limits (clipped), then gravity.
-
-        joint_positions: (..., d) [rad]. gravity: (..., 3) unit vector, root frame. Returns (..., p).
-        """
-        return pose_vector(joint_positions, self.lower, self.upper, gravity)
-
     def bone_transforms(self, joint_positions: np.ndarray, *, heads: np.ndarray | None = None) -> np.ndarray:
         """Forward kinematics: the transform of every bone from the canonical to the posed state.
 
@@ -167,10 +160,18 @@ class Rig:
     @cached_property
     def turns_with(self) -> np.ndarray:
         """(b,) the bone whose degrees of freedom turn each bone last; bones with the same one always turn alike."""
-        owner = np.zeros(self.bone_count, dtype=np.int64)
-        for bone in range(1, self.bone_count):
-            owner[bone] = bone if bone in self.dof_bones else owner[self.parents[bone]]
-        return owner
+        return self.inherited({int(bone): int(bone) for bone in self.dof_bones}, 0)
+
+    def ancestors(self, bone: int) -> list[int]:
+        """From a bone itself up to the root."""
+        return ancestors(self.parents, bone)
+
+    def inherited(self, own: Mapping[int, int], otherwise: int) -> np.ndarray:
+        """(b,) int, of each bone the value that it has in `own`, or else its nearest ancestor that has one."""
+        found = np.full(self.bone_count, otherwise)
+        for bone, parent in enumerate(self.parents):
+            found[bone] = own.get(bone, found[parent] if bone else otherwise)
+        return found
 
     def translation_change(self, elsewhere: np.ndarray) -> np.ndarray:
         """How translations of `bone_transforms` change when joint centres move, rotations R (b, 3, 3) being the same.
@@ -215,8 +216,18 @@ class Rig:
             raise RigError(f"malformed rig description: {type(error).__name__}: {error}") from error
 
 
+def ancestors(parents: Sequence[int], joint: int) -> list[int]:
+    """From a joint itself up to the root. parents: of each joint, -1 for none."""
+    way = []
+    while joint >= 0:
+        way.append(joint)
+        joint = int(parents[joint])
+    return way
+
+
 def pose_vector(positions: np.ndarray, lower: np.ndarray, upper: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-    """Joint positions (..., d) scaled to [-1, 1] by their limits and clipped, then gravity (..., 3)."""
+    """Network input theta (..., p): joint positions (..., d) [rad] scaled to [-1, 1] by their limits and clipped, then
+    gravity, a unit vector (..., 3) in the root frame."""
     theta = np.clip((np.asarray(positions) - (lower + upper) / 2) / ((upper - lower) / 2), -1.0, 1.0)
     return np.concatenate([theta, np.broadcast_to(gravity, (*theta.shape[:-1], 3))], axis=-1)
 

@@ -14,6 +14,7 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import face_areas
 from physkin_core.native_module import native
+from physkin_core.rig.linear_blend_skinning import dense_weights
 from physkin_core.rig.rig import Rig
 from physkin_core.separation.limb_chains import Limb, Limbs, find_limbs
 from physkin_core.separation.limb_shape import CAPSULES, END, LOWER, SPHERES, UPPER, SkinPoints, fit_limb
@@ -176,17 +177,11 @@ class _SkinByPart:
 
     def __init__(self, avatar: Avatar, rig: Rig, found: Limbs) -> None:
         self.limbs = len(found.limbs)
-        part_of_bone = np.full(rig.bone_count, -1)
         starts = {bone: 3 * k + part for k, limb in enumerate(found.limbs) for part, bone in enumerate(limb.ends)}
         if found.head >= 0:
             starts[found.head] = 3 * self.limbs
-        for bone in range(rig.bone_count):
-            inherited = part_of_bone[rig.parents[bone]] if bone else -1
-            part_of_bone[bone] = starts.get(bone, inherited)
-        shares = np.zeros((len(avatar.vertices), 3 * self.limbs + 2))
-        row = np.arange(len(shares))[:, None]
-        np.add.at(shares, (row, part_of_bone[avatar.influence_bones]), avatar.influence_weights)
-        self._part = shares.argmax(axis=1)
+        parts = rig.inherited(starts, 3 * self.limbs + 1)[avatar.influence_bones]
+        self._part = dense_weights(parts, avatar.influence_weights, 3 * self.limbs + 2).argmax(axis=1)
         self._points = avatar.vertices.astype(np.float64)
         corners = np.repeat(face_areas(self._points, avatar.faces) / 3, 3)
         self._areas = np.bincount(avatar.faces.reshape(-1), corners, len(self._points))
@@ -219,9 +214,7 @@ class _Spheres:
         self._capsules += [(first + start, first + end) for start, end in CAPSULES]
         for k, (centre, radius) in enumerate(zip(centres, radii)):
             bone = limb.ends[2] if k >= END.start else self._bone_at(limb, centre, int(k >= LOWER.start))
-            above = {bone}
-            while (bone_above := int(self._rig.parents[min(above)])) >= 0:
-                above.add(bone_above)
+            above = self._rig.ancestors(bone)
             joints = sum(int(self._rig.dof_bones[dof]) in above for dof in limb.dofs)
             self._rows.append((bone, centre, radius, self._limbs, joints))
         self._limbs += 1
@@ -229,12 +222,9 @@ class _Spheres:
     def _bone_at(self, limb: Limb, centre: np.ndarray, segment: int) -> int:
         """The bone of a segment whose head was passed last on the way to a centre."""
         start, stop = limb.ends[segment], limb.ends[segment + 1]
-        way, bone = [], int(self._rig.parents[stop])
-        while bone != start:
-            way.append(bone)
-            bone = int(self._rig.parents[bone])
+        above = self._rig.ancestors(stop)
         direction = self._heads[stop] - self._heads[start]
-        passed = [bone for bone in way if (centre - self._heads[bone]) @ direction >= 0]
+        passed = [bone for bone in above[1 : above.index(start)] if (centre - self._heads[bone]) @ direction >= 0]
         return passed[0] if passed else start
 
     def add_head(self, bone: int, skin: SkinPoints) -> None:

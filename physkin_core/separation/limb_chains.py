@@ -11,7 +11,7 @@ import numpy as np
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.rig.bone_naming import named_bones
-from physkin_core.rig.bone_structure import bones_by_structure
+from physkin_core.rig.bone_structure import LIMB_BONES, bones_by_structure
 from physkin_core.rig.rig import Rig
 
 __all__ = ["Limb", "Limbs", "find_limbs"]
@@ -19,12 +19,12 @@ __all__ = ["Limb", "Limbs", "find_limbs"]
 MOST_JOINTS = 8
 """Joints of a limb that may move; a rig with more keeps those nearest to the trunk free."""
 MOST_TRUNK_BONES = 4
-LIMB_BONES = {
-    "left arm": ("upperarm01.L", "lowerarm01.L", "wrist.L"),
-    "right arm": ("upperarm01.R", "lowerarm01.R", "wrist.R"),
-    "left leg": ("upperleg01.L", "lowerleg01.L", "foot.L"),
-    "right leg": ("upperleg01.R", "lowerleg01.R", "foot.R"),
+ENDS = {
+    f"{side} {kind}": tuple(f"{bone}.{side[0].upper()}" for bone in bones[:3])
+    for kind, bones in LIMB_BONES.items()
+    for side in ("left", "right")
 }
+"""Limb -> the default rig's bones at which upper and lower segment and hand or foot begin."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def find_limbs(rig: Rig) -> Limbs:
     """Limbs, trunk and head of a rig. Raises ValueError for one without any arm or leg that has joints."""
     found = _humanoid_bones(rig)
     limbs, missing = [], []
-    for name, wanted in LIMB_BONES.items():
+    for name, wanted in ENDS.items():
         ends = tuple(found.get(bone, -1) for bone in wanted)
         way = _way(rig, ends[0], ends[2]) if min(ends) >= 0 else ()
         between = way[: way.index(ends[1]) + 1] if ends[1] in way else ()
@@ -87,7 +87,7 @@ def _humanoid_bones(rig: Rig) -> dict[str, int]:
     default = load_body_model().rig
     by_name, _ = named_bones(rig.bone_names, default)
     by_shape = bones_by_structure(rig.heads, rig.parents, default) or {}
-    limbs = [bone for bones in LIMB_BONES.values() for bone in bones]
+    limbs = [bone for bones in ENDS.values() for bone in bones]
     return max((by_name, by_shape), key=lambda found: sum(bone in found for bone in limbs))
 
 
@@ -98,22 +98,12 @@ def _trunk(rig: Rig, hub: int, chest: int) -> tuple[int, ...]:
     return tuple(turning[at] for at in chosen)
 
 
-def _ancestors(rig: Rig, bone: int) -> list[int]:
-    """From the bone itself up to the root."""
-    way = []
-    while bone >= 0:
-        way.append(bone)
-        bone = int(rig.parents[bone])
-    return way
-
-
 def _way(rig: Rig, start: int, end: int) -> tuple[int, ...]:
     """Bones from `start` down to `end`, both included; nothing where one is not below the other."""
-    up = _ancestors(rig, end)
+    up = rig.ancestors(end)
     return tuple(up[: up.index(start) + 1][::-1]) if start in up else ()
 
 
 def _meeting(rig: Rig, bones: list[int]) -> int:
     """The last bone that all of `bones` are below."""
-    shared = set.intersection(*(set(_ancestors(rig, bone)) for bone in bones))
-    return max(shared)
+    return max(set.intersection(*(set(rig.ancestors(bone)) for bone in bones)))

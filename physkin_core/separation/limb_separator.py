@@ -44,18 +44,17 @@ class LimbSeparator:
     """Separates the limbs of one body, a pose at a time. Not for use by two threads at once.
 
     rig: whose joint positions come in; avatar: a body bound to it. Binding fits a collision shape to the body's skin: a
-    tenth of a second. settings: how gently.
+    tenth of a second.
     warnings: limbs that are left out, and why. A pose that is free is given back as it is; the canonical pose is, too:
     what touches there may. Positions stay within the rig's limits, or, where they were given beyond, do not go farther.
     The result depends on the pose alone, continuously, so that motion that is smooth stays so.
     Raises ValueError for a body of another rig, a rig or body in which no arm or leg is found.
     """
 
-    def __init__(self, rig: Rig, avatar: Avatar, *, settings: SeparationSettings | None = None) -> None:
+    def __init__(self, rig: Rig, avatar: Avatar) -> None:
         if len(avatar.bone_heads) != rig.bone_count:
             raise ValueError(f"avatar {avatar.source} has {len(avatar.bone_heads)} bones, the rig {rig.bone_count}")
-        settings = settings or SeparationSettings()
-        started = perf_counter()
+        settings, started = SeparationSettings(), perf_counter()
         self.shape, self.warnings = fit_collision_shape(avatar, rig, onset=settings.onset)
         log.info("fitted a collision shape to %s in %.0f ms", avatar.source, 1e3 * (perf_counter() - started))
         self.joint_names = rig.joint_names

@@ -59,14 +59,6 @@ def _winding(garment: Garment, level: float, axis: np.ndarray) -> float:
 
 def _of_legs(rig: Rig, hips: list[int]) -> np.ndarray:
     """(b,) whether a bone is between the root and a hip, or of a leg."""
-    wanted = np.zeros(rig.bone_count, dtype=bool)
-    for bone in hips:
-        while bone >= 0:
-            wanted[bone] = True
-            bone = rig.parents[bone]
-    below = np.zeros(rig.bone_count, dtype=bool)
-    below[hips] = True
-    for bone, parent in enumerate(rig.parents):
-        if parent >= 0 and below[parent]:
-            below[bone] = True
-    return wanted | below
+    wanted = rig.inherited(dict.fromkeys(hips, 1), 0).astype(bool)
+    wanted[[above for hip in hips for above in rig.ancestors(hip)]] = True
+    return wanted

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR
 from physkin_core.model.fabric import FABRICS
 from physkin_core.model.model_file import shipped_models, split_fabric
-from physkin_core.outfit.layers import MOST_LAYERS
+from physkin_core.outfit.dressing import MOST_LAYERS
 from physkin_core.view.page import Page, Uploads
+from physkin_core.view.scene.heat_map import as_bytes
 from physkin_core.view.scene.scene_state import SceneState
-
-if TYPE_CHECKING:
-    import viser
 
 __all__ = ["ClothesTab"]
 
@@ -26,7 +23,7 @@ class ClothesTab:
     """Choices that cannot be worn show as a notice, and the widgets go back to what is worn."""
 
     def __init__(self, page: Page, state: SceneState, uploads: Uploads) -> None:
-        self._page, self._state, self._uploads = page, state, uploads
+        self._page, self._state = page, state
         gui = page.server.gui
         self._models = {name: name for name in shipped_models()}
         files = [split_fabric(name)[0] for name in state.garments]
@@ -42,25 +39,22 @@ class ClothesTab:
             fabric = gui.add_dropdown("fabric", (AS_TRAINED, *FABRICS), hint="what it is made of")
             tucked = gui.add_checkbox("tucked in", False, hint="its hem is under the next one's waistband")
             colour = gui.add_rgb("colour", (0, 0, 0))
-            garment.on_update(page.by_hand(self._wear))
-            fabric.on_update(page.by_hand(self._wear))
-            tucked.on_update(page.by_hand(self._wear))
+            for widget in (garment, fabric, tucked):
+                widget.on_update(page.by_hand(self._wear))
             colour.on_update(page.by_hand(self._recolour))
             self._layers.append((garment, fabric, tucked, colour))
-        self._model_upload = gui.add_upload_button("Load a garment model", hint="a .safetensors file", icon="upload")
-        self._model_upload.on_upload(page.guarded(self._load_model))
+        uploads.add_button(page, "Load a garment model", hint="a .safetensors file", load=self._load_model)
         with gui.add_folder("Body"):
             self._body = gui.add_dropdown("avatar", tuple(self._bodies))
             self._body.on_update(page.by_hand(self._change_body))
-            self._skin = gui.add_rgb("colour", _bytes(state.body_colour), hint="where it is not shown in its own")
+            self._skin = gui.add_rgb("colour", as_bytes(state.body_colour), hint="where it is not shown in its own")
             self._skin.on_update(page.by_hand(self._recolour))
             self._separate = gui.add_checkbox(
                 "separate limbs", state.separate_limbs, hint="move arms and legs out of the trunk and each other"
             )
             self._separate.on_update(page.by_hand(self._change_separation))
             hint = "GLB, VRM, OBJ, PLY or STL; send NAME.rig.json before NAME.obj"
-            self._body_upload = gui.add_upload_button("Load a body", hint=hint, icon="upload")
-            self._body_upload.on_upload(page.guarded(self._load_body))
+            uploads.add_button(page, "Load a body", hint=hint, load=self._load_body)
         self.show_what_is_worn()
 
     def show_what_is_worn(self) -> None:
@@ -79,19 +73,18 @@ class ClothesTab:
             colour.visible = name is not None
             tucked.value = name in state.tucked
             if name is not None:
-                colour.value = _bytes(state.cloth_colours[layer])
+                colour.value = as_bytes(state.cloth_colours[layer])
         self._body.value = next(label for label, path in self._bodies.items() if path == state.body)
         self._separate.value = state.separate_limbs
 
     def _dressing(self, what: str, change) -> None:
         """Something that takes a second or two."""
-        take_away = self._page.notice(what, kind="busy")
         try:
-            change()
+            with self._page.busy(what):
+                change()
         finally:
-            take_away()
             self.show_what_is_worn()
-        for warning in self._state.warnings:
+        for warning in self._state.outfit.warnings:
             self._page.notice("How it sits", warning, kind="warning")
 
     def _wear(self) -> None:
@@ -118,8 +111,7 @@ class ClothesTab:
         cloth = [_shares(colour.value) for *_, colour in shown]
         self._state.recolour(body=_shares(self._skin.value), cloth=cloth)
 
-    def _load_model(self, event: viser.GuiEvent) -> None:
-        path = self._uploads.keep(self._model_upload.value.name, self._model_upload.value.content)
+    def _load_model(self, path: Path) -> None:
         worn = [*self._state.garments, str(path)]
         self._models[path.stem] = str(path)
         try:
@@ -130,11 +122,7 @@ class ClothesTab:
         for garment, *_ in self._layers:
             garment.options = (NOTHING, *self._models)
 
-    def _load_body(self, event: viser.GuiEvent) -> None:
-        path = self._uploads.keep(self._body_upload.value.name, self._body_upload.value.content)
-        if self._uploads.is_companion(path):
-            self._page.notice(f"Kept {path.name}", "now send the file that it goes with")
-            return
+    def _load_body(self, path: Path) -> None:
         before = self._bodies.get(path.name)
         self._bodies[path.name] = path
         self._body.options = tuple(self._bodies)
@@ -146,10 +134,6 @@ class ClothesTab:
                 self._body.options = tuple(self._bodies)
                 self.show_what_is_worn()
             raise
-
-
-def _bytes(colour: tuple[float, ...]) -> tuple[int, ...]:
-    return tuple(round(255 * channel) for channel in colour)
 
 
 def _shares(colour: tuple[int, ...]) -> tuple[float, ...]:

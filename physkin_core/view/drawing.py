@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from physkin_core.view.page import Page
 from physkin_core.view.scene.figures import OutfitFigures
-from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Bands, Colour, own_bands
+from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Bands, Colour, as_bytes, own_bands
 from physkin_core.view.scene.scene_state import Frame
 from physkin_core.view.scene.worn_splats import SplatFrame
 from physkin_core.view.surface_node import SurfaceNode
@@ -83,7 +83,9 @@ class Drawing:
         counts = [len(frame.body), *map(len, frame.cloth)]
         return [
             SurfaceNode(server, f"{where}/{name}", count, faces, colour)
-            for name, count, faces, colour in zip(names, counts, (shown, *outfit.faces), frame.colours)
+            for name, count, faces, colour in zip(
+                names, counts, (shown, *(layer.faces for layer in outfit.layers)), frame.colours
+            )
         ]
 
     def _place(self, frame: Frame) -> None:
@@ -145,46 +147,31 @@ class Drawing:
 
     def _show_marks(self, frame: Frame) -> None:
         """Garment nodes and normals."""
-        if self.switches.nodes:
-            points = np.concatenate(frame.nodes)
-            self._mark(
-                "nodes",
-                lambda: self._scene.add_point_cloud(
-                    "/world/figure/nodes",
-                    points,
-                    _bytes(NODE_COLOUR),
-                    point_size=NODE_SIZE,
-                    point_shape="circle",
-                    precision="float32",
-                ),
-                points,
-            )
-        else:
-            self._unmark("nodes")
-        if self.switches.normals:
-            lines = np.concatenate([_normal_lines(points) for points in frame.cloth])
-            self._mark(
-                "normals",
-                lambda: self._scene.add_line_segments(
-                    "/world/figure/normals",
-                    lines,
-                    _bytes(NORMAL_COLOUR),
-                    thickness=1.0,
-                    thickness_units="screen",
-                ),
-                lines,
-            )
-        else:
-            self._unmark("normals")
+        scene, switches = self._scene, self.switches
+        self._mark(
+            "nodes",
+            np.concatenate(frame.nodes) if switches.nodes else None,
+            lambda name, points: scene.add_point_cloud(
+                name, points, as_bytes(NODE_COLOUR), point_size=NODE_SIZE, point_shape="circle", precision="float32"
+            ),
+        )
+        self._mark(
+            "normals",
+            np.concatenate([_normal_lines(points) for points in frame.cloth]) if switches.normals else None,
+            lambda name, lines: scene.add_line_segments(
+                name, lines, as_bytes(NORMAL_COLOUR), thickness=1.0, thickness_units="screen"
+            ),
+        )
 
-    def _mark(self, name: str, add, points: np.ndarray) -> None:
-        """Add it, or, where there are as many points as before, move them."""
+    def _mark(self, name: str, points: np.ndarray | None, add: Callable[[str, np.ndarray], object]) -> None:
+        """Draw points; where there are as many as before, move them; with None, remove them."""
         old = self._marks.get(name)
-        if old is not None and old.points.shape == points.shape:
+        if old is not None and points is not None and old.points.shape == points.shape:
             old.points = points
             return
         self._unmark(name)
-        self._marks[name] = add()
+        if points is not None:
+            self._marks[name] = add(f"/world/figure/{name}", points)
 
     def _unmark(self, name: str) -> None:
         if name in self._marks:
@@ -200,7 +187,3 @@ def _normal_lines(points: np.ndarray) -> np.ndarray:
     """(N, 2, 3) from evenly chosen points (v, 6) along their normals."""
     chosen = points[:: -(-len(points) // MOST_NORMALS)]
     return np.stack([chosen[:, :3], chosen[:, :3] + NORMAL_LENGTH * chosen[:, 3:]], axis=1)
-
-
-def _bytes(colour: Colour) -> np.ndarray:
-    return np.round(255 * np.array(colour)).astype(np.uint8)

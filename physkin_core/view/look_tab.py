@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from physkin_core.view.drawing import Drawing
 from physkin_core.view.page import Page
-from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Bands
+from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Bands, as_bytes
 from physkin_core.view.scene.scene_state import SceneState
 
 __all__ = ["LookTab"]
@@ -57,7 +57,7 @@ class LookTab:
 def _legend(bands: Bands) -> str:
     rows = [
         f'<div><span style="display:inline-block;width:1.6em;height:0.8em;margin-right:0.6em;'
-        f'background:rgb({", ".join(str(round(255 * channel)) for channel in colour)})"></span>{label}</div>'
+        f'background:rgb({", ".join(map(str, as_bytes(colour)))})"></span>{label}</div>'
         for colour, label in zip(bands.colours, bands.labels)
         if colour is not None
     ]

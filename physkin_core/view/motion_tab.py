@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from physkin_core.motion.loading import bundled_motions
 from physkin_core.view.page import Page, Uploads
 from physkin_core.view.scene.scene_state import SceneState
-
-if TYPE_CHECKING:
-    import viser
 
 __all__ = ["MotionTab"]
 
@@ -22,7 +18,7 @@ class MotionTab:
     """`follow` sets the widgets to the state. motion: what the state was given, a name or a file."""
 
     def __init__(self, page: Page, state: SceneState, uploads: Uploads, *, motion: str | None) -> None:
-        self._page, self._state, self._uploads = page, state, uploads
+        self._page, self._state = page, state
         gui = page.server.gui
         self._motions: dict[str, str | Path | None] = {BY_HAND: None} | {name: name for name in bundled_motions()}
         chosen = next((label for label, name in self._motions.items() if name == motion), None)
@@ -32,7 +28,7 @@ class MotionTab:
         self._motion = gui.add_dropdown("motion", tuple(self._motions), initial_value=chosen)
         self._motion.on_update(page.by_hand(self._change_motion))
         self._play = gui.add_button("Pause", icon="player-pause")
-        self._play.on_click(page.guarded(self._play_or_pause))
+        self._play.on_click(page.by_hand(self._play_or_pause))
         self._time = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
         self._time.on_update(page.by_hand(self._scrub))
         speed = gui.add_slider("speed", SLOWEST, FASTEST, 0.05, 1.0, marks=((0.1, "0.1"), (1.0, "1"), (2.0, "2")))
@@ -40,8 +36,7 @@ class MotionTab:
         sway = gui.add_slider("sway", 0.0, 1.0, 0.05, state.sway)
         sway.on_update(page.by_hand(lambda: setattr(state, "sway", sway.value)))
         hint = "BVH, AMC (send its ASF before it), a bag's .mcap or .db3 file"
-        self._upload = gui.add_upload_button("Load a motion", hint=hint, icon="upload")
-        self._upload.on_upload(page.guarded(self._load))
+        uploads.add_button(page, "Load a motion", hint=hint, load=self._load)
         self.follow()
 
     def follow(self) -> None:
@@ -64,7 +59,7 @@ class MotionTab:
             self._state.play()
         self.follow()
 
-    def _play_or_pause(self, event: viser.GuiEvent) -> None:
+    def _play_or_pause(self) -> None:
         if self._state.playing:
             self._state.pause()
         else:
@@ -75,16 +70,9 @@ class MotionTab:
         self._state.pause()
         self._state.scrub(self._time.value)
 
-    def _load(self, event: viser.GuiEvent) -> None:
-        path = self._uploads.keep(self._upload.value.name, self._upload.value.content)
-        if self._uploads.is_companion(path):
-            self._page.notice(f"Kept {path.name}", "now send the file that it goes with")
-            return
-        take_away = self._page.notice(f"Reading {path.name}", kind="busy")
-        try:
+    def _load(self, path: Path) -> None:
+        with self._page.busy(f"Reading {path.name}"):
             self._state.choose_motion(path)
-        finally:
-            take_away()
         self._motions[path.name] = path
         self._motion.options = tuple(self._motions)
         self._motion.value = path.name

@@ -11,7 +11,7 @@ import socket
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -24,7 +24,8 @@ log = logging.getLogger(__name__)
 FRAMES_A_SECOND = 30.0
 NOTICE_SECONDS = 12.0
 LAST_PORT = 65535
-NOTICE_COLOURS = {"error": "red", "warning": "yellow", "done": "green", "busy": "blue"}
+NOTICE_COLOURS = {"error": "red", "warning": "yellow", "done": "green"}
+BUSY_COLOUR = "blue"
 CAMERA, LOOKED_AT = (3.3, 1.5, 1.5), (0.0, 0.0, 0.9)
 """[m] in a world in which the figure stands at the origin and faces X."""
 FIELD_OF_VIEW = 0.6  # [rad]
@@ -81,23 +82,21 @@ class Page:
         """To open in a browser."""
         return f"http://localhost:{self.server.get_port()}"
 
-    def notice(
-        self, title: str, body: str = "", *, kind: Literal["error", "warning", "done", "busy"] = "done"
-    ) -> Callable[[], None]:
-        """Tell whoever looks at the page. Returns what takes the notice away; one that is not "busy" goes by itself."""
-        seconds = None if kind == "busy" else NOTICE_SECONDS
-        shown = [
-            client.add_notification(
-                title, body, loading=kind == "busy", auto_close_seconds=seconds, color=NOTICE_COLOURS[kind]
-            )
-            for client in self.server.get_clients().values()
-        ]
+    def notice(self, title: str, body: str = "", *, kind: Literal["error", "warning", "done"] = "done") -> None:
+        """Tell whoever looks at the page, for some seconds."""
+        for client in self.server.get_clients().values():
+            client.add_notification(title, body, auto_close_seconds=NOTICE_SECONDS, color=NOTICE_COLOURS[kind])
 
-        def take_away() -> None:
+    @contextlib.contextmanager
+    def busy(self, title: str) -> Iterator[None]:
+        """A notice that something is being done, while it is."""
+        clients = self.server.get_clients().values()
+        shown = [client.add_notification(title, "", loading=True, color=BUSY_COLOUR) for client in clients]
+        try:
+            yield
+        finally:
             for each in shown:
                 each.remove()
-
-        return take_away
 
     def guarded(self, callback: Callable[..., None]) -> Callable[..., None]:
         """A callback whose errors show as a notice, and end nothing."""
@@ -206,6 +205,19 @@ class Uploads:
         path = Path(self._folder.name) / plain
         path.write_bytes(content)
         return path
+
+    def add_button(self, page: Page, label: str, *, hint: str, load: Callable[[Path], None]) -> None:
+        """Add a button that sends files; `load` is given where one is kept, unless it only goes with another."""
+        button = page.server.gui.add_upload_button(label, hint=hint, icon="upload")
+
+        def receive(event) -> None:
+            path = self.keep(button.value.name, button.value.content)
+            if self.is_companion(path):
+                page.notice(f"Kept {path.name}", "now send the file that it goes with")
+            else:
+                load(path)
+
+        button.on_upload(page.guarded(receive))
 
     @staticmethod
     def is_companion(path: Path) -> bool:

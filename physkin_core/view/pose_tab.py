@@ -68,15 +68,7 @@ def joint_groups(rig: Rig) -> dict[str, list[int]]:
         return {ALL: list(range(len(rig.dofs)))}
     groups: dict[str, list[int]] = {name: [] for name in (TRUNK, HEAD, *(limb.name for limb in limbs))}
     for joint, bone in enumerate(rig.dof_bones.tolist()):
-        above = _with_ancestors(rig, bone)
-        near = [limb.name for limb in limbs if limb.ends[0] in above or bone in _with_ancestors(rig, limb.ends[0])]
+        above = rig.ancestors(bone)
+        near = [limb.name for limb in limbs if limb.ends[0] in above or bone in rig.ancestors(limb.ends[0])]
         groups[near[0] if len(near) == 1 else TRUNK if near else HEAD].append(joint)
     return {name: joints for name, joints in groups.items() if joints}
-
-
-def _with_ancestors(rig: Rig, bone: int) -> set[int]:
-    found = set()
-    while bone >= 0:
-        found.add(bone)
-        bone = int(np.asarray(rig.parents)[bone])
-    return found

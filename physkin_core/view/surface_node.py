@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from physkin_core.view.scene.heat_map import Bands, Colour, Part, parts_of
+from physkin_core.view.scene.heat_map import Bands, Colour, Part, as_bytes, parts_of
 
 if TYPE_CHECKING:
     import viser
@@ -42,7 +42,7 @@ class SurfaceNode:
             return
         self._colour = colour
         for handle, each in zip(self._handles, self._colours()):
-            handle.color = _bytes(each)
+            handle.color = as_bytes(each)
 
     @property
     def wireframe(self) -> bool:
@@ -110,7 +110,7 @@ class SurfaceNode:
             f"{self._name}/part{index}",
             points,
             faces,
-            color=_bytes(colour),
+            color=as_bytes(colour),
             wireframe=self._wireframe,
             side="double",
             receive_shadow=False,
@@ -122,7 +122,3 @@ def _arrays(part: Part, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not len(part.faces):
         return NO_FACES, NO_VERTICES
     return part.faces, np.ascontiguousarray(vertices[part.vertices], dtype=np.float32)
-
-
-def _bytes(colour: Colour) -> tuple[int, int, int]:
-    return tuple(round(255 * channel) for channel in colour)

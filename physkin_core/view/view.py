@@ -15,6 +15,7 @@ from physkin_core.outfit.outfit_options import (
     add_limbs_option,
     add_rig_option,
     add_tucked_option,
+    print_warnings,
 )
 from physkin_core.view.page import Page
 
@@ -45,8 +46,7 @@ def main(argv: list[str]) -> int:
         separate_limbs=options.separate_limbs,
         points=options.points,
     )
-    for warning in state.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+    print_warnings(state.outfit.warnings)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     page = Page(host=options.host, port=options.port)
     viewer = Viewer(page, state, motion=motion)

@@ -16,6 +16,7 @@ from physkin_core.outfit.outfit_options import (
     add_garment_option,
     add_limbs_option,
     add_sway_option,
+    print_warnings,
     the_garment,
 )
 from physkin_core.runtime.evaluator import PRECISIONS
@@ -108,8 +109,7 @@ def _draper(options: argparse.Namespace) -> Draper:
     model = load_garment_model(the_garment(options.garment, "replay drapes"))
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
     draper = Draper(model, avatar, precision=options.precision, fit=options.fit, normals=options.normals)
-    for warning in draper.avatar.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+    print_warnings(draper.avatar.warnings)
     return draper
 
 

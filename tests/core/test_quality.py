@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 from random_models import random_rotation, tube
+from reference.inside_by_vertex import inside_by_vertex
 
 from physkin_core import Garment
 from physkin_core.quality import (
     area_strain,
     contact_figures,
     edge_strain,
-    inside_by_vertex,
     jitter,
     signed_distance,
     snaps,

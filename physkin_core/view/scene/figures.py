@@ -30,23 +30,22 @@ POLITENESS = 10
 @dataclass(frozen=True)
 class ContactQuestion:
     """What `look_at_contact` needs, to be sent to another process: cloth (n, 3), cloth_faces (g, 3), hem (n,) bool,
-    body (V, 3), body_faces (F, 3). inside: whether cloth inside the body is asked for, which takes longest."""
+    body (V, 3), body_faces (F, 3)."""
 
     cloth: np.ndarray
     cloth_faces: np.ndarray
     hem: np.ndarray
     body: np.ndarray
     body_faces: np.ndarray
-    inside: bool = True
 
 
 @dataclass(frozen=True)
 class Contact:
-    """inside_percent: of the cloth's vertices; deepest_mm: the deepest of them; None where not asked for.
-    skin_shows_percent: of the skin that belongs to the cloth; skin_shows: (F,) bool, where."""
+    """inside_percent: of the cloth's vertices; deepest_mm: the deepest of them. skin_shows_percent: of the skin that
+    belongs to the cloth; skin_shows: (F,) bool, where."""
 
-    inside_percent: float | None
-    deepest_mm: float | None
+    inside_percent: float
+    deepest_mm: float
     skin_shows_percent: float
     skin_shows: np.ndarray
 
@@ -54,11 +53,11 @@ class Contact:
 def look_at_contact(question: ContactQuestion) -> Contact:
     """Some tenths of a second."""
     cloth, body, faces = question.cloth.astype(np.float64), question.body.astype(np.float64), question.body_faces
-    found = contact_figures(signed_distance(cloth, body, faces)) if question.inside else {}
+    found = contact_figures(signed_distance(cloth, body, faces))
     skin = skin_seen(cloth, question.cloth_faces, question.hem, body, faces)
     return Contact(
-        inside_percent=found.get("inside_percent"),
-        deepest_mm=found.get("max_depth_mm"),
+        inside_percent=found["inside_percent"],
+        deepest_mm=found["max_depth_mm"],
         skin_shows_percent=skin.shows_percent(face_areas(body, faces)),
         skin_shows=skin.shows,
     )
@@ -83,12 +82,12 @@ class OutfitFigures:
         """For every face (f,) of each garment, the mean [%] of its corners', a corner's being that of its edges."""
         return [_carried_to_faces(garment, strain) for garment, strain in zip(self._garments, self.strains(frame))]
 
-    def question(self, frame: Frame, *, inside: bool = True) -> ContactQuestion:
+    def question(self, frame: Frame) -> ContactQuestion:
         """Of a frame; it keeps no array that the next frame overwrites."""
         cloth = np.concatenate([points[:, :3] for points in frame.cloth])
         avatar = self.outfit.avatar  # not as it is drawn
         body = avatar.posed_vertices(self.outfit.bone_transforms(frame.pose.positions))
-        return ContactQuestion(cloth, self._faces, self._hem, body, avatar.faces, inside)
+        return ContactQuestion(cloth, self._faces, self._hem, body, avatar.faces)
 
 
 def _carried_to_faces(garment: Garment, of_edges: np.ndarray) -> np.ndarray:

@@ -11,10 +11,15 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.look.face_colours import avatar_colours
 from physkin_core.look.surfaces import few_colours
 
-__all__ = ["SKIN_BANDS", "STRAIN_BANDS", "Bands", "Colour", "Part", "own_bands", "parts_of"]
+__all__ = ["SKIN_BANDS", "STRAIN_BANDS", "Bands", "Colour", "Part", "as_bytes", "own_bands", "parts_of"]
 
 Colour = tuple[float, float, float]
 """sRGB in [0, 1]."""
+
+
+def as_bytes(colour: Colour) -> tuple[int, int, int]:
+    """sRGB from 0 to 255."""
+    return tuple(round(255 * channel) for channel in colour)
 
 
 @dataclass(frozen=True)

@@ -20,16 +20,11 @@ __all__ = ["MotionPlayer", "Pose", "standing_pose"]
 @dataclass(frozen=True)
 class Pose:
     """positions: (d,) float32 [rad]. root_orientation: (4,) unit quaternion x, y, z, w, world <- root. root_position:
-    (3,) [m], the root in a world whose floor is Z = 0. gravity: (3,) float32 unit direction in the root frame."""
+    (3,) [m], the root in a world whose floor is Z = 0."""
 
     positions: np.ndarray
     root_orientation: np.ndarray
     root_position: np.ndarray
-
-    @property
-    def gravity(self) -> np.ndarray:
-        x, y, z, w = self.root_orientation
-        return np.array([2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1], dtype=np.float32)
 
 
 def standing_pose(positions: np.ndarray, avatar: Avatar) -> Pose:
@@ -62,17 +57,17 @@ class MotionPlayer:
         place = min(max(seconds * self.motion.rate_hz, 0.0), float(last))
         before = min(int(place), max(last - 1, 0))
         after, share = min(before + 1, last), place - before
+
+        def between(values: np.ndarray) -> np.ndarray:
+            return (1 - share) * values[before] + share * values[after]
+
         start, end = self.motion.root_orientation[before], self.motion.root_orientation[after]
         turned = (1 - share) * start + share * (end if start @ end >= 0 else -end)
         return Pose(
-            positions=((1 - share) * self._positions[before] + share * self._positions[after]).astype(np.float32),
+            positions=between(self._positions).astype(np.float32),
             root_orientation=turned / np.linalg.norm(turned),
-            root_position=self._scale * _between(self.motion.root_position, before, after, share),
+            root_position=self._scale * between(self.motion.root_position),
         )
-
-
-def _between(values: np.ndarray, before: int, after: int, share: float) -> np.ndarray:
-    return (1 - share) * values[before] + share * values[after]
 
 
 def _hip_height(avatar: Avatar) -> float:

@@ -67,8 +67,8 @@ class SceneState:
     next one's waistband. body: an avatar file; rig_file: of one without a skin. motion: as `load_motion` takes it, or
     None. fit: as of `Outfit`. separate_limbs: whether poses go through a `LimbSeparator`. points: a file of splats
     where one of the garments lies; while that is worn, frames have them.
-    playing, speed: of the motion; seconds: its time. sway: as of `Outfit`. pose: shown now; posed_by_hand: whether a
-    joint was set last. show_plain: compute plain skinning too.
+    rig: whose joints there are. playing, speed: of the motion; seconds: its time. sway: as of `Outfit`. pose: shown
+    now; posed_by_hand: whether a joint was set last. show_plain: compute plain skinning too.
     Raises what loading raises; what is shown is then as it was.
     """
 
@@ -130,21 +130,23 @@ class SceneState:
         rig = chosen[0].model.rig
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AvatarWarning)  # they are in `Outfit.warnings`
-            known = self.outfit is not None and not new_body and _same_rig(rig, self._rig)
+            known = self.outfit is not None and not new_body and _same_rig(rig, self.rig)
             avatar = self._avatar if known else load_avatar(body, rig, rig_file=rig_file)
             outfit = Outfit(chosen, avatar, fit=self._fit)
         player = None if self._player is None else MotionPlayer(self._player.motion, rig, outfit.avatar)
         splats = self._bound_splats(outfit)
         separator = LimbSeparator(rig, avatar) if separate_limbs else None
         with self._lock:
-            posed = self.outfit is not None and self._rig.joint_names == rig.joint_names
+            posed = self.outfit is not None and self.rig.joint_names == rig.joint_names
             positions = self.pose.positions if posed else rig.rest
             self.garments, self.tucked = tuple(garments), frozenset(tucked)
             self.body, self.rig_file, self.separate_limbs = body, rig_file, separate_limbs
-            self._avatar, self._rig, self._player, self.outfit = avatar, rig, player, outfit
+            self._avatar, self.rig, self._player, self.outfit = avatar, rig, player, outfit
             self._splats, self._separator = splats, separator
             self.pose = standing_pose(positions, avatar) if player is None else player.pose(self.seconds)
-            self._begin()
+            self._cloth = tuple(np.zeros((layer.vertex_count, 6), dtype=np.float32) for layer in outfit.layers)
+            self._times: deque[float] = deque(maxlen=TIMED_FRAMES)
+            self._changed = True
 
     def _bound_splats(self, outfit: Outfit) -> WornSplats | None:
         """None, too, once the garment that they lie on has been taken off."""
@@ -156,12 +158,6 @@ class SceneState:
             if self.outfit is None:
                 raise
             return None
-
-    def _begin(self) -> None:
-        """Make what a frame writes to."""
-        self._cloth = tuple(np.zeros((layer.vertex_count, 6), dtype=np.float32) for layer in self.outfit.layers)
-        self._times: deque[float] = deque(maxlen=TIMED_FRAMES)
-        self._changed = True
 
     @property
     def cloth_colours(self) -> tuple[Colour, ...]:
@@ -187,16 +183,6 @@ class SceneState:
         """Whether there is a file of splats."""
         return self._points is not None
 
-    @property
-    def rig(self) -> Rig:
-        """Whose joints there are."""
-        return self._rig
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What was assumed of the body, and how garments sit if not well."""
-        return self.outfit.warnings
-
     # --- In which pose ---
 
     @property
@@ -213,7 +199,7 @@ class SceneState:
         """Show a motion from its start, or, with None, a pose that joints are set to, upright where the body stands."""
         loaded = None if motion is None else load_motion(motion)
         with self._lock:
-            self._player = None if loaded is None else MotionPlayer(loaded, self._rig, self._avatar)
+            self._player = None if loaded is None else MotionPlayer(loaded, self.rig, self._avatar)
             if self._player is None:
                 self.playing = False
                 self.pose = standing_pose(self.pose.positions, self._avatar)
@@ -245,7 +231,7 @@ class SceneState:
             self.playing = False
             self.posed_by_hand = True
             positions = self.pose.positions.copy()
-            positions[joint] = np.clip(position, self._rig.lower[joint], self._rig.upper[joint])
+            positions[joint] = np.clip(position, self.rig.lower[joint], self.rig.upper[joint])
             self.pose = Pose(positions, self.pose.root_orientation, self.pose.root_position)
             self._changed = True
 
@@ -254,7 +240,7 @@ class SceneState:
         with self._lock:
             self.playing = False
             self.posed_by_hand = False
-            self.pose = standing_pose(self._rig.rest, self._avatar)
+            self.pose = standing_pose(self.rig.rest, self._avatar)
             self._changed = True
 
     def redraw(self) -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from core.points.splat_files import FIELDS, splat_ply, splat_table
+from scipy.spatial.transform import Rotation
 
 from physkin_core import BUNDLED_AVATAR, SplatDraper, load_avatar, load_garment_model
 from physkin_core.points.point_files import read_splat_file, splat_colours
@@ -31,7 +32,8 @@ def test_splats_follow_every_frame(shirt, splats):
     state.set_joint(state.rig.joint_names.index("upperarm01.L_x"), 0.5)
     frame = state.advance(0.0)
     alone = SplatDraper(shirt, load_avatar(BUNDLED_AVATAR, shirt.rig), read_splat_file(splats).splats)
-    wanted = alone.drape(frame.pose.positions, frame.pose.gravity)
+    down = Rotation.from_quat(frame.pose.root_orientation).inv().apply([0.0, 0.0, -1.0])
+    wanted = alone.drape(frame.pose.positions, down)
     np.testing.assert_allclose(frame.splats.splats.centres, wanted.centres, atol=2e-5)
     np.testing.assert_allclose(frame.splats.splats.covariances(), wanted.covariances(), atol=1e-8)
     assert frame.splats.garment == 0 and frame.splats.colours.shape == (COUNT, 3)

@@ -10,6 +10,7 @@ import pytest
 import torch
 import trimesh
 from random_models import random_rig
+from reference.inside_by_vertex import inside_by_vertex
 from training.small_runs import waist_band_model
 
 from physkin_core import (
@@ -90,7 +91,7 @@ def test_figures_are_those_of_the_run_time(model):
                 contact["inside_percent"],
                 contact["within_3mm_percent"],
                 contact["max_depth_mm"],
-                100 * quality.inside_by_vertex(vertices, body, avatar.faces).mean(),
+                100 * inside_by_vertex(vertices, body, avatar.faces).mean(),
                 -(weight * (vertices @ gravity)).sum(),
             ]
         )

@@ -49,7 +49,8 @@ def inside_by_vertex_kernel(
 
 
 def inside_by_vertex(vertices: torch.Tensor, posed: PosedBodies, *, reach: float) -> torch.Tensor:
-    """Twin of `physkin_core.quality.inside_by_vertex` for garment vertices (B, n, 3) on the bodies posed last.
+    """Which of garment vertices (B, n, 3) are behind the nearest vertex of the bodies posed last, by its area-weighted
+    normal.
 
     reach: vertices farther than that from the body [m] count as outside. Returns (B, n) bool.
     """

@@ -26,7 +26,7 @@ from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
 from physkin_core.outfit.draper import Draper
-from physkin_core.outfit.outfit_options import add_avatar_options
+from physkin_core.outfit.outfit_options import add_avatar_options, print_warnings
 from physkin_core.progress import progress_line
 from physkin_core.quality import area_strain, edge_strain
 from physkin_core.rig.rig import Rig
@@ -213,8 +213,7 @@ def _simulate(options: argparse.Namespace) -> int:
         avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
     else:
         avatar = avatar_from_body(body_model, body_model.garment_body)
-    for warning in avatar.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+    print_warnings(avatar.warnings)
     poses = _poses(options, model.rig)
     stages = options.stages if options.stages is not None else 0 if options.start_from else 8
     device = resolve_device(options.device)

@@ -21,7 +21,7 @@ from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.model.model_file import load_garment_model
-from physkin_core.outfit.outfit_options import add_avatar_options
+from physkin_core.outfit.outfit_options import add_avatar_options, print_warnings
 from physkin_core.picture import PictureError, save_png
 from physkin_training.config import TrainingConfig, load_config
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
@@ -205,8 +205,7 @@ def _avatar(options: argparse.Namespace, body_model: BodyModel, template: Avatar
     if not options.avatar:
         return template, None
     avatar = load_avatar(options.avatar, body_model.rig, rig_file=options.rig)
-    for warning in avatar.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+    print_warnings(avatar.warnings)
     return avatar, OwnPose.of(avatar, avatar.file_vertices, body_model.rig)
 
 

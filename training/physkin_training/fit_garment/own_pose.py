@@ -109,7 +109,5 @@ def _smooth(weights: np.ndarray, known: np.ndarray, vertices: np.ndarray, faces:
 
 def _moving_parts(rig: Rig) -> np.ndarray:
     """(b,) the part each bone moves with: 0 the trunk, then the segments of `LIMB_SEGMENTS`."""
-    segments, part = list(LIMB_SEGMENTS), np.zeros(rig.bone_count, dtype=int)
-    for bone, name in enumerate(rig.bone_names):
-        part[bone] = segments.index(name) + 1 if name in segments else part[rig.parents[bone]] if bone else 0
-    return part
+    starts = {rig.bone_index(name): part for part, name in enumerate(LIMB_SEGMENTS, 1) if name in rig.bone_names}
+    return rig.inherited(starts, 0)

@@ -21,7 +21,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.mlp import Layer, layer_inputs
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.motion.loading import bundled_motions, load_motion
-from physkin_core.rig.rig import Rig, forward_kinematics
+from physkin_core.rig.rig import Rig, forward_kinematics, pose_vector
 from physkin_core.runtime.binding import bind_garment
 
 __all__ = ["STEPS", "compensated_rounding", "rounded_model"]
@@ -69,7 +69,7 @@ def rounded_model(model: GarmentModel, *, seed: int = 0) -> GarmentModel:
         avatar = avatar_from_body(body_model, body_model.train_bodies[body])
         bound = bind_garment(model, avatar)
         positions, gravity = _poses(model.rig, random)
-        poses = np.stack([model.rig.pose_vector(q, g) for q, g in zip(positions, gravity)])
+        poses = pose_vector(positions, model.rig.lower, model.rig.upper, gravity)
         bones = np.stack(
             [
                 forward_kinematics(
