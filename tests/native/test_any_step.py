@@ -11,8 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from native_frames import NativeFrame, told
-from physkin_core.runtime.native_evaluator import PRECISIONS, supported_instruction_sets
 from reference.frame import ReferenceFrame
+
+from physkin_core.runtime.evaluator import PRECISIONS, supported_instruction_sets
 
 LEVELS = supported_instruction_sets()
 ANY_FLOAT = st.floats(width=32, allow_nan=True, allow_infinity=True)

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from native_frames import NativeFrame, clouds, told
-from physkin_core.runtime.native_evaluator import supported_instruction_sets
 from random_models import random_avatar, random_model, random_pose
 from reference.frame import ReferenceFrame
 
 from physkin_core import Draper
 from physkin_core.model.garment import vertex_normals
-from physkin_core.runtime import binding
+from physkin_core.runtime import body_encoder
+from physkin_core.runtime.evaluator import supported_instruction_sets
 
 LEVELS = supported_instruction_sets()
 
@@ -57,7 +57,7 @@ def test_agree_with_the_reference(vertices, level, with_faces):
 
 
 def test_draper_takes_them_from_the_mesh_it_draped(monkeypatch):
-    monkeypatch.setattr(binding, "POINT_COUNT", 50)
+    monkeypatch.setattr(body_encoder, "POINT_COUNT", 50)
     rng = np.random.default_rng(71)
     model = random_model(rng)
     avatar, pose = random_avatar(rng, model.rig), random_pose(rng, model.rig)

@@ -9,13 +9,11 @@ from physkin_core import Draper
 from physkin_core.model.hyper_modulator import POINT_COUNT
 from physkin_core.model.mlp import fold_modulation
 from physkin_core.model.surface_sampling import sample_surface
-
-native_body_encoder = pytest.importorskip("physkin_core.runtime.native_body_encoder")
-from physkin_core.runtime.native_evaluator import supported_instruction_sets  # noqa: E402
+from physkin_core.runtime.body_encoder import encode_points
+from physkin_core.runtime.evaluator import supported_instruction_sets
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 
-encode = native_body_encoder.native_body_modulation
 SETS = supported_instruction_sets()
 CASES = [  # points, token width, feed-forward width, residual blocks, outputs
     (1, 8, 16, 0, 1),
@@ -41,14 +39,14 @@ def test_agrees_with_the_reference(case):
     points, normals = random_points(rng, count)
     expected = body_modulation(network, points, normals)
     for instruction_set in SETS:
-        result = encode(network, points, normals, instruction_set=instruction_set)
+        result = encode_points(network, points, normals, instruction_set=instruction_set)
         assert result.dtype == np.float32 and result.shape == (outputs,)
         np.testing.assert_allclose(result, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
     # Network weights as a model file stores them; points as slices of a larger array.
     network = {name: array.astype(np.float16) for name, array in network.items()}
     cloud = np.concatenate([points, normals], axis=1)
     expected = body_modulation(network, points, normals)
-    result = encode(network, cloud[:, :3], cloud[:, 3:])
+    result = encode_points(network, cloud[:, :3], cloud[:, 3:])
     np.testing.assert_allclose(result, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
 
 
@@ -61,7 +59,7 @@ def test_sharp_attention_agrees():
     expected = body_modulation(network, points, normals)
     for order in (np.arange(300), np.arange(300)[::-1], rng.permutation(300)):
         for instruction_set in SETS:
-            result = encode(network, points[order], normals[order], instruction_set=instruction_set)
+            result = encode_points(network, points[order], normals[order], instruction_set=instruction_set)
             np.testing.assert_allclose(result, expected, rtol=0, atol=1e-4 * np.abs(expected).max())
 
 
@@ -75,7 +73,7 @@ def test_an_overflow_is_not_swallowed():
     points *= 1e6
     for instruction_set in SETS:
         with pytest.raises(ValueError, match="finite"):
-            encode(network, points, normals, instruction_set=instruction_set)
+            encode_points(network, points, normals, instruction_set=instruction_set)
 
 
 @pytest.mark.parametrize("name", ["points", "normals", "attention.input.weight", "norm_2.bias", "output.bias"])
@@ -86,7 +84,7 @@ def test_values_that_are_not_finite_are_refused(name):
         network, (points, normals) = random_hyper_modulator(rng, 9), random_points(rng, 70)
         {"points": points, "normals": normals, **network}[name].reshape(-1)[-1] = value
         with pytest.raises(ValueError, match="finite"):
-            encode(network, points, normals)
+            encode_points(network, points, normals)
 
 
 def test_mistakes_are_refused():
@@ -96,17 +94,17 @@ def test_mistakes_are_refused():
     network, (points, normals) = random_hyper_modulator(rng, 9), random_points(rng, 70)
     for name in ("embed.weight", "attention.input.bias", "norm_1.weight", "feed_forward.1.weight", "pool.weight"):
         with pytest.raises(ValueError, match="shape|features"):
-            encode({**network, name: network[name][..., :-1].copy()}, points, normals)
+            encode_points({**network, name: network[name][..., :-1].copy()}, points, normals)
     with pytest.raises(KeyError, match="norm_2"):
-        encode({name: array for name, array in network.items() if name != "norm_2.weight"}, points, normals)
+        encode_points({name: array for name, array in network.items() if name != "norm_2.weight"}, points, normals)
     with pytest.raises(ValueError, match="multiple of 4"):
-        encode(random_hyper_modulator(rng, 9, width=10), points, normals)
+        encode_points(random_hyper_modulator(rng, 9, width=10), points, normals)
     with pytest.raises(ValueError, match="no points"):
-        encode(network, points[:0], normals[:0])
+        encode_points(network, points[:0], normals[:0])
     with pytest.raises(ValueError, match="normals"):
-        encode(network, points, normals[:-1])
+        encode_points(network, points, normals[:-1])
     with pytest.raises(ValueError, match="v9"):
-        encode(network, points, normals, instruction_set="v9")
+        encode_points(network, points, normals, instruction_set="v9")
 
 
 def test_a_draper_is_bound_by_it():

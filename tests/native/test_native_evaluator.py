@@ -4,13 +4,14 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from native_frames import NativeFrame, clouds, native_skinner, told
-from physkin_core.runtime.native_evaluator import _native, supported_instruction_sets
+from native_frames import NativeFrame, clouds, told
 from reference.frame import ReferenceFrame
 from reference.frame_input import FrameInput
 from reference.skinning import skin
 
+from physkin_core.native_module import native
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.evaluator import Skinner, supported_instruction_sets
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 
@@ -115,10 +116,10 @@ def test_skinning_alone_agrees_with_the_reference(vertices, level, make_garment,
     transforms = rng.normal(size=(9, 3, 4)).astype(np.float32)
     out, positions = np.empty((vertices, 6), dtype=np.float32), np.empty((vertices, 3), dtype=np.float32)
     for rows in (out, positions):
-        native_skinner(g).skin(transforms, rows)
+        Skinner(g).skin(transforms, rows)
     assert_agrees(out, *skin(g, transforms))
     np.testing.assert_array_equal(positions, out[:, :3])
-    native_skinner(replace(g, influence_weights=np.zeros_like(g.influence_weights))).skin(transforms, out)
+    Skinner(replace(g, influence_weights=np.zeros_like(g.influence_weights))).skin(transforms, out)
     np.testing.assert_array_equal(out, 0)
 
 
@@ -126,7 +127,7 @@ def test_skinning_alone_checks_what_it_is_given(make_garment):
     rng = np.random.default_rng(9)
     g = make_garment(rng, nodes=11, vertices=137)
     transforms, out = rng.normal(size=(11, 3, 4)).astype(np.float32), np.empty((137, 6), dtype=np.float32)
-    skinner = native_skinner(g)
+    skinner = Skinner(g)
     for wrong, error in ((out.astype(np.float64), TypeError), (out[:-1], ValueError), (out[:, ::2], ValueError)):
         with pytest.raises(error):
             skinner.skin(transforms, wrong)
@@ -140,7 +141,7 @@ def test_skinning_alone_checks_what_it_is_given(make_garment):
         nodes = g.influence_nodes.copy()
         nodes[5, 0] = wrong
         with pytest.raises(ValueError, match="influence_nodes"):
-            native_skinner(replace(g, influence_nodes=nodes))
+            Skinner(replace(g, influence_nodes=nodes))
 
 
 def test_silu_over_its_whole_range(make_garment):
@@ -185,4 +186,5 @@ def test_frames_do_not_interact(make_garment, make_pose):
 
 def test_both_sides_name_the_same_fields():
     """The dataclass and the list that native code reads, checks and loads by."""
-    assert sorted(_native.bound_garment_fields()) == sorted(field.name for field in fields(BoundGarment))
+    listed = [name for name, _, _ in native.bound_garment_fields()]
+    assert sorted(listed) == sorted(field.name for field in fields(BoundGarment))

@@ -8,8 +8,11 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from native_frames import NativeFrame, native_skinner
+from native_frames import NativeFrame
 from random_models import random_hyper_modulator, unit_rows
+
+from physkin_core.runtime.body_encoder import encode_points
+from physkin_core.runtime.evaluator import Skinner
 
 
 @contextmanager
@@ -42,16 +45,14 @@ def evaluator(make_garment):
 
 def skinner(make_garment):
     garment = make_garment(np.random.default_rng(0), vertices=20000, nodes=64)
-    return lambda: native_skinner(garment)
+    return lambda: Skinner(garment)
 
 
 def encoder(make_garment):
-    from physkin_core.runtime.native_body_encoder import native_body_modulation
-
     rng = np.random.default_rng(0)
     network = random_hyper_modulator(rng, 64, width=32)
     points, normals = rng.uniform(-1, 1, size=(1000, 3)), unit_rows(rng, 1000)
-    return lambda: native_body_modulation(network, points, normals)
+    return lambda: encode_points(network, points, normals)
 
 
 @pytest.mark.parametrize("work", [evaluator, skinner, encoder])

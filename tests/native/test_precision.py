@@ -6,8 +6,9 @@ import tracemalloc
 import numpy as np
 import pytest
 from native_frames import NativeFrame, clouds, told
-from physkin_core.runtime.native_evaluator import PRECISIONS, supported_instruction_sets
 from reference.frame import ReferenceFrame
+
+from physkin_core.runtime.evaluator import PRECISIONS, supported_instruction_sets
 
 LEVELS = supported_instruction_sets()
 ROUNDING = {"fp32": 5e-7, "bf16": 2**-9, "int8": 1 / 127}

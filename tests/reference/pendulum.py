@@ -17,6 +17,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 GRAVITY = 9.81
+FREQUENCY, DAMPING, GAIN = 1.5, 4.0, 3.5
+"""Hz, 1/s and nothing: sideways."""
+LIFT_FREQUENCY, LIFT_GAIN, TWIST_DAMPING, AIR_DRAG = 5.0, 1.0, 7.0, 2.0
+"""Hz, nothing, 1/s and 1/s: along gravity, without overshoot; of the twist, at the frequency sideways; of all."""
 LARGEST_GAP = 0.25
 """[s] Poses farther apart say nothing of how the root moved between them."""
 LARGEST_CHANGE, LARGEST_CHANGE_OF_TURNING = 8.0, 20.0
@@ -30,27 +34,25 @@ LARGEST_FELT = 2.999 * GRAVITY
 
 
 class Pendulum:
-    """State of one avatar's cloth. settings: `PendulumSettings`."""
+    """State of one avatar's cloth."""
 
-    def __init__(self, settings):
-        sideways, along = 2 * math.pi * settings.frequency, 2 * math.pi * settings.lift_frequency
+    def __init__(self):
+        sideways, along = 2 * math.pi * FREQUENCY, 2 * math.pi * LIFT_FREQUENCY
         self._frequency = np.array([sideways, sideways, along, sideways])
-        self._damping = np.array([settings.damping, settings.damping, 2 * along, settings.twist_damping])
-        self._gain = np.array([settings.gain, settings.gain, settings.lift_gain, 1 / sideways**2])
-        self._drag = settings.air_drag
+        self._damping = np.array([DAMPING, DAMPING, 2 * along, TWIST_DAMPING])
+        self._gain = np.array([GAIN, GAIN, LIFT_GAIN, 1 / sideways**2])
         self._deflection, self._rate = np.zeros(4), np.zeros(4)
         self._time, self._velocity = None, None
 
     def felt(self, time, root, amount):
-        """Move the root (7,), position and quaternion x, y, z, w, to where it is at `time` [s]; a time that came before
-        moves nothing. Returns effective gravity (3,) [m/s2] in its frame, and the twist [rad], of cloth that sways by
+        """Move the root (7,), position and quaternion x, y, z, w, to where it is at `time` [s]; a time that comes twice
+        changes nothing. Returns effective gravity (3,) [m/s2] in its frame, and the twist [rad], of cloth that sways by
         `amount`."""
-        turn = Rotation.from_quat(root[3:])
-        self._move(time, np.asarray(root[:3], dtype=np.float64), turn)
+        self._move(time, np.asarray(root[:3], dtype=np.float64), Rotation.from_quat(root[3:]))
         *deflection, twist = self._deflection
         square = np.square(deflection).sum()
         share = square / (square + LEAST_DEFLECTION**2) / math.sqrt(1 + square / LARGEST_DEFLECTION**2)
-        felt = turn.inv().apply(amount * share * np.array(deflection) - [0, 0, GRAVITY])
+        felt = self._turn.inv().apply(amount * share * np.array(deflection) - [0, 0, GRAVITY])
         felt *= min(1.0, LARGEST_FELT / max(np.linalg.norm(felt), 1e-9))
         return felt, amount * twist / math.sqrt(1 + (twist / LARGEST_TWIST) ** 2)
 
@@ -73,7 +75,7 @@ class Pendulum:
         self._rate -= self._gain * self._frequency**2 * change
         if 0 < passed < math.inf:
             moved = np.zeros(4) if velocity is None else velocity
-            self._swing(passed, -self._gain * self._drag * moved)
+            self._swing(passed, -self._gain * AIR_DRAG * moved)
         self._time, self._position, self._turn, self._velocity = time, position, turn, velocity
 
     def _swing(self, passed, equilibrium):

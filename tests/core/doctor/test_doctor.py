@@ -5,12 +5,12 @@ import shutil
 import types
 
 import pytest
-from physkin_core.runtime.native_evaluator import supported_instruction_sets
 
 from physkin_core.cli import main
 from physkin_core.doctor import command, installation
 from physkin_core.doctor.finding import Finding
 from physkin_core.extras import EXTRAS
+from physkin_core.runtime.evaluator import supported_instruction_sets
 
 
 def found(look):

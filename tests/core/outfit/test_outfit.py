@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from native_frames import NativeFrame, clouds, native_skinner, told
+from native_frames import NativeFrame, clouds, told
 from point_cloud_utils import closest_points_on_mesh
 from random_models import random_model
 from reference.frame import ReferenceFrame
@@ -15,7 +15,7 @@ from physkin_core import (
     AvatarWarning,
     Draper,
     Outfit,
-    OutfitGarment,
+    WornGarment,
     load_avatar,
     load_garment_model,
     load_motion,
@@ -24,6 +24,7 @@ from physkin_core.model.garment import vertex_normals
 from physkin_core.outfit.coverage import FROM_HEM, hem_distances
 from physkin_core.outfit.tuck import DEEP, SLIDES, tucked_depths
 from physkin_core.quality import signed_distance
+from physkin_core.runtime.evaluator import Skinner
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +50,7 @@ def over_trousers(models, avatar):
 
 @pytest.fixture(scope="module")
 def tucked(models, avatar):
-    return Outfit([OutfitGarment(models["tshirt"], tucked=True), models["trousers"]], avatar)
+    return Outfit([WornGarment(models["tshirt"], tucked=True), models["trousers"]], avatar)
 
 
 def stands_out(inner, outer, faces, deep):
@@ -231,7 +232,7 @@ def test_garment_nodes_skin_to_what_is_not_moved(tucked, over_trousers, motion):
         clouds = outfit.drape(positions, gravity)
         for bound, nodes, cloud, is_moved in zip(outfit.bounds, outfit.node_transforms(), clouds, moved):
             points = np.empty_like(cloud)
-            native_skinner(bound).skin(np.ascontiguousarray(nodes), points)
+            Skinner(bound).skin(np.ascontiguousarray(nodes), points)
             assert (np.abs(points - cloud)[:, :3].max() > 1e-4) == is_moved
     with pytest.raises(IndexError, match="garment 2 of 2"):
         outfit._evaluator.node_transforms(2)
@@ -249,7 +250,7 @@ def test_a_twin_remembers_frames_of_its_own(over_trousers, motion):
 
 def test_each_garment_may_have_its_own_fit(models, avatar, over_trousers):
     """It wins over the outfit's; how each sits is told."""
-    outfit = Outfit([models["trousers"], OutfitGarment(models["tshirt"], fit=0.0)], avatar, fit=1.0)
+    outfit = Outfit([models["trousers"], WornGarment(models["tshirt"], fit=0.0)], avatar, fit=1.0)
     assert outfit.fits == (1.0, 0.0) and over_trousers.fits == (1.0, 1.0)
     shirts = [each.rest_garments[1].vertices for each in (outfit, over_trousers)]
     assert np.abs(shirts[0] - shirts[1]).max() > 1e-3
@@ -286,16 +287,16 @@ def test_what_cannot_be_worn_is_refused_in_one_sentence(models, avatar):
         "1 to 4 garments, got 0": [],
         "different rigs": [tshirt, other_rig],
         "'skirt' cannot be worn under 'trousers'": [models["skirt"], trousers],
-        "'dress' cannot be tucked into 'trousers': it reaches": [OutfitGarment(dress, tucked=True), trousers],
+        "'dress' cannot be tucked into 'trousers': it reaches": [WornGarment(dress, tucked=True), trousers],
         "'trousers' cannot be tucked into 'tshirt': it does not go over": [
-            OutfitGarment(trousers, tucked=True),
+            WornGarment(trousers, tucked=True),
             tshirt,
         ],
-        "'tshirt' is tucked, but no layer after it": [trousers, OutfitGarment(tshirt, tucked=True)],
+        "'tshirt' is tucked, but no layer after it": [trousers, WornGarment(tshirt, tucked=True)],
     }
     for message, garments in refused.items():
         named = [
-            replace(g, model=_named(g.model, models)) if isinstance(g, OutfitGarment) else _named(g, models)
+            replace(g, model=_named(g.model, models)) if isinstance(g, WornGarment) else _named(g, models)
             for g in garments
         ]
         with pytest.raises(ValueError, match=message.replace("(", r"\(")) as error:

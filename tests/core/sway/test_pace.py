@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from native_frames import NativeFrameInput
-from physkin_core.sway.pendulum import PendulumSettings
 from reference.pace import PACE, REACH, Pace
 
 import physkin_core as physkin
@@ -17,7 +16,7 @@ ROOT = (0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0)
 
 def test_time_passes_between_frames():
     """A time that has passed, and, however long it is, that for the sway network."""
-    rows, times = NativeFrameInput(PendulumSettings(), [True]), (5.0, 5.1, 5.1, 5.2, 5.6, 5.6, 5.0, 5.25)
+    rows, times = NativeFrameInput([True]), (5.0, 5.1, 5.1, 5.2, 5.6, 5.6, 5.0, 5.25)
     told = np.stack([rows.rows(time, ROOT, [1.0])[0] for time in times])
     assert told[:, 4] == pytest.approx([UNTOLD, 0.1, 0.1, 0.1, UNTOLD, UNTOLD, UNTOLD, 0.25])
     assert told[:, 6] == pytest.approx([UNTOLD, 0.1, 0.0, 0.1, 0.4, 0.0, 0.0, 0.25])
