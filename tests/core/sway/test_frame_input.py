@@ -35,6 +35,13 @@ def test_a_direction_is_of_unit_length():
         frame_input.hang(DOWN[:2])
 
 
+def test_an_effective_gravity_is_finite_and_three_times_gravity_at_most():
+    frame_input = FrameInput([False])
+    for wrong in ([0, 0, -29.5], [0, np.nan, 0], [np.nan, 0, 0], [0, 0, np.nan], [0, np.inf, 0]):
+        with pytest.raises(ValueError, match=r"effective_gravity must be .* up to 29.4 m/s2 long, got \["):
+            frame_input.accelerate(wrong)
+
+
 def test_each_garment_feels_as_much_of_an_acceleration_as_it_sways():
     """Of what differs from a root at rest, where that is known. A network knows nothing of it, and begins anew."""
     frame_input = FrameInput([False, False, True])
