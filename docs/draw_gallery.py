@@ -24,8 +24,7 @@ from physkin_core import (
 )
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.picture import Mesh, contact_sheet, render
-from physkin_core.render.dressed_meshes import dressed_meshes
-from physkin_core.render.strip import draw_strip
+from physkin_core.render.filming import draw_strip, dressed_meshes
 from physkin_training.sampling.chosen_bodies import bodies_by_girth
 
 GALLERY = ROOT / "docs" / "gallery"

@@ -37,21 +37,21 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 FORWARDED = {
-    "check": ("physkin_core.check.command", "say how garments sit on an avatar: a verdict, figures, a picture"),
-    "export": ("physkin_core.export.command", "write a draped motion as glTF (.glb) or USD, for other tools"),
-    "render": ("physkin_core.render.command", "film a draped motion: .mp4, .gif, .webp or numbered .png"),
+    "check": ("physkin_core.check.check", "say how garments sit on an avatar: a verdict, figures, a picture"),
+    "export": ("physkin_core.export.export", "write a draped motion as glTF (.glb) or USD, for other tools"),
+    "render": ("physkin_core.render.render", "film a draped motion: .mp4, .gif, .webp or numbered .png"),
     "bind-points": (
-        "physkin_core.points.command",
+        "physkin_core.points.bind_points",
         "carry a garment to another mesh, a point cloud or Gaussian splats; write them draped",
     ),
-    "doctor": ("physkin_core.doctor.command", "look whether this installation works; say what to do where not"),
-    "view": ("physkin_core.view.command", "show an avatar and its outfit live, on a page in the browser"),
+    "doctor": ("physkin_core.doctor.doctor", "look whether this installation works; say what to do where not"),
+    "view": ("physkin_core.view.view", "show an avatar and its outfit live, on a page in the browser"),
     "node": ("physkin_ros.node.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
     "demo": ("physkin_ros.tools.demo", "run the node between a motion player and a listener; draw a picture"),
     "fit-garment": ("physkin_training.fit_garment.fit_garment", "check, train and report on a garment of one's own"),
     "train": ("physkin_training.train.train", "train a garment from its mesh and physics"),
     "train-catalogue": (
-        "physkin_training.catalogue.command",
+        "physkin_training.catalogue.train_catalogue",
         "check, train and report on every garment of a folder, on a Ray cluster",
     ),
     "learn-sway": (
@@ -205,7 +205,7 @@ def _drape(options: argparse.Namespace) -> int:
 def _draw_strip(options: argparse.Namespace, motion: Motion) -> int:
     from physkin_core.picture import save_png
     from physkin_core.progress import progress_line
-    from physkin_core.render.strip import draw_strip
+    from physkin_core.render.filming import draw_strip
 
     if options.output.suffix.lower() != ".png":
         raise ValueError(f"cannot write {options.output}: the name of a strip must end in .png")
@@ -246,7 +246,7 @@ def _write_obj(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.
 
 def _write_png(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]) -> None:
     from physkin_core.picture import render, save_png
-    from physkin_core.render.dressed_meshes import dressed_meshes
+    from physkin_core.render.filming import dressed_meshes
 
     save_png(path, render(dressed_meshes(outfit, body, cloth), size=PICTURE_SIZE))
 

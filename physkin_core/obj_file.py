@@ -5,6 +5,7 @@ Other readers split vertices at texture seams, or reorder them by material. Dime
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -99,13 +100,10 @@ def _words(line: str) -> list[str]:
 
 
 def _numbers(line: str, entries: list[str], count: int) -> list[float]:
-    try:
-        (*numbers,) = map(float, entries)
-    except ValueError:
-        numbers = []
-    if len(numbers) != count:
-        raise ValueError(f"{line.strip()[:80]!r} must have {count} numbers")
-    return numbers
+    with suppress(ValueError):
+        if len(entries) == count:
+            return [float(entry) for entry in entries]
+    raise ValueError(f"{line.strip()[:80]!r} must have {count} numbers")
 
 
 def _corner(line: str, entry: str, vertices: int, places: int) -> tuple[int, int]:

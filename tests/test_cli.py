@@ -168,7 +168,7 @@ def test_missing_extra_is_named(command, package, extra, capsys):
 
 def test_errors_of_ours_are_told_in_one_line_unless_debugged(monkeypatch, capsys):
     """Status 1 and what to do; with --debug, wherever it stands, the error itself, mendable ones too."""
-    monkeypatch.setattr("physkin_core.check.command.main", lambda argv: {}[f"no {argv}"])
+    monkeypatch.setattr("physkin_core.check.check.main", lambda argv: {}[f"no {argv}"])
     assert cli.main(["check", "a.glb"]) == 1
     said = capsys.readouterr().err
     assert said.startswith("error: KeyError:") and "physkin --debug shows where" in said and said.count("\n") == 1

@@ -8,7 +8,7 @@ import pytest
 HEAVY = ("torch", "warp", "rclpy", "trimesh", "pygltflib")
 
 
-MODULES = ("physkin_core", "physkin_core.runtime.native_evaluator", "physkin_core.cli", "physkin_core.bench")
+MODULES = ("physkin_core", "physkin_core.runtime.evaluator", "physkin_core.cli", "physkin_core.bench")
 MODULES += ("physkin_training.config",)  # reading a configuration needs no torch
 QUICK = ("physkin_core", "physkin_core.cli")  # what every command waits for; scipy would be half of it
 

@@ -7,6 +7,7 @@
 #include "kernels/machine_floors.hpp"
 #include "motion_binding.hpp"
 #include "python_arrays.hpp"
+#include "separation/limb_separator.hpp"
 #include "separation_binding.hpp"
 #include "sway/frame_input.hpp"
 
@@ -41,8 +42,8 @@ BodyEncoder body_encoder(const nb::dict& network) {
   e.pool = named_layer(network, "pool");
   for (std::string block = "residual.0"; network.contains((block + ".norm.weight").c_str());
        block = "residual." + std::to_string(e.residual.size())) {
-    e.residual.push_back({named_norm(network, block + ".norm"), named_layer(network, block + ".0"),
-                          named_layer(network, block + ".1")});
+    e.residual.push_back(
+        {named_norm(network, block + ".norm"), named_layer(network, block + ".0"), named_layer(network, block + ".1")});
   }
   e.output = named_layer(network, "output");
   return e;
@@ -67,7 +68,8 @@ using TransformArray = nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::d
 // A garment without its networks.
 class BoundSkinner {
  public:
-  explicit BoundSkinner(nb::handle skinning_data) : skinner_([&] {
+  explicit BoundSkinner(nb::handle skinning_data)
+      : skinner_([&] {
           PythonReader reader;
           const SkinningData data = reader.skinning_data(skinning_data);
           const Kernels& kernels = select_kernels();
@@ -114,6 +116,9 @@ nb::dict constants() {
   d["largest_turning"] = kLargestTurning;
   d["most_speed_up"] = kMostSpeedUp;
   d["deepest"] = kDeepest;
+  d["encoding_frequencies"] = kEncodingFrequencies;
+  d["heads"] = kHeads;
+  d["capsule_blur"] = kCapsuleBlur;
   d["turns"] = kTurns;
   d["beside"] = kBeside;
   return d;
@@ -140,11 +145,12 @@ NB_MODULE(_native, module) {
   physkin::bind_motion(module);
   physkin::bind_separation(module);
   nb::class_<MachineProbe>(module, "MachineProbe")
-      .def("__init__",
-           [](MachineProbe* self, std::int64_t bytes, const Text& instruction_set) {
-             new (self) MachineProbe(physkin::select_kernels(instruction_set.value_or("")), bytes);
-           },
-           "bytes"_a, "instruction_set"_a = nb::none())
+      .def(
+          "__init__",
+          [](MachineProbe* self, std::int64_t bytes, const Text& instruction_set) {
+            new (self) MachineProbe(physkin::select_kernels(instruction_set.value_or("")), bytes);
+          },
+          "bytes"_a, "instruction_set"_a = nb::none())
       .def("read", &MachineProbe::read, "fetch_ahead"_a)
       .def("multiply_add", &MachineProbe::multiply_add, "rounds"_a);
 }

@@ -79,15 +79,16 @@ Wanted wanted(const physkin_options* given) {
   physkin_options options{};
   if (given != nullptr) {
     // A host built against an older header has a shorter structure: members that it lacks stay at their defaults.
-    constexpr std::size_t kEnds[] = {
-        offsetof(physkin_options, normals_from_faces), offsetof(physkin_options, precision),
-        offsetof(physkin_options, instruction_set), sizeof options};
+    constexpr std::size_t kEnds[] = {offsetof(physkin_options, normals_from_faces),
+                                     offsetof(physkin_options, precision), offsetof(physkin_options, instruction_set),
+                                     sizeof options};
     std::size_t known = 0;
     for (const std::size_t end : kEnds) {
       if (given->size >= end) known = end;
     }
     if (known == 0) {
-      throw std::invalid_argument("options.size is " + std::to_string(given->size) + "; set it to sizeof(physkin_options)");
+      throw std::invalid_argument("options.size is " + std::to_string(given->size) +
+                                  "; set it to sizeof(physkin_options)");
     }
     std::memcpy(&options, given, known);
   }
@@ -212,8 +213,7 @@ physkin_status physkin_step(physkin_garment* garment, const float* joint_positio
 }
 
 physkin_status physkin_step_accelerated(physkin_garment* garment, const float* joint_positions,
-                                        const float* effective_gravity, float* out, int32_t columns,
-                                        ptrdiff_t stride) {
+                                        const float* effective_gravity, float* out, int32_t columns, ptrdiff_t stride) {
   return still_step(garment, joint_positions, effective_gravity, out, columns, stride, true);
 }
 

@@ -74,7 +74,8 @@ class BoundStep {
     check_shape(inputs_, "inputs", {evaluator_.count(), kGarmentInput});
     if (outs_.size() != std::size_t(evaluator_.count())) {
       throw nb::value_error(("out has " + std::to_string(outs_.size()) + " arrays; expected one for each of " +
-                             std::to_string(evaluator_.count()) + " garments").c_str());
+                             std::to_string(evaluator_.count()) + " garments")
+                                .c_str());
     }
     for (std::size_t k = 0; k < outs_.size(); ++k) {
       rows_.push_back(vertex_rows(outs_[k], evaluator_[int(k)].vertex_count()));
@@ -86,7 +87,8 @@ class BoundStep {
 
   void step() {
     if (const Rejection bad = evaluator_.step(joint_positions_.data(), inputs(), rows_.data())) {
-      const std::string garment = evaluator_.count() > 1 ? "garment " + std::to_string(evaluator_.rejected()) + ": " : "";
+      const std::string garment =
+          evaluator_.count() > 1 ? "garment " + std::to_string(evaluator_.rejected()) + ": " : "";
       throw nb::value_error((garment + bad.message()).c_str());
     }
   }
@@ -113,13 +115,16 @@ class BoundStep {
 // Of two layers by themselves, as an outfit is bound.
 class BoundLayerOrder {
  public:
-  BoundLayerOrder(nb::handle order, int steady_vertices, int yielding_vertices) : order_([&] {
+  BoundLayerOrder(nb::handle order, int steady_vertices, int yielding_vertices)
+      : order_([&] {
           PythonReader reader;
           LayerOrderData data = read_layer_order(reader.fields_of(order));
           data.edge = nb::cast<float>(order.attr("edge"));
           const bool outside = nb::cast<int>(order.attr("yielding")) > nb::cast<int>(order.attr("steady"));
           return LayerOrder(data, outside ? Side::kOutside : Side::kInside, steady_vertices, yielding_vertices, arena_);
-        }()), steady_(steady_vertices), yielding_(yielding_vertices) {}
+        }()),
+        steady_(steady_vertices),
+        yielding_(yielding_vertices) {}
 
   void apply(const OutputArray& steady, const OutputArray& yielding, bool look_at_all) {
     const VertexRows stays = vertex_rows(steady, steady_), moves = vertex_rows(yielding, yielding_);
@@ -144,7 +149,8 @@ nb::ndarray<nb::numpy, const float, nb::shape<-1, 12>> corrections(BoundEvaluato
 }
 
 nb::ndarray<nb::numpy, float, nb::shape<-1, kGarmentInput>, nb::c_contig> rows(FrameInput& self) {
-  return {reinterpret_cast<float*>(self.rows()), {std::size_t(self.count()), std::size_t(kGarmentInput)}, nb::find(self)};
+  return {
+      reinterpret_cast<float*>(self.rows()), {std::size_t(self.count()), std::size_t(kGarmentInput)}, nb::find(self)};
 }
 
 }  // namespace
@@ -156,8 +162,9 @@ void bind_frame(nb::module_& module) {
            "normals"_a = "skinned")
       .def("node_transforms", node_transforms, "garment"_a = 0)
       .def("corrections", corrections, "garment"_a = 0)
-      .def("skinning_terms", [](BoundEvaluator& self, int garment) { return self.garment(garment).skinning_terms(); },
-           "garment"_a = 0)
+      .def(
+          "skinning_terms", [](BoundEvaluator& self, int garment) { return self.garment(garment).skinning_terms(); },
+          "garment"_a = 0)
       .def_prop_ro("instruction_set", [](BoundEvaluator& self) { return self.evaluator().instruction_set(); })
       .def_prop_ro("precision", [](BoundEvaluator& self) { return precision_name(self.evaluator().precision()); });
   nb::class_<BoundStep>(module, "Step")
@@ -173,48 +180,57 @@ void bind_frame(nb::module_& module) {
   nb::class_<BoundLayerOrder>(module, "LayerOrder")
       .def(nb::init<nb::handle, int, int>(), "order"_a, "steady_vertices"_a, "yielding_vertices"_a)
       .def("apply", &BoundLayerOrder::apply, "steady"_a.noconvert(), "yielding"_a.noconvert(), "look_at_all"_a);
-  nb::class_<RootSample>(module, "RootSample")
-      .def_prop_ro("known", [](const RootSample& self) { return self.known; });
+  nb::class_<RootSample>(module, "RootSample").def_prop_ro("known", [](const RootSample& self) { return self.known; });
   nb::class_<Pendulum>(module, "Pendulum")
       .def(nb::init<>())
       .def("reset", &Pendulum::reset)
-      .def("move",
-           [](Pendulum& self, double time, const Vector& root) {
-             raise_if_wrong(self.move(time, vector_of(root, "root", 7)));
-             return self.sample();
-           },
-           "time"_a, "root"_a);
+      .def(
+          "move",
+          [](Pendulum& self, double time, const Vector& root) {
+            raise_if_wrong(self.move(time, vector_of(root, "root", 7)));
+            return self.sample();
+          },
+          "time"_a, "root"_a);
   nb::class_<FrameInput>(module, "FrameInput")
       .def(nb::init<int>(), "garments"_a)
-      .def("set_network",
-           [](FrameInput& self, int garment, bool has) { self.set_network(checked_garment(garment, self.count()), has); },
-           "garment"_a, "has_network"_a)
-      .def("set_sway",
-           [](FrameInput& self, int garment, double amount) {
-             self.set_sway(checked_garment(garment, self.count()), amount);
-           },
-           "garment"_a, "amount"_a)
-      .def("sway", [](FrameInput& self, int garment) { return self.sway(checked_garment(garment, self.count())); },
-           "garment"_a)
+      .def(
+          "set_network",
+          [](FrameInput& self, int garment, bool has) {
+            self.set_network(checked_garment(garment, self.count()), has);
+          },
+          "garment"_a, "has_network"_a)
+      .def(
+          "set_sway",
+          [](FrameInput& self, int garment, double amount) {
+            self.set_sway(checked_garment(garment, self.count()), amount);
+          },
+          "garment"_a, "amount"_a)
+      .def(
+          "sway", [](FrameInput& self, int garment) { return self.sway(checked_garment(garment, self.count())); },
+          "garment"_a)
       .def("reset", &FrameInput::reset)
-      .def("hang",
-           [](FrameInput& self, const Vector& direction) {
-             raise_if_wrong(self.hang(vector_of(direction, "gravity", 3)));
-           },
-           "direction"_a)
-      .def("accelerate",
-           [](FrameInput& self, const Vector& gravity, const std::optional<Vector>& at_rest) {
-             const double* rest = at_rest ? vector_of(*at_rest, "at_rest", 3) : nullptr;
-             raise_if_wrong(self.accelerate(vector_of(gravity, "effective_gravity", 3), rest));
-           },
-           "effective_gravity"_a, "at_rest"_a = nb::none())
+      .def(
+          "hang",
+          [](FrameInput& self, const Vector& direction) {
+            raise_if_wrong(self.hang(vector_of(direction, "gravity", 3)));
+          },
+          "direction"_a)
+      .def(
+          "accelerate",
+          [](FrameInput& self, const Vector& gravity, const std::optional<Vector>& at_rest) {
+            const double* rest = at_rest ? vector_of(*at_rest, "at_rest", 3) : nullptr;
+            raise_if_wrong(self.accelerate(vector_of(gravity, "effective_gravity", 3), rest));
+          },
+          "effective_gravity"_a, "at_rest"_a = nb::none())
       .def("follow", &FrameInput::follow, "root"_a)
-      .def("move",
-           [](FrameInput& self, double time, const Vector& root) {
-             raise_if_wrong(self.move(time, vector_of(root, "root", 7)));
-           },
-           "time"_a, "root"_a)
-      .def("begin_frame", [](FrameInput& self, double time) { raise_if_wrong(self.begin_frame(time)); }, "time"_a)
+      .def(
+          "move",
+          [](FrameInput& self, double time, const Vector& root) {
+            raise_if_wrong(self.move(time, vector_of(root, "root", 7)));
+          },
+          "time"_a, "root"_a)
+      .def(
+          "begin_frame", [](FrameInput& self, double time) { raise_if_wrong(self.begin_frame(time)); }, "time"_a)
       .def("begin_still_frame", &FrameInput::begin_still_frame)
       .def_prop_ro("rows", rows);
 }

@@ -20,7 +20,8 @@ using Given = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cp
 using Written = nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 void check_size(std::size_t size, const char* name, std::size_t wanted) {
-  if (size != wanted) throw nb::value_error((std::string(name) + " must have shape (" + std::to_string(wanted) + ",)").c_str());
+  if (size != wanted)
+    throw nb::value_error((std::string(name) + " must have shape (" + std::to_string(wanted) + ",)").c_str());
 }
 
 // Arrays were checked once: a message converts and allocates nothing. Keeps them alive.
@@ -49,7 +50,8 @@ class BoundReading {
     for (std::size_t k = 0; k < source.size(); ++k) {
       if (source[k] < 0 || target[k] < 0 || std::size_t(target[k]) >= out_.size()) {
         throw nb::value_error(("joint " + std::to_string(k) + " is taken from value " + std::to_string(source[k]) +
-                               " to position " + std::to_string(target[k]) + " of " + std::to_string(out_.size())).c_str());
+                               " to position " + std::to_string(target[k]) + " of " + std::to_string(out_.size()))
+                                  .c_str());
       }
       joints.push_back({source[k], target[k], scale[k], offset[k]});
     }
@@ -103,8 +105,7 @@ void bind_joints(nb::module_& module) {
            "out"_a.noconvert())
       .def("read", &BoundReading::read, "message"_a);
   nb::class_<BoundRange>(module, "PoseRange")
-      .def(nb::init<Given, Written, Written>(), "positions"_a.noconvert(), "least"_a.noconvert(),
-           "most"_a.noconvert())
+      .def(nb::init<Given, Written, Written>(), "positions"_a.noconvert(), "least"_a.noconvert(), "most"_a.noconvert())
       .def("widen", &BoundRange::widen);
   nb::class_<Beginning>(module, "MessageBeginning")
       .def(nb::init<const nb::bytes&, const nb::bytes&>(), "pattern"_a, "mask"_a)

@@ -4,7 +4,7 @@
 
 namespace physkin {
 
-// Adds `MessageBeginning`, `JointReading`, `PoseRange` and `PoseCheck` to physkin_core._native.
+// Adds `MessageBeginning`, `JointReading` and `PoseRange` to physkin_core._native.
 void bind_joints(nanobind::module_& module);
 
 }  // namespace physkin

@@ -25,7 +25,8 @@ PoseSolver pose_solver(const std::vector<int>& parents, const std::vector<Number
                        const std::vector<int>& follower_turns, const std::vector<Numbers>& follower_axes,
                        const Numbers& pulls) {
   const auto sized = [](const std::vector<Numbers>& rows, std::size_t count, std::size_t width) {
-    return rows.size() == count && std::all_of(rows.begin(), rows.end(), [&](auto& row) { return row.size() == width; });
+    return rows.size() == count &&
+           std::all_of(rows.begin(), rows.end(), [&](auto& row) { return row.size() == width; });
   };
   if (!sized(turns, parents.size(), 6) || !sized(follower_axes, follower_turns.size(), 9) || pulls.size() != 3) {
     throw nb::value_error("a turn needs a parent and 6 numbers, a follower a turn and 9, and there are 3 pulls");
@@ -45,10 +46,11 @@ PoseSolver pose_solver(const std::vector<int>& parents, const std::vector<Number
 
 void step(PoseSolver& self, const Targets& targets, const Positions& positions, const NextPositions& next) {
   const std::size_t frames = positions.shape(0), turns = std::size_t(self.turns());
-  if (positions.shape(1) != turns || next.shape(0) != frames || next.shape(1) != turns ||
-      targets.shape(0) != frames || targets.shape(1) != std::size_t(self.followers())) {
+  if (positions.shape(1) != turns || next.shape(0) != frames || next.shape(1) != turns || targets.shape(0) != frames ||
+      targets.shape(1) != std::size_t(self.followers())) {
     throw nb::value_error(("positions and next must be (frames, " + std::to_string(turns) + "), targets (frames, " +
-                           std::to_string(self.followers()) + ", 3, 3)").c_str());
+                           std::to_string(self.followers()) + ", 3, 3)")
+                              .c_str());
   }
   const nb::gil_scoped_release release;
   self.step(targets.data(), positions.data(), int(frames), next.data());

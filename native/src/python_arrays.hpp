@@ -56,14 +56,15 @@ const T* view(nb::handle object, const std::string& name, std::vector<int>& shap
   }
   if (!good) {
     throw nb::value_error((name + " must be a C-contiguous " + (std::is_same_v<T, float> ? "float32" : "int32") +
-                           " array of shape " + shape_text(wanted)).c_str());
+                           " array of shape " + shape_text(wanted))
+                              .c_str());
   }
   return static_cast<const T*>(array.data());
 }
 
 // A layer's network weights and bias, named `matrix` and `bias` in errors.
 inline DenseWeights dense_weights(nb::handle matrix_array, const std::string& matrix, nb::handle bias_array,
-                           const std::string& bias) {
+                                  const std::string& bias) {
   std::vector<int> shape{-1, -1};
   const float* weights = view<float>(matrix_array, matrix, shape);
   std::vector<int> outputs{shape[0]};
@@ -156,7 +157,8 @@ inline VertexRows vertex_rows(const OutputArray& out, int vertex_count) {
   const std::size_t columns = out.shape(1);
   if (out.shape(0) != std::size_t(vertex_count) || (columns != 3 && columns != 6)) {
     throw nb::value_error(("out has shape " + shape_text({int(out.shape(0)), int(columns)}) + "; expected (" +
-                           std::to_string(vertex_count) + ", 3) or (" + std::to_string(vertex_count) + ", 6)").c_str());
+                           std::to_string(vertex_count) + ", 3) or (" + std::to_string(vertex_count) + ", 6)")
+                              .c_str());
   }
   if (out.stride(1) != 1) throw nb::value_error("a row of out must be contiguous; rows may be any distance apart");
   const std::int64_t stride = out.stride(0);

@@ -76,13 +76,14 @@ float separate(LimbSeparator& self, const Given& joint_positions, const Separate
 
 void bind_separation(nb::module_& module) {
   nb::class_<LimbSeparator>(module, "LimbSeparator")
-      .def("__init__",
-           [](LimbSeparator* self, nb::handle shape, float onset, float softness, float pull, float damping, float blend,
-              int steps, const std::optional<std::string>& instruction_set) {
-             make(self, shape, {onset, softness, pull, damping, blend, steps}, instruction_set.value_or(""));
-           },
-           "shape"_a, "onset"_a, "softness"_a, "pull"_a, "damping"_a, "blend"_a, "steps"_a,
-           "instruction_set"_a = nb::none())
+      .def(
+          "__init__",
+          [](LimbSeparator* self, nb::handle shape, float onset, float softness, float pull, float damping, float blend,
+             int steps, const std::optional<std::string>& instruction_set) {
+            make(self, shape, {onset, softness, pull, damping, blend, steps}, instruction_set.value_or(""));
+          },
+          "shape"_a, "onset"_a, "softness"_a, "pull"_a, "damping"_a, "blend"_a, "steps"_a,
+          "instruction_set"_a = nb::none())
       .def("separate", &separate, "joint_positions"_a.noconvert(), "out"_a.noconvert());
 }
 

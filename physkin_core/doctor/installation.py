@@ -13,7 +13,7 @@ from importlib.util import find_spec
 import numpy as np
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
-from physkin_core.doctor.finding import Finding
+from physkin_core.doctor.doctor import Finding
 from physkin_core.extras import EXTRAS
 from physkin_core.model.model_file import load_garment_model, shipped_models
 from physkin_core.motion.loading import bundled_motions, load_motion

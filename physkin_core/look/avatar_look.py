@@ -15,8 +15,7 @@ from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.gltf_avatar import primitives
 from physkin_core.avatar.gltf_file import GltfFile
 from physkin_core.avatar.loading import GLTF_SUFFIXES
-from physkin_core.look.few_colours import few_colours
-from physkin_core.look.surfaces import picture_kind, readable
+from physkin_core.look.surfaces import few_colours, picture_kind, readable
 from physkin_core.mesh_file import Look, MaterialLibrary, read_mesh
 
 __all__ = ["avatar_look"]

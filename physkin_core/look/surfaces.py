@@ -1,7 +1,8 @@
 """Materials of a look: the faces that each covers, its colour and picture; and texture places one a vertex.
 
 A texture has seams where cloth and skin have none. Files of one texture place a vertex get such vertices twice; both
-are skinned alike, so that nothing opens. Dimensions: `f` faces, `v` vertices, `w` of them with repetitions.
+are skinned alike, so that nothing opens. Dimensions: `f` faces, `v` vertices, `w` of them with repetitions,
+`k` colours.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ __all__ = [
     "ROUGHNESS",
     "Picture",
     "Surface",
+    "few_colours",
     "linear",
     "picture_kind",
     "readable",
@@ -28,6 +30,8 @@ ROUGHNESS = 0.9
 """Of cloth and skin."""
 PICTURE_KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 """Beginnings of the pictures that glTF and USD both take."""
+ROUNDS = 20
+"""Of k-means, to find few colours that stand for many."""
 
 
 @dataclass(frozen=True)
@@ -131,3 +135,15 @@ def _picture(look: Look, material: str, named: str) -> Picture:
     if kind is None:
         raise ValueError(f"the picture of material {material!r}, {name}, must be PNG or JPEG")
     return Picture(name, content, kind)
+
+
+def few_colours(colours: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """At most so many colours that stand for those of faces (f, 3): (k, 3), and which (f,) each face has."""
+    from scipy.cluster.vq import kmeans2
+
+    different, index = np.unique(colours.round(2), axis=0, return_inverse=True)
+    if len(different) <= most:
+        return different, index.reshape(-1)
+    centres, nearest = kmeans2(colours, most, iter=ROUNDS, minit="++", rng=0)
+    used, index = np.unique(nearest, return_inverse=True)
+    return centres[used], index.reshape(-1)

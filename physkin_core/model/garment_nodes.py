@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["closest_bones", "compose_nodes", "delta_transforms", "node_positions_on_body", "pose_nodes"]
+__all__ = ["closest_bones", "node_positions_on_body", "pose_nodes"]
 
 
 def closest_bones(points: np.ndarray, heads: np.ndarray, tails: np.ndarray) -> np.ndarray:
@@ -45,21 +45,3 @@ def pose_nodes(bone_transforms: np.ndarray, node_bone: np.ndarray, node_position
     transforms = bone_transforms[..., node_bone, :, :]
     position = np.einsum("...mij,mj->...mi", transforms[..., :3], node_positions) + transforms[..., 3]
     return np.concatenate([transforms[..., :3], position[..., None]], axis=-1)
-
-
-def delta_transforms(raw: np.ndarray, node_count: int) -> np.ndarray:
-    """Delta-chi from the node deformer's output, in each posed node's own frame.
-
-    raw: (..., 12 m), a node's numbers being a linear part relative to the identity, row-major, and a translation [m].
-    Returns (..., m, 3, 4).
-    """
-    numbers = raw.reshape(*raw.shape[:-1], node_count, 12)
-    linear = np.eye(3) + numbers[..., :9].reshape(*numbers.shape[:-1], 3, 3)
-    return np.concatenate([linear, numbers[..., 9:, None]], axis=-1)
-
-
-def compose_nodes(posed: np.ndarray, delta: np.ndarray) -> np.ndarray:
-    """chi = chi_skin * delta. Both (..., m, 3, 4). Returns (..., m, 3, 4)."""
-    linear = posed[..., :3] @ delta[..., :3]
-    translation = (posed[..., :3] @ delta[..., 3:]) + posed[..., 3:]
-    return np.concatenate([linear, translation], axis=-1)

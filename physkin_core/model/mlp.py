@@ -14,7 +14,6 @@ __all__ = [
     "Layer",
     "fold_modulation",
     "layer_inputs",
-    "modulated_mlp",
     "modulation_size",
     "silu",
     "split_modulation",
@@ -44,14 +43,12 @@ def split_modulation(layers: Sequence[Layer], modulation: np.ndarray) -> list[tu
     return parts
 
 
-def modulated_mlp(layers: Sequence[Layer], x: np.ndarray, modulation: np.ndarray | None) -> np.ndarray:
-    """Hidden layers modulated then activated, last layer linear. x: (..., in). modulation: (..., `modulation_size`),
-    None for layers into which it is folded. Returns (..., out)."""
-    return layer_inputs(layers, x, modulation)[-1]
-
-
 def layer_inputs(layers: Sequence[Layer], x: np.ndarray, modulation: np.ndarray | None) -> list[np.ndarray]:
-    """What each layer of `modulated_mlp` reads (..., width), the first x itself, and then what the last gives."""
+    """What each layer of a network reads (..., width), the first x (..., in) itself, and then what the last gives.
+
+    Hidden layers are modulated, then activated, the last is linear. modulation: (..., `modulation_size`), None for
+    layers into which it is folded.
+    """
     if modulation is None:
         modulation = np.zeros(modulation_size(layers))
     values = [x]

@@ -6,23 +6,11 @@ given body the layer folds, exactly, into one over the bones that the garment us
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from physkin_core.model.mlp import Layer, modulated_mlp
 from physkin_core.rig.rig import Rig
 
-__all__ = ["fold_first_layer", "node_corrections"]
-
-
-def node_corrections(layers: Sequence[Layer], transforms: np.ndarray, modulation: np.ndarray) -> np.ndarray:
-    """Raw numbers of delta-chi (see `garment_nodes.delta_transforms`).
-
-    transforms: (..., m, 3, 4) chi_skin; (..., u, 3, 4) of the bones used when the first layer is folded onto them.
-    modulation: from `pose_modulation`. Returns (..., 12 m).
-    """
-    return modulated_mlp(layers, transforms.reshape(*transforms.shape[:-3], -1), modulation)
+__all__ = ["fold_first_layer"]
 
 
 def fold_first_layer(

@@ -9,9 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physkin_core.rig.linear_blend_skinning import blended_transforms
-
-__all__ = ["NORMALS", "SkinningData", "cofactors", "skin", "skinning_matrices", "unit"]
+__all__ = ["NORMALS", "SkinningData", "cofactors", "skinning_matrices", "unit"]
 
 NORMALS = ("skinned", "faces")
 """Where normals come from: rest normals carried along, or the draped mesh's faces."""
@@ -49,23 +47,3 @@ def skinning_matrices(nodes: np.ndarray, node_rest: np.ndarray) -> np.ndarray:
     linear = nodes[..., :3]
     translation = nodes[..., 3] - np.einsum("...mij,mj->...mi", linear, node_rest)
     return np.concatenate([linear, translation[..., None]], axis=-1)
-
-
-def skin(
-    nodes: np.ndarray,
-    node_rest: np.ndarray,
-    vertices: np.ndarray,
-    normals: np.ndarray,
-    influence_nodes: np.ndarray,
-    influence_weights: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Deform the garment: x' = sum_i w_i chi_i chi-bar_i^-1 x, normals by the cofactors of the blended linear part,
-    then to unit length.
-
-    nodes: (m, 3, 4). node_rest: (m, 3). vertices, normals: (n, 3). influence_nodes, influence_weights: (n, K).
-    Returns positions (n, 3) and normals (n, 3).
-    """
-    blended = blended_transforms(skinning_matrices(nodes, node_rest), influence_nodes, influence_weights)
-    positions = np.einsum("nij,nj->ni", blended[..., :3], vertices) + blended[..., 3]
-    turned = np.einsum("nij,nj->ni", cofactors(blended[..., :3]), normals)
-    return positions, unit(turned)

@@ -1,23 +1,31 @@
-"""A camera that films a dressed avatar as it moves through the world.
+"""A dressed avatar in pictures: filmed as it moves through the world, or frames of it beside each other in a strip.
 
 Dimensions: `T` frames. Metres; world with Z up.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from physkin_core.look.face_colours import avatar_colours
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.picture import Mesh, render
+from physkin_core.picture import BODY_COLOUR, Mesh, contact_sheet, layer_colours, render
 from physkin_core.progress import Watch
-from physkin_core.render.dressed_meshes import dressed_meshes
 
-__all__ = ["Camera", "film"]
+__all__ = ["MOST_FRAMES", "Camera", "draw_strip", "dressed_meshes", "film"]
+
+MOST_FRAMES = 24
+FRAME_SIZE = 180, 320
+"""Of a frame in a strip, width and height [pixels]."""
+VIEWS = 15.0, 195.0
+"""Azimuths [degrees] of a strip's two rows."""
+AROUND = 0.05
+"""[m] Room about the body."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,3 +85,53 @@ def _moved(turn: Rotation, place: np.ndarray, clouds: list[np.ndarray]) -> tuple
     """Positions of body and garments from root to world."""
     body, *cloth = (turn.apply(cloud[:, :3]) + place for cloud in clouds)
     return body, cloth
+
+
+def dressed_meshes(outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]) -> list[Mesh]:
+    """Surfaces of one frame. body: (V, 3) vertices of `body_to_draw`; cloth: (v, 3 or more) of each garment, positions
+    first; all [m] in one frame with Z up."""
+    shown = outfit.faces_to_draw if len(cloth) > 1 else slice(None)
+    colours = avatar_colours(outfit.body_to_draw)
+    skin = Mesh(body, outfit.body_to_draw.faces[shown], BODY_COLOUR if colours is None else colours[shown])
+    worn = [
+        Mesh(np.asarray(points)[:, :3], layer.faces, colour)
+        for points, layer, colour in zip(cloth, outfit.layers, layer_colours(len(cloth)))
+    ]
+    return [skin, *worn]
+
+
+def draw_strip(outfit: Outfit, motion: Motion, count: int, *, watch: Watch = lambda share: None) -> np.ndarray:
+    """Frames evenly spread over a motion, the first and the last among them, from the front and below it from the back.
+
+    Every frame of the motion is draped, as order is kept from one to the next. watch: told how far the drawing is.
+    Returns (H, W, 3) uint8. Raises ValueError for a count below 2, above 24 or above what the motion has; PictureError
+    as `render` does.
+    """
+    most = min(MOST_FRAMES, motion.frame_count)
+    if not 2 <= count <= most:
+        raise ValueError(f"a strip of motion {motion.name!r} has 2 to {most} frames, got {count}")
+    chosen = set(np.linspace(0, motion.frame_count - 1, count).round().astype(int).tolist())
+    columns = []
+    for frame, (positions, gravity) in enumerate(zip(motion.positions_for(outfit.rig), motion.gravity)):
+        cloth = outfit.drape(positions, gravity)
+        if frame in chosen:
+            body = outfit.posed_body(positions)
+            columns.append((dressed_meshes(outfit, body, cloth), body))
+    half = max(np.abs(body - _middle(body)).max(axis=0).max() for _, body in columns) + AROUND
+    pictures = []
+    for azimuth in VIEWS:
+        for meshes, body in columns:
+            bounds = _middle(body) + _box(half)
+            pictures.append(render(meshes, size=FRAME_SIZE, azimuth=azimuth, bounds=bounds, samples=8))
+            watch(len(pictures) / (len(VIEWS) * count))
+    return contact_sheet(pictures, columns=count, gap=2)
+
+
+def _middle(body: np.ndarray) -> np.ndarray:
+    return (body.min(axis=0) + body.max(axis=0)) / 2
+
+
+def _box(half: float) -> np.ndarray:
+    """(2, 3) [m] about the origin, as wide as a frame is for its height."""
+    across = half * FRAME_SIZE[0] / FRAME_SIZE[1]
+    return np.array([[-across, -across, -half], [across, across, half]])

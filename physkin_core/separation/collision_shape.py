@@ -13,6 +13,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import face_areas
+from physkin_core.native_module import native
 from physkin_core.rig.rig import Rig
 from physkin_core.separation.limb_chains import Limb, Limbs, find_limbs
 from physkin_core.separation.limb_shape import CAPSULES, END, LOWER, SPHERES, UPPER, SkinPoints, fit_limb
@@ -29,7 +30,7 @@ MOST_BELOW_HIPS = 0.2
 MIDDLE = 0.03
 """[m] Skin so near to the plane of symmetry tells where the crotch is."""
 SHORTEST_TRUNK = 0.1
-CAPSULE_BLUR = 0.015
+CAPSULE_BLUR: float = native.constants["capsule_blur"]
 """[m] So near to a capsule's axis there is no way out to prefer: arms may pass through each other."""
 SLACK = 0.02
 """[m] By which twist joints within a group may change how far its spheres are from its middle one."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, AvatarWarning
 from physkin_core.motion.motion import Motion
+from physkin_core.native_module import native
 from physkin_core.rig.rig import Rig
 from physkin_core.separation.collision_shape import fit_collision_shape
 
@@ -51,8 +52,6 @@ class LimbSeparator:
     """
 
     def __init__(self, rig: Rig, avatar: Avatar, *, settings: SeparationSettings | None = None) -> None:
-        import physkin_core._native as _native
-
         if len(avatar.bone_heads) != rig.bone_count:
             raise ValueError(f"avatar {avatar.source} has {len(avatar.bone_heads)} bones, the rig {rig.bone_count}")
         settings = settings or SeparationSettings()
@@ -60,7 +59,7 @@ class LimbSeparator:
         self.shape, self.warnings = fit_collision_shape(avatar, rig, onset=settings.onset)
         log.info("fitted a collision shape to %s in %.0f ms", avatar.source, 1e3 * (perf_counter() - started))
         self.joint_names = rig.joint_names
-        self._separator = _native.LimbSeparator(self.shape, *astuple(settings))
+        self._separator = native.LimbSeparator(self.shape, *astuple(settings))
 
     def separate(self, joint_positions: np.ndarray, *, out: np.ndarray | None = None) -> tuple[np.ndarray, float]:
         """Positions moved as little as needed, and by how much.

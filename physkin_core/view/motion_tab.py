@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from physkin_core.motion.loading import bundled_motions
-from physkin_core.view.page import Page
+from physkin_core.view.page import Page, Uploads
 from physkin_core.view.scene.scene_state import SceneState
-from physkin_core.view.uploads import Uploads
 
 if TYPE_CHECKING:
     import viser

@@ -1,4 +1,5 @@
-"""The page itself: a server, a floor, notices, and a loop that draws until it is interrupted."""
+"""The page itself: a server, a floor, notices, a read-out, files that a browser sent, and a loop that draws until it is
+interrupted."""
 
 from __future__ import annotations
 
@@ -7,14 +8,16 @@ import functools
 import io
 import logging
 import socket
+import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Literal
 
 from physkin_core.picture import PictureError
 
-__all__ = ["FRAMES_A_SECOND", "Page"]
+__all__ = ["FRAMES_A_SECOND", "Page", "Readout", "Uploads"]
 
 log = logging.getLogger(__name__)
 
@@ -28,6 +31,9 @@ FIELD_OF_VIEW = 0.6  # [rad]
 SKY, GROUND, SKY_LIGHT = (255, 255, 255), (150, 145, 140), 2.2
 LAMP_PLACE, LAMP_LIGHT = (2.5, 2.0, 4.0), 1.6
 """One sky and one lamp: an environment map costs a browser without a graphics card half of its frames."""
+WAITING = "..."
+COMPANIONS = (".asf", ".rig.json", ".mtl", ".bin")
+"""Ends of the names of files that others need: kept, and read with those."""
 
 
 class Page:
@@ -163,3 +169,45 @@ def _check_address(host: str, port: int) -> None:
             f"cannot listen at {host}: {error.strerror}; allowed: an address of this machine, as 127.0.0.1, or 0.0.0.0 "
             "for all"
         ) from error
+
+
+class Readout:
+    """A table at the top of the panel: what a frame takes, and how well the cloth sits."""
+
+    def __init__(self, page: Page) -> None:
+        self._html = page.server.gui.add_html("")
+
+    def show(self, rows: Mapping[str, str | None]) -> None:
+        """Names and values; None for a value that is not there yet."""
+        cells = "".join(
+            f'<tr><td style="padding:0 1em 0 0;opacity:0.7">{name}</td>'
+            f'<td style="text-align:right">{WAITING if value is None else value}</td></tr>'
+            for name, value in rows.items()
+        )
+        table = f'<table style="width:100%;font-size:0.85em;font-variant-numeric:tabular-nums">{cells}</table>'
+        content = f'<div style="padding:0.3em 0.9em">{table}</div>'
+        if content != self._html.content:
+            self._html.content = content
+
+
+class Uploads:
+    """Files that a browser has sent, under the names they had, in a folder that goes with this object."""
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="physkin-view-")
+
+    def keep(self, name: str, content: bytes) -> Path:
+        """Write a file, whatever folder its name asks for. Raises ValueError for a name that is none, or no content."""
+        plain = Path(name.replace("\\", "/")).name
+        if plain in ("", ".", ".."):
+            raise ValueError(f"{name!r} is no name of a file")
+        if not content:
+            raise ValueError(f"{plain} is empty")
+        path = Path(self._folder.name) / plain
+        path.write_bytes(content)
+        return path
+
+    @staticmethod
+    def is_companion(path: Path) -> bool:
+        """Whether it only goes with another file, which is to be sent next."""
+        return path.name.lower().endswith(COMPANIONS)

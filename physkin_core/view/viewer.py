@@ -10,13 +10,10 @@ from physkin_core.view.clothes_tab import ClothesTab
 from physkin_core.view.drawing import Drawing
 from physkin_core.view.look_tab import LookTab
 from physkin_core.view.motion_tab import MotionTab
-from physkin_core.view.page import Page
+from physkin_core.view.page import Page, Readout, Uploads
 from physkin_core.view.pose_tab import PoseTab
-from physkin_core.view.readout import Readout
-from physkin_core.view.scene.figure_process import FigureProcess
-from physkin_core.view.scene.figures import Contact
+from physkin_core.view.scene.figures import Contact, FigureProcess
 from physkin_core.view.scene.scene_state import Frame, SceneState
-from physkin_core.view.uploads import Uploads
 
 __all__ = ["Viewer"]
 

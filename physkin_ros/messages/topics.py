@@ -5,7 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["GARMENT", "GARMENT_NODES", "MARKER", "MESH", "SPLATS", "SPLAT_LOOK", "TOPICS", "Topic"]
+__all__ = [
+    "BONE_ROTATIONS",
+    "DIAGNOSTICS",
+    "DRAPED_JOINT_STATES",
+    "EFFECTIVE_GRAVITY",
+    "GARMENT",
+    "GARMENT_NODES",
+    "JOINT_STATES",
+    "MARKER",
+    "MESH",
+    "SET_BODY",
+    "SET_GARMENT",
+    "SPLATS",
+    "SPLAT_LOOK",
+    "STATISTICS",
+    "TOPICS",
+    "Topic",
+]
 
 
 @dataclass(frozen=True)
@@ -17,6 +34,12 @@ class Topic:
     type: str
     description: str
     needs: str = ""
+
+    def of(self, avatar: str) -> str:
+        """Its name for one of several avatars, by id; empty for the only one."""
+        if not avatar or self.name.startswith("/"):
+            return self.name
+        return self.below(f"~/{avatar}") if self.name.startswith("~") else f"{avatar}/{self.name}"
 
     def below(self, place: str) -> str:
         """Its name where "~" is another place, such as "~/alice/top"."""
@@ -59,15 +82,42 @@ GARMENT_NODES = Topic(
     "physkin_msgs/GarmentNodes",
     "6 KB a frame instead of 90 to 150, for readers that skin by themselves, normals by the cofactors of the blend",
 )
+JOINT_STATES = Topic(
+    "joint_states", "in", "sensor_msgs/JointState", "pose of the body: joints in any order [rad], some or all"
+)
+BONE_ROTATIONS = Topic(
+    "bone_rotations",
+    "in",
+    "sensor_msgs/MultiDOFJointState",
+    "pose of the body as rotations of bones, in place of joint states",
+)
+EFFECTIVE_GRAVITY = Topic(
+    "~/effective_gravity",
+    "in",
+    "geometry_msgs/Vector3Stamped",
+    "what an accelerated root feels: gravity less its acceleration [m/s2] in the body's root frame, zero in free "
+    "fall, at most 29.4 long; takes gravity's place for 0.5 s",
+)
+DRAPED_JOINT_STATES = Topic(
+    "~/joint_states",
+    "out",
+    "sensor_msgs/JointState",
+    "joint positions that were draped [rad], for whoever draws the body; stamp of the joint state",
+    needs="separate_limbs",
+)
+DIAGNOSTICS = Topic(
+    "/diagnostics",
+    "out",
+    "diagnostic_msgs/DiagnosticArray",
+    "once a second, as text: rates, rejections and why, times of the evaluation, how each garment sits",
+)
+STATISTICS = Topic("~/statistics", "out", "physkin_msgs/DrapeStatistics", "the same as numbers, once a second")
+SET_BODY = Topic("~/set_body", "service", "physkin_msgs/SetBody", "another body while running")
+SET_GARMENT = Topic("~/set_garment", "service", "physkin_msgs/SetGarment", "another garment while running")
 
 TOPICS = (
-    Topic("joint_states", "in", "sensor_msgs/JointState", "pose of the body: joints in any order [rad], some or all"),
-    Topic(
-        "bone_rotations",
-        "in",
-        "sensor_msgs/MultiDOFJointState",
-        "pose of the body as rotations of bones, in place of joint states",
-    ),
+    JOINT_STATES,
+    BONE_ROTATIONS,
     Topic(
         "gravity",
         "in",
@@ -100,35 +150,18 @@ TOPICS = (
         "linear acceleration (at rest 9.81 m/s2 up), smoothed, as effective gravity. Best effort will do",
         needs="orientation: imu",
     ),
-    Topic(
-        "~/effective_gravity",
-        "in",
-        "geometry_msgs/Vector3Stamped",
-        "what an accelerated root feels: gravity less its acceleration [m/s2] in the body's root frame, zero in free "
-        "fall, at most 29.4 long; takes gravity's place for 0.5 s",
-    ),
+    EFFECTIVE_GRAVITY,
     GARMENT,
-    Topic(
-        "~/joint_states",
-        "out",
-        "sensor_msgs/JointState",
-        "joint positions that were draped [rad], for whoever draws the body; stamp of the joint state",
-        needs="separate_limbs",
-    ),
+    DRAPED_JOINT_STATES,
     Topic("/tf", "out", "tf2_msgs/TFMessage", "frame_id in the frame of its pose, with its stamp", needs="publish_tf"),
     SPLATS,
     SPLAT_LOOK,
     MARKER,
     MESH,
     GARMENT_NODES,
-    Topic(
-        "/diagnostics",
-        "out",
-        "diagnostic_msgs/DiagnosticArray",
-        "once a second, as text: rates, rejections and why, times of the evaluation, how each garment sits",
-    ),
-    Topic("~/statistics", "out", "physkin_msgs/DrapeStatistics", "the same as numbers, once a second"),
-    Topic("~/set_body", "service", "physkin_msgs/SetBody", "another body while running"),
-    Topic("~/set_garment", "service", "physkin_msgs/SetGarment", "another garment while running"),
+    DIAGNOSTICS,
+    STATISTICS,
+    SET_BODY,
+    SET_GARMENT,
 )
 """With avatars, what is named without ~ is below the avatar's ID, and a garment's topics are below ~/ID/NAME."""

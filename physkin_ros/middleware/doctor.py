@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from physkin_core.doctor.finding import Finding
+from physkin_core.doctor.doctor import Finding
 from physkin_ros.messages.interfaces import missing_interfaces, missing_tf
 from physkin_ros.middleware.shared_memory import SHARED_MEMORY, leftovers
 from physkin_ros.middleware.transport import FASTDDS_PROFILE, PROFILE_VARIABLES, use_shipped_profile

@@ -22,6 +22,7 @@ from physkin_ros.joints.joint_state_wire import JointStateWire
 from physkin_ros.joints.joint_states import JointNaming, JointStateError, JointStateReader
 from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.joints.vrm_naming import VRM
+from physkin_ros.messages.topics import BONE_ROTATIONS, JOINT_STATES
 from physkin_ros.node.asset_loading import LoadedLayer, OutfitLoader
 from physkin_ros.node.diagnostics import AvatarStatistics, Health, HealthReporter
 from physkin_ros.node.garment_stream import (
@@ -86,9 +87,9 @@ class AvatarStream:
         )
         self._separated = None
         if settings.separate_limbs:
-            self._separated = SeparatedJointStates(node, f"~/{settings.id}" if settings.id else "~", settings.frame_id)
-        self.topic = node.resolve_topic_name(settings.joint_states or self._default_topic("joint_states"))
-        self._bone_topic = settings.bone_rotations or self._default_topic("bone_rotations")
+            self._separated = SeparatedJointStates(node, settings.id, settings.frame_id)
+        self.topic = node.resolve_topic_name(settings.joint_states or JOINT_STATES.of(settings.id))
+        self._bone_topic = settings.bone_rotations or BONE_ROTATIONS.of(settings.id)
         self._orientation = self._timer = None
         self._subscriptions = []
 
@@ -107,9 +108,6 @@ class AvatarStream:
         if settings.cloud_rate:
             clock = Clock(clock_type=ClockType.STEADY_TIME)
             self._timer = node.create_timer(1.0 / settings.cloud_rate, self._on_cloud_time, clock=clock)
-
-    def _default_topic(self, name: str) -> str:
-        return f"{self.settings.id}/{name}" if self.settings.id else name
 
     def _topics(self, garment) -> str:
         return garment.namespace or (f"~/{self.settings.id}/{garment.name}" if self.settings.id else "~")

@@ -12,6 +12,7 @@ from sensor_msgs.msg import Imu
 
 from physkin_core.sway.frame_input import LARGEST_EFFECTIVE_GRAVITY, STANDARD_GRAVITY, RootSample
 from physkin_ros.messages.interfaces import missing_tf
+from physkin_ros.messages.topics import EFFECTIVE_GRAVITY, TOPICS
 from physkin_ros.node.garment_stream import stream_quality
 from physkin_ros.node.settings import AvatarSettings, SettingsError
 from physkin_ros.root.gravity import FRESH, EffectiveGravity
@@ -56,9 +57,11 @@ class OrientationSource:
         self._root = RootOrientation(on_gravity, self._move, imu_delay=avatar.imu_delay)
         self._told_until = 0  # [ns], monotonic: whoever tells effective gravity knows better than we
         self._broadcaster = None
-        below = f"~/{avatar.id}" if avatar.id else "~"
         self._listen(
-            Vector3Stamped, avatar.effective_gravity_topic or f"{below}/effective_gravity", self._on_told, sensor=True
+            Vector3Stamped,
+            avatar.effective_gravity_topic or EFFECTIVE_GRAVITY.of(avatar.id),
+            self._on_told,
+            sensor=True,
         )
         kinds = {
             "gravity": (Vector3Stamped, self._root.direction),
@@ -68,7 +71,7 @@ class OrientationSource:
         }
         if avatar.orientation in kinds:
             kind, take = kinds[avatar.orientation]
-            default = f"{avatar.id}/{avatar.orientation}" if avatar.id else avatar.orientation
+            default = next(topic for topic in TOPICS if topic.name == avatar.orientation).of(avatar.id)
             sensor = avatar.orientation in ("odometry", "imu")
             self._listen(kind, avatar.orientation_topic or default, take, sensor=sensor)
         if avatar.publish_tf:

@@ -10,6 +10,7 @@ from rclpy.node import Node
 
 from physkin_core.sway.frame_input import STANDARD_GRAVITY
 from physkin_ros.messages.interfaces import missing_interfaces
+from physkin_ros.messages.topics import DIAGNOSTICS, STATISTICS
 from physkin_ros.node.avatar_stream import AvatarStream
 from physkin_ros.node.diagnostics import diagnostic_status
 
@@ -23,12 +24,12 @@ class Reports:
 
     def __init__(self, node: Node, streams: Callable[[], Iterable[AvatarStream]]) -> None:
         self._node, self._streams = node, streams
-        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = node.create_publisher(DiagnosticArray, DIAGNOSTICS.name, 10)
         self._statistics = None
         if not missing_interfaces():
             from physkin_msgs.msg import DrapeStatistics
 
-            self._statistics = node.create_publisher(DrapeStatistics, "~/statistics", 10)
+            self._statistics = node.create_publisher(DrapeStatistics, STATISTICS.name, 10)
         self._shared: set[str] = set()
         self._timer = node.create_timer(PERIOD, self._report)
 

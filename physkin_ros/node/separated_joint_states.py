@@ -8,18 +8,18 @@ from collections.abc import Sequence
 import numpy as np
 from sensor_msgs.msg import JointState
 
+from physkin_ros.messages.topics import DRAPED_JOINT_STATES
 from physkin_ros.node.garment_stream import stream_quality
 
 __all__ = ["SeparatedJointStates"]
 
 
 class SeparatedJointStates:
-    """Publishes `sensor_msgs/JointState` on `joint_states` below `topics`, for whoever draws the body. frame_id: its
-    root's."""
+    """Publishes `sensor_msgs/JointState` of an avatar, by id, for whoever draws the body. frame_id: its root's."""
 
-    def __init__(self, node, topics: str, frame_id: str) -> None:
+    def __init__(self, node, avatar: str, frame_id: str) -> None:
         self._node = node
-        self._publisher = node.create_publisher(JointState, f"{topics}/joint_states", **stream_quality())
+        self._publisher = node.create_publisher(JointState, DRAPED_JOINT_STATES.of(avatar), **stream_quality())
         self._names: Sequence[str] = ()
         self._message = JointState()
         self._message.header.frame_id = frame_id

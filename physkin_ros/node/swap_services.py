@@ -13,6 +13,7 @@ from physkin_msgs.srv import SetBody, SetGarment
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
+from physkin_ros.messages.topics import SET_BODY, SET_GARMENT
 from physkin_ros.middleware.spinning import new_executor
 
 __all__ = ["SwapServices"]
@@ -33,8 +34,8 @@ class SwapServices:
             enable_rosout=False,
         )
         name = node.get_fully_qualified_name()
-        self._node.create_service(SetBody, f"{name}/set_body", set_body)
-        self._node.create_service(SetGarment, f"{name}/set_garment", set_garment)
+        self._node.create_service(SetBody, SET_BODY.below(name), set_body)
+        self._node.create_service(SetGarment, SET_GARMENT.below(name), set_garment)
         self._executor.add_node(self._node)
         self._closed = False
         self._thread = Thread(target=self._serve, name="physkin-swaps", daemon=True)

@@ -11,7 +11,7 @@ from physkin_core import Motion, Outfit
 from physkin_core.machine import machine_line, versions_line
 from physkin_core.outfit.layer_order import TURNS
 from physkin_core.picture import contact_sheet, render, save_png
-from physkin_core.render.dressed_meshes import dressed_meshes
+from physkin_core.render.filming import dressed_meshes
 from physkin_ros.tools.trial import Records
 
 __all__ = ["complete", "draw", "largest_error", "table"]

@@ -25,6 +25,7 @@ from sensor_msgs.msg import JointState, PointCloud2
 
 from physkin_core import Motion, load_motion
 from physkin_ros.messages.conversions import read_cloud
+from physkin_ros.messages.topics import DIAGNOSTICS
 from physkin_ros.middleware.spinning import spin_until
 from physkin_ros.tools.player import STAMP, STAMP_OFFSET
 
@@ -68,7 +69,7 @@ class Listener(Node):
             self.create_subscription(
                 PointCloud2, topic, lambda data, key=key: self._on_cloud(*key, data), quality, raw=True
             )
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self.create_subscription(DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, 10)
 
     def wait_until_answered(self, executor: Executor, seconds: float) -> bool:
         """Send joint states until each garment has answered one; whether all did within `seconds`.

@@ -19,11 +19,10 @@ from sensor_msgs.msg import JointState, PointCloud2
 
 from physkin_core import load_avatar, load_body_model
 from physkin_core.picture import BODY_COLOUR, layer_colours
-from physkin_core.view.command import begin
-from physkin_core.view.page import Page
-from physkin_core.view.readout import Readout
+from physkin_core.view.page import Page, Readout
 from physkin_core.view.scene.heat_map import own_bands
 from physkin_core.view.surface_node import SurfaceNode
+from physkin_core.view.view import begin
 from physkin_ros.messages.conversions import read_cloud
 from physkin_ros.messages.interfaces import missing_tf
 from physkin_ros.messages.topics import GARMENT, MESH

@@ -30,8 +30,18 @@ std::size_t header_end(const std::string& file) {
 
 // Replaces one number of the header by another, keeping the header's length where it can.
 void change_number(std::string& file) {
-  static const char* const values[] = {"0", "1", "2", "3", "17", "4294967295", "9223372036854775807",
-                                       "18446744073709551615", "99999999999999999999999", "-1", "1e9", "2.5"};
+  static const char* const values[] = {"0",
+                                       "1",
+                                       "2",
+                                       "3",
+                                       "17",
+                                       "4294967295",
+                                       "9223372036854775807",
+                                       "18446744073709551615",
+                                       "99999999999999999999999",
+                                       "-1",
+                                       "1e9",
+                                       "2.5"};
   const std::size_t end = header_end(file);
   std::size_t begin = 8 + below(end - 8);
   while (begin < end && !std::isdigit(static_cast<unsigned char>(file[begin]))) ++begin;
@@ -44,14 +54,21 @@ void change_number(std::string& file) {
 }
 
 void change_text(std::string& file) {
-  static const char* const texts[] = {"F32", "I32", "F16", "U8", "\"", "\\", "\\u12", "\\ud800", "[", "]", "{", "}", ",", ":"};
+  static const char* const texts[] = {"F32",     "I32", "F16", "U8", "\"", "\\", "\\u12",
+                                      "\\ud800", "[",   "]",   "{",  "}",  ",",  ":"};
   const std::string text = texts[below(sizeof texts / sizeof *texts)];
   file.replace(8 + below(header_end(file) - 8), text.size(), text);
 }
 
 void change_value(std::string& file) {
-  static const float values[] = {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity(),
-                                 3e38f, -3e38f, 1e-45f, 0.0f, 1e6f, -1.0f};
+  static const float values[] = {std::numeric_limits<float>::quiet_NaN(),
+                                 std::numeric_limits<float>::infinity(),
+                                 3e38f,
+                                 -3e38f,
+                                 1e-45f,
+                                 0.0f,
+                                 1e6f,
+                                 -1.0f};
   const std::size_t begin = header_end(file);
   if (file.size() < begin + 8) return;
   std::memcpy(&file[begin + below((file.size() - begin) / 4) * 4], &values[below(sizeof values / sizeof *values)], 4);

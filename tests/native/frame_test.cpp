@@ -98,8 +98,8 @@ long run_frames(const physkin::BoundGarment& g, const physkin::Kernels& kernels,
 }
 
 // A random garment of these sizes, which `run_frames` evaluates.
-long run(const physkin::Kernels& kernels, physkin::Precision precision, int bones, int dofs, int nodes,
-         int vertices, int influences, int width) {
+long run(const physkin::Kernels& kernels, physkin::Precision precision, int bones, int dofs, int nodes, int vertices,
+         int influences, int width) {
   std::vector<std::int32_t> parents(bones);
   for (int j = 0; j < bones; ++j) parents[j] = j - 1;
   const auto heads = uniform(3 * bones, -1, 1), axis = uniform(3 * dofs, -1, 1), rest = uniform(dofs, -1, 1);

@@ -142,7 +142,7 @@ def test_layers_that_do_not_fit_are_refused(garment):
     for layers, said in (
         ((first, driven, read, last), "sway_layers are 4; expected none or 5"),
         ((first, tuple(each[:-1] for each in driven), read, last, out), "gives 29 values; expected 3 for each"),
-        ((first, driven, read, last, tuple(each[:-1] for each in out)), "sway_layers give 71 values; expected 12"),
+        ((first, driven, read, last, tuple(each[:-1] for each in out)), "give 71 values; expected 12"),
     ):
         with pytest.raises(ValueError, match=said):
             NativeFrame([replace(garment, sway_layers=layers)])

@@ -8,13 +8,13 @@ import sys
 import numpy as np
 import pytest
 
-from physkin_core.native_module import native
+from physkin_core import _native
 
 START = np.float32([1, 2, 3])
 
 
 def reading(source=(1, 0), target=(0, 2), scale=(2.0, 1.0), offset=(0.5, 0.0), *, swapped=False, start=START, out=None):
-    return native.JointReading(
+    return _native.JointReading(
         list(source),
         list(target),
         list(scale),
@@ -67,13 +67,13 @@ def test_only_arrays_that_are_the_callers_own():
         with pytest.raises(TypeError):
             reading(out=out)
     with pytest.raises(ValueError, match=r"most must have shape \(3,\)"):
-        native.PoseRange(START, np.zeros(3, np.float32), np.zeros(4, np.float32))
+        _native.PoseRange(START, np.zeros(3, np.float32), np.zeros(4, np.float32))
 
 
 def test_beginning_of_a_message():
     """Compared where the mask says so; a shorter message begins otherwise."""
-    beginning = native.MessageBeginning(b"abcd", b"\xff\0\xff\xff")
+    beginning = _native.MessageBeginning(b"abcd", b"\xff\0\xff\xff")
     assert beginning.matches(b"abcd") and beginning.matches(b"a?cde")
     assert not (beginning.matches(b"abc") or beginning.matches(b"abce") or beginning.matches(b"?bcd"))
     with pytest.raises(ValueError, match="of one length"):
-        native.MessageBeginning(b"abcd", b"\xff")
+        _native.MessageBeginning(b"abcd", b"\xff")

@@ -9,7 +9,6 @@ import pytest
 from reference.limb_separator import ReferenceLimbSeparator
 
 from physkin_core import DegreeOfFreedom, Rig, avatar_from_body, load_body_model
-from physkin_core.native_module import native
 from physkin_core.runtime.evaluator import supported_instruction_sets
 from physkin_core.separation.collision_shape import fit_collision_shape
 from physkin_core.separation.limb_separator import SeparationSettings
@@ -17,8 +16,10 @@ from physkin_core.separation.limb_separator import SeparationSettings
 SETTINGS, LEVELS = SeparationSettings(), supported_instruction_sets()
 
 
-def separator_of(shape, instruction_set=None):
-    return native.LimbSeparator(shape, *astuple(SETTINGS), instruction_set)
+def native(shape, instruction_set=None):
+    from physkin_core import _native
+
+    return _native.LimbSeparator(shape, *astuple(SETTINGS), instruction_set)
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +38,7 @@ def poses_in_contact(rig, rng, count):
 
 def test_equals_the_reference(shape):
     """To single precision, on every instruction set, in poses of many contacts."""
-    reference, separators = ReferenceLimbSeparator(shape, SETTINGS), [separator_of(shape, each) for each in LEVELS]
+    reference, separators = ReferenceLimbSeparator(shape, SETTINGS), [native(shape, each) for each in LEVELS]
     found, changes = np.empty(len(shape.dof_bone), dtype=np.float32), []
     for pose in poses_in_contact(load_body_model().rig, np.random.default_rng(2), 25):
         expected, change = reference.separate(pose)
@@ -76,7 +77,7 @@ def test_equals_the_reference_on_another_rig():
     bound = replace(avatar, bone_heads=heads, bone_tails=heads, bone_names=other.bone_names)
     shape, warnings = fit_collision_shape(bound, other, onset=SETTINGS.onset)
     assert not warnings
-    reference, fast = ReferenceLimbSeparator(shape, SETTINGS), separator_of(shape)
+    reference, fast = ReferenceLimbSeparator(shape, SETTINGS), native(shape)
     found = np.empty(len(other.dofs), dtype=np.float32)
     for pose in poses_in_contact(other, rng, 6):
         expected, _ = reference.separate(pose)
@@ -88,7 +89,7 @@ def test_in_place(shape):
     """The array that comes in may be the one that goes out."""
     pose = poses_in_contact(load_body_model().rig, np.random.default_rng(3), 1)[0]
     out = np.empty_like(pose)
-    separator = separator_of(shape)
+    separator = native(shape)
     separator.separate(pose, out)
     separator.separate(pose, pose)
     np.testing.assert_array_equal(pose, out)
@@ -112,12 +113,12 @@ def test_in_place(shape):
 def test_a_damaged_shape_is_refused(shape, field, change, message):
     """Indices, sizes and values are checked before anything is read by them."""
     with pytest.raises(ValueError, match=message):
-        separator_of(replace(shape, **{field: change(getattr(shape, field))}))
+        native(replace(shape, **{field: change(getattr(shape, field))}))
 
 
 def test_bad_positions_are_refused(shape):
     """Not finite, too large, another size or kind."""
-    separator, count = separator_of(shape), len(shape.dof_bone)
+    separator, count = native(shape), len(shape.dof_bone)
     pose, out = np.zeros(count, dtype=np.float32), np.full(count, 3, dtype=np.float32)
     for value in (np.nan, np.inf, 1e9):
         pose[1] = value

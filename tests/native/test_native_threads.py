@@ -11,7 +11,6 @@ import pytest
 from native_frames import NativeFrame
 from random_models import random_hyper_modulator, unit_rows
 
-from physkin_core.runtime.body_encoder import encode_points
 from physkin_core.runtime.evaluator import Skinner
 
 
@@ -49,6 +48,8 @@ def skinner(make_garment):
 
 
 def encoder(make_garment):
+    from physkin_core.runtime.body_encoder import encode_points
+
     rng = np.random.default_rng(0)
     network = random_hyper_modulator(rng, 64, width=32)
     points, normals = rng.uniform(-1, 1, size=(1000, 3)), unit_rows(rng, 1000)

@@ -43,11 +43,11 @@ class FrameInput(NamedTuple):
 class ReferenceFrameInput:
     """From time and root to the rows of garments that are worn together.
 
-    networks: whether each garment has a sway network; others are moved by the pendulum.
+    learnt: whether each garment has a sway network; others are moved by the pendulum.
     """
 
-    def __init__(self, networks):
-        self._pendulum, self._networks, self._last = Pendulum(), networks, None
+    def __init__(self, learnt):
+        self._pendulum, self._learnt, self._last = Pendulum(), learnt, None
         self._passed = -1.0
 
     def rows(self, time, root, amounts):
@@ -58,14 +58,15 @@ class ReferenceFrameInput:
             counts = self._last is not None and 0 < time - self._last <= LARGEST_GAP
             self._passed = time - self._last if counts else -1.0
             self._last = time
-        return np.stack([self._row(time, root, *each, elapsed) for each in zip(amounts, self._networks)])
+        return np.stack([self._row(time, root, *each, elapsed) for each in zip(amounts, self._learnt)])
 
-    def _row(self, time, root, amount, network, elapsed):
-        felt, twist = self._pendulum.felt(time, root, 0.0 if network else amount)
+    def _row(self, time, root, amount, learnt, elapsed):
+        felt, twist = self._pendulum.felt(time, root, 0.0 if learnt else amount)
         motion = self._pendulum.motion()
         velocity, turning = np.zeros((2, 3)) if motion is None else np.clip(motion, -FASTEST, FASTEST)
+        alone = FrameInput(felt / GRAVITY, velocity=velocity, turning=turning)
         if amount == 0:
-            return FrameInput(felt / GRAVITY, velocity=velocity, turning=turning).row()
-        moves = float(motion is not None and self._passed >= 0)
-        sway = amount if network else 0.0
-        return FrameInput(felt / GRAVITY, twist, self._passed, sway, elapsed, moves, velocity, turning).row()
+            return alone.row()
+        moves, sway = float(motion is not None and self._passed >= 0), amount if learnt else 0.0
+        told = {"twist": twist, "passed": self._passed, "sway": sway, "elapsed": elapsed, "moves": moves}
+        return alone._replace(**told).row()

@@ -12,15 +12,12 @@ each; between them the equation is solved in closed form, whatever time has pass
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 GRAVITY = 9.81
-FREQUENCY, DAMPING, GAIN = 1.5, 4.0, 3.5
-"""Hz, 1/s and nothing: sideways."""
-LIFT_FREQUENCY, LIFT_GAIN, TWIST_DAMPING, AIR_DRAG = 5.0, 1.0, 7.0, 2.0
-"""Hz, nothing, 1/s and 1/s: along gravity, without overshoot; of the twist, at the frequency sideways; of all."""
 LARGEST_GAP = 0.25
 """[s] Poses farther apart say nothing of how the root moved between them."""
 LARGEST_CHANGE, LARGEST_CHANGE_OF_TURNING = 8.0, 20.0
@@ -33,14 +30,29 @@ LARGEST_FELT = 2.999 * GRAVITY
 """[m/s2] Training knows no more."""
 
 
+@dataclass(frozen=True)
+class Settings:
+    """frequency [Hz], damping D [1/s] and gain sideways; lift_frequency [Hz] and lift_gain along gravity, where it is
+    damped without overshoot; twist_damping D [1/s], at the frequency of swinging; air_drag c [1/s]."""
+
+    frequency: float = 1.5
+    damping: float = 4.0
+    gain: float = 3.5
+    lift_frequency: float = 5.0
+    lift_gain: float = 1.0
+    twist_damping: float = 7.0
+    air_drag: float = 2.0
+
+
 class Pendulum:
     """State of one avatar's cloth."""
 
-    def __init__(self):
-        sideways, along = 2 * math.pi * FREQUENCY, 2 * math.pi * LIFT_FREQUENCY
+    def __init__(self, settings=Settings()):
+        sideways, along = 2 * math.pi * settings.frequency, 2 * math.pi * settings.lift_frequency
         self._frequency = np.array([sideways, sideways, along, sideways])
-        self._damping = np.array([DAMPING, DAMPING, 2 * along, TWIST_DAMPING])
-        self._gain = np.array([GAIN, GAIN, LIFT_GAIN, 1 / sideways**2])
+        self._damping = np.array([settings.damping, settings.damping, 2 * along, settings.twist_damping])
+        self._gain = np.array([settings.gain, settings.gain, settings.lift_gain, 1 / sideways**2])
+        self._drag = settings.air_drag
         self._deflection, self._rate = np.zeros(4), np.zeros(4)
         self._time, self._velocity = None, None
 
@@ -75,7 +87,7 @@ class Pendulum:
         self._rate -= self._gain * self._frequency**2 * change
         if 0 < passed < math.inf:
             moved = np.zeros(4) if velocity is None else velocity
-            self._swing(passed, -self._gain * AIR_DRAG * moved)
+            self._swing(passed, -self._gain * self._drag * moved)
         self._time, self._position, self._turn, self._velocity = time, position, turn, velocity
 
     def _swing(self, passed, equilibrium):

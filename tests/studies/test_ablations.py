@@ -89,7 +89,7 @@ def test_finished_rows_are_skipped(tmp_path, monkeypatch):
     monkeypatch.setattr(ablations, "_run", lambda name, *_: tried.append(name) or name != "nodes256")
     names = ["nodes32-fixed", "nodes256", "nodes64"]
     failed = run_rows(names, tmp_path / "none.toml", tmp_path, OPTIONS, devices=["0", "1"])
-    assert sorted(tried) == ["nodes64", "nodes256"] and failed == ["nodes256"]
+    assert sorted(tried) == ["nodes256", "nodes64"] and failed == ["nodes256"]
     with pytest.raises(ValueError, match="nodes32-fixed in .* was trained for 0.08 minutes, not 4"):
         run_rows(names, tmp_path / "none.toml", tmp_path, RowOptions(minutes=4.0), devices=["cpu"])
 

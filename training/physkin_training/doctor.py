@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import torch
 import warp
 
-from physkin_core.doctor.finding import Finding
+from physkin_core.doctor.doctor import Finding
 
 __all__ = ["look"]
 

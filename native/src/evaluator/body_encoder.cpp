@@ -136,8 +136,12 @@ void encode_body(const BodyEncoder& e, const Kernels& kernels, const float* poin
   }
   for (int head = 0; head < kHeads; ++head) {  // head by head: its keys and values stay in the cache
     float* queries = projected + std::size_t(head) * head_width * kTokens;
-    const TokenAttention attention{head_width, count, 1.0f / std::sqrt(float(head_width)), queries + tile,
-                                   queries + 2 * tile, std::ptrdiff_t(3 * tile)};
+    const TokenAttention attention{head_width,
+                                   count,
+                                   1.0f / std::sqrt(float(head_width)),
+                                   queries + tile,
+                                   queries + 2 * tile,
+                                   std::ptrdiff_t(3 * tile)};
     for (int t = 0; t < tiles; ++t) kernels.token_attention(attention, queries + 3 * t * tile, scratch);
   }
   std::vector<float> logits(count);

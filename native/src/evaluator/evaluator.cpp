@@ -11,7 +11,8 @@ namespace {
 constexpr int kColumns = 6;
 
 bool same_rig(const BoundGarment& a, const BoundGarment& b) {
-  return a.bones == b.bones && a.dofs == b.dofs && std::equal(a.bone_parents, a.bone_parents + a.bones, b.bone_parents) &&
+  return a.bones == b.bones && a.dofs == b.dofs &&
+         std::equal(a.bone_parents, a.bone_parents + a.bones, b.bone_parents) &&
          std::equal(a.bone_heads, a.bone_heads + 3 * a.bones, b.bone_heads) &&
          std::equal(a.dof_bone, a.dof_bone + a.dofs, b.dof_bone) &&
          std::equal(a.dof_axis, a.dof_axis + 3 * a.dofs, b.dof_axis) &&

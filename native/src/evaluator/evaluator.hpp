@@ -61,7 +61,7 @@ class Evaluator {
   std::vector<std::unique_ptr<GarmentEvaluator>> garments_;
   std::vector<Kept> orders_;
   std::vector<VertexRows> own_rows_;  // with normals, where the caller's have none
-  bool jumped_ = true;  // since layers were last put in order
+  bool jumped_ = true;                // since layers were last put in order
   int rejected_ = -1;
 };
 

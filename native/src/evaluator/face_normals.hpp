@@ -18,8 +18,8 @@ class FaceNormals {
 
  private:
   int vertex_count_, face_count_;
-  const std::int32_t* corners_;     // (face_count, 3)
-  const std::int32_t* vertex_;      // (vertex_count,) by their number of faces, so that the processor foresees loops' ends
+  const std::int32_t* corners_;  // (face_count, 3)
+  const std::int32_t* vertex_;   // (vertex_count,) by their number of faces, so that the processor foresees loops' ends
   const std::int32_t* first_face_;  // (vertex_count + 1,) into the next, in the order of vertex_
   const std::int32_t* face_;        // faces by vertex, in their order
   float* cross_;                    // (face_count, 4) normals of twice the area's length, and an unused number

@@ -18,9 +18,7 @@ bool take_over(const float* values, int count, float* last) {
 // What reads bone transforms sets large rotations off against large translations: in 8 bits that layer, a thirtieth of
 // the network weights, puts vertices out by three to seven times as much as all others together. What reads the pose
 // vector, a fiftieth, is the next: of the skirt it makes the largest errors.
-Precision of_inputs(Precision precision) {
-  return precision == Precision::int8 ? Precision::bf16 : precision;
-}
+Precision of_inputs(Precision precision) { return precision == Precision::int8 ? Precision::bf16 : precision; }
 
 const BoundGarment& validated(const BoundGarment& garment) {
   validate(garment);
@@ -39,9 +37,9 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
     : rig_(validated(g), arena_),
       pose_modulator_(g.pose_layers, of_inputs(options.precision), options.precision, kernels, arena_),
       node_deformer_(g.deformer_layers, of_inputs(options.precision), options.precision, kernels, arena_),
-      learnt_sway_(g.sways_by_network()
-                       ? std::make_optional<LearntSway>(g, of_inputs(options.precision), options.precision, kernels, arena_)
-                       : std::optional<LearntSway>()),
+      learnt_sway_(g.sways_by_network() ? std::make_optional<LearntSway>(g, of_inputs(options.precision),
+                                                                         options.precision, kernels, arena_)
+                                        : std::optional<LearntSway>()),
       garment_nodes_(g, arena_),
       pace_(g.nodes, arena_),
       skinner_(g, kernels, arena_),

@@ -61,7 +61,8 @@ const float* LearntSway::added(const float* corrections, const float* positions,
     return corrections;
   }
   for (int k = 0; k < joint_count_; ++k) {
-    now_[k] = std::clamp((positions[joints_[k]] - middle_[k]) / half_[k], -kLargest, kLargest);  // rates are to be finite
+    now_[k] =
+        std::clamp((positions[joints_[k]] - middle_[k]) / half_[k], -kLargest, kLargest);  // rates are to be finite
   }
   std::copy_n(input.gravity, 3, now_ + joint_count_);
   begins_ = begins_ || input.elapsed < 0;

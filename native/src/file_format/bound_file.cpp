@@ -22,7 +22,8 @@ class FileFields : public FieldSource {
   }
   std::vector<DenseWeights> layers(const std::string& name) override {
     std::vector<DenseWeights> layers;
-    for (std::string at = name + ".0"; file_.contains(at + ".weight"); at = name + "." + std::to_string(layers.size())) {
+    for (std::string at = name + ".0"; file_.contains(at + ".weight");
+         at = name + "." + std::to_string(layers.size())) {
       std::vector<int> shape{-1, -1};
       const float* matrix = floats(at + ".weight", shape);
       std::vector<int> outputs{shape[0]};

@@ -142,7 +142,8 @@ std::vector<std::string> parse_string_list(const std::string& text) {
 }
 
 TensorFile::TensorFile(const unsigned char* data, std::size_t size) {
-  if (size < 8) throw FileError("the file has " + std::to_string(size) + " bytes; it is cut off or no safetensors file");
+  if (size < 8)
+    throw FileError("the file has " + std::to_string(size) + " bytes; it is cut off or no safetensors file");
   std::uint64_t header = 0;
   for (int k = 0; k < 8; ++k) header |= std::uint64_t(data[k]) << (8 * k);
   if (header > size - 8) {

@@ -97,10 +97,10 @@ struct Describer {
 
   void add(const char* name, const char* type, Shape shape) const {
     const std::pair<const int*, const char*> sizes[] = {
-        {&g.nodes, "garment nodes"},       {&g.vertex_count, "vertices"},
-        {&g.influences, "influences"},     {&g.bones, "bones"},
-        {&g.dofs, "degrees of freedom"},   {&g.deformer_bone_count, "deformer bones"},
-        {&g.twist_size, "twisting nodes"}, {&g.face_count, "faces"},
+        {&g.nodes, "garment nodes"},          {&g.vertex_count, "vertices"},
+        {&g.influences, "influences"},        {&g.bones, "bones"},
+        {&g.dofs, "degrees of freedom"},      {&g.deformer_bone_count, "deformer bones"},
+        {&g.twist_size, "twisting nodes"},    {&g.face_count, "faces"},
         {&g.sway_joint_count, "sway joints"}, {&g.sway_states, "oscillators"}};
     FieldDescription& field = fields.emplace_back(FieldDescription{name, type, {}});
     for (const Axis& axis : shape) {
@@ -148,8 +148,8 @@ struct Check {
     const std::size_t size = count(name, shape);
     for (std::size_t i = 0; i < size; ++i) {
       if (values[i] < lowest || values[i] >= limit) {
-        fail(element(name, i) + " is " + std::to_string(values[i]) + "; must be in [" +
-             std::to_string(lowest) + ", " + std::to_string(limit) + ")");
+        fail(element(name, i) + " is " + std::to_string(values[i]) + "; must be in [" + std::to_string(lowest) + ", " +
+             std::to_string(limit) + ")");
       }
     }
   }
@@ -185,7 +185,8 @@ void check_sway(const BoundGarment& g) {
          std::to_string(g.nodes) + " garment nodes");
   }
   for (int k = 0; k < states; ++k) {
-    if (!(g.sway_rates[k] > 0)) fail(element("sway_rates", k) + " is " + std::to_string(g.sway_rates[k]) + "; must be above 0");
+    if (!(g.sway_rates[k] > 0))
+      fail(element("sway_rates", k) + " is " + std::to_string(g.sway_rates[k]) + "; must be above 0");
   }
 }
 

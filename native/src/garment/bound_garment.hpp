@@ -36,7 +36,7 @@ struct BoundGarment : SkinningData {
   const float* dof_lower = nullptr;        // (dofs,)
   const float* dof_upper = nullptr;        // (dofs,)
 
-  std::vector<DenseWeights> pose_layers;  // the body's modulation is folded in
+  std::vector<DenseWeights> pose_layers;         // the body's modulation is folded in
   const std::int32_t* deformer_bones = nullptr;  // (deformer_bone_count,)
   std::vector<DenseWeights> deformer_layers;
 
@@ -49,7 +49,7 @@ struct BoundGarment : SkinningData {
   const float* sway_rates = nullptr;  // (sway_states,) 1/s
   const float* sway_turns = nullptr;  // (sway_states,) rad/s
   bool sways_by_network() const { return !sway_layers.empty(); }
-  const std::int32_t* faces = nullptr;      // (face_count, 3), none for a point set
+  const std::int32_t* faces = nullptr;  // (face_count, 3), none for a point set
 };
 
 // Where fields are read from, by name. A negative size in `shape` allows any and is filled in; a field that is missing,

@@ -43,7 +43,8 @@ inline Rejection reject_beyond(const char* name, const float* values, std::size_
 
 // The same as an exception, std::invalid_argument.
 inline void check_finite(const std::string& name, const float* values, std::size_t count, float limit = kLargest) {
-  if (const Rejection bad = reject_beyond(name.c_str(), values, count, limit)) throw std::invalid_argument(bad.message());
+  if (const Rejection bad = reject_beyond(name.c_str(), values, count, limit))
+    throw std::invalid_argument(bad.message());
 }
 
 }  // namespace physkin

@@ -62,8 +62,8 @@ constexpr int loads_a_pass(int count) {
 }
 
 template <class Rows, bool kAhead, int kCount>
-inline void dense_panel(const PackedLayer& layer, const Rows& rows, const unsigned char* weights, int row_count,
-                        int at, const DenseCall& call, Activation activation) {
+inline void dense_panel(const PackedLayer& layer, const Rows& rows, const unsigned char* weights, int row_count, int at,
+                        const DenseCall& call, Activation activation) {
   constexpr int kPer = Rows::kSumsALoad, kLoads = loads_a_pass<Rows>(kCount), kAll = kCount / kPer;
   constexpr std::ptrdiff_t kRow = Rows::bytes(kCount * kLanes), kLoad = Rows::bytes(kPer * kLanes);
   for (int first = 0; first < kAll; first += kLoads) {

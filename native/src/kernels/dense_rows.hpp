@@ -114,9 +114,8 @@ struct QuantisedInputs {
     unit = most / layer.input_limit + most * 0.0f;
     const float scale = layer.input_limit / most;
     constexpr float kRound = 12582912.0f;  // 1.5 * 2^23: adding it rounds to an integer in the low bits
-    for_each_vector(input, layer.inputs, [&](int i, Floats v) {
-      store(i, (Ints)(v * scale + kRound) - (Ints)(Floats{} + kRound));
-    });
+    for_each_vector(input, layer.inputs,
+                    [&](int i, Floats v) { store(i, (Ints)(v * scale + kRound) - (Ints)(Floats{} + kRound)); });
   }
 
   // Calls f(i, inputs i to i + kLanes), zeros beyond the last.

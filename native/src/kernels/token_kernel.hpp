@@ -94,7 +94,7 @@ inline void token_norm(const LayerNorm& norm, const float* added, float* tile) {
 
 // Softmax over keys one tile of keys after the other; sums so far are rescaled when a larger score turns up.
 inline void token_attention(const TokenAttention& a, float* query, float* scratch) {
-  float* scaled = scratch;  // (head_width, kTokens)
+  float* scaled = scratch;                                          // (head_width, kTokens)
   float* scores = scaled + std::ptrdiff_t(a.head_width) * kTokens;  // (kTokens keys, kTokens queries)
   float* largest = scores + kTokens * kTokens;
   float* total = largest + kTokens;

@@ -42,8 +42,8 @@ void PoseSolver::step(const double* targets, const double* positions, int frames
     gather(targets);
     for (int k = 0; k < n; ++k) {
       const double between = end ? here[k] : 0.5 * (here[k - n] + here[k + n]);
-      const double slope = dot(axes_[k], torques_[k]) + to_rest * (here[k] - turns_[k].rest) +
-                          to_neighbours * (here[k] - between);
+      const double slope =
+          dot(axes_[k], torques_[k]) + to_rest * (here[k] - turns_[k].rest) + to_neighbours * (here[k] - between);
       held_[k] = slope > 0.0 ? here[k] <= turns_[k].lower : here[k] >= turns_[k].upper && slope < 0.0;
       step_[k] = held_[k] ? 0.0 : -slope;
     }
@@ -76,7 +76,7 @@ void PoseSolver::gather(const double* targets) {
   std::fill(torques_.begin(), torques_.end(), Vector3Of<double>{});
   for (const Follower& follower : followers_) {
     const Matrix3Of<double> posed = rotations_[follower.turn] * follower.axes;
-    const Vector3Of<double> *p = posed.rows;
+    const Vector3Of<double>* p = posed.rows;
     Vector3Of<double>* curvature = curvatures_[follower.turn].rows;
     const Vector3Of<double> t[3] = {load_vector(targets), load_vector(targets + 3), load_vector(targets + 6)};
     // Rows of these matrices are coordinates, their columns the axes: a dot product of rows sums over all axes.
@@ -89,7 +89,7 @@ void PoseSolver::gather(const double* targets) {
     curvature[2].z += all;
     Vector3Of<double>& torque = torques_[follower.turn];
     torque = torque + Vector3Of<double>{dot(t[1], p[2]) - dot(t[2], p[1]), dot(t[2], p[0]) - dot(t[0], p[2]),
-                              dot(t[0], p[1]) - dot(t[1], p[0])};
+                                        dot(t[0], p[1]) - dot(t[1], p[0])};
     targets += 9;
   }
   for (int k = turns() - 1; k >= 0; --k) {

@@ -20,8 +20,8 @@ inline void check_starts(const char* name, const std::int32_t* starts, int count
   bool good = count == items + 1 && starts[0] == 0 && starts[items] == size;
   for (int i = 0; good && i < items; ++i) good = starts[i] <= starts[i + 1];
   if (good) return;
-  throw std::invalid_argument(std::string(name) + " must be " + std::to_string(items + 1) + " values that rise from 0 to " +
-                              std::to_string(size));
+  throw std::invalid_argument(std::string(name) + " must be " + std::to_string(items + 1) +
+                              " values that rise from 0 to " + std::to_string(size));
 }
 
 }  // namespace physkin

@@ -68,8 +68,10 @@ struct ClothRows {
 // Four rows, number by number.
 struct FourRows {
   FourRows(const ClothRows& rows, const std::int32_t* four) {
-    const Transposed a = transposed(rows.position(four[0]), rows.position(four[1]), rows.position(four[2]), rows.position(four[3]));
-    const Transposed b = transposed(rows.normal(four[0]), rows.normal(four[1]), rows.normal(four[2]), rows.normal(four[3]));
+    const Transposed a =
+        transposed(rows.position(four[0]), rows.position(four[1]), rows.position(four[2]), rows.position(four[3]));
+    const Transposed b =
+        transposed(rows.normal(four[0]), rows.normal(four[1]), rows.normal(four[2]), rows.normal(four[3]));
     x = a.first, y = a.second, z = a.third, nx = a.fourth, ny = b.second, nz = b.third;
   }
 

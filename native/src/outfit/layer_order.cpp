@@ -130,7 +130,8 @@ LayerOrder::LayerOrder(const LayerOrderData& d, Side side, int steady_vertices, 
   plane_start_ = arena.copy(planes.start.data(), planes.start.size());
   plane_ = arena.copy(planes.values.data(), planes.values.size());
   beside_ = arena.copy(d.beside, kBeside * std::size_t(d.contacts));
-  for (std::int32_t** list : {&partner_, &pushed_partner_, &later_, &found_}) *list = arena.take<std::int32_t>(d.contacts);
+  for (std::int32_t** list : {&partner_, &pushed_partner_, &later_, &found_})
+    *list = arena.take<std::int32_t>(d.contacts);
   now_ = partner_;
   free_ = arena.take<bool>(d.contacts);
   for (int c = 0; c < d.contacts; ++c) {
@@ -203,7 +204,8 @@ void LayerOrder::search(int searching, const ClothRows& steady, const ClothRows&
   for (int k = 0; k < searching; ++k) walk(searching_[k], found_[k], steady, yielding);
 }
 
-inline std::int32_t LayerOrder::closest_known(std::int32_t c, const ClothRows& steady, const ClothRows& yielding) const noexcept {
+inline std::int32_t LayerOrder::closest_known(std::int32_t c, const ClothRows& steady,
+                                              const ClothRows& yielding) const noexcept {
   const Quad at = yielding.position(contact_[c]);
   const std::int32_t* beside = beside_ + kBeside * c;
   const std::int32_t known[4] = {pushed_partner_[c], now_[beside[0]], now_[beside[1]], now_[beside[2]]};

@@ -10,7 +10,8 @@ namespace physkin {
 
 // Fields as in LayerOrder of physkin_core/outfit/layer_order.py. Views, read during construction only.
 struct LayerOrderData {
-  int contacts = -1, seed_starts = -1, seeds = -1, steady_starts = -1, ring_size = -1, contact_starts = -1, pushes = -1, moved_count = -1;
+  int contacts = -1, seed_starts = -1, seeds = -1, steady_starts = -1, ring_size = -1, contact_starts = -1, pushes = -1,
+      moved_count = -1;
   const std::int32_t* contact = nullptr;
   const std::int32_t* seed_start = nullptr;
   const std::int32_t* seed = nullptr;
@@ -67,13 +68,13 @@ class LayerOrder {
   const std::int32_t* contact_place_;  // (contacts_,) into moved_
   const std::int32_t* seed_start_;     // (contacts_ + 1,) into seed_, whole fours
   const std::int32_t* seed_;
-  const std::int32_t* beside_;  // (contacts_, 3) contacts
+  const std::int32_t* beside_;    // (contacts_, 3) contacts
   std::int32_t* partner_;         // (contacts_,) before anything is pushed, of the last frame until they are looked at
   std::int32_t* pushed_partner_;  // (contacts_,) when pushed last
   std::int32_t* later_;           // (contacts_,) in this frame's later passes
   std::int32_t* now_;             // partner_, then later_
   std::int32_t* found_;           // of contacts that search
-  bool* free_;             // (contacts_,) when looked at last
+  bool* free_;                    // (contacts_,) when looked at last
   int frame_ = 0;
   const std::int32_t* plane_start_;  // (steady vertices + 1,) into plane_, whole fours
   const std::int32_t* plane_;        // each vertex, its neighbours, and itself again to fill up
@@ -82,10 +83,10 @@ class LayerOrder {
   const std::int32_t* push_to_;
   const float* push_share_;
   const std::int32_t* moved_;
-  float* push_;  // (moved_count_,) [m] of one pass
+  float* push_;           // (moved_count_,) [m] of one pass
   bool* has_moved_;       // (moved_count_,) in this pass
   std::int32_t* pushed_;  // list of those among moved_ that a pass pushes
-  std::int32_t* here_;       // lists of contacts in one pass
+  std::int32_t* here_;    // lists of contacts in one pass
   std::int32_t* searching_;
   std::int32_t* near_;
   int near_count_ = 0;

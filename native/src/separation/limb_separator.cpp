@@ -8,8 +8,6 @@
 namespace physkin {
 namespace {
 
-constexpr float kCapsuleBlur = 0.015f;  // as in the twin
-
 // Which joints move a sphere, by how many.
 constexpr float kFirst[9][8] = {{},
                                 {1},
@@ -30,7 +28,8 @@ void check_range(const char* name, const std::vector<std::int32_t>& values, int 
   for (std::int32_t value : values) {
     if (value < low || std::int64_t(value) >= std::int64_t(high)) {
       throw std::invalid_argument(std::string("collision shape: ") + name + " has " + std::to_string(value) +
-                                  "; allowed: " + std::to_string(low) + " to " + std::to_string(std::int64_t(high) - 1));
+                                  "; allowed: " + std::to_string(low) + " to " +
+                                  std::to_string(std::int64_t(high) - 1));
     }
   }
 }
@@ -52,7 +51,8 @@ void LimbSeparator::check() const {
   const std::size_t groups = s.group_reach.size(), limbs = s.limb_kind.size(), capsules = s.capsules.size() / 2;
   require(bones > 0 && s.heads.size() == 3 * bones, "heads must be three numbers a bone");
   require(s.dof_axis.size() == 3 * dofs && s.dof_rest.size() == dofs && s.dof_lower.size() == dofs &&
-              s.dof_upper.size() == dofs, "arrays of degrees of freedom differ in length");
+              s.dof_upper.size() == dofs,
+          "arrays of degrees of freedom differ in length");
   require(!s.trunk_bones.empty() && s.trunk_heights.size() == s.trunk_bones.size(), "trunk_heights: one a trunk bone");
   require(s.trunk_frame.size() == 4 && s.trunk_frame[3] > s.trunk_frame[2], "trunk_frame: x, y, low, high");
   require(s.trunk_coefficients.size() >= 3 * kTrunkWaves && s.trunk_coefficients.size() % kTrunkWaves == 0,
@@ -63,7 +63,8 @@ void LimbSeparator::check() const {
   require(s.capsules.size() == 2 * capsules && s.groups.size() == 2 * groups && s.pairs.size() % 3 == 0,
           "capsules and groups must be rows of 2, pairs of 3");
   require(s.limb_start.size() == limbs + 1 && s.limb_start.front() == 0 &&
-              std::size_t(s.limb_start.back()) == s.limb_dofs.size(), "limb_start must lead into limb_dofs");
+              std::size_t(s.limb_start.back()) == s.limb_dofs.size(),
+          "limb_start must lead into limb_dofs");
   for (std::size_t limb = 0; limb < limbs; ++limb) {
     const int joints = s.limb_start[limb + 1] - s.limb_start[limb];
     require(joints >= 0 && joints <= kMostJoints, "a limb has at most 8 joints");
@@ -96,9 +97,9 @@ void LimbSeparator::check() const {
     const int count = s.groups[2 * group + 1] - s.groups[2 * group];
     require(contact >= 0 && std::size_t(contact) + std::size_t(count) <= s.allowed.size(), "allowed: one a contact");
   }
-  for (const auto* values : {&s.heads, &s.dof_axis, &s.dof_rest, &s.dof_lower, &s.dof_upper, &s.trunk_heights,
-                             &s.trunk_frame, &s.trunk_coefficients, &s.sphere_centre, &s.sphere_radius, &s.group_reach,
-                             &s.allowed}) {
+  for (const auto* values :
+       {&s.heads, &s.dof_axis, &s.dof_rest, &s.dof_lower, &s.dof_upper, &s.trunk_heights, &s.trunk_frame,
+        &s.trunk_coefficients, &s.sphere_centre, &s.sphere_radius, &s.group_reach, &s.allowed}) {
     check_finite("collision shape", values->data(), values->size());
   }
 }
@@ -164,8 +165,16 @@ void LimbSeparator::plan() {
   points_ = arena_.take<float>(3 * trunk_points_);
   contacts_ = arena_.take<float>(4 * trunk_points_);
   const float* frame = s.trunk_frame.data();
-  trunk_ = {int(s.trunk_bones.size()), int(s.trunk_coefficients.size()) / kTrunkWaves, frame[0], frame[1], frame[2],
-            frame[3], settings_.blend, back_, s.trunk_heights.data(), s.trunk_coefficients.data()};
+  trunk_ = {int(s.trunk_bones.size()),
+            int(s.trunk_coefficients.size()) / kTrunkWaves,
+            frame[0],
+            frame[1],
+            frame[2],
+            frame[3],
+            settings_.blend,
+            back_,
+            s.trunk_heights.data(),
+            s.trunk_coefficients.data()};
   positions_.resize(dofs());
   turns_.resize(bones);
   posed_.resize(bones);
@@ -291,7 +300,7 @@ void LimbSeparator::meet(const Pair& pair) {
     const Vector3 from = centres_[k] - capsule.start;
     const float along = along_at(from), room = shape_.sphere_radius[k] + settings_.onset - pair.allowed[k - pair.first];
     const Vector3 offset = from - along * capsule.way;
-    const float squared = dot(offset, offset) + kCapsuleBlur * kCapsuleBlur, most = widest + room;
+    const float squared = dot(offset, offset) + float(kCapsuleBlur) * float(kCapsuleBlur), most = widest + room;
     if (most <= 0.0f || squared >= most * most) continue;
     const float distance = std::sqrt(squared), smooth = along * along * (3.0f - 2.0f * along);
     const float depth = capsule.narrow + smooth * (capsule.wide - capsule.narrow) - distance;
@@ -332,8 +341,9 @@ void LimbSeparator::count(int sphere, int limb, Vector3 point, Vector3 direction
   const Vector3 turn = share * cross(point, direction), along = share * direction;
   const float* moved = kFirst[shape_.sphere_joints[sphere]];
   for (int k = 0; k < kMostJoints; ++k) {
-    way[k] += moved[k] * (joints.axis[0][k] * turn.x + joints.axis[1][k] * turn.y + joints.axis[2][k] * turn.z -
-                          joints.moment[0][k] * along.x - joints.moment[1][k] * along.y - joints.moment[2][k] * along.z);
+    way[k] +=
+        moved[k] * (joints.axis[0][k] * turn.x + joints.axis[1][k] * turn.y + joints.axis[2][k] * turn.z -
+                    joints.moment[0][k] * along.x - joints.moment[1][k] * along.y - joints.moment[2][k] * along.z);
   }
 }
 

@@ -1,5 +1,5 @@
 // Arms and legs moved out of the trunk and of each other by a few damped Gauss-Newton steps on their joint positions.
-// physkin_core/separation/reference_separator.py is the readable twin, and says what is minimised.
+// tests/reference/limb_separator.py says what is minimised.
 #pragma once
 
 #include <cstdint>
@@ -20,7 +20,10 @@ struct CollisionShape {
       sphere_centre, sphere_radius, group_reach, allowed;
 };
 
-// See `SeparationSettings` beside the twin.
+// [m] So near to a capsule's axis there is no way out to prefer: arms may pass through each other.
+constexpr double kCapsuleBlur = 0.015;
+
+// See `SeparationSettings` in physkin_core/separation/limb_separator.py.
 struct SeparationSettings {
   float onset, softness, pull, damping, blend;
   int steps;

@@ -25,7 +25,9 @@ class FrameInput {
 
   // Whether a sway network moves a garment: it is then given the root's rates under gravity as of a root at rest, and not
   // what the pendulum feels.
-  void set_network(int garment, bool has_network) noexcept { garments_[std::size_t(garment)].has_network = has_network; }
+  void set_network(int garment, bool has_network) noexcept {
+    garments_[std::size_t(garment)].has_network = has_network;
+  }
   // How much its cloth swings: 0, it hangs as if nothing had moved, to 1, all of it.
   void set_sway(int garment, double amount) noexcept { garments_[std::size_t(garment)].sway = amount; }
   double sway(int garment) const noexcept { return garments_[std::size_t(garment)].sway; }

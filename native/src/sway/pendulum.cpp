@@ -9,10 +9,10 @@ namespace {
 constexpr double kPi = 3.14159265358979323846;
 // [m/s], [rad/s] A change of velocity or turning from pose to pose beyond these is a jump of the root, not a motion.
 constexpr double kLargestChange = 8.0, kLargestChangeOfTurning = 20.0;
-constexpr double kLargestTwist = 0.8;                           // [rad] what the twist never reaches
-constexpr double kLargestDeflection = 2 * kStandardGravity;     // [m/s2] what the deflection that is felt never reaches
-constexpr double kLeastDeflection = 0.25;                       // [m/s2] of this size half is felt, of smaller ones the less
-constexpr double kFarthest = 1e9;                               // [m] that the root may be from the world's origin
+constexpr double kLargestTwist = 0.8;                        // [rad] what the twist never reaches
+constexpr double kLargestDeflection = 2 * kStandardGravity;  // [m/s2] what the deflection that is felt never reaches
+constexpr double kLeastDeflection = 0.25;  // [m/s2] of this size half is felt, of smaller ones the less
+constexpr double kFarthest = 1e9;          // [m] that the root may be from the world's origin
 
 double squared(const double* v) { return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]; }
 
@@ -90,8 +90,8 @@ void Pendulum::advance(double time, const double* root, const double* turn) noex
       velocity[k] = k < 3 ? (position[k] - position_[k]) / passed : turning_[2] * upright(turn);
       change[k] = velocity[k] - velocity_[k];
     }
-    known = !has_velocity_ || (squared(change) <= kLargestChange * kLargestChange &&
-                               std::abs(change[3]) <= kLargestChangeOfTurning);
+    known = !has_velocity_ ||
+            (squared(change) <= kLargestChange * kLargestChange && std::abs(change[3]) <= kLargestChangeOfTurning);
   }
   std::copy_n(position, 3, position_);
   std::copy_n(turn, 4, turn_);

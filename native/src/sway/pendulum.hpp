@@ -26,15 +26,15 @@ struct PendulumSettings {
   double lift_frequency = 5.0;  // Hz, along gravity, damped without overshoot
   double lift_gain = 1.0;
   double twist_damping = 7.0;  // 1/s, at the frequency of swinging sideways
-  double air_drag = 2.0;  // 1/s
+  double air_drag = 2.0;       // 1/s
 };
 
 // What is known of a root at one pose of it, for cloth that sways.
 struct RootSample {
-  double turn[4] = {0, 0, 0, 1};      // unit quaternion x, y, z, w, world <- root
-  double gravity[3] = {0, 0, -1};     // unit direction in the root's frame
-  double deflection[3] = {};          // [m/s2] in the world: what cloth feels besides gravity
-  double twist = 0;                   // [rad] of cloth round both legs, about the root's vertical
+  double turn[4] = {0, 0, 0, 1};   // unit quaternion x, y, z, w, world <- root
+  double gravity[3] = {0, 0, -1};  // unit direction in the root's frame
+  double deflection[3] = {};       // [m/s2] in the world: what cloth feels besides gravity
+  double twist = 0;                // [rad] of cloth round both legs, about the root's vertical
   // [m/s], [rad/s] from the pose before to this one, in the root's frame. After a gap or a jump they are not known, and zero.
   double velocity[3] = {}, turning[3] = {};
   bool known = false;

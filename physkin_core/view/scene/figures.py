@@ -6,17 +6,25 @@ garments together, `g` their faces. Metres.
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import signal
+import threading
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
-from physkin_core.check.rest_check import near_hem, skin_seen
+from physkin_core.check.garment_check import near_hem, skin_seen
 from physkin_core.model.garment import Garment, face_areas
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.quality import contact_figures, edge_strains, signed_distance
 from physkin_core.view.scene.scene_state import Frame
 
-__all__ = ["Contact", "ContactQuestion", "OutfitFigures", "look_at_contact"]
+__all__ = ["Contact", "ContactQuestion", "FigureProcess", "OutfitFigures", "look_at_contact"]
+
+POLITENESS = 10
+"""Frames go first."""
 
 
 @dataclass(frozen=True)
@@ -88,3 +96,46 @@ def _carried_to_faces(garment: Garment, of_edges: np.ndarray) -> np.ndarray:
     edges_of_corner = np.maximum(np.bincount(ends, minlength=count), 1)
     of_corners = np.bincount(ends, np.repeat(of_edges, 2), minlength=count) / edges_of_corner
     return of_corners[garment.faces].mean(axis=1)
+
+
+class FigureProcess:
+    """A process of its own that looks at contact, one question at a time, so that frames need not wait."""
+
+    def __init__(self) -> None:
+        spawn = multiprocessing.get_context("spawn")
+        self._pool = ProcessPoolExecutor(1, mp_context=spawn, initializer=_begin)
+        self._asked: Future[Contact] | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether an answer has not been taken."""
+        return self._asked is not None
+
+    def ask(self, question: ContactQuestion) -> None:
+        """Raises RuntimeError where it is busy."""
+        if self.busy:
+            raise RuntimeError("a question has not been answered yet")
+        self._asked = self._pool.submit(look_at_contact, question)
+
+    def answer(self) -> Contact | None:
+        """Once, when it is there. Raises what looking has raised."""
+        if self._asked is None or not self._asked.done():
+            return None
+        asked, self._asked = self._asked, None
+        return asked.result()
+
+    def close(self) -> None:
+        """End the process."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _begin() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C ends the page, and that this
+    os.nice(POLITENESS)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """However the page was ended."""
+    multiprocessing.parent_process().join()
+    os._exit(0)

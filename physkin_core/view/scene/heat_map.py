@@ -9,7 +9,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.look.face_colours import avatar_colours
-from physkin_core.look.few_colours import few_colours
+from physkin_core.look.surfaces import few_colours
 
 __all__ = ["SKIN_BANDS", "STRAIN_BANDS", "Bands", "Colour", "Part", "own_bands", "parts_of"]
 

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from physkin_core import BUNDLED_AVATAR, AvatarWarning, Draper, cli, load_avatar, load_body_model, load_garment_model
-from physkin_core.check.command import advice
-from physkin_core.check.garment_check import Everyday, GarmentCheck
+from physkin_core.check.check import advice
+from physkin_core.check.garment_check import Everyday, GarmentCheck, RestCheck, rest_check
 from physkin_core.check.likeness import Likeness, body_overlap, likeness
-from physkin_core.check.rest_check import RestCheck, rest_check
 from physkin_core.motion.everyday_poses import everyday_poses
 
 WELL, BADLY = RestCheck(0.0, 0.0, 0.0), RestCheck(3.0, 5.0, 1.0)

@@ -7,8 +7,8 @@ import types
 import pytest
 
 from physkin_core.cli import main
-from physkin_core.doctor import command, installation
-from physkin_core.doctor.finding import Finding
+from physkin_core.doctor import doctor, installation
+from physkin_core.doctor.doctor import Finding
 from physkin_core.extras import EXTRAS
 from physkin_core.runtime.evaluator import supported_instruction_sets
 
@@ -22,12 +22,12 @@ def found(look):
 def quick(monkeypatch):
     """Only what one file says, and no frame."""
     monkeypatch.setattr(installation, "_frame", lambda: Finding("a frame", "good", "draped"))
-    monkeypatch.setattr(command, "DOCTORS", {"physkin_core.doctor.installation": ()})
+    monkeypatch.setattr(doctor, "DOCTORS", {"physkin_core.doctor.installation": ()})
 
 
 def test_this_installation_works(capsys, monkeypatch):
     """A real frame, files read, nothing broken; as JSON, too."""
-    monkeypatch.setattr(command, "DOCTORS", {"physkin_core.doctor.installation": ()})
+    monkeypatch.setattr(doctor, "DOCTORS", {"physkin_core.doctor.installation": ()})
     assert main(["doctor", "--json"]) == 0
     findings = {each["subject"]: each for each in json.loads(capsys.readouterr().out)}
     assert {"physkin", "evaluator", "garment models", "motions", "a frame", "compiler"} < findings.keys()
@@ -76,8 +76,8 @@ def test_missing_parts_are_no_fault(quick, monkeypatch):
 
 def test_part_that_does_not_import_is_broken(quick, monkeypatch, capsys):
     """An installation that is not whole raises anything; it is told like the rest."""
-    monkeypatch.setitem(command.DOCTORS, "physkin_core.doctor.nosuch", ())
+    monkeypatch.setitem(doctor.DOCTORS, "physkin_core.doctor.nosuch", ())
     assert main(["doctor"]) == 1
     assert "broken  physkin_core    ModuleNotFoundError: No module named" in capsys.readouterr().out
-    monkeypatch.setitem(command.DOCTORS, "physkin_core.doctor.nosuch", ("no_such_package",))
+    monkeypatch.setitem(doctor.DOCTORS, "physkin_core.doctor.nosuch", ("no_such_package",))
     assert main(["doctor"]) == 0

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
 from physkin_core.cli import main
-from physkin_core.export.garment_looks import LIES_ON, garment_looks
+from physkin_core.export.export import LIES_ON, garment_looks
 from physkin_core.export.usd_motion import _as_identifiers
 from physkin_core.look.surfaces import surfaces_of
 from physkin_core.mesh_file import LIBRARY, Look, read_mesh, write_obj

@@ -15,7 +15,7 @@ from physkin_core import BUNDLED_AVATAR, load_avatar
 from physkin_core.cli import main
 from physkin_core.look.avatar_look import avatar_look
 from physkin_core.look.face_colours import avatar_colours
-from physkin_core.look.few_colours import few_colours
+from physkin_core.look.surfaces import few_colours
 from physkin_core.mesh_file import LIBRARY, Look, write_obj
 from physkin_core.view.scene.heat_map import MOST_COLOURS, own_bands
 

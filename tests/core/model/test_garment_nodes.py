@@ -7,8 +7,6 @@ from random_models import random_rig, random_rotation
 
 from physkin_core.model.garment_nodes import (
     closest_bones,
-    compose_nodes,
-    delta_transforms,
     node_positions_on_body,
     pose_nodes,
 )
@@ -67,20 +65,3 @@ def test_posed_nodes_ride_on_their_bones():
             at_rest = homogeneous(np.c_[np.eye(3), positions[node]])
             expected = homogeneous(bones[sample, follows[node]]) @ at_rest
             np.testing.assert_allclose(homogeneous(posed[sample, node]), expected, atol=1e-12)
-
-
-def test_composition_is_the_matrix_product():
-    rng = np.random.default_rng(3)
-    posed, delta = rng.normal(size=(2, 3, 4, 3, 4))
-    composed = compose_nodes(posed, delta)
-    for index in np.ndindex(3, 4):
-        expected = homogeneous(posed[index]) @ homogeneous(delta[index])
-        np.testing.assert_allclose(homogeneous(composed[index]), expected, atol=1e-12)
-
-
-def test_twelve_numbers_are_row_major_beside_the_identity():
-    """So that zeros correct nothing."""
-    raw = np.arange(24.0)
-    delta = delta_transforms(raw, 2)
-    np.testing.assert_array_equal(delta[0], [[1, 1, 2, 9], [3, 5, 5, 10], [6, 7, 9, 11]])
-    np.testing.assert_array_equal(delta[1, :, :3] - np.eye(3), raw[12:21].reshape(3, 3))

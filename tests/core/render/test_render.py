@@ -120,7 +120,7 @@ def test_command_films_an_outfit(tmp_path, capsys):
 )
 def test_what_cannot_be_filmed(options, message, capsys, monkeypatch):
     """One sentence, before anything is draped."""
-    monkeypatch.setattr("physkin_core.render.command.Outfit", None)
+    monkeypatch.setattr("physkin_core.render.render.Outfit", None)
     assert main(["render", "run", *options]) == 2
     said = capsys.readouterr().err
     assert message in said and said.count("\n") == 1

@@ -27,6 +27,7 @@ from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.runtime import body_encoder
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.garment_grading import GarmentGrading
+from physkin_core.sway.frame_input import FrameInput
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physkin_core.check.rest_check import rest_check, skin_without_cloth
+from physkin_core.check.garment_check import rest_check, skin_without_cloth
 from physkin_core.quality import edge_strain
-from physkin_core.view.scene.figure_process import FigureProcess
-from physkin_core.view.scene.figures import OutfitFigures, look_at_contact
+from physkin_core.view.scene.figures import FigureProcess, OutfitFigures, look_at_contact
 from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, parts_of
 from physkin_core.view.scene.scene_state import SceneState
 

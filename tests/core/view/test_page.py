@@ -11,8 +11,8 @@ import pytest
 from browser import CHROMIUM, Browser
 
 from physkin_core import cli
+from physkin_core.view.page import Uploads
 from physkin_core.view.scene.scene_state import SceneState
-from physkin_core.view.uploads import Uploads
 
 pytest.importorskip("viser", reason="needs viser: pip install 'physkin[view]'")
 

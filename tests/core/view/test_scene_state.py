@@ -17,7 +17,7 @@ from physkin_core import (
     load_garment_model,
     load_motion,
 )
-from physkin_core.view.scene.joint_groups import joint_groups
+from physkin_core.view.pose_tab import joint_groups
 from physkin_core.view.scene.motion_player import MotionPlayer
 from physkin_core.view.scene.scene_state import SceneState
 

@@ -21,7 +21,7 @@ from physkin_core import (  # noqa: E402
     BUNDLED_AVATAR,
     LimbSeparator,
     Outfit,
-    OutfitGarment,
+    WornGarment,
     load_avatar,
     load_garment_model,
     load_motion,
@@ -120,7 +120,7 @@ def test_the_mesh_says_what_is_given(site, models, avatar):
 
 def test_a_tucked_shirt_with_separated_limbs(site, models, avatar, motion):
     """In the order of `layers`, with the positions separated once."""
-    garments = [OutfitGarment(models["tshirt"], tucked=True), models["trousers"]]
+    garments = [WornGarment(models["tshirt"], tucked=True), models["trousers"]]
     outfit = Outfit(garments, avatar, precision="fp32", hide=False)
     separator = LimbSeparator(models["tshirt"].rig, avatar)
     names, rig = motion[0], models["tshirt"].rig

@@ -224,6 +224,7 @@ def test_joints_beyond_their_limits_are_named(run, draper, tmp_path):
             "mixamo: no such file; allowed: a JSON file, ros4hri, vrm",
         ),
         (["replay", "{bag}", "--baseline", "{tmp}/none.json"], "cannot read baseline"),
+        (["replay", "{bag}", "-g", "skirt"], "replay drapes one garment, got 2: skirt, "),
         (["replay", "{tmp}/text.mcap"], "bag "),
         (["replay", "{tmp}/text.db3"], "bag "),
         (["replay", "{tmp}/strange.mcap", "-o", "{tmp}/out"], "none of the 1 joint states on /joint_states"),

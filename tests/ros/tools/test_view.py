@@ -136,6 +136,6 @@ def test_figures_stand_where_tf_says(domain):
 
 def test_the_core_reaches_it_by_name():
     """It may not import it."""
-    from physkin_core.view.command import ROS_PAGE
+    from physkin_core.view.view import ROS_PAGE
 
     assert (Path(__file__).parents[3] / (ROS_PAGE.replace(".", "/") + ".py")).is_file()

@@ -13,9 +13,8 @@ from physkin_core import load_motion
 from physkin_core.model.garment import vertex_normals
 from physkin_core.motion.loading import save_motion
 from physkin_training.evaluate.command import main
-from physkin_training.evaluate.layer_pokes import HEM, bind_layer_pokes
+from physkin_training.evaluate.layer_pokes import CAMERAS, HEM, Surface, bind_layer_pokes, camera_rays, holes, look
 from physkin_training.evaluate.outfit_evaluation import parse_outfit
-from physkin_training.evaluate.seen_pokes import CAMERAS, Surface, camera_rays, holes, look
 
 INNER, OUTER = (tube(rings=25, segments=60, radius=radius) for radius in (0.15, 0.156))
 FACES = INNER.faces, OUTER.faces

@@ -18,7 +18,7 @@ from physkin_core.picture import PictureError, contact_sheet
 from physkin_training.catalogue.plan import CHECKPOINT, Job, Status, read_status, stage, write_status
 from physkin_training.evaluate.contact_sheet import chosen_poses
 from physkin_training.fit_garment import fit_garment
-from physkin_training.fit_garment.pictures import front_and_back
+from physkin_training.fit_garment.report import front_and_back
 from physkin_training.train.checkpoint import checkpoint_step
 
 __all__ = ["LOG", "PICTURE", "train_garment"]

@@ -27,9 +27,8 @@ from physkin_core.outfit.outfit import Outfit
 from physkin_core.quality import jitter
 from physkin_core.runtime.layer import WornGarment
 from physkin_training.evaluate.evaluate import measured_clips
-from physkin_training.evaluate.layer_pokes import LayerPokes, bind_layer_pokes
+from physkin_training.evaluate.layer_pokes import LayerPokes, Surface, bind_layer_pokes, camera_rays, holes, look
 from physkin_training.evaluate.progress import progress
-from physkin_training.evaluate.seen_pokes import Surface, camera_rays, holes, look
 from physkin_training.evaluate.skin_shows import SkinShows
 from physkin_training.sampling.chosen_bodies import bodies_by_girth
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies

@@ -27,8 +27,13 @@ from physkin_training.config import TrainingConfig, load_config
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
 from physkin_training.fit_garment.own_pose import OwnPose
-from physkin_training.fit_garment.pictures import placement_picture
-from physkin_training.fit_garment.report import longer_or_not, read_losses, recorded_seconds, write_report
+from physkin_training.fit_garment.report import (
+    longer_or_not,
+    placement_picture,
+    read_losses,
+    recorded_seconds,
+    write_report,
+)
 from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.verdicts import verdict_table
 from physkin_training.train import train

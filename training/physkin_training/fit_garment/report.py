@@ -24,16 +24,18 @@ from physkin_training.evaluate.contact_sheet import chosen_bodies, chosen_poses,
 from physkin_training.evaluate.evaluate import Evaluation, evaluate_model
 from physkin_training.evaluate.score_table import table
 from physkin_training.fit_garment.checks import CheckedGarment
-from physkin_training.fit_garment.pictures import front_and_back
+from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.verdicts import COLUMNS
 
 __all__ = [
     "badge",
+    "front_and_back",
     "html_page",
     "html_table",
     "longer_or_not",
     "loss_curve",
+    "placement_picture",
     "read_losses",
     "recorded_seconds",
     "write_report",
@@ -58,6 +60,10 @@ th, td { border-bottom: 1px solid #d8dade; padding: .35em .7em; text-align: left
 img { max-width: 100%; } h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; }
 .outcome { color: white; border-radius: 4px; padding: .1em .5em; } p.note { color: #5a5f66; }
 """
+FRONT_AND_BACK = (20, 200)
+"""Azimuths [degrees] of a garment at rest before training."""
+SIZE = (330, 290)
+"""Pixels of one of these."""
 
 
 def write_report(
@@ -275,3 +281,25 @@ def _image(picture: np.ndarray) -> str:
     buffer = io.BytesIO()
     save_png(buffer, picture)
     return f'<img src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}" alt="">'
+
+
+def placement_picture(checked: CheckedGarment, avatar: Avatar, template: Avatar, own: OwnPose | None) -> np.ndarray:
+    """Front and back, (h, w, 3) uint8: on the avatar as the garment lies there, below on the template as it is trained.
+
+    own: the avatar in its own pose, None where no avatar was given. Raises PictureError without the [view] extra.
+    """
+    trained = front_and_back(template.vertices, template.faces, checked.vertices, checked.faces)
+    if own is None:
+        return contact_sheet(trained, columns=2, captions=["as it is trained", "back"])
+    body = own.vertices if checked.in_own_pose else avatar.vertices
+    lying = front_and_back(body, avatar.faces, checked.lying, checked.faces)
+    captions = ["on the avatar as it lies" if checked.in_own_pose else "on the avatar, where it was placed", "back"]
+    return contact_sheet(lying + trained, columns=2, captions=[*captions, "on the template, as it is trained", "back"])
+
+
+def front_and_back(
+    body: np.ndarray, body_faces: np.ndarray, garment: np.ndarray, faces: np.ndarray
+) -> list[np.ndarray]:
+    """Two pictures of a garment (n, 3) [m], faces (f, 3), on a body (V, 3)."""
+    meshes = [Mesh(body, body_faces), Mesh(garment, faces, CLOTH_COLOUR)]
+    return [render(meshes, size=SIZE, azimuth=azimuth, samples=8) for azimuth in FRONT_AND_BACK]

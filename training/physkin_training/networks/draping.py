@@ -146,13 +146,14 @@ def _prune(weights: torch.Tensor, keep: int, bias: torch.Tensor) -> None:
 
 
 def delta_transforms(raw: torch.Tensor) -> torch.Tensor:
-    """Twin of `physkin_core.model.garment_nodes.delta_transforms`: (B, m, 12) to (B, m, 3, 4)."""
+    """Delta-chi (B, m, 3, 4) of the node deformer's numbers (B, m, 12): a linear part relative to the identity, row by
+    row, and a translation [m]."""
     eye = torch.eye(3, device=raw.device, dtype=raw.dtype)
     return torch.cat([eye + raw[..., :9].unflatten(-1, (3, 3)), raw[..., 9:, None]], dim=-1)
 
 
 def compose_nodes(posed: torch.Tensor, delta: torch.Tensor) -> torch.Tensor:
-    """Twin of `physkin_core.model.garment_nodes.compose_nodes`: chi = chi_skin * delta, all (B, m, 3, 4)."""
+    """chi = chi_skin * delta, all (B, m, 3, 4)."""
     turned = posed[..., :3] @ delta
     return torch.cat([turned[..., :3], turned[..., 3:] + posed[..., 3:]], dim=-1)
 

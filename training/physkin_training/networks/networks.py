@@ -141,7 +141,8 @@ class Networks(nn.Module):
 
 
 def encode_points(points: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
-    """Twin of `physkin_core.model.hyper_modulator.encode_points`."""
+    """Positional encoding (B, N, `token_features`) of points and normals (B, N, 3): x, sin(2^k pi x), cos(2^k pi x) for
+    k < 6, and the normal."""
     frequencies = torch.pi * 2.0 ** torch.arange(ENCODING_FREQUENCIES, device=points.device, dtype=points.dtype)
     angles = (points[..., None] * frequencies).flatten(-2)
     return torch.cat([points, angles.sin(), angles.cos(), normals], dim=-1)

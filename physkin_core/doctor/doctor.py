@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from importlib.util import find_spec
+from typing import Literal
 
-from physkin_core.doctor.finding import Finding
-
-__all__ = ["command_parser", "main"]
+__all__ = ["Finding", "command_parser", "main"]
 
 DOCTORS = {
     "physkin_core.doctor.installation": (),
@@ -20,6 +19,17 @@ DOCTORS = {
 }
 """Module with a `look()` -> what has to be installed for it to be of use. A part that is not installed is told as an
 extra that is missing."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """subject: what it is about. state: "good", "absent" (what it brings cannot be used, the rest can) or "broken"
+    (installed or needed, and does not work). said: what was found. remedy: what to do; empty if nothing."""
+
+    subject: str
+    state: Literal["good", "absent", "broken"]
+    said: str
+    remedy: str = ""
 
 
 def command_parser() -> argparse.ArgumentParser:

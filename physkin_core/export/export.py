@@ -4,23 +4,30 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from physkin_core.avatar.loading import load_avatar
-from physkin_core.export.garment_looks import garment_looks
 from physkin_core.export.gltf_motion import write_gltf_motion
 from physkin_core.export.usd_motion import write_usd_motion
 from physkin_core.look.avatar_look import avatar_look
+from physkin_core.look.surfaces import surfaces_of
+from physkin_core.mesh_file import Look, read_mesh
 from physkin_core.motion.loading import load_motion
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import add_outfit_options, add_sway_option, chosen_garments
 from physkin_core.output_file import check_other_file
 from physkin_core.progress import progress_line
+from physkin_core.quality import closest_points
 
-__all__ = ["command_parser", "main"]
+__all__ = ["command_parser", "garment_looks", "main"]
 
 WRITERS = {".glb": write_gltf_motion, ".usd": write_usd_motion, ".usdc": write_usd_motion}
+LIES_ON = 0.002
+"""[m] on average: so close to a garment lies a mesh of it. A finer or repaired one does, another size does not."""
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -70,3 +77,36 @@ def main(argv: list[str]) -> int:
     size = options.output.stat().st_size / 1e6
     print(f"wrote {options.output}: {motion.frame_count} frames at {motion.rate_hz:g} Hz, {size:.1f} MB")
     return 0
+
+
+def garment_looks(paths: Sequence[Path], outfit: Outfit) -> list[Look | None]:
+    """The looks of an outfit's garments on the faces that are given of them; None for those without.
+
+    paths: meshes that lie where the garments' own do, as `physkin fit-garment` writes them. Which is whose is told by
+    that. Raises GarmentError for what is no readable mesh, and ValueError for a mesh of no garment, a second one of
+    the same garment, one without texture places and materials, colours that are not three numbers from 0 to 1, and
+    pictures that are missing or not PNG or JPEG.
+    """
+    looks: list[Look | None] = [None] * len(outfit.layers)
+    for path in paths:
+        mesh = read_mesh(path)
+        if not str(mesh.look):
+            raise ValueError(f"{path} has neither texture places nor materials: nothing to give a garment")
+        templates = [layer.model.garment.vertices for layer in outfit.layers]
+        apart = [closest_points(points, mesh.vertices, mesh.faces)[0].mean() for points in templates]
+        k = int(np.argmin(apart))
+        layer, name = outfit.layers[k], outfit.layers[k].name
+        if apart[k] > LIES_ON:
+            raise ValueError(
+                f"{path} is no mesh of a garment worn: {name} is the closest, {1000 * apart[k]:.0f} mm off on average, "
+                f"at most {1000 * LIES_ON:.0f} are allowed; give garment.obj as fit-garment wrote it, with its look"
+            )
+        if looks[k] is not None:
+            raise ValueError(f"{path} is a second look for {name}; a garment has one")
+        given = layer.model.garment.vertices[layer.visible]
+        looks[k] = mesh.look.on((mesh.vertices, mesh.faces), given, layer.faces)
+        try:  # what is wrong is told before hours of work
+            surfaces_of(looks[k], name, (1.0, 1.0, 1.0), len(layer.faces))
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+    return looks
