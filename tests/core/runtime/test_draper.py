@@ -27,7 +27,6 @@ from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.runtime import body_encoder
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.garment_grading import GarmentGrading
-from physkin_core.sway.frame_input import FrameInput
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 
@@ -359,6 +358,9 @@ def test_effective_gravity():
         frame_input.fill(effective_gravity=size * down)
         step()
         np.testing.assert_array_equal(out, draper.drape(pose, effective_gravity=size * down))
-    for wrong in ([0, 0, -30.0], [0, np.nan, 0], [0, 0], -9.81):
+    for wrong in ([0, 0, -30.0], [0, np.nan, 0]):
         with pytest.raises(ValueError, match="effective_gravity must be .* up to 29.4 m/s2"):
+            draper.drape(pose, effective_gravity=wrong)
+    for wrong in ([0, 0], [[0, 0, -9.81]]):
+        with pytest.raises(ValueError, match=r"effective_gravity must have shape \(3,\)"):
             draper.drape(pose, effective_gravity=wrong)
