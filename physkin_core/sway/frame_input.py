@@ -105,7 +105,8 @@ class FrameInput:
         that goes back, cloth comes to rest by itself. Raises ValueError for values that are not finite, another number
         of them, or a quaternion of no length.
         """
-        _checked(lambda vector: self._native.move(time, vector), root)
+        moment = _checked_time(time)
+        _checked(lambda vector: self._native.move(moment, vector), root)
 
     def follow(self, root: RootSample) -> None:
         """The root moves as a pendulum knows it that is moved elsewhere."""
@@ -118,7 +119,7 @@ class FrameInput:
         if time is None:
             self._native.begin_still_frame()
         else:
-            self._native.begin_frame(time)
+            self._native.begin_frame(_checked_time(time))
 
     def fill(
         self,
@@ -156,6 +157,12 @@ def checked_sway(amount: float) -> float:
     if not (isinstance(amount, Real) and 0 <= amount <= 1):
         raise ValueError(f"sway must be a number from 0 to 1, got {amount!r}")
     return float(amount)
+
+
+def _checked_time(time: float) -> float:
+    if not math.isfinite(time):
+        raise ValueError(f"time must be finite, got {time}")
+    return time
 
 
 def _checked(take: Callable[[np.ndarray], None], values: np.ndarray) -> None:

@@ -70,7 +70,7 @@ def small_bound_file(tmp_path_factory):
     faces = rng.integers(0, 50, size=(90, 3)).astype(np.int32)
     garment = replace(random_bound_garment(rng, learnt_sway=True), faces=faces)
     path = tmp_path_factory.mktemp("bound") / "small.bound.safetensors"
-    save_bound_garment(garment, path, name="small", joint_names=[f"joint {k}" for k in range(7)], accelerated=True)
+    save_bound_garment(garment, path, name="small", joint_names=[f"joint {k}" for k in range(7)])
     return path
 
 

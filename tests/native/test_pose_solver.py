@@ -1,9 +1,10 @@
 """Poses that follow targets: a step is Gauss-Newton's within limits, as a slow and plain computation has it."""
 
 import numpy as np
-import physkin_core._native as native
 import pytest
 from scipy.spatial.transform import Rotation
+
+from physkin_core.native_module import native
 
 PULLS = [0.03, 0.3, 0.4]  # to rest, to neighbours [1/rad]; longest step [rad]
 

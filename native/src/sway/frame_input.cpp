@@ -8,6 +8,9 @@ namespace {
 
 constexpr double kLargestFelt = 2.999;  // in units of gravity: a pendulum never asks for what would be refused
 
+// std::hypot of three is 0 where two are and the third is no number.
+double length_of(const double* v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
+
 // What is left when nothing but gravity is known.
 GarmentInput under(const double* gravity) {
   GarmentInput row;
@@ -21,8 +24,7 @@ GarmentInput swung(const RootSample& root, double amount) {
   for (int k = 0; k < 3; ++k) world[k] = amount * root.deflection[k];
   world[2] -= kStandardGravity;
   carry_back(root.turn, world, felt);
-  const double length = std::sqrt(felt[0] * felt[0] + felt[1] * felt[1] + felt[2] * felt[2]);
-  const double shrink = std::min(1.0, kLargestFelt * kStandardGravity / std::max(length, 1e-9));
+  const double shrink = std::min(1.0, kLargestFelt * kStandardGravity / std::max(length_of(felt), 1e-9));
   for (double& value : felt) value = value * shrink / kStandardGravity;
   GarmentInput row = under(felt);
   row.twist = float(amount * root.twist);
@@ -38,8 +40,7 @@ void FrameInput::reset() noexcept {
 }
 
 const char* FrameInput::hang(const double* direction) noexcept {
-  const double length = std::hypot(direction[0], direction[1], direction[2]);
-  if (!(std::abs(length - 1) <= 1e-3)) return "gravity must be a unit direction (3,)";
+  if (!(std::abs(length_of(direction) - 1) <= 1e-3)) return "gravity must be a unit direction (3,)";
   std::fill(rows_.begin(), rows_.end(), under(direction));
   rates_known_ = networks_count_ = true;
   return nullptr;
@@ -47,7 +48,7 @@ const char* FrameInput::hang(const double* direction) noexcept {
 
 const char* FrameInput::accelerate(const double* effective_gravity, const double* at_rest) noexcept {
   const double* felt = effective_gravity;
-  if (!(std::hypot(felt[0], felt[1], felt[2]) <= kLargestEffectiveGravity * kStandardGravity)) {
+  if (!(length_of(felt) <= kLargestEffectiveGravity * kStandardGravity)) {
     return "effective_gravity must be (3,), finite, up to 29.4 m/s2 long";
   }
   for (std::size_t k = 0; k < rows_.size(); ++k) {

@@ -21,7 +21,7 @@ from physkin_core import (
     load_motion,
 )
 from physkin_core.model.garment import vertex_normals
-from physkin_core.outfit.coverage import FROM_HEM, hem_distances
+from physkin_core.outfit.coverage import FROM_HEM
 from physkin_core.outfit.tuck import DEEP, SLIDES, tucked_depths
 from physkin_core.quality import signed_distance
 from physkin_core.runtime.evaluator import Skinner
@@ -63,42 +63,42 @@ def stands_out(inner, outer, faces, deep):
 def test_trousers_no_longer_stand_out_of_a_shirt(models, avatar, motion, over_trousers):
     """While dancing: many vertices do without the outfit, next to none with it."""
     bare = [Draper(models[name], avatar) for name in ("trousers", "tshirt")]
-    deep = hem_distances(models["tshirt"].garment.vertices, models["tshirt"].garment.faces) > 0.03
+    deep = bare[1].layer.hem_distance > 0.03
     without, outfit = 0, 0
     for frame in range(0, len(motion[0]), 5):
         trousers, shirt = (draper.drape(motion[0][frame], motion[1][frame])[:, :3] for draper in bare)
         without += stands_out(trousers, shirt, bare[1].faces, deep)
         trousers, shirt = over_trousers.drape(motion[0][frame], motion[1][frame])
-        outfit += stands_out(trousers[:, :3], shirt[:, :3], over_trousers.faces[1], deep)
+        outfit += stands_out(trousers[:, :3], shirt[:, :3], over_trousers.layers[1].faces, deep)
     assert without > 500
     assert outfit < 0.01 * without
 
 
 def test_hidden_vertices_are_left_out_and_no_others(over_trousers, models):
     """Some of the trousers under the shirt are hidden, none near the shirt's hem at rest, and none of the shirt."""
-    hidden, shown = over_trousers.hidden, over_trousers.visible
-    trousers, trousers_rest = models["trousers"].garment, models["trousers"].rig.rest
+    layers = over_trousers.layers
+    hidden, shown = [layer.hidden for layer in layers], [layer.visible for layer in layers]
+    trousers = models["trousers"].garment
     assert not hidden[1].any() and len(shown[1]) == len(models["tshirt"].garment.vertices)
     assert 50 < hidden[0].sum() < 1500
-    below, above = (draper.drape(trousers_rest)[:, :3] for draper in over_trousers._drapers)
+    below, above = (layer.rest[:, :3] for layer in layers)
     closest = cKDTree(above).query(below[hidden[0]])[1]
-    shirt = over_trousers.rest_garments[1]
-    assert hem_distances(shirt.vertices, shirt.faces)[closest].min() >= FROM_HEM
+    assert layers[1].hem_distance[closest].min() >= FROM_HEM
     assert set(np.flatnonzero(~hidden[0])) <= set(shown[0]) and len(shown[0]) < len(trousers.vertices)
-    assert over_trousers.vertex_counts == tuple(map(len, shown))
-    faces = shown[0][over_trousers.faces[0]]
+    assert [layer.vertex_count for layer in layers] == [len(vertices) for vertices in shown]
+    faces = shown[0][layers[0].faces]
     kept = ~hidden[0][trousers.faces].all(axis=1)
     np.testing.assert_array_equal(faces, trousers.faces[kept])
 
 
 def test_nothing_is_hidden_when_asked_so(models, avatar, over_trousers):
     whole = Outfit([models["trousers"], models["tshirt"]], avatar, hide=False)
-    assert whole.vertex_counts == tuple(len(m.garment.vertices) for m in whole.models)
-    for mask, same in zip(whole.hidden, over_trousers.hidden):
-        np.testing.assert_array_equal(mask, same)
-    rest = whole.models[0].rig.rest
+    for layer, same in zip(whole.layers, over_trousers.layers):
+        assert layer.vertex_count == len(layer.model.garment.vertices)
+        np.testing.assert_array_equal(layer.hidden, same.hidden)
+    rest = whole.rig.rest
     some = over_trousers.drape(rest)[0]
-    np.testing.assert_allclose(whole.drape(rest)[0][over_trousers.visible[0]], some, atol=1e-6)
+    np.testing.assert_allclose(whole.drape(rest)[0][over_trousers.layers[0].visible], some, atol=1e-6)
 
 
 def test_the_body_mask_hides_skin_under_cloth_alone(over_trousers, avatar):
@@ -128,7 +128,7 @@ def test_skin_under_cloth_is_drawn_slimmer_and_bare_skin_as_it_is(over_trousers,
     ]
     for part in ("head", "wrist"):
         assert not moved[np.char.find(bones, part) >= 0].any()
-    hem = over_trousers.drapers[0].drape(over_trousers.models[0].rig.rest)[:, 2].min()
+    hem = over_trousers.layers[0].rest[:, 2].min()
     assert not moved[avatar.vertices[:, 2] < hem - 0.03].any()
 
 
@@ -136,7 +136,7 @@ def test_a_collarbone_does_not_show_through_as_it_is_drawn(models, avatar, motio
     """The arm across the chest lifts it a few millimetres over the shirt's collar."""
     outfit = Outfit([models["tshirt"]], avatar)
     (cloth,) = outfit.drape(motion[0][0], motion[1][0])
-    faces = outfit.faces[0]
+    faces = outfit.layers[0].faces
     outward = np.cross(*(cloth[faces[:, k], :3] - cloth[faces[:, 0], :3] for k in (1, 2)))
     shows = []
     for body in (outfit.avatar, outfit.body_to_draw):
@@ -152,47 +152,49 @@ def test_a_collarbone_does_not_show_through_as_it_is_drawn(models, avatar, motio
 def test_a_shirt_over_trousers_is_wider_where_they_are(models, avatar, over_trousers):
     """Its rest shape is, by up to 15 mm and a little; at the collar it is as on the bare body."""
     bare = Draper(models["tshirt"], avatar).rest_garment.vertices
-    moved = np.linalg.norm(over_trousers.rest_garments[1].vertices - bare, axis=1)
+    moved = np.linalg.norm(over_trousers.layers[1].rest_garment.vertices - bare, axis=1)
     low = bare[:, 2] < np.quantile(bare[:, 2], 0.1)
     assert 0.004 < moved[low].mean() < 0.017 and moved.max() < 0.02
     assert moved[bare[:, 2] > np.quantile(bare[:, 2], 0.7)].max() < 1e-3
 
 
+def depth_below_waistband(alone, over):
+    """How far (n,) [m] a draper's garment would reach below the waistband of a layer."""
+    return tucked_depths((alone.layer.rest[:, :3], over.rest[:, :3]), (alone.faces, over.bound.faces))
+
+
 def test_a_tucked_hem_is_inside_the_waistband_in_every_frame(models, avatar, tucked, motion):
     """All of the shirt that is given well below the waistband is inside the trousers, and would not be by itself; the
     deepest of it is not given."""
-    alone = Draper(models["tshirt"], avatar)
-    rests = [draper.drape(draper.model.rig.rest)[:, :3] for draper in (alone, tucked.drapers[1])]
-    depth = tucked_depths(rests, tuple(draper.faces for draper in tucked.drapers))
-    below = np.flatnonzero(depth[tucked.visible[0]] > 0.01)
+    alone, (shirt_layer, trousers_layer) = Draper(models["tshirt"], avatar), tucked.layers
+    depth = depth_below_waistband(alone, trousers_layer)
+    below = np.flatnonzero(depth[shirt_layer.visible] > 0.01)
     assert 0 < len(below) < (depth > 0.01).sum()
-    assert tucked.hidden[0][depth > DEEP].all() and not tucked.hidden[0][depth < SLIDES].any()
+    assert shirt_layer.hidden[depth > DEEP].all() and not shirt_layer.hidden[depth < SLIDES].any()
     for frame in range(0, len(motion[0]), 15):
         shirt, trousers = tucked.drape(motion[0][frame], motion[1][frame])
-        inside = signed_distance(shirt[below, :3], trousers[:, :3], tucked.faces[1])
+        inside = signed_distance(shirt[below, :3], trousers[:, :3], trousers_layer.faces)
         assert (inside < 0).mean() > 0.97 and inside.max() < 0.01
-        loose = alone.drape(motion[0][frame], motion[1][frame])[tucked.visible[0][below], :3]
-        assert (signed_distance(loose, trousers[:, :3], tucked.faces[1]) > 0).mean() > 0.3
+        loose = alone.drape(motion[0][frame], motion[1][frame])[shirt_layer.visible[below], :3]
+        assert (signed_distance(loose, trousers[:, :3], trousers_layer.faces) > 0).mean() > 0.3
 
 
 def test_a_tucked_shirt_is_taken_in(models, avatar, tucked, motion):
     """Its rest shape is another below the waistband and as before at the chest; it is outside the trousers half
     as often by itself."""
-    alone, taken_in = Draper(models["tshirt"], avatar), tucked.drapers[0]
-    depth = tucked_depths(
-        [draper.drape(draper.model.rig.rest)[:, :3] for draper in (alone, tucked.drapers[1])],
-        (alone.faces, tucked.drapers[1].faces),
-    )
+    alone, taken_in = Draper(models["tshirt"], avatar), tucked.layers[0]
+    depth = depth_below_waistband(alone, tucked.layers[1])
     moved = np.linalg.norm(taken_in.rest_garment.vertices - alone.rest_garment.vertices, axis=1)
     assert moved[depth > 0.03].mean() > 0.004
     assert moved[alone.rest_garment.vertices[:, 2] > np.quantile(alone.rest_garment.vertices[:, 2], 0.5)].max() < 1e-3
-    outside = {alone: 0, taken_in: 0}
+    outside = np.zeros(2)
     for frame in range(0, len(motion[0]), 30):
         _, trousers = tucked.drape(motion[0][frame], motion[1][frame])
-        for draper in outside:
-            hem = draper.drape(motion[0][frame], motion[1][frame])[depth > 0.01, :3]
-            outside[draper] += (signed_distance(hem, trousers[:, :3], tucked.faces[1]) > 0).sum()
-    assert outside[taken_in] < 0.5 * outside[alone]
+        for k, shirt in enumerate((alone.layer, taken_in)):
+            (drawn,) = shirt.drape([(motion[0][frame], motion[1][frame])])
+            hem = drawn[depth > 0.01, :3]
+            outside[k] += (signed_distance(hem, trousers[:, :3], tucked.layers[1].faces) > 0).sum()
+    assert outside[1] < 0.5 * outside[0]
 
 
 @pytest.mark.parametrize("kind", ["over_trousers", "tucked"])
@@ -200,7 +202,7 @@ def test_agrees_with_the_reference(kind, request, motion):
     """Over consecutive frames and after a jump nearly all vertices are the same to 2 um, none is off by 1 mm (a partner
     may be chosen otherwise by rounding); and neither is the drape without what is kept."""
     outfit = request.getfixturevalue(kind)
-    bounds, orders = outfit.bounds, outfit.orders
+    bounds, orders = [layer.given for layer in outfit.layers], outfit.orders
     native, reference, alone = NativeFrame(bounds, orders), ReferenceFrame(bounds, orders), NativeFrame(bounds)
     moved = 0.0
     for frame in (*range(40, 50), 120):
@@ -212,13 +214,12 @@ def test_agrees_with_the_reference(kind, request, motion):
     assert moved > 0.002
 
 
-def test_a_bound_step_and_positions_alone_are_the_same_frame(models, avatar, over_trousers, motion):
-    positions, gravity = motion[0][60].astype(np.float32), np.float32([0, 0, -1])
-    outfits = [Outfit(over_trousers.garments, avatar) for _ in range(3)]
-    clouds = outfits[0].drape(positions, gravity)
+def test_a_bound_frame_and_positions_alone_are_the_same_frame(over_trousers, motion):
+    positions, outfits = motion[0][60].astype(np.float32), [over_trousers.twin() for _ in range(3)]
+    clouds = outfits[0].drape(positions)
     stepped = [np.empty_like(cloud) for cloud in clouds]
-    outfits[1].bind_step(positions, gravity, stepped)()
-    alone = outfits[2].drape(positions, gravity, outs=[np.empty((len(c), 3), dtype=np.float32) for c in clouds])
+    outfits[1].bind_frame(positions, np.stack([told()] * 2), stepped)()
+    alone = outfits[2].drape(positions, outs=[np.empty((len(c), 3), dtype=np.float32) for c in clouds])
     for cloud, step, position in zip(clouds, stepped, alone):
         np.testing.assert_array_equal(step, cloud)
         np.testing.assert_array_equal(position, cloud[:, :3])
@@ -228,14 +229,14 @@ def test_garment_nodes_skin_to_what_is_not_moved(tucked, over_trousers, motion):
     """Those of each garment, of the last frame; skinned, they are the cloud where nothing is moved afterwards."""
     positions, gravity = motion[0][30], motion[1][30]
     for outfit, moved in ((over_trousers, (False, True)), (tucked, (True, False))):
-        assert outfit.moved == moved
+        assert tuple(layer.moved for layer in outfit.layers) == moved
         clouds = outfit.drape(positions, gravity)
-        for bound, nodes, cloud, is_moved in zip(outfit.bounds, outfit.node_transforms(), clouds, moved):
+        for layer, nodes, cloud, is_moved in zip(outfit.layers, outfit.node_transforms(), clouds, moved):
             points = np.empty_like(cloud)
-            Skinner(bound).skin(np.ascontiguousarray(nodes), points)
+            Skinner(layer.given).skin(nodes, points)
             assert (np.abs(points - cloud)[:, :3].max() > 1e-4) == is_moved
     with pytest.raises(IndexError, match="garment 2 of 2"):
-        outfit._evaluator.node_transforms(2)
+        NativeFrame([layer.given for layer in outfit.layers]).node_transforms(2)
 
 
 def test_a_twin_remembers_frames_of_its_own(over_trousers, motion):
@@ -245,36 +246,16 @@ def test_a_twin_remembers_frames_of_its_own(over_trousers, motion):
         second.drape(motion[0][-k], motion[1][-k])
         for cloud, expected in zip(first.drape(motion[0][k], motion[1][k]), alone.drape(motion[0][k], motion[1][k])):
             np.testing.assert_array_equal(cloud, expected)
-    assert first.visible is over_trousers.visible, "nothing is bound anew"
+    assert first.layers == over_trousers.layers, "nothing is bound anew"
 
 
 def test_each_garment_may_have_its_own_fit(models, avatar, over_trousers):
     """It wins over the outfit's; how each sits is told."""
     outfit = Outfit([models["trousers"], WornGarment(models["tshirt"], fit=0.0)], avatar, fit=1.0)
-    assert outfit.fits == (1.0, 0.0) and over_trousers.fits == (1.0, 1.0)
-    shirts = [each.rest_garments[1].vertices for each in (outfit, over_trousers)]
+    assert [[layer.fit for layer in each.layers] for each in (outfit, over_trousers)] == [[1.0, 0.0], [1.0, 1.0]]
+    shirts = [each.layers[1].rest_garment.vertices for each in (outfit, over_trousers)]
     assert np.abs(shirts[0] - shirts[1]).max() > 1e-3
-    assert all(look.sits for look in over_trousers.at_rest) and len(over_trousers.at_rest) == 2
-
-
-def test_limbs_are_separated_once_for_all_garments(models, avatar, over_trousers):
-    """An outfit with separated limbs drapes as one without does where the separated positions are given to that, and
-    its bones are where its clouds are."""
-    apart = Outfit([models["trousers"], models["tshirt"]], avatar, separate_limbs=True)
-    rig = models["tshirt"].rig
-    crossed = rig.joint_positions({"upperarm01.L_x": -0.9, "upperarm01.R_x": 0.9}).astype(np.float32)
-    clouds = apart.drape(crossed)
-    moved = apart.separated_positions
-    assert np.abs(moved - crossed).max() > 0.05, "the pose must run arms into the body"
-    again = over_trousers.drape(moved)
-    for cloud, expected in zip(clouds, again):
-        np.testing.assert_allclose(cloud, expected, atol=1e-6)
-    np.testing.assert_allclose(apart.bone_transforms(crossed), over_trousers.bone_transforms(moved), atol=1e-6)
-    outs = [np.empty_like(cloud) for cloud in clouds]
-    apart.bind_step(crossed, np.array([0, 0, -1], dtype=np.float32), outs)()
-    np.testing.assert_allclose(outs[1], clouds[1], atol=1e-6)
-    with pytest.raises(ValueError, match="separates no limbs"):
-        _ = over_trousers.separated_positions
+    assert all(layer.at_rest.sits for layer in over_trousers.layers)
 
 
 def test_what_cannot_be_worn_is_refused_in_one_sentence(models, avatar):
@@ -321,7 +302,7 @@ def test_a_shirt_under_a_waistband_that_is_not_tucked_is_warned_of(models, avata
 def test_wrong_arrays_are_refused(over_trousers, motion):
     """Nothing is written then."""
     positions, gravity = motion[0][0].astype(np.float32), motion[1][0].astype(np.float32)
-    outs = [np.zeros((count, 6), dtype=np.float32) for count in over_trousers.vertex_counts]
+    outs = [np.zeros((count, 6), dtype=np.float32) for count in (layer.vertex_count for layer in over_trousers.layers)]
     with pytest.raises(ValueError, match="one for each of 2 garments"):
         over_trousers.drape(positions, gravity, outs=outs[:1])
     with pytest.raises(ValueError, match="all have normals, or none"):
@@ -335,12 +316,12 @@ def test_wrong_arrays_are_refused(over_trousers, motion):
 
 def test_indices_of_what_is_kept_are_checked(over_trousers):
     """The native evaluator follows them blindly in a frame, so refuses them when it is built."""
-    (order,) = over_trousers.orders
+    (order,), bounds = over_trousers.orders, [layer.given for layer in over_trousers.layers]
     for field in ("contact", "seed", "beside", "ring", "push_to", "moved"):
         wrong = getattr(order, field).copy()
         wrong.flat[3] = 1_000_000
         with pytest.raises(ValueError, match=rf"{field}\[3\] is 1000000"):
-            NativeFrame(over_trousers.bounds, [replace(order, **{field: wrong})])
+            NativeFrame(bounds, [replace(order, **{field: wrong})])
     for steady, yielding in ((0, 0), (0, 2), (-1, 1)):
         with pytest.raises(ValueError, match=f"layers {steady} and {yielding} must be two of 2"):
-            NativeFrame(over_trousers.bounds, [replace(order, steady=steady, yielding=yielding)])
+            NativeFrame(bounds, [replace(order, steady=steady, yielding=yielding)])

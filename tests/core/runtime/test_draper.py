@@ -15,6 +15,7 @@ from physkin_core import (
     BUNDLED_AVATAR,
     UPRIGHT_GRAVITY,
     Draper,
+    FrameInput,
     Garment,
     avatar_from_body,
     load_avatar,
@@ -26,7 +27,6 @@ from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.runtime import body_encoder
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.garment_grading import GarmentGrading
-from physkin_core.sway.frame_input import FrameInput
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 
@@ -117,17 +117,15 @@ def test_joint_positions_may_be_any_numbers_or_names():
             draper.drape(np.zeros(shape))
 
 
-@pytest.mark.parametrize("way", ["drape", "bind_step"])
-def test_degrees_are_told_once(way, caplog):
-    """A joint far beyond its limits is named with its value, in both ways of draping, once."""
+def test_degrees_are_told_once(caplog):
+    """A joint far beyond its limits is named with its value."""
     _, model, avatar = scene(15)
     draper, q = Draper(model, avatar), model.rig.rest.astype(np.float32)
     out = draper.drape(q + 6)  # not yet
     assert not caplog.records
     q[4] = 97
-    step = draper.bind_step(q, np.float32([0, 0, -1]), out)
     for _ in range(2):
-        draper.drape(q, out=out) if way == "drape" else step()
+        draper.drape(q, out=out)
     assert len(caplog.records) == 1 and "'joint4' is 97" in caplog.text and "degrees" in caplog.text
 
 
@@ -206,31 +204,32 @@ def test_points_replace_the_vertices():
 def test_networks_that_overflow_are_refused():
     """Finite network weights whose result is not: said at once, when the garment is bound; in a pose nothing is
     written, and the node transforms stay."""
-    rng, model, avatar = scene(16)
-    layers = tuple((np.float32(1e5) * weight, bias) for weight, bias in model.node_deformer)
-    model = replace(model, node_deformer=layers)
+    rng, sane, avatar = scene(16)
+    layers = tuple((np.float32(1e5) * weight, bias) for weight, bias in sane.node_deformer)
+    model = replace(sane, node_deformer=layers)
     with pytest.raises(ValueError, match="node deformer output"):
         Draper(model, avatar)
-    draper = Draper(model, avatar, binding=bind_garment(model, avatar))
+    draper = Draper(sane, avatar)
+    draper.outfit = draper.outfit.giving(0, bind_garment(model, avatar))
     out = np.full((draper.vertex_count, 6), 7, dtype=np.float32)
     with pytest.raises(ValueError, match="node deformer output"):
         draper.drape(*random_pose(rng, model.rig), out=out)
     assert (out == 7).all() and not draper.node_transforms().any()
 
 
-def test_bound_step_and_binding(garment_model):
-    """A step reads its arrays as they are now; a draper made from another's binding gives the same."""
+def test_a_bound_frame_reads_its_arrays_as_they_are_now(garment_model):
+    """And drapes as a draper does."""
     avatar = load_avatar(BUNDLED_AVATAR, garment_model.rig)
-    draper = Draper(garment_model, avatar)
-    positions, gravity = garment_model.rig.rest.astype(np.float32), np.float32([0, 0, -1])
+    draper, again = Draper(garment_model, avatar), Draper(garment_model, avatar)
+    positions, frame_input = garment_model.rig.rest.astype(np.float32), FrameInput([False])
     out = np.zeros((draper.vertex_count, 6), dtype=np.float32)
-    step = draper.bind_step(positions, gravity, out)
-    again = Draper(garment_model, avatar, binding=draper.bound)
+    step = draper.bind_frame(positions, frame_input.rows, out)
     for bend in (0.0, 0.3):
         positions[2] = bend
-        gravity[:] = 0, np.sin(bend), -np.cos(bend)
+        gravity = 0, np.sin(bend), -np.cos(bend)
+        frame_input.fill(gravity)
         step()
-        np.testing.assert_allclose(out, again.drape(positions, gravity), atol=1e-6)
+        np.testing.assert_array_equal(out, again.drape(positions, gravity))
     positions[0] = np.nan
     with pytest.raises(ValueError):
         step()
@@ -359,6 +358,9 @@ def test_effective_gravity():
         frame_input.fill(effective_gravity=size * down)
         step()
         np.testing.assert_array_equal(out, draper.drape(pose, effective_gravity=size * down))
-    for wrong in ([0, 0, -30.0], [0, np.nan, 0], [0, 0], -9.81):
+    for wrong in ([0, 0, -30.0], [0, np.nan, 0]):
         with pytest.raises(ValueError, match="effective_gravity must be .* up to 29.4 m/s2"):
+            draper.drape(pose, effective_gravity=wrong)
+    for wrong in ([0, 0], [[0, 0, -9.81]]):
+        with pytest.raises(ValueError, match=r"effective_gravity must have shape \(3,\)"):
             draper.drape(pose, effective_gravity=wrong)

@@ -1,11 +1,13 @@
 """How far layers beneath swell the skin, on a tube in tubes; and that a garment is made for it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from random_models import tube
 
 from physkin_core.model.garment import vertex_normals
-from physkin_core.runtime.layers_beneath import LARGEST_SWELLING, LAYER_GAP, TUCKED_SWELLING, LayerBeneath, swelling
+from physkin_core.runtime.layers_beneath import LARGEST_SWELLING, LAYER_GAP, TUCKED_SWELLING, swelling
 
 SKIN = tube(rings=25, segments=60, radius=0.15)
 
@@ -14,7 +16,7 @@ def layer(radius, *, above=-np.inf, tucked=False):
     """A tube around the skin, of what lies higher than told."""
     vertices = SKIN.vertices * [radius / 0.15, radius / 0.15, 1]
     rows = np.concatenate([vertices, vertex_normals(vertices, SKIN.faces)], axis=1).astype(np.float32)
-    return LayerBeneath(rows[SKIN.vertices[:, 2] > above], tucked=tucked)
+    return SimpleNamespace(rest=rows[SKIN.vertices[:, 2] > above], tucked=tucked)
 
 
 def height(*beneath):

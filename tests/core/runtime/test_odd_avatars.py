@@ -23,7 +23,7 @@ from physkin_core.model.garment import vertex_normals
 from physkin_core.model.garment_nodes import node_positions_on_body, pose_nodes
 from physkin_core.model.node_deformer import fold_first_layer
 from physkin_core.quality import signed_distance
-from physkin_core.runtime import binding, worn_garment
+from physkin_core.runtime import binding, garment_on_body
 from physkin_core.runtime.garment_grading import GarmentGrading
 
 BODY = load_body_model()
@@ -46,7 +46,7 @@ def test_odd_pivots_give_the_drape_of_the_right_ones_at_rest(person, garment, mo
         assert outwards.min() > -1e-3 and 1e-3 < outwards.mean() < 6e-3
         assert (signed_distance(roomy, odd.vertices, odd.faces) < 0).mean() < 5e-4
         with monkeypatch.context() as patch:
-            patch.setattr(binding, "room_to_move", lambda bound, avatar, rig, evaluator: 0.0)
+            patch.setattr(binding, "room_to_move", lambda bound, avatar, rig: 0.0)
             close = np.linalg.norm(Draper(model, odd, fit=fit).drape({})[:, :3] - right, axis=1)
         assert close.mean() < 1e-3 and close.max() < 2e-3
 
@@ -63,7 +63,7 @@ def test_odd_pivots_leave_cloth_outside_in_everyday_poses(person, own_mesh):
 def test_grading_is_set_up_once_for_all_bodies(person, monkeypatch):
     """A node that changes bodies does not factorise its garment's matrix again, which would hold up clouds."""
     model, made = load_garment_model("skirt"), []
-    monkeypatch.setattr(worn_garment, "GarmentGrading", lambda *given: made.append(given) or GarmentGrading(*given))
+    monkeypatch.setattr(garment_on_body, "GarmentGrading", lambda *given: made.append(given) or GarmentGrading(*given))
     for avatar in (person, with_odd_pivots(person, 2)):
         Draper(model, avatar)
     assert len(made) == 1

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from random_models import random_avatar, random_rig
 
-from physkin_core import LimbSeparator, load_motion
+from physkin_core import AvatarWarning, LimbSeparator, load_motion
 from physkin_core.check.likeness import body_overlap
+from physkin_core.separation.limb_separator import separated_motion
 
 
 @pytest.fixture(scope="module")
@@ -110,3 +113,26 @@ def test_bodies_without_these_limbs_are_refused(bodies):
         LimbSeparator(other, bodies["average"])
     with pytest.raises(ValueError, match="no arm or leg with joints was found"):
         LimbSeparator(other, random_avatar(np.random.default_rng(1), other))
+
+
+def test_a_motion_is_separated_frame_by_frame(bodies, separators, rig):
+    """For the rig's joints, in their order; time and root are as they were."""
+    walk = load_motion("walk")
+    short = replace(
+        walk, **{name: getattr(walk, name)[:20] for name in ("positions", "root_position", "root_orientation")}
+    )
+    apart = separated_motion(short, rig, bodies["stout"])
+    assert apart.joint_names == rig.joint_names and apart.rate_hz == walk.rate_hz
+    np.testing.assert_array_equal(apart.root_orientation, short.root_orientation)
+    expected = [separators["stout"].separate(pose)[0] for pose in short.positions_for(rig)]
+    np.testing.assert_array_equal(apart.positions, expected)
+    assert np.abs(apart.positions - short.positions_for(rig)).max() > 0.1
+
+
+def test_limbs_that_are_left_out_are_told(bodies, rig):
+    """A limb without joints: kept by the separator, issued for a motion."""
+    stiff = replace(rig, dofs=tuple(dof for dof in rig.dofs if not dof.bone.startswith(("upperleg", "lowerleg"))))
+    told = LimbSeparator(stiff, bodies["average"]).warnings
+    assert len(told) == 2 and "left leg is not separated" in told[0]
+    with pytest.warns(AvatarWarning, match="left leg is not separated"):
+        separated_motion(load_motion("walk"), stiff, bodies["average"])

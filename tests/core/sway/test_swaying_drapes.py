@@ -95,7 +95,7 @@ def test_garments_of_an_outfit_sway_as_much_as_each_is_told(skirt):
     outfit = physkin.Outfit([physkin.WornGarment(shirt, tucked=True), skirt.model], skirt.avatar)
     all_of_it, none = outfit.twin(), outfit.twin()
     outfit.sway, all_of_it.sway, none.sway = (0.0, 0.7), 0.7, 0.0
-    assert outfit.sway == outfit.sways == (0.0, 0.7) and all_of_it.sways == (0.7, 0.7)
+    assert outfit.sway == (0.0, 0.7) and all_of_it.sway == 0.7
     for k in range(8):
         moved = {"time": k / 20, "root": (0.02 * k**2, 0, 0.9, 0, 0, 0, 1)}
         mixed, swaying, still = (each.drape(skirt.model.rig.rest, **moved) for each in (outfit, all_of_it, none))
@@ -120,6 +120,21 @@ def test_outfits_take_numbers_of_numpy_and_twins_keep_them(skirt):
         outfit.sway = given
         assert outfit.sway == outfit.twin().sway == 0.5
         outfit.sway = 1.0
+
+
+def test_a_drape_without_a_time_ends_what_was_before(skirt):
+    """The next one with a time is as a first one: nothing swings on, and no pace is kept."""
+    rest = skirt.model.rig.rest
+    root = (0.5, 0, 0.9, 0, 0, 0, 1)
+    skirt.reset()
+    for k in range(20):
+        swung = skirt.drape(rest, time=k / 60, root=(0.5 * k / 20, 0, 0.9, 0, 0, 0, 1))
+    still = skirt.drape(rest)
+    assert np.abs(swung - still).max() > 0.01
+    assert np.allclose(skirt.drape(rest, time=20 / 60, root=root), still, atol=1e-5)
+    tilted = skirt.drape(rest, (0.45, 0.0, -0.9))
+    skirt.drape(rest)
+    assert (skirt.drape(rest, (0.45, 0.0, -0.9), time=21 / 60) == tilted).all()
 
 
 def turned(draper, rest, *, steps=15, rate=60):
