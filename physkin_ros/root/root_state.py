@@ -46,13 +46,12 @@ class RootState:
         """Whether it is known, and fresh, how the root moves."""
         return self._motions.at(0, now_ns) is not None
 
-    def take(self, stamp_ns: int, now_ns: int, *, motion: bool = True, down: np.ndarray | None = None) -> bool:
+    def take(self, stamp_ns: int, now_ns: int, *, down: np.ndarray | None = None) -> bool:
         """Tell the garments what goes with a joint state. Whether it was known how the root moves.
 
-        motion: whether that counts. down: unit direction (3,) where it does not, or is not known; default the one that
-        goes with the joint state.
+        down: unit direction (3,) where it is not; default the one that goes with the joint state.
         """
-        known = self._motions.at(stamp_ns, now_ns) if motion else None
+        known = self._motions.at(stamp_ns, now_ns)
         if known is None:
             self.frame_input.hang(self.direction(stamp_ns) if down is None else down)
         elif isinstance(known, EffectiveGravity):
