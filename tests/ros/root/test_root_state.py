@@ -145,8 +145,23 @@ def test_without_sway_every_frame_is_draped_by_itself(outfit):
             np.testing.assert_allclose(state.frame_input.rows[0, :3], down, atol=1e-6)
 
 
+def test_sway_may_change_while_running(drapers):
+    """As that of a draper, by the network and by the pendulum."""
+    for draper in drapers:
+        told, worn, motion = draper.outfit.twin(), draper.outfit.twin(), RootMotion()
+        state = state_of(worn)
+        drape = bound(state, worn)
+        for k, (stamp, pose, place, turn) in enumerate(frames(told.rig)):
+            told.sway = sway = (1.0, 0.3, 0.0)[k // 4 % 3]
+            state.frame_input.sways = (sway,)
+            state.add_motion(motion.move(stamp, place, turn)[1], stamp, now_ns=0)
+            state.take(stamp, 0)
+            state.begin_frame(*divmod(stamp, 10**9))
+            np.testing.assert_array_equal(drape(pose), told.drape(pose, time=1e-9 * stamp, root=(*place, *turn)))
+
+
 def test_directions_go_with_joint_states_by_their_stamps(outfit):
-    """The last known where none has come; joints of the root may say another; how the root moves counts before."""
+    """The last known where none has come; another as of now ends those before; how the root moves counts first."""
     state = RootState(np.array([0.0, 0.0, -3.0]), outfit.frame_input)
     rows = outfit.frame_input.rows
     state.take(5, 0)
@@ -155,14 +170,13 @@ def test_directions_go_with_joint_states_by_their_stamps(outfit):
     state.add_direction(np.float32([0, 1, 0]), 2000)
     state.take(1500, 0)
     assert rows[0, :3].tolist() == [1, 0, 0]
-    assert not state.take(1500, 0, down=np.array([0.0, 0.0, 1.0]))
-    assert rows[0, :3].tolist() == [0, 0, 1] and state.direction(1500).tolist() == [1, 0, 0]
     state.set_direction(np.array([0.0, -7.0, 0.0]))
     state.take(1500, 0)
     assert rows[0, :3].tolist() == [0, -1, 0]
     state.add_motion(EffectiveGravity(np.zeros(3)), 1500, now_ns=0)
     assert state.moves(0) and not state.moves(FRESH + 1)
-    assert state.take(1500, 0, down=np.array([0.0, 0.0, 1.0])) and not rows[0, :3].any()
+    assert state.take(1500, 0) and not rows[0, :3].any()
+    assert not state.take(1500, FRESH + 1) and rows[0, :3].tolist() == [0, -1, 0]
 
 
 def test_an_outfit_swings_as_one_told_time_and_root():
@@ -181,3 +195,21 @@ def test_an_outfit_swings_as_one_told_time_and_root():
         state.begin_frame(*divmod(stamp, 10**9))
         for cloud, expected in zip(drape(pose), told.drape(pose, time=1e-9 * stamp, root=(*place, *turn))):
             np.testing.assert_array_equal(cloud, expected)
+
+
+def test_effective_gravity_that_is_reported(drapers):
+    """As the garment feels it, before any joint state comes; of those that a sway network moves by the root's motion
+    there is none."""
+    state, motion = state_of(*(draper.outfit for draper in drapers)), RootMotion()
+    state.frame_input.sways = (0.5, 0.5)
+    felt = lambda garment, now_ns=0: state.effective_gravity(garment, now_ns, has_network=garment == 0)  # noqa: E731
+    assert felt(1) is None
+    for k in range(20):
+        state.add_motion(motion.move(k + 1, (0, 0, 0), (0, 0, 0, 1))[1], k + 1, now_ns=0)
+    np.testing.assert_allclose(felt(1), [0, 0, -9.81])
+    assert felt(0) is None
+    for at_rest, size in ((None, -4.905), (np.array([0, 0, -9.81]), -0.75 * 9.81)):
+        state.add_motion(EffectiveGravity(np.array([0, 0, -4.905]), at_rest), 30, now_ns=0)
+        for garment in range(2):
+            np.testing.assert_allclose(felt(garment), [0, 0, size], rtol=1e-6)
+    assert felt(1, FRESH + 1) is None
