@@ -17,8 +17,8 @@ from physkin_core.doctor.finding import Finding
 from physkin_core.extras import EXTRAS
 from physkin_core.model.model_file import load_garment_model, shipped_models
 from physkin_core.motion.loading import bundled_motions, load_motion
-from physkin_core.runtime.draper import Draper
-from physkin_core.runtime.native_evaluator import supported_instruction_sets
+from physkin_core.outfit.draper import Draper
+from physkin_core.runtime.evaluator import supported_instruction_sets
 
 __all__ = ["look"]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from physkin_core.avatar.loading import BUNDLED_AVATAR
 from physkin_core.model.fabric import FABRICS
 from physkin_core.model.model_file import shipped_models, split_fabric
-from physkin_core.outfit.layers import MOST_LAYERS
+from physkin_core.outfit.dressing import MOST_LAYERS
 from physkin_core.view.page import Page
 from physkin_core.view.scene.scene_state import SceneState
 from physkin_core.view.uploads import Uploads
