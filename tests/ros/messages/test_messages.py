@@ -68,7 +68,7 @@ def test_skin_refuses_what_does_not_fit(garment_model):
         with pytest.raises(ValueError, match=reason):
             skin.skin(nodes)
     for field, value, reason in (
-        ("vertex_count", 7, "cannot reshape"),
+        ("vertex_count", 7, "5010 vertices and 16 garment nodes"),
         ("faces", [0, 1, 10**6], "face index 1000000"),
         ("influence_nodes", [99] * len(mesh.influence_nodes), "99"),
     ):
