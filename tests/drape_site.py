@@ -193,7 +193,7 @@ class Site(Partner):
         self.until(future.done, f"answer of {name}")
         return future.result()
 
-    def until(self, done: Callable[[], object], what: str, seconds: float = 20.0) -> None:
+    def until(self, done: Callable[[], object], what: str, seconds: float = 60.0) -> None:
         """As of any partner; fails at once when the node has ended."""
 
         def done_or_over() -> bool:

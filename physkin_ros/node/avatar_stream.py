@@ -300,24 +300,28 @@ class AvatarStream:
     def _take_root(self, wire: JointStateWire | None, stamp_ns: int) -> None:
         """Tell garments what goes with a joint state, or with bone rotations, which have no `wire`."""
         now_ns = monotonic_ns()
-        asks_joints = (self._follows or self._orientation.fault) and not self.root.moves(now_ns)
-        self.root.take(stamp_ns, now_ns, down=self._followed_orientation(wire) if asks_joints else None)
+        if (self._follows or self._orientation.fault) and not self.root.moves(now_ns):
+            self._follow_orientation(wire)
+        self.root.take(stamp_ns, now_ns)
 
-    def _followed_orientation(self, wire: JointStateWire | None) -> np.ndarray | None:
-        """Gravity's unit direction (3,) as joints of the root tell it, None where they do not, or TF is at fault."""
+    def _follow_orientation(self, wire: JointStateWire | None) -> None:
+        """Take gravity's direction as joints of the root tell it; where they do not, or TF is at fault, the last one
+        goes on."""
         if self._orientation.fault:
             self._on_bad_orientation(self._orientation.fault)
-            return None
-        if wire is None:  # bones have no root tilt: the last one counts
-            return None
+            return
+        if wire is None:  # bones have no root tilt
+            return
         index = wire.selection.index
         roll, pitch = self.settings.orientation_joints
         if roll not in index or pitch not in index:
             missing = roll if roll not in index else pitch
             self._on_bad_orientation(f"the joint state has no joint {missing!r} (parameter orientation_joints)")
-            return None
+            return
         try:
-            return gravity_from_tilt(float(wire.values[index[roll]]), float(wire.values[index[pitch]]))
+            self.root.set_direction(
+                gravity_from_tilt(float(wire.values[index[roll]]), float(wire.values[index[pitch]]))
+            )
         except OrientationError as error:
             raise JointStateError(str(error)) from None
 

@@ -8,7 +8,6 @@ from time import monotonic_ns
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
-from physkin_core.sway.frame_input import STANDARD_GRAVITY
 from physkin_ros.messages.interfaces import missing_interfaces
 from physkin_ros.messages.topics import DIAGNOSTICS, STATISTICS
 from physkin_ros.node.avatar_stream import AvatarStream
@@ -75,13 +74,11 @@ class Reports:
             values["layer"] = f"{worn.index + 1} of {len(outfit.layers)} from the skin outwards"
             values["vertices left out"] = f"{whole - layer.vertex_count} of {whole}"
         values["model"] = model
-        row = stream.garments.index(garment)
-        gravity = stream.root.frame_input.rows[row, :3]
-        moves = stream.root.moves(monotonic_ns()) and not (worn is not None and worn.layer.given.sways_by_network)
+        by_network = worn is not None and worn.layer.given.sways_by_network
+        index = stream.garments.index(garment)
+        felt = stream.root.effective_gravity(index, monotonic_ns(), has_network=by_network)
         values["gravity"] = " ".join(f"{value:.3f}" for value in stream.root.direction(0))
-        values["effective gravity [m/s2]"] = (
-            " ".join(f"{value:.2f}" for value in STANDARD_GRAVITY * gravity) if moves else "none"
-        )
+        values["effective gravity [m/s2]"] = "none" if felt is None else " ".join(f"{value:.2f}" for value in felt)
         if worn is None:
             error = stream.statistics.last_error
             well, summary = False, f"nothing to drape: {error}" if error else "the garment is being loaded"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from physkin_core import FrameInput
-from physkin_core.sway.frame_input import RootSample, unit_direction
+from physkin_core.sway.frame_input import STANDARD_GRAVITY, RootSample, unit_direction
 from physkin_ros.root.gravity import EffectiveGravity, FreshByStamp, LatestByStamp
 
 __all__ = ["RootState"]
@@ -46,24 +46,36 @@ class RootState:
         """Whether it is known, and fresh, how the root moves."""
         return self._motions.at(0, now_ns) is not None
 
-    def take(self, stamp_ns: int, now_ns: int, *, motion: bool = True, down: np.ndarray | None = None) -> bool:
-        """Tell the garments what goes with a joint state. Whether it was known how the root moves.
+    def effective_gravity(self, garment: int, now_ns: int, *, has_network: bool) -> np.ndarray | None:
+        """The latest (3,) [m/s2] that a garment feels; None where it is not known how the root moves, or where a sway
+        network, if it has one, is given that motion instead."""
+        known = self._motions.at(0, now_ns)
+        if known is None or (has_network and isinstance(known, RootSample)):
+            return None
+        felt = FrameInput([False])
+        felt.sways = self.frame_input.sways[garment : garment + 1]
+        _tell(felt, known)
+        return STANDARD_GRAVITY * felt.rows[0, :3]
 
-        motion: whether that counts. down: unit direction (3,) where it does not, or is not known; default the one that
-        goes with the joint state.
-        """
-        known = self._motions.at(stamp_ns, now_ns) if motion else None
+    def take(self, stamp_ns: int, now_ns: int) -> bool:
+        """Tell the garments what goes with a joint state. Whether it was known how the root moves."""
+        known = self._motions.at(stamp_ns, now_ns)
         if known is None:
-            self.frame_input.hang(self.direction(stamp_ns) if down is None else down)
-        elif isinstance(known, EffectiveGravity):
-            self.frame_input.accelerate(known.vector, known.at_rest)
+            self.frame_input.hang(self.direction(stamp_ns))
         else:
-            self.frame_input.follow(known)
+            _tell(self.frame_input, known)
         return known is not None
 
     def begin_frame(self, sec: int, nanosec: int) -> None:
         """Begin the frame of a joint state with this stamp; 0 for none: it then stands by itself."""
         self.frame_input.begin_frame(sec + 1e-9 * nanosec if sec or nanosec else None)
+
+
+def _tell(frame_input: FrameInput, motion: RootSample | EffectiveGravity) -> None:
+    if isinstance(motion, EffectiveGravity):
+        frame_input.accelerate(motion.vector, motion.at_rest)
+    else:
+        frame_input.follow(motion)
 
 
 def _as_networks_know(down: np.ndarray) -> np.ndarray:

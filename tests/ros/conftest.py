@@ -21,7 +21,7 @@ def leaning_model(garment_model):
     """The test's garment, but of a cloth that swings by centimetres when the body leans."""
     (weight, bias), *layers = garment_model.pose_modulator
     weight = weight.copy()
-    weight[:, -3:] *= 1000  # the end of the pose vector is gravity
+    weight[:, -3:] *= 10_000  # the end of the pose vector is gravity
     return dataclasses.replace(garment_model, pose_modulator=((weight, bias), *layers))
 
 

@@ -36,7 +36,7 @@ def test_mesh_and_garment_nodes(start, peer, garment_model, model_path):
     assert (mesh.vertex_count, mesh.node_count) == (len(garment.vertices), len(garment_model.node_rest))
     assert tuple(mesh.joint_names) == rig.joint_names
     np.testing.assert_array_equal(np.reshape(mesh.faces, (-1, 3)), garment.faces)
-    np.testing.assert_allclose(np.reshape(mesh.rest_vertices, (-1, 3)), garment.vertices, atol=1e-6)
+    np.testing.assert_allclose(np.reshape(mesh.rest_vertices, (-1, 3)), draper.rest_garment.vertices, atol=1e-6)
     np.testing.assert_allclose(mesh.joint_rest, rig.rest, atol=1e-6)
 
     positions = np.full(len(rig.joint_names), 0.05, dtype=np.float32)
@@ -57,7 +57,7 @@ def test_skin_refuses_what_does_not_fit(garment_model):
     from physkin_ros.messages.conversions import garment_mesh
 
     draper = Draper(garment_model, load_avatar(BUNDLED_AVATAR, garment_model.rig))
-    mesh = garment_mesh(draper, "torso", revision=3)
+    mesh = garment_mesh(draper.outfit, 0, "torso", revision=3)
     skin = GarmentSkin(mesh)
     count = 12 * len(garment_model.node_rest)
     for nodes, reason in (
@@ -68,11 +68,11 @@ def test_skin_refuses_what_does_not_fit(garment_model):
         with pytest.raises(ValueError, match=reason):
             skin.skin(nodes)
     for field, value, reason in (
-        ("vertex_count", 7, "cannot reshape"),
+        ("vertex_count", 7, "5010 vertices and 16 garment nodes"),
         ("faces", [0, 1, 10**6], "face index 1000000"),
         ("influence_nodes", [99] * len(mesh.influence_nodes), "99"),
     ):
-        wrong = garment_mesh(draper, "torso")
+        wrong = garment_mesh(draper.outfit, 0, "torso")
         setattr(wrong, field, value)
         with pytest.raises(ValueError, match=f"garment mesh 'vest'.*{reason}"):
             GarmentSkin(wrong)

@@ -6,12 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from avatar_settings import garment_settings
 
-from physkin_core import BUNDLED_AVATAR
+from physkin_core import BUNDLED_AVATAR, made_of
 from physkin_ros.node import asset_loading
-from physkin_ros.node.asset_loading import AssetError, AssetRoots, DraperLoader, Outfitting
+from physkin_ros.node.asset_loading import AssetError, AssetRoots, OutfitLoader
 
-BUNDLED = Outfitting("tshirt", precision="fp32")
+
+def load(loader, garments, body="", *, hide=True):
+    """What a loader makes of models or garments' settings."""
+    garments = [garment_settings(model=each) if isinstance(each, str) else each for each in garments]
+    return loader.load(garments, str(body), "", hide=hide)
 
 
 def test_only_below_the_roots(tmp_path):
@@ -22,25 +27,33 @@ def test_only_below_the_roots(tmp_path):
         (folder / "body.glb").write_bytes(b"x")
     (inside / "link.glb").symlink_to(outside / "body.glb")
     roots = AssetRoots([str(inside)], [str(outside / "body.glb")])
-    roots.check(str(inside / "body.glb"))
-    BUNDLED.check(roots)
-    replace(BUNDLED, body_mesh=str(BUNDLED_AVATAR)).check(roots)
+    roots.check_garment("tshirt")
+    roots.check_garment("tshirt:denim")
+    roots.check_body("", "")
+    roots.check_body(str(BUNDLED_AVATAR), str(inside / "body.glb"))
     for path in (outside / "body.glb", inside / "link.glb", inside / ".." / "outside" / "body.glb", tmp_path):
-        with pytest.raises(AssetError, match=f"outside the parameter asset_roots; allowed: {inside}"):
-            replace(BUNDLED, body_mesh=str(path)).check(roots)
-    for wrong in (replace(BUNDLED, model=str(outside / "x.safetensors")), replace(BUNDLED, body_rig="/etc/passwd")):
-        with pytest.raises(AssetError, match="outside"):
-            wrong.check(roots)
+        for check in (roots.check_body, roots.check_garment, lambda rig: roots.check_body("", rig)):
+            with pytest.raises(AssetError, match=f"outside the parameter asset_roots; allowed: {inside}"):
+                check(str(path))
     with pytest.raises(AssetError, match="no such file"):
-        roots.check(str(inside / "none.glb"))
+        roots.check_body(str(inside / "none.glb"))
+    with pytest.raises(ValueError, match="no fabric 'velvet'"):
+        roots.check_garment("tshirt:velvet")
 
 
 def test_default_roots_are_the_folders_of_the_start(tmp_path):
     """Without any file, nothing from the disk is allowed."""
     (tmp_path / "body.glb").write_bytes(b"x")
-    AssetRoots([""], ["", str(tmp_path / "other.glb")]).check(str(tmp_path / "body.glb"))
+    AssetRoots([""], ["", str(tmp_path / "other.glb")]).check_body(str(tmp_path / "body.glb"))
     with pytest.raises(AssetError, match="nothing but shipped garments and the bundled avatar"):
-        AssetRoots([""], ["", ""]).check(str(tmp_path / "body.glb"))
+        AssetRoots([""], ["", ""]).check_body(str(tmp_path / "body.glb"))
+
+
+def test_large_files_are_not_opened(tmp_path, monkeypatch):
+    monkeypatch.setattr(asset_loading, "LARGEST_ASSET", 3)
+    (tmp_path / "body.glb").write_bytes(b"1234")
+    with pytest.raises(AssetError, match="has 4 bytes; at most 3 are read"):
+        AssetRoots([str(tmp_path)], []).check_body(str(tmp_path / "body.glb"))
 
 
 def test_shipped_names_win_over_the_working_folder(tmp_path, model_path, monkeypatch):
@@ -49,61 +62,60 @@ def test_shipped_names_win_over_the_working_folder(tmp_path, model_path, monkeyp
     for name in ("tshirt", "kilt", "kilt.safetensors"):
         (tmp_path / name).write_bytes(model_path.read_bytes())
     roots = AssetRoots([str(model_path.parent)], [])
-    BUNDLED.check(roots)
-    assert DraperLoader("native").load(BUNDLED).draper.model.name == "tshirt"
+    roots.check_garment("tshirt")
+    (loaded,) = load(OutfitLoader(), ["tshirt"])
+    assert loaded.layer.name == "tshirt"
     for name in ("kilt", "kilt.safetensors", "./tshirt"):
         with pytest.raises(AssetError, match=name):
-            Outfitting(name).check(roots)
+            roots.check_garment(name)
 
 
-def test_encodings_are_kept_by_content(tmp_path, model_path):
-    """The same body under another name is known; a changed file under the same name is not. Clouds are the same."""
-    loader = DraperLoader("native")
+def test_outfits_are_kept_by_content(tmp_path, model_path):
+    """The same body under another name is another outfit of what is known of it; a changed file under the same name is
+    not what was known. Clouds are the same."""
+    loader = OutfitLoader()
     body, copy = tmp_path / "body.glb", tmp_path / "copy.glb"
     for path in (body, copy):
         path.write_bytes(BUNDLED_AVATAR.read_bytes())
-    wanted = Outfitting(str(model_path), str(body), precision="fp32")
-    first = loader.load(wanted)
-    again, renamed = loader.load(wanted), loader.load(replace(wanted, body_mesh=str(copy)))
-    assert (first.cached, again.cached, renamed.cached) == (False, True, True)
-    assert renamed.draper.avatar.source == str(copy)
-    assert first.at_rest == first.draper.at_rest and again.at_rest is renamed.at_rest is first.at_rest
-    rest = first.draper.model.rig.rest
-    np.testing.assert_array_equal(first.draper.drape(rest), renamed.draper.drape(rest))
+    (first,), (again,), (renamed,) = (load(loader, [str(model_path)], path) for path in (body, body, copy))
+    assert (first.cached, again.cached) == (False, True) and again.seconds < first.seconds
+    assert again.layer is first.layer and first.outfit.avatar.source == str(body)
+    assert renamed.outfit.avatar.source == str(copy)
+    rest = first.layer.model.rig.rest
+    np.testing.assert_array_equal(first.outfit.drape(rest), renamed.outfit.drape(rest))
     body.write_bytes(BUNDLED_AVATAR.read_bytes() + b"\0" * 4)
-    assert not loader.load(wanted).cached
+    assert not load(loader, [str(model_path)], body)[0].cached
 
 
-def test_fits_are_kept_apart(model_path):
-    """Made to measure is the default, and known as fit 1; one size is another binding."""
-    loader, wanted = DraperLoader("native"), Outfitting(str(model_path))
-    loads = [loader.load(replace(wanted, fit=fit)) for fit in (None, 1.0, 0.0, None)]
+def test_fits_and_fabrics_are_kept_apart(model_path):
+    """Made to measure is the default, and known as fit 1; one size is another binding, as is another cloth."""
+    loader = OutfitLoader()
+    loads = [load(loader, [garment_settings(model=str(model_path), fit=fit)])[0] for fit in (None, 1.0, 0.0, None)]
     assert [each.cached for each in loads] == [False, True, False, True]
-    assert [each.draper.fit for each in loads] == [1.0, 1.0, 0.0, 1.0]
-    first, _, one_size, again = (each.draper.rest_garment.vertices for each in loads)
+    assert [each.layer.fit for each in loads] == [1.0, 1.0, 0.0, 1.0]
+    first, _, one_size, again = (each.layer.rest_garment.vertices for each in loads)
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - one_size).max() > 1e-3
+    (denim,) = load(loader, [f"{model_path}:denim"])
+    assert not denim.cached and denim.layer.model.material == made_of(loads[0].layer.model, "denim").material
 
 
 def test_only_so_many_are_kept(model_path, monkeypatch):
     """The one that was used longest ago goes first."""
     monkeypatch.setattr(asset_loading, "KEPT", 1)
-    loader = DraperLoader("native")
-    one, two = Outfitting(str(model_path), precision="fp32"), BUNDLED
-    assert [loader.load(wanted).cached for wanted in (one, one, two, one)] == [False, True, False, False]
+    loader, one, two = OutfitLoader(), str(model_path), "tshirt"
+    assert [load(loader, [wanted])[0].cached for wanted in (one, one, two, one)] == [False, True, False, False]
 
 
 def test_outfits_are_kept_and_shared_by_twins():
     """What is known is put on at once, with frames of its own; order, tucks and what is hidden make another one."""
-    loader = DraperLoader("native")
-    shirt, legs = Outfitting("tshirt"), Outfitting("trousers")
-    first = loader.load_outfit([legs, shirt], hide=True)
-    again = loader.load_outfit([legs, shirt], hide=True)
+    loader, shirt = OutfitLoader(), garment_settings(model="tshirt")
+    first, again = (load(loader, ["trousers", shirt]) for _ in range(2))
     assert [each.cached for each in (*first, *again)] == [False, False, True, True]
-    assert first[0].draper.outfit is first[1].draper.outfit is not again[0].draper.outfit
-    assert again[1].draper.bound is first[1].draper.bound and again[1].seconds < first[1].seconds
-    assert [each.draper.model.name for each in first] == ["trousers", "tshirt"]
-    for others, hide in (([legs, shirt], False), ([replace(shirt, tucked=True), legs], True)):
-        assert not loader.load_outfit(others, hide=hide)[0].cached
+    assert first[0].outfit is first[1].outfit is not again[0].outfit
+    assert again[1].layer is first[1].layer and again[1].seconds < first[1].seconds
+    assert [each.layer.name for each in first] == ["trousers", "tshirt"] and [each.index for each in first] == [0, 1]
+    for others, hide in ((["trousers", shirt], False), ([replace(shirt, tucked=True), "trousers"], True)):
+        assert not load(loader, others, hide=hide)[0].cached
     with pytest.raises(ValueError, match="'trousers' is there 2 times"):
-        loader.load_outfit([legs, legs], hide=True)
+        load(loader, ["trousers", "trousers"])

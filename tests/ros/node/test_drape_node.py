@@ -16,9 +16,8 @@ from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import JointState, MultiDOFJointState  # noqa: E402
 
 from physkin_ros.messages.topics import TOPICS  # noqa: E402
-from physkin_ros.node.avatar_stream import MOST_UNKNOWN  # noqa: E402
-from physkin_ros.node.garment_stream import WornGarment  # noqa: E402
-from physkin_ros.node.orientation_source import OrientationSource  # noqa: E402
+from physkin_ros.node.avatar_stream import MOST_UNKNOWN, AvatarStream  # noqa: E402
+from physkin_ros.node.garment_stream import LayerMessages  # noqa: E402
 
 STAMPS = ((sec, 0) for sec in count(1000))  # one for each joint state whose stamp does not matter
 OWN = (
@@ -179,9 +178,15 @@ def test_gravity_can_change_while_running(peer, shared_node, draper):
 
 @pytest.fixture
 def swaying(monkeypatch):
-    """The sways that orientation sources are told."""
-    told = []
-    monkeypatch.setattr(OrientationSource, "set_sway", lambda self, sway: told.append(sway))
+    """How much garments are told to sway, and do then."""
+    told, set_sway = [], AvatarStream.set_sway
+
+    def tell(stream, sways):
+        set_sway(stream, sways)
+        assert stream.root.frame_input.sways == sways
+        told.append(sways)
+
+    monkeypatch.setattr(AvatarStream, "set_sway", tell)
     return told
 
 
@@ -236,7 +241,7 @@ def test_what_fails_in_publishing_ends_nothing(peer, shared_node, draper, monkey
     peer.until(lambda: peer.reports, "diagnostics")
     before = int(peer.latest("joint states rejected"))
     with monkeypatch.context() as patch:
-        patch.setattr(WornGarment, "publish", fail)
+        patch.setattr(LayerMessages, "publish", fail)
         peer.send(names, rest, next(STAMPS))
         peer.until_told("joint states rejected", str(before + 1))
     assert peer.latest("last rejection") == "splats are not finite"

@@ -8,7 +8,6 @@ import pytest
 from physkin_ros.node.interpolation import PoseInterpolator
 
 MS = 1_000_000
-ONE = np.ones((1, 1), dtype=np.float32)
 
 
 def down(x, z, twist=0.0):
@@ -21,33 +20,40 @@ def poses():
 
 
 def sample(poses, now):
-    pose, gravity, load = (np.empty(size, dtype=np.float32) for size in (2, (1, 4), (1, 1)))
-    return poses.sample(now, pose, gravity, load), pose, gravity[0], load[0, 0]
+    pose, gravity = (np.empty(size, dtype=np.float32) for size in (2, (1, 4)))
+    return poses.sample(now, pose, gravity), pose, gravity[0]
 
 
 def test_between_two(poses):
-    """One joint state late, pose, stamp, direction of gravity, twist and load on the way; then it stops at the last."""
-    poses.push(np.float32([0, 0]), down(0, -1), np.float32([[2]]), 1000, 0)
-    poses.push(np.float32([4, -8]), down(-1, 0, 0.4), np.float32([[0]]), 2000, 100 * MS)
+    """One joint state late, pose, stamp, gravity and twist on the way; then it stops at the last."""
+    poses.push(np.float32([0, 0]), down(0, -2), 1000, 0)
+    poses.push(np.float32([4, -8]), down(-1, 0, 0.4), 2000, 100 * MS)
     for now, share in ((100, 0.0), (125, 0.25), (150, 0.5), (200, 1.0)):
-        stamp, pose, gravity, load = sample(poses, now * MS)
+        stamp, pose, gravity = sample(poses, now * MS)
         assert stamp == 1000 + round(1000 * share)
         np.testing.assert_allclose(pose, [4 * share, -8 * share], atol=1e-6)
-        assert np.linalg.norm(gravity[:3]) == pytest.approx(1) and gravity[3] == pytest.approx(0.4 * share)
-        assert load == pytest.approx(2 - 2 * share)
+        assert np.linalg.norm(gravity[:3]) == pytest.approx(2 - share) and gravity[3] == pytest.approx(0.4 * share)
         np.testing.assert_allclose(gravity[0] * (1 - share), gravity[2] * share, atol=1e-6)
     assert sample(poses, 201 * MS)[0] is None
 
 
 def test_after_a_gap_it_starts_anew(poses):
     """A tracker that lost the body for a second does not sweep it through the room."""
-    poses.push(np.float32([0, 0]), down(0, -1), ONE, 1000, 0)
-    poses.push(np.float32([4, 4]), down(0, -1), ONE, 2000, 1000 * MS)
+    poses.push(np.float32([0, 0]), down(0, -1), 1000, 0)
+    poses.push(np.float32([4, 4]), down(0, -1), 2000, 1000 * MS)
     assert sample(poses, 1001 * MS)[1].tolist() == [4, 4]
+
+
+def test_without_weight_the_last_direction_stays(poses):
+    """From gravity to free fall it shrinks along its direction."""
+    poses.push(np.float32([0, 0]), down(-1, 0), 0, 0)
+    poses.push(np.float32([0, 0]), down(0, 0), 10, 10 * MS)
+    for now, share in ((15, 0.5), (20, 1.0)):
+        assert sample(poses, now * MS)[2].tolist() == [share - 1, 0, 0, 0]
 
 
 def test_opposite_directions_of_gravity(poses):
     """Half way there is none: the later one is taken."""
-    poses.push(np.float32([0, 0]), down(0, -1), ONE, 0, 0)
-    poses.push(np.float32([0, 0]), down(0, 1), ONE, 10, 10 * MS)
+    poses.push(np.float32([0, 0]), down(0, -1), 0, 0)
+    poses.push(np.float32([0, 0]), down(0, 1), 10, 10 * MS)
     assert sample(poses, 15 * MS)[2].tolist() == [0, 0, 1, 0]

@@ -100,9 +100,9 @@ def test_the_mesh_says_what_is_given(site, models, avatar):
     for k, garment in enumerate((LEGS, TOP)):
         mesh = site.meshes[garment]
         assert (mesh.layer, mesh.layers, mesh.moved) == (k, 2, k == 1)
-        assert mesh.model_vertex_count == len(outfit.models[k].garment.vertices)
-        np.testing.assert_array_equal(mesh.visible, outfit.visible[k])
-        np.testing.assert_array_equal(np.reshape(mesh.faces, (-1, 3)), outfit.faces[k])
+        assert mesh.model_vertex_count == len(outfit.layers[k].model.garment.vertices)
+        np.testing.assert_array_equal(mesh.visible, outfit.layers[k].visible)
+        np.testing.assert_array_equal(np.reshape(mesh.faces, (-1, 3)), outfit.layers[k].faces)
         assert mesh.vertex_count == len(mesh.visible) == len(mesh.rest_vertices) // 3
     assert len(site.meshes[LEGS].visible) < site.meshes[LEGS].model_vertex_count
     np.testing.assert_array_equal(site.meshes[LEGS].body_covered, outfit.body_mask)
@@ -110,12 +110,11 @@ def test_the_mesh_says_what_is_given(site, models, avatar):
     given = site.meshes[HOSE]
     assert given.vertex_count == given.model_vertex_count == len(given.visible)
     site.until(lambda: TOP in site.statuses, "diagnostics")
-    hidden = int(outfit.hidden[0].sum())
     assert site.statuses[TOP]["layer"] == "2 of 2 from the skin outwards"
-    left_out = len(outfit.hidden[0]) - outfit.vertex_counts[0]
-    assert (
-        0 < left_out <= hidden and site.statuses[LEGS]["vertices left out"] == f"{left_out} of {len(outfit.hidden[0])}"
-    )
+    legs = outfit.layers[0]
+    left_out = len(legs.hidden) - legs.vertex_count
+    assert 0 < left_out <= legs.hidden.sum()
+    assert site.statuses[LEGS]["vertices left out"] == f"{left_out} of {len(legs.hidden)}"
 
 
 def test_a_tucked_shirt_with_separated_limbs(site, models, avatar, motion):
@@ -186,8 +185,9 @@ def test_swapping_one_garment_loses_no_cloud(site, models, avatar, motion):
     assert answer.success and answer.seconds > 0, answer.message
     outfit = Outfit([models["skirt"], models["tshirt"]], avatar, precision="fp32")
     counts = [tuple(len(site.clouds[g, s][0]) for g in (LEGS, TOP)) for s in stamps]
-    assert set(counts) == {rest, outfit.vertex_counts} and counts[0] == rest and counts[-1] == outfit.vertex_counts
-    assert counts == sorted(counts, key=lambda each: each == outfit.vertex_counts)
+    other = tuple(layer.vertex_count for layer in outfit.layers)
+    assert set(counts) == {rest, other} and counts[0] == rest and counts[-1] == other
+    assert counts == sorted(counts, key=lambda each: each == other)
     site.until(lambda: site.meshes[LEGS].revision == revisions[0] + 1, "mesh of the skirt")
     site.until(lambda: site.meshes[TOP].revision == revisions[1] + 1, "mesh of the shirt over it")
     value = site.call(GetParameters, "get_parameters", names=["avatars.ann.garments.zlegs.model"]).values[0]

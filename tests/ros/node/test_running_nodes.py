@@ -12,7 +12,7 @@ import pytest
 
 from physkin_core import BUNDLED_AVATAR, Draper, SplatDraper, Splats, load_avatar, load_garment_model
 from physkin_core.model.model_file import MODELS_PATH
-from physkin_core.points.point_files import read_points
+from physkin_core.points.point_files import read_splat_file
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
@@ -33,7 +33,7 @@ from physkin_ros.joints.ros4hri import Ros4hriNaming  # noqa: E402
 from physkin_ros.messages.interfaces import missing_interfaces  # noqa: E402
 from physkin_ros.messages.splat_cloud import read_splats  # noqa: E402
 from physkin_ros.node import garment_stream  # noqa: E402
-from physkin_ros.node.asset_loading import DraperLoader  # noqa: E402
+from physkin_ros.node.asset_loading import OutfitLoader  # noqa: E402
 
 STAMPS = ((sec, 0) for sec in count(1000))  # one for each joint state whose stamp does not matter
 
@@ -304,8 +304,8 @@ def test_splats(peer, running_node, leaning_model_path, leaning_draper, tmp_path
         peer.until(lambda: heard, "draped splats")
     (message, *_), (look, *_) = heard, looks
     assert (message.header.stamp.sec, message.header.stamp.nanosec, message.header.frame_id) == (7, 8, "hips")
-    file, splats = read_points(path), read_splats(message)
-    expected = SplatDraper(model, leaning_draper.avatar, file.splats, binding=leaning_draper.bound).drape(rest, tilted)
+    file, splats = read_splat_file(path), read_splats(message)
+    expected = SplatDraper(model, leaning_draper.avatar, file.splats).drape(rest, tilted)
     np.testing.assert_allclose(splats.centres, expected.centres, atol=1e-6)
     np.testing.assert_allclose(splats.centres, cloud[::5, :3], atol=2e-3)
     np.testing.assert_allclose(splats.scales, expected.scales, rtol=1e-3)
@@ -322,14 +322,14 @@ def test_splats_leave_half_of_the_time_to_clouds(draper, monkeypatch):
     points = draper.model.garment.vertices[:4]
     splats = Splats(points, np.tile([0.0, 0, 0, 1], (4, 1)), np.full((4, 3), 0.004))
     stream = SimpleNamespace(frame_id="root", show_splats=lambda: splats)
-    worn, published = garment_stream.WornSplats(stream, draper), []
+    messages, published = garment_stream.SplatMessages(stream, draper.layer), []
     draper.drape(draper.model.rig.rest)
     publisher = SimpleNamespace(handle=SimpleNamespace(publish_raw=published.append))
     times = iter([100, 130, 140, 159, 160, 161, 161, 162])  # a frame reads the clock at its end, too
     monkeypatch.setattr(garment_stream, "perf_counter_ns", lambda: next(times))
     counts = []
     for _ in range(5):
-        worn.publish(publisher, draper.node_transforms(), 1, 2)
+        messages.publish(publisher, draper.node_transforms(), 1, 2)
         counts.append(len(published))
     assert counts == [1, 1, 1, 2, 2]
 
@@ -373,20 +373,21 @@ def test_interfaces_are_told_from_none(monkeypatch):
 def test_a_change_of_mind_counts(peer, running_node, model_path, draper, monkeypatch, capfd):
     """A model that is set and set back while it loads is not worn; one that there is not is refused at once."""
     started, released, finished = Event(), Event(), Event()
-    load = DraperLoader.load
+    load = OutfitLoader.load
 
-    def slow(self, wanted):
-        if wanted.model == "tshirt":
+    def slow(self, garments, *body, **settings):
+        awaited = garments[0].model == "tshirt"
+        if awaited:
             started.set()
             assert released.wait(20)
-        loaded = load(self, wanted)
-        if wanted.model == "tshirt":
+        loaded = load(self, garments, *body, **settings)
+        if awaited:
             finished.set()
         return loaded
 
     names, rest = draper.joint_names, draper.model.rig.rest
     with running_node({"model": str(model_path)}) as node:
-        monkeypatch.setattr(DraperLoader, "load", slow)
+        monkeypatch.setattr(OutfitLoader, "load", slow)
         for model in ("tshirt", str(model_path)):
             (result,) = node.set_parameters([Parameter("model", value=model)])
             assert result.successful and started.wait(20)
@@ -405,13 +406,13 @@ def test_a_change_of_mind_counts(peer, running_node, model_path, draper, monkeyp
 def test_nothing_comes_in_before_the_garment_is_there(peer, running_node, model_path, monkeypatch):
     """Or joint states would be lost without being counted."""
     subscribed = []
-    load = DraperLoader.load
+    load = OutfitLoader.load
 
-    def watched(self, wanted):
+    def watched(*given, **settings):
         subscribed.append(peer.node.count_subscribers("joint_states"))
-        return load(self, wanted)
+        return load(*given, **settings)
 
-    monkeypatch.setattr(DraperLoader, "load", watched)
+    monkeypatch.setattr(OutfitLoader, "load", watched)
     with running_node({"model": str(model_path)}):
         assert subscribed == [0] and peer.node.count_subscribers("joint_states") == 1
 

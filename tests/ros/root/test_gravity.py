@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from physkin_ros.root.gravity import (
     FRESH,
-    MOST_DIRECTIONS,
-    EffectiveGravity,
-    GravityByStamp,
+    MOST_KEPT,
+    FreshByStamp,
+    LatestByStamp,
     gravity_from_imu,
     gravity_from_quaternion,
     gravity_from_tilt,
@@ -67,36 +67,36 @@ SECOND = 1_000_000_000
 
 def test_directions_pair_by_stamp():
     """Whatever the order they come in; where no stamps tell, the last that came; a restarted clock starts anew."""
-    gravity = GravityByStamp(np.float32([9, 9, 9]))
-    at = lambda seconds: gravity.at(round(seconds * SECOND))[0]  # noqa: E731
+    kept = LatestByStamp(9)
+    at = lambda seconds: kept.at(round(seconds * SECOND))  # noqa: E731
     assert at(5) == 9
-    for direction, seconds in ((1, 10), (3, 10.2), (2, 10.1)):
-        gravity.add(np.float32([direction, 0, 0]), round(seconds * SECOND))
+    for entry, seconds in ((1, 10), (3, 10.2), (2, 10.1)):
+        kept.add(entry, round(seconds * SECOND))
     asked = {10: 1, 10.15: 2, 10.2: 3, 99: 3, 9.5: 1, 8: 2, 0: 2}
     assert {seconds: at(seconds) for seconds in asked} == asked
-    gravity.add(np.float32([4, 0, 0]), 0)
+    kept.add(4, 0)
     assert at(10.05) == 4
-    for direction, seconds in ((5, 2_000_000_000), (6, 20)):
-        gravity.add(np.float32([direction, 0, 0]), seconds * SECOND)
+    for entry, seconds in ((5, 2_000_000_000), (6, 20)):
+        kept.add(entry, seconds * SECOND)
     assert at(20.01) == at(3e9) == 6
 
 
-def test_only_so_many_directions_are_kept():
+def test_only_so_many_are_kept():
     """The earliest go."""
-    gravity = GravityByStamp(np.zeros(3))
-    for index in range(2 * MOST_DIRECTIONS):
-        gravity.add(np.full(3, index), SECOND + index)
-    assert gravity.at(SECOND + 5)[0] == MOST_DIRECTIONS
+    kept = LatestByStamp(-1)
+    for index in range(2 * MOST_KEPT):
+        kept.add(index, SECOND + index)
+    assert kept.at(SECOND + 5) == MOST_KEPT
 
 
-def test_effective_gravity_counts_while_it_is_fresh():
+def test_what_is_fresh_counts():
     """By when it came, whatever its stamps; paired by stamps as directions are, but never with what was stale."""
-    felt = EffectiveGravity()
-    assert felt.at(5, 0) is None
-    for size, seconds in ((1, 10), (2, 10.2)):
-        felt.add(np.float32([size, 0, 0]), round(seconds * SECOND), 1000)
-    for stamp, size in ((10.1, 1), (10.2, 2), (0, 2)):
-        assert felt.at(round(stamp * SECOND), 1000 + FRESH)[0] == size
-        assert felt.at(round(stamp * SECOND), 1001 + FRESH) is None
-    felt.add(np.float32([3, 0, 0]), 12 * SECOND, 2000 + FRESH)
-    assert felt.at(round(11.5 * SECOND), 2000 + FRESH)[0] == 3
+    kept = FreshByStamp()
+    assert kept.at(5, 0) is None
+    for entry, seconds in ((1, 10), (2, 10.2)):
+        kept.add(entry, round(seconds * SECOND), 1000)
+    for stamp, entry in ((10.1, 1), (10.2, 2), (0, 2)):
+        assert kept.at(round(stamp * SECOND), 1000 + FRESH) == entry
+        assert kept.at(round(stamp * SECOND), 1001 + FRESH) is None
+    kept.add(3, 12 * SECOND, 2000 + FRESH)
+    assert kept.at(round(11.5 * SECOND), 2000 + FRESH) == 3

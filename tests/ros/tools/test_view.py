@@ -81,7 +81,7 @@ def test_clouds_and_mesh_are_drawn(listening):
         until(lambda: seen() and seen().points is not None and body.positions, send)
         drawn.tick(1.0)
         assert not isinstance(drawn._cloths["/drape_node/garment"][0], SurfaceNode)
-        topics["mesh"].publish(garment_mesh(draper, "root"))
+        topics["mesh"].publish(garment_mesh(draper.outfit, 0, "root"))
         until(lambda: seen().faces is not None, send)
         seen().clouds += 1
         drawn.tick(0.1)
