@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from physkin_core.runtime.native_evaluator import NativeEvaluator
 from scipy.spatial import cKDTree
 
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
@@ -23,6 +22,7 @@ from physkin_core.model.skinning import skinning_matrices
 from physkin_core.motion.loading import load_motion
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.evaluator import Skinner
 from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_core.separation.collision_shape import CollisionShape, fit_collision_shape
 from physkin_core.separation.limb_separator import SeparationSettings
@@ -70,7 +70,7 @@ class SkinningCase:
 def skinning_case(bound: BoundGarment, node_transforms: np.ndarray) -> SkinningCase:
     """The skinning of a bound garment by given garment nodes (m, 3, 4): positions and unit normals."""
     expected = np.empty((len(bound.vertices), 6), dtype=np.float32)
-    NativeEvaluator(bound).skin(node_transforms, expected)
+    Skinner(bound).skin(node_transforms, expected)
     matrices = skinning_matrices(node_transforms.astype(np.float64), bound.node_rest).astype(np.float32)
     return SkinningCase(bound, matrices, expected)
 

@@ -17,8 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physkin_core.model.garment import vertex_normals
-from physkin_core.model.surface_paths import mesh_edges
-from physkin_core.outfit.coverage import hem_distances
+from physkin_core.model.surface_paths import mesh_edges, openings, path_lengths
 from physkin_core.quality import closest_points, signed_distance
 
 __all__ = ["CAMERAS", "HEM", "LayerPokes", "Surface", "View", "bind_layer_pokes", "camera_rays", "holes", "look"]
@@ -70,7 +69,7 @@ def bind_layer_pokes(inner: np.ndarray, outer: np.ndarray, faces: tuple[np.ndarr
     """Find what is covered. inner (n, 3) and outer (r, 3): whole layers at rest, as they are worn; faces (f, 3) of
     these, facing outwards."""
     own, over = (vertex_normals(vertices, of) for vertices, of in zip((inner, outer), faces))
-    hems = hem_distances(outer, faces[1])
+    hems = path_lengths(outer, faces[1], np.concatenate([np.empty(0, dtype=int), *openings(outer, faces[1])]))
     hem, alike = _closest(inner, own, outer, faces[1], hems)
     outside = signed_distance(inner, outer, faces[1])
     covered = alike & (hem > HEM) & (np.abs(outside) < BELONGS) & (outside < STANDS_OUT)
