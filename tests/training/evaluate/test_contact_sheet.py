@@ -13,8 +13,9 @@ from training.small_runs import waist_band_model
 from physkin_core import Draper, avatar_from_body, cli, load_body_model, load_motion, quality
 from physkin_core import save_garment_model as save
 from physkin_training.evaluate import contact_sheet
-from physkin_training.evaluate.contact_sheet import chosen_bodies, chosen_poses, drape_all
+from physkin_training.evaluate.contact_sheet import BODIES, chosen_poses, drape_all
 from physkin_training.evaluate.evaluate import Evaluation
+from physkin_training.sampling.chosen_bodies import bodies_by_girth
 
 BODY = load_body_model()
 
@@ -26,8 +27,7 @@ def model():
 
 def test_bodies_are_the_leanest_the_middle_and_the_heaviest():
     """By girth at the height of the root, which was not what they were chosen by."""
-    bodies = chosen_bodies(BODY)
-    assert list(bodies) == ["thin", "average", "heavy"]
+    bodies = bodies_by_girth(BODY, len(BODIES))
 
     def depth(index):
         vertices = BODY.vertices(BODY.held_out_bodies[index])
@@ -35,7 +35,7 @@ def test_bodies_are_the_leanest_the_middle_and_the_heaviest():
         return np.ptp(waist[:, 0])
 
     depths = np.array([depth(index) for index in range(len(BODY.held_out_bodies))])
-    ranks = [(depths < depths[index]).mean() for index in bodies.values()]
+    ranks = [(depths < depths[index]).mean() for index in bodies]
     assert ranks[0] < 0.15 and 0.25 < ranks[1] < 0.75 and ranks[2] > 0.85
 
 
@@ -105,10 +105,11 @@ def test_the_command_draws_every_cell(model, tmp_path, monkeypatch, capsys):
 
     image = pytest.importorskip("PIL.Image", reason="needs pillow: pip install 'physkin[view]'")
     monkeypatch.setattr(contact_sheet, "render", render)
+    monkeypatch.setattr(contact_sheet, "WIDTH", 40)
     monkeypatch.setattr(Evaluation, "full_space_minimum", lambda _, start, batch: SimpleNamespace(vertices=start))
     save(model, tmp_path / "band.safetensors")
     arguments = ["contact-sheet", str(tmp_path / "band.safetensors"), "-o", str(tmp_path / "sheet.png")]
-    options = ["--poses", "2", "--width", "40", "--minimum", "--device", "cpu"]
+    options = ["--poses", "2", "--minimum", "--device", "cpu"]
     assert cli.main([*arguments, *options]) == 0
     sheet = np.asarray(image.open(tmp_path / "sheet.png"))
     assert sheet.shape[1] == 4 + 12 * 44
@@ -124,7 +125,6 @@ def test_the_command_draws_every_cell(model, tmp_path, monkeypatch, capsys):
     [
         (["-o", "{tmp}/none/sheet.png"], "none/sheet.png"),
         (["-o", "{tmp}/sheet.jpg"], "sheet.jpg"),
-        (["-o", "{tmp}/sheet.png", "--width", "0"], "width .* 0"),
         (["-o", "{tmp}/sheet.png", "--poses", "0"], "poses .* 0"),
     ],
 )
