@@ -37,7 +37,6 @@ LOST = 0.2
 POTENTIAL_EVERY = 24
 STANDING = 3.0
 """Seconds of standing after the stop, at whose end cloth should hang still."""
-TIMED = 400
 STREAMS = 5
 
 
@@ -89,7 +88,7 @@ def evaluate_dynamics(model: GarmentModel, references: Sequence[Reference], devi
     `stop` and `turn` with overshoot and settling, `turn` also with twist and flare, `swings` with amplitude and phase
     by frequency, each `simulated`, `quasi_static` and `swaying`; `rate_divergence_mm`, `drop_divergence_mm`;
     `strain_percent`, `added_strain_points`; `still_mm`, how far cloth still moves in a frame three seconds after a
-    stop; `added_us` to a call of `Draper.drape`, and `added_step_us` to a step of the evaluator alone.
+    stop; `added_step_us` that time and root add to a step of the evaluator.
     """
     body_model = load_body_model()
     drapers = {
@@ -110,7 +109,6 @@ def evaluate_dynamics(model: GarmentModel, references: Sequence[Reference], devi
     total |= _swinging(rows)
     middle = rows[len(references[0].bodies) // 2].draper
     total |= _robustness(middle, [reference.motion for reference in references])
-    total["added_us"] = _added_to_drape(middle, references[0].motion)
     total["added_step_us"] = _added_to_step(middle, references[0].motion)
     counts = {"scenes": len(scenes), "sequences": len(rows), "frames": sum(len(row.simulated) for row in rows)}
     return {"dynamic": total, "scenes": scenes, "counts": counts}
@@ -222,25 +220,9 @@ def _robustness(draper: Draper, motions: list[Motion]) -> dict[str, float]:
     }
 
 
-def _added_to_drape(draper: Draper, motion: Motion) -> float:
-    """Median processor time [us] that time and root add to a call of `Draper.drape`, both measured in turns."""
-    q, roots, down = motion.positions_for(draper.model.rig), motion_roots(motion), motion.gravity
-    out = np.empty((draper.vertex_count, 6), dtype=np.float32)
-    differences = []
-    draper.reset()
-    for k in range(TIMED):
-        frame = k % motion.frame_count
-        begin = time.process_time_ns()
-        draper.drape(q[frame], down[frame], out=out)
-        middle = time.process_time_ns()
-        draper.drape(q[frame], time=k / motion.rate_hz, root=roots[frame], out=out)
-        differences.append(time.process_time_ns() - middle - (middle - begin))
-    return float(np.median(differences)) / 1000
-
-
 def _added_to_step(draper: Draper, motion: Motion) -> float:
-    """The same [us] of a step of the evaluator alone, as the ROS node and hosts in C take it: streams of frames in
-    turns, so that caches are warm."""
+    """Median processor time [us] that time and root add to a step of the evaluator, as the ROS node and hosts in C take
+    it: streams of frames in turns, so that caches are warm."""
     q, roots, down = motion.positions_for(draper.model.rig), motion_roots(motion), motion.gravity
     still, moving = [], []
     for rows, given in ((still, [{"gravity": each} for each in down]), (moving, [{"root": each} for each in roots])):
