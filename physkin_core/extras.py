@@ -8,7 +8,7 @@ EXTRAS = {
     "compressed": ("DracoPy", "meshopt"),
     "ros": ("rclpy", "sensor_msgs", "diagnostic_msgs", "rcl_interfaces"),
     "replay": ("rosbags", "apsw", "tabulate"),
-    "training": ("torch", "warp", "potpourri3d", "pydantic", "rich", "tensorboard", "physkin_training"),
+    "training": ("torch", "warp", "potpourri3d", "pydantic", "tensorboard", "physkin_training"),
     "catalogue": ("ray",),
     "usd": ("pxr",),
     "view": ("mitsuba", "PIL", "matplotlib", "av", "viser"),

@@ -21,22 +21,16 @@ def main(argv: Sequence[str]) -> int:
     """Run the benchmark, print Markdown tables, write the keys of docs/notebook/benchmark.md if asked to."""
     parser = command_parser()
     parser.prog = "python -m physkin_bench"
-    parser.add_argument(
-        "--cold-rounds", type=int, default=30, metavar="N", help="with cold caches (default %(default)s)"
-    )
-    parser.add_argument("--no-peers", action="store_true", help="leave out other engines")
     parser.add_argument("--no-paper", action="store_true", help="leave out the paper's sizes")
     options = parser.parse_args(argv)
-    if min(options.rounds, options.cold_rounds) < 1:
-        parser.error(f"rounds must be 1 or more, got {options.rounds} and {options.cold_rounds} with cold caches")
+    if options.rounds < 1:
+        parser.error(f"rounds must be 1 or more, got {options.rounds}")
     keys = {"machine": machine_line(), "versions": versions_line(*PACKAGES)}
     print("\n".join(f"{key}: {value}" for key, value in keys.items()) + "\n")
     cases = [("", lambda: model_case(options.model, fit=options.fit))]
     cases += [] if options.no_paper else [("paper.", paper_case)]
     for prefix, make in cases:
-        figures = measure_case(
-            make(), rounds=options.rounds, cold_rounds=options.cold_rounds, peers=not options.no_peers
-        )
+        figures = measure_case(make(), rounds=options.rounds)
         keys |= {prefix + key: value for key, value in figures.items()}
         print(case_tables(figures) + "\n", flush=True)
     if options.json is not None:

@@ -21,6 +21,8 @@ __all__ = ["measure_case"]
 
 BYTES_A_WEIGHT = {"fp32": 4, "bf16": 2, "int8": 1}
 """Bytes of a network weight; in int8 the first layers of both networks have as many as in bf16."""
+COLD_ROUNDS = 30
+"""Most turns with cold caches, which take long."""
 MULTIPLY_ADD_ROUNDS = 5000
 BLOCK = 16
 """Vertices that share one union of garment nodes."""
@@ -28,8 +30,8 @@ MULTIPLY_ADDS_A_VERTEX = 36
 """That apply a blended matrix to a position and its cofactors to a normal; blending costs 12 a garment node."""
 
 
-def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: bool = True) -> dict[str, object]:
-    """Check and time everything there is for a case. rounds, cold_rounds: turns that each thing to time gets.
+def measure_case(case: BenchmarkCase, *, rounds: int) -> dict[str, object]:
+    """Check and time everything there is for a case. rounds: turns that each thing to time gets.
 
     Returns the keys of docs/notebook/benchmark.md, of which times are microseconds.
     """
@@ -50,7 +52,7 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
     skinning = skinning_case(bound, evaluators["fp32"].node_transforms())
     missing = {}
     for kind, engines, task in (("networks", NETWORK_PEERS, networks), ("skinning", SKINNING_PEERS, skinning)):
-        built, left_out = prepare_peers(engines if peers else (), task, task.expected)
+        built, left_out = prepare_peers(engines, task, task.expected)
         calls |= {f"peers.{kind}.{name}": call for name, call in built.items()}
         missing |= {f"{kind}.{name}": reason for name, reason in left_out.items()}
     first_layers = bound.pose_layers[0][0].size + bound.deformer_layers[0][0].size
@@ -63,7 +65,7 @@ def measure_case(case: BenchmarkCase, *, rounds: int, cold_rounds: int, peers: b
     filler = np.zeros(128 << 17)  # four times what last-level caches usually hold for a core
     flush = partial(np.add, filler, 1, out=filler)
     limits = {name: timings.pop(name) for name in probes}
-    timings |= time_in_turns(cold, rounds=cold_rounds, repeats=1, before_each=flush)
+    timings |= time_in_turns(cold, rounds=min(rounds, COLD_ROUNDS), repeats=1, before_each=flush)
 
     figures: dict[str, object] = {"model": case.name, "vertices": len(bound.vertices)}
     figures["network_weights"] = networks.weight_count

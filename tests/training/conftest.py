@@ -56,6 +56,18 @@ def rough_minima(monkeypatch):
 
 
 @pytest.fixture
+def no_pictures(monkeypatch):
+    """As without the [view] extra."""
+    from physkin_core.picture import PictureError
+    from physkin_training.fit_garment import report
+
+    def render(*_, **__):
+        raise PictureError("none")
+
+    monkeypatch.setattr(report, "render", render)
+
+
+@pytest.fixture
 def unfitted_normals(monkeypatch):
     """Export with the mesh's own normals, which saves a second."""
     from physkin_core.model.garment import vertex_normals

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from tabulate import tabulate
 
 from physkin_bench.cases import model_case
-from physkin_core.bench import time_in_turns
+from physkin_core.bench import STAGES, bound_frame, time_in_turns
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
@@ -30,7 +30,7 @@ from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs
 __all__ = ["frame_times", "write_report"]
 
 CPU = torch.device("cpu")
-ROUNDS = 60
+ROUNDS, TIMED = 60, ("frame", "networks", "skinning")
 PAPER = {
     "nodes32-fixed": "7.010 / 8.091 / 0.316",
     "nodes64-fixed": "5.817 / 6.103 / 0.207",
@@ -97,20 +97,15 @@ def write_report(folder: Path) -> Path:
 
 def frame_times(models: Mapping[str, Path]) -> dict[str, dict[str, float]]:
     """Median microseconds of a `frame`, its `networks` and its `skinning` on one core of this machine, in turns."""
-    steps, calls = {}, {}
+    calls = {}
     for name, path in models.items():
         case = model_case(path)
         middle = len(case.joint_positions) // 2
-        arrays = case.joint_positions[middle].copy(), case.inputs[middle].copy()
         evaluator = Evaluator([case.bound], precision="fp32")
-        steps[name] = evaluator.bind_frame(*arrays, [np.empty((len(case.bound.vertices), 6), dtype=np.float32)])
-        steps[name].step()
-        stages = {"frame": steps[name].step, "networks": steps[name].run_networks, "skinning": steps[name].skin}
-        calls |= {f"{name} {stage}": call for stage, call in stages.items()}
+        frame = bound_frame(evaluator, case.bound, case.joint_positions[middle], case.inputs[middle].copy())
+        calls |= {(name, stage): getattr(frame, STAGES[stage]) for stage in TIMED}
     timings = time_in_turns(calls, rounds=ROUNDS)
-    return {
-        name: {stage: timings[f"{name} {stage}"].p50 for stage in ("frame", "networks", "skinning")} for name in models
-    }
+    return {name: {stage: timings[name, stage].p50 for stage in TIMED} for name in models}
 
 
 def _table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:

@@ -26,14 +26,21 @@ from physkin_studies.supervised import SupervisedTrainer, simulate_drapes
 from physkin_training.config import TrainingConfig, load_config
 from physkin_training.devices import resolve_device
 from physkin_training.evaluate.evaluate import Evaluation
-from physkin_training.networks.export import model_from_drape, store_checked
+from physkin_training.networks.export import ExportError
+from physkin_training.train.train import export
 from physkin_training.train.trainer import Trainer, TrainingDiverged
 
-__all__ = ["BASE", "ROWS", "Row", "RowOptions", "finished_figures", "model_path", "run_row"]
+__all__ = ["BASE", "ROWS", "Row", "finished_figures", "model_path", "run_row"]
 
 log = logging.getLogger(__name__)
 BASE = "nodes128"
 """The row that all others are compared with."""
+CONFIG = Path(__file__).parents[1] / "configs" / "tshirt.toml"
+"""The configuration that rows change."""
+BODIES, POSES = 16, 64
+"""Held-out bodies, and uniform poses of each, to measure on."""
+DRAPES, DRAPE_BATCH = 1000, 128
+"""How many drapes are simulated for the supervised row, and how many at once."""
 CURVE_POINTS, CURVE_SHARE = 24, 0.02
 """Points of a row's curve, and the share of its time that measuring them may take."""
 
@@ -50,25 +57,6 @@ class Row:
     bodies: Callable[[], BodyModel] = load_body_model
 
 
-@dataclass(frozen=True)
-class RowOptions:
-    """minutes of training. bodies, poses: held-out bodies and uniform poses of each to measure on. drapes, drape_batch:
-    how many to simulate for the supervised row, and how many at once."""
-
-    minutes: float
-    bodies: int = 16
-    poses: int = 64
-    drapes: int = 1000
-    drape_batch: int = 128
-
-    def __post_init__(self) -> None:
-        if not 0 < self.minutes < float("inf"):
-            raise ValueError(f"minutes must be above 0 and finite, got {self.minutes}")
-        for name in ("bodies", "poses", "drapes", "drape_batch"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-
-
 def _nodes(count: int, *, optimised: bool) -> Callable[[TrainingConfig], TrainingConfig]:
     def change(config: TrainingConfig) -> TrainingConfig:
         optimisation = config.optimisation if optimised else replace(config.optimisation, skinning_rate=0.0)
@@ -82,14 +70,6 @@ def _fantastical(config: TrainingConfig) -> TrainingConfig:
     return replace(config, train_bodies=min(config.train_bodies, most))
 
 
-def _seed(seed: int) -> Callable[[TrainingConfig], TrainingConfig]:
-    return lambda config: replace(config, seed=seed)
-
-
-def _as_it_is(config: TrainingConfig) -> TrainingConfig:
-    return config
-
-
 ROWS = {
     "nodes32-fixed": Row("32 nodes, fixed", _nodes(32, optimised=False)),
     "nodes64-fixed": Row("64 nodes, fixed", _nodes(64, optimised=False)),
@@ -97,10 +77,10 @@ ROWS = {
     "nodes64": Row("64 nodes", _nodes(64, optimised=True)),
     BASE: Row("128 nodes", _nodes(128, optimised=True), on_fantastical=True),
     "nodes256": Row("256 nodes", _nodes(256, optimised=True)),
-    "supervised": Row("supervised", _as_it_is, supervised=True),
+    "supervised": Row("supervised", lambda config: config, supervised=True),
     "fantastical": Row("fantastical", _fantastical, on_fantastical=True, bodies=fantastical_body_model),
-    "seed1": Row("128 nodes, seed 1", _seed(1)),
-    "seed2": Row("128 nodes, seed 2", _seed(2)),
+    "seed1": Row("128 nodes, seed 1", lambda config: replace(config, seed=1)),
+    "seed2": Row("128 nodes, seed 2", lambda config: replace(config, seed=2)),
 }
 
 
@@ -115,7 +95,7 @@ def finished_figures(folder: Path, name: str) -> dict | None:
     return json.loads(path.read_text()) if path.exists() else None
 
 
-def run_row(name: str, base: TrainingConfig, folder: Path, device: torch.device, options: RowOptions) -> dict:
+def run_row(name: str, base: TrainingConfig, folder: Path, device: torch.device, minutes: float) -> dict:
     """Train and measure one row into `folder`/`name`. Returns its figures.
 
     Raises ValueError for impossible configurations, TrainingDiverged when training does.
@@ -124,11 +104,12 @@ def run_row(name: str, base: TrainingConfig, folder: Path, device: torch.device,
     config = replace(row.change(ROWS[BASE].change(base)), name=name)
     own.mkdir(parents=True, exist_ok=True)
     trainer = Trainer(config, device, body_model=row.bodies())
-    result: dict = {"row": name, "label": row.label, "budget_minutes": options.minutes, "device": _name_of(device)}
+    device_name = torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu"
+    result: dict = {"row": name, "label": row.label, "budget_minutes": minutes, "device": device_name}
     simulated = own / "drapes"
     if row.supervised:
         began = time.perf_counter()
-        drapes = simulate_drapes(trainer, options.drapes, simulated, batch=options.drape_batch)
+        drapes = simulate_drapes(trainer, DRAPES, simulated, batch=DRAPE_BATCH)
         trainer = SupervisedTrainer(config, device, drapes)
         result["simulated"] = {
             "drapes": drapes.converged.numel(),
@@ -136,12 +117,12 @@ def run_row(name: str, base: TrainingConfig, folder: Path, device: torch.device,
             "mean_gradient_norm_n": drapes.gradient_norm.mean().item(),
             "seconds": time.perf_counter() - began,
         }
-    result |= _train(trainer, options.minutes)
-    model = _exported(trainer, model_path(folder, name))
+    result |= _train(trainer, minutes)
+    model = export(trainer, model_path(folder, name))
     result["config"] = trainer.config.as_plain_data()
-    result["figures"] = _measured(model, device, range(options.bodies), options.poses, None)
+    result["figures"] = _measured(model, device, range(BODIES), None)
     if row.on_fantastical:
-        result["fantastical"] = _on_fantastical(model, device, options.poses)
+        result["fantastical"] = _on_fantastical(model, device)
     partial = own / "figures.partial"
     partial.write_text(json.dumps(result, indent=1))
     partial.replace(own / "figures.json")
@@ -175,61 +156,33 @@ def _train(trainer: Trainer, minutes: float) -> dict:
     }
 
 
-def _exported(trainer: Trainer, path: Path) -> GarmentModel:
-    """The model as it is stored. Raises ExportError when it drapes otherwise than the trained one."""
-    config, drape = trainer.config, trainer.best_drape()
-    model = model_from_drape(
-        drape,
-        trainer.garment,
-        trainer.rig,
-        name=config.name,
-        influences=config.garment_nodes.influences,
-        engine_influences=config.garment_nodes.engine_influences,
-        material=config.material,
-        training=config.as_plain_data(),
-    )
-    return store_checked(model, drape, path)
-
-
-def _measured(
-    model: GarmentModel, device: torch.device, bodies: range, poses: int, body_model: BodyModel | None
-) -> dict:
+def _measured(model: GarmentModel, device: torch.device, bodies: range, body_model: BodyModel | None) -> dict:
     """Figures in one size, the paper's: of the template."""
-    given = {"poses": poses, "seed": 0, "batch": 64 if device.type == "cuda" else 16, "body_model": body_model}
+    given = {"poses": POSES, "seed": 0, "batch": 64 if device.type == "cuda" else 16, "body_model": body_model}
     evaluation = Evaluation(model, device, bodies=list(bodies), fit=0.0, **given)
     return evaluation.figures(upright=True, only=("model", "skinning"))
 
 
-def _on_fantastical(model: GarmentModel, device: torch.device, poses: int) -> dict:
+def _on_fantastical(model: GarmentModel, device: torch.device) -> dict:
     body_model = fantastical_body_model()
     count = len(body_model.held_out_bodies)
     kinds = {kind: range(index, count, len(KINDS)) for index, kind in enumerate(KINDS)}
-    return {kind: _measured(model, device, bodies, poses, body_model) for kind, bodies in kinds.items()}
-
-
-def _name_of(device: torch.device) -> str:
-    return torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu"
+    return {kind: _measured(model, device, bodies, body_model) for kind, bodies in kinds.items()}
 
 
 def main(argv: list[str] | None = None) -> int:
     """Command line of one row, started by `physkin_studies.ablations`."""
     parser = argparse.ArgumentParser(prog="python -m physkin_studies.ablation_rows", description=main.__doc__)
     parser.add_argument("row", choices=tuple(ROWS))
-    parser.add_argument("--config", type=Path, required=True)
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--device", required=True)
-    parser.add_argument("--options", type=json.loads, required=True, help="RowOptions as JSON")
+    parser.add_argument("--minutes", type=float, required=True)
     arguments = parser.parse_args(argv)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     try:
-        run_row(
-            arguments.row,
-            load_config(arguments.config),
-            arguments.output,
-            resolve_device(arguments.device),
-            RowOptions(**arguments.options),
-        )
-    except (ValueError, TrainingDiverged) as error:
+        device = resolve_device(arguments.device)
+        run_row(arguments.row, load_config(CONFIG), arguments.output, device, arguments.minutes)
+    except (ValueError, TrainingDiverged, ExportError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     return 0

@@ -59,16 +59,12 @@ PLACES = {
 class Swelling:
     """Points move away from `centre` (3,) [m] by `growth` times their distance, fading as a Gaussian of `reach` [m].
 
-    No fold as long as growth is above -1 and below exp(1.5) / 2. Raises ValueError otherwise.
+    No fold as long as growth is above -1 and below exp(1.5) / 2, as in all `KINDS`.
     """
 
     centre: np.ndarray
     reach: float
     growth: float
-
-    def __post_init__(self) -> None:
-        if not -1 < self.growth < np.exp(1.5) / 2:
-            raise ValueError(f"growth {self.growth} would fold the body, allowed: -1 to {np.exp(1.5) / 2:.2f}")
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Points (..., 3) [m] moved."""

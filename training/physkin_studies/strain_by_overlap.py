@@ -34,6 +34,7 @@ __all__ = ["LIMITS", "OverlapRow", "main", "measure_strain_by_overlap"]
 LIMITS = (0.5, 2.0, 5.0)
 """Overlaps [%] at which poses are parted."""
 BODIES, POSES, BATCH = 16, 128, 16
+"""The first of the held-out adults, uniform poses of each as in `physkin evaluate`, and poses at a time."""
 FITS = (0.0, 1.0)
 """The template, and made to measure."""
 MOTION_RATE, MOTION_STRIDE = 60.0, 4
@@ -57,22 +58,16 @@ class OverlapRow:
     area_strain: float
 
 
-def measure_strain_by_overlap(model: GarmentModel, *, bodies: int = BODIES, poses: int = POSES) -> list[OverlapRow]:
-    """Drape one model and part its poses by overlap: of each fit and kind all poses first, then those between `LIMITS`.
-
-    bodies: the first of the held-out adults. poses: uniform ones a body, those of `physkin evaluate`. Raises ValueError
-    when there are not so many bodies.
-    """
+def measure_strain_by_overlap(model: GarmentModel) -> list[OverlapRow]:
+    """Drape one model and part its poses by overlap: of each fit and kind all poses, then those between `LIMITS`."""
     body_model = load_body_model()
-    if not 1 <= bodies <= len(body_model.held_out_bodies):
-        raise ValueError(f"bodies must be 1 to {len(body_model.held_out_bodies)}, got {bodies}")
     seats = SkinPoints.under(body_model.vertices(body_model.garment_body), body_model.faces, model.garment.vertices)
-    uniform = uniform_pairs(model.rig, bodies=bodies, poses=poses, seed=0, upright=True)
+    uniform = uniform_pairs(model.rig, bodies=BODIES, poses=POSES, seed=0, upright=True)
     clips = [load_motion(name).resampled(MOTION_RATE) for name in bundled_motions()]
     every = slice(None, None, MOTION_STRIDE)
     motion = [(clip.positions_for(model.rig)[every].astype(np.float32), clip.gravity[every]) for clip in clips]
     figures: dict[tuple[float, str], list[np.ndarray]] = {(fit, kind): [] for fit in FITS for kind in KINDS}
-    for body, coefficients in enumerate(body_model.held_out_bodies[:bodies]):
+    for body, coefficients in enumerate(body_model.held_out_bodies[:BODIES]):
         own = uniform.body == body
         takes = {"uniform": [(uniform.positions[own].numpy(), uniform.gravity[own].numpy())], "motion": motion}
         posed = PosedBodies(body_model, BodySet(body_model, coefficients[None], torch.device("cpu")), BATCH)
@@ -80,11 +75,18 @@ def measure_strain_by_overlap(model: GarmentModel, *, bodies: int = BODIES, pose
         avatar = avatar_from_body(body_model, coefficients)
         for fit in FITS:
             draper = Draper(model, avatar, fit=fit)
-            worn = model.garment.reshaped(draper.bound.vertices)
             for kind, take in takes.items():
                 for part, overlap in zip(take, overlaps[kind], strict=True):
-                    drapes = np.stack([draper.drape(q, g)[:, :3] for q, g in zip(*part)]).astype(np.float64)
-                    figures[fit, kind].append(np.stack([overlap, edge_strain(worn, drapes), area_strain(worn, drapes)]))
+                    drapes = np.stack(draper.layer.drape(zip(*part)))[:, :, :3].astype(np.float64)
+                    figures[fit, kind].append(
+                        np.stack(
+                            [
+                                overlap,
+                                edge_strain(draper.rest_garment, drapes),
+                                area_strain(draper.rest_garment, drapes),
+                            ]
+                        )
+                    )
     rows = []
     for (fit, kind), parts in figures.items():
         overlap, edge, area = np.concatenate(parts, axis=1)
@@ -106,13 +108,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Prints a table for each kind of pose. argv: default the command line's."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("models", nargs="*", default=shipped_models(), help="garment model files or shipped names")
-    parser.add_argument("--bodies", type=int, default=BODIES, help="held-out adults (default %(default)s)")
-    parser.add_argument("--poses", type=int, default=POSES, help="uniform poses a body (default %(default)s)")
     options = parser.parse_args(argv)
     tables: dict[str, list[list[str]]] = {kind: [] for kind in KINDS}
     for path in options.models:
         model = load_garment_model(path)
-        rows = measure_strain_by_overlap(model, bodies=options.bodies, poses=options.poses)
+        rows = measure_strain_by_overlap(model)
         for fit in FITS:
             for kind, lines in tables.items():
                 cells = [

@@ -71,7 +71,7 @@ def simulate_drapes(
     generator = torch.Generator().manual_seed(config.seed)
     order = [torch.randperm(len(trainer.bodies), generator=generator) for _ in range(-(-groups // len(trainer.bodies)))]
     body = torch.cat(order)[:groups]
-    sampler = PoseSampler.configured(config.poses, trainer.rig, torch.device("cpu"))
+    sampler = PoseSampler.of_training(trainer.rig, torch.device("cpu"))
     positions, gravity = sampler.sample(groups * per_body, 1.0, generator=generator)
     every = body.repeat_interleave(per_body)
     simulation = None

@@ -18,15 +18,12 @@ __all__ = [
     "GarmentNodeConfig",
     "NetworkConfig",
     "OptimisationConfig",
-    "PoseConfig",
     "TrainingConfig",
     "load_config",
 ]
 
 Count = Annotated[int, Field(strict=True, ge=1)]
 Real = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, gt=0)]
-"""It may be infinite."""
 Share = Annotated[float, Field(strict=True, ge=0, le=1)]
 
 STRICT = ConfigDict(extra="forbid")
@@ -40,40 +37,28 @@ class ConfigError(ValueError):
 class OptimisationConfig:
     """Steps and schedules.
 
-    minutes: if above 0, `steps` is chosen so that the run takes that long (see `Trainer.choose_steps`). samples: poses
-    a step, spread evenly over `bodies`. Learning rates decay along a cosine to `final_rate` of the start after a linear
-    warm-up over `warm_up` of the run; `skinning_rate` 0 leaves skinning weights as they start. Pose range and contact
-    stiffness (from `initial_contact` of the material's) grow until `growth` of the run; then contact is looked for
-    `late_reach` [m] away, before 0.1 m. From `prune_from` to `prune_at` of the run, influences a vertex fall one by one
-    to `garment_nodes.influences`; from `full_encoding` on, bodies are encoded from all 4096 points, before from
-    `encoder_points` of them. `contact_linear_beyond` [m], `heavy_energy` [J]: see `PhysicsLosses`. `average`: decay a
-    step of the moving average of networks and skinning weights that is exported, 0 for none. `validate_every`: steps
-    from one measurement of the average to the next, once range and influences are final; the best one is exported.
-    `steadiness` [J/m2]: weight of garment nodes that jump between poses beside each other (see `Steadiness`).
-    `other_bending`: share of the bodies whose cloth bends otherwise, from a quarter to 16 times as stiffly. Every
-    second body of a step wears the garment made to measure.
+    samples: poses a step, spread evenly over `bodies`. Learning rates decay along a cosine after a linear warm-up over
+    `warm_up` of the run; `skinning_rate` 0 leaves skinning weights as they start. Pose range and contact stiffness grow
+    until `growth` of the run. From `prune_from` to `prune_at` of the run, influences a vertex fall one by one to
+    `garment_nodes.influences`; from `full_encoding` on, bodies are encoded from all 4096 points, before from
+    `encoder_points` of them. `validate_every`: steps from one measurement of the moving average to the next, once range
+    and influences are final; the best one is exported. `steadiness` [J/m2]: weight of garment nodes that jump between
+    poses beside each other (see `Steadiness`). `other_bending`: share of the bodies whose cloth bends otherwise, from a
+    quarter to 16 times as stiffly. Every second body of a step wears the garment made to measure.
     """
 
     steps: Count = 100000
-    minutes: Real = 0.0
     samples: Count = 192
     bodies: Count = 12
-    learning_rate: Annotated[Positive, Field(allow_inf_nan=False)] = 2e-3
+    learning_rate: Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)] = 2e-3
     skinning_rate: Real = 1e-2
-    final_rate: Share = 0.005
     warm_up: Share = 0.01
     growth: Share = 0.25
-    initial_contact: Share = 0.1
-    late_reach: Positive = 0.05
     prune_from: Share = 0.3
     prune_at: Share = 0.6
     full_encoding: Share = 0.93
     encoder_points: Count = 1024
-    gradient_clip: Positive = 10.0
-    contact_linear_beyond: Positive = 0.01
-    heavy_energy: Positive = 0.1
     steadiness: Real = 100.0
-    average: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.999
     validate_every: Count = 500
     other_bending: Share = 0.5
 
@@ -107,21 +92,6 @@ class GarmentNodeConfig:
 
 
 @dataclass(frozen=True, config=STRICT)
-class PoseConfig:
-    """Pose sampling.
-
-    `everyday` of the samples have an everyday pose (see `EverydayPoses`), the others one uniform in the joint limits;
-    of these, `upright` have an upright root, the others' lean by up to `largest_tilt_degrees`. The roots of
-    `accelerated` of all are accelerated (see `PoseSampler`).
-    """
-
-    everyday: Share = 0.6
-    accelerated: Annotated[Share, Field(gt=0)] = 0.3
-    upright: Share = 0.5
-    largest_tilt_degrees: Annotated[float, Field(strict=True, ge=0, le=180)] = 110.0
-
-
-@dataclass(frozen=True, config=STRICT)
 class NetworkConfig:
     """Sizes of the networks.
 
@@ -150,20 +120,14 @@ def _as_material(data: object) -> object:
 
 @dataclass(frozen=True, config=STRICT)
 class TrainingConfig:
-    """All of one training run. name: of the model file. garment: mesh path relative to the configuration file.
-
-    swollen: to the `train_bodies`, this share of them is added once more, swollen by up to 15 mm from part to part, as
-    where the garment is worn over another one.
-    """
+    """All of one training run. name: of the model file. garment: mesh path relative to the configuration file."""
 
     name: Annotated[str, Field(pattern=r"^\w[\w. -]*$")]
     garment: Path
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 0
     train_bodies: Count = 512
-    swollen: Share = 0.5
     optimisation: OptimisationConfig = field(default_factory=OptimisationConfig)
     garment_nodes: GarmentNodeConfig = field(default_factory=GarmentNodeConfig)
-    poses: PoseConfig = field(default_factory=PoseConfig)
     networks: NetworkConfig = field(default_factory=NetworkConfig)
     material: Annotated[InstanceOf[Material], BeforeValidator(_as_material)] = field(default_factory=Material)
 
@@ -187,10 +151,6 @@ def load_config(path: str | Path) -> TrainingConfig:
         data = tomllib.loads(path.read_text())
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"cannot read configuration {path}: {error}") from error
-    optimisation = data.get("optimisation")
-    optimisation = optimisation if isinstance(optimisation, dict) else {}
-    if "steps" in optimisation and optimisation.get("minutes"):
-        raise ConfigError(f"{path}: optimisation has both steps and minutes; give one of them")
     try:
         config = TypeAdapter(TrainingConfig).validate_python(data)
     except ValidationError as error:

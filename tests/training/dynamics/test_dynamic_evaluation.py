@@ -46,7 +46,7 @@ def test_motion_keeps_its_promises(scores):
         (["--dynamic"], "of one garment"),
         (["--dynamic", "--outfit", "trousers,tshirt"], "of one garment"),
         (["trousers", "--dynamic"], "no references of 'trousers'"),
-        (["tshirt", "--dynamic", "--json", "nowhere/figures.json"], "no such directory"),
+        (["tshirt", "--dynamic", "--json", "nowhere/figures.json"], "there is no folder nowhere"),
     ],
 )
 def test_what_cannot_be_measured_is_said(arguments, said, capsys):

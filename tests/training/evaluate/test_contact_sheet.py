@@ -13,8 +13,9 @@ from training.small_runs import waist_band_model
 from physkin_core import Draper, avatar_from_body, cli, load_body_model, load_motion, quality
 from physkin_core import save_garment_model as save
 from physkin_training.evaluate import contact_sheet
-from physkin_training.evaluate.contact_sheet import chosen_bodies, chosen_poses, drape_all
+from physkin_training.evaluate.contact_sheet import BODIES, chosen_poses, drape_all
 from physkin_training.evaluate.evaluate import Evaluation
+from physkin_training.sampling.chosen_bodies import bodies_by_girth
 
 BODY = load_body_model()
 
@@ -26,8 +27,7 @@ def model():
 
 def test_bodies_are_the_leanest_the_middle_and_the_heaviest():
     """By girth at the height of the root, which was not what they were chosen by."""
-    bodies = chosen_bodies(BODY)
-    assert list(bodies) == ["thin", "average", "heavy"]
+    bodies = bodies_by_girth(BODY, len(BODIES))
 
     def depth(index):
         vertices = BODY.vertices(BODY.held_out_bodies[index])
@@ -35,7 +35,7 @@ def test_bodies_are_the_leanest_the_middle_and_the_heaviest():
         return np.ptp(waist[:, 0])
 
     depths = np.array([depth(index) for index in range(len(BODY.held_out_bodies))])
-    ranks = [(depths < depths[index]).mean() for index in bodies.values()]
+    ranks = [(depths < depths[index]).mean() for index in bodies]
     assert ranks[0] < 0.15 and 0.25 < ranks[1] < 0.75 and ranks[2] > 0.85
 
 
@@ -57,13 +57,13 @@ def test_poses_are_half_uniform_half_motion_and_seeded():
 def test_drapes_are_the_run_times_and_the_minimum_is_lower(model, rough_minima):
     """Pose by pose, body by body; the surfaces under them are the avatars'. A batch holds three of the four."""
     bodies = [5, 2]
-    evaluation = Evaluation(model, torch.device("cpu"), bodies=bodies, poses=2, seed=0, batch=3)
+    evaluation = Evaluation(model, torch.device("cpu"), bodies=bodies, poses=2, seed=0, batch=3, fit=0.0)
     poses, _ = chosen_poses(model.rig, count=2, seed=0)
     drapes = drape_all(evaluation, poses, minimum=True)
     assert list(drapes.garments) == ["model", "minimum"]
     for pair in (1, 3):
         avatar = avatar_from_body(BODY, BODY.held_out_bodies[bodies[pair % 2]])
-        draper = Draper(model, avatar, precision="fp32")
+        draper = Draper(model, avatar, precision="fp32", fit=0.0)
         q, gravity = poses.positions[pair // 2].numpy(), poses.gravity[pair // 2].numpy()
         np.testing.assert_allclose(drapes.garments["model"][pair], draper.drape(q, gravity)[:, :3], atol=1e-4)
         under = avatar.posed_vertices(draper.bone_transforms(q))
@@ -105,10 +105,11 @@ def test_the_command_draws_every_cell(model, tmp_path, monkeypatch, capsys):
 
     image = pytest.importorskip("PIL.Image", reason="needs pillow: pip install 'physkin[view]'")
     monkeypatch.setattr(contact_sheet, "render", render)
+    monkeypatch.setattr(contact_sheet, "WIDTH", 40)
     monkeypatch.setattr(Evaluation, "full_space_minimum", lambda _, start, batch: SimpleNamespace(vertices=start))
     save(model, tmp_path / "band.safetensors")
     arguments = ["contact-sheet", str(tmp_path / "band.safetensors"), "-o", str(tmp_path / "sheet.png")]
-    options = ["--poses", "2", "--width", "40", "--minimum", "--device", "cpu"]
+    options = ["--poses", "2", "--minimum", "--device", "cpu"]
     assert cli.main([*arguments, *options]) == 0
     sheet = np.asarray(image.open(tmp_path / "sheet.png"))
     assert sheet.shape[1] == 4 + 12 * 44
@@ -124,7 +125,6 @@ def test_the_command_draws_every_cell(model, tmp_path, monkeypatch, capsys):
     [
         (["-o", "{tmp}/none/sheet.png"], "none/sheet.png"),
         (["-o", "{tmp}/sheet.jpg"], "sheet.jpg"),
-        (["-o", "{tmp}/sheet.png", "--width", "0"], "width .* 0"),
         (["-o", "{tmp}/sheet.png", "--poses", "0"], "poses .* 0"),
     ],
 )

@@ -17,19 +17,19 @@ TERMS = ("stretch", "bend", "collision", "gravity")
 
 
 def drapes(count, *, seed=4):
-    """Crumpled tubes (count, n, 3), energies by term (count,), distances (count, n) and inside flags (count, n)."""
+    """Crumpled tubes (count, n, 3), energies by term (count,) and distances (count, n)."""
     rng = np.random.default_rng(seed)
     n = len(GARMENT.vertices)
     vertices = GARMENT.vertices + 0.003 * rng.normal(size=(count, n, 3))
     arrays = (vertices, rng.uniform(size=(count, 4)), rng.normal(scale=0.01, size=(count, n)))
-    return [torch.as_tensor(a, dtype=torch.float32) for a in arrays] + [torch.as_tensor(rng.random((count, n)) < 0.2)]
+    return [torch.as_tensor(a, dtype=torch.float32) for a in arrays]
 
 
 def count_in(figures, batch, pick, **options):
-    vertices, terms, distance, inside = (a[pick] for a in batch)
+    vertices, terms, distance = (a[pick] for a in batch)
     band = torch.zeros(len(distance))
     energies = Energies(*terms.T, band=band, signed_distance=distance, at_worn_part=worn_parts(distance))
-    figures.add(vertices, energies, inside, {"skin_shows_percent": 100 * distance.abs().amax(dim=1)}, **options)
+    figures.add(vertices, energies, {"skin_shows_percent": 100 * distance.abs().amax(dim=1)}, **options)
 
 
 def worn_parts(distance):

@@ -10,6 +10,7 @@ from random_models import random_model, random_rotation, tube
 
 from physkin_core import Garment, load_body_model
 from physkin_core.model.garment_nodes import closest_bones
+from physkin_training.evaluate import minimum
 from physkin_training.evaluate.evaluate import Evaluation
 from physkin_training.evaluate.minimum import subspace_minimum
 from physkin_training.networks.draping import compose_nodes, delta_transforms
@@ -18,8 +19,10 @@ from physkin_training.networks.export import drape_from_model
 CPU = torch.device("cpu")
 
 
-def test_subspace_finds_a_drape_that_the_nodes_can_reach():
+def test_subspace_finds_a_drape_that_the_nodes_can_reach(monkeypatch):
     """The energy is the squared distance to a drape made with known node numbers."""
+    monkeypatch.setattr(minimum, "STEPS", 500)
+    monkeypatch.setattr(minimum, "RATE", 0.02)
     rng = np.random.default_rng(0)
     model = random_model(rng, nodes=4)
     drape = drape_from_model(model)
@@ -38,14 +41,15 @@ def test_subspace_finds_a_drape_that_the_nodes_can_reach():
     def distance(result):
         return (result - goal).square().sum(dim=-1).mean().sqrt().item()
 
-    result = subspace_minimum(lambda x: (x - goal).square().mean(), drape, posed, start, steps=500, rate=0.02)
+    result = subspace_minimum(lambda x: (x - goal).square().mean(), drape, posed, start)
     assert distance(shape(start)) > 0.02 and distance(result.vertices) < 1e-3
     assert not result.vertices.requires_grad and not result.gradient_norm.requires_grad
     assert not start.any(), "the start is left alone"
 
 
-def test_minima_on_a_clothed_body_are_in_order():
+def test_minima_on_a_clothed_body_are_in_order(monkeypatch):
     """The model's energy is above the subspace minimum's, and that above the full-space minimum's; gravity included."""
+    monkeypatch.setattr(minimum, "STEPS", 100)
     body = load_body_model()
     band = tube(rings=9, segments=20, radius=1.0, height=0.3)
     garment = Garment(band.vertices * [0.19, 0.23, 1.0] + [0, 0, 0.12], band.faces)
@@ -54,7 +58,7 @@ def test_minima_on_a_clothed_body_are_in_order():
     )
     model = replace(model, node_bone=closest_bones(model.node_rest, body.rig.heads, body.rig.tails))
     evaluation = Evaluation(model, CPU, bodies=1, poses=2, seed=0)
-    rows = evaluation.minima(evaluation.uniform(upright=True), steps=100)
+    rows = evaluation.minima(evaluation.uniform(upright=True))
     assert list(rows) == ["model_on_subset", "subspace_minimum", "minimum"]
     total = {name: row["energy_j"] + row["gravity_j"] for name, row in rows.items()}
     assert total["minimum"] < total["subspace_minimum"] < total["model_on_subset"]

@@ -135,14 +135,14 @@ def test_a_garment_is_where_it_lies(name, scale, axes, read, person, own, templa
         assert np.linalg.norm(there[alone] - expected, axis=1).max() > 0.2
 
 
-def test_the_command_takes_it_as_it_lies(person, avatar_file, template, tmp_path, capsys):
+def test_the_command_takes_it_as_it_lies(person, avatar_file, template, tmp_path, capsys, no_pictures):
     """A band about the belly is checked and written on the template; beside the avatar it is placed, but not trained
     unasked."""
     write_belly_band(tmp_path / "band.obj")
     made = load_garment(tmp_path / "band.obj")
     lying, faces = person.wearing(made, template)
     trimesh.Trimesh(100 * lying, faces, process=False).export(tmp_path / "band.obj", digits=7)
-    command = ["fit-garment", "--avatar", str(avatar_file), "--check-only", "--no-pictures", "--device", "cpu"]
+    command = ["fit-garment", "--avatar", str(avatar_file), "--check-only", "--device", "cpu"]
     output = tmp_path / "out.safetensors"
     assert main([*command, str(tmp_path / "band.obj"), "-o", str(output)]) == 0
     printed = capsys.readouterr().out

@@ -99,8 +99,8 @@ def test_a_step_trains_half_the_bodies_made_to_measure(trainer):
     next(steps)
     rows = trainer.losses.rest_row.clone()
     assert (rows[:2] == 0).all() and rows[2] == rows[3] and 1 <= rows[3] <= len(trainer.bodies), "two samples a body"
-    assert trainer.validation_energy_made_to_measure is None
+    assert trainer.validation.made_to_measure is None
     list(steps)
     assert trainer.drape.networks.hyper_modulator.fit.abs().min() > 0
-    made, both = trainer.validation_energy_made_to_measure, trainer.validation_energy
+    made, both = trainer.validation.made_to_measure, trainer.validation_energy
     assert math.isfinite(both) and made != pytest.approx(both, rel=1e-3)

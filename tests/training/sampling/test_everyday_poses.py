@@ -27,7 +27,7 @@ def test_samples_are_everyday():
     again, _ = EverydayPoses(RIG, CPU).sample(2000, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(again, positions)
     # a frame of walking lies closer to one of them than to a pose drawn uniformly
-    uniform, _ = PoseSampler(RIG, CPU, upright=1.0, largest_tilt=0.0).sample(2000, 1.0)
+    uniform, _ = PoseSampler(RIG, CPU, upright=1.0).sample(2000, 1.0)
     walk = torch.as_tensor(load_motion("walk").positions_for(RIG)[::8])
     assert torch.cdist(walk, positions).min(dim=1)[0].max() < torch.cdist(walk, uniform).min(dim=1)[0].min()
 
@@ -65,7 +65,7 @@ def test_mirrored_bones_are_where_the_others_were():
 
 def test_shares_of_everyday_and_accelerated_samples():
     """What is not accelerated has gravity of length 1; what is, up to three times that. At a share of 0 all rest."""
-    sampler = PoseSampler(RIG, CPU, upright=1.0, largest_tilt=0.0, everyday=0.5, accelerated=0.3)
+    sampler = PoseSampler(RIG, CPU, upright=1.0, everyday=0.5, accelerated=0.3)
     generator = torch.Generator().manual_seed(0)
     positions, gravity = sampler.sample(4000, 1.0, generator=generator)
     length = torch.linalg.norm(gravity, dim=1)

@@ -17,7 +17,7 @@ COUNT = 20000
 
 def draw(share=1.0, *, upright=0.5, count=COUNT):
     torch.manual_seed(1)
-    sampler = PoseSampler(RIG, torch.device("cpu"), upright=upright, largest_tilt=math.radians(110))
+    sampler = PoseSampler(RIG, torch.device("cpu"), upright=upright)
     positions, gravity = sampler.sample(count, share)
     return positions.double().numpy(), gravity.double().numpy()
 
@@ -62,7 +62,7 @@ def test_joint_positions_fill_the_box_around_rest(share):
 
 def test_range_may_be_a_tensor_that_changes():
     """A step recorded as a CUDA graph reads its range from memory."""
-    sampler = PoseSampler(RIG, torch.device("cpu"), upright=0.5, largest_tilt=1.0)
+    sampler = PoseSampler(RIG, torch.device("cpu"), upright=0.5)
     share = torch.zeros(())
     spreads = []
     for value in (0.1, 1.0):
@@ -98,7 +98,7 @@ def test_leaning_roots_lean_uniformly_up_to_the_largest_tilt(share):
 
 def test_a_generator_of_its_own_leaves_the_others_alone():
     """The same samples whatever was drawn before, and nothing taken from the device's own generator."""
-    sampler = PoseSampler(RIG, torch.device("cpu"), upright=0.5, largest_tilt=1.0)
+    sampler = PoseSampler(RIG, torch.device("cpu"), upright=0.5)
     drawn = []
     for seed in (0, 1):
         state = torch.manual_seed(seed).get_state()

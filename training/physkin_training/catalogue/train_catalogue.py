@@ -22,6 +22,7 @@ from physkin_training.catalogue.plan import (
     steps_taken,
     write_status,
 )
+from physkin_training.fit_garment.fit_garment import add_training_options
 
 __all__ = ["command_parser", "main"]
 
@@ -138,16 +139,7 @@ def command_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="MODELS", help="folder to write")
     add_avatar_options(parser, made_on=True)
-    parser.add_argument(
-        "--accept-placement", action="store_true", help="train where the place on the avatar is in doubt"
-    )
-    length = parser.add_mutually_exclusive_group()
-    length.add_argument("--minutes", type=float, help="a garment, report included (default: 15 on a GPU, 480 on a CPU)")
-    length.add_argument("--steps", type=int, help="of training a garment, instead of minutes")
-    parser.add_argument("--recipe", type=Path, metavar="TOML", help="training configuration of those without their own")
-    parser.add_argument("--bodies", type=int, default=8, help="held-out bodies of the figures (default 8)")
-    parser.add_argument("--poses", type=int, default=64, help="poses a body of the figures (default 64)")
-    parser.add_argument("--checkpoint-every", type=float, default=5.0, metavar="MINUTES", help="default 5")
+    add_training_options(parser)
     parser.add_argument("--address", help="of a Ray cluster (default: one that runs here, else one is started)")
     parser.add_argument("--workers", type=int, metavar="N", help="most garments at once (default: as many as fit)")
     parser.add_argument("--cpus", type=int, default=1, help="processor cores a garment (default 1)")

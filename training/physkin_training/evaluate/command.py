@@ -11,6 +11,7 @@ from pathlib import Path
 from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion
+from physkin_core.output_file import check_folder
 from physkin_core.progress import progress_line
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.evaluate.evaluate import evaluate_model
@@ -19,7 +20,7 @@ from physkin_training.evaluate.score_table import dynamics_table, outfit_table, 
 
 __all__ = ["command_parser", "main"]
 
-OF_A_MODEL = {"bodies": 16, "poses": 256, "seed": 0, "minimum": 0, "minimum_steps": 2000, "store": None}
+OF_A_MODEL = {"bodies": 16, "poses": 256, "minimum": 0, "store": None}
 OF_OUTFITS = {"bodies": 3, "stride": 60}
 """Options and their defaults; those of the one kind are refused for the other."""
 
@@ -27,14 +28,11 @@ OF_OUTFITS = {"bodies": 3, "stride": 60}
 def main(argv: list[str] | None = None) -> int:
     """Command line entry: `physkin evaluate MODEL`, `physkin evaluate --outfit GARMENT,GARMENT`."""
     arguments = command_parser().parse_args(argv)
-    if arguments.dynamic:
-        return _score_dynamics(arguments)
+    score = _score_dynamics if arguments.dynamic else _score_outfits if arguments.outfit else _score_model
     try:
-        options = _options(arguments)
-        if arguments.json and not arguments.json.resolve().parent.is_dir():
-            raise ValueError(f"cannot write {arguments.json}: no such directory")
-        motions = [load_motion(clip, watch=progress_line(f"reading {clip}")) for clip in arguments.motion]
-        scores = (_score_outfits if arguments.outfit else _score_model)(arguments, options, motions)
+        if arguments.json:
+            check_folder(arguments.json)
+        scores = score(arguments)
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -55,7 +53,6 @@ def command_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--bodies", type=int, help="held-out bodies (default 16; of outfits 3, from lean to stout)")
     parser.add_argument("--poses", type=int, help="uniform poses a body (default 256)")
-    parser.add_argument("--seed", type=int, help="of the poses (default 0)")
     parser.add_argument(
         "--motion",
         nargs="*",
@@ -72,7 +69,6 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--minimum", type=int, metavar="PAIRS", help="also minimise that many uniform pairs, and of motion"
     )
-    parser.add_argument("--minimum-steps", type=int)
     parser.add_argument("--dynamic", action="store_true", help="instead: cloth in motion, against simulated references")
     parser.add_argument("--references", type=Path, metavar="FOLDER", help="of those (default: the source's own)")
     parser.add_argument("--device", default=DEFAULT_DEVICE)
@@ -89,42 +85,39 @@ def _options(arguments: argparse.Namespace) -> dict:
     for name in others.keys() - known.keys():
         if getattr(arguments, name) is not None:
             of, instead = ("MODEL", "--outfit") if arguments.outfit else ("--outfit", "MODEL")
-            raise ValueError(f"--{name.replace('_', '-')} is an option of {of}, not of {instead}")
+            raise ValueError(f"--{name} is an option of {of}, not of {instead}")
     given = {name: getattr(arguments, name) for name in known}
     return {name: known[name] if value is None else value for name, value in given.items()}
 
 
-def _score_dynamics(arguments: argparse.Namespace) -> int:
+def _motions(arguments: argparse.Namespace) -> list[Motion]:
+    return [load_motion(clip, watch=progress_line(f"reading {clip}")) for clip in arguments.motion]
+
+
+def _score_dynamics(arguments: argparse.Namespace) -> dict:
     from physkin_training.evaluate.dynamic_evaluation import REFERENCES, evaluate_dynamics, references_of
 
-    try:
-        if not arguments.model or arguments.outfit:
-            raise ValueError("cloth in motion is measured of one garment: physkin evaluate GARMENT --dynamic")
-        if arguments.json and not arguments.json.resolve().parent.is_dir():
-            raise ValueError(f"cannot write {arguments.json}: no such directory")
-        model = load_garment_model(arguments.model)
-        references = references_of(model.name, arguments.references or REFERENCES)
-        scores = evaluate_dynamics(model, references, resolve_device(arguments.device))
-    except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    if not arguments.model or arguments.outfit:
+        raise ValueError("cloth in motion is measured of one garment: physkin evaluate GARMENT --dynamic")
+    model = load_garment_model(arguments.model)
+    references = references_of(model.name, arguments.references or REFERENCES)
+    scores = evaluate_dynamics(model, references, resolve_device(arguments.device))
     print(dynamics_table(scores))
-    if arguments.json:
-        arguments.json.write_text(json.dumps(scores, indent=1))
-    return 0
+    return scores
 
 
-def _score_model(arguments: argparse.Namespace, options: dict, motions: list[Motion]) -> dict:
+def _score_model(arguments: argparse.Namespace) -> dict:
+    options, motions = _options(arguments), _motions(arguments)
     model, store = load_garment_model(arguments.model), options.pop("store")
-    steps = options.pop("minimum_steps")
-    scores = evaluate_model(model, resolve_device(arguments.device), **options, steps=steps, motions=motions)
+    scores = evaluate_model(model, resolve_device(arguments.device), **options, motions=motions)
     print(table(scores))
     if store:
         save_garment_model(replace(model, scores=scores), store)
     return scores
 
 
-def _score_outfits(arguments: argparse.Namespace, options: dict, motions: list[Motion]) -> dict:
+def _score_outfits(arguments: argparse.Namespace) -> dict:
+    options, motions = _options(arguments), _motions(arguments)
     outfits = {}
     for text in arguments.outfit:
         if text in outfits:

@@ -9,19 +9,20 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from physkin_core.avatar.body_model import BodyModel, load_body_model
+from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import upright_orientation
 from physkin_core.outfit.outfit_options import add_fit_option
+from physkin_core.output_file import check_folder
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
 from physkin_core.quality import edge_strain
 from physkin_core.rig.rig import Rig
@@ -30,10 +31,14 @@ from physkin_training.evaluate.evaluate import Evaluation
 from physkin_training.sampling.chosen_bodies import bodies_by_girth
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 
-__all__ = ["Drapes", "chosen_bodies", "chosen_poses", "command_parser", "drape_all", "draw"]
+__all__ = ["Drapes", "chosen_poses", "command_parser", "drape_all", "draw_sheet"]
 
+BODIES = ("thin", "average", "heavy")
+"""The held-out ones with the least, the median and the most volume for their height squared."""
 MINIMUM_COLOUR = (0.45, 0.50, 0.28)
 POSES_A_ROW = 2
+WIDTH = 170
+"""Of a picture [pixels]."""
 PIXELS_HIGH = 1.25
 """Height of a picture, relative to its width."""
 LIGHT_PATHS = 8
@@ -55,11 +60,6 @@ class Drapes:
     strains: dict[str, np.ndarray]
     bodies: np.ndarray
     figures: dict[str, dict[str, float]]
-
-
-def chosen_bodies(body_model: BodyModel) -> dict[str, int]:
-    """Indices of the held-out bodies with the least, the median and the most volume for their height squared."""
-    return dict(zip(("thin", "average", "heavy"), bodies_by_girth(body_model, 3), strict=True))
 
 
 def chosen_poses(rig: Rig, *, count: int, seed: int) -> tuple[Pairs, list[str]]:
@@ -110,32 +110,42 @@ def drape_all(evaluation: Evaluation, poses: Pairs, *, minimum: bool) -> Drapes:
     )
 
 
-def draw(
-    drapes: Drapes, model: GarmentModel, gravity: np.ndarray, captions: Sequence[str], *, columns: int, width: int
-) -> np.ndarray:
-    """The sheet (H, W, 3) uint8: pairs in rows of `columns`, the rows of `drapes` of each side by side.
-
-    gravity: (P, 3) in the root frame. captions: (P,). width: of one picture [pixels].
-    """
+def draw_sheet(
+    model: GarmentModel,
+    device: torch.device,
+    *,
+    poses: int,
+    fit: float | None = None,
+    minimum: bool = False,
+) -> tuple[np.ndarray, dict[str, dict[str, float]]]:
+    """The sheet (H, W, 3) uint8 of so many poses on three bodies, drapes beside each other, and the figures of
+    `Drapes`. fit: as in `Draper`. Raises PictureError without the [view] extra."""
     from scipy.spatial.transform import Rotation
 
-    faces, colours = load_body_model().faces, {"model": CLOTH_COLOUR, "minimum": MINIMUM_COLOUR}
+    body_model = load_body_model()
+    bodies = bodies_by_girth(body_model, len(BODIES))
+    evaluation = Evaluation(model, device, bodies=bodies, poses=poses, seed=0, fit=fit)
+    pairs, names = chosen_poses(model.rig, count=poses, seed=0)
+    drapes = drape_all(evaluation, pairs, minimum=minimum)
+    colours = {"model": CLOTH_COLOUR, "minimum": MINIMUM_COLOUR}
     pictures, texts = [], []
-    turns = Rotation.from_quat(upright_orientation(gravity)).inv().as_matrix()
-    for pair, (caption, turn) in enumerate(zip(captions, turns, strict=True)):
+    turns = Rotation.from_quat(upright_orientation(pairs.gravity.numpy())).inv().as_matrix()
+    for pair, (name, body_name) in enumerate(product(names, BODIES)):
+        turn = turns[pair // len(BODIES)]
         body = drapes.bodies[pair] @ turn
         cloths = {row: vertices[pair] @ turn for row, vertices in drapes.garments.items()}
         everything = np.concatenate([body, *cloths.values()])
         for row, cloth in cloths.items():
             picture = render(
-                [Mesh(body, faces), Mesh(cloth, model.garment.faces, colours[row])],
-                size=(width, round(PIXELS_HIGH * width)),
+                [Mesh(body, body_model.faces), Mesh(cloth, model.garment.faces, colours[row])],
+                size=(WIDTH, round(PIXELS_HIGH * WIDTH)),
                 bounds=np.stack([everything.min(axis=0), everything.max(axis=0)]),
                 samples=LIGHT_PATHS,
             )
             pictures.append(picture)
-            texts.append(f"{caption if row == 'model' else row} {drapes.strains[row][pair]:.1f} %")
-    return contact_sheet(pictures, columns=columns * len(drapes.garments), captions=texts, gap=4)
+            texts.append(f"{f'{name}, {body_name}' if row == 'model' else row} {drapes.strains[row][pair]:.1f} %")
+    columns = POSES_A_ROW * len(BODIES) * len(drapes.garments)
+    return contact_sheet(pictures, columns=columns, captions=texts, gap=4), drapes.figures
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -144,10 +154,8 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("model", help="garment model file, or the name of a shipped one")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="PNG")
     parser.add_argument("--poses", type=int, default=12, help="poses on each of the three bodies (default 12)")
-    parser.add_argument("--seed", type=int, default=0)
     add_fit_option(parser)
     parser.add_argument("--minimum", action="store_true", help="beside the full-space minimum (minutes on a CPU)")
-    parser.add_argument("--width", type=int, default=170, help="of one picture, in pixels (default 170)")
     parser.add_argument("--device", default=DEFAULT_DEVICE)
     return parser
 
@@ -158,24 +166,14 @@ def main(argv: list[str] | None = None) -> int:
     try:
         if arguments.output.suffix.lower() != ".png":
             raise ValueError(f"cannot write {arguments.output}: the name must end in .png")
-        if not arguments.output.resolve().parent.is_dir():
-            raise ValueError(f"cannot write {arguments.output}: no such directory")
-        if arguments.width < 1:
-            raise ValueError(f"--width must be at least 1, got {arguments.width}")
-        model = load_garment_model(arguments.model)
-        bodies = chosen_bodies(load_body_model())
-        device, held_out = resolve_device(arguments.device), list(bodies.values())
-        evaluation = Evaluation(model, device, bodies=held_out, poses=arguments.poses, seed=0, fit=arguments.fit)
-        poses, names = chosen_poses(model.rig, count=arguments.poses, seed=arguments.seed)
-        drapes = drape_all(evaluation, poses, minimum=arguments.minimum)
-        captions = [f"{name}, {body}" for name in names for body in bodies]
-        gravity = poses.gravity.numpy().repeat(len(bodies), axis=0)
-        sheet = draw(drapes, model, gravity, captions, columns=POSES_A_ROW * len(bodies), width=arguments.width)
+        check_folder(arguments.output)
+        model, given = load_garment_model(arguments.model), {"fit": arguments.fit, "minimum": arguments.minimum}
+        sheet, rows = draw_sheet(model, resolve_device(arguments.device), poses=arguments.poses, **given)
         save_png(arguments.output, sheet)
     except (ValueError, PictureError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    for row, figures in drapes.figures.items():
+    for row, figures in rows.items():
         listed = ", ".join(f"{figures[figure]:.3f} {unit}" for figure, unit in PRINTED.items())
         print(f"{row} ({figures['pairs']} pairs): {listed}")
     print(f"wrote {arguments.output}")

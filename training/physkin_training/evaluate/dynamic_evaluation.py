@@ -37,7 +37,6 @@ LOST = 0.2
 POTENTIAL_EVERY = 24
 STANDING = 3.0
 """Seconds of standing after the stop, at whose end cloth should hang still."""
-TIMED = 400
 STREAMS = 5
 
 
@@ -70,6 +69,12 @@ def played(draper: Draper, motion: Motion, *, kept: Sequence[int] | None = None)
     return np.stack([draper.drape(positions[k], time=k / motion.rate_hz, root=roots[k])[:, :3] for k in frames])
 
 
+def _still(draper: Draper, motion: Motion) -> np.ndarray:
+    """Whole drapes (T, n, 3) float32 without sway, of all frames."""
+    poses = zip(motion.positions_for(draper.model.rig), motion.gravity)
+    return np.stack([cloud[:, :3] for cloud in draper.layer.drape(poses)])
+
+
 def motion_roots(motion: Motion) -> np.ndarray:
     """(T, 7) float64, as `Draper.drape` takes roots."""
     return np.concatenate([motion.root_position, motion.root_orientation], axis=1).astype(np.float64)
@@ -83,31 +88,27 @@ def evaluate_dynamics(model: GarmentModel, references: Sequence[Reference], devi
     `stop` and `turn` with overshoot and settling, `turn` also with twist and flare, `swings` with amplitude and phase
     by frequency, each `simulated`, `quasi_static` and `swaying`; `rate_divergence_mm`, `drop_divergence_mm`;
     `strain_percent`, `added_strain_points`; `still_mm`, how far cloth still moves in a frame three seconds after a
-    stop; `added_us` to a call of `Draper.drape`, and `added_step_us` to a step of the evaluator alone.
+    stop; `added_step_us` that time and root add to a step of the evaluator.
     """
     body_model = load_body_model()
-    drapers: dict[bytes, Draper] = {}
-    rows: list[Played] = []
-    for reference in references:
-        for body, coefficients in enumerate(reference.bodies):
-            key = coefficients.tobytes()
-            if key not in drapers:
-                drapers[key] = Draper(model, avatar_from_body(body_model, coefficients))
-            rows.append(_play(drapers[key], reference, body))
+    drapers = {
+        coefficients.tobytes(): Draper(model, avatar_from_body(body_model, coefficients))
+        for coefficients in np.unique(np.concatenate([reference.bodies for reference in references]), axis=0)
+    }
+    rows = [
+        _play(drapers[coefficients.tobytes()], reference, body)
+        for reference in references
+        for body, coefficients in enumerate(reference.bodies)
+    ]
     scenes: dict = {}
     for reference in references:
         of_scene = [row for row in rows if row.reference is reference]
         scenes[reference.motion.name] = _figures(of_scene) | _potentials(of_scene, model, body_model, device)
-    names = next(iter(scenes.values())).keys() - {"quasi_static"}
-    total: dict = {name: float(np.mean([scene[name] for scene in scenes.values()])) for name in sorted(names)}
-    total["quasi_static"] = {
-        name: float(np.mean([scene["quasi_static"][name] for scene in scenes.values()]))
-        for name in next(iter(scenes.values()))["quasi_static"]
-    }
+    swaying = [{name: scene[name] for name in sorted(scene.keys() - {"quasi_static"})} for scene in scenes.values()]
+    total: dict = _mean(swaying) | {"quasi_static": _mean([scene["quasi_static"] for scene in scenes.values()])}
     total |= _swinging(rows)
     middle = rows[len(references[0].bodies) // 2].draper
     total |= _robustness(middle, [reference.motion for reference in references])
-    total["added_us"] = _added_to_drape(middle, references[0].motion)
     total["added_step_us"] = _added_to_step(middle, references[0].motion)
     counts = {"scenes": len(scenes), "sequences": len(rows), "frames": sum(len(row.simulated) for row in rows)}
     return {"dynamic": total, "scenes": scenes, "counts": counts}
@@ -116,8 +117,7 @@ def evaluate_dynamics(model: GarmentModel, references: Sequence[Reference], devi
 def _play(draper: Draper, reference: Reference, body: int) -> Played:
     motion = reference.motion
     count = int(reference.frames[body])
-    positions = motion.positions_for(draper.model.rig)
-    still = np.stack([draper.drape(q, down)[:, :3] for q, down in zip(positions[:count], motion.gravity)])
+    still = _still(draper, motion)[:count]
     swaying = played(draper, motion, kept=range(count))
     garment = draper.rest_garment
     strains = tuple(float(np.mean(edge_strain(garment, drapes[::10]))) for drapes in (still, swaying))
@@ -160,10 +160,8 @@ def _potentials(rows: list[Played], model: GarmentModel, body_model: BodyModel, 
     simulated = {name: values[row.body][frames] for name, values in reference.energies.items()}
     below = simulated["gravity"]
     whole = sum(simulated.values()) - below
-    positions = motion.positions_for(model.rig)
-    still = np.stack([row.draper.drape(q, down)[:, :3] for q, down in zip(positions, motion.gravity)])
     ratios = []
-    for drapes in (played(row.draper, motion), still):
+    for drapes in (played(row.draper, motion), _still(row.draper, motion)):
         coefficients = reference.bodies[row.body]
         found = frame_potentials(model, body_model, coefficients, motion, drapes, frames, device)
         ratios.append(float((sum(found.values()) - below).sum() / whole.sum()))
@@ -200,27 +198,18 @@ def _robustness(draper: Draper, motions: list[Motion]) -> dict[str, float]:
     rates, drops = [], []
     generator = np.random.default_rng(0)
     for motion in motions:
-        apart = []
-        for rate in RATES:
-            at_rate = motion.resampled(rate)
+        offsets = []
+        for at_rate in map(motion.resampled, RATES):
             frames = np.rint(np.arange(0, 1, 1 / 30) * (at_rate.frame_count - 1)).astype(int)
-            apart.append(played(draper, at_rate)[frames])
-        # of another rate frames are not at quite the same times: less what drapes without sway differ by
-        draper.sway = 0.0
-        plain = [played(draper, motion.resampled(rate)) for rate in RATES]
-        draper.sway = 1.0
-        plain = [each[np.rint(np.arange(0, 1, 1 / 30) * (len(each) - 1)).astype(int)] for each in plain]
-        rates += [_rms((each - apart[-1]) - (still - plain[-1])) for each, still in zip(apart[:-1], plain[:-1])]
+            # frames of another rate are not at quite the same times: less what drapes without sway differ by
+            offsets.append(played(draper, at_rate)[frames] - _still(draper, at_rate)[frames])
+        rates += [_rms(each - offsets[-1]) for each in offsets[:-1]]
         kept = np.flatnonzero(generator.random(motion.frame_count) >= LOST)
         drops.append(_rms(played(draper, motion, kept=kept) - played(draper, motion)[kept]))
     stop = next((motion for motion in motions if motion.name == "stop"), motions[0])
     more = np.minimum(np.arange(stop.frame_count + round(60 * STANDING)), stop.frame_count - 1)
-    standing = replace(
-        stop,
-        positions=stop.positions[more],
-        root_orientation=stop.root_orientation[more],
-        root_position=stop.root_position[more],
-    )
+    arrays = ("positions", "root_orientation", "root_position")
+    standing = replace(stop, **{name: getattr(stop, name)[more] for name in arrays})
     stopped = int(np.flatnonzero(np.diff(stop.root_position[:, 0]) > 1e-6).max(initial=0))
     last = stopped + round(60 * STANDING)
     two = played(draper, standing, kept=range(last + 2))[-2:]
@@ -231,25 +220,9 @@ def _robustness(draper: Draper, motions: list[Motion]) -> dict[str, float]:
     }
 
 
-def _added_to_drape(draper: Draper, motion: Motion) -> float:
-    """Median processor time [us] that time and root add to a call of `Draper.drape`, both measured in turns."""
-    q, roots, down = motion.positions_for(draper.model.rig), motion_roots(motion), motion.gravity
-    out = np.empty((draper.vertex_count, 6), dtype=np.float32)
-    differences = []
-    draper.reset()
-    for k in range(TIMED):
-        frame = k % motion.frame_count
-        begin = time.process_time_ns()
-        draper.drape(q[frame], down[frame], out=out)
-        middle = time.process_time_ns()
-        draper.drape(q[frame], time=k / motion.rate_hz, root=roots[frame], out=out)
-        differences.append(time.process_time_ns() - middle - (middle - begin))
-    return float(np.median(differences)) / 1000
-
-
 def _added_to_step(draper: Draper, motion: Motion) -> float:
-    """The same [us] of a step of the evaluator alone, as the ROS node and hosts in C take it: streams of frames in
-    turns, so that caches are warm."""
+    """Median processor time [us] that time and root add to a step of the evaluator, as the ROS node and hosts in C take
+    it: streams of frames in turns, so that caches are warm."""
     q, roots, down = motion.positions_for(draper.model.rig), motion_roots(motion), motion.gravity
     still, moving = [], []
     for rows, given in ((still, [{"gravity": each} for each in down]), (moving, [{"root": each} for each in roots])):

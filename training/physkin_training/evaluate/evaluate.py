@@ -6,7 +6,7 @@ Dimensions: `B` samples of a batch, `n` garment vertices, `m` garment nodes.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 
@@ -17,13 +17,12 @@ from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.motion import Motion
+from physkin_core.progress import progress_line
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_core.sway.frame_input import STANDARD_GRAVITY
 from physkin_training.evaluate.figures import Figures
-from physkin_training.evaluate.inside_by_vertex import inside_by_vertex
 from physkin_training.evaluate.minimum import subspace_minimum
-from physkin_training.evaluate.progress import MINIMA, Watch, progress
 from physkin_training.evaluate.skin_shows import SkinShows
 from physkin_training.networks.draping import Drape, RestShape, compose_nodes, delta_transforms
 from physkin_training.networks.export import drape_from_model, encode_bodies
@@ -36,12 +35,14 @@ from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 
-__all__ = ["Evaluation", "evaluate_model", "measured_clips"]
+__all__ = ["Evaluation", "counting_line", "evaluate_model", "measured_clips"]
 
 REACH = 0.3
 """Bodies are looked for up to this distance [m], beyond the deepest penetration."""
 LARGEST_MEASURED, LARGEST_MINIMISED = 512, 64
 """Batches on a GPU: of pairs that are measured, and minimised."""
+MINIMUM_COST = 500
+"""How many measured pairs take about as long as one that is minimised."""
 MOTION_RATE = 60.0
 """Frames a second at which motion is measured; clips of another rate are resampled."""
 
@@ -65,8 +66,8 @@ class Evaluation:
 
     bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, as in `Draper`;
     strains are against the rest shape at that fit. body_model: whose bodies, default the adults that are shipped.
-    watch: is told of every batch that was measured. Raises ValueError when the model is for another rig than the body
-    model's, or there are not so many bodies.
+    watch: is told of every batch how many measured pairs it was worth. Raises ValueError when the model is for another
+    rig than the body model's, or there are not so many bodies.
     """
 
     def __init__(
@@ -80,7 +81,7 @@ class Evaluation:
         batch: int = 64,
         fit: float | None = None,
         body_model: BodyModel | None = None,
-        watch: Watch = lambda what, pairs: None,
+        watch: Callable[[int], None] = lambda pairs: None,
     ) -> None:
         fit = checked_fit(model, fit)
         body_model = body_model or load_body_model()
@@ -149,17 +150,16 @@ class Evaluation:
         """Count drapes (B, n, 3) of the batch posed last in. motion: they are frames, each body's a take."""
         with torch.no_grad():
             energies = self.energy(vertices, batch)[1]
-            inside = inside_by_vertex(vertices, self.posed_bodies, reach=REACH)
             skin = self.skin.figures(vertices, batch.overlapped_skin)
         takes = batch.body if motion else None
-        figures.add(vertices, energies, inside, skin, rest_row=self.losses.rest_row, takes=takes, count=batch.count)
+        figures.add(vertices, energies, skin, rest_row=self.losses.rest_row, takes=takes, count=batch.count)
 
     def figures(
         self, *, upright: bool, only: Collection[str] = ("model", "skinning", "fewer_influences")
     ) -> dict[str, dict[str, float]]:
         """The model, plain skinning, and the model by the skinning weights for engines ("fewer_influences"), over all
         pairs; of these, those in `only`."""
-        rows = self._rows(self.uniform(upright=upright), only, "upright" if upright else "tilted")
+        rows = self._rows(self.uniform(upright=upright), only)
         return {name: figures.result() for name, figures in rows.items()}
 
     def frames(self, motion: Motion) -> Pairs:
@@ -178,7 +178,7 @@ class Evaluation:
         total = {name: self.new_figures() for name in ("model", "skinning", "fewer_influences")}
         results: dict = {"clips": {}}
         for name, motion in clips.items():
-            rows = self._rows(self.frames(motion), total, name, motion=True)
+            rows = self._rows(self.frames(motion), total, motion=True)
             for row, figures in rows.items():
                 total[row].include(figures)
             worst = rows["model"].worst_skin
@@ -194,7 +194,7 @@ class Evaluation:
         }
         return _with_jitter_ratio(total) | results
 
-    def _rows(self, pairs: Pairs, only: Collection[str], what: str, *, motion: bool = False) -> dict[str, Figures]:
+    def _rows(self, pairs: Pairs, only: Collection[str], *, motion: bool = False) -> dict[str, Figures]:
         drapes = {name: self._fewer if name == "fewer_influences" else self.drape for name in only}
         rows = {name: self.new_figures() for name in drapes}
         with torch.no_grad():
@@ -204,14 +204,14 @@ class Evaluation:
                     delta = delta_transforms(torch.zeros_like(raw) if name == "skinning" else raw)
                     vertices = drape.skin(compose_nodes(batch.posed_nodes, delta), batch.rest)
                     self.count_in(rows[name], vertices, batch, motion=motion)
-                self.watch(what, batch.count)
+                self.watch(batch.count)
         return rows
 
     @cached_property
     def _fewer(self) -> Drape:
         return drape_from_model(self.model.for_engines()).to(self.device).eval()
 
-    def minima(self, pairs: Pairs, *, steps: int) -> dict[str, dict[str, float]]:
+    def minima(self, pairs: Pairs) -> dict[str, dict[str, float]]:
         """The model, subspace minimum and full-space minimum on the pairs: `model_on_subset`, `subspace_minimum`,
         `minimum`.
 
@@ -229,7 +229,7 @@ class Evaluation:
             with torch.no_grad():
                 raw = self._raw(batch)
                 own = self.drape.skin(compose_nodes(batch.posed_nodes, delta_transforms(raw)), batch.rest)
-            subspace = subspace_minimum(objective, self.drape, batch.posed_nodes, raw, rest=batch.rest, steps=steps)
+            subspace = subspace_minimum(objective, self.drape, batch.posed_nodes, raw, rest=batch.rest)
             with torch.no_grad():
                 better = self.energy(subspace.vertices, batch)[1].total < self.energy(own, batch)[1].total
             start = torch.where(better[:, None, None], subspace.vertices, own)
@@ -239,7 +239,7 @@ class Evaluation:
                 norms[name] += minimum.gradient_norm[: batch.count].tolist()
             for name, vertices in {"model_on_subset": own, **{k: m.vertices for k, m in minima.items()}}.items():
                 self.count_in(rows[name], vertices, batch)
-            self.watch(MINIMA, batch.count)
+            self.watch(MINIMUM_COST * batch.count)
         results = {name: figures.result() for name, figures in rows.items()}
         for name, values in norms.items():
             results[name]["gradient_norm"] = sum(values) / len(values)
@@ -257,6 +257,18 @@ class Evaluation:
     def _raw(self, batch: Batch) -> torch.Tensor:
         vector = self.drape.pose_vector(batch.positions, batch.gravity)
         return self.drape.networks(batch.modulation, vector, batch.posed_nodes)
+
+
+def counting_line(doing: str, total: int) -> Callable[[int], None]:
+    """A `progress_line` that is told how much more of `total` is done."""
+    line, done = progress_line(doing), 0
+
+    def watch(more: int) -> None:
+        nonlocal done
+        done += more
+        line(done / total)
+
+    return watch
 
 
 def measured_clips(motions: Sequence[Motion]) -> list[Motion]:
@@ -297,9 +309,8 @@ def evaluate_model(
     *,
     bodies: int,
     poses: int,
-    seed: int,
-    minimum: int,
-    steps: int,
+    seed: int = 0,
+    minimum: int = 0,
     motions: Sequence[Motion] = (),
 ) -> dict:
     """All rows of one model as plain data; on a terminal, progress is shown meanwhile.
@@ -313,29 +324,29 @@ def evaluate_model(
     measured = 2 * bodies * (2 * poses + frames)
     minimised = min(minimum, bodies * poses) + min(minimum, bodies * frames)
     batch = LARGEST_MEASURED if device.type == "cuda" else min(16, bodies * poses)
-    with progress(measured=measured, minimised=minimised) as watch:
-        given = {"bodies": bodies, "poses": poses, "seed": seed, "batch": batch, "watch": watch}
-        evaluation = Evaluation(model, device, **given, fit=0.0)
-        scores: dict = evaluation.figures(upright=True)
-        scores["tilted"] = evaluation.figures(upright=False, only=["model"])["model"]
-        scores["counts"] = {"bodies": bodies, "poses": poses, "seed": seed, "pairs": scores["model"]["pairs"]}
-        scores["counts"]["influences"] = model.influence_weights.shape[1]
-        scores["material"] = asdict(model.material)
-        fitted = Evaluation(model, device, **given, fit=1.0)
-        made: dict = fitted.figures(upright=True, only=["model", "skinning"])
-        made["tilted"] = fitted.figures(upright=False, only=["model"])["model"]
-        if clips:
-            made["motion"] = fitted.motion(clips)
-        scores["made_to_measure"] = made
-        scores["weight_n"] = float(model.garment.vertex_areas.sum() * model.material.density * STANDARD_GRAVITY)
-        if clips:
-            scores["motion"] = evaluation.motion(clips)
-        if minimum:
-            evaluation = Evaluation(model, device, **given | {"batch": min(batch, LARGEST_MINIMISED)}, fit=0.0)
-            scores |= evaluation.minima(evaluation.uniform(upright=True).spread(minimum), steps=steps)
-            scores["counts"] |= {"minimum_pairs": scores["minimum"]["pairs"], "minimum_steps": steps}
-            scores["energy_ratio"] = scores["model_on_subset"]["energy_j"] / scores["minimum"]["energy_j"]
-        if minimum and clips:
-            every_frame = Pairs.joined([evaluation.frames(clip) for clip in clips])
-            scores["motion"] |= evaluation.minima(every_frame.spread(minimum), steps=steps)
+    watch = counting_line(f"measuring {model.name}", measured + MINIMUM_COST * minimised)
+    given = {"bodies": bodies, "poses": poses, "seed": seed, "batch": batch, "watch": watch}
+    evaluation = Evaluation(model, device, **given, fit=0.0)
+    scores: dict = evaluation.figures(upright=True)
+    scores["tilted"] = evaluation.figures(upright=False, only=["model"])["model"]
+    scores["counts"] = {"bodies": bodies, "poses": poses, "seed": seed, "pairs": scores["model"]["pairs"]}
+    scores["counts"]["influences"] = model.influence_weights.shape[1]
+    scores["material"] = asdict(model.material)
+    fitted = Evaluation(model, device, **given, fit=1.0)
+    made: dict = fitted.figures(upright=True, only=["model", "skinning"])
+    made["tilted"] = fitted.figures(upright=False, only=["model"])["model"]
+    if clips:
+        made["motion"] = fitted.motion(clips)
+    scores["made_to_measure"] = made
+    scores["weight_n"] = float(model.garment.vertex_areas.sum() * model.material.density * STANDARD_GRAVITY)
+    if clips:
+        scores["motion"] = evaluation.motion(clips)
+    if minimum:
+        evaluation = Evaluation(model, device, **given | {"batch": min(batch, LARGEST_MINIMISED)}, fit=0.0)
+        scores |= evaluation.minima(evaluation.uniform(upright=True).spread(minimum))
+        scores["counts"]["minimum_pairs"] = scores["minimum"]["pairs"]
+        scores["energy_ratio"] = scores["model_on_subset"]["energy_j"] / scores["minimum"]["energy_j"]
+    if minimum and clips:
+        every_frame = Pairs.joined([evaluation.frames(clip) for clip in clips])
+        scores["motion"] |= evaluation.minima(every_frame.spread(minimum))
     return scores

@@ -5,6 +5,7 @@ Dimensions: `B` samples of a batch, `n` garment vertices.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 
 import torch
@@ -29,12 +30,10 @@ class Figures:
         self.edge_lengths = tensor(garment.edge_lengths, torch.float32)[None] if rest is None else rest.edge_length
         self.faces = tensor(garment.faces, torch.int64)
         self.face_areas = tensor(garment.face_areas, torch.float32)[None] if rest is None else rest.face_area
-        self.sums: dict[str, float] = {}
+        self.sums: Counter[str] = Counter()
+        self.frames: Counter[str] = Counter()
         self.samples = 0
         self.depths: list[torch.Tensor] = []
-        self.jitter = 0.0
-        self.jitter_frames = 0
-        self.snaps = 0
         self.worst_skin: dict[str, tuple[float, int]] = {}
         self._last: tuple[torch.Tensor, torch.Tensor] | None = None
 
@@ -42,7 +41,6 @@ class Figures:
         self,
         vertices: torch.Tensor,
         energies: Energies,
-        inside_by_vertex: torch.Tensor,
         skin: Mapping[str, torch.Tensor],
         *,
         rest_row: torch.Tensor | None = None,
@@ -51,7 +49,7 @@ class Figures:
     ) -> None:
         """Count in the first `count` (default all) of a batch of drapes (B, n, 3) [m].
 
-        inside_by_vertex: (B, n) bool, see the function of that name. skin: figures (B,) by name, see
+        skin: figures (B,) by name, see
         `SkinShows`. rest_row: (B,) integers, which rest shape each has, default the first. takes: (B,) int64, for
         drapes that are frames of motion, the take that each is of: a take's frames come together and in order, over as
         many batches as need be, and jitter and snaps are those of `physkin_core.quality` over each take by itself.
@@ -70,7 +68,6 @@ class Figures:
             "area_strain_percent": 100 * ((area - areas).abs() / areas).mean(dim=1),
             "inside_percent": 100 * (distance < 0).float().mean(dim=1),
             "inside_worn_percent": 100 * ((distance < 0) & energies.at_worn_part[:count]).float().mean(dim=1),
-            "inside_by_vertex_percent": 100 * inside_by_vertex[:count].float().mean(dim=1),
             **{name: values[:count] for name, values in skin.items()},
             "within_3mm_percent": 100 * (distance < CLOSE).float().mean(dim=1),
             "stretch_j": energies.stretch[:count],
@@ -79,7 +76,7 @@ class Figures:
             "gravity_j": energies.gravity[:count],
         }
         for name, values in per_sample.items():
-            self.sums[name] = self.sums.get(name, 0.0) + float(values.double().sum())
+            self.sums[name] += float(values.double().sum())
         for name in skin:
             most, sample = per_sample[name].max(dim=0)
             worst = float(most), self.samples + int(sample)
@@ -94,21 +91,19 @@ class Figures:
             vertices, takes = torch.cat([self._last[0], vertices]), torch.cat([self._last[1], takes])
         second = torch.linalg.norm(vertices.diff(n=2, dim=0), dim=-1)
         second = second[takes[2:] == takes[:-2]]
-        self.jitter += float(second.mean(dim=1).double().sum())
-        self.jitter_frames += len(second)
         if len(second):
-            self.snaps += int((second.amax(dim=1) - torch.quantile(second, 0.9, dim=1) > SNAP).sum())
+            jumps = second.amax(dim=1) - torch.quantile(second, 0.9, dim=1) > SNAP
+            self.frames.update(
+                count=len(second), jitter=float(second.mean(dim=1).double().sum()), snaps=int(jumps.sum())
+            )
         self._last = vertices[-2:], takes[-2:]
 
     def include(self, other: Figures) -> None:
         """Count in all that `other` has counted, of the same garment."""
-        for name, value in other.sums.items():
-            self.sums[name] = self.sums.get(name, 0.0) + value
+        self.sums.update(other.sums)
+        self.frames.update(other.frames)
         self.depths += other.depths
         self.samples += other.samples
-        self.jitter += other.jitter
-        self.jitter_frames += other.jitter_frames
-        self.snaps += other.snaps
 
     def result(self) -> dict[str, float]:
         """Means over `pairs` samples.
@@ -121,7 +116,7 @@ class Figures:
         figures["max_depth_mm"] = float(depths.max())
         figures["max_depth_p999_mm"] = float(torch.quantile(depths, 0.999))
         figures["energy_j"] = figures["stretch_j"] + figures["bend_j"] + figures["collision_j"]
-        if self.jitter_frames:
-            figures["jitter_mm"] = 1000 * self.jitter / self.jitter_frames
-            figures["snaps_percent"] = 100 * self.snaps / self.jitter_frames
+        if frames := self.frames["count"]:
+            figures["jitter_mm"] = 1000 * self.frames["jitter"] / frames
+            figures["snaps_percent"] = 100 * self.frames["snaps"] / frames
         return figures | {"pairs": self.samples}

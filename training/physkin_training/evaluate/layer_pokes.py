@@ -17,8 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physkin_core.model.garment import vertex_normals
-from physkin_core.model.surface_paths import mesh_edges
-from physkin_core.model.surface_paths import openings, path_lengths
+from physkin_core.model.surface_paths import mesh_edges, openings, path_lengths
 from physkin_core.quality import closest_points, signed_distance
 
 __all__ = ["CAMERAS", "HEM", "LayerPokes", "Surface", "View", "bind_layer_pokes", "camera_rays", "holes", "look"]

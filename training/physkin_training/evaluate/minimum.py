@@ -17,6 +17,8 @@ from physkin_training.networks.draping import Drape, RestShape, compose_nodes, d
 
 __all__ = ["Minimum", "subspace_minimum"]
 
+STEPS, RATE = 2000, 5e-3
+"""Steps of Adam, and the rate of the first."""
 Energy = Callable[[torch.Tensor], torch.Tensor]
 """Differentiable mean energy [J] of garment vertices (B, n, 3)."""
 
@@ -36,14 +38,12 @@ def subspace_minimum(
     posed_nodes: torch.Tensor,
     raw: torch.Tensor,
     *,
-    steps: int,
-    rate: float = 5e-3,
     rest: RestShape | None = None,
 ) -> Minimum:
-    """Minimise over the garment nodes' numbers `raw` (B, m, 9 or 12), skinning weights fixed. rate: first Adam step.
-    rest: of the samples, default the template."""
+    """Minimise over the garment nodes' numbers `raw` (B, m, 12), skinning weights fixed. rest: of the samples, default
+    the template."""
     free = raw.detach().clone().requires_grad_(True)
-    optimiser = torch.optim.Adam([free], lr=rate)
+    optimiser = torch.optim.Adam([free], lr=RATE)
 
     def shape() -> torch.Tensor:
         return drape.skin(compose_nodes(posed_nodes, delta_transforms(free)), rest)
@@ -51,8 +51,8 @@ def subspace_minimum(
     def compute_gradient() -> None:
         (free.grad,) = torch.autograd.grad(energy(shape()) * len(free), free)
 
-    for step in range(steps):
-        optimiser.param_groups[0]["lr"] = rate * (0.001 + 0.999 * 0.5 * (1 + math.cos(math.pi * step / steps)))
+    for step in range(STEPS):
+        optimiser.param_groups[0]["lr"] = RATE * (0.001 + 0.999 * 0.5 * (1 + math.cos(math.pi * step / STEPS)))
         compute_gradient()
         optimiser.step()
     compute_gradient()

@@ -10,8 +10,8 @@ Dimensions: `n` vertices of a garment, `d` degrees of freedom, `T` frames of a r
 from __future__ import annotations
 
 import warnings
+from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
@@ -26,9 +26,8 @@ from physkin_core.outfit.draper import Draper
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.quality import jitter
 from physkin_core.runtime.layer import WornGarment
-from physkin_training.evaluate.evaluate import measured_clips
+from physkin_training.evaluate.evaluate import counting_line, measured_clips
 from physkin_training.evaluate.layer_pokes import LayerPokes, Surface, bind_layer_pokes, camera_rays, holes, look
-from physkin_training.evaluate.progress import progress
 from physkin_training.evaluate.skin_shows import SkinShows
 from physkin_training.sampling.chosen_bodies import bodies_by_girth
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
@@ -53,69 +52,52 @@ def parse_outfit(text: str) -> list[WornGarment]:
     return garments
 
 
-@dataclass
-class PairCounts:
-    """What is counted of two layers. depths: of each frame, (k,) [m] by which covered inner vertices stand out."""
+Counts = defaultdict[tuple, list]
+"""What is counted of an outfit, over bodies and frames: ("strain" or "jitter", garment, "worn" or "alone"), ("skin",),
+("hidden",) [%], ("body holes",), ("cloth pixels",), and of each pair of layers (inner, outer) ("depths", pair): of each
+frame, (k,) [m] by which covered inner vertices stand out, and ("seen" or "poking" or "holes", pair) [pixels]."""
 
-    depths: list[np.ndarray] = field(default_factory=list)
-    seen: int = 0
-    poking: int = 0
-    holes: int = 0
 
-    def result(self) -> dict[str, float]:
-        depths = np.concatenate(self.depths)
-        pixels = max(self.seen, 1)
+def _figures(counts: Counts, names: Sequence[str]) -> dict:
+    """See `evaluate_outfits`."""
+
+    def mean(*key) -> float:
+        return float(np.mean(counts[key]))
+
+    def of_pairs(*pairs: tuple[int, int]) -> dict[str, float]:
+        depths = np.concatenate([frame for pair in pairs for frame in counts["depths", pair]])
+        seen, poking, holes = (sum(sum(counts[of, pair]) for pair in pairs) for of in ("seen", "poking", "holes"))
+        pixels = max(seen, 1)
         return {
             "poke_percent": float(100 * (depths > 0).mean()) if len(depths) else 0.0,
             "poke_p999_mm": float(1000 * np.quantile(depths, 0.999)) if len(depths) else 0.0,
-            "seen_poke_percent": 100 * (self.poking + self.holes) / pixels,
-            "seen_through_percent": 100 * self.poking / pixels,
-            "seen_hole_percent": 100 * self.holes / pixels,
+            "seen_poke_percent": 100 * (poking + holes) / pixels,
+            "seen_through_percent": 100 * poking / pixels,
+            "seen_hole_percent": 100 * holes / pixels,
             "covered_vertices": len(depths),
-            "pixels": self.seen,
+            "pixels": seen,
         }
 
-    @classmethod
-    def joined(cls, parts: Sequence[PairCounts]) -> PairCounts:
-        """All counts together."""
-        depths = [depths for part in parts for depths in part.depths]
-        return cls(depths, *(sum(getattr(part, name) for part in parts) for name in ("seen", "poking", "holes")))
-
-
-class OutfitCounts:
-    """All figures of an outfit, summed over bodies and frames."""
-
-    def __init__(self, names: Sequence[str]) -> None:
-        self.names = list(names)
-        self.pairs = {pair: PairCounts() for pair in combinations(range(len(names)), 2)}
-        self.strain = {name: {"worn": [], "alone": []} for name in names}
-        self.jitter = {name: {"worn": [], "alone": []} for name in names}
-        self.skin: list[float] = []
-        self.body_holes = self.cloth_pixels = 0
-        self.hidden: list[float] = []
-
-    def result(self) -> dict:
-        """See `evaluate_outfits`."""
-        garments = {}
-        for name in self.names:
-            strain, shake = ({k: float(np.mean(v)) for k, v in of[name].items()} for of in (self.strain, self.jitter))
-            garments[name] = {
-                "strain_percent": strain["worn"],
-                "strain_alone_percent": strain["alone"],
-                "added_strain_points": strain["worn"] - strain["alone"],
-                "jitter_mm": 1000 * shake["worn"],
-                "added_jitter_ratio": shake["worn"] / shake["alone"],
-            }
-        pairs = {",".join(self.names[k] for k in pair): counts.result() for pair, counts in self.pairs.items()}
-        return PairCounts.joined(list(self.pairs.values())).result() | {
-            "skin_shows_percent": float(np.mean(self.skin)),
-            "skin_hole_percent": 100 * self.body_holes / max(self.cloth_pixels, 1),
-            "added_strain_points": max(g["added_strain_points"] for g in garments.values()),
-            "added_jitter_ratio": max(g["added_jitter_ratio"] for g in garments.values()),
-            "hidden_vertices_percent": float(np.mean(self.hidden)),
-            "pairs": pairs,
-            "garments": garments,
+    garments = {
+        name: {
+            "strain_percent": mean("strain", name, "worn"),
+            "strain_alone_percent": mean("strain", name, "alone"),
+            "added_strain_points": mean("strain", name, "worn") - mean("strain", name, "alone"),
+            "jitter_mm": 1000 * mean("jitter", name, "worn"),
+            "added_jitter_ratio": mean("jitter", name, "worn") / mean("jitter", name, "alone"),
         }
+        for name in names
+    }
+    pairs = list(combinations(range(len(names)), 2))
+    return of_pairs(*pairs) | {
+        "skin_shows_percent": mean("skin"),
+        "skin_hole_percent": 100 * sum(counts["body holes",]) / max(sum(counts["cloth pixels",]), 1),
+        "added_strain_points": max(garment["added_strain_points"] for garment in garments.values()),
+        "added_jitter_ratio": max(garment["added_jitter_ratio"] for garment in garments.values()),
+        "hidden_vertices_percent": mean("hidden"),
+        "pairs": {",".join(names[k] for k in pair): of_pairs(pair) for pair in pairs},
+        "garments": garments,
+    }
 
 
 class DressedBody:
@@ -138,33 +120,27 @@ class DressedBody:
             among[layer.visible] = True
             self.edges.append(among[draper.rest_garment.edges].all(axis=1))
 
-    @property
-    def hidden_percent(self) -> float:
-        hidden = np.concatenate([layer.hidden for layer in self.given.layers])
-        return float(100 * hidden.mean())
-
-    def count_run(self, positions: np.ndarray, gravity: np.ndarray, lead: int, counts: OutfitCounts) -> list:
+    def count_run(self, positions: np.ndarray, gravity: np.ndarray, lead: int, counts: Counts) -> list:
         """Count a run in: positions (lead + T, d), gravity (lead + T, 3). Returns the last frame's whole garments
         (n, 6)."""
-        frames, alone, whole = [], [], []
+        frames, whole = [], []
         for q, down in zip(positions, gravity):
             frames.append(self.given.drape(q, down))
             whole = self.whole.drape(q, down)
-            alone.append([draper.drape(q, down) for draper in self.alone])
-        for k, name in enumerate(counts.names):
-            visible, garment = self.given.layers[k].visible, self.given.layers[k].rest_garment
+        for k, (draper, layer) in enumerate(zip(self.alone, self.given.layers)):
             worn = np.stack([frame[k][:, :3] for frame in frames[lead:]]).astype(np.float64)
-            by_itself = np.stack([frame[k][:, :3] for frame in alone[lead:]]).astype(np.float64)
-            counts.jitter[name]["worn"].append(jitter(worn))
-            counts.jitter[name]["alone"].append(jitter(by_itself[:, visible]))
-            full = by_itself[-1].copy()
-            full[visible] = worn[-1]
-            counts.strain[name]["worn"].append(_strain(garment, full, self.edges[k]))
-            counts.strain[name]["alone"].append(_strain(self.alone[k].rest_garment, by_itself[-1], self.edges[k]))
+            alone = np.stack(draper.layer.drape(zip(positions[lead:], gravity[lead:])))[:, :, :3].astype(np.float64)
+            full = alone[-1].copy()
+            full[layer.visible] = worn[-1]
+            counts["jitter", layer.name, "worn"].append(jitter(worn))
+            counts["jitter", layer.name, "alone"].append(jitter(alone[:, layer.visible]))
+            counts["strain", layer.name, "worn"].append(_strain(layer.rest_garment, full, self.edges[k]))
+            counts["strain", layer.name, "alone"].append(_strain(draper.rest_garment, alone[-1], self.edges[k]))
+        counts["hidden",].append(float(100 * np.concatenate([layer.hidden for layer in self.given.layers]).mean()))
         self._count_seen(whole, frames[-1], positions[-1], counts)
         return whole
 
-    def _count_seen(self, whole: list, given: list, positions: np.ndarray, counts: OutfitCounts) -> None:
+    def _count_seen(self, whole: list, given: list, positions: np.ndarray, counts: Counts) -> None:
         avatar = self.given.avatar
         body = avatar.posed_vertices(self.given.bone_transforms(positions)).astype(np.float64)
         cloth = [
@@ -179,26 +155,26 @@ class DressedBody:
         left.append(Surface(body, skin.faces[~mask]))
         removed.append(Surface(body, skin.faces[mask]))
         missed = holes(left, removed, rays)
-        counts.body_holes += int((missed.surface == len(cloth)).sum())
-        counts.cloth_pixels += int(((view.surface >= 0) & (view.surface < len(cloth))).sum())
+        counts["body holes",].append(int((missed.surface == len(cloth)).sum()))
+        counts["cloth pixels",].append(int(((view.surface >= 0) & (view.surface < len(cloth))).sum()))
         for (i, o), pokes in self.pokes.items():
-            pair = counts.pairs[i, o]
             inner, outer = cloth[i].vertices, cloth[o].vertices
             normals = whole[i][:, 3:].astype(np.float64)
-            pair.depths.append(pokes.depths(inner[pokes.covered], normals[pokes.covered], outer))
+            counts["depths", (i, o)].append(pokes.depths(inner[pokes.covered], normals[pokes.covered], outer))
             only = view if len(cloth) == 2 else look([cloth[i], cloth[o], skin], rays)
             under = (only.surface == 0) & only.facing
             under[under] = pokes.covered[pokes.faces[0][only.face[under]]].all(axis=1)
             over = (only.surface == 1) & only.facing
             over[over] = pokes.covering[pokes.faces[1][only.face[over]]].all(axis=1)
-            pair.seen += int((under | over).sum())
+            counts["seen", (i, o)].append(int((under | over).sum()))
             shown = (view.surface == i) & view.facing
             shown[shown] = pokes.covered[pokes.faces[0][view.face[shown]]].all(axis=1)
             points, outward = _surface_points(inner, normals, pokes.faces[0][view.face[shown]], view.share[shown])
-            pair.poking += int((pokes.depths(points, outward, outer) > 0).sum())
+            counts["poking", (i, o)].append(int((pokes.depths(points, outward, outer) > 0).sum()))
             hole = missed.surface == i
             points, outward = _surface_points(inner, normals, self.removed[i][missed.face[hole]], missed.share[hole])
-            pair.holes += int((pokes.depths(points, outward, outer) == 0).sum())  # what would poke is not missed
+            would_poke = pokes.depths(points, outward, outer) > 0  # and is not missed
+            counts["holes", (i, o)].append(int((~would_poke).sum()))
 
 
 def _surface_points(vertices: np.ndarray, normals: np.ndarray, corners: np.ndarray, share: np.ndarray):
@@ -250,42 +226,29 @@ def evaluate_outfits(
     frames = sum(map(len, runs.values()))
     posed = PosedBodies(body_model, BodySet(body_model, held_out, device), 1)
     scores: dict = {}
-    with progress(measured=len(outfits) * bodies * frames, minimised=0) as watch:
-        for name, garments in outfits.items():
-            skin = SkinShows(_together([garment.model.garment for garment in garments]), body_model, posed)
-            names = [garment.model.name for garment in garments]
-            counted = {clip.name: OutfitCounts(names) for clip in clips}
-            for body, coefficients in enumerate(held_out):
-                dressed = DressedBody(garments, avatar_from_body(body_model, coefficients))
-                for clip in clips:
-                    counts, positions = counted[clip.name], clip.positions_for(garments[0].model.rig)
-                    counts.hidden.append(dressed.hidden_percent)
-                    for start in runs[clip.name]:
-                        led = slice(max(start - LEAD, 0), start + RUN)
-                        lead = start - led.start
-                        whole = dressed.count_run(positions[led], clip.gravity[led], lead, counts)
-                        counts.skin.append(_skin_shows(skin, posed, positions[led][-1], body, whole))
-                        watch(f"{name}, {clip.name}", 1)
-            scores[name] = _joined(list(counted.values())).result()
-            scores[name]["clips"] = {clip: counts.result() for clip, counts in counted.items()}
+    watch = counting_line("measuring outfits", len(outfits) * bodies * frames)
+    for name, garments in outfits.items():
+        skin = SkinShows(_together([garment.model.garment for garment in garments]), body_model, posed)
+        names = [garment.model.name for garment in garments]
+        counted: dict[str, Counts] = {clip.name: defaultdict(list) for clip in clips}
+        total: Counts = defaultdict(list)
+        for body, coefficients in enumerate(held_out):
+            dressed = DressedBody(garments, avatar_from_body(body_model, coefficients))
+            for clip in clips:
+                counts, positions = counted[clip.name], clip.positions_for(garments[0].model.rig)
+                for start in runs[clip.name]:
+                    led = slice(max(start - LEAD, 0), start + RUN)
+                    lead = start - led.start
+                    whole = dressed.count_run(positions[led], clip.gravity[led], lead, counts)
+                    counts["skin",].append(_skin_shows(skin, posed, positions[led][-1], body, whole))
+                    watch(1)
+        for counts in counted.values():
+            for key, values in counts.items():
+                total[key] += values
+        scores[name] = _figures(total, names)
+        scores[name]["clips"] = {clip: _figures(counts, names) for clip, counts in counted.items()}
     counts = {"bodies": bodies, "clips": len(clips), "frames": frames, "stride": stride, "run": RUN}
     return {"outfit": scores, "counts": counts}
-
-
-def _joined(parts: Sequence[OutfitCounts]) -> OutfitCounts:
-    total = OutfitCounts(parts[0].names)
-    for pair in total.pairs:
-        total.pairs[pair] = PairCounts.joined([part.pairs[pair] for part in parts])
-    for part in parts:
-        for name in total.names:
-            for kind in ("worn", "alone"):
-                total.strain[name][kind] += part.strain[name][kind]
-                total.jitter[name][kind] += part.jitter[name][kind]
-        total.skin += part.skin
-        total.hidden += part.hidden
-        total.body_holes += part.body_holes
-        total.cloth_pixels += part.cloth_pixels
-    return total
 
 
 def _together(garments: Sequence[Garment]) -> Garment:

@@ -5,7 +5,6 @@ What every trained model is compared with, and a stand-in while a garment is bei
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import torch
@@ -13,7 +12,6 @@ import torch
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment import load_garment
 from physkin_core.model.garment_model import GarmentModel, Material
-from physkin_core.model.model_file import save_garment_model
 from physkin_training.config import NetworkConfig
 from physkin_training.networks.draping import Drape
 from physkin_training.networks.export import model_from_drape
@@ -31,16 +29,3 @@ def plain_model(garment_path: str | Path, *, nodes: int = 128, influences: int =
     name = Path(garment_path).stem
     sizes = {"influences": influences, "engine_influences": 4}
     return model_from_drape(drape, garment, rig, name=name, material=Material(), **sizes)
-
-
-def main() -> None:
-    """Command line entry."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("garment", type=Path)
-    parser.add_argument("output", type=Path)
-    arguments = parser.parse_args()
-    save_garment_model(plain_model(arguments.garment), arguments.output)
-
-
-if __name__ == "__main__":
-    main()

@@ -115,7 +115,6 @@ def dynamics_table(scores: Mapping) -> str:
         "still_mm",
         "strain_percent",
         "added_strain_points",
-        "added_us",
         "added_step_us",
     )
     lines += ["", ", ".join(f"{name} {total[name]:.3f}" for name in others)]

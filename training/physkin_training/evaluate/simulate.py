@@ -10,7 +10,6 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -33,7 +32,7 @@ from physkin_core.rig.rig import Rig
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.evaluate.plain_model import plain_model
-from physkin_training.physics.full_space_solver import FullSpaceSolver, Progress
+from physkin_training.physics.full_space_solver import FullSpaceSolver
 from physkin_training.physics.newton_solver import Solution
 from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.staged_drape import drape_in_stages
@@ -44,6 +43,8 @@ __all__ = ["DrapeSimulation", "Poses", "command_parser", "load_pose", "main"]
 
 REACH = 0.3
 """The body is looked for up to this distance [m]."""
+STAGES = 8
+"""Steps of the body from the canonical pose."""
 NOT_CONVERGED = 1
 
 
@@ -112,7 +113,6 @@ class DrapeSimulation:
         stages: int = 0,
         tolerance: float = 1e-2,
         iterations: int = 300,
-        watch: Callable[[Progress], None] | None = None,
     ) -> Solution:
         """Minimise at the poses.
 
@@ -121,17 +121,14 @@ class DrapeSimulation:
         """
 
         def minimise(start: torch.Tensor, share: float, **options) -> Solution:
-            return self.run_from(start, self._partly(poses, share), **options)
+            at = self._partly(poses, share)
+            self.body.pose(*self._tensors(at.positions.copy()))
+            return self.solver.minimise(*self._tensors(start, at.gravity), self.body.mesh, self.body.offset, **options)
 
-        options = {"tolerance": tolerance, "iterations": iterations, "watch": watch}
+        options = {"tolerance": tolerance, "iterations": iterations}
         return drape_in_stages(
             lambda share: self._start(self._partly(poses, share)), minimise, stages=stages, **options
         )
-
-    def run_from(self, start: np.ndarray | torch.Tensor, poses: Poses, **options) -> Solution:
-        """Minimise at the poses from vertices (B, n, 3) [m]. options: of `FullSpaceSolver.minimise`."""
-        self.body.pose(*self._tensors(poses.positions.copy()))
-        return self.solver.minimise(*self._tensors(start, poses.gravity), self.body.mesh, self.body.offset, **options)
 
     def _partly(self, poses: Poses, share: float) -> Poses:
         if share == 1:
@@ -183,12 +180,10 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("--frame", type=int, nargs="+", default=[0], metavar="K", help="frames of the motion")
     parser.add_argument("--dynamic", action="store_true", help="with inertia: other options, see --dynamic --help")
     parser.add_argument("--start-from", metavar="MODEL", help="trained garment to start from (default: plain skinning)")
-    parser.add_argument("--stages", type=int, help="steps from the canonical pose (default: 8; 0 with --start-from)")
     for entry in fields(Material):
         name = "--" + entry.name.replace("_", "-")
         parser.add_argument(name, type=float, default=entry.default, metavar="X", help="(default %(default)s)")
     parser.add_argument("--tolerance", type=float, default=1e-2, help="residual force / weight (default %(default)s)")
-    parser.add_argument("--iterations", type=int, default=300, help="Newton steps at most (default %(default)s)")
     parser.add_argument("--device", default=DEFAULT_DEVICE)
     parser.add_argument(
         "-o", "--output", type=Path, required=True, help=".obj or .ply (one frame), or .npz (any number)"
@@ -198,10 +193,8 @@ def command_parser() -> argparse.ArgumentParser:
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    if not options.tolerance > 0 or options.iterations < 1:
-        raise ValueError(
-            f"tolerance {options.tolerance} must be above 0, iterations {options.iterations} must be at least 1"
-        )
+    if not options.tolerance > 0:
+        raise ValueError(f"--tolerance {options.tolerance} must be above 0")
     suffixes = (".obj", ".ply", ".npz") if len(options.frame) == 1 else (".npz",)
     if options.output.suffix.lower() not in suffixes:
         raise ValueError(f"cannot write {options.output}: the name must end in {' or '.join(suffixes)}")
@@ -215,14 +208,13 @@ def _simulate(options: argparse.Namespace) -> int:
         avatar = avatar_from_body(body_model, body_model.garment_body)
     print_warnings(avatar.warnings)
     poses = _poses(options, model.rig)
-    stages = options.stages if options.stages is not None else 0 if options.start_from else 8
     device = resolve_device(options.device)
     if device.type == "cpu":
         torch.set_num_threads(1)  # vectors are short: more threads would only wait for each other
     began = time.perf_counter()
     wearing = Wearing.on(garment, avatar, model.rig)
     simulation = DrapeSimulation(garment, avatar, model, material, len(poses.positions), device, wearing=wearing)
-    result = simulation.run(poses, stages=stages, tolerance=options.tolerance, iterations=options.iterations)
+    result = simulation.run(poses, stages=0 if options.start_from else STAGES, tolerance=options.tolerance)
     seconds = time.perf_counter() - began
     vertices = result.vertices.double().cpu().numpy()
     print(report(garment, result))

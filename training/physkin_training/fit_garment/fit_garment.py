@@ -40,7 +40,7 @@ from physkin_training.train import train
 from physkin_training.train.checkpoint import checkpoint_step
 from physkin_training.train.trainer import Trainer
 
-__all__ = ["FIGURES", "as_toml", "choose_steps", "command_parser", "main"]
+__all__ = ["FIGURES", "add_training_options", "as_toml", "choose_steps", "command_parser", "main"]
 
 log = logging.getLogger(__name__)
 DEFAULT_MINUTES = {"cuda": 15.0, "cpu": 480.0}
@@ -122,28 +122,32 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--check-only", action="store_true", help="print the verdicts, write the repaired mesh and a picture, stop"
     )
-    parser.add_argument(
-        "--accept-placement", action="store_true", help="train though its place on the avatar is in doubt"
-    )
-    length = parser.add_mutually_exclusive_group()
-    length.add_argument(
-        "--minutes", type=float, help="that all takes, report included (default: 15 on a GPU, 480 on a CPU)"
-    )
-    length.add_argument("--steps", type=int, help="of training, instead of minutes; the report comes on top")
-    parser.add_argument("--recipe", type=Path, metavar="TOML", help="training configuration to take all else from")
+    add_training_options(parser)
     parser.add_argument(
         "--resume",
         action="store_true",
         help="go on from the checkpoint of a stopped run, where there is one, with its steps and recipe",
     )
+    parser.add_argument("--device", default=DEFAULT_DEVICE)
+    return parser
+
+
+def add_training_options(parser: argparse.ArgumentParser) -> None:
+    """Options of training a garment and of its report, also for a catalogue of garments."""
+    parser.add_argument(
+        "--accept-placement", action="store_true", help="train though its place on the avatar is in doubt"
+    )
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument(
+        "--minutes", type=float, help="that a garment takes, report included (default: 15 on a GPU, 480 on a CPU)"
+    )
+    length.add_argument("--steps", type=int, help="of training, instead of minutes; the report comes on top")
+    parser.add_argument("--recipe", type=Path, metavar="TOML", help="training configuration to take all else from")
     parser.add_argument(
         "--checkpoint-every", type=float, default=5.0, metavar="MINUTES", help="while it trains (default 5)"
     )
     parser.add_argument("--bodies", type=int, default=8, help="held-out bodies of the report's figures (default 8)")
     parser.add_argument("--poses", type=int, default=64, help="poses a body of the report's figures (default 64)")
-    parser.add_argument("--no-pictures", action="store_true", help="tables only")
-    parser.add_argument("--device", default=DEFAULT_DEVICE)
-    return parser
 
 
 def _fit(options: argparse.Namespace) -> int:
@@ -177,8 +181,7 @@ def _fit(options: argparse.Namespace) -> int:
     write_garment(mesh, checked)
     kept = f" with {checked.look}" if str(checked.look) else ""
     print(f"wrote {mesh}{kept}")
-    if not options.no_pictures:
-        _draw(folder / "placement.png", checked, avatar, template, own)
+    _draw(folder / "placement.png", checked, avatar, template, own)
     unsure = checked.first("unsure")
     if unsure and not options.accept_placement:
         print(
@@ -231,11 +234,8 @@ def _train_and_report(
     arguments = ["--config", str(configuration), "--output", str(folder), "--device", options.device]
     arguments += ["--log-every", str(max(1, min(200, config.optimisation.steps // 200)))]
     arguments += ["--checkpoint-every", str(options.checkpoint_every)]
-    if resumed:
-        arguments += ["--resume", str(checkpoint)]
-    elif not options.steps:
-        arguments += ["--within", str(max(_for_training(budget), 1.0) / 60)]
-    status = train.main(arguments)
+    arguments += ["--resume", str(checkpoint)] if resumed else []
+    status = train.main(arguments, within=max(_for_training(budget), 1.0))
     if status:
         return status
     seconds = earlier + budget.spent - began
@@ -253,7 +253,6 @@ def _train_and_report(
         seconds=seconds,
         bodies=options.bodies,
         poses=options.poses,
-        pictures=not options.no_pictures,
     )
     found = {"seconds": seconds, "checks": [vars(verdict) for verdict in checked.verdicts]}
     found |= {"figures": scores, "advice": longer_or_not(read_losses(losses))}
@@ -268,7 +267,7 @@ def _configuration(options: argparse.Namespace, mesh: Path, device: torch.device
     recipe = load_config(options.recipe) if options.recipe else own
     recipe = replace(recipe, name=options.output.stem, garment=mesh)
     steps = options.steps or choose_steps(recipe, device, budget)
-    return replace(recipe, optimisation=replace(recipe.optimisation, steps=steps, minutes=0.0))
+    return replace(recipe, optimisation=replace(recipe.optimisation, steps=steps))
 
 
 if __name__ == "__main__":

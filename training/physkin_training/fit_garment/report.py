@@ -15,13 +15,12 @@ from matplotlib.figure import Figure
 from tabulate import tabulate
 
 from physkin_core.avatar.avatar import Avatar
-from physkin_core.avatar.body_model import load_body_model
 from physkin_core.check.garment_check import check_garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.outfit.draper import Draper
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
-from physkin_training.evaluate.contact_sheet import chosen_bodies, chosen_poses, drape_all, draw
-from physkin_training.evaluate.evaluate import Evaluation, evaluate_model
+from physkin_training.evaluate.contact_sheet import chosen_poses, draw_sheet
+from physkin_training.evaluate.evaluate import evaluate_model
 from physkin_training.evaluate.score_table import table
 from physkin_training.fit_garment.checks import CheckedGarment
 from physkin_training.fit_garment.own_pose import OwnPose
@@ -46,7 +45,6 @@ FIRST_POSES = 2
 PICTURE_SECONDS = 30.0
 """The first pictures, with what they load and compile."""
 SHEET_POSES = 6
-SHEET_WIDTH = 190
 AVATAR_POSES = 2
 LAST, STILL_FALLING = 0.25, 3.0
 """Share of the run at its end, and by how many percent the validation energy falls in it where more is worth while."""
@@ -79,7 +77,6 @@ def write_report(
     seconds: float,
     bodies: int,
     poses: int,
-    pictures: bool,
 ) -> dict:
     """Evaluate the model on held-out bodies and write the page; the sheet of drapes also as PNG beside it. Returns the
     figures, of `evaluate_model`.
@@ -90,12 +87,12 @@ def write_report(
     """
 
     def evaluate(count: int) -> dict:
-        return evaluate_model(model, device, bodies=bodies, poses=count, seed=0, minimum=0, steps=0)
+        return evaluate_model(model, device, bodies=bodies, poses=count)
 
     worn = None if avatar is None else Draper(model, avatar)
     few = min(FIRST_POSES, poses)
     scores, taken = budget.timed(lambda: evaluate(few))
-    shown = _pictures(path, model, checked, template, worn, device, budget) if pictures else []
+    shown = _pictures(path, model, checked, template, worn, device, budget)
     more = int(min(poses, few * budget.left / taken))
     if more > few:
         scores = evaluate(more)
@@ -152,7 +149,7 @@ def _pictures(
             parts += ["<p>On your avatar, in the poses of the first rows:</p>", _image(_on_avatar(worn))]
         if poses < 1:
             return [*parts, _note(late.format("a sheet"))]
-        sheet = _sheet(model, device, poses)
+        sheet, _ = draw_sheet(model, device, poses=poses)
     except PictureError as error:
         return [_note(str(error))]
     save_png(path.with_suffix(".png"), sheet)
@@ -165,15 +162,11 @@ def _note(text: str) -> str:
 
 
 def _verdicts(checked: CheckedGarment) -> str:
-    rows = []
-    for verdict in checked.verdicts:
-        rows.append(
-            [
-                html.escape(verdict.check),
-                badge(verdict.outcome, verdict.outcome),
-                *map(html.escape, (verdict.found, verdict.allowed)),
-            ]
-        )
+    rows = [
+        [html.escape(verdict.check), badge(verdict.outcome, verdict.outcome)]
+        + [html.escape(text) for text in (verdict.found, verdict.allowed)]
+        for verdict in checked.verdicts
+    ]
     return tabulate(rows, COLUMNS, tablefmt="unsafehtml")
 
 
@@ -265,16 +258,6 @@ def _on_avatar(worn: Draper) -> np.ndarray:
 def _at_rest(checked: CheckedGarment, template: Avatar) -> np.ndarray:
     meshes = [Mesh(template.vertices, template.faces), Mesh(checked.vertices, checked.faces, CLOTH_COLOUR)]
     return contact_sheet([render(meshes, size=(300, 375), azimuth=view) for view in VIEWS], columns=len(VIEWS))
-
-
-def _sheet(model: GarmentModel, device: torch.device, count: int) -> np.ndarray:
-    bodies = chosen_bodies(load_body_model())
-    evaluation = Evaluation(model, device, bodies=list(bodies.values()), poses=count, seed=0)
-    poses, names = chosen_poses(model.rig, count=count, seed=0)
-    drapes = drape_all(evaluation, poses, minimum=False)
-    captions = [f"{name}, {body}" for name in names for body in bodies]
-    gravity = poses.gravity.numpy().repeat(len(bodies), axis=0)
-    return draw(drapes, model, gravity, captions, columns=2 * len(bodies), width=SHEET_WIDTH)
 
 
 def _image(picture: np.ndarray) -> str:

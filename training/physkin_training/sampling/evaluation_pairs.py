@@ -5,7 +5,6 @@ Dimensions: `P` pairs, `d` degrees of freedom.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -16,8 +15,6 @@ from physkin_core.rig.rig import Rig
 from physkin_training.sampling.pose_sampling import PoseSampler
 
 __all__ = ["Pairs", "motion_pairs", "uniform_pairs"]
-
-LARGEST_TILT = math.radians(110)
 
 
 @dataclass(frozen=True)
@@ -49,7 +46,7 @@ def uniform_pairs(rig: Rig, *, bodies: int, poses: int, seed: int, upright: bool
 
     upright: whether all roots stand; else all lean, any way, by up to `LARGEST_TILT`.
     """
-    sampler = PoseSampler(rig, torch.device("cpu"), upright=float(upright), largest_tilt=LARGEST_TILT)
+    sampler = PoseSampler(rig, torch.device("cpu"), upright=float(upright))
     positions, gravity = sampler.sample(bodies * poses, 1.0, generator=torch.Generator().manual_seed(seed))
     return Pairs(positions, gravity, torch.arange(bodies * poses) % bodies)
 

@@ -12,14 +12,17 @@ import numpy as np
 import torch
 
 from physkin_core.rig.rig import Rig
-from physkin_training.config import PoseConfig
 from physkin_training.sampling.everyday_poses import EverydayPoses
 
-__all__ = ["PoseSampler", "pose_range"]
+__all__ = ["LARGEST_TILT", "PoseSampler", "pose_range"]
 
 FIRST_RANGE = 0.1
 LARGEST_ACCELERATION = 2.0
 """Of the root, in units of gravity: cloth feels at most three times its weight."""
+LARGEST_TILT = math.radians(110)
+"""[rad] Roots lean by up to this."""
+EVERYDAY, ACCELERATED, UPRIGHT = 0.6, 0.3, 0.5
+"""In training: shares of everyday poses and of accelerated roots, and, of the other poses, of roots that stand."""
 
 
 def pose_range(progress: float, growth: float) -> float:
@@ -36,39 +39,23 @@ class PoseSampler:
     """Draws joint positions (B, d) [rad] and effective gravity (B, 3), in units of gravity, on a device.
 
     everyday: share of samples that have an everyday pose; the others' is uniform in the limits. Of these, `upright`
-    have an upright root, the others lean by up to `largest_tilt` [rad] any way. accelerated: share of all samples whose
-    root is accelerated, any way, by up to twice gravity; what cloth then feels is gravity less the acceleration.
+    have an upright root, the others lean by up to `LARGEST_TILT` any way. accelerated: share of all samples whose root
+    is accelerated, any way, by up to twice gravity; what cloth then feels is gravity less the acceleration.
     """
 
     @classmethod
-    def configured(cls, config: PoseConfig, rig: Rig, device: torch.device) -> PoseSampler:
-        """The sampler of a training configuration."""
-        return cls(
-            rig,
-            device,
-            everyday=config.everyday,
-            accelerated=config.accelerated,
-            upright=config.upright,
-            largest_tilt=math.radians(config.largest_tilt_degrees),
-        )
+    def of_training(cls, rig: Rig, device: torch.device) -> PoseSampler:
+        """The sampler that training draws from."""
+        return cls(rig, device, everyday=EVERYDAY, accelerated=ACCELERATED, upright=UPRIGHT)
 
     def __init__(
-        self,
-        rig: Rig,
-        device: torch.device,
-        *,
-        upright: float,
-        largest_tilt: float,
-        everyday: float = 0.0,
-        accelerated: float = 0.0,
+        self, rig: Rig, device: torch.device, *, upright: float, everyday: float = 0.0, accelerated: float = 0.0
     ) -> None:
         def tensor(values) -> torch.Tensor:
             return torch.as_tensor(np.array(values), dtype=torch.float32, device=device)
 
         self.lower, self.upper, self.rest = tensor(rig.lower), tensor(rig.upper), tensor(rig.rest)
-        self.upright = upright
-        self.largest_tilt = largest_tilt
-        self.everyday, self.accelerated = everyday, accelerated
+        self.upright, self.everyday, self.accelerated = upright, everyday, accelerated
         self._everyday_poses = EverydayPoses(rig, device) if everyday > 0 else None
         self._down = tensor([0.0, 0.0, -1.0])
 
@@ -87,7 +74,7 @@ class PoseSampler:
         within = uniform(count, len(self.lower))
         reach_down, reach_up = (self.lower - self.rest) * share, (self.upper - self.rest) * share
         positions = self.rest + reach_down + within * (reach_up - reach_down)
-        tilt = uniform(count) * self.largest_tilt * share
+        tilt = uniform(count) * LARGEST_TILT * share
         tilt = torch.where(uniform(count) < self.upright, torch.zeros_like(tilt), tilt)
         azimuth = uniform(count) * (2 * torch.pi)
         gravity = torch.stack([tilt.sin() * azimuth.cos(), tilt.sin() * azimuth.sin(), -tilt.cos()], dim=1)

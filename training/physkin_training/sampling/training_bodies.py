@@ -10,15 +10,17 @@ __all__ = ["training_bodies"]
 
 LARGEST_SWELLING = 0.015
 """[m] how much may be worn under the garment."""
+SWOLLEN = 0.5
+"""Share of the bodies that are taken once more, with something under the garment."""
 COVERED_PARTS = 0.7
 """Share of a swollen body's parts that are."""
 
 
-def training_bodies(body_model: BodyModel, count: int, *, swollen: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Shape coefficients (S, c) and swelling (S, b) [m]: of the first `count` bodies as they are, then of that share of
-    them once more, `swollen`. Dimensions: `b` bones."""
+def training_bodies(body_model: BodyModel, count: int, *, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Shape coefficients (S, c) and swelling (S, b) [m]: of the first `count` bodies as they are, then of half of them
+    once more, swollen. Dimensions: `b` bones."""
     bodies = body_model.train_bodies[:count]
-    again = bodies[: round(swollen * len(bodies))]
+    again = bodies[: round(SWOLLEN * len(bodies))]
     random = np.random.default_rng(seed)
     shape = (len(again), body_model.rig.bone_count)
     swelling = LARGEST_SWELLING * random.random(shape) * (random.random(shape) < COVERED_PARTS)

@@ -1,4 +1,4 @@
-"""What a training run says of itself: losses.jsonl, TensorBoard scalars, a progress bar and lines of log."""
+"""What a training run says of itself: losses.jsonl, TensorBoard scalars, and a line of progress or lines of log."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+from physkin_core.progress import progress_line
 from physkin_training.train.trainer import TERMS, Trainer
 
 __all__ = ["RunReports"]
@@ -29,21 +30,15 @@ class RunReports:
 
     def __enter__(self) -> RunReports:
         if self._trainer.processes.writes:
-            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
             from torch.utils.tensorboard import SummaryWriter
 
-            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
             self._writer = SummaryWriter(self._output / "scalars")
             self._record = open(self._output / "losses.jsonl", "a")
-            self._progress = Progress(*columns, disable=not sys.stderr.isatty())
-            steps = self._trainer.config.optimisation.steps
-            self._task = self._progress.add_task("training", total=steps, completed=self._trainer.step)
-            self._progress.start()
+            self._progress = progress_line("training")
         return self
 
     def __exit__(self, *_) -> None:
         if self._trainer.processes.writes:
-            self._progress.stop()
             self._record.close()
             self._writer.close()
 
@@ -61,7 +56,7 @@ class RunReports:
         row["gradient_norm"] = trainer.gradient_norm.item()
         if trainer.validation_energy is not None:
             row["validation_energy"] = trainer.validation_energy
-            row["validation_energy_made_to_measure"] = trainer.validation_energy_made_to_measure
+            row["validation_energy_made_to_measure"] = trainer.validation.made_to_measure
         if trainer.best:
             row |= {"best_validation_energy": trainer.best.energy, "best_step": trainer.best.step}
         if trainer.processes.writes:
@@ -73,8 +68,8 @@ class RunReports:
         self._record.flush()
         for name, value in row.items():
             self._writer.add_scalar(name, value, step)
-        total = sum(row[term] for term in TERMS)
-        self._progress.update(self._task, completed=step, description=f"energy {total:8.4f} J")
+        left = self._trainer.config.optimisation.steps - self._first_step
+        self._progress((step - self._first_step) / left)
         if not sys.stderr.isatty() and step // self._every % LINE_EVERY == 0:
             self._log(row)
 

@@ -13,6 +13,14 @@ __all__ = ["EARLY_REACH", "Schedule"]
 
 EARLY_REACH = 0.1
 """How far [m] bodies are looked for while the pose range grows: heavy ones start that deep in the garment."""
+LATE_REACH = 0.05
+"""How far [m] afterwards."""
+INITIAL_CONTACT = 0.1
+"""Share of the material's contact stiffness at the start of the run."""
+FINAL_RATE = 0.005
+"""Share of the learning rates that is left at the end of the run."""
+AVERAGE_DECAY = 0.999
+"""Decay a step of the moving average of networks and skinning weights."""
 
 
 @dataclass(frozen=True)
@@ -42,18 +50,18 @@ class Schedule:
         ramp = min(1.0, progress / optimisation.growth) if optimisation.growth > 0 else 1.0
         warm = min(1.0, (progress + 1e-9) / optimisation.warm_up) if optimisation.warm_up > 0 else 1.0
         cosine = 0.5 * (1 + math.cos(math.pi * progress))
-        factor = warm * (optimisation.final_rate + (1 - optimisation.final_rate) * cosine)
+        factor = warm * (FINAL_RATE + (1 - FINAL_RATE) * cosine)
         return cls(
             pose_range=pose_range(progress, optimisation.growth),
-            contact=optimisation.initial_contact + (1 - optimisation.initial_contact) * ramp,
+            contact=INITIAL_CONTACT + (1 - INITIAL_CONTACT) * ramp,
             learning_rate=optimisation.learning_rate * factor,
             skinning_rate=optimisation.skinning_rate * factor,
             # A young average forgets faster, so that it does not hold on to the untrained start.
-            average_decay=min(optimisation.average, (1 + step) / (10 + step)),
+            average_decay=min(AVERAGE_DECAY, (1 + step) / (10 + step)),
             influences=influences_left(progress, config, config.garment_nodes.influences),
             engine_influences=influences_left(progress, config, config.garment_nodes.engine_influences),
             encoder_points=POINT_COUNT if progress >= optimisation.full_encoding else optimisation.encoder_points,
-            reach=EARLY_REACH if progress < optimisation.growth else optimisation.late_reach,
+            reach=EARLY_REACH if progress < optimisation.growth else LATE_REACH,
         )
 
 

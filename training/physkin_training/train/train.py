@@ -11,6 +11,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+from physkin_core.model.garment_model import GarmentModel
 from physkin_training.config import ConfigError, load_config
 from physkin_training.devices import DEFAULT_DEVICE
 from physkin_training.networks.compensated_rounding import rounded_model
@@ -21,7 +22,7 @@ from physkin_training.train.processes import join, leave
 from physkin_training.train.run_reports import RunReports
 from physkin_training.train.trainer import Trainer, TrainingDiverged
 
-__all__ = ["command_parser", "main"]
+__all__ = ["command_parser", "export", "main"]
 
 log = logging.getLogger(__name__)
 INTERRUPTED = 130
@@ -47,49 +48,38 @@ def command_parser() -> argparse.ArgumentParser:
         "--stop-after", type=_minutes, default=math.inf, metavar="MINUTES", help="then write a checkpoint and stop"
     )
     parser.add_argument(
-        "--within",
-        type=_minutes,
-        default=math.inf,
-        metavar="MINUTES",
-        help="leave out steps on the way where the run would take longer (in one process)",
-    )
-    parser.add_argument(
         "--checkpoint-every", type=_minutes, default=5.0, metavar="MINUTES", help="default 5; inf for none on the way"
     )
     parser.add_argument("--log-every", type=_steps, default=200, metavar="STEPS")
     return parser
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line entry."""
+def main(argv: list[str] | None = None, *, within: float = math.inf) -> int:
+    """Command line entry. within: seconds of training; where the run would take longer, steps are left out on the way
+    (in one process)."""
     arguments = command_parser().parse_args(argv)
     try:
         config = load_config(arguments.config)
         processes, device = join(arguments.device)
         logging.basicConfig(level=logging.INFO if processes.writes else logging.WARNING, format="%(message)s")
-        if arguments.minutes:
-            config = replace(config, optimisation=replace(config.optimisation, minutes=arguments.minutes))
-        if processes.count > 1 and arguments.within < math.inf:
-            raise ValueError("--within is for a run in one process")
-        minutes = config.optimisation.minutes
-        if minutes and arguments.resume:
+        if arguments.minutes and arguments.resume:
             config = replace(config, optimisation=replace(config.optimisation, steps=saved_steps(arguments.resume)))
         trainer = Trainer(config, device, processes=processes)
         if arguments.resume:
             trainer.resume(arguments.resume)
         elif arguments.start_from:
             trainer.start_from(arguments.start_from)
-        if minutes and not arguments.resume:
-            rate = trainer.choose_steps(60 * minutes)
+        if arguments.minutes and not arguments.resume:
+            rate = trainer.choose_steps(60 * arguments.minutes)
             steps = trainer.config.optimisation.steps
-            log.info("%.1f steps a second: %d steps in %g minutes", rate, steps, minutes)
+            log.info("%.1f steps a second: %d steps in %g minutes", rate, steps, arguments.minutes)
     except (ConfigError, CheckpointError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     arguments.output.mkdir(parents=True, exist_ok=True)
     checkpoint = arguments.output / "checkpoint"
     try:
-        stopped = _train(trainer, arguments, checkpoint)
+        stopped = _train(trainer, arguments, checkpoint, within)
         trainer.save(checkpoint)
     except TrainingDiverged as error:
         kept = f"; {checkpoint} is from before, start from it with a lower learning rate" if checkpoint.exists() else ""
@@ -105,7 +95,14 @@ def main(argv: list[str] | None = None) -> int:
         return stopped
     if not processes.writes:
         return 0
-    return _export(trainer, arguments.output / f"{config.name}.safetensors")
+    path = arguments.output / f"{config.name}.safetensors"
+    try:
+        export(trainer, path)
+    except ExportError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    log.info("%s: %.2f MB", path, path.stat().st_size / 1e6)
+    return 0
 
 
 def _minutes(text: str) -> float:
@@ -147,7 +144,7 @@ class _Interrupt:
         signal.signal(signal.SIGINT, self._previous)
 
 
-def _train(trainer: Trainer, arguments: argparse.Namespace, checkpoint: Path) -> int | None:
+def _train(trainer: Trainer, arguments: argparse.Namespace, checkpoint: Path, within: float) -> int | None:
     """Run to the end (returns None), until the time is up or until Ctrl-C (returns the exit status)."""
     steps = trainer.config.optimisation.steps
     saved = time.perf_counter()
@@ -165,15 +162,16 @@ def _train(trainer: Trainer, arguments: argparse.Namespace, checkpoint: Path) ->
             if report:
                 reports.report()
                 if step < steps:
-                    on_time = int(steps * reports.seconds / (60 * arguments.within))
+                    on_time = int(steps * reports.seconds / within)
                     trainer.skip_to(max(step, min(on_time, steps - 1)))
             if late:
                 return 0
     return None
 
 
-def _export(trainer: Trainer, path: Path) -> int:
-    """Write the model file of the run's best drape, unless it drapes otherwise; returns the exit status."""
+def export(trainer: Trainer, path: Path) -> GarmentModel:
+    """Write the model of the run's best drape, and return it. Raises ExportError, and writes nothing, when it drapes
+    otherwise."""
     config, drape, best = trainer.config, trainer.best_drape(), trainer.best
     training = config.as_plain_data() | {"step": best.step if best else trainer.step}
     if best:
@@ -192,14 +190,7 @@ def _export(trainer: Trainer, path: Path) -> int:
         training=training,
     )
     model = replace(model, rest_normals=fitted_rest_normals(drape, trainer.garment, trainer.rig))
-    model = rounded_model(model)
-    try:
-        store_checked(model, drape, path)
-    except ExportError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    log.info("%s: %.2f MB", path, path.stat().st_size / 1e6)
-    return 0
+    return store_checked(rounded_model(model), drape, path)
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ from physkin_training.train.schedule import EARLY_REACH, Schedule
 from physkin_training.train.soap import TURN_EVERY, Soap
 from physkin_training.train.steadiness import Steadiness
 from physkin_training.train.step_rate import steps_within
-from physkin_training.train.validation import BestModel, Validation
+from physkin_training.train.validation import CONTACT_LINEAR_BEYOND, BestModel, Validation
 
 __all__ = ["Trainer", "TrainingDiverged"]
 
@@ -49,6 +49,10 @@ NORMALISING_POSES = 2048
 """Poses from which the node deformer's inputs are scaled."""
 ENGINE_SHARE = 1 / 8
 """Share of a body's poses that are skinned by the weights for engines; one at least."""
+HEAVY_ENERGY = 0.1
+"""[J] Poses of more energy count less in the gradient (see `PhysicsLosses`)."""
+LARGEST_GRADIENT = 10.0
+"""Longer gradients are shortened to this norm."""
 
 
 class TrainingDiverged(RuntimeError):
@@ -58,12 +62,11 @@ class TrainingDiverged(RuntimeError):
 class Trainer:
     """A training run that can stop anywhere and go on exactly.
 
-    `step` counts finished steps; `drape` is the model in training, `averaged` its exponential moving average (the drape
-    itself where the configuration averages nothing), `best` the average with the lowest `validation_energy` [J] (the
-    last one measured), both None until pose range and influences are final. `started_from`: plain data on the run this
-    one took its networks from, or None. `made` (S,): which bodies of a step are worn made to measure. `body_model`:
-    whose training bodies it takes, default the shipped adults. Of several `processes` each makes a trainer and calls
-    the same methods.
+    `step` counts finished steps; `drape` is the model in training, `averaged` its exponential moving average, `best`
+    the average with the lowest `validation_energy` [J] (the last one measured), both None until pose range and
+    influences are final. `started_from`: plain data on the run this one took its networks from, or None. `made` (S,):
+    which bodies of a step are worn made to measure. `body_model`: whose training bodies it takes, default the shipped
+    adults. Of several `processes` each makes a trainer and calls the same methods.
     """
 
     def __init__(
@@ -101,18 +104,18 @@ class Trainer:
         )
         self.nodes = nodes
         self.drape = Drape(self.garment, nodes, self.rig, config.networks).to(device)
-        bodies, swelling = training_bodies(body_model, config.train_bodies, swollen=config.swollen, seed=config.seed)
+        bodies, swelling = training_bodies(body_model, config.train_bodies, seed=config.seed)
         self.bodies = BodySet(body_model, bodies, device, swelling=swelling)
         self.fits = MadeToMeasure(self.garment, self.drape, self.bodies, body_model)
         self.made = torch.arange(self._bodies, device=device) % 2 == 1
         rest = RestData(self.garment, config.material, device, shapes=self.fits.shapes)
-        self.sampler = PoseSampler.configured(config.poses, self.rig, device)
+        self.sampler = PoseSampler.of_training(self.rig, device)
         wearing = Wearing.of(self.garment, body_model).worn_faces()
         self.posed_bodies = PosedBodies(body_model, self.bodies, self._samples, faces=wearing.faces)
         self._steadiness = Steadiness(self.drape, self.posed_bodies, optimisation.steadiness)
         self._normalise_nodes()
         self.processes.broadcast(list(self.drape.state_dict().values()))
-        self.averaged = copy.deepcopy(self.drape).requires_grad_(False) if optimisation.average > 0 else self.drape
+        self.averaged = copy.deepcopy(self.drape).requires_grad_(False)
         self.losses = PhysicsLosses(
             self.garment,
             config.material,
@@ -120,9 +123,9 @@ class Trainer:
             device,
             wearing=wearing,
             reach=EARLY_REACH,
-            linear_beyond=optimisation.contact_linear_beyond,
+            linear_beyond=CONTACT_LINEAR_BEYOND,
             leads_back=True,
-            heavy_energy=optimisation.heavy_energy,
+            heavy_energy=HEAVY_ENERGY,
             rest=rest,
         )
         self.validation = Validation(
@@ -157,11 +160,6 @@ class Trainer:
             self.optimiser.turn_bases(self.step)
             self.validate()
             yield self.step
-
-    @property
-    def validation_energy_made_to_measure(self) -> float | None:
-        """The part of the last `validation_energy` [J] of rest shapes made to measure; None before the first."""
-        return self.validation.made_to_measure
 
     def choose_steps(self, seconds: float) -> float:
         """Set the run's steps so that it takes `seconds` from now on, measuring included. Returns the rate [steps/s].
@@ -392,7 +390,7 @@ class Trainer:
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         self.processes.average([parameter.grad for parameter in self.drape.parameters()])
-        norm = torch.nn.utils.clip_grad_norm_(self.drape.parameters(), optimisation.gradient_clip, foreach=True)
+        norm = torch.nn.utils.clip_grad_norm_(self.drape.parameters(), LARGEST_GRADIENT, foreach=True)
         self.optimiser.step()
         self._update_average()
         self.gradient_norm.copy_(norm)
@@ -421,8 +419,6 @@ class Trainer:
     @torch.no_grad()
     def _update_average(self) -> None:
         """average = parameter + decay * (average - parameter): in place, and the decay may sit in a tensor."""
-        if self.averaged is self.drape:
-            return
         average, parameters = list(self.averaged.parameters()), list(self.drape.parameters())
         torch._foreach_sub_(average, parameters)
         torch._foreach_mul_(average, self._average_decay)

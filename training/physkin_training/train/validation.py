@@ -27,8 +27,10 @@ from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 from physkin_training.train.processes import Processes
 
-__all__ = ["BestModel", "Validation"]
+__all__ = ["CONTACT_LINEAR_BEYOND", "BestModel", "Validation"]
 
+CONTACT_LINEAR_BEYOND = 0.01
+"""Depth [m] from which contact's force grows no further, while training (see `PhysicsLosses`)."""
 BATCHES = 4
 """The set is this many times as large as a training step's: four passes forward cost about as much as three steps."""
 
@@ -76,7 +78,7 @@ class Validation:
         self.made_to_measure: float | None = None
         generator = torch.Generator().manual_seed(config.seed)
         chosen = torch.randint(len(bodies), (BATCHES, optimisation.bodies), generator=generator)
-        sampler = PoseSampler.configured(config.poses, body_model.rig, torch.device("cpu"))
+        sampler = PoseSampler.of_training(body_model.rig, torch.device("cpu"))
         samples = [sampler.sample(optimisation.samples, 1.0, generator=generator) for _ in range(BATCHES)]
 
         def share(values: torch.Tensor) -> torch.Tensor:
@@ -94,7 +96,7 @@ class Validation:
             count,
             device,
             wearing=wearing,
-            linear_beyond=optimisation.contact_linear_beyond,
+            linear_beyond=CONTACT_LINEAR_BEYOND,
             leads_back=True,
             rest=rest,
         )
