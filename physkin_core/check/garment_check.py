@@ -14,6 +14,7 @@ import numpy as np
 
 from physkin_core.model.garment import Garment, face_areas
 from physkin_core.model.surface_paths import mesh_edges, path_lengths
+from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.outfit.draper import Draper
 from physkin_core.quality import contact_figures, edge_strain, signed_distance
 
@@ -179,10 +180,11 @@ class GarmentCheck:
         return {"rest": rest, "everyday": asdict(self.everyday), "skin_shows_percent": shows, "verdict": self.verdict}
 
 
-def check_garment(draper: Draper, poses: Sequence[tuple[np.ndarray, np.ndarray]]) -> GarmentCheck:
+def check_garment(draper: Draper, poses: Sequence[tuple[np.ndarray, np.ndarray]] | None = None) -> GarmentCheck:
     """Look at a garment on its avatar, at rest and in poses (joint positions (d,) [rad], direction of gravity (3,)),
-    everyday ones: a second or two."""
+    by default everyday ones: a second or two. Raises ValueError as `everyday_poses`."""
     avatar, rig = draper.avatar, draper.model.rig
+    poses = list(zip(*everyday_poses(rig))) if poses is None else poses
     at_rest = rest_check(draper.model.garment, draper.drape(rig.rest)[:, :3], avatar.vertices, avatar.faces)
     distances, strains = [], []
     for positions, gravity in poses:
