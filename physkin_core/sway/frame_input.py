@@ -168,6 +168,8 @@ def _checked_time(time: float) -> float:
 def _checked(take: Callable[[np.ndarray], None], values: np.ndarray) -> None:
     """Hand a vector over; what is refused is told with its values."""
     vector = np.ascontiguousarray(values, dtype=np.float64)
+    if vector.ndim != 1:
+        raise ValueError(f"gravity and roots are rows of numbers, got an array of shape {vector.shape}")
     try:
         take(vector)
     except ValueError as error:

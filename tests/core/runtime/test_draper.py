@@ -361,6 +361,6 @@ def test_effective_gravity():
     for wrong in ([0, 0, -30.0], [0, np.nan, 0]):
         with pytest.raises(ValueError, match="effective_gravity must be .* up to 29.4 m/s2"):
             draper.drape(pose, effective_gravity=wrong)
-    for wrong in ([0, 0], [[0, 0, -9.81]]):
-        with pytest.raises(ValueError, match=r"effective_gravity must have shape \(3,\)"):
+    for wrong in ([0, 0], [[0, 0, -9.81]], -9.81):
+        with pytest.raises(ValueError, match="shape"):
             draper.drape(pose, effective_gravity=wrong)
