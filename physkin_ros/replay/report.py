@@ -123,11 +123,10 @@ def write_overview(path: Path, bags: Sequence[tuple[str, str, Mapping | None, st
         counts = figures["counts"]
         means = [figures["figures"][figure]["mean"] for figure in LABELS]
         link = f'<a href="{quote(address)}">{html.escape(name)}</a>'
-        shown = ["" if mean is None else f"{mean:.3f}" for mean in means]
-        rows.append([link, counts["draped"], counts["rejected"], f"{figures['bag']['duration_s']:.2f}", *shown])
-    header = ["bag", "draped", "rejected", "s", *LABELS.values()]
-    title = f"{len(bags)} bags"
-    parts = [f"<h1>{title}</h1>", *failed, "<p>Means over clouds.</p>", tabulate(rows, header, tablefmt="unsafehtml")]
+        rows.append([link, counts["draped"], counts["rejected"], figures["bag"]["duration_s"], *means])
+    header, formats = ["bag", "draped", "rejected", "s", *LABELS.values()], ["", "", "", ".2f", *[".3f"] * len(LABELS)]
+    title, table = f"{len(bags)} bags", tabulate(rows, header, "unsafehtml", floatfmt=formats, missingval="")
+    parts = [f"<h1>{title}</h1>", *failed, "<p>Means over clouds.</p>", table]
     path.write_text(_page(title, parts), "utf-8")
 
 

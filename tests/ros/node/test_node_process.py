@@ -82,7 +82,7 @@ def test_sigterm_and_remapping(start, peer, model_path):
         ({"body_mesh": "{tmp}/odd.txt"}, "unknown extension '.txt'"),
         ({"joint_map": "{tmp}/map.json"}, "unknown key 'gain'"),
         ({"modell": "dress"}, "unknown key 'modell'; did you mean 'model'"),
-        ({"fit": 1.5}, "fit must be 0 (the template) to 1 (made to measure), got 1.5"),
+        ({"fit": 1.5}, "Parameter fit out of range Min: 0.0, Max: 1.0, value: 1.5"),
     ],
 )
 def test_start_up_errors_are_one_line(run_main, capfd, garment_model, model_path, tmp_path, parameters, reason):
