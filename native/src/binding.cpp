@@ -119,6 +119,7 @@ nb::dict constants() {
   d["encoding_frequencies"] = kEncodingFrequencies;
   d["heads"] = kHeads;
   d["capsule_blur"] = kCapsuleBlur;
+  d["bound_garment_version"] = kBoundGarmentVersion;
   d["turns"] = kTurns;
   d["beside"] = kBeside;
   return d;

@@ -115,7 +115,8 @@ physkin_status open(const unsigned char* data, std::size_t size, const physkin_o
   return PHYSKIN_OK;
 }
 
-// A frame of what `begin` tells the garment's input; `given` are the numbers that it may refuse, and what they are told by.
+// A frame of what `begin` tells the garment's input; `given` are the numbers that it may refuse, and what they are told
+// by.
 template <class Begin>
 physkin_status step(physkin_garment* garment, const float* joint_positions, const void* given, float* out,
                     int32_t columns, ptrdiff_t stride, Begin begin) {

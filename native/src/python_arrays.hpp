@@ -121,34 +121,6 @@ class PythonReader : public FieldSource {
   std::vector<nb::object> held_;
 };
 
-template <class T>
-void read_strided(const AnyArray& array, float* target) {
-  const T* source = static_cast<const T*>(array.data());
-  const bool rows = array.ndim() == 2;
-  for (std::size_t i = 0; i < array.shape(0); ++i) {
-    const T* row = source + std::int64_t(i) * array.stride(0);
-    for (std::size_t k = 0; k < (rows ? array.shape(1) : 1); ++k) {
-      *target++ = float(row[rows ? std::int64_t(k) * array.stride(1) : 0]);
-    }
-  }
-}
-
-// float32 or float64 of one or two dimensions, any strides, into a buffer.
-inline void read_array(const AnyArray& array, const char* name, std::initializer_list<int> shape, float* target) {
-  check_shape(array, name, shape);
-  if (array.dtype() == nb::dtype<float>()) {
-    read_strided<float>(array, target);
-  } else if (array.dtype() == nb::dtype<double>()) {
-    read_strided<double>(array, target);
-  } else {
-    throw nb::type_error((std::string(name) + " must be float32 or float64").c_str());
-  }
-}
-
-inline void read_vector(const AnyArray& array, const char* name, int count, float* target) {
-  read_array(array, name, {count}, target);
-}
-
 inline void raise_if(const Rejection& rejection) {
   if (rejection) throw nb::value_error(rejection.message().c_str());
 }

@@ -263,7 +263,7 @@ def _checked_garments(garments: Sequence[GarmentModel | WornGarment], avatar: Av
     checked = [WornGarment(garment) if isinstance(garment, GarmentModel) else garment for garment in garments]
     for garment in checked:
         if not isinstance(garment, WornGarment) or not isinstance(garment.model, GarmentModel):
-            raise TypeError(f"a garment of an outfit is a GarmentModel or an WornGarment, got {type(garment).__name__}")
+            raise TypeError(f"a garment of an outfit is a GarmentModel or a WornGarment, got {type(garment).__name__}")
     return tuple(checked)
 
 

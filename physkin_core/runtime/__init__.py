@@ -1,1 +1,1 @@
-"""Draping: a garment model bound to one avatar once, then one evaluator call a frame, in C++ or NumPy."""
+"""Draping: a garment model bound to one avatar once, then one call of the evaluator in C++ a frame."""

@@ -19,7 +19,7 @@ from physkin_core.runtime.bound_garment import BoundGarment
 __all__ = ["BOUND_SCHEMA_VERSION", "save_bound_garment"]
 
 FORMAT = "physkin-bound-garment"
-BOUND_SCHEMA_VERSION = 2
+BOUND_SCHEMA_VERSION: str = native.constants["bound_garment_version"]
 
 
 def save_bound_garment(bound: BoundGarment, path: str | Path, *, name: str, joint_names: Sequence[str]) -> None:
@@ -42,7 +42,7 @@ def save_bound_garment(bound: BoundGarment, path: str | Path, *, name: str, join
             tensors[f"{field}.{index}.weight"], tensors[f"{field}.{index}.bias"] = weight, bias
     metadata = {
         "format": FORMAT,
-        "schema_version": str(BOUND_SCHEMA_VERSION),
+        "schema_version": BOUND_SCHEMA_VERSION,
         "name": name,
         "joint_names": json.dumps(list(joint_names)),
     }

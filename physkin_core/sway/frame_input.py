@@ -114,8 +114,8 @@ class FrameInput:
 
     def begin_frame(self, time: float | None = None) -> None:
         """Begin a frame at `time` [s], of any clock, or one that stands by itself, and ends what was before. Where the
-        clock stands, what was said last is said again: a joint state may come in parts. Raises ValueError unless the
-        time is finite."""
+        clock stands, as a joint state may come in parts, the time passed stays that of the frame before. Raises
+        ValueError unless the time is finite."""
         if time is None:
             self._native.begin_still_frame()
         else:

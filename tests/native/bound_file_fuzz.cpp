@@ -2,8 +2,8 @@
 //
 //   bound_file_fuzz FILE ROUNDS     prints how many were loaded and how many were refused
 //
-// Built with the sanitizers, it stops at the first access out of bounds. Numbers are changed mostly in the header: sizes,
-// offsets, types and names decide what is read.
+// Built with the sanitizers, it stops at the first access out of bounds. Numbers are changed mostly in the header:
+// sizes, offsets, types and names decide what is read.
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>

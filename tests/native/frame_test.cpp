@@ -1,5 +1,5 @@
-// The evaluator as a C++ library, without Python: counts what a frame allocates, on garments of odd sizes, alone and two
-// together, which must give the same bits.
+// The evaluator as a C++ library, without Python: counts what a frame allocates, on garments of odd sizes, alone and
+// two together, which must give the same bits.
 //
 // Prints "<instruction set> <precision> <allocations>" for each garment. All buffers have their exact size,
 // so that a build with the address sanitizer finds a kernel that reads or writes beyond them.

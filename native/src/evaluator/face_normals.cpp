@@ -11,7 +11,6 @@ namespace physkin {
 namespace {
 
 typedef float Quad __attribute__((vector_size(16)));
-typedef std::int32_t Places __attribute__((vector_size(16)));
 
 constexpr float kSmallestSquare = 1e-30f;  // m4: of a triangle with sides of 50 nm
 
@@ -23,11 +22,7 @@ inline Quad load_quad(const void* at) {
 }
 
 inline Quad turned(Quad v) {
-#if defined(__clang__)
   return __builtin_shufflevector(v, v, 1, 2, 0, 3);
-#else
-  return __builtin_shuffle(v, Places{1, 2, 0, 3});
-#endif
 }
 
 inline Quad cross(Quad a, Quad b) { return turned(a * turned(b) - turned(a) * b); }

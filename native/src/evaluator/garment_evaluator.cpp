@@ -7,8 +7,8 @@
 namespace physkin {
 namespace {
 
-// Whether any of the values is far from the last one, which it then takes the place of.
-bool take_over(const float* values, int count, float* last) {
+// Keeps the values in place of the last ones. Whether any of them is far from its last one.
+bool jumps_to(const float* values, int count, float* last) {
   bool jumps = false;
   for (int k = 0; k < count; ++k) jumps |= !(std::fabs(values[k] - last[k]) <= kJump);  // the last may be no number
   std::copy_n(values, count, last);
@@ -18,7 +18,7 @@ bool take_over(const float* values, int count, float* last) {
 // What reads bone transforms sets large rotations off against large translations: in 8 bits that layer, a thirtieth of
 // the network weights, puts vertices out by three to seven times as much as all others together. What reads the pose
 // vector, a fiftieth, is the next: of the skirt it makes the largest errors.
-Precision of_inputs(Precision precision) { return precision == Precision::int8 ? Precision::bf16 : precision; }
+Precision of_first_layers(Precision precision) { return precision == Precision::int8 ? Precision::bf16 : precision; }
 
 const BoundGarment& validated(const BoundGarment& garment) {
   validate(garment);
@@ -35,9 +35,9 @@ Normals select_normals(const std::string& name) {
 
 GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels, const EvaluatorOptions& options)
     : rig_(validated(g), arena_),
-      pose_modulator_(g.pose_layers, of_inputs(options.precision), options.precision, kernels, arena_),
-      node_deformer_(g.deformer_layers, of_inputs(options.precision), options.precision, kernels, arena_),
-      learnt_sway_(g.sways_by_network() ? std::make_optional<LearntSway>(g, of_inputs(options.precision),
+      pose_modulator_(g.pose_layers, of_first_layers(options.precision), options.precision, kernels, arena_),
+      node_deformer_(g.deformer_layers, of_first_layers(options.precision), options.precision, kernels, arena_),
+      learnt_sway_(g.sways_by_network() ? std::make_optional<LearntSway>(g, of_first_layers(options.precision),
                                                                          options.precision, kernels, arena_)
                                         : std::optional<LearntSway>()),
       garment_nodes_(g, arena_),
@@ -56,7 +56,7 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
 }
 
 Rejection GarmentEvaluator::check_corrections() noexcept {
-  const Rejection bad = reject_beyond("node deformer output", corrections_, node_deformer_.outputs(), kLargest);
+  const Rejection bad = reject_beyond("corrections of garment nodes", corrections_, node_deformer_.outputs(), kLargest);
   if (bad) forget();
   return bad;
 }
@@ -73,8 +73,8 @@ void GarmentEvaluator::forget() noexcept {
 }
 
 void GarmentEvaluator::pose(const float* joint_positions, const GarmentInput& input) noexcept {
-  joints_jump_ = take_over(joint_positions, rig_.dofs(), last_positions_);
-  gravity_jumps_ = take_over(input.gravity, 3, last_gravity_);
+  joints_jump_ = jumps_to(joint_positions, rig_.dofs(), last_positions_);
+  gravity_jumps_ = jumps_to(input.gravity, 3, last_gravity_);
   rig_.compute_bone_transforms(joint_positions, bone_transforms_);
   rig_.compute_pose_vector(joint_positions, input.gravity, pose_);
   gather_deformer_input();
@@ -85,7 +85,7 @@ void GarmentEvaluator::pose_as(const GarmentEvaluator& other, const GarmentInput
   std::copy_n(other.pose_, rig_.dofs(), pose_);
   std::copy_n(other.last_positions_, rig_.dofs(), last_positions_);
   joints_jump_ = other.joints_jump_;
-  gravity_jumps_ = take_over(input.gravity, 3, last_gravity_);
+  gravity_jumps_ = jumps_to(input.gravity, 3, last_gravity_);
   std::copy_n(input.gravity, 3, pose_ + rig_.dofs());
   gather_deformer_input();
 }

@@ -49,7 +49,8 @@ class GarmentEvaluator {
   void skin(const VertexRows& rows) noexcept { skinner_.skin(node_transforms_, rows); }
   void compute_normals(const VertexRows& rows) noexcept;  // from faces; does nothing if they are skinned
 
-  // What `run_networks` and `compose_nodes` have left is refused where it is not finite. The next frame is then a first one.
+  // What `run_networks` and `compose_nodes` have left is refused where it is not finite. The next frame is then a first
+  // one.
   Rejection check_corrections() noexcept;
   Rejection check_nodes() noexcept;
 

@@ -3,8 +3,8 @@
 
 namespace physkin {
 
-// A row of kGarmentInput numbers for each garment; FrameInput fills it. Vectors are in the root frame. A drape by itself,
-// which neither goes on from the frame before nor sways, has gravity alone, and all else as it is here.
+// A row of kGarmentInput numbers for each garment; FrameInput fills it. Vectors are in the root frame. A drape by
+// itself, which neither goes on from the frame before nor sways, has gravity alone, and all else as it is here.
 struct GarmentInput {
   float gravity[3] = {0, 0, -1};  // effective gravity in units of gravity: 1 long for a root at rest
   float twist = 0;                // [rad] of cloth that hangs round both legs, about the root's vertical

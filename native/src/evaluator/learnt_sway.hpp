@@ -4,8 +4,8 @@
 //
 //     x' = s (-rate + i turn) (x - rest),    rest = b (rate + i turn) / |rate + i turn|
 //
-// solved in closed form, b and s being constant from frame to frame: whatever the rate of frames, nothing else depends on
-// time. They forget by themselves; where the root is lost, cloth goes over to rest. The first frame begins there.
+// solved in closed form, b and s being constant from frame to frame: whatever the rate of frames, nothing else depends
+// on time. They forget by themselves; where the root is lost, cloth goes over to rest. The first frame begins there.
 #pragma once
 
 #include "evaluator/garment_input.hpp"

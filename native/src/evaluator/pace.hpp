@@ -10,8 +10,8 @@
 
 namespace physkin {
 
-// [m/s] by which a garment node, and cloth beside it, may be faster than its bone; and [m] how far beside a garment node
-// cloth lies that it carries.
+// [m/s] by which a garment node, and cloth beside it, may be faster than its bone; and [m] how far beside a garment
+// node cloth lies that it carries.
 constexpr float kPace = 2.0f, kReach = 0.1f;
 
 class Pace {

@@ -7,7 +7,7 @@
 namespace physkin {
 namespace {
 
-constexpr char kFormat[] = "physkin-bound-garment", kVersion[] = "2";
+constexpr char kFormat[] = "physkin-bound-garment";
 
 // The fields of one file, its arrays copied into one arena.
 class FileFields : public FieldSource {
@@ -55,9 +55,9 @@ BoundFile::BoundFile(const unsigned char* data, std::size_t size) {
     throw FileError("the file is of format '" + file.metadata("format") + "'; expected " + kFormat +
                     ", as `physkin bind` writes it");
   }
-  if (file.metadata("schema_version") != kVersion) {
+  if (file.metadata("schema_version") != kBoundGarmentVersion) {
     throw FileError("the file has schema version '" + file.metadata("schema_version") + "'; this library reads " +
-                    kVersion + ", which `physkin bind` writes");
+                    kBoundGarmentVersion + ", which `physkin bind` writes");
   }
   FileFields fields(file, arena);
   garment = read_bound_garment(fields);

@@ -62,6 +62,9 @@ class FieldSource {
   virtual std::vector<DenseWeights> layers(const std::string& name) = 0;
 };
 
+// Of the bound garment file: raised when the fields below change.
+constexpr char kBoundGarmentVersion[] = "2";
+
 // Reads every field; what the arrays hold is for `validate` to check.
 SkinningData read_skinning_data(FieldSource& source);
 BoundGarment read_bound_garment(FieldSource& source);

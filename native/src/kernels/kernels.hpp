@@ -78,10 +78,11 @@ struct TrunkField {
   const float* coefficients = nullptr;               // (splines, kTrunkWaves)
 };
 
+// Logarithm of how many times faster, or slower, a gate lets the oscillators of a sway network run at most.
+constexpr float kMostSpeedUp = 1.5f;
+
 // Oscillators of a sway network (evaluator/learnt_sway.hpp). Arrays are 64-byte aligned, and readable and writable
 // to a multiple of 64 bytes.
-// Logarithm of how many times faster, or slower, a gate lets them run at most.
-constexpr float kMostSpeedUp = 1.5f;
 
 struct Oscillators {
   int count = 0;
@@ -97,16 +98,16 @@ struct Kernels {
   // By Precision, and whether instructions fetch network weights ahead of time, which changes no bit (dispatch.hpp).
   DenseKernel dense[kPrecisionCount][2];
 
-  // x' = M x and normal' = normalised cofactors(A) normal, with M = [A | c] = sum_k w_k M_k, M_k in matrices (nodes, 12).
-  // A normal becomes zero where A flattens the cloth to a line.
+  // x' = M x and normal' = normalised cofactors(A) normal, with M = [A | c] = sum_k w_k M_k, M_k in matrices (nodes,
+  // 12). A normal becomes zero where A flattens the cloth to a line.
   void (*skin)(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows);
 
   // Points (3, count) to contacts (4, count): how deep [m], and the normal outwards. Aligned; count is a multiple of
   // kTrunkPoints.
   void (*trunk_depth)(const TrunkField& field, const float* points, int count, float* contacts);
 
-  // Over `elapsed` seconds, or, where that is negative, to where they come to rest. driven: (3, count) real and imaginary
-  // parts of what drives them, and gates; readable for kGroup floats beyond.
+  // Over `elapsed` seconds, or, where that is negative, to where they come to rest. driven: (3, count) real and
+  // imaginary parts of what drives them, and gates; readable for kGroup floats beyond.
   void (*oscillate)(const Oscillators& oscillators, const float* driven, float elapsed);
 
   // What bounds the others from below (floor_kernel.hpp).

@@ -6,7 +6,8 @@
 
 namespace physkin::PHYSKIN_ISA {
 
-// Sine and cosine of |v| < 1e4, absolute error below 2e-7 besides that of the rounding of v (polynomials of Cephes sinf).
+// Sine and cosine of |v| < 1e4, absolute error below 2e-7 besides that of the rounding of v (polynomials of Cephes
+// sinf).
 inline void sine_cosine(Floats v, Floats* sine, Floats* cosine) {
   constexpr float kRound = 12582912.0f;  // 1.5 * 2^23: adding it rounds to an integer in the low bits
   const Floats shifted = v * 0.636619772f + kRound, quarters = shifted - kRound;

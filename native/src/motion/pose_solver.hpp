@@ -8,7 +8,8 @@
 
 namespace physkin {
 
-// One rotation about a fixed axis, as `Rig` has them; `parent` is the turn before it on the way from the root, -1: none.
+// One rotation about a fixed axis, as `Rig` has them; `parent` is the turn before it on the way from the root, -1:
+// none.
 struct Turn {
   int parent;
   Vector3Of<double> axis;

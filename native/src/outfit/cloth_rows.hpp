@@ -40,7 +40,8 @@ inline Quad sums(Quad a, Quad b, Quad c, Quad d) {
   return (t.first + t.second) + (t.third + t.fourth);
 }
 
-// Rows x y z nx ny nz, of no alignment. Four floats from the start of a row, and from its third on, stay within the row.
+// Rows x y z nx ny nz, of no alignment. Four floats from the start of a row, and from its third on, stay within the
+// row.
 struct ClothRows {
   explicit ClothRows(const VertexRows& rows) : data(rows.data), stride(rows.stride * std::ptrdiff_t(sizeof(float))) {}
 

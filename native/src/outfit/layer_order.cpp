@@ -14,17 +14,17 @@ namespace {
 
 // [m] between a vertex and the steady layer: a millimetre more than LAYER_GAP, as it holds between vertices.
 constexpr float kOrderGap = 0.003f;
-// [m] Pushing sets in this much before it must, so that it begins without a kink; the most that it pushes; and over how much
-// it fades towards kDeepest.
+// [m] Pushing sets in this much before it must, so that it begins without a kink; the most that it pushes; and over how
+// much it fades towards kDeepest.
 constexpr float kSoft = 0.001f, kMostPush = 0.05f, kFade = 0.01f;
-// A vertex this far [m] off its partner's plane on the right side, or this many mean edge lengths beside it, is free: it is
-// looked at only in its turn. One farther off that plane than kNear [m] is right without looking at those around.
+// A vertex this far [m] off its partner's plane on the right side, or this many mean edge lengths beside it, is free:
+// it is looked at only in its turn. One farther off that plane than kNear [m] is right without looking at those around.
 constexpr float kFree = 0.01f, kFarAside = 2.0f, kNear = 0.005f;
-// In mean edge lengths along the cloth: a vertex farther beside its partner looks for a closer one at once; planes of vertices
-// this far do not count. Planes that count less than kFullShare together, as beyond a hem, push less.
+// In mean edge lengths along the cloth: a vertex farther beside its partner looks for a closer one at once; planes of
+// vertices this far do not count. Planes that count less than kFullShare together, as beyond a hem, push less.
 constexpr float kLost = 1.0f, kPlaneReach = 1.3f, kFullShare = 0.5f;
-// The most that a partner is walked at a time. Times that contacts are looked at in a frame: again those that have moved by
-// more than kAgain [m], as in a fold a push meets other cloth.
+// The most that a partner is walked at a time. Times that contacts are looked at in a frame: again those that have
+// moved by more than kAgain [m], as in a fold a push meets other cloth.
 constexpr int kSteps = 3, kPasses = 4;
 constexpr float kAgain = 0.002f;
 

@@ -43,8 +43,8 @@ class LayerOrder {
   // Copies into the arena. Throws std::invalid_argument where an index is out of range or a value is not finite.
   LayerOrder(const LayerOrderData& data, Side side, int steady_vertices, int yielding_vertices, Arena& arena);
 
-  // Moves the yielding layer's positions; rows of both must have normals. look_at_all: do not trust the last frame in where
-  // nothing can touch. Allocates nothing.
+  // Moves the yielding layer's positions; rows of both must have normals. look_at_all: do not trust the last frame in
+  // where nothing can touch. Allocates nothing.
   void apply(const VertexRows& steady, const VertexRows& yielding, bool look_at_all) noexcept;
 
  private:

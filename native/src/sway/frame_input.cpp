@@ -42,7 +42,7 @@ void FrameInput::reset() noexcept {
 const char* FrameInput::hang(const double* direction) noexcept {
   if (!(std::abs(length_of(direction) - 1) <= 1e-3)) return "gravity must be a unit direction (3,)";
   std::fill(rows_.begin(), rows_.end(), under(direction));
-  rates_known_ = networks_count_ = true;
+  rates_known_ = sway_networks_apply_ = true;
   return nullptr;
 }
 
@@ -59,7 +59,7 @@ const char* FrameInput::accelerate(const double* effective_gravity, const double
     }
     rows_[k] = under(own);
   }
-  networks_count_ = false;
+  sway_networks_apply_ = false;
   return nullptr;
 }
 
@@ -73,7 +73,7 @@ void FrameInput::follow(const RootSample& root) noexcept {
     }
   }
   rates_known_ = root.known;
-  networks_count_ = true;
+  sway_networks_apply_ = true;
 }
 
 const char* FrameInput::move(double time, const double* root) noexcept {
@@ -96,7 +96,7 @@ const char* FrameInput::begin_frame(double time) noexcept {
     GarmentInput& row = rows_[k];
     const bool swings = sway > 0;
     row.passed = swings ? passed_ : -1;
-    row.sway = swings && has_network && networks_count_ ? float(sway) : 0;
+    row.sway = swings && has_network && sway_networks_apply_ ? float(sway) : 0;
     row.elapsed = swings ? elapsed : -1;
     row.moves = swings && rates_known_ && passed_ >= 0 ? 1.0f : 0.0f;
   }

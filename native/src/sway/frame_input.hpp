@@ -1,10 +1,10 @@
 // What the garments of one avatar are given in a frame besides joint positions: how gravity pulls at each, how the root
-// moves, and how much time has passed. The one place where that is worked out: Python, the ROS node, replay and C hosts fill
-// the rows that Evaluator::step reads by it.
+// moves, and how much time has passed. The one place where that is worked out: Python, the ROS node, replay and C hosts
+// fill the rows that Evaluator::step reads by it.
 //
 // First where down is, by one of `hang`, `accelerate`, `follow` and `move`; then the time, by `begin_frame` or
-// `begin_still_frame`. Functions that can refuse their values return what is wrong with them, or null; nothing has changed
-// then.
+// `begin_still_frame`. Functions that can refuse their values return what is wrong with them, or null; nothing has
+// changed then.
 #pragma once
 
 #include <vector>
@@ -23,8 +23,8 @@ class FrameInput {
  public:
   explicit FrameInput(int garments) : garments_(std::size_t(garments)), rows_(std::size_t(garments)) {}
 
-  // Whether a sway network moves a garment: it is then given the root's rates under gravity as of a root at rest, and not
-  // what the pendulum feels.
+  // Whether a sway network moves a garment: it is then given the root's rates under gravity as of a root at rest, and
+  // not what the pendulum feels.
   void set_network(int garment, bool has_network) noexcept {
     garments_[std::size_t(garment)].has_network = has_network;
   }
@@ -37,16 +37,17 @@ class FrameInput {
 
   // The root is at rest: gravity's unit direction (3) in its frame.
   const char* hang(const double* direction) noexcept;
-  // The root is accelerated, and it is not known how it moves: gravity less its acceleration (3) [m/s2], in its frame. Each
-  // garment feels as much of what that differs from `at_rest` (3) as it sways; null: all of it.
+  // The root is accelerated, and it is not known how it moves: gravity less its acceleration (3) [m/s2], in its frame.
+  // Each garment feels as much of what that differs from `at_rest` (3) as it sways; null: all of it.
   const char* accelerate(const double* effective_gravity, const double* at_rest) noexcept;
   // The root moves as a pendulum knows it.
   void follow(const RootSample& root) noexcept;
   // The same by a pendulum of its own; as Pendulum::move.
   const char* move(double time, const double* root) noexcept;
 
-  // A frame at `time` [s], of any clock, at any rate. After more than a quarter of a second, or where the clock goes back,
-  // the frame before does not count. Where it stands, what was said last is said again: a joint state may come in parts.
+  // A frame at `time` [s], of any clock, at any rate. After more than a quarter of a second, or where the clock goes
+  // back, the frame before does not count. Where it stands, as a joint state may come in parts, the time passed stays
+  // that of the frame before.
   const char* begin_frame(double time) noexcept;
   // A frame that stands by itself, and ends what was before.
   void begin_still_frame() noexcept;
@@ -64,7 +65,7 @@ class FrameInput {
   std::vector<Garment> garments_;
   std::vector<GarmentInput> rows_;
   Pendulum pendulum_;
-  bool rates_known_ = true, networks_count_ = true;
+  bool rates_known_ = true, sway_networks_apply_ = true;
   bool has_time_ = false;
   double time_ = 0;
   float passed_ = -1;

@@ -6,10 +6,10 @@
 //     y'' = -w^2 (y - y_eq) - D y',    y_eq = -gain (a + c v),
 //
 // v and a the velocity and acceleration of the root, c the drag of still air: under steady acceleration or at constant
-// speed y ends at y_eq. Of a twist v is how fast the root turns, and the gain 1 / w^2: a torsion pendulum. Of a deflection
-// that is hardly there less is felt, as cloth rubs at itself. The root moves on a straight line from one pose to the next,
-// and turns steadily, so that its acceleration is a jump of v at each; between them the equation is solved in closed form,
-// whatever time has passed: nothing depends on a rate.
+// speed y ends at y_eq. Of a twist v is how fast the root turns, and the gain 1 / w^2: a torsion pendulum. Of a
+// deflection that is hardly there less is felt, as cloth rubs at itself. The root moves on a straight line from one
+// pose to the next, and turns steadily, so that its acceleration is a jump of v at each; between them the equation is
+// solved in closed form, whatever time has passed: nothing depends on a rate.
 #pragma once
 
 namespace physkin {
@@ -17,8 +17,8 @@ namespace physkin {
 constexpr double kStandardGravity = 9.81;  // [m/s2] what a direction of gravity stands for
 constexpr double kLargestGap = 0.25;       // [s] after that, what was before does not count
 
-// Fitted to simulated skirts and dresses by least squares; the gain is above 1 as drapes lean less under effective gravity
-// than simulated cloth. air_drag is that of the simulation.
+// Fitted to simulated skirts and dresses by least squares; the gain is above 1 as drapes lean less under effective
+// gravity than simulated cloth. air_drag is that of the simulation.
 struct PendulumSettings {
   double frequency = 1.5;       // Hz, sideways
   double damping = 4.0;         // 1/s, sideways
@@ -35,7 +35,8 @@ struct RootSample {
   double gravity[3] = {0, 0, -1};  // unit direction in the root's frame
   double deflection[3] = {};       // [m/s2] in the world: what cloth feels besides gravity
   double twist = 0;                // [rad] of cloth round both legs, about the root's vertical
-  // [m/s], [rad/s] from the pose before to this one, in the root's frame. After a gap or a jump they are not known, and zero.
+  // [m/s], [rad/s] from the pose before to this one, in the root's frame. After a gap or a jump they are not known, and
+  // zero.
   double velocity[3] = {}, turning[3] = {};
   bool known = false;
 };
@@ -47,9 +48,9 @@ class Pendulum {
   // Cloth hangs still, and nothing is known of the root.
   void reset() noexcept;
 
-  // The root is at `root` (7), its position [m] in a world with Z up and its unit quaternion x, y, z, w, world <- root, at
-  // `time` [s] of any clock. A time that came before changes nothing, or, where it lies back, begins anew from there. What
-  // is wrong with time or root, or null; nothing has changed then.
+  // The root is at `root` (7), its position [m] in a world with Z up and its unit quaternion x, y, z, w, world <- root,
+  // at `time` [s] of any clock. A time that came before changes nothing, or, where it lies back, begins anew from
+  // there. What is wrong with time or root, or null; nothing has changed then.
   const char* move(double time, const double* root) noexcept;
 
   // As of the last move.

@@ -1,1 +1,1 @@
-"""The physics: energies and their gradients in Warp, contact, Hessians, the minimiser of the full mesh."""
+"""Physics around the energies: rest shapes, contact with bodies, the losses of training and the minimisers."""

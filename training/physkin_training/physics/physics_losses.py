@@ -47,7 +47,7 @@ class Energies:
     @property
     def total(self) -> torch.Tensor:
         """Sum of the terms (B,)."""
-        return self.stretch + self.bend + self.collision + self.gravity + self.band
+        return sum(getattr(self, name) for name in TERMS)
 
 
 class PhysicsLosses:
@@ -126,7 +126,7 @@ class _PhysicsEnergy(torch.autograd.Function):
             strained = energies["stretch"] + energies["bend"] + energies["collision"] + energies["band"]
             gradient = gradient * torch.rsqrt(1 + strained / losses.heavy_energy)[:, None, None]
         ctx.save_for_backward(gradient)
-        parts = tuple(energies[name] for name in TERMS)
+        parts = tuple(energies.values())  # as many as `Energies` has terms
         ctx.mark_non_differentiable(*parts)
         return sum(parts).mean(), *parts
 
