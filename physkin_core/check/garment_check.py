@@ -185,7 +185,6 @@ def check_garment(draper: Draper, *, poses: np.ndarray | None = None) -> Garment
     poses: (P, d) [rad] joint positions in place of the everyday ones, as where limbs have been separated.
     """
     avatar, rig = draper.avatar, draper.model.rig
-    poses = list(zip(*everyday_poses(rig))) if poses is None else poses
     at_rest = rest_check(draper.model.garment, draper.drape(rig.rest)[:, :3], avatar.vertices, avatar.faces)
     distances, strains = [], []
     usual, downs = everyday_poses(rig)

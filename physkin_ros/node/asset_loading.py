@@ -12,7 +12,7 @@ import json
 import sys
 from collections import OrderedDict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
@@ -131,12 +131,13 @@ class OutfitLoader:
                 for each, (model, *_) in zip(garments, models)
             ]
             known_by = ((key, garment.tucked, garment.fit) for (*_, key), garment in zip(models, worn))
-            key = (avatar.source, *body_key, *known_by, first.precision, first.normals, hide)
+            key = (*body_key, *known_by, first.precision, first.normals, hide)
             known = self._outfits.get(key)
             if known is None:
                 outfit = Outfit(worn, avatar, precision=first.precision or None, normals=first.normals, hide=hide)
             else:
                 outfit = known.twin()
+                outfit.avatar = replace(outfit.avatar, source=avatar.source)  # the same body may have another name
             _keep(self._outfits, key, outfit)
             _return_memory()
             took = perf_counter() - started
