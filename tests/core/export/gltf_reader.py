@@ -1,5 +1,7 @@
 """A glTF file, read by pygltflib and computed as engines do."""
 
+from copy import copy
+
 import numpy as np
 from pygltflib import GLTF2
 from scipy.spatial.transform import Rotation
@@ -63,3 +65,10 @@ def in_gltf_world(points, motion, frame):
     """Points of the root frame where glTF has them."""
     turned = Rotation.from_quat(motion.root_orientation[frame]).apply(points) + motion.root_position[frame]
     return turned @ FROM_ROOT_FRAME.T
+
+
+def without_order(outfit):
+    """An outfit whose layers are not kept in order, as an engine skins them."""
+    loose = copy(outfit)
+    loose.orders = ()
+    return loose.twin()

@@ -36,7 +36,7 @@ def test_stretched_cloth_shows_where_it_is_stretched(dressed):
     pulled = frame.cloth[0].copy()
     pulled[100, :3] += 0.05 * pulled[100, 3:]
     (after,) = figures.strains_of_faces(replace(frame, cloth=(pulled,)))
-    near = (frame.outfit.faces[0] == 100).any(axis=1)
+    near = (frame.outfit.layers[0].faces == 100).any(axis=1)
     assert (STRAIN_BANDS.band(after)[near] == len(STRAIN_BANDS.limits)).all()
     assert (after != before).mean() < 0.02
 

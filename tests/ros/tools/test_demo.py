@@ -90,7 +90,7 @@ def test_exit_status_tells_what_was_lost(
 def test_clouds_are_compared_with_the_core(made_records, alone):
     """A cloud draped as if the body stood upright is far from right when it crawls, as is one that is not finite."""
     motion = load_motion("crawl")
-    positions = motion.positions_for(alone.models[0].rig)[3]
+    positions = motion.positions_for(alone.rig)[3]
     (right,), (upright,) = alone.drape(positions, motion.gravity[3]), alone.drape(positions)
     for cloud, least, most in ((right, 0, 1e-7), (upright, demo.ERROR_ALLOWED, 9), (right * np.nan, np.inf, np.inf)):
         records = made_records([1] * 6, kept=cloud[None], kept_stamps=np.array([15_000_000]))
@@ -100,15 +100,15 @@ def test_clouds_are_compared_with_the_core(made_records, alone):
 def test_outfits_are_compared_frame_after_frame(made_records, outfit):
     """However often the node was asked for a first cloud; layers that are not kept in order are far from right."""
     motion = load_motion("dance")
-    positions = motion.positions_for(outfit.models[0].rig)
+    positions = motion.positions_for(outfit.rig)
     node = outfit.twin()
     for _ in range(5):
         node.drape(positions[0])
     for frame in range(4):
         cloud = np.concatenate(node.drape(positions[frame], motion.gravity[frame], time=0.005 * frame))
-    unkept = [Outfit([model], outfit.avatar) for model in outfit.models]
+    unkept = [Outfit([layer.model], outfit.avatar) for layer in outfit.layers]
     drapes = [each.drape(positions[3], motion.gravity[3])[0] for each in unkept]
-    wrong = np.concatenate([drape[given] for drape, given in zip(drapes, outfit.visible)])
+    wrong = np.concatenate([drape[layer.visible] for drape, layer in zip(drapes, outfit.layers)])
     for points, least, most in ((cloud, 0, 1e-7), (wrong, demo.ERROR_ALLOWED, 9)):
         records = made_records([1] * 6, kept=points[None], kept_stamps=np.array([15_000_000]))
         assert least <= largest_error(records, outfit, motion) <= most
