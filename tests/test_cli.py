@@ -13,7 +13,7 @@ import pytest
 from safetensors.numpy import load_file
 
 import physkin_core
-from physkin_core import Draper, Outfit, cli, load_avatar, load_motion
+from physkin_core import Draper, LimbSeparator, Outfit, cli, load_avatar, load_motion
 
 AVATAR = physkin_core.BUNDLED_AVATAR
 
@@ -79,9 +79,9 @@ def test_drape_separates_limbs_when_told_to(model_path, garment_model, tmp_path)
     path, arguments = tmp_path / "out.obj", ["drape", str(AVATAR), "-g", str(model_path), "--frame", "9"]
     assert cli.main([*arguments, "--separate-limbs", "-o", str(path)]) == 0
     motion = load_motion("walk")
-    draper = Draper(garment_model, load_avatar(AVATAR, garment_model.rig), separate_limbs=True)
-    cloth = draper.drape(motion.positions[9], motion.gravity[9])
-    positions = draper.separated_positions
+    draper = Draper(garment_model, load_avatar(AVATAR, garment_model.rig))
+    positions, _ = LimbSeparator(garment_model.rig, draper.avatar).separate(motion.positions[9])
+    cloth = draper.drape(positions, motion.gravity[9])
     assert np.abs(positions - motion.positions[9]).max() > 0.001
     drawn = Outfit([garment_model], load_avatar(AVATAR, garment_model.rig)).body_to_draw
     body = drawn.posed_vertices(garment_model.rig.bone_transforms(positions, heads=draper.avatar.bone_heads))

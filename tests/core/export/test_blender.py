@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from core.export.gltf_reader import skinned_layers
 from core.export.test_garment_looks import write_look
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -47,14 +48,11 @@ def test_blender_has_every_vertex_where_it_is_draped(tmp_path, kind):
     motion = load_motion("walk").resampled(RATE)
     avatar = load_avatar(BUNDLED_AVATAR, models[0].rig)
     outfit = Outfit([model.for_engines() for model in models] if kind == ".glb" else models, avatar)
-    for draper in outfit.drapers:
-        draper.sway = outfit.sway
     for frame, positions in enumerate(motion.positions_for(models[0].rig)[: FRAMES[-1] + 1]):
         now = {"time": motion.times[frame], "root": motion.root[frame]}
-        if kind == ".glb":  # without the order of layers, which is not in it
-            clouds = [draper.drape(positions, **now)[v] for draper, v in zip(outfit.drapers, outfit.visible)]
-        else:
-            clouds = outfit.drape(positions, **now)
+        clouds = outfit.drape(positions, **now)
+        if kind == ".glb":
+            clouds = skinned_layers(outfit)
         if frame not in FRAMES:
             continue
         body = avatar.posed_vertices(outfit.bone_transforms(positions))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from core.export.gltf_reader import Reader, in_gltf_world
+from core.export.gltf_reader import Reader, in_gltf_world, skinned_layers
 from PIL import Image
 from scipy.spatial import cKDTree
 
@@ -67,12 +67,11 @@ def test_gltf_has_the_look_and_no_seam_opens(tmp_path, shirt, worn):
     reader, motion = Reader(tmp_path / "walk.glb"), load_motion("walk").resampled(RATE)
     frame = 2
     for k in range(frame + 1):
-        cloud = worn.drapers[0].drape(
-            motion.positions_for(shirt.rig)[k], time=motion.times[k], root=motion.root[k]
-        )[worn.visible[0], :3]  # fmt: skip
+        worn.drape(motion.positions_for(shirt.rig)[k], time=motion.times[k], root=motion.root[k])
+    (cloud,) = skinned_layers(worn)
     skinned = reader.skinned("tshirt", frame)
     distance, closest = cKDTree(in_gltf_world(cloud, motion, frame)).query(skinned)
-    which = worn.visible[0][closest]
+    which = worn.layers[0].visible[closest]
     assert distance.max() < 2e-4
     assert len(cloud) + 10 < len(skinned) < 1.1 * len(cloud) and len(np.unique(which)) == len(cloud)
     rest = shirt.garment.vertices[which]
@@ -83,7 +82,7 @@ def test_gltf_has_the_look_and_no_seam_opens(tmp_path, shirt, worn):
     mesh = next(mesh for mesh in reader.file.meshes if mesh.name == "tshirt")
     knit, red = (reader.file.materials[primitive.material] for primitive in mesh.primitives)
     counts = [len(reader.array(primitive.indices)) // 3 for primitive in mesh.primitives]
-    assert sum(counts) == len(worn.faces[0]) and min(counts) > 0.4 * sum(counts)
+    assert sum(counts) == len(worn.layers[0].faces) and min(counts) > 0.4 * sum(counts)
     np.testing.assert_allclose(red.pbrMetallicRoughness.baseColorFactor[:3], RED)
     image = reader.file.images[reader.file.textures[knit.pbrMetallicRoughness.baseColorTexture.index].source]
     view = reader.file.bufferViews[image.bufferView]

@@ -79,7 +79,7 @@ def test_camera_takes_everything_from_one_distance(follow, outfit, monkeypatch):
     walked = (motion.root_position - motion.root_position[0])[:, :2] if follow else 0
     np.testing.assert_allclose(boxes[:, 0, :2] - boxes[0, 0, :2], walked + np.zeros((len(boxes), 2)), atol=1e-6)
     lowest = min(mesh.vertices[:, 2].min() for meshes, _ in taken for mesh in meshes)
-    positions = motion.positions_for(outfit.models[0].rig)
+    positions = motion.positions_for(outfit.rig)
     outfit.reset()
     for frame, (meshes, options) in enumerate(taken):
         points = np.concatenate([mesh.vertices for mesh in meshes])

@@ -137,7 +137,7 @@ def test_plain_skinning_is_computed_where_asked_for(state):
 def test_outfit_in_order_with_colours():
     """Garments from the skin outwards, one tucked; what was chosen for a garment stays with it."""
     state = SceneState(["tshirt", "trousers"], tucked=["tshirt"])
-    assert isinstance(state.outfit, Outfit) and [model.name for model in state.outfit.models] == ["tshirt", "trousers"]
+    assert isinstance(state.outfit, Outfit) and [layer.name for layer in state.outfit.layers] == ["tshirt", "trousers"]
     state.recolour(body=(0.1, 0.2, 0.3), cloth=[(1.0, 0.0, 0.0), state.cloth_colours[1]])
     state.wear(["trousers", "tshirt"])
     frame = state.advance(0.0)
