@@ -37,7 +37,7 @@ class Fabric:
     def __post_init__(self) -> None:
         for name in (entry.name for entry in fields(self)):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, Real) or not 0 < value < math.inf:
+            if isinstance(value, bool) or not isinstance(value, Real) or not 0 < float(value) < math.inf:
                 raise ValueError(f"fabric {name} is {value!r}, allowed: a finite number above 0")
             object.__setattr__(self, name, float(value))
 

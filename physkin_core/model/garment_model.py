@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from numbers import Real
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,7 @@ class Material:
                 raise ValueError(f"material {name} is {value!r}, allowed: a finite number")
             if name in ("youngs_modulus", "density") and value <= 0:
                 raise ValueError(f"material {name} is {value}, allowed: more than 0")
-            if name == "poisson_ratio" and not 0 <= value < 1:
+            if name == "poisson_ratio" and not 0 <= float(value) < 1:
                 raise ValueError(f"material {name} is {value}, allowed: from 0 to below 1")
             if value < 0:
                 raise ValueError(f"material {name} is {value}, allowed: 0 or more")
@@ -93,8 +94,8 @@ class GarmentModel:
     hyper_modulator: Mapping[str, np.ndarray] = described("hyper_modulator", Named(hyper_modulator_shapes))
     sway: SwayNetwork | None = described("sway", Part(SwayNetwork, optional=True), default=None)
     material: Material = field(default_factory=Material)
-    training: Mapping = field(default_factory=dict)
-    scores: Mapping = field(default_factory=dict)
+    training: Mapping[str, Any] = field(default_factory=dict)
+    scores: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():

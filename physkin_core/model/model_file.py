@@ -133,7 +133,7 @@ def save_garment_model(model: GarmentModel, path: str | Path) -> None:
 
     Raises ModelFileError, and writes nothing, when a value is too large for the precision it is stored in.
     """
-    tensors = {}
+    tensors: dict[str, np.ndarray] = {}
     for name, array, kind in described_arrays(model):
         tensors |= {key: np.ascontiguousarray(tensor) for key, tensor in _stored(name, array, kind).items()}
     metadata = {

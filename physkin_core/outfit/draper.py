@@ -164,7 +164,7 @@ class Draper:
     @property
     def sway(self) -> float:
         """How much the cloth swings where `drape` is given time and root; as of `Outfit`."""
-        return self.outfit.sway
+        return self.outfit.frame_input.sways[0]
 
     @sway.setter
     def sway(self, amount: float) -> None:

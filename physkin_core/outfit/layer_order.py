@@ -83,9 +83,9 @@ def _off_plane(points: np.ndarray, planes: np.ndarray) -> tuple[np.ndarray, np.n
 def bind_layer_order(
     steady: int,
     yielding: int,
-    rest: tuple[np.ndarray, np.ndarray],
-    faces: tuple[np.ndarray, np.ndarray],
-    poses: Sequence[tuple[np.ndarray, np.ndarray]],
+    rest: Sequence[np.ndarray],
+    faces: Sequence[np.ndarray],
+    poses: Sequence[Sequence[np.ndarray]],
 ) -> LayerOrder | None:
     """Find where two layers may touch; None where they never do.
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -36,6 +36,8 @@ __all__ = ["Outfit"]
 log = logging.getLogger(__name__)
 
 FULL_TURN = 2 * np.pi
+Poses = list[tuple[np.ndarray, np.ndarray]]
+"""Joint positions and gravity of each."""
 
 
 class Outfit:
@@ -70,8 +72,10 @@ class Outfit:
         hide: bool = True,
     ) -> None:
         layers, tucks, worth_saying = put_on(_checked_garments(garments, avatar), avatar, fit=fit)
-        self.avatar, self.orders, self._body_hidden = avatar, (), None
-        self._made = {"precision": precision, "normals": normals}
+        self.avatar = avatar
+        self.orders: tuple[LayerOrder, ...] = ()
+        self._body_hidden: Any = None  # (V,) bool, once everyday poses were looked at
+        self._made: dict[str, Any] = {"precision": precision, "normals": normals}
         if len(layers) > 1:
             poses, checked = _poses_to_look_at(layers[0].model.rig)
             for inner, outer in tucks:
@@ -100,7 +104,7 @@ class Outfit:
         self.frame_input = FrameInput([layer.given.sways_by_network for layer in layers])
         self._warned_of_degrees = False
 
-    def _look_at(self, layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: list) -> list[Layer]:
+    def _look_at(self, layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: Poses) -> list[Layer]:
         """The layers, knowing what of them is hidden; and keep what is of the body."""
         hidden, self._body_hidden = _hidden(layers, cloth, poses, self.avatar)
         return [replace(layer, hidden=mask) for layer, mask in zip(layers, hidden)]
@@ -211,7 +215,8 @@ class Outfit:
     @sway.setter
     def sway(self, amount: float | Sequence[float]) -> None:
         many = isinstance(amount, Sequence) or np.ndim(amount) > 0
-        self.frame_input.sways = tuple(amount) if many else (amount,) * len(self.layers)
+        given: Any = amount
+        self.frame_input.sways = tuple(given) if many else (given,) * len(self.layers)
 
     def reset(self) -> None:
         """Let the cloth hang still, as if the next frame were the first; see `FrameInput.reset`."""
@@ -267,7 +272,7 @@ def _checked_garments(garments: Sequence[GarmentModel | WornGarment], avatar: Av
     return tuple(checked)
 
 
-def _poses_to_look_at(rig: Rig) -> tuple[list[tuple[np.ndarray, np.ndarray]], bool]:
+def _poses_to_look_at(rig: Rig) -> tuple[Poses, bool]:
     """Poses (joint positions, gravity), the first at rest, and whether everyday ones are among them."""
     rest = [(rig.rest, UPRIGHT_GRAVITY)]
     try:
@@ -276,7 +281,9 @@ def _poses_to_look_at(rig: Rig) -> tuple[list[tuple[np.ndarray, np.ndarray]], bo
         return rest, False
 
 
-def _hidden(layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: list, avatar: Avatar):
+def _hidden(
+    layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: Poses, avatar: Avatar
+) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
     """What is covered in all poses: a mask (n,) of each layer, and one of the body's vertices."""
     hidden = [np.ones(len(layer.rest), dtype=bool) for layer in layers]
     body = np.ones(len(avatar.vertices), dtype=bool)

@@ -216,7 +216,7 @@ class Rig:
             raise RigError(f"malformed rig description: {type(error).__name__}: {error}") from error
 
 
-def ancestors(parents: Sequence[int], joint: int) -> list[int]:
+def ancestors(parents: Sequence[int] | np.ndarray, joint: int) -> list[int]:
     """From a joint itself up to the root. parents: of each joint, -1 for none."""
     way = []
     while joint >= 0:

@@ -11,6 +11,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -117,7 +118,7 @@ def bind_points(
     normals: np.ndarray | None = None,
     rest: np.ndarray | None = None,
     farthest: float = FARTHEST_POINT,
-) -> dict[str, np.ndarray]:
+) -> dict[str, Any]:
     """Skin other points of the same garment to the trained garment nodes.
 
     points: (n, 3) [m] in the model's canonical space. normals: (n, 3) of any length but zero, turned as those of the

@@ -108,7 +108,7 @@ class FrameInput:
         moment = _checked_time(time)
         _checked(lambda vector: self._native.move(moment, vector), root)
 
-    def follow(self, root: RootSample) -> None:
+    def follow(self, root: native.RootSample) -> None:
         """The root moves as a pendulum knows it that is moved elsewhere."""
         self._native.follow(root)
 

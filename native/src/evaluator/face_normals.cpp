@@ -21,9 +21,7 @@ inline Quad load_quad(const void* at) {
   return v;
 }
 
-inline Quad turned(Quad v) {
-  return __builtin_shufflevector(v, v, 1, 2, 0, 3);
-}
+inline Quad turned(Quad v) { return __builtin_shufflevector(v, v, 1, 2, 0, 3); }
 
 inline Quad cross(Quad a, Quad b) { return turned(a * turned(b) - turned(a) * b); }
 

@@ -15,7 +15,7 @@ from physkin_core import BUNDLED_AVATAR, Draper, load_avatar
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
-PARTICIPANT = Path(__file__).parents[2] / "dds_participant.py"
+PARTICIPANT = Path(__file__).parents[1] / "dds_participant.py"
 LOCAL = (
     "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='true'/></Interfaces></General>"
     "<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers><Peer address='127.0.0.1'/></Peers></Discovery>"
