@@ -128,7 +128,7 @@ def test_overflow_is_not_swallowed(precision, level, make_garment, make_pose):
         weight *= np.float32(3e4)
     evaluator = NativeFrame([garment], instruction_set=level, precision=precision)
     out, (positions, gravity) = np.full((len(garment.vertices), 6), 7.0, np.float32), make_pose(rng, garment)
-    with pytest.raises(ValueError, match="node deformer output"):
+    with pytest.raises(ValueError, match="corrections of garment nodes"):
         evaluator.evaluate(positions, told(gravity)[None], [out])
     assert (out == 7.0).all() and not evaluator.node_transforms().any()
 
@@ -145,7 +145,7 @@ def test_nan_alone_is_not_swallowed(precision, level, make_garment):
     garment.pose_layers[-1][1][:] = 0
     garment.deformer_layers[0][0][:], garment.deformer_layers[0][1][:] = 0, 1
     evaluator = NativeFrame([garment], instruction_set=level, precision=precision)
-    with pytest.raises(ValueError, match=r"node deformer output\[0\] is -?nan"):
+    with pytest.raises(ValueError, match=r"corrections of garment nodes\[0\] is -?nan"):
         frame(evaluator, garment, (np.empty(0, np.float32), (0, 0, 1)))
 
 
