@@ -18,7 +18,7 @@ from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.outfit.draper import Draper
 from physkin_core.outfit.outfit_options import add_fit_option, add_limbs_option, add_rig_option, print_warnings
 from physkin_core.output_file import check_folder
-from physkin_core.separation.limb_separator import LimbSeparator
+from physkin_core.separation.limb_separator import bind_limbs
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
 __all__ = ["advice", "command_parser", "main"]
@@ -62,7 +62,7 @@ def main(argv: list[str]) -> int:
     drapers = {model.name: Draper(model, avatar, fit=options.fit) for model in models}
     poses, _ = everyday_poses(rig)
     if options.separate_limbs:
-        separator = LimbSeparator(rig, avatar)
+        separator = bind_limbs(rig, avatar)
         poses = np.array([separator.separate(positions)[0] for positions in poses])
     checks = {name: check_garment(draper, poses=poses) for name, draper in drapers.items()}
     known, overlap = likeness(avatar, rig), body_overlap(avatar, rig, poses)

@@ -18,7 +18,7 @@ from physkin_core.native_module import native
 from physkin_core.rig.rig import Rig
 from physkin_core.separation.collision_shape import fit_collision_shape
 
-__all__ = ["LimbSeparator", "SeparationSettings", "separated_motion"]
+__all__ = ["LimbSeparator", "SeparationSettings", "bind_limbs", "separated_motion"]
 
 log = logging.getLogger(__name__)
 
@@ -77,11 +77,17 @@ class LimbSeparator:
         return out, self._separator.separate(positions, out)
 
 
-def separated_motion(motion: Motion, rig: Rig, avatar: Avatar) -> Motion:
-    """A motion whose limbs are separated, frame by frame, for a body bound to the rig. Raises as `LimbSeparator`; what
-    it warns of is issued as AvatarWarning."""
+def bind_limbs(rig: Rig, avatar: Avatar) -> LimbSeparator:
+    """The separator of a body bound to the rig; what it warns of is issued as AvatarWarning. Raises as that does."""
     separator = LimbSeparator(rig, avatar)
     for warning in separator.warnings:
         warnings.warn(f"{avatar.source}: {warning}", AvatarWarning, stacklevel=2)
+    return separator
+
+
+def separated_motion(motion: Motion, rig: Rig, avatar: Avatar) -> Motion:
+    """A motion whose limbs are separated, frame by frame, for a body bound to the rig. Warns and raises as
+    `bind_limbs`."""
+    separator = bind_limbs(rig, avatar)
     positions = [separator.separate(each)[0] for each in motion.positions_for(rig)]
     return replace(motion, joint_names=rig.joint_names, positions=np.array(positions))

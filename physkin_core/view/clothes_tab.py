@@ -84,7 +84,7 @@ class ClothesTab:
                 change()
         finally:
             self.show_what_is_worn()
-        for warning in self._state.outfit.warnings:
+        for warning in self._state.warnings:
             self._page.notice("How it sits", warning, kind="warning")
 
     def _wear(self) -> None:

@@ -46,7 +46,7 @@ def main(argv: list[str]) -> int:
         separate_limbs=options.separate_limbs,
         points=options.points,
     )
-    print_warnings(state.outfit.warnings)
+    print_warnings(state.warnings)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     page = Page(host=options.host, port=options.port)
     viewer = Viewer(page, state, motion=motion)

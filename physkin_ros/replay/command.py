@@ -8,7 +8,7 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 
-from physkin_core import NORMALS, UPRIGHT_GRAVITY, Draper, LimbSeparator, load_avatar, load_garment_model
+from physkin_core import NORMALS, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
 from physkin_core.motion.bag_reader import ORIENTATIONS, BagError, BagReader
 from physkin_core.outfit.outfit_options import (
     add_avatar_options,
@@ -20,6 +20,7 @@ from physkin_core.outfit.outfit_options import (
     the_garment,
 )
 from physkin_core.runtime.evaluator import PRECISIONS
+from physkin_core.separation.limb_separator import bind_limbs
 from physkin_core.sway.frame_input import checked_sway
 from physkin_ros.arguments import file_to_write, whole_number
 from physkin_ros.joints.joint_naming import PRESETS
@@ -65,7 +66,7 @@ def replay_one(options: argparse.Namespace) -> int:
         draper, every = _draper(options), options.contact_every
         if every is None:
             every = max(1, -(-bag.joint_state_count // CONTACT_CLOUDS))
-        separator = LimbSeparator(draper.model.rig, draper.avatar) if options.separate_limbs else None
+        separator = bind_limbs(draper.model.rig, draper.avatar) if options.separate_limbs else None
         settings = {"joint_map": options.joint_map, "root": root, "separator": separator, "contact_every": every}
         found = replay(draper, bag, writer, topic=options.garment_topic, frame_id=options.frame_id, **settings)
         if not found.frames:

@@ -67,8 +67,9 @@ class SceneState:
     next one's waistband. body: an avatar file; rig_file: of one without a skin. motion: as `load_motion` takes it, or
     None. fit: as of `Outfit`. separate_limbs: whether poses go through a `LimbSeparator`. points: a file of splats
     where one of the garments lies; while that is worn, frames have them.
-    rig: whose joints there are. playing, speed: of the motion; seconds: its time. sway: as of `Outfit`. pose: shown
-    now; posed_by_hand: whether a joint was set last. show_plain: compute plain skinning too.
+    warnings: of what is worn, and of limbs that are not separated. rig: whose joints there are. playing, speed: of the
+    motion; seconds: its time. sway: as of `Outfit`. pose: shown now; posed_by_hand: whether a joint was set last.
+    show_plain: compute plain skinning too.
     Raises what loading raises; what is shown is then as it was.
     """
 
@@ -143,6 +144,7 @@ class SceneState:
             self.body, self.rig_file, self.separate_limbs = body, rig_file, separate_limbs
             self._avatar, self.rig, self._player, self.outfit = avatar, rig, player, outfit
             self._splats, self._separator = splats, separator
+            self.warnings = outfit.warnings + (() if separator is None else separator.warnings)
             self.pose = standing_pose(positions, avatar) if player is None else player.pose(self.seconds)
             self._cloth = tuple(np.zeros((layer.vertex_count, 6), dtype=np.float32) for layer in outfit.layers)
             self._times: deque[float] = deque(maxlen=TIMED_FRAMES)

@@ -1,12 +1,11 @@
 """A glTF file, read by pygltflib and computed as engines do."""
 
-from copy import copy
-
 import numpy as np
 from pygltflib import GLTF2
 from scipy.spatial.transform import Rotation
 
 from physkin_core.export.gltf_builder import FROM_ROOT_FRAME
+from physkin_core.runtime.evaluator import Skinner
 
 TYPES = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -67,8 +66,10 @@ def in_gltf_world(points, motion, frame):
     return turned @ FROM_ROOT_FRAME.T
 
 
-def without_order(outfit):
-    """An outfit whose layers are not kept in order, as an engine skins them."""
-    loose = copy(outfit)
-    loose.orders = ()
-    return loose.twin()
+def skinned_layers(outfit):
+    """(v, 3) [m] of each layer where its garment nodes have it in the last frame: without the order of layers, which no
+    engine keeps."""
+    clouds = [np.empty((layer.vertex_count, 3), dtype=np.float32) for layer in outfit.layers]
+    for layer, nodes, cloud in zip(outfit.layers, outfit.node_transforms(), clouds):
+        Skinner(layer.given).skin(nodes, cloud)
+    return clouds

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from core.export.gltf_reader import without_order
+from core.export.gltf_reader import skinned_layers
 from core.export.test_garment_looks import write_look
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -48,10 +48,11 @@ def test_blender_has_every_vertex_where_it_is_draped(tmp_path, kind):
     motion = load_motion("walk").resampled(RATE)
     avatar = load_avatar(BUNDLED_AVATAR, models[0].rig)
     outfit = Outfit([model.for_engines() for model in models] if kind == ".glb" else models, avatar)
-    if kind == ".glb":  # without the order of layers, which is not in it
-        outfit = without_order(outfit)
     for frame, positions in enumerate(motion.positions_for(models[0].rig)[: FRAMES[-1] + 1]):
-        clouds = outfit.drape(positions, time=motion.times[frame], root=motion.root[frame])
+        now = {"time": motion.times[frame], "root": motion.root[frame]}
+        clouds = outfit.drape(positions, **now)
+        if kind == ".glb":
+            clouds = skinned_layers(outfit)
         if frame not in FRAMES:
             continue
         body = avatar.posed_vertices(outfit.bone_transforms(positions))

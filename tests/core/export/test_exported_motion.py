@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from core.export.gltf_reader import Reader, in_gltf_world, without_order
+from core.export.gltf_reader import Reader, in_gltf_world, skinned_layers
 
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
 from physkin_core.cli import main
@@ -32,16 +32,16 @@ def test_an_engine_sees_what_is_draped(tmp_path, motion, worn):
     export(tmp_path / "walk.glb")
     reader = Reader(tmp_path / "walk.glb")
     avatar = load_avatar(BUNDLED_AVATAR, worn[0].rig)
-    outfit = without_order(Outfit([model.for_engines() for model in worn], avatar))
+    outfit = Outfit([model.for_engines() for model in worn], avatar)
     positions = motion.positions_for(worn[0].rig)
     np.testing.assert_allclose(np.diff(reader.times), 1 / RATE, atol=1e-6)
     assert len(reader.times) == motion.frame_count
     for frame in range(motion.frame_count // 2 + 1):
-        draped = outfit.drape(positions[frame], time=frame / RATE, root=motion.root[frame])
+        outfit.drape(positions[frame], time=frame / RATE, root=motion.root[frame])
         if frame not in (0, motion.frame_count // 2):
             continue
-        for model, cloud in zip(worn, draped):
-            distance = reader.skinned(model.name, frame) - in_gltf_world(cloud[:, :3], motion, frame)
+        for model, cloud in zip(worn, skinned_layers(outfit)):
+            distance = reader.skinned(model.name, frame) - in_gltf_world(cloud, motion, frame)
             assert np.linalg.norm(distance, axis=1).max() < 2e-4, model.name
         body = outfit.posed_body(positions[frame])
         distance = reader.skinned("body", frame) - in_gltf_world(body, motion, frame)
@@ -81,10 +81,10 @@ def test_usd_has_every_vertex(tmp_path, motion, worn):
     outfit.sway = 0.5
     for frame, positions in enumerate(motion.positions_for(worn[0].rig)):
         clouds = outfit.drape(positions, time=frame / RATE, root=motion.root[frame])
-        for name, cloud, faces in zip(("trousers", "tshirt"), clouds, (layer.faces for layer in outfit.layers)):
-            mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/avatar/{name}"))
+        for layer, cloud in zip(outfit.layers, clouds):
+            mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/avatar/{layer.name}"))
             np.testing.assert_allclose(np.array(mesh.GetPointsAttr().Get(frame)), cloud[:, :3], atol=1e-7)
-            assert len(mesh.GetFaceVertexIndicesAttr().Get()) == faces.size
+            assert len(mesh.GetFaceVertexIndicesAttr().Get()) == layer.faces.size
         place = UsdGeom.Xformable(stage.GetPrimAtPath("/avatar")).ComputeLocalToWorldTransform(frame)
         np.testing.assert_allclose(place.ExtractTranslation(), motion.root_position[frame], atol=1e-6)
     assert usd_faults(stage) == []

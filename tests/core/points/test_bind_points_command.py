@@ -42,7 +42,7 @@ def test_normals_of_a_mesh_turn_with_it(model_path, garment_model, draper, pose,
     arguments = ["bind-points", str(model_path), str(tmp_path / "in.glb"), "--motion", "kick", "--frame", "20"]
     assert cli.main([*arguments, "-o", str(tmp_path / "out.glb")]) == 0
     given = {"points": garment.vertices, "point_normals": mesh.vertex_normals[:, [2, 0, 1]]}
-    expected = Draper(garment_model, draper.avatar, binding=draper.bound, **given).drape(*pose)
+    expected = Draper(garment_model, draper.avatar, **given).drape(*pose)
     found = read_points(tmp_path / "out.glb")
     np.testing.assert_allclose(found.points, expected[:, [1, 2, 0]], atol=2e-5)
     np.testing.assert_allclose(found.normals, expected[:, [4, 5, 3]], atol=1e-3)
@@ -58,7 +58,7 @@ def test_splats_of_every_frame(model_path, garment_model, draper, tmp_path, caps
     files = sorted(tmp_path.glob("out_*.ply"))
     assert [file.name for file in files] == [f"out_{frame:04d}.ply" for frame in range(motion.frame_count)]
     assert f"out_0000.ply to {files[-1].name}" in capsys.readouterr().out
-    splats = SplatDraper(garment_model, draper.avatar, read_points(source).splats, binding=draper.bound)
+    splats = SplatDraper(garment_model, draper.avatar, read_points(source).splats)
     expected = splats.drape(motion.positions_for(garment_model.rig)[3], motion.gravity[3])
     found = read_points(files[3]).splats
     np.testing.assert_allclose(found.centres, expected.centres, atol=1e-5)

@@ -17,6 +17,7 @@ from physkin_core import (
     load_motion,
 )
 from physkin_core.avatar.avatar import avatar_from_body
+from physkin_core.points.splat_draper import SplatSkinner
 
 pytestmark = pytest.mark.filterwarnings("ignore::physkin_core.AvatarWarning")
 
@@ -53,20 +54,21 @@ def poses(tshirt):
 
 def test_splats_follow_the_garment_nodes_of_a_drape(tshirt, avatar, worn, poses):
     splats = splats_at(tshirt.garment.vertices[:50], scales=(0.004, 0.002, 0.001))
-    draper = SplatDraper(tshirt, avatar, splats, binding=worn.bound)
+    draper, skinner = SplatDraper(tshirt, avatar, splats), SplatSkinner(worn.layer, splats)
+    assert draper.splat_count == skinner.splat_count == 50
     for pose in poses:
         worn.drape(*pose)
-        found, expected = draper.skin(worn.node_transforms()), draper.drape(*pose)
+        found, expected = skinner.skin(worn.node_transforms()), draper.drape(*pose)
         for name in ("centres", "rotations", "scales"):
             np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-5)
 
 
-def test_centres_on_vertices_are_the_drape(tshirt, avatar, worn, poses):
+def test_centres_on_vertices_are_the_drape(tshirt, worn, poses):
     """Of a garment made to measure, too: centres are carried to the rest shape that is worn."""
-    draper = SplatDraper(tshirt, avatar, splats_at(tshirt.garment.vertices), binding=worn.bound)
-    assert draper.splat_count == len(tshirt.garment.vertices)
+    skinner = SplatSkinner(worn.layer, splats_at(tshirt.garment.vertices))
     for pose in poses:
-        np.testing.assert_allclose(draper.drape(*pose).centres, worn.drape(*pose)[:, :3], atol=2e-6)
+        cloth = worn.drape(*pose)[:, :3]
+        np.testing.assert_allclose(skinner.skin(worn.node_transforms()).centres, cloth, atol=2e-6)
 
 
 def test_rigid_cloth_turns_splats_rigidly(garment_model):
@@ -96,7 +98,7 @@ def test_rigid_cloth_turns_splats_rigidly(garment_model):
     assert turned.magnitude().max() < 2e-3
 
 
-def test_splats_stretch_as_the_cloth_does(tshirt, avatar, worn, poses):
+def test_splats_stretch_as_the_cloth_does(tshirt, worn, poses):
     """A flat splat on every fifth triangle becomes what the draped triangle makes of it, but for a fraction of the
     strain: inside a triangle the cloth is skinned, not flat."""
     garment = tshirt.garment
@@ -105,10 +107,10 @@ def test_splats_stretch_as_the_cloth_does(tshirt, avatar, worn, poses):
     flat = frames(corners)
     quaternions = Rotation.from_matrix(flat / np.linalg.norm(flat, axis=1, keepdims=True)).as_quat()
     splats = Splats(corners.mean(axis=1), quaternions, np.tile([0.004, 0.004, 1e-5], (len(faces), 1)))
-    draper = SplatDraper(tshirt, avatar, splats, binding=worn.bound)
+    skinner = SplatSkinner(worn.layer, splats)
     for pose in poses:
-        found = draper.drape(*pose)
         map_of_triangles = frames(worn.drape(*pose)[:, :3][faces]) @ np.linalg.inv(flat)
+        found = skinner.skin(worn.node_transforms())
         spokes = map_of_triangles @ splats.axes() * splats.scales[:, None]
         expected = np.linalg.svd(spokes, compute_uv=False)[:, :2]
         strain = np.abs(expected / 0.004 - 1)

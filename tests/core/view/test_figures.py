@@ -25,7 +25,7 @@ def dressed():
 def test_strain_is_the_cores(dressed):
     figures, frame = dressed
     (strain,) = figures.strains(frame)
-    expected = edge_strain(frame.outfit.rest_garments[0], frame.cloth[0][:, :3])
+    expected = edge_strain(frame.outfit.layers[0].rest_garment, frame.cloth[0][:, :3])
     assert strain.mean() == pytest.approx(float(expected), rel=1e-5)
 
 
@@ -52,10 +52,10 @@ def test_contact_is_what_check_finds(dressed):
     chest = np.linalg.norm(own - frame.cloth[0][np.argmax(frame.cloth[0][:, 0]), :3], axis=1) < 0.08
     for body in (own, own + 0.05 * chest[:, None] * np.array([1.0, 0.0, 0.0], dtype=np.float32)):
         found = look_at_contact(replace(question, body=body))
-        expected = rest_check(figures.outfit.rest_garments[0], frame.cloth[0][:, :3], body, faces)
+        expected = rest_check(figures.outfit.layers[0].rest_garment, frame.cloth[0][:, :3], body, faces)
         assert found.inside_percent == pytest.approx(expected.inside_percent)
         assert found.deepest_mm == pytest.approx(expected.deepest_mm, rel=1e-4)
-        shown = skin_without_cloth(figures.outfit.rest_garments[0], frame.cloth[0][:, :3], body, faces)
+        shown = skin_without_cloth(figures.outfit.layers[0].rest_garment, frame.cloth[0][:, :3], body, faces)
         assert found.skin_shows_percent == pytest.approx(shown)
     assert found.inside_percent > 0.1 and found.skin_shows.any() and found.skin_shows.mean() < 0.05
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from physkin_core import (
     BUNDLED_AVATAR,
     Draper,
+    LimbSeparator,
     Outfit,
     avatar_from_body,
     load_avatar,
@@ -18,6 +20,7 @@ from physkin_core import (
     load_motion,
 )
 from physkin_core.view.pose_tab import joint_groups
+from physkin_core.view.scene import scene_state
 from physkin_core.view.scene.motion_player import MotionPlayer
 from physkin_core.view.scene.scene_state import SceneState
 
@@ -196,6 +199,24 @@ def test_another_body(state, tmp_path):
     assert state.body == own and frame.outfit is state.outfit is not before and state.motion.name == "walk"
     assert state.playing and frame.outfit.avatar.source.endswith("me.glb")
     state.put_on(BUNDLED_AVATAR)
+
+
+def test_limbs_are_separated_and_those_left_out_are_told(monkeypatch):
+    """What is drawn is the separated pose, of body and cloth."""
+    state = SceneState(["tshirt"], separate_limbs=True)
+    assert state.warnings == state.outfit.warnings
+    joint = state.rig.joint_names.index("upperarm01.L_x")
+    state.set_joint(joint, -0.9)
+    frame = state.advance(0.0)
+    expected, change = LimbSeparator(state.rig, state.outfit.avatar).separate(state.pose.positions)
+    assert change > 0.05
+    np.testing.assert_array_equal(frame.pose.positions, expected)
+    np.testing.assert_allclose(frame.body, state.outfit.posed_body(expected), atol=1e-6)
+    (alone,) = Outfit([load_garment_model("tshirt")], state.outfit.avatar).drape(expected)
+    np.testing.assert_allclose(frame.cloth[0], alone, atol=1e-5)
+    monkeypatch.setattr(scene_state, "LimbSeparator", lambda *_: SimpleNamespace(warnings=("a leg is not separated",)))
+    state.separate(True)
+    assert state.warnings == (*state.outfit.warnings, "a leg is not separated")
 
 
 def test_tall_bodies_take_longer_steps():
