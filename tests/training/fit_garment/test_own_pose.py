@@ -148,7 +148,9 @@ def test_the_command_takes_it_as_it_lies(person, avatar_file, template, tmp_path
     printed = capsys.readouterr().out
     assert "as it lies; mean distance" in printed and "centimetres" in printed
     worn = load_garment(tmp_path / "out" / "garment.obj")
-    assert np.abs(worn.vertices.mean(axis=0) - made.vertices.mean(axis=0)).max() < 0.02
+    moved = worn.vertices.mean(axis=0) - made.vertices.mean(axis=0)
+    # A band that is wider than the belly may lie anywhere from front to back: which minimum is found is the solver's.
+    assert (np.abs(moved) < [0.025, 0.005, 0.006]).all()
     trimesh.Trimesh(lying + [0, 0.6, 0], faces, process=False).export(tmp_path / "beside.obj", digits=7)
     beside = [*command, str(tmp_path / "beside.obj"), "-o", str(output)]
     assert main(beside) == 1
