@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 try:
     import physkin_core._native as native
 except ImportError as error:
@@ -12,4 +15,9 @@ except ImportError as error:
         "folder, install with `pip install -e .`, or start Python elsewhere to use the installed package."
     ) from error
 
-__all__ = ["native"]
+__all__ = ["as_float32", "native"]
+
+
+def as_float32(array: ArrayLike) -> np.ndarray:
+    """An array as the module takes it: float32, C-contiguous."""
+    return np.ascontiguousarray(array, dtype=np.float32)

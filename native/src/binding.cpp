@@ -104,13 +104,7 @@ nb::dict constants() {
   nb::dict d;
   d["standard_gravity"] = kStandardGravity;
   d["largest_effective_gravity"] = kLargestEffectiveGravity;
-  d["longest_gap"] = kLargestGap;
-  d["jump"] = kJump;
-  d["pace"] = kPace;
-  d["pace_reach"] = kReach;
-  d["twist_lift"] = kTwistLift;
   d["joints_beyond"] = kBeyond;
-  d["longest_step"] = kLongestStep;
   d["largest_rate"] = kLargestRate;
   d["largest_velocity"] = kLargestVelocity;
   d["largest_turning"] = kLargestTurning;
@@ -120,7 +114,6 @@ nb::dict constants() {
   d["heads"] = kHeads;
   d["capsule_blur"] = kCapsuleBlur;
   d["bound_garment_version"] = kBoundGarmentVersion;
-  d["turns"] = kTurns;
   d["beside"] = kBeside;
   return d;
 }

@@ -1,6 +1,5 @@
 // The plain C interface of include/physkin.h.
 #include <algorithm>
-#include <cmath>
 #include <cstddef>
 #include <cstdio>
 #include <cstring>

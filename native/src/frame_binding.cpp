@@ -32,6 +32,13 @@ int checked_garment(int garment, int count) {
   return garment;
 }
 
+// What keeps two layers in order; it reads arrays of the reader's.
+LayerOrderData layer_order_data(PythonReader& reader, nb::handle order) {
+  LayerOrderData data = read_layer_order(reader.fields_of(order));
+  data.edge = nb::cast<float>(order.attr("edge"));
+  return data;
+}
+
 // Garments that are evaluated together, and what keeps their order. They are packed while other Python threads run.
 class BoundEvaluator {
  public:
@@ -48,9 +55,8 @@ class BoundEvaluator {
         }()) {
     PythonReader reader;
     for (nb::handle order : orders) {
-      LayerOrderData data = read_layer_order(reader.fields_of(order));
-      data.edge = nb::cast<float>(order.attr("edge"));
-      evaluator_.keep_order({nb::cast<int>(order.attr("steady")), nb::cast<int>(order.attr("yielding"))}, data);
+      const LayerPair layers{nb::cast<int>(order.attr("steady")), nb::cast<int>(order.attr("yielding"))};
+      evaluator_.keep_order(layers, layer_order_data(reader, order));
     }
   }
 
@@ -118,8 +124,7 @@ class BoundLayerOrder {
   BoundLayerOrder(nb::handle order, int steady_vertices, int yielding_vertices)
       : order_([&] {
           PythonReader reader;
-          LayerOrderData data = read_layer_order(reader.fields_of(order));
-          data.edge = nb::cast<float>(order.attr("edge"));
+          const LayerOrderData data = layer_order_data(reader, order);
           const bool outside = nb::cast<int>(order.attr("yielding")) > nb::cast<int>(order.attr("steady"));
           return LayerOrder(data, outside ? Side::kOutside : Side::kInside, steady_vertices, yielding_vertices, arena_);
         }()),

@@ -6,12 +6,15 @@ modulation constant for a body it folds into the layer (`fold_modulation`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from physkin_core.native_module import as_float32
+
 __all__ = [
     "Layer",
+    "float32_layers",
     "fold_modulation",
     "layer_inputs",
     "modulation_size",
@@ -21,6 +24,11 @@ __all__ = [
 
 Layer = tuple[np.ndarray, np.ndarray]
 """Network weight (out, in) and bias (out,)."""
+
+
+def float32_layers(layers: Iterable[Layer]) -> tuple[Layer, ...]:
+    """Layers as the native code takes them."""
+    return tuple((as_float32(weight), as_float32(bias)) for weight, bias in layers)
 
 
 def silu(x: np.ndarray) -> np.ndarray:

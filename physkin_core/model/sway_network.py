@@ -4,7 +4,7 @@ Features of the frame drive damped oscillators, which remember; what is read fro
 is added to the node deformer's corrections. A body comes in as a code, a few directions of its modulation.
 
 Dimensions: `j` joints, `c` body code, `M` modulation of the pose modulator, `h` and `r` hidden widths, `K` oscillators,
-`m` garment nodes; `f = 2 j + 15` drive, `p = j + 3` pose (see `physkin_core.sway.learnt_sway`).
+`m` garment nodes; `f = 2 j + 15` drive, `p = j + 3` pose.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physkin_core.model.mlp import Layer
+from physkin_core.model.mlp import Layer, float32_layers
 from physkin_core.model.model_arrays import Array, Linear, described
+from physkin_core.native_module import as_float32
 
 __all__ = ["LARGEST_CODE", "SwayNetwork", "drive_size", "fold_body", "pose_size"]
 
@@ -77,10 +78,9 @@ def fold_body(network: SwayNetwork, modulation: np.ndarray) -> dict[str, object]
         network.last,
         network.out,
     )
-    as_float = lambda array: np.ascontiguousarray(array, dtype=np.float32)  # noqa: E731
     return {
         "sway_joints": np.ascontiguousarray(network.joints, dtype=np.int32),
-        "sway_layers": tuple((as_float(weight), as_float(bias)) for weight, bias in layers),
-        "sway_rates": as_float(network.rates),
-        "sway_turns": as_float(network.turns),
+        "sway_layers": float32_layers(layers),
+        "sway_rates": as_float32(network.rates),
+        "sway_turns": as_float32(network.turns),
     }

@@ -240,7 +240,7 @@ class Outfit:
             poses, checked = _poses_to_look_at(self.rig)
             if not checked:
                 return np.zeros(len(self.avatar.faces), dtype=bool)
-            self._look_at(self.layers, list(zip(*(layer.drape(poses) for layer in self.layers))), poses)
+            self._look_at(self.layers, drapes(self.layers, (), poses), poses)
         return faces_of(self.avatar.faces, self._body_hidden)
 
     @cached_property

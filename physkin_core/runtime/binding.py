@@ -18,10 +18,11 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.mlp import fold_modulation
+from physkin_core.model.mlp import float32_layers, fold_modulation
 from physkin_core.model.node_deformer import fold_first_layer
 from physkin_core.model.skinning import unit
 from physkin_core.model.sway_network import fold_body
+from physkin_core.native_module import as_float32
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
 from physkin_core.runtime.body_encoder import encode_body
 from physkin_core.runtime.bound_garment import BoundGarment
@@ -77,23 +78,23 @@ def bind_garment(
     )
     bound = BoundGarment(
         bone_parents=rig.parents,
-        bone_heads=_float(avatar.bone_heads),
+        bone_heads=as_float32(avatar.bone_heads),
         dof_bone=rig.dof_bones,
-        dof_axis=_float(rig.dof_axes),
-        dof_rest=_float(rig.rest),
-        dof_lower=_float(rig.lower),
-        dof_upper=_float(rig.upper),
-        pose_layers=_float_layers(fold_modulation(model.pose_modulator, modulation)),
+        dof_axis=as_float32(rig.dof_axes),
+        dof_rest=as_float32(rig.rest),
+        dof_lower=as_float32(rig.lower),
+        dof_upper=as_float32(rig.upper),
+        pose_layers=float32_layers(fold_modulation(model.pose_modulator, modulation)),
         deformer_bones=deformer_bones,
-        deformer_layers=_float_layers([(folded_weight, first_bias), *rest]),
+        deformer_layers=float32_layers([(folded_weight, first_bias), *rest]),
         node_bone=np.ascontiguousarray(model.node_bone, dtype=np.int32),
-        node_positions=_float(worn.node_positions),
+        node_positions=as_float32(worn.node_positions),
         node_twist=node_twist(model.garment, rig, model.node_rest, model.node_bone),
-        node_rest=_float(worn.node_rest),
-        vertices=_float(worn.garment.vertices),
+        node_rest=as_float32(worn.node_rest),
+        vertices=as_float32(worn.garment.vertices),
         normals=rest_normals(model, worn.garment.vertices),
         influence_nodes=np.ascontiguousarray(model.influence_nodes, dtype=np.int32),
-        influence_weights=_float(model.influence_weights),
+        influence_weights=as_float32(model.influence_weights),
         faces=np.ascontiguousarray(worn.garment.faces, dtype=np.int32),
         **({} if model.sway is None else fold_body(model.sway, modulation)),
     )
@@ -107,8 +108,8 @@ def bind_garment(
         draped, bound.faces, wanted, SkinClearance(avatar.vertices, avatar.faces)
     )
     if unlike:
-        vertices = vertices + room_to_move(replace(bound, vertices=_float(vertices)), avatar, rig)
-    return replace(bound, vertices=_float(vertices), normals=rest_normals(model, vertices))
+        vertices = vertices + room_to_move(replace(bound, vertices=as_float32(vertices)), avatar, rig)
+    return replace(bound, vertices=as_float32(vertices), normals=rest_normals(model, vertices))
 
 
 def bind_points(
@@ -160,8 +161,8 @@ def bind_points(
     chunks = [slice(start, start + POINTS_AT_ONCE) for start in range(0, len(points), POINTS_AT_ONCE)]
     influences = [_influences_in_faces(model, corners[chunk], barycentric[chunk]) for chunk in chunks]
     return {
-        "vertices": _float(points),
-        "normals": _float(unit(normals)),
+        "vertices": as_float32(points),
+        "normals": as_float32(unit(normals)),
         "influence_nodes": np.concatenate([nodes for nodes, _ in influences]),
         "influence_weights": np.concatenate([weights for _, weights in influences]),
         "faces": np.empty((0, 3), dtype=np.int32),
@@ -172,7 +173,7 @@ def rest_normals(model: GarmentModel, vertices: np.ndarray) -> np.ndarray:
     """Unit rest normals (n, 3) float32 of the garment reshaped to vertices (n, 3): the model's, turned as it is."""
     faces = model.garment.faces
     start, end = vertex_normals(model.garment.vertices, faces), vertex_normals(vertices, faces)
-    return _float(unit(_turned(model.rest_normals.astype(np.float64), start, end)))
+    return as_float32(unit(_turned(model.rest_normals.astype(np.float64), start, end)))
 
 
 def _turned(vectors: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -209,12 +210,4 @@ def _influences_in_faces(
     nodes = model.influence_nodes[corners].reshape(len(corners), -1)
     dense = dense_weights(nodes, shares.reshape(len(corners), -1), len(model.node_rest))
     nodes, weights = strongest_influences(dense, model.influence_nodes.shape[1])
-    return nodes.astype(np.int32), _float(weights)
-
-
-def _float(array: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(array, dtype=np.float32)
-
-
-def _float_layers(layers) -> tuple:
-    return tuple((_float(weight), _float(bias)) for weight, bias in layers)
+    return nodes.astype(np.int32), as_float32(weights)

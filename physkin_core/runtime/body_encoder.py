@@ -14,7 +14,7 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.hyper_modulator import POINT_COUNT, at_fit
 from physkin_core.model.surface_sampling import sample_surface
-from physkin_core.native_module import native
+from physkin_core.native_module import as_float32, native
 from physkin_core.runtime.garment_on_body import checked_fit
 
 __all__ = ["encode_body", "encode_points"]
@@ -38,11 +38,7 @@ def encode_points(
     Raises KeyError for a missing array; ValueError for a wrong shape, a value that is not finite or beyond a million,
     a result that is not finite, or an unknown instruction set.
     """
-    arrays = {name: _float(array) for name, array in network.items()}
+    arrays = {name: as_float32(array) for name, array in network.items()}
     out = np.empty(len(arrays["output.weight"]), dtype=np.float32)
-    native.encode_body(arrays, _float(points), _float(normals), out, instruction_set)
+    native.encode_body(arrays, as_float32(points), as_float32(normals), out, instruction_set)
     return out
-
-
-def _float(array: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(array, dtype=np.float32)

@@ -13,7 +13,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import face_areas
-from physkin_core.native_module import native
+from physkin_core.native_module import as_float32, native
 from physkin_core.rig.linear_blend_skinning import dense_weights
 from physkin_core.rig.rig import Rig
 from physkin_core.separation.limb_chains import Limb, Limbs, find_limbs
@@ -151,17 +151,17 @@ def fit_collision_shape(avatar: Avatar, rig: Rig, *, onset: float) -> tuple[Coll
     bones = np.array(found.trunk)
     shape = CollisionShape(
         parents=np.asarray(rig.parents, dtype=np.int32),
-        heads=_float(heads),
+        heads=as_float32(heads),
         dof_bone=rig.dof_bones,
-        dof_axis=_float(rig.dof_axes),
-        dof_rest=_float(rig.rest),
-        dof_lower=_float(rig.lower),
-        dof_upper=_float(rig.upper),
+        dof_axis=as_float32(rig.dof_axes),
+        dof_rest=as_float32(rig.rest),
+        dof_lower=as_float32(rig.lower),
+        dof_upper=as_float32(rig.upper),
         trunk_bones=bones.astype(np.int32),
-        trunk_heights=_float(heads[bones, 2]),
-        trunk_frame=_float([*trunk.centre, trunk.low, trunk.high]),
-        trunk_coefficients=_float(trunk.coefficients),
-        group_reach=_float(reach),
+        trunk_heights=as_float32(heads[bones, 2]),
+        trunk_frame=as_float32([*trunk.centre, trunk.low, trunk.high]),
+        trunk_coefficients=as_float32(trunk.coefficients),
+        group_reach=as_float32(reach),
         allowed=np.zeros(int(sum(groups[group, 1] - groups[group, 0] for group in pairs[:, 0])), dtype=np.float32),
         limb_start=np.cumsum([0, *(len(limb.dofs) for limb in limbs)]).astype(np.int32),
         limb_dofs=np.array([k for limb in limbs for k in limb.dofs], dtype=np.int32),
@@ -169,7 +169,7 @@ def fit_collision_shape(avatar: Avatar, rig: Rig, *, onset: float) -> tuple[Coll
         **arrays,
     )
     at_rest = shape.depths(centre.astype(np.float64), centre.astype(np.float64))
-    return replace(shape, allowed=_float(np.maximum(at_rest + onset, 0.0))), tuple(warnings)
+    return replace(shape, allowed=as_float32(np.maximum(at_rest + onset, 0.0))), tuple(warnings)
 
 
 class _SkinByPart:
@@ -242,8 +242,8 @@ class _Spheres:
         bone, centre, radius, limb, joints = zip(*self._rows)
         return {
             "sphere_bone": np.array(bone, dtype=np.int32),
-            "sphere_centre": _float(centre),
-            "sphere_radius": _float(radius),
+            "sphere_centre": as_float32(centre),
+            "sphere_radius": as_float32(radius),
             "sphere_limb": np.array(limb, dtype=np.int32),
             "sphere_joints": np.array(joints, dtype=np.int32),
             "capsules": np.array(self._capsules, dtype=np.int32),
@@ -296,7 +296,3 @@ def _trunk(skin: _SkinByPart, found: Limbs, heads: np.ndarray) -> TrunkShape:
     points = skin.trunk(*thighs)
     between = (points.points[:, 2] > low) & (points.points[:, 2] < high)
     return fit_trunk(points.points[between], points.areas[between], low, high)
-
-
-def _float(array) -> np.ndarray:
-    return np.ascontiguousarray(array, dtype=np.float32)

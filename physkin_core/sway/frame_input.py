@@ -47,20 +47,17 @@ class FrameInput:
 
     networks: whether a sway network moves each garment. Such a garment is given the root's motion; the others feel the
     effective gravity of a pendulum that the root moves.
+    rows: (g, 14) float32, which every frame overwrites: effective gravity (3) in units of gravity; twist [rad]; passed
+    time [s], negative where the frame before does not count; how much a sway network counts, 0 to 1; elapsed time [s]
+    for it; whether rates count, 0 or 1; velocity (3) [m/s] and turning (3) [rad/s] of the root.
 
     First say where down is, by `hang`, `accelerate`, `move` or `follow`; then begin the frame.
     """
 
     def __init__(self, networks: Sequence[bool]) -> None:
         self._native = native.FrameInput(len(networks))
+        self.rows: np.ndarray = self._native.rows
         self.set_networks(networks)
-
-    @property
-    def rows(self) -> np.ndarray:
-        """(g, 14) float32, a view that every frame overwrites: effective gravity (3) in units of gravity; twist [rad];
-        passed time [s], negative where the frame before does not count; how much a sway network counts, 0 to 1; elapsed
-        time [s] for it; whether rates count, 0 or 1; velocity (3) [m/s] and turning (3) [rad/s] of the root."""
-        return self._native.rows
 
     def set_networks(self, networks: Sequence[bool]) -> None:
         """Other garments, of the same number."""

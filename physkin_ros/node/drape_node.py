@@ -134,7 +134,7 @@ class DrapeNode(LifecycleNode):
             return
         self._settings = settings = self._read_settings()
         by_prefix = {avatar.prefix: avatar for avatar in settings.avatars}
-        for stream in self._streams.values():
+        for stream in list(self._streams.values()):  # bodies may be found meanwhile, by another thread
             stream.deadline_ns = round(1e9 * settings.deadline)
             avatar = by_prefix[stream.settings.prefix]  # of bodies that were discovered, their template
             if avatar.prefix + "gravity" in names:

@@ -31,10 +31,10 @@ class PoseInterpolator:
         """A joint state's pose (d,) [rad], effective gravity and twist (g, 4), its stamp, and when it came [ns]."""
         for kept in (self._pose, self._gravity, self._size):
             kept[0] = kept[1]
-        self._pose[1], self._gravity[1] = pose, gravity
+        self._pose[1], self._gravity[1, :, 3] = pose, gravity[:, 3]
         self._size[1] = size = np.linalg.norm(gravity[:, :3], axis=1, keepdims=True)
         # where it is weightless, the last direction stays
-        self._gravity[1, :, :3] = np.where(size > WEIGHTLESS, gravity[:, :3] / size, self._gravity[0, :, :3])
+        np.divide(gravity[:, :3], size, out=self._gravity[1, :, :3], where=size > WEIGHTLESS)
         self._arrived = [self._arrived[1], now_ns]
         self._stamp = [self._stamp[1], stamp_ns]
         self._count += 1

@@ -1,6 +1,5 @@
 #include "evaluator/pace.hpp"
 
-#include <algorithm>
 #include <cmath>
 
 namespace physkin {

@@ -7,6 +7,17 @@ namespace physkin {
 namespace {
 
 constexpr double kPi = 3.14159265358979323846;
+
+// Fitted to simulated skirts and dresses by least squares; the gain is above 1 as drapes lean less under effective
+// gravity than simulated cloth. The drag of air is that of the simulation.
+constexpr double kFrequency = 1.5;      // Hz, sideways
+constexpr double kDamping = 4.0;        // 1/s, sideways
+constexpr double kGain = 3.5;           // sideways
+constexpr double kLiftFrequency = 5.0;  // Hz, along gravity, damped without overshoot
+constexpr double kLiftGain = 1.0;
+constexpr double kTwistDamping = 7.0;  // 1/s, at the frequency of swinging sideways
+constexpr double kAirDrag = 2.0;       // 1/s
+
 // [m/s], [rad/s] A change of velocity or turning from pose to pose beyond these is a jump of the root, not a motion.
 constexpr double kLargestChange = 8.0, kLargestChangeOfTurning = 20.0;
 constexpr double kLargestTwist = 0.8;                        // [rad] what the twist never reaches
@@ -47,15 +58,15 @@ void carry_back(const double* turn, const double* v, double* out) noexcept {
   out[2] = v[2] + 2 * (x * q - y * p) - 2 * w * r;
 }
 
-Pendulum::Pendulum(const PendulumSettings& s) : air_drag_(s.air_drag) {
-  const double sideways = 2 * kPi * s.frequency, along = 2 * kPi * s.lift_frequency;
+Pendulum::Pendulum() {
+  const double sideways = 2 * kPi * kFrequency, along = 2 * kPi * kLiftFrequency;
   for (int k = 0; k < 3; ++k) {
     frequency_[k] = k < 2 ? sideways : along;
-    damping_[k] = k < 2 ? s.damping : 2 * along;
-    gain_[k] = k < 2 ? s.gain : s.lift_gain;
+    damping_[k] = k < 2 ? kDamping : 2 * along;
+    gain_[k] = k < 2 ? kGain : kLiftGain;
   }
   frequency_[3] = sideways;
-  damping_[3] = s.twist_damping;
+  damping_[3] = kTwistDamping;
   gain_[3] = 1 / (sideways * sideways);
   reset();
 }
@@ -99,7 +110,7 @@ void Pendulum::advance(double time, const double* root, const double* turn) noex
   if (known) {
     for (int k = 0; k < kAxes; ++k) {
       if (has_velocity_) rate_[k] -= gain_[k] * frequency_[k] * frequency_[k] * change[k];
-      equilibrium[k] = -gain_[k] * air_drag_ * velocity[k];
+      equilibrium[k] = -gain_[k] * kAirDrag * velocity[k];
       velocity_[k] = velocity[k];
     }
   }

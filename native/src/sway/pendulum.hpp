@@ -17,18 +17,6 @@ namespace physkin {
 constexpr double kStandardGravity = 9.81;  // [m/s2] what a direction of gravity stands for
 constexpr double kLargestGap = 0.25;       // [s] after that, what was before does not count
 
-// Fitted to simulated skirts and dresses by least squares; the gain is above 1 as drapes lean less under effective
-// gravity than simulated cloth. air_drag is that of the simulation.
-struct PendulumSettings {
-  double frequency = 1.5;       // Hz, sideways
-  double damping = 4.0;         // 1/s, sideways
-  double gain = 3.5;            // sideways
-  double lift_frequency = 5.0;  // Hz, along gravity, damped without overshoot
-  double lift_gain = 1.0;
-  double twist_damping = 7.0;  // 1/s, at the frequency of swinging sideways
-  double air_drag = 2.0;       // 1/s
-};
-
 // What is known of a root at one pose of it, for cloth that sways.
 struct RootSample {
   double turn[4] = {0, 0, 0, 1};   // unit quaternion x, y, z, w, world <- root
@@ -43,7 +31,7 @@ struct RootSample {
 
 class Pendulum {
  public:
-  explicit Pendulum(const PendulumSettings& settings = {});
+  Pendulum();
 
   // Cloth hangs still, and nothing is known of the root.
   void reset() noexcept;
@@ -62,7 +50,7 @@ class Pendulum {
 
   static constexpr int kAxes = 4;  // x, y, z [m] in the world, and about the root's vertical [rad]
 
-  double frequency_[kAxes], damping_[kAxes], gain_[kAxes], air_drag_;
+  double frequency_[kAxes], damping_[kAxes], gain_[kAxes];
   double deflection_[kAxes], rate_[kAxes];
   double time_, position_[3], turn_[4], velocity_[kAxes], turning_[3];
   float gravity_[3];

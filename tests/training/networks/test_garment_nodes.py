@@ -11,8 +11,6 @@ from random_models import tube, tube_geodesics
 from physkin_core import Garment
 from physkin_training.networks.garment_nodes import initial_skinning_weights, sample_garment_nodes
 
-SPACING = 0.01
-
 
 @pytest.fixture(scope="module")
 def cloth():

@@ -69,17 +69,20 @@ def oracle_terms(scene, x, sample):
 def test_cloth_of_a_sample_may_bend_more_stiffly(scene):
     """As if the material said so, of that sample alone."""
     garment, _, x, offset, mesh, gravity = scene
-    x, gravity, offset = (torch.as_tensor(np.asarray(a), dtype=torch.float32) for a in (x, gravity, offset))
-    losses, other = (
-        PhysicsLosses(garment, replace(MATERIAL, bending=k * MATERIAL.bending), SAMPLES, torch.device("cpu"))
-        for k in (1, 4)
-    )
-    before, stiffer = (each.evaluate(x, gravity, mesh, offset)[0] for each in (losses, other))
+    leaf, down, places = (torch.as_tensor(np.asarray(a), dtype=torch.float32) for a in (x, gravity, offset))
+    losses = PhysicsLosses(garment, MATERIAL, SAMPLES, torch.device("cpu"))
+    before, gradient = losses.evaluate(leaf, down, mesh, places)
+    before = {name: energy.clone() for name, energy in before.items()}
+    stiffer = PhysicsLosses(garment, replace(MATERIAL, bending=4 * MATERIAL.bending), SAMPLES, torch.device("cpu"))
+    expected, expected_gradient = stiffer.evaluate(leaf, down, mesh, places)
     losses.bend.stiffer.copy_(torch.tensor([1.0, 4.0]))
-    after, _ = losses.evaluate(x, gravity, mesh, offset)
-    for name in before:
-        torch.testing.assert_close(after[name], torch.stack([before[name][0], stiffer[name][1]]))
+    after, changed = losses.evaluate(leaf, down, mesh, places)
     assert after["bend"][1].item() == pytest.approx(4 * before["bend"][1].item(), rel=1e-5)
+    for name in before:
+        torch.testing.assert_close(after[name][0], before[name][0])
+        torch.testing.assert_close(after[name][1], expected[name][1])
+    torch.testing.assert_close(changed[0], gradient[0], atol=1e-6, rtol=1e-4)
+    torch.testing.assert_close(changed[1], expected_gradient[1], atol=1e-6, rtol=1e-4)
 
 
 def test_energies_and_gradient_match_the_oracle(scene):
@@ -106,23 +109,41 @@ def rest_shapes(garment) -> list[Garment]:
 
 
 def test_each_sample_has_its_own_rest_shape(scene):
-    """Energies against the oracle with that rest shape alone; rows may change from call to call."""
+    """Energies and gradient against the oracle with that rest shape alone, and the gradient against finite differences
+    of the kernels' own energies; rows may change from call to call."""
     garment, _, x, offset, mesh, gravity = scene
     shapes = rest_shapes(garment)
     rest = RestData(garment, MATERIAL, torch.device("cpu"), shapes=np.stack([shape.vertices for shape in shapes]))
-    band = worn_on(garment, scene[1], worn=True, band=[0, 5, 9])
+    body = scene[1]
+    band = worn_on(garment, body, worn=True, band=[0, 5, 9])
     losses = PhysicsLosses(garment, MATERIAL, SAMPLES, torch.device("cpu"), rest=rest, wearing=band)
     tensors = [torch.as_tensor(a, dtype=torch.float32) for a in (x, gravity, offset)]
     for rows in ([2, 1], [0, 2]):
         losses.rest_row.copy_(torch.tensor(rows))
-        energies, _ = losses.evaluate(tensors[0], tensors[1], mesh, tensors[2])
+        energies, gradient = losses.evaluate(tensors[0], tensors[1], mesh, tensors[2])
         for sample, row in enumerate(rows):
-            terms = oracle_terms((shapes[row], *scene[1:]), torch.tensor(x[sample]), sample)
+            leaf = torch.tensor(x[sample], requires_grad=True)
+            terms = oracle_terms((shapes[row], *scene[1:]), leaf, sample)
             for name, value in terms.items():
                 assert energies[name][sample].item() == pytest.approx(value.item(), rel=3e-4), (name, row)
+            (expected,) = torch.autograd.grad(sum(terms.values()), leaf)
+            held = band_gradient(shapes[row], body, x[sample], band)
+            error = np.abs(gradient[sample].numpy() - expected.numpy() - held).max()
+            assert error < 1e-3 * np.abs(expected.numpy()).max()
     alone = PhysicsLosses(shapes[2], MATERIAL, SAMPLES, torch.device("cpu"), wearing=band)
     there = alone.evaluate(tensors[0], tensors[1], mesh, tensors[2])[0]
     assert there["band"][1].item() == pytest.approx(energies["band"][1].item(), rel=1e-5) and there["band"][1] > 0
+
+
+def band_gradient(garment, body, x, wearing):
+    """dE/dx (n, 3) of the band by its formula."""
+    gradient = np.zeros_like(x)
+    for vertex, place, limit in zip(wearing.band, wearing.band_place, wearing.band_distance + BAND_SLACK):
+        away = x[vertex] - body.vertices[place]
+        distance = np.linalg.norm(away)
+        beyond = max(0.0, distance - limit)
+        gradient[vertex] += 2 * BAND_STIFFNESS * garment.vertex_areas[vertex] * beyond * away / distance
+    return gradient
 
 
 def alike(vertices):
@@ -234,11 +255,13 @@ def test_cloth_where_it_belongs_is_not_led(scene):
 
 
 def test_the_band_holds_beyond_its_slack(scene):
-    """Energy of three vertices against the formula; none while within limit and slack."""
+    """Energy and gradient of three vertices against the formula; none while within limit and slack."""
     garment, body, x, offset, _, _ = scene
     band, distance = [0, 5, 9], 0.01
     places = np.asarray(body.vertices)[: len(band)]
-    energies, _ = run(scene, x, wearing=worn_on(garment, body, worn=True, band=band, distance=distance))
+    energies, gradient = run(scene, x, wearing=worn_on(garment, body, worn=True, band=band, distance=distance))
+    _, without = run(scene, x, wearing=worn_on(garment, body, worn=True))
+    held = (gradient - without) * SAMPLES
     for sample in range(SAMPLES):
         away = x[sample, band] - places
         length = np.linalg.norm(away, axis=1)
@@ -246,6 +269,9 @@ def test_the_band_holds_beyond_its_slack(scene):
         assert beyond.min() > 0, "the scene must pull"
         stiffness = BAND_STIFFNESS * garment.vertex_areas[band]
         assert energies.band[sample].item() == pytest.approx((stiffness * beyond**2).sum(), rel=1e-4)
+        expected = np.zeros_like(held[sample])
+        expected[band] = away * (2 * stiffness * beyond / length)[:, None]
+        np.testing.assert_allclose(held[sample], expected, atol=2e-4 * np.abs(gradient).max())
     slack, _ = run(scene, x, wearing=worn_on(garment, body, worn=True, band=band, distance=1.0))
     assert slack.band.abs().max() == 0
 

@@ -1,4 +1,7 @@
-"""What energies have in common. A new one needs its own file and a place in the list of `PhysicsLosses`.
+"""What energies have in common.
+
+A new one needs its own file, and in physics_losses.py a field of `Energies`, a name in `TERMS` and a place in the list
+of `PhysicsLosses`.
 
 An energy is a sum over elements: faces, hinges or single vertices. One pass writes the energy [J] of every element and
 adds dE/dx [N] to a shared gradient. For Newton's method it also gives its second derivative [N/m], a 3 x 3 block for

@@ -24,7 +24,7 @@ from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.draper import Draper
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.quality import jitter
+from physkin_core.quality import edge_strains, jitter
 from physkin_core.runtime.layer import WornGarment
 from physkin_training.evaluate.evaluate import counting_line, measured_clips
 from physkin_training.evaluate.layer_pokes import LayerPokes, Surface, bind_layer_pokes, camera_rays, holes, look
@@ -134,8 +134,9 @@ class DressedBody:
             full[layer.visible] = worn[-1]
             counts["jitter", layer.name, "worn"].append(jitter(worn))
             counts["jitter", layer.name, "alone"].append(jitter(alone[:, layer.visible]))
-            counts["strain", layer.name, "worn"].append(_strain(layer.rest_garment, full, self.edges[k]))
-            counts["strain", layer.name, "alone"].append(_strain(draper.rest_garment, alone[-1], self.edges[k]))
+            for how, each, vertices in (("worn", layer, full), ("alone", draper, alone[-1])):
+                strains = edge_strains(each.rest_garment, vertices)
+                counts["strain", layer.name, how].append(float(strains[self.edges[k]].mean()))
         counts["hidden",].append(float(100 * np.concatenate([layer.hidden for layer in self.given.layers]).mean()))
         self._count_seen(whole, frames[-1], positions[-1], counts)
         return whole
@@ -180,13 +181,6 @@ class DressedBody:
 def _surface_points(vertices: np.ndarray, normals: np.ndarray, corners: np.ndarray, share: np.ndarray):
     """Points and normals, both (k, 3), at shares (k, 3) of corners (k, 3) among vertices and normals (n, 3)."""
     return tuple(np.einsum("kj,kji->ki", share, values[corners]) for values in (vertices, normals))
-
-
-def _strain(garment: Garment, vertices: np.ndarray, among: np.ndarray) -> float:
-    """Mean edge strain [%] over some edges (e,) bool."""
-    ends = vertices[garment.edges[among]]
-    length, rest = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), garment.edge_lengths[among]
-    return float(100 * (np.abs(length - rest) / rest).mean())
 
 
 def evaluate_outfits(

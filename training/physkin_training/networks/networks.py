@@ -1,6 +1,6 @@
 """Torch twins of the three networks: hyper modulator, pose modulator, node deformer (paper: Network Architecture).
 
-Values agree with `physkin_core.model.hyper_modulator`, `.pose_modulator` and `.node_deformer`; names of parameters are
+Values agree with `physkin_core.model.hyper_modulator`, `.mlp` and `.node_deformer`; names of parameters are
 those of the garment model file. Dimensions: `B` poses, `S` bodies, `N` points, `D` token width, `p` pose vector,
 `m` nodes.
 """

@@ -40,7 +40,7 @@ class Point:
     @cached_property
     def energy(self) -> torch.Tensor:
         """Sum of the terms (B,); without bound where it is not a number."""
-        return sum(self.terms.values()).nan_to_num(nan=torch.inf)
+        return sum(self.terms.values()).nan_to_num(nan=torch.inf, posinf=torch.inf)
 
     @property
     def size(self) -> torch.Tensor:
@@ -131,7 +131,7 @@ class NewtonSolver:
         return self._last
 
     def _return_to(self, here: Point) -> None:
-        """As if the losses had been evaluated there last."""
+        """As if the losses had been evaluated there last, for the second derivative."""
         for mine, kept in zip((tensor for energy in self.losses.energies for tensor in energy.state), here.state):
             mine.copy_(kept)
         self.losses.drapes.x = view(here.vertices)

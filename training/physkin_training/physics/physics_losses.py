@@ -99,8 +99,9 @@ class PhysicsLosses:
         Returns the differentiable mean total energy [J] and the (detached) energies.
         """
         total, *parts = _PhysicsEnergy.apply(x, self, gravity, body, body_offset)
+        terms = dict(zip((energy.name for energy in self.energies), parts))
         contact = self.collision
-        return total, Energies(*parts, signed_distance=contact.signed_distance, at_worn_part=contact.at_worn_part)
+        return total, Energies(**terms, signed_distance=contact.signed_distance, at_worn_part=contact.at_worn_part)
 
     def evaluate(
         self, x: torch.Tensor, gravity: torch.Tensor, body: wp.Mesh, body_offset: torch.Tensor
@@ -126,7 +127,7 @@ class _PhysicsEnergy(torch.autograd.Function):
             strained = energies["stretch"] + energies["bend"] + energies["collision"] + energies["band"]
             gradient = gradient * torch.rsqrt(1 + strained / losses.heavy_energy)[:, None, None]
         ctx.save_for_backward(gradient)
-        parts = tuple(energies.values())  # as many as `Energies` has terms
+        parts = tuple(energies.values())
         ctx.mark_non_differentiable(*parts)
         return sum(parts).mean(), *parts
 

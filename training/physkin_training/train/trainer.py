@@ -241,7 +241,7 @@ class Trainer:
     @contextmanager
     def undone(self) -> Iterator[None]:
         """Everything is afterwards as it was before: for steps that are only timed, before the first one."""
-        drapes = {id(drape): drape for drape in (self.drape, self.averaged)}.values()
+        drapes = self.drape, self.averaged
         states = [{name: tensor.clone() for name, tensor in drape.state_dict().items()} for drape in drapes]
         on_gpu = self.device.type == "cuda"
         random = torch.get_rng_state(), torch.cuda.get_rng_state(self.device) if on_gpu else None
