@@ -27,9 +27,9 @@ demo: $(VENV)/installed-demo
 	$(VENV)/bin/physkin demo --seconds $(DEMO_SECONDS) --output demo.png
 endif
 
-# One thread each while several run.
+# One thread each while several run. A test that takes longer than so many seconds hangs, and fails.
 test: $(VENV)/installed-test
-	OMP_NUM_THREADS=1 $(PYTEST) -m "not slow" --numprocesses $(PROCESSES) --dist loadfile
+	OMP_NUM_THREADS=1 $(PYTEST) -m "not slow" --numprocesses $(PROCESSES) --dist loadfile --timeout 600
 
 # One test at a time: some measure times.
 test-slow: $(VENV)/installed-test

@@ -139,13 +139,6 @@ def test_files_that_cannot_be_written(band, tmp_path):
         main([str(band), "-o", str(band)])
 
 
-def test_a_garment_of_turned_nodes_only_is_refused(tmp_path):
-    path = tmp_path / "turned.safetensors"
-    save_garment_model(waist_band_model(), path)
-    with pytest.raises(ValueError, match="gives 9 numbers a garment node, sway needs 12"):
-        main([str(path), "--device", "cpu", "-o", str(tmp_path / "swaying.safetensors")])
-
-
 def test_cloth_that_is_lost_teaches_nothing(band, quick, tmp_path, monkeypatch):
     monkeypatch.setattr(walker_simulation, "LARGEST_OFFSET", 0.0)
     with pytest.raises(ValueError, match="cloth was lost in 88% of the frames, allowed 50%"):
