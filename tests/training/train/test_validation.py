@@ -35,8 +35,8 @@ def wearing_of(trainer):
 
 
 def test_the_energy_is_the_mean_over_the_set(trainer):
-    """Of the template and made to measure, against each sample alone in as large a batch, at the material's stiffness and
-    with the body points of the run time. At its own place there: rounding elsewhere makes single contacts flip."""
+    """Of the template and made to measure, against each sample alone in as large a batch, at the material's stiffness
+    and with the body points of the run time. At its own place there: rounding elsewhere makes single contacts flip."""
     validation, drape, material = trainer.validation, trainer.averaged, trainer.config.material
     trainer.losses.collision.stiffness.fill_(1.0)  # training's own must not matter
     wearing = wearing_of(trainer)
