@@ -25,10 +25,12 @@ from physkin_core.avatar.surface_matching import with_normals
 from physkin_core.model.surface_paths import mesh_edges
 from physkin_core.native_module import native
 
-__all__ = ["LayerOrder", "bind_layer_order"]
+__all__ = ["TURNS", "LayerOrder", "bind_layer_order"]
 
 DEEPEST: float = native.constants["deepest"]
 """[m] A vertex farther on the wrong side is of another part of the body."""
+TURNS: int = native.constants["turns"]
+"""Frames in which every vertex has its turn to look for a closer partner; one that lost its own does at once."""
 BESIDE_COUNT: int = native.constants["beside"]
 """Contacts around, by whose partners one finds a closer partner of its own."""
 SEEDS_APART, MOST_SEEDS = 3.0, 4
