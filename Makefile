@@ -27,7 +27,7 @@ demo: $(VENV)/installed-demo
 	$(VENV)/bin/physkin demo --seconds $(DEMO_SECONDS) --output demo.png
 endif
 
-# One thread each while several run. A test that takes longer than so many seconds hangs, and fails.
+# One thread each while several run. A test still running after ten minutes counts as hung, and fails.
 test: $(VENV)/installed-test
 	OMP_NUM_THREADS=1 $(PYTEST) -m "not slow" --numprocesses $(PROCESSES) --dist loadfile --timeout 600
 

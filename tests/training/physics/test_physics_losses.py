@@ -109,8 +109,8 @@ def rest_shapes(garment) -> list[Garment]:
 
 
 def test_each_sample_has_its_own_rest_shape(scene):
-    """Energies and gradient against the oracle with that rest shape alone, and the gradient against finite differences
-    of the kernels' own energies; rows may change from call to call."""
+    """Energies and gradient against the oracle with that rest shape alone, the band's by its formula; rows may change
+    from call to call."""
     garment, _, x, offset, mesh, gravity = scene
     shapes = rest_shapes(garment)
     rest = RestData(garment, MATERIAL, torch.device("cpu"), shapes=np.stack([shape.vertices for shape in shapes]))
