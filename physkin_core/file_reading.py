@@ -1,0 +1,158 @@
+"""Files from outside, which may be broken, endless or malicious: opened safely, limited, and refused in one sentence.
+
+A reader raises `ContentError` for what is wrong with a file's content; `reading`, at the reader's edge, says which file
+it is and makes all else that goes wrong the same kind of sentence.
+"""
+
+from __future__ import annotations
+
+import os
+import reprlib
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+__all__ = [
+    "LARGEST_FILE",
+    "LONGEST_SENTENCE",
+    "Budget",
+    "ContentError",
+    "file_beside",
+    "read_bytes",
+    "reading",
+    "sentence",
+    "shown",
+]
+
+LARGEST_FILE = 1 << 29  # [bytes]
+LONGEST_SENTENCE = 300  # [characters] of an error
+LONGEST_VALUE = 60  # [characters] of a value in an error
+LONGEST_INTEGER = 1 << 10  # [bits]; Python refuses to write much longer ones
+
+
+class ContentError(ValueError):
+    """What is wrong with the content of a file, what is allowed and what to do; `reading` says which file."""
+
+
+class Budget:
+    """Bytes that the content of one file may take in memory, charged before they are allocated."""
+
+    def __init__(self, most: int) -> None:
+        self.most, self.charged = most, 0
+
+    def charge(self, size: int, what: str) -> None:
+        """Raises ContentError where `size` bytes more, for `what`, are too many."""
+        if size < 0 or self.charged + size > self.most:
+            raise ContentError(
+                f"{what} takes {shown(size)} bytes after {self.charged}, allowed are {self.most} for all of the file"
+            )
+        self.charged += size
+
+
+def read_bytes(path: Path, *, most: int = LARGEST_FILE) -> bytes:
+    """The content of a regular file of at most `most` bytes, which is opened once.
+
+    Raises OSError where it cannot be opened, ContentError where it is something else, too large, or changes meanwhile.
+    """
+    with open(path, "rb", opener=_open_at_once) as file:
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode):
+            raise ContentError("it is not a regular file; a pipe, device or folder cannot be read")
+        if status.st_size > most:
+            raise ContentError(f"it has {status.st_size} bytes, allowed are {most}")
+        content = file.read(status.st_size + 1)
+    if len(content) != status.st_size:
+        raise ContentError(f"it changed from {status.st_size} bytes while it was read; read it again")
+    return content
+
+
+def file_beside(file: Path, name: str) -> Path:
+    """The file that `file` names. Raises ContentError unless it is in the folder of `file` or below, links followed."""
+    try:
+        folder = file.parent.resolve()
+        beside = (folder / name).resolve()
+        inside, there = beside.is_relative_to(folder), beside.is_file()
+    except (OSError, RuntimeError, ValueError) as error:  # too long, a circle of links, a zero byte
+        raise ContentError(f"it names {shown(name)}, which no file can be called") from error
+    if not inside:
+        raise ContentError(f"it names {shown(name)}, outside the folder that it is in; move that file beside it")
+    if not there:
+        raise ContentError(f"it names {shown(name)}, which does not exist beside it")
+    return beside
+
+
+@contextmanager
+def reading(subject: str, error: type[ValueError]) -> Iterator[None]:
+    """Whatever goes wrong inside is raised as `error`: one sentence that begins with the subject, "avatar me.glb".
+
+    What is an `error` already says so itself, and is only shortened. A package that is not installed is told as it is.
+    """
+    try:
+        yield
+    except ModuleNotFoundError:
+        raise
+    except Exception as wrong:  # whatever a parser trips over, the file is not readable
+        if isinstance(wrong, error):
+            if str(wrong) == sentence(str(wrong)):
+                raise
+            text = str(wrong)
+        else:
+            text = f"{subject}{_what_is_wrong(wrong)}"
+        raise error(sentence(text)) from wrong
+
+
+def sentence(text: str) -> str:
+    """A text for an error or a log: one line of at most `LONGEST_SENTENCE` characters, escaped where not printable, the
+    middle left out where it is too long."""
+    line = " ".join(_shortened(text, 4 * LONGEST_SENTENCE).split())
+    return _shortened(_printable(line), LONGEST_SENTENCE)
+
+
+def shown(value: object) -> str:
+    """A value from outside for an error: its `repr`, shortened and escaped."""
+    if isinstance(value, int) and value.bit_length() > LONGEST_INTEGER:
+        return f"an integer of {value.bit_length()} bits"
+    return _shortened(_printable(_REPR.repr(value)), LONGEST_VALUE)
+
+
+def _representation() -> reprlib.Repr:
+    representation = reprlib.Repr()
+    representation.maxstring = representation.maxother = representation.maxlong = LONGEST_VALUE
+    return representation
+
+
+_REPR = _representation()
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    """A pipe that nobody writes to would be waited for."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def _what_is_wrong(error: Exception) -> str:
+    match error:
+        case ContentError():
+            return f": {error}"
+        case FileNotFoundError():
+            return ": no such file"
+        case OSError():
+            return f" cannot be read: {error.strerror or error}"
+        case RecursionError():
+            return " is nested too deeply"
+        case MemoryError():
+            return " does not fit in memory"
+    return f" is malformed: {type(error).__name__}: {error}"
+
+
+def _printable(text: str) -> str:
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
+
+
+def _shortened(text: str, most: int) -> str:
+    if len(text) <= most:
+        return text
+    tail = (most - 1) // 2
+    return f"{text[: most - 1 - tail]}…{text[-tail:]}"
