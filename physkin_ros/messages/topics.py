@@ -137,7 +137,7 @@ TOPICS = (
         "odometry",
         "in",
         "nav_msgs/Odometry",
-        "as pose; twist and covariance are not read. Best effort will do",
+        "as pose; twist and covariance are not read",
         needs="orientation: odometry",
     ),
     Topic("/tf", "in", "tf2_msgs/TFMessage", "as pose: the way from world_frame to frame_id", needs="orientation: tf"),
@@ -147,7 +147,7 @@ TOPICS = (
         "in",
         "sensor_msgs/Imu",
         "an IMU mounted like the root, in place of gravity: its orientation, or without one what it feels; and its "
-        "linear acceleration (at rest 9.81 m/s2 up), smoothed, as effective gravity. Best effort will do",
+        "linear acceleration (at rest 9.81 m/s2 up), smoothed, as effective gravity",
         needs="orientation: imu",
     ),
     EFFECTIVE_GRAVITY,

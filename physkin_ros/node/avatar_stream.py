@@ -20,9 +20,11 @@ from physkin_core.sway.frame_input import RootSample
 from physkin_ros.joints.joint_naming import load_naming
 from physkin_ros.joints.joint_state_wire import JointStateWire
 from physkin_ros.joints.joint_states import JointNaming, JointStateError, JointStateReader
+from physkin_ros.joints.missing_messages import MissingMessages
 from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.joints.vrm_naming import VRM
 from physkin_ros.messages.topics import BONE_ROTATIONS, JOINT_STATES
+from physkin_ros.middleware.quality_of_service import FollowingSubscription
 from physkin_ros.node.asset_loading import LoadedLayer, OutfitLoader
 from physkin_ros.node.diagnostics import AvatarStatistics, Health, HealthReporter
 from physkin_ros.node.garment_stream import (
@@ -31,7 +33,6 @@ from physkin_ros.node.garment_stream import (
     WornOutfits,
     passes_of,
     same_mesh,
-    stream_quality,
 )
 from physkin_ros.node.orientation_source import OrientationSource
 from physkin_ros.node.separated_joint_states import SeparatedJointStates
@@ -91,7 +92,8 @@ class AvatarStream:
         self.topic = node.resolve_topic_name(settings.joint_states or JOINT_STATES.of(settings.id))
         self._bone_topic = settings.bone_rotations or BONE_ROTATIONS.of(settings.id)
         self._orientation = self._timer = None
-        self._subscriptions = []
+        self._subscriptions: list[FollowingSubscription] = []
+        self._missing = MissingMessages()
 
     def listen(self) -> None:
         """Open the topics that come in. Until something is worn, joint states are counted as `not_ready`."""
@@ -100,10 +102,8 @@ class AvatarStream:
         takers = (self.root.add_direction, self._on_motion, self._on_bad_orientation)
         self._orientation = OrientationSource(node, settings, self._transforms, *takers)
         self._subscriptions = [
-            node.create_subscription(JointState, self.topic, self._on_joint_state, raw=True, **stream_quality(QUEUE)),
-            node.create_subscription(
-                MultiDOFJointState, self._bone_topic, self._on_bone_rotations, **stream_quality(QUEUE)
-            ),
+            FollowingSubscription(node, JointState, self.topic, self._on_joint_state, depth=QUEUE, raw=True),
+            FollowingSubscription(node, MultiDOFJointState, self._bone_topic, self._on_bone_rotations, depth=QUEUE),
         ]
         if settings.cloud_rate:
             clock = Clock(clock_type=ClockType.STEADY_TIME)
@@ -281,6 +281,7 @@ class AvatarStream:
 
     def _reject(self, worn: WornOutfits, error: Exception) -> None:
         np.copyto(worn.pose, worn.reader.positions)
+        self._missing.pass_over()
         self.statistics.reject(str(error))
         self._log.warning(f"{self._label}joint state ignored: {error}", throttle_duration_sec=WARNING_PERIOD)
 
@@ -300,6 +301,7 @@ class AvatarStream:
     def _take_root(self, wire: JointStateWire | None, stamp_ns: int) -> None:
         """Tell garments what goes with a joint state, or with bone rotations, which have no `wire`."""
         now_ns = monotonic_ns()
+        self.statistics.missing += self._missing.count(stamp_ns, now_ns)
         if (self._follows or self._orientation.fault) and not self.root.moves(now_ns):
             self._follow_orientation(wire)
         self.root.take(stamp_ns, now_ns)
@@ -352,7 +354,7 @@ class AvatarStream:
     def health(self, now_ns: int) -> list[tuple[LayerMessages | None, GarmentStream, Health]]:
         """What each garment's stream wears and how it fares since the last call. now_ns: monotonic."""
         worn = self._worn
-        self.statistics.strangers = self._strangers()
+        self.statistics.strangers, self.statistics.offered = self._strangers(), self._offered()
         beyond = worn.range.beyond() if worn is not None else []
         found = self._reporter.report(self.statistics, [each.statistics for each in self.garments], beyond, now_ns)
         garments = worn.garments if worn is not None else (None,) * len(self.garments)
@@ -365,6 +367,12 @@ class AvatarStream:
         )
         return ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
 
+    def _offered(self) -> str:
+        """The quality of service of what comes in; the subscriptions follow it."""
+        subscriptions = [*self._subscriptions, *(self._orientation.subscriptions if self._orientation else ())]
+        offered = {each.topic: each.follow() for each in subscriptions}
+        return ", ".join(f"{topic} {quality}" for topic, quality in offered.items() if quality)
+
     def close(self) -> None:
         """Take all topics down."""
         self.active, self._closed = False, True
@@ -372,7 +380,7 @@ class AvatarStream:
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
         for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
+            subscription.close()
         if self._orientation is not None:
             self._orientation.close()
         if self._separated is not None:

@@ -66,6 +66,7 @@ class AvatarStatistics:
     the node was inactive. implausible: joint states that look like degrees, draped all the same; last_implausible
     says which joint. last_error: of a swap. last_stamp_ns: of the last joint state that was draped, None before the
     first. strangers: who publishes something else than joint states on their topic, which DDS does not deliver.
+    offered: quality of service that topics are published with. missing: as `MissingMessages` counts joint states.
     """
 
     received: int = 0
@@ -79,6 +80,8 @@ class AvatarStatistics:
     last_rejection: str = ""
     last_error: str = ""
     strangers: str = ""
+    offered: str = ""
+    missing: int = 0
     last_stamp_ns: int | None = None
     limbs_separated: int = 0
     largest_separation: float | None = None
@@ -150,6 +153,7 @@ class Health:
             (new["swaps_failed"], f"swap failed, the old one goes on: {counts.last_error}"),
             (new["implausible"], f"{new['implausible']} joint states look like degrees: {counts.last_implausible}"),
             (new["not_ready"], f"{new['not_ready']} joint states came before the garment was ready"),
+            (new["missing"], f"{new['missing']} joint states are missing, by the gaps in their stamps"),
             (new["deadline_missed"], f"{new['deadline_missed']} joint states missed the deadline"),
         )
         if any(count for count, _ in troubles):
@@ -179,6 +183,8 @@ class Health:
             "last rejection": counts.last_rejection or "none",
             "swaps failed": str(counts.swaps_failed),
             "last error": counts.last_error or "none",
+            "joint states missing by gaps in stamps": str(counts.missing),
+            "quality of service offered": counts.offered or "none",
             "publishers of another type": counts.strangers or "none",
             "deadline missed": str(counts.deadline_missed),
             "evaluation p50 [us]": _number(p50, 1),

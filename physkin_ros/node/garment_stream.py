@@ -9,8 +9,7 @@ from itertools import groupby
 from time import perf_counter_ns
 
 import numpy as np
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker
 
@@ -24,6 +23,7 @@ from physkin_ros.messages.conversions import GarmentCloud, NodesMessage, Triangl
 from physkin_ros.messages.interfaces import missing_interfaces
 from physkin_ros.messages.splat_cloud import SplatCloud, splat_look
 from physkin_ros.messages.topics import GARMENT, GARMENT_NODES, MARKER, MESH, SPLAT_LOOK, SPLATS
+from physkin_ros.middleware.quality_of_service import stream_quality
 from physkin_ros.node.asset_loading import LoadedLayer
 from physkin_ros.node.diagnostics import GarmentStatistics, PoseRange
 from physkin_ros.node.interpolation import PoseInterpolator
@@ -36,19 +36,7 @@ __all__ = [
     "WornOutfits",
     "passes_of",
     "same_mesh",
-    "stream_quality",
 ]
-
-
-def stream_quality(depth: int = 5, *, reliable: bool = True) -> dict[str, object]:
-    """Arguments of a stream's publisher or subscription: keep last, open to `qos_overrides` parameters.
-
-    reliable: else best effort, as sensor drivers publish; a subscription takes reliable publishers', too.
-    """
-    policies = ("HISTORY", "DEPTH", "RELIABILITY", "DURABILITY", "DEADLINE", "LIVELINESS", "LIVELINESS_LEASE_DURATION")
-    overrides = QoSOverridingOptions(policy_kinds=[QoSPolicyKind[policy] for policy in policies])
-    reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-    return {"qos_profile": QoSProfile(depth=depth, reliability=reliability), "qos_overriding_options": overrides}
 
 
 class GarmentStream:

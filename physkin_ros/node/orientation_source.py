@@ -13,7 +13,7 @@ from sensor_msgs.msg import Imu
 from physkin_core.sway.frame_input import LARGEST_EFFECTIVE_GRAVITY, STANDARD_GRAVITY, RootSample
 from physkin_ros.messages.interfaces import missing_tf
 from physkin_ros.messages.topics import EFFECTIVE_GRAVITY, TOPICS
-from physkin_ros.node.garment_stream import stream_quality
+from physkin_ros.middleware.quality_of_service import FollowingSubscription
 from physkin_ros.node.settings import AvatarSettings, SettingsError
 from physkin_ros.root.gravity import FRESH, EffectiveGravity
 from physkin_ros.root.quaternions import quaternion_of, vector_of
@@ -23,7 +23,7 @@ from physkin_ros.root.transform_tree import MOST_FRAMES
 
 __all__ = ["OrientationSource", "check_orientation"]
 
-SENSOR_QUEUE = 50  # of a sensor, while the machine is busy
+QUEUE = 50  # while the machine is busy
 
 
 def check_orientation(avatar: AvatarSettings) -> None:
@@ -38,7 +38,7 @@ class OrientationSource:
     """Calls back with what messages say, and their stamps, or with why one says nothing.
 
     on_gravity: takes gravity's unit direction (3,). on_motion: takes how the root moves, from the topic of effective
-    gravity, or, while that gives none that is fresh, from the root's poses or an IMU.
+    gravity, or, while that gives none that is fresh, from the root's poses or an IMU. subscriptions: but those of TF.
     """
 
     def __init__(
@@ -53,16 +53,11 @@ class OrientationSource:
         self._transforms, self._follows_tf = transforms, False
         self._node, self._on_motion, self._on_bad = node, on_motion, on_bad
         self._frames = avatar.frame_id, avatar.world_frame
-        self._subscriptions = []
+        self.subscriptions: list[FollowingSubscription] = []
         self._root = RootOrientation(on_gravity, self._move, imu_delay=avatar.imu_delay)
         self._told_until = 0  # [ns], monotonic: whoever tells effective gravity knows better than we
         self._broadcaster = None
-        self._listen(
-            Vector3Stamped,
-            avatar.effective_gravity_topic or EFFECTIVE_GRAVITY.of(avatar.id),
-            self._on_told,
-            sensor=True,
-        )
+        self._listen(Vector3Stamped, avatar.effective_gravity_topic or EFFECTIVE_GRAVITY.of(avatar.id), self._on_told)
         kinds = {
             "gravity": (Vector3Stamped, self._root.direction),
             "pose": (PoseStamped, self._on_pose),
@@ -72,8 +67,7 @@ class OrientationSource:
         if avatar.orientation in kinds:
             kind, take = kinds[avatar.orientation]
             default = next(topic for topic in TOPICS if topic.name == avatar.orientation).of(avatar.id)
-            sensor = avatar.orientation in ("odometry", "imu")
-            self._listen(kind, avatar.orientation_topic or default, take, sensor=sensor)
+            self._listen(kind, avatar.orientation_topic or default, take)
         if avatar.publish_tf:
             self._broadcaster = RootBroadcaster(node, frame_id=avatar.frame_id, world_frame=avatar.world_frame)
         if avatar.orientation == "tf":
@@ -90,8 +84,8 @@ class OrientationSource:
     def close(self) -> None:
         """Stop listening."""
         self._root.still()  # what is native in it must not outlive the interpreter
-        for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
+        for subscription in self.subscriptions:
+            subscription.close()
         if self._follows_tf:
             self._transforms.leave(self._on_transforms)
         if self._broadcaster is not None:
@@ -133,14 +127,11 @@ class OrientationSource:
         if monotonic_ns() > self._told_until:
             self._on_motion(motion, stamp_ns)
 
-    def _listen(self, kind: type, topic: str, take: Callable[..., None], *, sensor: bool = False) -> None:
-        """sensor: the topic's publishers may be best effort, as sensor drivers are."""
-
+    def _listen(self, kind: type, topic: str, take: Callable[..., None]) -> None:
         def on_message(message) -> None:
             try:
                 take(message)
             except ValueError as error:
                 self._on_bad(str(error))
 
-        quality = stream_quality(SENSOR_QUEUE, reliable=False) if sensor else stream_quality()
-        self._subscriptions.append(self._node.create_subscription(kind, topic, on_message, **quality))
+        self.subscriptions.append(FollowingSubscription(self._node, kind, topic, on_message, depth=QUEUE))

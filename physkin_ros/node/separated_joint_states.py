@@ -9,7 +9,7 @@ import numpy as np
 from sensor_msgs.msg import JointState
 
 from physkin_ros.messages.topics import DRAPED_JOINT_STATES
-from physkin_ros.node.garment_stream import stream_quality
+from physkin_ros.middleware.quality_of_service import stream_quality
 
 __all__ = ["SeparatedJointStates"]
 

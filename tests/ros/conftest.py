@@ -7,12 +7,13 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from random_models import random_sway_network
 
-from physkin_core import save_garment_model
+from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, save_garment_model
 from physkin_core.model.mlp import modulation_size
 
 
@@ -144,3 +145,34 @@ def peer(module_peer):
     for collected in (module_peer.clouds, module_peer.frame_ids, module_peer.reports):
         collected.clear()
     return module_peer
+
+
+@pytest.fixture(scope="module")
+def running_node(module_peer):
+    """Runs a drape node with these parameters in the peer's executor, ten reports a second."""
+    from rclpy.parameter import Parameter
+
+    from physkin_ros.node import reports
+    from physkin_ros.node.drape_node import DrapeNode
+
+    @contextmanager
+    def run(parameters: dict, *, gravity: bool = True, connect: bool = True):
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        node = DrapeNode(context=module_peer.context, parameter_overrides=overrides)
+        module_peer.executor.add_node(node)
+        try:
+            if connect:
+                module_peer.connect(gravity=gravity, settle=0.1)
+            yield node
+        finally:
+            node.destroy_node()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reports, "PERIOD", 0.1)
+        yield run
+
+
+@pytest.fixture(scope="session")
+def draper(garment_model) -> Draper:
+    """What the node should compute."""
+    return Draper(garment_model, load_avatar(BUNDLED_AVATAR, garment_model.rig))

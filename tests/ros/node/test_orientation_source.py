@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from types import SimpleNamespace as Message
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -61,7 +62,13 @@ class Wired:
         self.rows = []  # of a garment that a pendulum moves
         takers = (lambda down, stamp: self.gravity.append(down), lambda motion, stamp: self.rows.append(row_of(motion)))
         self.transforms = FollowedTransforms(node)
-        self.source = OrientationSource(node, avatar_settings(**given), self.transforms, *takers, self.bad.append)
+        with patch.object(orientation_source, "FollowingSubscription", self._subscribe):
+            self.source = OrientationSource(node, avatar_settings(**given), self.transforms, *takers, self.bad.append)
+
+    def _subscribe(self, node, kind, topic, take, *, depth):
+        """Stands in for a subscription that reads bytes."""
+        self.callbacks[topic] = take
+        return Message(close=lambda: None)
 
     @property
     def felt(self):
