@@ -8,6 +8,7 @@ from safetensors import safe_open
 from safetensors.numpy import save
 
 from physkin_core.model import model_file
+from physkin_core.tensor_file import DIGEST, TensorFileError, content_digest, read_tensors
 
 
 def contents(path) -> tuple[dict, dict]:
@@ -25,7 +26,7 @@ def save_packed(model, path) -> None:
 
 def sealed(metadata, tensors) -> bytes:
     """The file with a digest that fits."""
-    return save(tensors, metadata={**metadata, "sha256": model_file._digest(metadata, tensors)})
+    return save(tensors, metadata={**metadata, DIGEST: content_digest(metadata, tensors)})
 
 
 def written(path: Path, content: bytes) -> Path:
@@ -40,3 +41,15 @@ def edited_header(content: bytes, change) -> bytes:
     change(header)
     text = json.dumps(header).encode()
     return len(text).to_bytes(8, "little") + text + content[8 + size :]
+
+
+def resealed(content: bytes) -> bytes:
+    """The file with a digest that fits again; as it is where there is none, or it cannot be read at all."""
+    try:
+        digest = content_digest(*read_tensors(content))
+    except TensorFileError:
+        return content
+    return edited_header(
+        content,
+        lambda header: header["__metadata__"].update({DIGEST: digest} if DIGEST in header["__metadata__"] else {}),
+    )

@@ -19,10 +19,11 @@ def build_library(folder, compiler="c++", *flags, options=()):
     return folder
 
 
-def build_program(library, source, compiler="c++", *flags):
-    """Builds a C++ test program on a library built with the same compiler and flags; returns it."""
+def build_program(library, source, compiler="c++", *flags, inner=()):
+    """Builds a C++ test program on a library built with the same compiler and flags; returns it. inner: sources of the
+    C library that it uses behind its interface."""
     program = library / Path(source).stem
-    command = [compiler, "-std=c++17", "-O1", *flags, "-I", NATIVE / "src", "-I", NATIVE / "include", source]
+    command = [compiler, "-std=c++17", "-O1", *flags, "-I", NATIVE / "src", "-I", NATIVE / "include", source, *inner]
     command += [
         "-o",
         program,

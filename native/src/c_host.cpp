@@ -6,7 +6,8 @@
 #include <fstream>
 #include <memory>
 #include <new>
-#include <sstream>
+#include <string>
+#include <vector>
 
 #include "evaluator/evaluator.hpp"
 #include "file_format/bound_file.hpp"
@@ -161,10 +162,13 @@ physkin_status physkin_open(const char* path, const physkin_options* options, ph
   *garment = nullptr;
   return guarded([&] {
     std::ifstream stream(path, std::ios::binary);
-    std::ostringstream content;
-    content << stream.rdbuf();
-    const std::string data = content.str();
-    if (!stream.is_open() || data.empty()) return fail(PHYSKIN_BAD_FILE, "cannot read %s, or it is empty", path);
+    std::string data;
+    std::vector<char> part(std::size_t{1} << 20);
+    while (data.size() <= physkin::kLargestFile &&
+           stream.read(part.data(), std::streamsize(part.size())).gcount() > 0) {
+      data.append(part.data(), std::size_t(stream.gcount()));
+    }
+    if (data.empty()) return fail(PHYSKIN_BAD_FILE, "cannot read %s, or it is empty", physkin::shown(path).c_str());
     return open(reinterpret_cast<const unsigned char*>(data.data()), data.size(), options, garment);
   });
 }

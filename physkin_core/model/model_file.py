@@ -8,7 +8,6 @@ refused.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections.abc import Mapping
@@ -23,12 +22,14 @@ from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.model_arrays import Array, GarmentModelError, described_arrays, read_described
 from physkin_core.model.packed_weights import pack_weight, unpack_weights
 from physkin_core.rig.rig import Rig, RigError
+from physkin_core.tensor_file import DIGEST, TensorFileError, content_digest, read_tensors, write_tensors
 
 __all__ = [
     "SCHEMA_VERSION",
     "ModelFileError",
     "convert_model_file",
     "load_garment_model",
+    "model_content",
     "save_garment_model",
     "shipped_models",
     "split_fabric",
@@ -47,9 +48,10 @@ class ModelFileError(ValueError):
     """A garment model file cannot be read, or does not hold a valid model."""
 
 
-def load_garment_model(path: str | Path) -> GarmentModel:
+def load_garment_model(path: str | Path, *, content: bytes | None = None) -> GarmentModel:
     """Read and check a garment model; the bare name of a shipped one ("tshirt") means that, whatever files there are.
     With a colon and a fabric behind it ("skirt:denim", "my.safetensors:bend=1e-4") it is made of that, see `made_of`.
+    content: what `model_content` has read of it; None: the file is read.
 
     Raises ModelFileError when the file is missing, truncated, altered, of another schema version, or holds an array of
     an unknown name, the wrong shape or type, an index out of range or a value that is not finite; ValueError for a
@@ -57,7 +59,7 @@ def load_garment_model(path: str | Path) -> GarmentModel:
     """
     file, fabric = split_fabric(path)
     path = _resolve(file)
-    metadata, tensors = _contents(path)
+    metadata, tensors = _contents(path, _read(path) if content is None else content)
     if metadata["schema_version"] != str(SCHEMA_VERSION):
         version = metadata["schema_version"]
         older = int(version) < SCHEMA_VERSION
@@ -69,23 +71,32 @@ def load_garment_model(path: str | Path) -> GarmentModel:
     return made_of(model, fabric) if fabric else model
 
 
+def model_content(path: str | Path) -> bytes:
+    """The bytes of the file that `load_garment_model` reads, to tell it from others before it is loaded. Raises
+    ModelFileError."""
+    return _read(_resolve(split_fabric(path)[0]))
+
+
 def split_fabric(name: str | Path) -> tuple[str, str]:
     """What `load_garment_model` takes: the file or shipped name, and the fabric, empty where none is named."""
     file, colon, fabric = str(name).rpartition(":")
     return (file, fabric) if colon and file and not Path(name).is_file() else (str(name), "")
 
 
-def _contents(path: Path) -> tuple[dict[str, str], dict[str, np.ndarray]]:
-    """Metadata and tensors of a file of any schema version, with the digest checked."""
-    from safetensors import SafetensorError, safe_open
-
+def _read(path: Path) -> bytes:
     try:
-        with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+        return path.read_bytes()
     except FileNotFoundError as error:
         raise ModelFileError(f"cannot read garment model {path}: no such file") from error
-    except (OSError, SafetensorError, TypeError, AttributeError) as error:  # the last two: a type that NumPy lacks
+    except OSError as error:
+        raise ModelFileError(f"cannot read garment model {path}: {error}") from error
+
+
+def _contents(path: Path, content: bytes) -> tuple[dict[str, str], dict[str, np.ndarray]]:
+    """Metadata and tensors of a file of any schema version, with the digest checked."""
+    try:
+        metadata, tensors = read_tensors(content)
+    except TensorFileError as error:
         if path.suffix == MODEL_SUFFIX:
             raise ModelFileError(f"cannot read garment model {path}: {error}") from error
         raise ModelFileError(
@@ -97,7 +108,7 @@ def _contents(path: Path) -> tuple[dict[str, str], dict[str, np.ndarray]]:
     version = metadata.get("schema_version", "")
     if not re.fullmatch("[1-9][0-9]{0,8}", version):
         raise ModelFileError(f"garment model {path} has schema version {version!r}, expected {SCHEMA_VERSION}")
-    if metadata.get("sha256") != _digest(metadata, tensors):
+    if metadata.get(DIGEST) != content_digest(metadata, tensors):
         raise ModelFileError(f"garment model {path} is damaged or was altered: its SHA-256 digest does not match")
     return metadata, tensors
 
@@ -135,7 +146,7 @@ def save_garment_model(model: GarmentModel, path: str | Path) -> None:
     """
     tensors: dict[str, np.ndarray] = {}
     for name, array, kind in described_arrays(model):
-        tensors |= {key: np.ascontiguousarray(tensor) for key, tensor in _stored(name, array, kind).items()}
+        tensors |= _stored(name, array, kind)
     metadata = {
         "format": FORMAT,
         "name": model.name,
@@ -154,7 +165,7 @@ def convert_model_file(old: str | Path, new: str | Path) -> None:
     all models of this schema version have.
     """
     old = Path(old)
-    metadata, tensors = _contents(old)
+    metadata, tensors = _contents(old, _read(old))
     if int(metadata["schema_version"]) >= SCHEMA_VERSION:
         raise ModelFileError(f"garment model {old} has schema version {metadata['schema_version']}, nothing to convert")
     activation = metadata.pop("activation", None)
@@ -171,14 +182,8 @@ def convert_model_file(old: str | Path, new: str | Path) -> None:
 
 def _write(path: Path, metadata: Mapping[str, str], tensors: Mapping[str, np.ndarray]) -> None:
     """Write a file of this schema version in one step, with a digest that fits."""
-    from safetensors.numpy import save
-
-    metadata = {**metadata, "schema_version": str(SCHEMA_VERSION)}
-    metadata["sha256"] = _digest(metadata, tensors)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial")
-    partial.write_bytes(save(dict(tensors), metadata=metadata))
-    partial.replace(path)
+    write_tensors(path, {**metadata, "schema_version": str(SCHEMA_VERSION)}, tensors)
 
 
 def shipped_models() -> list[str]:
@@ -193,17 +198,6 @@ def _resolve(path: str | Path) -> Path:
     if candidate.suffix == "" and not candidate.is_file():
         raise ModelFileError(f"no garment model {str(path)!r}: give a file, or one of {', '.join(shipped) or 'none'}")
     return candidate
-
-
-def _digest(metadata: Mapping[str, str], tensors: Mapping[str, np.ndarray]) -> str:
-    digest = hashlib.sha256()
-    for key in sorted(set(metadata) - {"sha256"}):
-        digest.update(f"{key}\0{metadata[key]}\0".encode())
-    for name in sorted(tensors):
-        tensor = tensors[name]
-        digest.update(f"{name}\0{tensor.dtype.str}\0{tensor.shape}\0".encode())
-        digest.update(np.ascontiguousarray(tensor).tobytes())
-    return digest.hexdigest()
 
 
 def _stored(name: str, array: np.ndarray, kind: Array) -> dict[str, np.ndarray]:

@@ -1,8 +1,8 @@
 """The bound garment file: one garment on one body for hosts without Python, read by native/include/physkin.h.
 
 A safetensors file of the arrays of `BoundGarment` (layers as `pose_layers.0.weight`, ...) in float32 and int32 as
-the evaluator takes them, so that a host computes the same bits. Fitting the rig, the canonical pose and the encoding of
-the body are done by then.
+the evaluator takes them, so that a host computes the same bits, sealed by a digest. Fitting the rig, the canonical pose
+and the encoding of the body are done by then.
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from physkin_core.native_module import native
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.tensor_file import write_tensors
 
 __all__ = ["BOUND_SCHEMA_VERSION", "save_bound_garment"]
 
@@ -28,8 +27,6 @@ def save_bound_garment(bound: BoundGarment, path: str | Path, *, name: str, join
     joint_names: (d,) in the order of the joint positions. Raises ValueError when there is not one name a degree of
     freedom.
     """
-    from safetensors.numpy import save
-
     if len(joint_names) != len(bound.dof_bone):
         raise ValueError(f"{len(joint_names)} joint names for {len(bound.dof_bone)} degrees of freedom")
     tensors = {}
@@ -46,7 +43,4 @@ def save_bound_garment(bound: BoundGarment, path: str | Path, *, name: str, join
         "name": name,
         "joint_names": json.dumps(list(joint_names)),
     }
-    path = Path(path)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_bytes(save({key: np.ascontiguousarray(array) for key, array in tensors.items()}, metadata=metadata))
-    partial.replace(path)
+    write_tensors(Path(path), metadata, tensors)

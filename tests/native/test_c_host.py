@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from model_files import edited_header
+from model_files import edited_header, resealed
 from native_frames import NativeFrame, clouds, told
 from native_library import NATIVE
 from random_models import random_avatar, random_model, random_pose
@@ -293,34 +293,82 @@ def test_bad_options_are_refused(how, message, c, small_bound_file):
     "change, message",
     [
         (lambda h: h["__metadata__"].update(format="physkin-garment"), "expected physkin-bound-garment"),
-        (lambda h: h["__metadata__"].update(schema_version="1"), "schema version '1'; this library reads 2"),
+        (lambda h: h["__metadata__"].update(schema_version="1"), "schema version '1'; this library reads 3"),
         (lambda h: h["__metadata__"].update(joint_names="[]"), "names 0 joints; expected 7"),
         (lambda h: h["__metadata__"].update(joint_names="{"), "malformed"),
         (lambda h: h["__metadata__"].pop("format"), "no metadata format"),
-        (lambda h: h.pop("vertices"), "lacks vertices"),
-        (lambda h: h.update(more=h["vertices"]), "not known: more"),
-        (lambda h: h["vertices"].update(dtype="F16"), "vertices is of type F16"),
-        (lambda h: h["vertices"].update(shape=[150]), "vertices is of type F32 and shape .150."),
+        (lambda h: h.update(points=h.pop("vertices")), "lacks vertices"),
+        (lambda h: h.pop("vertices"), "overlap, or leave room"),
+        (lambda h: h["__metadata__"].pop("sha256"), "no metadata sha256"),
+        (lambda h: h.update(more={"dtype": "F32", "shape": [0], "data_offsets": [0, 0]}), "not known: more"),
+        (lambda h: h.update(more=h["vertices"]), "overlap"),
+        (lambda h: h["vertices"].update(data_offsets=h["normals"]["data_offsets"]), "overlap, or leave room"),
+        (lambda h: h.pop(last_array(h)), "goes on behind its last array"),
+        (lambda h: h["vertices"].update(dtype="F16"), "vertices is of type F16; allowed: F32, I32"),
+        (lambda h: h["vertices"].update(shape=[150]), r"vertices is of type F32 and shape \(150,\)"),
         (lambda h: h["vertices"].update(shape=[51, 3]), "vertices has 600 bytes; expected 612"),
-        (lambda h: h["vertices"].update(shape=[2**63, 3]), "vertices is of type"),
+        (lambda h: h["vertices"].update(shape=[2**63, 3]), "vertices has 600 bytes; expected 18446744073709551615"),
+        (lambda h: h["vertices"].update(shape=[2**32, 2**32]), "vertices has 600 bytes; expected 18446744073709551615"),
         (lambda h: h["vertices"].update(data_offsets=[0, 2**40]), "vertices lies outside"),
         (lambda h: h["vertices"].update(data_offsets=[600, 0]), "vertices lies outside"),
-        (lambda h: h["normals"].update(shape=[49, 3]), "normals is of type"),
+        (lambda h: h["normals"].update(shape=[3, 50]), "normals is of type"),
+        (lambda h: h["vertices"].update(shape=[0, 2**40], data_offsets=[0, 0]), "overlap, or leave room"),
         (lambda h: h["pose_layers.1.bias"].update(shape=[3]), "pose_layers.1.bias"),
         (lambda h: h["pose_layers.0.weight"].update(shape=[10, 16]), "pose_layers"),
         (lambda h: h["node_bone"].update(data_offsets=h["influence_nodes"]["data_offsets"]), "node_bone has"),
-        (lambda h: h["faces"].update(data_offsets=[0, 1080]), "faces"),
+        (lambda h: h["faces"].update(data_offsets=[0, 1080]), "overlap"),
+        (lambda h: h.update({"\x1b" * 10**5: h.pop("vertices")}), r"lacks vertices"),
+        (lambda h: h["__metadata__"].update(format="\n" * 10**5), r"format '\?{60}\.\.\.'; expected"),
+        (lambda h: h["__metadata__"].update(more="x" * 2**20), "header has 10[0-9]* bytes; at most 1048576"),
     ],
 )
 def test_other_files_are_refused(change, message, c, small_bound_file):
-    """By what their header says; nothing of such a file is used."""
+    """By what their header says, in one short sentence; nothing of such a file is used."""
     data = small_bound_file.read_bytes()
-    status, garment = load(c, edited_header(data, change))
+    status, garment = load(c, resealed(edited_header(data, change)))
     assert (status, garment.value) == (BAD_FILE, None)
     assert re.search(message, c.physkin_last_error().decode()), c.physkin_last_error()
+    assert len(c.physkin_last_error()) <= 300
     status, garment = load(c, edited_header(data, lambda header: None))
     assert status == OK  # the change it was
     c.physkin_close(garment)
+
+
+def last_array(header):
+    """The name of the array that ends the file."""
+    return max(header.keys() - {"__metadata__"}, key=lambda name: header[name]["data_offsets"])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda h: h["__metadata__"].update(name="another"),
+        lambda h: h["__metadata__"].update(more=""),
+        lambda h: h["__metadata__"].update(sha256="0" * 64),
+        lambda h: h["vertices"].update(shape=[3, 50]),
+        lambda h: h.update(vertices=h["normals"], normals=h["vertices"]),
+    ],
+)
+def test_altered_files_are_refused(change, c, small_bound_file):
+    """The digest covers metadata, names, shapes and numbers."""
+    status, garment = load(c, edited_header(small_bound_file.read_bytes(), change))
+    assert (status, garment.value) == (BAD_FILE, None)
+    assert b"digest does not match" in c.physkin_last_error()
+
+
+def test_one_bit_of_a_number_is_enough(c, small_bound_file):
+    data = bytearray(small_bound_file.read_bytes())
+    data[-1] ^= 1
+    assert load(c, bytes(data))[0] == BAD_FILE
+    assert b"digest does not match" in c.physkin_last_error()
+
+
+@pytest.mark.slow
+def test_files_without_an_end(c):
+    """What never ends is read up to what a garment may have."""
+    garment = ctypes.c_void_p()
+    assert c.physkin_open(b"/dev/zero", None, ctypes.byref(garment)) == BAD_FILE
+    assert c.physkin_last_error() == b"the file has more than 536870912 bytes, which is all that are read"
 
 
 def test_files_that_cannot_be_read(c, tmp_path):

@@ -10,6 +10,7 @@ import pytest
 from native_library import NATIVE, SANITIZERS, build_library, build_program
 
 HERE = Path(__file__).parent
+FILE_FORMAT = [NATIVE / "src" / "file_format" / name for name in ("tensor_file.cpp", "sha256.cpp")]
 AARCH64 = ("-DCMAKE_SYSTEM_NAME=Linux", "-DCMAKE_SYSTEM_PROCESSOR=aarch64")
 
 
@@ -66,7 +67,7 @@ def test_builds_of_other_hosts(compiler, small_bound_file, tmp_path):
     assert {line.split()[2] for line in frames.stdout.splitlines()} == {"0"}
     library = build_library(tmp_path / "sanitized", compiler, *SANITIZERS)
     assert run(build_program(library, HERE / "frame_test.cpp", compiler, *SANITIZERS)).stdout
-    program = build_program(library, HERE / "bound_file_fuzz.cpp", compiler, *SANITIZERS)
+    program = build_program(library, HERE / "bound_file_fuzz.cpp", compiler, *SANITIZERS, inner=FILE_FORMAT)
     result = run(program, small_bound_file, "30000")
     assert result.returncode == 0, result.stderr
     loaded, refused = (int(count) for count in re.findall(r"\d+", result.stdout))
@@ -85,5 +86,5 @@ def test_aarch64_under_qemu(small_bound_file, tmp_path):
     assert frames.returncode == 0, frames.stderr
     assert {line.split()[0] for line in frames.stdout.splitlines()} == {"baseline"}
     assert {line.split()[2] for line in frames.stdout.splitlines()} == {"0"}
-    program = build_program(library, HERE / "bound_file_fuzz.cpp", compiler)
+    program = build_program(library, HERE / "bound_file_fuzz.cpp", compiler, inner=FILE_FORMAT)
     assert run(program, small_bound_file, "3000", launcher=launcher).returncode == 0

@@ -52,12 +52,15 @@ class FileFields : public FieldSource {
 BoundFile::BoundFile(const unsigned char* data, std::size_t size) {
   TensorFile file(data, size);
   if (file.metadata("format") != kFormat) {
-    throw FileError("the file is of format '" + file.metadata("format") + "'; expected " + kFormat +
+    throw FileError("the file is of format '" + shown(file.metadata("format")) + "'; expected " + kFormat +
                     ", as `physkin bind` writes it");
   }
   if (file.metadata("schema_version") != kBoundGarmentVersion) {
-    throw FileError("the file has schema version '" + file.metadata("schema_version") + "'; this library reads " +
-                    kBoundGarmentVersion + ", which `physkin bind` writes");
+    throw FileError("the file has schema version '" + shown(file.metadata("schema_version")) +
+                    "'; this library reads " + kBoundGarmentVersion + ", which `physkin bind` writes");
+  }
+  if (file.metadata(kDigest) != file.digest()) {
+    throw FileError("the file is damaged or was altered: its SHA-256 digest does not match; `physkin bind` it anew");
   }
   FileFields fields(file, arena);
   garment = read_bound_garment(fields);

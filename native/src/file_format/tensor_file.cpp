@@ -1,12 +1,18 @@
 #include "file_format/tensor_file.hpp"
 
+#include <algorithm>
 #include <cstring>
+
+#include "file_format/sha256.hpp"
 
 namespace physkin {
 namespace {
 
 // No dimension of a garment comes near, and products with the handful of numbers an element has fit an int.
 constexpr std::uint64_t kLargestSize = std::uint64_t{1} << 24;
+constexpr std::uint64_t kLargestHeader = std::uint64_t{1} << 20;
+constexpr std::size_t kLongestShown = 60;
+constexpr std::uint64_t kNumberBytes = 4;
 
 // The part of JSON that a header consists of: objects, strings and lists, whole numbers from 0.
 class JsonReader {
@@ -128,10 +134,28 @@ template <class Size>
 std::string text_of(const std::vector<Size>& shape) {
   std::string text;
   for (Size size : shape) text += (text.empty() ? "" : ", ") + (size == Size(-1) ? "any" : std::to_string(size));
-  return "(" + text + ")";
+  return "(" + text + (shape.size() == 1 ? ",)" : ")");
+}
+
+// Of the numbers of a tensor; the largest there is where they are more than that.
+std::uint64_t byte_count(const std::vector<std::uint64_t>& shape) {
+  std::uint64_t bytes = kNumberBytes;
+  for (const std::uint64_t size : shape) {
+    if (size != 0 && bytes > ~std::uint64_t{0} / size) return ~std::uint64_t{0};
+    bytes *= size;
+  }
+  return bytes;
 }
 
 }  // namespace
+
+std::string shown(const std::string& text) {
+  std::string safe = text.substr(0, kLongestShown);
+  for (char& letter : safe) {
+    if (letter < 0x20 || letter > 0x7e) letter = '?';
+  }
+  return text.size() > kLongestShown ? safe + "..." : safe;
+}
 
 std::vector<std::string> parse_string_list(const std::string& text) {
   JsonReader reader(text.data(), text.size());
@@ -142,6 +166,9 @@ std::vector<std::string> parse_string_list(const std::string& text) {
 }
 
 TensorFile::TensorFile(const unsigned char* data, std::size_t size) {
+  if (size > kLargestFile) {
+    throw FileError("the file has more than " + std::to_string(kLargestFile) + " bytes, which is all that are read");
+  }
   if (size < 8)
     throw FileError("the file has " + std::to_string(size) + " bytes; it is cut off or no safetensors file");
   std::uint64_t header = 0;
@@ -149,6 +176,10 @@ TensorFile::TensorFile(const unsigned char* data, std::size_t size) {
   if (header > size - 8) {
     throw FileError("the header claims " + std::to_string(header) + " bytes, the file has " + std::to_string(size) +
                     "; it is cut off or no safetensors file");
+  }
+  if (header > kLargestHeader) {
+    throw FileError("the header has " + std::to_string(header) + " bytes; at most " + std::to_string(kLargestHeader) +
+                    " are read");
   }
   numbers_ = data + 8 + header;
   const std::uint64_t room = size - 8 - header;
@@ -161,7 +192,7 @@ TensorFile::TensorFile(const unsigned char* data, std::size_t size) {
       reader.list('{', '}', [&] {
         const std::string key = reader.string();
         reader.expect(':');
-        if (!metadata_.emplace(key, reader.string()).second) reader.fail("metadata " + key + " twice");
+        if (!metadata_.emplace(key, reader.string()).second) reader.fail("metadata " + shown(key) + " twice");
       });
       return;
     }
@@ -177,17 +208,59 @@ TensorFile::TensorFile(const unsigned char* data, std::size_t size) {
         numbers.clear();
         reader.list('[', ']', [&] { numbers.push_back(reader.number()); });
       } else {
-        reader.fail("unknown entry " + key);
+        reader.fail("unknown entry " + shown(key));
       }
     });
     if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > room) {
-      throw FileError(name + " lies outside the file; it is cut off or damaged");
+      throw FileError(shown(name) + " lies outside the file; it is cut off or damaged");
     }
     tensor.begin = offsets[0];
     tensor.end = offsets[1];
-    if (!tensors_.emplace(name, tensor).second) reader.fail(name + " twice");
+    check(name, tensor);
+    if (!tensors_.emplace(name, tensor).second) reader.fail(shown(name) + " twice");
   });
   reader.expect_end();
+  check_order(room);
+}
+
+void TensorFile::check(const std::string& name, const Tensor& tensor) {
+  if (tensor.type != "F32" && tensor.type != "I32") {
+    throw FileError(shown(name) + " is of type " + shown(tensor.type) + "; allowed: F32, I32");
+  }
+  const std::uint64_t bytes = byte_count(tensor.shape);
+  if (tensor.end - tensor.begin != bytes) {
+    throw FileError(shown(name) + " has " + std::to_string(tensor.end - tensor.begin) + " bytes; expected " +
+                    std::to_string(bytes));
+  }
+}
+
+void TensorFile::check_order(std::uint64_t room) const {
+  std::vector<std::pair<std::uint64_t, std::uint64_t>> spans;
+  for (const auto& [name, tensor] : tensors_) spans.emplace_back(tensor.begin, tensor.end);
+  std::sort(spans.begin(), spans.end());
+  std::uint64_t end = 0;
+  for (const auto& [begin, its_end] : spans) {
+    if (begin != end) throw FileError("the arrays of the file overlap, or leave room between them; it is damaged");
+    end = its_end;
+  }
+  if (end != room) throw FileError("the file goes on behind its last array; it is damaged");
+}
+
+std::string TensorFile::digest() const {
+  Sha256 sha256;
+  const auto add = [&](const std::string& text) { sha256.update(text.c_str(), text.size() + 1); };
+  for (const auto& [key, value] : metadata_) {
+    if (key == kDigest) continue;
+    add(key);
+    add(value);
+  }
+  for (const auto& [name, tensor] : tensors_) {
+    add(name);
+    add(tensor.type == "F32" ? "<f4" : "<i4");
+    add(text_of(tensor.shape));
+    sha256.update(numbers_ + tensor.begin, std::size_t(tensor.end - tensor.begin));
+  }
+  return sha256.digits();
 }
 
 const std::string& TensorFile::metadata(const std::string& name) const {
@@ -202,23 +275,14 @@ const unsigned char* TensorFile::numbers(const std::string& name, const char* ty
   Tensor& tensor = found->second;
   bool good = tensor.type == type && tensor.shape.size() == shape.size();
   const std::vector<int> wanted = shape;
-  std::uint64_t elements = 1;
   for (std::size_t axis = 0; good && axis < shape.size(); ++axis) {
     const std::uint64_t size = tensor.shape[axis];
     good = size <= kLargestSize && (wanted[axis] < 0 || std::uint64_t(wanted[axis]) == size);
-    if (!good) break;
     shape[axis] = int(size);
-    elements *= size;
-    // Before another factor of at most kLargestSize could overflow.
-    if (elements > std::uint64_t{1} << 36) good = false;
   }
   if (!good) {
-    throw FileError(name + " is of type " + tensor.type + " and shape " + text_of(tensor.shape) + "; expected " + type +
-                    " " + text_of(wanted));
-  }
-  if (tensor.end - tensor.begin != 4 * elements) {
-    throw FileError(name + " has " + std::to_string(tensor.end - tensor.begin) + " bytes; expected " +
-                    std::to_string(4 * elements));
+    throw FileError(name + " is of type " + tensor.type + " and shape " + shown(text_of(tensor.shape)) + "; expected " +
+                    type + " " + text_of(wanted));
   }
   tensor.read = true;
   return numbers_ + tensor.begin;
@@ -226,7 +290,7 @@ const unsigned char* TensorFile::numbers(const std::string& name, const char* ty
 
 void TensorFile::refuse_unread() const {
   for (const auto& [name, tensor] : tensors_) {
-    if (!tensor.read) throw FileError("the file holds an array that is not known: " + name);
+    if (!tensor.read) throw FileError("the file holds an array that is not known: " + shown(name));
   }
 }
 

@@ -62,8 +62,8 @@ class FieldSource {
   virtual std::vector<DenseWeights> layers(const std::string& name) = 0;
 };
 
-// Of the bound garment file: raised when the fields below change.
-constexpr char kBoundGarmentVersion[] = "2";
+// Of the bound garment file: raised when the fields below change, or the file's form.
+constexpr char kBoundGarmentVersion[] = "3";
 
 // Reads every field; what the arrays hold is for `validate` to check.
 SkinningData read_skinning_data(FieldSource& source);
