@@ -12,7 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["DIGEST", "TensorFileError", "content_digest", "read_tensors", "write_tensors"]
+from physkin_core.file_reading import ContentError
+
+__all__ = ["DIGEST", "content_digest", "read_tensors", "write_tensors"]
 
 DIGEST = "sha256"
 """Metadata entry of the digest."""
@@ -20,14 +22,10 @@ LARGEST_HEADER = 1 << 22
 """[bytes] Names, types, shapes and metadata of the shipped garment models take 110,000."""
 
 
-class TensorFileError(ValueError):
-    """Bytes are no safetensors file, or hold what NumPy has no type for."""
-
-
 def read_tensors(content: bytes) -> tuple[dict[str, str], dict[str, np.ndarray]]:
     """Metadata and tensors of a file's bytes, as they are: what they mean is for the caller to check.
 
-    Raises TensorFileError for bytes that are cut off, damaged or no such file, a header that is too large, and a type
+    Raises ContentError for bytes that are cut off, damaged or no such file, a header that is too large, and a type
     that NumPy lacks.
     """
     from safetensors import SafetensorError
@@ -35,14 +33,14 @@ def read_tensors(content: bytes) -> tuple[dict[str, str], dict[str, np.ndarray]]
 
     header = int.from_bytes(content[:8], "little")
     if LARGEST_HEADER < header <= len(content):
-        raise TensorFileError(f"its header has {header} bytes; at most {LARGEST_HEADER} are read")
+        raise ContentError(f"its header has {header} bytes; at most {LARGEST_HEADER} are read")
     try:
         tensors = load(content)
         metadata = json.loads(content[8 : 8 + header]).get("__metadata__")
     except KeyError as error:  # what the library says of a type
-        raise TensorFileError(f"it holds an array of type {error.args[0]}, which NumPy lacks") from error
+        raise ContentError(f"it holds an array of type {error.args[0]}, which NumPy lacks") from error
     except (SafetensorError, ValueError, OverflowError, RecursionError) as error:
-        raise TensorFileError(str(error)) from error
+        raise ContentError(f"it cannot be read as safetensors: {error}") from error
     return metadata or {}, tensors
 
 

@@ -7,8 +7,9 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import save
 
+from physkin_core.file_reading import ContentError
 from physkin_core.model import model_file
-from physkin_core.tensor_file import DIGEST, TensorFileError, content_digest, read_tensors
+from physkin_core.tensor_file import DIGEST, content_digest, read_tensors
 
 
 def contents(path) -> tuple[dict, dict]:
@@ -47,7 +48,7 @@ def resealed(content: bytes) -> bytes:
     """The file with a digest that fits again; as it is where there is none, or it cannot be read at all."""
     try:
         digest = content_digest(*read_tensors(content))
-    except TensorFileError:
+    except ContentError:
         return content
     return edited_header(
         content,

@@ -117,7 +117,7 @@ def test_warnings_about_an_avatar_are_printed_once(model_path, garment_model, tm
             "fit must be 0 (the template) to 1 (made to measure), got 1.1",
         ),
         (["info", "nosuch"], "no garment model 'nosuch'"),
-        (["info", "{tmp}/nosuch.safetensors"], "cannot read garment model"),
+        (["info", "{tmp}/nosuch.safetensors"], "nosuch.safetensors: no such file"),
         (["drape", "nosuch.glb", "-g", "{model}", "-o", "out.obj"], "no such file"),
         (["drape", "{avatar}", "-g", "{model}", "--motion", "nosuch", "-o", "out.obj"], "no bundled motion 'nosuch'"),
         (["drape", "{avatar}", "-g", "{model}", "--frame", "-1", "-o", "out.obj"], "has frames 0 to"),

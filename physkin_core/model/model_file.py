@@ -16,13 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
+from physkin_core.file_reading import ContentError, read_bytes, reading, shown
 from physkin_core.model.fabric import made_of
 from physkin_core.model.garment import GarmentError
 from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.model_arrays import Array, GarmentModelError, described_arrays, read_described
 from physkin_core.model.packed_weights import pack_weight, unpack_weights
 from physkin_core.rig.rig import Rig, RigError
-from physkin_core.tensor_file import DIGEST, TensorFileError, content_digest, read_tensors, write_tensors
+from physkin_core.tensor_file import DIGEST, content_digest, read_tensors, write_tensors
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -59,22 +60,25 @@ def load_garment_model(path: str | Path, *, content: bytes | None = None) -> Gar
     """
     file, fabric = split_fabric(path)
     path = _resolve(file)
-    metadata, tensors = _contents(path, _read(path) if content is None else content)
-    if metadata["schema_version"] != str(SCHEMA_VERSION):
-        version = metadata["schema_version"]
-        older = int(version) < SCHEMA_VERSION
-        remedy = f"convert it: physkin convert-model {path} -o NEW{MODEL_SUFFIX}" if older else "update PhySkin"
-        raise ModelFileError(
-            f"garment model {path} has schema version {version}, this release reads {SCHEMA_VERSION}; {remedy}"
-        )
-    model = _model(path, metadata, tensors)
+    with reading(f"garment model {path}", ModelFileError):
+        metadata, tensors = _contents(path, read_bytes(path) if content is None else content)
+        if metadata["schema_version"] != str(SCHEMA_VERSION):
+            version = metadata["schema_version"]
+            older = int(version) < SCHEMA_VERSION
+            remedy = f"convert it: physkin convert-model {path} -o NEW{MODEL_SUFFIX}" if older else "update PhySkin"
+            raise ModelFileError(
+                f"garment model {path} has schema version {version}, this release reads {SCHEMA_VERSION}; {remedy}"
+            )
+        model = _model(path, metadata, tensors)
     return made_of(model, fabric) if fabric else model
 
 
 def model_content(path: str | Path) -> bytes:
     """The bytes of the file that `load_garment_model` reads, to tell it from others before it is loaded. Raises
     ModelFileError."""
-    return _read(_resolve(split_fabric(path)[0]))
+    file = _resolve(split_fabric(path)[0])
+    with reading(f"garment model {file}", ModelFileError):
+        return read_bytes(file)
 
 
 def split_fabric(name: str | Path) -> tuple[str, str]:
@@ -83,33 +87,26 @@ def split_fabric(name: str | Path) -> tuple[str, str]:
     return (file, fabric) if colon and file and not Path(name).is_file() else (str(name), "")
 
 
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError as error:
-        raise ModelFileError(f"cannot read garment model {path}: no such file") from error
-    except OSError as error:
-        raise ModelFileError(f"cannot read garment model {path}: {error}") from error
-
-
 def _contents(path: Path, content: bytes) -> tuple[dict[str, str], dict[str, np.ndarray]]:
     """Metadata and tensors of a file of any schema version, with the digest checked."""
     try:
         metadata, tensors = read_tensors(content)
-    except TensorFileError as error:
+    except ContentError as error:
         if path.suffix == MODEL_SUFFIX:
-            raise ModelFileError(f"cannot read garment model {path}: {error}") from error
+            raise
         raise ModelFileError(
             f"{path} is not a garment model, allowed are {MODEL_SUFFIX} files and {', '.join(shipped_models())}; "
             "physkin fit-garment makes one of a mesh"
         ) from error
     if metadata.get("format") != FORMAT:
-        raise ModelFileError(f"{path} is not a garment model: format {metadata.get('format')!r}, expected {FORMAT!r}")
+        raise ContentError(
+            f"its format is {shown(metadata.get('format'))}, expected {FORMAT!r}: it is no garment model"
+        )
     version = metadata.get("schema_version", "")
     if not re.fullmatch("[1-9][0-9]{0,8}", version):
-        raise ModelFileError(f"garment model {path} has schema version {version!r}, expected {SCHEMA_VERSION}")
+        raise ContentError(f"it has schema version {shown(version)}, expected {SCHEMA_VERSION}")
     if metadata.get(DIGEST) != content_digest(metadata, tensors):
-        raise ModelFileError(f"garment model {path} is damaged or was altered: its SHA-256 digest does not match")
+        raise ContentError("it is damaged or was altered: its SHA-256 digest does not match")
     return metadata, tensors
 
 
@@ -165,7 +162,8 @@ def convert_model_file(old: str | Path, new: str | Path) -> None:
     all models of this schema version have.
     """
     old = Path(old)
-    metadata, tensors = _contents(old, _read(old))
+    with reading(f"garment model {old}", ModelFileError):
+        metadata, tensors = _contents(old, read_bytes(old))
     if int(metadata["schema_version"]) >= SCHEMA_VERSION:
         raise ModelFileError(f"garment model {old} has schema version {metadata['schema_version']}, nothing to convert")
     activation = metadata.pop("activation", None)

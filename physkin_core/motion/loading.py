@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core.avatar.body_model import load_body_model
+from physkin_core.file_reading import ContentError, read_bytes, reading, shown
 from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.progress import Watch
+from physkin_core.tensor_file import read_tensors
 
 __all__ = ["MOCAP_SUFFIXES", "MOTIONS_DIRECTORY", "bundled_motions", "load_motion", "save_motion"]
 
@@ -51,7 +53,8 @@ def load_motion(path_or_name: str | Path, *, watch: Watch = lambda share: None) 
                 "folder)"
             )
         path = MOTIONS_DIRECTORY / f"{path_or_name}.safetensors"
-    return _read(path)
+    with reading(f"motion file {path}", MotionError):
+        return _read(path)
 
 
 def _read_bag(path: Path) -> Motion:
@@ -66,25 +69,16 @@ def _read_bag(path: Path) -> Motion:
 
 
 def _read(path: Path) -> Motion:
-    from safetensors import SafetensorError, safe_open
-
-    try:
-        with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a mapping)
-    except (OSError, SafetensorError) as error:
-        raise MotionError(f"cannot read motion file {path}: {error}") from error
+    metadata, tensors = read_tensors(read_bytes(path))
     missing = [key for key in ARRAYS if key not in tensors]
     missing += [f"metadata {key!r}" for key in ("joint_names", "rate_hz") if key not in metadata]
     if missing:
-        raise MotionError(f"motion file {path} lacks {', '.join(missing)}")
-    try:
-        joint_names = tuple(str(name) for name in json.loads(metadata["joint_names"]))
-        rate_hz = float(metadata["rate_hz"])
-    except (ValueError, TypeError) as error:
-        raise MotionError(f"motion file {path}: malformed joint_names or rate_hz: {error}") from error
+        raise ContentError(f"it lacks {', '.join(missing)}")
+    joint_names, rate_hz = json.loads(metadata["joint_names"]), float(metadata["rate_hz"])
+    if not isinstance(joint_names, list):
+        raise ContentError(f"its joint_names are {shown(joint_names)}, expected a list of names")
     arrays = {key: tensors[key] for key in ARRAYS}
-    return Motion(joint_names, **arrays, rate_hz=rate_hz, name=metadata.get("name", path.stem))
+    return Motion(tuple(map(str, joint_names)), **arrays, rate_hz=rate_hz, name=metadata.get("name", path.stem))
 
 
 def save_motion(motion: Motion, path: Path, *, notes: Mapping[str, str] | None = None) -> None:

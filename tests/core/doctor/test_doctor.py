@@ -43,7 +43,7 @@ def test_damaged_model_is_broken(quick, monkeypatch, tmp_path, capsys):
     assert main(["doctor"]) == 1
     lines = capsys.readouterr().out.splitlines()
     (told,) = [k for k, line in enumerate(lines) if line.startswith("broken")]
-    assert "garment models" in lines[told] and "cannot read garment model" in lines[told]
+    assert "garment models" in lines[told] and "it cannot be read as safetensors" in lines[told]
     assert "pip install --force-reinstall" in lines[told + 1]
     assert any("motions" in line for line in lines[told:]) and lines[-1] == "1 broken"
 

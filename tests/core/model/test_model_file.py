@@ -20,7 +20,7 @@ from physkin_core import (
     save_garment_model,
 )
 from physkin_core.model import model_file
-from physkin_core.model.model_file import LEAST_PACKED, MODELS_PATH, SCHEMA_VERSION, convert_model_file
+from physkin_core.model.model_file import LEAST_PACKED, MODELS_PATH, SCHEMA_VERSION, convert_model_file, model_content
 
 
 def tiny(**changes):
@@ -81,6 +81,19 @@ def test_round_trip(tmp_path, size):
     assert not list(path.parent.glob("*.partial"))
 
 
+def test_what_is_read_once_is_what_is_loaded(saved, tmp_path):
+    """A file that is replaced after it was read changes nothing: the bytes that a digest was taken of are parsed."""
+    path = written(tmp_path / "model.safetensors", saved.read_bytes())
+    content = model_content(path)
+    path.write_bytes(b"replaced")
+    assert load_garment_model(path, content=content).arrays().keys() == load_garment_model(saved).arrays().keys()
+    with pytest.raises(ModelFileError):
+        load_garment_model(path)
+    assert model_content("tshirt:denim") == (MODELS_PATH / "tshirt.safetensors").read_bytes()
+    with pytest.raises(ModelFileError, match="nothere.safetensors: no such file"):
+        model_content("nothere.safetensors")
+
+
 # --- Damage ---
 
 
@@ -91,7 +104,7 @@ def test_damaged_and_foreign_files_are_refused(tmp_path, saved):
     contents = [data[: int(share * len(data))] for share in (0, 1e-4, 0.01, 0.1, 0.3, 0.5, 0.8, 0.99, 0.9999)]
     contents += [data + b"\0", b"garment", b"\0" * 100, b"\xff" * 100, b"o tshirt\nv 1 2 3\n" * 50]
     for content in contents:
-        with pytest.raises(ModelFileError, match="cannot read garment model .*other.safetensors"):
+        with pytest.raises(ModelFileError, match="garment model .*other.safetensors: it cannot be read as safetensors"):
             load_garment_model(written(path, content))
     for metadata in (None, {"format": "pt"}):
         with pytest.raises(ModelFileError, match="format .* expected 'physkin-garment'"):

@@ -76,7 +76,7 @@ def test_sigterm_and_remapping(start, peer, model_path):
     ("parameters", "reason"),
     [
         ({"model": "nosuch"}, "no garment model 'nosuch'"),
-        ({"model": "{tmp}/truncated.safetensors"}, "cannot read garment model"),
+        ({"model": "{tmp}/truncated.safetensors"}, "it cannot be read as safetensors"),
         ({"model": 3}, "expecting type 'STRING'"),
         ({"body_mesh": "{tmp}/nosuch.glb"}, "nosuch.glb: no such file"),
         ({"body_mesh": "{tmp}/odd.txt"}, "unknown extension '.txt'"),
