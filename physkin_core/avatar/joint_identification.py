@@ -14,8 +14,14 @@ import numpy as np
 
 from physkin_core.avatar.avatar import AvatarError
 from physkin_core.avatar.skinned_mesh import SkinnedMesh
-from physkin_core.rig.bone_naming import missing_bones, named_bones, required_bones
-from physkin_core.rig.bone_structure import LIMB_BONES, bones_by_structure, limb_ends, spine_by_place
+from physkin_core.rig.bone_naming import limb_joints, missing_bones, named_bones, required_bones
+from physkin_core.rig.bone_structure import (
+    LIMB_BONES,
+    bones_by_limbs,
+    bones_by_structure,
+    limb_ends,
+    spine_by_place,
+)
 from physkin_core.rig.rig import Rig
 
 __all__ = ["identify_bones"]
@@ -28,8 +34,9 @@ ROUNDS = 3
 def identify_bones(mesh: SkinnedMesh, rig: Rig) -> tuple[SkinnedMesh, dict[str, int], str]:
     """The mesh, joint by rig bone, and the naming that led there (see `named_bones`).
 
-    Where names fit no naming, the skeleton's shape tells. Wrists and ankles that no name tells are the joints that
-    follow on elbow or knee, or added where the skin ends. The mesh comes back with a warning of what was assumed.
+    Where names fit no naming, those of limbs tell with the order of joints, or the skeleton's shape. Wrists and ankles
+    that no name tells are the joints that follow on elbow or knee, or added where the skin ends. The mesh comes back
+    with a warning of what was assumed.
     Raises RigError when none of it leads to all bones that are needed.
     """
     astray = [mesh.joint_names[joint] for joint in np.flatnonzero(~np.isfinite(mesh.joint_heads).all(axis=1))]
@@ -38,15 +45,19 @@ def identify_bones(mesh: SkinnedMesh, rig: Rig) -> tuple[SkinnedMesh, dict[str, 
     required = required_bones(rig)
     named, naming = named_bones(mesh.joint_names, rig, humanoid=mesh.humanoid)
     if 2 * sum(bone in named for bone in required) < len(required):
-        shaped = bones_by_structure(mesh.joint_heads, mesh.joint_parents, rig)
-        if shaped is not None and all(bone in shaped for bone in required):
-            warning = "no naming fits the joints' names; by the skeleton's shape these were taken: "
-            return _with_taken(mesh, warning, {bone: shaped[bone] for bone in required}), shaped, "the skeleton's shape"
+        skeleton = mesh.joint_heads, mesh.joint_parents, rig
+        for told_by, shaped in (
+            ("the limbs that they name", bones_by_limbs(limb_joints(mesh.joint_names), *skeleton)),
+            ("the skeleton's shape", bones_by_structure(*skeleton)),
+        ):
+            if shaped is not None and all(bone in shaped for bone in required):
+                warning = f"no naming fits the joints' names; by {told_by} these were taken: "
+                return _with_taken(mesh, warning, {bone: shaped[bone] for bone in required}), shaped, told_by
     ends = limb_ends(named, mesh.joint_heads, mesh.joint_parents)
     longer, added = _with_limb_ends(mesh, named | ends)
     found = named | ends | added
     if any(bone not in found for bone in required):
-        raise missing_bones(named, mesh.joint_names, rig, source=mesh.source, humanoid=mesh.humanoid)
+        raise missing_bones(found, mesh.joint_names, rig, source=mesh.source)
     if ends:
         warning = "by their place at the ends of limbs, not by name, these joints were taken: "
         longer = _with_taken(longer, warning, ends)

@@ -13,18 +13,21 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
+from physkin_core.file_reading import shown
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
 from physkin_core.rig.rig import Rig, RigError
 
-__all__ = ["BONE_MAPS", "OWN_NAMES", "missing_bones", "named_bones", "required_bones"]
+__all__ = ["BONE_MAPS", "OWN_NAMES", "limb_joints", "missing_bones", "named_bones", "required_bones"]
 
 BONE_MAPS = Path(__file__).parent / "bone_maps"
 OWN_NAMES = "the rig's own names"
 VRM_MAP = "vrm"
-LISTED_NAMES = 60
+LISTED_NAMES = 3
+"""Of each kind, in an error."""
 PREFIXES = {"mixamorig", "def", "bip", "cc", "base", "valve", "j", "c", "m", "f", "avg"}
 """Words that tools put before every joint's name."""
 SIDES = {"l": "l", "left": "l", "r": "r", "right": "r"}
+LIMBS = {"arm": "arm", "arms": "arm", "leg": "leg", "legs": "leg"}
 
 
 def required_bones(rig: Rig) -> tuple[str, ...]:
@@ -33,24 +36,23 @@ def required_bones(rig: Rig) -> tuple[str, ...]:
     return tuple(name for name in limbs if name in rig.bone_names) or rig.bone_names
 
 
-def missing_bones(
-    found: Mapping[str, int],
-    joint_names: Sequence[str],
-    rig: Rig,
-    *,
-    source: str,
-    humanoid: Mapping[str, int] | None = None,
-) -> RigError:
-    """The error that lists the required bones which are not among those `named_bones` has found."""
+def missing_bones(found: Mapping[str, int], joint_names: Sequence[str], rig: Rig, *, source: str) -> RigError:
+    """The error that says which required bones are not among those found (joint by rig bone), which joints were taken
+    for those that are, and which are not known."""
     required = required_bones(rig)
     missing = [name for name in required if name not in found]
-    present = joint_names if humanoid is None else humanoid
-    listed = ", ".join(list(present)[:LISTED_NAMES]) + (", ..." if len(present) > LISTED_NAMES else "")
+    taken = [f"{shown(joint_names[joint])} as {bone}" for bone, joint in found.items() if joint < len(joint_names)]
+    others = [shown(name) for joint, name in enumerate(joint_names) if joint not in found.values()]
     return RigError(
         f"avatar {source}: no joint for {len(missing)} of the {len(required)} rig bones it must have: "
-        f"{', '.join(missing)}. Joints found: {listed or 'none'}. "
-        f"Allowed namings: {'; '.join([OWN_NAMES, *(title for title, _ in _bone_maps().values())])}"
+        f"{_some(missing)}; taken: {_some(taken)}; not recognised: {_some(others)}. Name joints as the rig, Mixamo, "
+        "VRM or Unreal do"
     )
+
+
+def _some(texts: Sequence[str]) -> str:
+    more = f" and {len(texts) - LISTED_NAMES} more" if len(texts) > LISTED_NAMES else ""
+    return (", ".join(texts[:LISTED_NAMES]) or "none") + more
 
 
 def named_bones(
@@ -73,6 +75,16 @@ def named_bones(
         candidates, key=lambda each: (sum(name in each[1] for name in required), len(each[1].keys() & rig.bone_names))
     )
     return {bone: joint for bone, joint in found.items() if bone in rig.bone_names}, naming
+
+
+def limb_joints(joint_names: Sequence[str]) -> dict[tuple[str, str], list[int]]:
+    """Joints by limb ("arm" or "leg") and side ("L" or "R"), of names that say both, such as `leg_joint_L_1`."""
+    found: dict[tuple[str, str], list[int]] = {}
+    for joint, words in enumerate(map(_words, joint_names)):
+        limbs, sides = ({table[word] for word in words if word in table} for table in (LIMBS, SIDES))
+        if len(limbs) == len(sides) == 1:
+            found.setdefault((*limbs, sides.pop().upper()), []).append(joint)
+    return found
 
 
 @cache
@@ -100,8 +112,7 @@ def _by_plain_name(names: Sequence[str]) -> dict[str, int]:
 @cache
 def _plain(name: str) -> str:
     """A name in one spelling: lower case, without separators, namespace and prefixes, its side at the end."""
-    last = re.sub(r"^(left|right)(?=[a-z])", r"\1 ", re.split(r"[:|/]", name)[-1])
-    words = [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", last)]
+    words = _words(name)
     first = 0
     while first < len(words) - 1 and (words[first] in PREFIXES or first and words[first].isdigit()):
         first += 1
@@ -110,3 +121,9 @@ def _plain(name: str) -> str:
     if side is not None:
         words.remove(side)
     return "".join(words) + f".{SIDES.get(side, '')}"
+
+
+def _words(name: str) -> list[str]:
+    """Lower-case words and numbers of a name, without its namespace."""
+    last = re.sub(r"^(left|right)(?=[a-z])", r"\1 ", re.split(r"[:|/]", name)[-1])
+    return [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", last)]

@@ -13,7 +13,7 @@ import numpy as np
 
 from physkin_core.rig.rig import Rig, ancestors
 
-__all__ = ["LIMB_BONES", "bones_by_structure", "limb_ends", "spine_bones", "spine_by_place"]
+__all__ = ["LIMB_BONES", "bones_by_limbs", "bones_by_structure", "limb_ends", "spine_bones", "spine_by_place"]
 
 ASYMMETRY = 0.03
 """Of all following lengths the unit is the skeleton's largest extent. Mean distance of joints from mirror images."""
@@ -67,9 +67,44 @@ def bones_by_structure(heads: np.ndarray, parents: np.ndarray, rig: Rig) -> dict
     for kind, both in chosen.items():
         for side, joints in zip(sides, both):
             found |= {f"{bone}.{side}": joint for bone, joint in zip(LIMB_BONES[kind], joints) if bone and joint >= 0}
-    upwards = [joint for joint in tree.children[chest] if all(joint != way[0] for way in limbs["arm"][1])]
-    found |= _trunk(tree, hub, chest, upwards, rig)
+    return _known(found | _trunk(tree, hub, chest, [way[0] for way in limbs["arm"][1]], rig), rig)
+
+
+def bones_by_limbs(
+    limbs: Mapping[tuple[str, str], Sequence[int]], heads: np.ndarray, parents: np.ndarray, rig: Rig
+) -> dict[str, int] | None:
+    """Joint by rig bone where it is known which joints are of which limb, in any pose; None where a limb is no chain of
+    three joints. Of longer chains the two longest segments that follow each other are the limb's.
+
+    limbs: joints by limb ("arm" or "leg") and side ("L" or "R"). heads: (j, 3), any unit. parents: (j,), as above.
+    """
+    tree = _Tree(heads, parents)
+    found: dict[str, int] = {}
+    starts: dict[str, list[int]] = {}
+    for (kind, bones), side in product(LIMB_BONES.items(), "LR"):
+        joints = limbs.get((kind, side), ())
+        chain = sorted(joints, key=lambda joint: len(ancestors(tree.parents, joint)))
+        if len(chain) < 3 or any(tree.parents[below] != above for above, below in zip(chain, chain[1:])):
+            return None
+        lengths = tree.edges[chain[1:]]
+        first = int(np.argmax(np.minimum(lengths[:-1], lengths[1:])))
+        found |= {f"{bone}.{side}": joint for bone, joint in zip(bones[:3], chain[first : first + 3])}
+        starts.setdefault(kind, []).append(chain[0])
+    hub, chest = (_meeting(tree, *starts[kind]) for kind in ("leg", "arm"))
+    if hub is None or chest is None or hub not in ancestors(tree.parents, chest):
+        return None
+    arms = [next(j for j in ancestors(tree.parents, start) if tree.parents[j] == chest) for start in starts["arm"]]
+    return _known(found | _trunk(tree, hub, chest, arms, rig), rig)
+
+
+def _known(found: Mapping[str, int], rig: Rig) -> dict[str, int]:
     return {bone: joint for bone, joint in found.items() if bone in rig.bone_names}
+
+
+def _meeting(tree: _Tree, one: int, other: int) -> int | None:
+    """The nearest joint that both follow on."""
+    above = ancestors(tree.parents, other)[1:]
+    return next((joint for joint in ancestors(tree.parents, one)[1:] if joint in above), None)
 
 
 def limb_ends(named: Mapping[str, int], heads: np.ndarray, parents: np.ndarray) -> dict[str, int]:
@@ -176,13 +211,13 @@ def _limbs(tree: _Tree, axis: int) -> dict[str, tuple[int, list[list[int]]]] | N
     for one in (joint for joint in starts if tree.heads[joint, axis] > 0 and tree.reach[joint] > SHORTEST_LIMB):
         mirrored = tree.heads[one] * (1 - 2 * np.eye(3)[axis])
         other = min(starts, key=lambda joint: np.linalg.norm(tree.heads[joint] - mirrored))
-        meeting = [joint for joint in ancestors(tree.parents, one) if joint in ancestors(tree.parents, other)]
-        if meeting and np.linalg.norm(tree.heads[other] - mirrored) < PAIR_GAP and other != one:
+        meeting = _meeting(tree, one, other)
+        if meeting is not None and np.linalg.norm(tree.heads[other] - mirrored) < PAIR_GAP and other != one:
             ways = []
             for start in (one, other):
                 above = ancestors(tree.parents, start)
-                ways.append([*above[1 : above.index(meeting[0])][::-1], *tree.way_down(start)])
-            pairs.append((tree.reach[one], meeting[0], ways))
+                ways.append([*above[1 : above.index(meeting)][::-1], *tree.way_down(start)])
+            pairs.append((tree.reach[one], meeting, ways))
     pairs.sort(key=lambda pair: -pair[0])
     for (_, hub, legs), (_, chest, arms) in permutations(pairs[:3], 2):
         if hub != chest and hub in ancestors(tree.parents, chest):
@@ -218,8 +253,8 @@ def _first_is_left(tree: _Tree, axis: int, limbs: dict, hub: int, chest: int) ->
     return bool(left >= 0) if abs(left) > 1e-4 else True
 
 
-def _trunk(tree: _Tree, hub: int, chest: int, upwards: list[int], rig: Rig) -> dict[str, int]:
-    """Root, spine, neck and head. upwards: joints that follow on the chest, arms apart; the longest way is the neck's.
+def _trunk(tree: _Tree, hub: int, chest: int, arms: list[int], rig: Rig) -> dict[str, int]:
+    """Root, spine, neck and head. arms: joints that follow on the chest; of the others the longest way is the neck's.
 
     The joints between legs and arms are spread over the rig's spine.
     """
@@ -230,7 +265,7 @@ def _trunk(tree: _Tree, hub: int, chest: int, upwards: list[int], rig: Rig) -> d
     for place, joint in enumerate(between, start=1):
         if spine:
             found[spine[max(round(place / len(between) * len(spine)), 1) - 1]] = joint
-    if upwards:
+    if upwards := [joint for joint in tree.children[chest] if joint not in arms]:
         found["neck01"] = neck = max(upwards, key=lambda joint: tree.reach[joint] + tree.edges[joint])
         if above := tree.children[neck]:
             found["head"] = max(above, key=lambda joint: tree.reach[joint] + tree.edges[joint])

@@ -7,8 +7,8 @@ import pytest
 from gltf_person import BODY, PERSON, RIG, distances, load_document, person_document
 
 from physkin_core.avatar.avatar import AvatarError
-from physkin_core.rig.bone_naming import BONE_MAPS
-from physkin_core.rig.bone_structure import bones_by_structure
+from physkin_core.rig.bone_naming import BONE_MAPS, limb_joints
+from physkin_core.rig.bone_structure import bones_by_limbs, bones_by_structure
 from physkin_prepare.avatar import t_posed_body
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, which `Avatar.warnings` keeps
@@ -259,7 +259,7 @@ def test_a_limb_without_skin_is_still_refused(tmp_path):
     document = {"influence_joints": np.zeros((len(PERSON.vertices), 1), dtype=int)}
     document["influence_weights"] = np.ones((len(PERSON.vertices), 1))
     person = person_document(joint_names=_vrm_names(bones), joint_parents=parents, joint_heads=heads, **document)
-    with pytest.raises(AvatarError, match=r"no joint for 2 of the 12 .*: foot\.L, foot\.R\."):
+    with pytest.raises(AvatarError, match=r"no joint for 2 of the 12 .*: foot\.L, foot\.R;"):
         load_document(tmp_path, person)
 
 
@@ -288,6 +288,54 @@ def test_one_joint_of_the_trunk_at_the_hips(tmp_path, name):
     carried = [avatar.influence_bones[at, avatar.influence_weights[at].argmax(axis=1)] for at in (chest, belly)]
     usual = [np.bincount(each, minlength=RIG.bone_count)[spine].argmax() for each in carried]
     assert usual[1] < usual[0], "the belly hangs on a lower bone of the spine than the chest"
+
+
+def _striding_skeleton():
+    """The person in a stride: joint names that count along each limb, parents, heads and vertices."""
+    called = {"root": "Skeleton_torso_joint_1", "spine02": "Skeleton_torso_joint_2", "spine01": "torso_joint_3"}
+    called |= {"neck01": "Skeleton_neck_joint_1", "head": "Skeleton_neck_joint_2"}
+    for side in "LR":
+        numbers = zip(("upperarm01", "lowerarm01", "wrist"), ("__4_", "__3_", "__2_"))
+        called |= {f"{bone}.{side}": f"Skeleton_arm_joint_{side}{number}" for bone, number in numbers}
+        legs = enumerate(("upperleg01", "lowerleg01", "foot"), start=1)
+        called |= {f"{bone}.{side}": f"leg_joint_{side}_{number}" for number, bone in legs}
+    swings = {"upperleg01.L_y": -0.6, "lowerleg01.R_y": 0.8, "upperarm01.R_y": 0.5, "upperleg01.R_y": 0.3}
+    transforms = RIG.bone_transforms(RIG.joint_positions(swings), heads=PERSON.bone_heads)
+    heads = np.einsum("bij,bj->bi", transforms[..., :3], PERSON.bone_heads) + transforms[..., 3]
+    bones, parents, heads = _skeleton_of(called, heads.astype(np.float64))
+    return bones, parents, heads, [called[RIG.bone_names[bone]] for bone in bones], PERSON.posed_vertices(transforms)
+
+
+def test_limbs_whose_joints_are_counted(tmp_path):
+    """Names that tell limb and side, in a stride that has no symmetry: the order of joints tells the rest."""
+    bones, parents, heads, names, vertices = _striding_skeleton()
+    avatar = load_document(tmp_path, _person_on(bones, parents, heads, names, vertices=vertices))
+    assert distances(avatar.vertices, PERSON.vertices).mean() < 8
+    for bone in [f"{bone}.{side}" for bone in LIMB_BONES[1:] for side in "LR"]:
+        assert distances(*(body.bone_heads[RIG.bone_index(bone)] for body in (avatar, PERSON))) < 12, bone
+    assert "by the limbs that they name these were taken: 'Skeleton_arm_joint_L__4_' for" in avatar.warnings[0]
+
+
+def test_a_refusal_says_what_was_taken_for_what(tmp_path):
+    """Bones that are lacking, joints that were recognised and joints that were not, in a sentence."""
+    bones, parents, heads, names, vertices = _striding_skeleton()
+    names = [name.replace("leg_joint_L", "left thigh").replace("leg_joint_R", "member") for name in names]
+    with pytest.raises(AvatarError) as refused:
+        load_document(tmp_path, _person_on(bones, parents, heads, names, vertices=vertices))
+    said = str(refused.value).split("person.glb: ")[1]
+    assert said.startswith("no joint for 11 of the 12 rig bones it must have: upperarm01.L, lowerarm01.L, ")
+    assert "taken: 'left thigh_1' as upperleg01.L; not recognised: 'Skeleton_torso_joint_1'" in said
+    assert len(said) < 300
+
+
+def test_limbs_that_are_no_chains_are_not_guessed_at():
+    """Two joints of an arm, or a leg of which the parts are not each other's."""
+    _, parents, heads, names, _ = _striding_skeleton()
+    limbs = limb_joints(names)
+    assert len(bones_by_limbs(limbs, heads, parents, RIG)) >= 12
+    assert bones_by_limbs(limbs | {("arm", "L"): limbs["arm", "L"][:2]}, heads, parents, RIG) is None
+    mixed = limbs["leg", "L"][:2] + limbs["leg", "R"][2:]
+    assert bones_by_limbs(limbs | {("leg", "L"): mixed}, heads, parents, RIG) is None
 
 
 def test_what_is_no_person(tmp_path):
