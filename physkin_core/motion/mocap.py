@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from physkin_core.motion.calibration_pose import calibration_frames
 from physkin_core.motion.mocap_files import Skeleton, read_amc, read_bvh
 from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.motion.retargeting import leg_length, on_floor, retarget
@@ -36,8 +37,6 @@ AMC_RATE_HZ = 120.0
 RATE_HZ = 60.0
 
 HINGE_GUESS = 0.05  # how much a T-pose's elbow and knee axes count beside those seen in the clip
-CALIBRATION_SPEED = np.radians(2000)  # [rad/s] with which a joint leaves a calibration pose, and never moves otherwise
-CALIBRATION_FRAMES = 8  # a calibration pose takes at most as many, those that blend into the motion included
 RAISED = 0.5  # cosine to the vertical from which on a limb or the trunk stands
 HEAD_NAMES = ("head", "neck1", "neck")
 # In order of preference: a name that means another joint elsewhere comes last (SMPL's foot is a toe, SOMA's leg a
@@ -65,7 +64,7 @@ def load_mocap(
     """Read a .bvh or .amc file as motion of the default rig at 60 Hz, standing on the floor and facing X at first.
 
     rig: the default one. skeleton: the .asf of an .amc; None: `02.asf` for `02_02.amc`. source_rate_hz: of an .amc.
-    watch: told the share done. A calibration pose before the motion is left out, with a warning.
+    watch: told the share done. Frames of a calibration pose before the motion are left out, with a warning.
     Also returns the mean angle [degrees] between a bone's direction and the source's, by rig bone.
     Raises MotionError: unreadable, malformed, or a joint that cannot be found by name.
     """
@@ -75,8 +74,11 @@ def load_mocap(
         joints = find_joints(source)
     except MotionError as error:
         raise MotionError(f"motion capture file {path}: {error}") from error
-    if calibration := _calibration_frames(source, joints):
-        log.warning("%s: its first frames, a calibration pose, are left out: %d of them", path, calibration)
+    calibration, limbs = calibration_frames(source, joints)
+    if calibration:
+        log.warning(
+            "%s: its first %d frames are left out: a calibration pose (%s)", path, calibration, ", ".join(limbs)
+        )
         source = source.at(slice(calibration, None))
     source = source.at(slice(None, None, max(1, round(source.rate_hz / RATE_HZ))))
     rotations, positions, leg = _hanging(source, joints)
@@ -102,19 +104,6 @@ def _read(path: Path, skeleton: str | Path | None, source_rate_hz: float) -> Ske
         raise MotionError(f"cannot read {path}: {error}") from error
     except (ValueError, IndexError, KeyError) as error:
         raise MotionError(f"motion capture file {path} is malformed: {error}") from error
-
-
-def _calibration_frames(source: Skeleton, joints: dict[str, int]) -> int:
-    """How many frames a calibration pose takes: it ends in a jump, which some files spread over the next few frames.
-
-    Those are left out, too, that turn faster than any of the frames after them.
-    """
-    rotations, _ = source.at(slice(3 * CALIBRATION_FRAMES)).posed(joints.values())
-    steps = np.array([(each[:-1].inv() * each[1:]).magnitude() for each in rotations.values()]).max(axis=0)
-    first, later = steps[:CALIBRATION_FRAMES], steps[CALIBRATION_FRAMES:]
-    if len(later) == 0 or first[0] * source.rate_hz < CALIBRATION_SPEED:
-        return 0
-    return next((k for k, step in enumerate(first) if step <= later.max()), len(first))
 
 
 def _hanging(source: Skeleton, joint: dict[str, int]) -> tuple[dict[str, Rotation], np.ndarray, float]:

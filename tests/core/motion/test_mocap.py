@@ -235,9 +235,11 @@ def test_straight_arm_turns_about_itself(rig, tmp_path):
     """Its elbow's axis is known from the frames in which it bends, so that the sleeve twists with the arm."""
     turned = []
     for twist in (0, 60):
-        frames = [POSE] * 6 + [{**POSE, "LeftArm": (-80, twist, 0), "LeftForeArm": (0, 0, 0)}] * 12
+        frames = [POSE] * 6
+        for share in (0.25, 0.5, 0.75, *[1.0] * 12):
+            frames += [{**POSE, "LeftArm": (-80, share * twist, 0), "LeftForeArm": (0, 0, (share - 1) * 90)}]
         motion, _ = load_mocap(write_bvh(tmp_path / "a.bvh", frames), rig)
-        turned.append(rig.bone_transforms(motion.positions[14])[rig.bone_index("upperarm02.L"), :, :3])
+        turned.append(rig.bone_transforms(motion.positions[17])[rig.bone_index("upperarm02.L"), :, :3])
     along = [0, np.cos(np.radians(80)), -np.sin(np.radians(80))]
     twisted = np.degrees(Rotation.from_matrix(turned[1] @ turned[0].T).as_rotvec()) @ along
     assert twisted == pytest.approx(60, abs=15)
@@ -292,8 +294,8 @@ def test_limbs_must_hang_together(rig, tmp_path):
         load_mocap(write_bvh(tmp_path / "a.bvh", [POSE] * 2, joints=joints), rig)
 
 
-@pytest.mark.parametrize("blended", [1, 3])
-def test_calibration_pose_is_left_out(blended, rig, tmp_path, caplog):
+@pytest.mark.parametrize(("blended", "limbs"), [(1, "left arm, right arm, right leg"), (3, "left arm")])
+def test_calibration_pose_is_left_out(blended, limbs, rig, tmp_path, caplog):
     """Arms stretched out in the first frame, or blended into the motion over a few; what is quick and no jump stays."""
     moving = [{**POSE, "LeftArm": (-80 + 0.5 * k, 0, 0)} for k in range(30)]
     ahead = [{name: tuple(k / blended * np.array(turn)) for name, turn in POSE.items()} for k in range(blended)]
@@ -301,7 +303,7 @@ def test_calibration_pose_is_left_out(blended, rig, tmp_path, caplog):
     clean, _ = load_mocap(write_bvh(tmp_path / "clean.bvh", moving, rate=60), rig)
     np.testing.assert_array_equal(motion.positions, clean.positions)
     assert [record.message for record in caplog.records] == [
-        f"{tmp_path / 'a.bvh'}: its first frames, a calibration pose, are left out: {blended} of them"
+        f"{tmp_path / 'a.bvh'}: its first {blended} frames are left out: a calibration pose ({limbs})"
     ]
 
 
