@@ -21,9 +21,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from physkin_core.file_reading import ContentError, read_bytes, reading
 from physkin_core.motion.calibration_pose import calibration_frames
 from physkin_core.motion.mocap_files import Skeleton, read_amc, read_bvh
-from physkin_core.motion.motion import Motion, MotionError
+from physkin_core.motion.motion import MOST_FRAMES, Motion, MotionError
 from physkin_core.motion.retargeting import leg_length, on_floor, retarget
 from physkin_core.progress import Watch
 from physkin_core.rig.rig import Rig
@@ -69,19 +70,22 @@ def load_mocap(
     Raises MotionError: unreadable, malformed, or a joint that cannot be found by name.
     """
     path = Path(path)
-    source = _read(path, skeleton, source_rate_hz)
-    try:
+    if not 0 < source_rate_hz < np.inf:
+        raise MotionError(f"source_rate_hz must be positive and finite, got {source_rate_hz}")
+    with reading(f"motion capture file {path}", MotionError):
+        source = _read(path, skeleton, source_rate_hz)
+        if source.frame_count / source.rate_hz * RATE_HZ > MOST_FRAMES:
+            seconds = source.frame_count / source.rate_hz
+            raise ContentError(f"it lasts {seconds:.3g} s, allowed are {MOST_FRAMES / RATE_HZ:.0f} s; cut it")
         joints = find_joints(source)
-    except MotionError as error:
-        raise MotionError(f"motion capture file {path}: {error}") from error
-    calibration, limbs = calibration_frames(source, joints)
-    if calibration:
-        log.warning(
-            "%s: its first %d frames are left out: a calibration pose (%s)", path, calibration, ", ".join(limbs)
-        )
-        source = source.at(slice(calibration, None))
-    source = source.at(slice(None, None, max(1, round(source.rate_hz / RATE_HZ))))
-    rotations, positions, leg = _hanging(source, joints)
+        calibration, limbs = calibration_frames(source, joints)
+        if calibration:
+            log.warning(
+                "%s: its first %d frames are left out: a calibration pose (%s)", path, calibration, ", ".join(limbs)
+            )
+            source = source.at(slice(calibration, None))
+        source = source.at(slice(None, None, max(1, round(source.rate_hz / RATE_HZ))))
+        rotations, positions, leg = _hanging(source, joints)
     joint_positions, report = retarget(rig, rotations, watch=watch)
     report.pop("at_limit")
     root = rotations["root"]
@@ -93,17 +97,16 @@ def load_mocap(
 
 
 def _read(path: Path, skeleton: str | Path | None, source_rate_hz: float) -> Skeleton:
-    if not 0 < source_rate_hz < np.inf:
-        raise MotionError(f"source_rate_hz must be positive and finite, got {source_rate_hz}")
-    try:
-        if path.suffix.lower() == ".bvh":
-            return read_bvh(path.read_text())
-        asf = Path(skeleton) if skeleton else path.with_name(f"{path.stem.split('_')[0]}.asf")
-        return read_amc(path.read_text(), asf.read_text(), source_rate_hz)
-    except (OSError, UnicodeDecodeError) as error:
-        raise MotionError(f"cannot read {path}: {error}") from error
-    except (ValueError, IndexError, KeyError) as error:
-        raise MotionError(f"motion capture file {path} is malformed: {error}") from error
+    if path.suffix.lower() == ".bvh":
+        return read_bvh(_text(path))
+    asf = Path(skeleton) if skeleton else path.with_name(f"{path.stem.split('_')[0]}.asf")
+    with reading(f"skeleton {asf}", MotionError):
+        bones = _text(asf)
+    return read_amc(_text(path), bones, source_rate_hz)
+
+
+def _text(path: Path) -> str:
+    return read_bytes(path).decode().replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _hanging(source: Skeleton, joint: dict[str, int]) -> tuple[dict[str, Rotation], np.ndarray, float]:
@@ -183,7 +186,7 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 def find_joints(skeleton: Skeleton) -> dict[str, int]:
     """Joint index of `root`, `chest`, `neck`, and `hip`, `knee`, `ankle`, `shoulder`, `elbow`, `wrist` with `.L`, `.R`.
 
-    Raises MotionError for a part that no joint has a name of, naming those tried and the joints there are, and for
+    Raises ContentError for a part that no joint has a name of, naming those tried and the joints there are, and for
     limbs whose joints do not follow each other.
     """
     names = [joint.name for joint in skeleton.joints]
@@ -197,7 +200,7 @@ def find_joints(skeleton: Skeleton) -> dict[str, int]:
                 found[part] = index
                 return
         sided = f" with {' or '.join(sides.values())} before or after" if sides else ""
-        raise MotionError(f"no joint called {', '.join(wanted)}{sided}, for {part}; it has {', '.join(names)}")
+        raise ContentError(f"no joint for {part}, called {', '.join(wanted)}{sided}; it has {', '.join(names)}")
 
     find("neck", HEAD_NAMES)
     for s, side in (("l", "left"), ("r", "right")):
@@ -207,7 +210,7 @@ def find_joints(skeleton: Skeleton) -> dict[str, int]:
         for upper, middle, end in CHAINS:
             limb = [found[f"{part}.{side}"] for part in (upper, middle, end)]
             if not set(limb) <= set(skeleton.ancestors(limb[-1])) or limb != sorted(limb):
-                raise MotionError(f"joints {', '.join(names[k] for k in limb)} are no limb: one must carry the next")
+                raise ContentError(f"joints {', '.join(names[k] for k in limb)} are no limb: one must carry the next")
     found["root"] = _branching(skeleton, found["hip.L"], found["hip.R"])
     found["chest"] = _branching(skeleton, found["shoulder.L"], found["shoulder.R"])
     while plain[found["chest"]].startswith("neck"):  # 3ds Max's bipeds hang their collarbones on it

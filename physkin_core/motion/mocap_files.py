@@ -5,15 +5,20 @@ Dimensions: `T` frames, `J` joints. Lengths in the file's own unit, angles in de
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from physkin_core.file_reading import ContentError, shown
+
 __all__ = ["Joint", "Skeleton", "read_amc", "read_bvh"]
 
 NO_TURN = Rotation.identity()
+MOST_JOINTS = 1000
+"""A skeleton with fingers and a face has a hundred or two."""
+FRAME_TIMES = (1e-5, 10.0)  # [s]
 
 
 @dataclass(frozen=True)
@@ -88,7 +93,7 @@ class Skeleton:
 
 
 def read_bvh(text: str) -> Skeleton:
-    """Raises ValueError, IndexError or KeyError for text that is no BVH."""
+    """Raises ContentError, ValueError, IndexError or KeyError for text that is no BVH."""
     head, _, data = text.partition("MOTION")
     joints, channels, stack = [], [], []
     current = None  # None inside an End Site
@@ -110,16 +115,18 @@ def read_bvh(text: str) -> Skeleton:
             stack.append(current)
         elif words[0] == "}":
             stack.pop()
+    _check_joint_count(len(joints))
     lines = data.split("\n")
     values = {line.split(":")[0].strip(): line.split(":")[1] for line in lines[:4] if ":" in line}
     count, step = int(values["Frames"]), float(values["Frame Time"])
+    if not FRAME_TIMES[0] <= step <= FRAME_TIMES[1]:
+        raise ContentError(f"its frame time is {step:g} s, allowed are {FRAME_TIMES[0]:g} to {FRAME_TIMES[1]:g} s")
     rows = [line for line in lines if ":" not in line and not line.isspace() and line]
     frames = np.loadtxt(rows, ndmin=2) if rows else np.empty((0, 0))
     width = sum(map(len, channels))
-    if count == 0 or frames.shape != (count, width) or not np.isfinite(frames).all() or step <= 0:
-        raise ValueError(
-            f"frames of shape {frames.shape} every {step} s, expected shape {(count, width)}, some, finite, "
-            "and a positive frame time"
+    if count == 0 or frames.shape != (count, width) or not np.isfinite(frames).all():
+        raise ContentError(
+            f"its frames have the shape {frames.shape}, expected {shown((count, width))}, some, and finite"
         )
     found, column = [], 0
     for (name, parent, offset), its in zip(joints, channels, strict=True):
@@ -137,15 +144,13 @@ def read_bvh(text: str) -> Skeleton:
 
 
 def read_amc(text: str, asf: str, rate_hz: float) -> Skeleton:
-    """An AMC file with its skeleton. Raises ValueError, IndexError or KeyError where one of them is none."""
+    """An AMC file with its skeleton. Raises ContentError, ValueError, IndexError or KeyError where one is none."""
     bones: dict[str, dict[str, list[str]]] = {"root": {}}
     for block in asf.partition(":bonedata")[2].partition(":hierarchy")[0].split("begin")[1:]:
         fields = {line.split()[0]: line.split()[1:] for line in block.splitlines() if line.split()}
         bones[fields["name"][0]] = fields
-    parent_of = {"root": ""}
-    for line in asf.partition(":hierarchy")[2].splitlines():
-        words = line.split()
-        parent_of |= {child: words[0] for child in words[1:]} if words and words[0] in bones else {}
+    _check_joint_count(len(bones))
+    parent_of = _parents(asf.partition(":hierarchy")[2], bones)
     order = asf.partition(":root")[2].partition("order")[2].split("\n")[0].upper().split()
     frames: dict[str, list[str]] = {name: [] for name in bones}
     count = 0
@@ -155,16 +160,18 @@ def read_amc(text: str, asf: str, rate_hz: float) -> Skeleton:
             frames[name].append(values)
         elif not values and name.isdigit():
             count += 1
-    names = list(parent_of)
+    index = {name: k for k, name in enumerate(parent_of)}
     joints = []
-    for name in names:
-        fields, parent = bones[name], parent_of[name]
+    for name, parent in parent_of.items():
+        fields = bones[name]
         channels = fields.get("dof", []) if parent else order
         if channels:
             values = np.loadtxt(frames[name], ndmin=2) if frames[name] else np.empty((0, 0))
             if count == 0 or values.shape != (count, len(channels)) or not np.isfinite(values).all():
                 expected = (count, len(channels))
-                raise ValueError(f"{name} has values of shape {values.shape}, expected shape {expected}, some, finite")
+                raise ContentError(
+                    f"{shown(name)} has values of shape {values.shape}, expected {expected}, some, and finite"
+                )
         if not parent:
             turns, places = ([order.index(f"{kind}{axis}") for axis in "XYZ"] for kind in "RT")
             joints.append(Joint(name, -1, np.zeros(3), "ZYX", values[:, turns[::-1]], values[:, places]))
@@ -174,5 +181,29 @@ def read_amc(text: str, asf: str, rate_hz: float) -> Skeleton:
         offset = np.array([float(v) for v in carrier["direction"]]) * float(carrier["length"][0]) if carrier else 0.0
         letters = "".join(channel[1].upper() for channel in channels)
         angles = values[:, ::-1] if channels else np.empty((count, 0))
-        joints.append(Joint(name, names.index(parent), offset + np.zeros(3), letters[::-1], angles, axes=axes))
+        joints.append(Joint(name, index[parent], offset + np.zeros(3), letters[::-1], angles, axes=axes))
     return Skeleton(tuple(joints), rate_hz)
+
+
+def _parents(hierarchy: str, bones: Collection[str]) -> dict[str, str]:
+    """The parent of each bone by name, parents first; that of the root is empty."""
+    parent_of = {"root": ""}
+    for line in hierarchy.splitlines():
+        parent, *children = line.split() or [""]
+        if parent not in bones:
+            continue
+        if parent not in parent_of:
+            raise ContentError(f"its hierarchy hangs bones on {shown(parent)}, which no line before hangs on another")
+        for child in children:
+            if child not in bones or child in parent_of:
+                raise ContentError(
+                    f"its hierarchy hangs {shown(child)} on {shown(parent)}; allowed are bones of :bonedata, each "
+                    "once, and no circle"
+                )
+            parent_of[child] = parent
+    return parent_of
+
+
+def _check_joint_count(count: int) -> None:
+    if count > MOST_JOINTS:
+        raise ContentError(f"it has {count} joints, allowed are {MOST_JOINTS}")

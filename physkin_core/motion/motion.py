@@ -14,10 +14,13 @@ import numpy as np
 if TYPE_CHECKING:
     from physkin_core.rig.rig import Rig
 
-__all__ = ["Motion", "MotionError", "upright_orientation"]
+__all__ = ["MOST_FRAMES", "Motion", "MotionError", "upright_orientation"]
 
 CLOSED_POSITION = 0.02  # [rad] a clip whose ends differ by less repeats as a cycle
 CLOSED_GRAVITY = 0.02
+MOST_FRAMES = 500_000
+"""Of a clip that is resampled or put together: more than two hours at 60 Hz."""
+RATES_HZ = (0.001, 100_000.0)
 
 
 class MotionError(ValueError):
@@ -65,8 +68,10 @@ class Motion:
         if np.abs(lengths - 1).max() > 0.01:
             raise MotionError(f"motion {self.name!r}: root_orientation must be unit quaternions, got length {lengths}")
         arrays["root_orientation"] = arrays["root_orientation"] / lengths
-        if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
-            raise MotionError(f"motion {self.name!r}: rate_hz must be positive and finite, got {self.rate_hz}")
+        if not RATES_HZ[0] <= self.rate_hz <= RATES_HZ[1]:
+            raise MotionError(
+                f"motion {self.name!r}: rate_hz must be from {RATES_HZ[0]} to {RATES_HZ[1]:.0f}, got {self.rate_hz}"
+            )
         object.__setattr__(self, "joint_names", names)
         for field, array in arrays.items():
             object.__setattr__(self, field, array)
@@ -123,7 +128,7 @@ class Motion:
         """The clip at another rate, by cubic splines, so that velocities do not jump at the old frames.
 
         First and last frame are kept: time is stretched by less than half a new frame. Raises MotionError for a rate
-        that is not positive and finite.
+        that is not positive and finite, and for more than `MOST_FRAMES`.
         """
         from scipy.interpolate import CubicSpline
         from scipy.spatial.transform import Rotation, RotationSpline
@@ -132,6 +137,11 @@ class Motion:
             raise MotionError(f"rate_hz must be positive and finite, got {rate_hz}")
         if self.frame_count == 1:
             return replace(self, rate_hz=float(rate_hz))
+        if (frames := self.frame_count * rate_hz / self.rate_hz) > MOST_FRAMES:
+            raise MotionError(
+                f"motion {self.name!r} has {frames:.3g} frames at {rate_hz:g} Hz, at most {MOST_FRAMES} are made; "
+                "choose a lower rate, or cut it"
+            )
         old_times = np.arange(self.frame_count)
         times = np.linspace(0, old_times[-1], 1 + max(1, round(old_times[-1] * rate_hz / self.rate_hz)))
         orientation = RotationSpline(old_times, Rotation.from_quat(self.root_orientation))

@@ -203,12 +203,18 @@ def test_fast_clips_are_thinned(rig, tmp_path):
     [
         (
             lambda text: text.replace("LeftForeArm", "Tail"),
-            "no joint called forearm, .* radius, elbow with left or l .* for elbow.L; it has Hips",
+            "no joint for elbow.L, called forearm, .*RightFoot",
         ),
-        (lambda text: text.replace("Frames: 2", "Frames: 3"), "frames of shape"),
+        (lambda text: text.replace("Frames: 2", "Frames: 3"), "frames have the shape .2, 48., expected .3, 48."),
         (lambda text: text.replace("Frame Time", "Time"), "malformed"),
-        (lambda text: text.rstrip()[:-4], "malformed|frames of shape"),
+        (lambda text: text.rstrip()[:-4], "malformed|frames have the shape"),
         (lambda text: text.replace(" 95 ", " nan "), "finite"),
+        (
+            lambda text: text.replace("Frame Time: ", "Frame Time: 3600"),
+            "time is 36000 s, allowed are 1e-05 to 10 s",
+        ),
+        (lambda text: text.replace("Frame Time: ", "Frame Time: nan #"), "malformed"),
+        (lambda text: text.replace("JOINT", "JOINT a\n" * 1000 + "JOINT", 1), "has 1015 joints, allowed are 1000"),
         (lambda text: "", "malformed"),
         (lambda text: text.partition("MOTION")[0], "malformed"),
     ],
@@ -218,6 +224,38 @@ def test_broken_files_are_refused(change, reason, rig, tmp_path):
     path = write_bvh(tmp_path / "a.bvh", [POSE] * 2)
     path.write_text(change(path.read_text()))
     with pytest.raises(MotionError, match=f"a.bvh.*({reason})"):
+        load_mocap(path, rig)
+
+
+def test_long_clips_are_refused(rig, tmp_path):
+    """Before anything is made of their frames."""
+    path = write_bvh(tmp_path / "a.bvh", [POSE] * 900, rate=0.1)
+    with pytest.raises(MotionError, match="a.bvh: it lasts 9e.03 s, allowed are 8333 s"):
+        load_mocap(path, rig)
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        ("lfemur link3", "hangs 'link3' on 'lfemur'; allowed are bones of :bonedata, each once, and no circle"),
+        ("lfemur root", "hangs 'root' on 'lfemur'"),
+        ("lfemur nothing", "hangs 'nothing' on 'lfemur'"),
+    ],
+)
+def test_a_hierarchy_in_a_circle_is_refused(line, reason, rig, tmp_path):
+    """It had no end."""
+    path = write_amc(tmp_path, [POSE])
+    skeleton = tmp_path / "07.asf"
+    skeleton.write_text(skeleton.read_text().removesuffix("end\n") + f"{line}\nend\n")
+    with pytest.raises(MotionError, match=f"07_01.amc: its hierarchy {reason}"):
+        load_mocap(path, rig)
+
+
+def test_children_come_after_their_parents(rig, tmp_path):
+    path = write_amc(tmp_path, [POSE])
+    skeleton = tmp_path / "07.asf"
+    skeleton.write_text(skeleton.read_text().replace("begin\nroot link1", "begin\nthorax link2\nroot link1"))
+    with pytest.raises(MotionError, match="hangs bones on 'thorax', which no line before hangs on another"):
         load_mocap(path, rig)
 
 

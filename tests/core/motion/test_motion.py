@@ -1,5 +1,7 @@
 """Motion clips: the bundled ones look like what they are called, files are checked, resampling does not jump."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
@@ -185,6 +187,8 @@ def test_missing_parts(tmp_path, missing):
         ("root_orientation", np.zeros((9, 4)), "unit quaternions"),
         ("rate_hz", 0.0, "rate_hz.*0.0"),
         ("rate_hz", float("nan"), "rate_hz.*nan"),
+        ("rate_hz", 1 / 3600, "rate_hz must be from 0.001 to 100000"),
+        ("rate_hz", 1e6, "rate_hz must be from 0.001 to 100000"),
     ],
 )
 def test_bad_values(field, value, message):
@@ -193,6 +197,12 @@ def test_bad_values(field, value, message):
     fields = {name: getattr(motion, name) for name in motion.__dataclass_fields__} | {field: value}
     with pytest.raises(MotionError, match=message):
         Motion(**fields)
+
+
+def test_no_rate_makes_frames_without_end():
+    slow = replace(spinning(), rate_hz=0.002)
+    with pytest.raises(MotionError, match="frames at 1000 Hz, at most 500000 are made; choose a lower rate"):
+        slow.resampled(1000.0)
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
