@@ -1,0 +1,146 @@
+"""Worker: the process that answers, as whoever asks sees it. It may die of a request; the next one gets another."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+from threading import Lock
+from time import monotonic
+from typing import Any
+
+from physkin_core.worker.channel import Channel
+from physkin_core.worker.codec import Codec, CodecError
+
+__all__ = ["Worker", "WorkerError"]
+
+LONGEST = 300
+"""Letters of a sentence that says what went wrong."""
+ENDS_WITHIN = 5.0
+"""[s] a process that was killed, or has closed its end, is gone."""
+
+
+class WorkerError(ValueError):
+    """A request was not answered: what it asked for was refused, or was too much."""
+
+
+class Worker:
+    """A process that runs `module` and answers one request at a time, from any thread.
+
+    module: calls `serve` when it is run. codec: the one that it gives. seconds: that an answer may take. memory: [MiB]
+    that it may take beyond what the process has when it begins. The first process is begun at once, so that it is
+    there when it is needed.
+    """
+
+    def __init__(self, module: str, codec: Codec, *, seconds: float, memory: int) -> None:
+        self._module, self._codec = module, codec
+        self.seconds, self.memory = seconds, memory
+        self._asking, self._changing = Lock(), Lock()
+        self._closed = self._cancelled = False
+        self._begin()
+
+    def _begin(self) -> None:
+        ours, its = socket.socketpair()
+        self._channel = Channel(ours, self._codec)
+        paths = dict.fromkeys(os.path.abspath(path) for path in sys.path)
+        with its:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", self._module, *map(str, (its.fileno(), self.seconds, self.memory))],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                pass_fds=[its.fileno()],
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+                start_new_session=True,  # Ctrl+C is for whoever started it
+            )
+
+    @property
+    def pid(self) -> int:
+        """Of the process that answers now."""
+        return self._process.pid
+
+    def ask(self, request: object, what: str) -> Any:
+        """The answer to a request. what: it is about, for errors. What the worker logs meanwhile is logged here.
+
+        Raises WorkerError, in one sentence, where it was refused, took too much memory or time, ended the process, or
+        was cancelled; RuntimeError for a fault in the code that answers.
+        """
+        with self._asking:
+            if self._closed:
+                raise WorkerError(f"{what} was not loaded: the loader is closed")
+            self._cancelled = False
+            if self._process.poll() is not None:  # it was killed while nobody asked
+                self._replace()
+            deadline = monotonic() + self.seconds
+            try:
+                self._channel.send(request)
+                said = self._channel.receive(deadline)
+                while "log" in said:
+                    name, level, text = said["log"]
+                    logging.getLogger(name).log(level, "%s", text)
+                    said = self._channel.receive(deadline)
+            except (EOFError, TimeoutError, CodecError) as error:
+                if isinstance(error, EOFError):
+                    self._wait()
+                status = self._process.poll()
+                self._replace()
+                raise WorkerError(_short(f"{what} {self._fate(error, status)}")) from error
+        if "refused" in said:
+            raise WorkerError(_short(said["refused"]))
+        if "memory" in said:
+            too_much = f"it takes more than {self.memory} MiB of memory (load_memory)"
+            raise WorkerError(_short(f"{what} could not be loaded: {too_much}; use a smaller file"))
+        if "failed" in said:
+            raise RuntimeError(said["failed"])
+        return said["answer"]
+
+    def _fate(self, error: Exception, status: int | None) -> str:
+        """Why there is no answer. status: with which the process ended, None where it had not."""
+        if self._cancelled:
+            return "was not loaded: loading was cancelled"
+        if isinstance(error, TimeoutError) or status == -signal.SIGALRM:
+            return f"could not be loaded within {self.seconds:g} s (load_seconds); use a smaller file"
+        if isinstance(error, CodecError) or status is None:
+            return f"could not be loaded: what was read of it cannot be told ({error})"
+        ended = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
+        return (
+            f"could not be loaded: the process that read it was ended ({ended}); a file must not be damaged, nor be "
+            "written while it is read"
+        )
+
+    def cancel(self) -> None:
+        """Let whoever waits for an answer go on without it; where nobody does, this does nothing."""
+        if self._asking.locked():
+            self._cancelled = True
+            with self._changing:
+                self._process.kill()
+                self._wait()
+
+    def close(self) -> None:
+        """End the process, for good."""
+        self._closed = True
+        self.cancel()
+        with self._asking:
+            self._end()
+
+    def _replace(self) -> None:
+        with self._changing:
+            self._end()
+            if not self._closed:
+                self._begin()
+
+    def _end(self) -> None:
+        self._process.kill()
+        self._wait()
+        self._channel.close()
+
+    def _wait(self) -> None:
+        with contextlib.suppress(subprocess.TimeoutExpired):  # it hangs in a read of the system's
+            self._process.wait(ENDS_WITHIN)
+
+
+def _short(sentence: str) -> str:
+    return sentence if len(sentence) <= LONGEST else sentence[: LONGEST - 3] + "..."
