@@ -29,7 +29,7 @@ from physkin_core.model.model_arrays import (
 from physkin_core.model.sway_network import SwayNetwork, drive_size, pose_size
 from physkin_core.rig.rig import Rig
 
-__all__ = ["GarmentModel", "Material"]
+__all__ = ["GarmentModel", "Material", "SkinnedGarment"]
 
 SHORTEST_NORMAL = 1e-3
 """Rest normals may have any length from here on."""
@@ -66,17 +66,14 @@ class Material:
 
 
 @dataclass(frozen=True)
-class GarmentModel:
-    """Everything a run needs. Raises GarmentModelError naming what does not fit.
+class SkinnedGarment:
+    """A garment as its garment nodes carry it, without the networks that correct them.
 
     garment: mesh the model was trained on. rest_normals: (n, 3), 1e-3 long at least, what skinning carries to the
     draped garment's normals; fitted to drapes they come out truer than the mesh's, for cloth does not deform as
     skinning's linear part says. node_rest: (m, 3); node_bone: (m,) index into `rig`. influence_nodes: (n, K) index;
     influence_weights: (n, K), rows sum to 1. engine_nodes, engine_weights: (n, k), the same with the few influences
-    that engines take, learnt beside. hyper_modulator: arrays by name (see `physkin_core.model.hyper_modulator`), "fit"
-    and "bend" among them, by which rest shapes made to measure and cloth that bends otherwise are known.
-    pose_modulator, node_deformer: layers. sway: network that moves the garment nodes of a body that moves; None where a
-    pendulum does. training, scores: plain data on how it was trained (seed, bodies, steps) and how it measured up.
+    that engines take, learnt beside.
     """
 
     name: str
@@ -89,6 +86,18 @@ class GarmentModel:
     influence_weights: np.ndarray = described("skinning.weights", Array("n K", sums_to_one=True))
     engine_nodes: np.ndarray = described("engine_skinning.nodes", Array("n k", below="m"))
     engine_weights: np.ndarray = described("engine_skinning.weights", Array("n k", sums_to_one=True))
+
+
+@dataclass(frozen=True)
+class GarmentModel(SkinnedGarment):
+    """Everything a run needs. Raises GarmentModelError naming what does not fit.
+
+    hyper_modulator: arrays by name (see `physkin_core.model.hyper_modulator`), "fit" and "bend" among them, by which
+    rest shapes made to measure and cloth that bends otherwise are known. pose_modulator, node_deformer: layers. sway:
+    network that moves the garment nodes of a body that moves; None where a pendulum does. training, scores: plain data
+    on how it was trained (seed, bodies, steps) and how it measured up.
+    """
+
     pose_modulator: tuple[Layer, ...] = described("pose_modulator", Chain("p", "deformer_modulation"))
     node_deformer: tuple[Layer, ...] = described("node_deformer", Chain("12m", "12m"))
     hyper_modulator: Mapping[str, np.ndarray] = described("hyper_modulator", Named(hyper_modulator_shapes))
@@ -124,6 +133,10 @@ class GarmentModel:
     def for_engines(self) -> GarmentModel:
         """The same model skinned by the few influences that engines take."""
         return replace(self, influence_nodes=self.engine_nodes, influence_weights=self.engine_weights)
+
+    def without_networks(self) -> SkinnedGarment:
+        """What is left of it once it is bound to a body."""
+        return SkinnedGarment(**{entry.name: getattr(self, entry.name) for entry in fields(SkinnedGarment)})
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Every array by its name in the garment model file."""

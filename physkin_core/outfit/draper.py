@@ -34,7 +34,7 @@ class Draper:
     precision, fit, normals: as of `Outfit`.
     points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
         space; they have no faces.
-    outfit: that of this one garment.
+    model: the garment model. outfit: that of this one garment.
     Where the garment does not sit, that joins the `warnings` of `avatar`, and is issued as AvatarWarning.
     Raises TypeError for anything but a model and an avatar; ValueError for an unknown precision or kind of normals, a
     body of another rig, a fit that is not possible, points that are not this garment's, or normals of faces where there
@@ -55,6 +55,7 @@ class Draper:
         if not isinstance(model, GarmentModel) or not isinstance(avatar, Avatar):
             given = f"{type(model).__name__}, {type(avatar).__name__}"
             raise TypeError(f"Draper takes a garment model, then an avatar: Draper(model, avatar), got Draper({given})")
+        self.model = model
         self.outfit = Outfit([WornGarment(model, fit=fit)], avatar, precision=precision, normals=normals)
         self._bone_rotations: dict[str, BoneRotations] = {}
         if points is not None:
@@ -66,11 +67,6 @@ class Draper:
     def layer(self) -> Layer:
         """The garment as it is worn here."""
         return self.outfit.layers[0]
-
-    @property
-    def model(self) -> GarmentModel:
-        """The garment model."""
-        return self.layer.model
 
     @property
     def avatar(self) -> Avatar:

@@ -17,14 +17,9 @@ from typing import Any, Literal
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, AvatarWarning
-from physkin_core.model.garment import vertex_normals
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.motion.everyday_poses import everyday_poses
-from physkin_core.outfit.coverage import Cover, covered, faces_of, slimmed
-from physkin_core.outfit.dressing import drapes, put_on
-from physkin_core.outfit.layer_order import LayerOrder, bind_layer_order
-from physkin_core.outfit.taking_in import taken_in
-from physkin_core.outfit.tuck import DEEP, SLIDES
+from physkin_core.outfit.bound_outfit import BoundOutfit, bind_outfit, covers_of, hidden_body
+from physkin_core.outfit.coverage import faces_of, slimmed
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Evaluator, Precision
@@ -36,8 +31,6 @@ __all__ = ["Outfit"]
 log = logging.getLogger(__name__)
 
 FULL_TURN = 2 * np.pi
-Poses = list[tuple[np.ndarray, np.ndarray]]
-"""Joint positions and gravity of each."""
 
 
 class Outfit:
@@ -71,31 +64,30 @@ class Outfit:
         normals: Literal["skinned", "faces"] = "skinned",
         hide: bool = True,
     ) -> None:
-        layers, tucks, worth_saying = put_on(_checked_garments(garments, avatar), avatar, fit=fit)
-        self.avatar = avatar
-        self.orders: tuple[LayerOrder, ...] = ()
-        self._body_hidden: Any = None  # (V,) bool, once everyday poses were looked at
-        self._made: dict[str, Any] = {"precision": precision, "normals": normals}
-        if len(layers) > 1:
-            poses, checked = _poses_to_look_at(layers[0].model.rig)
-            for inner, outer in tucks:
-                layers[inner] = taken_in(layers[inner], layers[outer], poses)
-            cloth = drapes(layers, tucks, poses)
-            if checked:
-                layers = self._look_at(layers, cloth, poses)
-            else:
-                worth_saying.append("everyday poses are of the default rig: with this one nothing is hidden")
-            layers = [_giving_visible(layer) if hide else _untwisted(layer, layer.given) for layer in layers]
-            self.orders = _orders(layers, cloth, tucks)
-            moved = {order.yielding for order in self.orders}
-            layers = [replace(layer, moved=k in moved) for k, layer in enumerate(layers)]
-        self._begin(layers)
-        for warning in worth_saying:
+        bound = bind_outfit(_checked_garments(garments, avatar), avatar, fit=fit, hide=hide)
+        self._wear(bound, precision, normals)
+        for warning in bound.worth_saying:
             warnings.warn(warning, AvatarWarning, stacklevel=2)
-        self.warnings = tuple(dict.fromkeys([*avatar.warnings, *worth_saying]))
-        self.avatar = replace(avatar, warnings=self.warnings)
-        given = ", ".join(f"{layer.name} {layer.vertex_count} of {len(layer.rest)}" for layer in layers)
-        log.info("draping on %s, vertices: %s", avatar.source, given)
+
+    @classmethod
+    def of_bound(
+        cls,
+        bound: BoundOutfit,
+        *,
+        precision: Precision | None = None,
+        normals: Literal["skinned", "faces"] = "skinned",
+    ) -> Outfit:
+        """An outfit that was put on already, maybe by another process; nothing is warned of again. Raises ValueError
+        for an unknown precision or kind of normals, and as `Evaluator` where arrays do not fit together."""
+        outfit = cls.__new__(cls)
+        outfit._wear(bound, precision, normals)
+        return outfit
+
+    def _wear(self, bound: BoundOutfit, precision: Precision | None, normals: Literal["skinned", "faces"]) -> None:
+        self.avatar, self.warnings, self.orders = bound.avatar, bound.avatar.warnings, bound.orders
+        self._body_hidden = bound.body_hidden
+        self._made: dict[str, Any] = {"precision": precision, "normals": normals}
+        self._begin(bound.layers)
 
     def _begin(self, layers: Sequence[Layer]) -> None:
         """Make what a frame writes to."""
@@ -103,11 +95,6 @@ class Outfit:
         self._evaluator = Evaluator([layer.given for layer in layers], self.orders, **self._made)
         self.frame_input = FrameInput([layer.given.sways_by_network for layer in layers])
         self._warned_of_degrees = False
-
-    def _look_at(self, layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: Poses) -> list[Layer]:
-        """The layers, knowing what of them is hidden; and keep what is of the body."""
-        hidden, self._body_hidden = _hidden(layers, cloth, poses, self.avatar)
-        return [replace(layer, hidden=mask) for layer, mask in zip(layers, hidden)]
 
     def twin(self) -> Outfit:
         """The same outfit on the same body with frames of its own, for another performer; nothing is bound anew, and
@@ -236,18 +223,14 @@ class Outfit:
     @cached_property
     def body_mask(self) -> np.ndarray:
         """(F,) bool, the body's faces that are covered in all everyday poses."""
-        if self._body_hidden is None:
-            poses, checked = _poses_to_look_at(self.rig)
-            if not checked:
-                return np.zeros(len(self.avatar.faces), dtype=bool)
-            self._look_at(self.layers, drapes(self.layers, (), poses), poses)
-        return faces_of(self.avatar.faces, self._body_hidden)
+        hidden = self._body_hidden
+        return faces_of(self.avatar.faces, hidden_body(self.layers, self.avatar) if hidden is None else hidden)
 
     @cached_property
     def body_to_draw(self) -> Avatar:
         """The avatar and its accessories, skin under cloth up to 6 mm slimmer, so that none shows through where cloth
         lies a little too deep."""
-        covers = _covers(self.layers, [layer.rest for layer in self.layers])
+        covers = covers_of(self.layers, [layer.rest for layer in self.layers])
         return slimmed(self.avatar, covers).with_accessories()
 
     @cached_property
@@ -270,74 +253,3 @@ def _checked_garments(garments: Sequence[GarmentModel | WornGarment], avatar: Av
         if not isinstance(garment, WornGarment) or not isinstance(garment.model, GarmentModel):
             raise TypeError(f"a garment of an outfit is a GarmentModel or a WornGarment, got {type(garment).__name__}")
     return tuple(checked)
-
-
-def _poses_to_look_at(rig: Rig) -> tuple[Poses, bool]:
-    """Poses (joint positions, gravity), the first at rest, and whether everyday ones are among them."""
-    rest = [(rig.rest, UPRIGHT_GRAVITY)]
-    try:
-        return [*rest, *zip(*everyday_poses(rig))], True
-    except ValueError:
-        return rest, False
-
-
-def _hidden(
-    layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: Poses, avatar: Avatar
-) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    """What is covered in all poses: a mask (n,) of each layer, and one of the body's vertices."""
-    hidden = [np.ones(len(layer.rest), dtype=bool) for layer in layers]
-    body = np.ones(len(avatar.vertices), dtype=bool)
-    for (positions, _), drawn in zip(poses, cloth):
-        drawn = [layer.astype(np.float64) for layer in drawn]
-        covers = _covers(layers, drawn)
-        skin = avatar.posed_vertices(layers[0].model.rig.bone_transforms(positions, heads=avatar.bone_heads)).astype(
-            np.float64
-        )
-        skin = np.concatenate([skin, vertex_normals(skin, avatar.faces)], axis=1)
-        for mask, points, over in [
-            (body, skin, covers),
-            *((hidden[k], drawn[k], _over(layers[k], covers[k + 1 :])) for k in range(len(layers))),
-        ]:
-            left = np.flatnonzero(mask)
-            mask[left] = covered(points[left, :3], points[left, 3:], over)
-    return tuple(mask | (layer.tucked_depth > DEEP) for layer, mask in zip(layers, hidden)), body
-
-
-def _covers(layers: Sequence[Layer], drawn: Sequence[np.ndarray]) -> list[Cover]:
-    """Layers as they are drawn in a pose, (n, 6) each."""
-    return [Cover(d[:, :3], d[:, 3:], layer.hem_distance) for layer, d in zip(layers, drawn)]
-
-
-def _over(layer: Layer, covers: Sequence[Cover]) -> list[Cover]:
-    """What covers a layer. A tucked one may slide up, so that more of it, below a waistband, counts as near that."""
-    slides = SLIDES if layer.tucked else 0
-    return [replace(cover, hem_distance=cover.hem_distance - slides) for cover in covers]
-
-
-def _giving_visible(layer: Layer) -> Layer:
-    """A layer of which the faces that are not hidden are given, and their vertices."""
-    shown = layer.bound.faces[~faces_of(layer.bound.faces, layer.hidden)]
-    visible = np.unique(shown).astype(np.int32)
-    faces = np.searchsorted(visible, shown).astype(np.int32)
-    return replace(_untwisted(layer, layer.bound.of_vertices(visible, faces)), visible=visible)
-
-
-def _untwisted(layer: Layer, given: BoundGarment) -> Layer:
-    """What is tucked in does not twist."""
-    if layer.tucked:
-        given = replace(given, node_twist=np.empty(0, dtype=np.float32))
-    return replace(layer, given=given)
-
-
-def _orders(
-    layers: Sequence[Layer], cloth: list[list[np.ndarray]], tucks: list[tuple[int, int]]
-) -> tuple[LayerOrder, ...]:
-    """What keeps the order of every two layers: the outer one yields, or the inner one where it is tucked in."""
-    orders = []
-    for outer in range(len(layers)):
-        for inner in range(outer):
-            pair = (outer, inner) if (inner, outer) in tucks else (inner, outer)
-            rest = tuple(layers[k].rest[layers[k].visible, :3] for k in pair)
-            poses = [tuple(drawn[k][layers[k].visible] for k in pair) for drawn in cloth]
-            orders.append(bind_layer_order(*pair, rest, tuple(layers[k].faces for k in pair), poses))
-    return tuple(order for order in orders if order is not None)

@@ -17,7 +17,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import vertex_normals
-from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.garment_model import GarmentModel, SkinnedGarment
 from physkin_core.model.mlp import float32_layers, fold_modulation
 from physkin_core.model.node_deformer import fold_first_layer
 from physkin_core.model.skinning import unit
@@ -113,7 +113,7 @@ def bind_garment(
 
 
 def bind_points(
-    model: GarmentModel,
+    model: SkinnedGarment,
     points: np.ndarray,
     *,
     normals: np.ndarray | None = None,
@@ -169,7 +169,7 @@ def bind_points(
     }
 
 
-def rest_normals(model: GarmentModel, vertices: np.ndarray) -> np.ndarray:
+def rest_normals(model: SkinnedGarment, vertices: np.ndarray) -> np.ndarray:
     """Unit rest normals (n, 3) float32 of the garment reshaped to vertices (n, 3): the model's, turned as it is."""
     faces = model.garment.faces
     start, end = vertex_normals(model.garment.vertices, faces), vertex_normals(vertices, faces)
@@ -203,7 +203,7 @@ def _reject_far_points(distance: np.ndarray, farthest: float, bound: str, garmen
 
 
 def _influences_in_faces(
-    model: GarmentModel, corners: np.ndarray, barycentric: np.ndarray
+    model: SkinnedGarment, corners: np.ndarray, barycentric: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Skinning weights inside faces: the corners' mixed, the K largest kept. corners, barycentric: (n, 3)."""
     shares = model.influence_weights[corners] * np.clip(barycentric[..., None], 0, 1)

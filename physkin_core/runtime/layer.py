@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from physkin_core.model.garment import Garment
-from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.garment_model import GarmentModel, SkinnedGarment
 from physkin_core.model.surface_paths import openings, path_lengths
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import drape_poses
@@ -35,7 +35,8 @@ class WornGarment:
 class Layer:
     """A garment as an outfit wears it on its body.
 
-    model, tucked, fit: as asked for, the fit being known. bound: what drapes it, whole and by itself, over what lies
+    model, tucked, fit: as asked for, the fit being known; a model that another process has bound is there without its
+    networks. bound: what drapes it, whole and by itself, over what lies
     beneath. rest: (n, 6) float32 vertices and unit normals of the drape at rest, tucked in. at_rest: how it sits on the
     skin, before it is tucked in and taken in: that puts some of the hem into the skin below the waistband, where nobody
     sees it. tucked_depth: (n,) [m] below the waistband that it is tucked into, 0 above.
@@ -43,7 +44,7 @@ class Layer:
     the bound garment of these. moved: whether vertices are moved after skinning, to keep the order of layers or a tuck.
     """
 
-    model: GarmentModel
+    model: SkinnedGarment
     tucked: bool
     fit: float
     bound: BoundGarment
