@@ -9,12 +9,13 @@ Dimensions: `n` splats, `d` scalar degrees of freedom.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.skinning import SkinningData
 from physkin_core.outfit.draper import Draper
 from physkin_core.points.splats import Splats, moved_splats
 from physkin_core.runtime.binding import FARTHEST_POINT, bind_points
@@ -22,25 +23,38 @@ from physkin_core.runtime.evaluator import Skinner
 from physkin_core.runtime.layer import Layer
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
-__all__ = ["SplatDraper", "SplatSkinner"]
+__all__ = ["BoundSplats", "SplatDraper", "SplatSkinner", "bind_splats"]
 
 STEP = 0.003
 """[m] along an axis: short against folds, long against the precision of a position."""
 
 
+@dataclass(frozen=True)
+class BoundSplats:
+    """Splats on one garment as it is worn. skinning: of their centres, and then of the ends of three steps from each
+    along its axes: (4 n) points. scales: (n, 3) as of `Splats`."""
+
+    skinning: SkinningData
+    scales: np.ndarray
+
+
+def bind_splats(layer: Layer, splats: Splats) -> BoundSplats:
+    """Skin splats of a garment, in canonical space, to its garment nodes. Raises ValueError for splats farther than
+    5 cm from the garment."""
+    bind_points(layer.model, splats.centres)  # so that what is refused is named by its splat
+    ends = splats.centres + STEP * splats.axes().transpose(2, 0, 1)
+    points = np.concatenate([splats.centres[None], ends]).reshape(-1, 3)
+    placed = bind_points(layer.model, points, rest=layer.bound.vertices, farthest=FARTHEST_POINT + STEP)
+    del placed["faces"]
+    return BoundSplats(SkinningData(node_rest=layer.bound.node_rest, **placed), splats.scales)
+
+
 class SplatSkinner:
-    """Splats of a garment as it is worn, where its garment nodes take them.
+    """Splats of a garment where its garment nodes take them. Raises ValueError as `Skinner` does."""
 
-    splats: of the garment, in canonical space. Raises ValueError for splats farther than 5 cm from the garment.
-    """
-
-    def __init__(self, layer: Layer, splats: Splats) -> None:
-        bind_points(layer.model, splats.centres)  # so that what is refused is named by its splat
-        ends = splats.centres + STEP * splats.axes().transpose(2, 0, 1)
-        points = np.concatenate([splats.centres[None], ends]).reshape(-1, 3)
-        placed = bind_points(layer.model, points, rest=layer.bound.vertices, farthest=FARTHEST_POINT + STEP)
-        self._skinner = Skinner(replace(layer.bound, **placed))
-        self._scales = splats.scales
+    def __init__(self, bound: BoundSplats) -> None:
+        self._skinner = Skinner(bound.skinning)
+        self._scales = bound.scales
 
     @property
     def splat_count(self) -> int:
@@ -66,7 +80,7 @@ class SplatDraper:
     def __init__(self, model: GarmentModel, avatar: Avatar, splats: Splats, *, fit: float | None = None) -> None:
         self._draper = Draper(model, avatar, fit=fit)
         self.avatar = self._draper.avatar
-        self._skinner = SplatSkinner(self._draper.layer, splats)
+        self._skinner = SplatSkinner(bind_splats(self._draper.layer, splats))
 
     @property
     def splat_count(self) -> int:

@@ -16,9 +16,9 @@ from physkin_core.avatar.avatar import Avatar, AvatarWarning
 from physkin_core.motion.motion import Motion
 from physkin_core.native_module import native
 from physkin_core.rig.rig import Rig
-from physkin_core.separation.collision_shape import fit_collision_shape
+from physkin_core.separation.collision_shape import CollisionShape, fit_collision_shape
 
-__all__ = ["LimbSeparator", "SeparationSettings", "bind_limbs", "separated_motion"]
+__all__ = ["BoundLimbs", "LimbSeparator", "SeparationSettings", "bind_limbs", "fit_limbs", "separated_motion"]
 
 log = logging.getLogger(__name__)
 
@@ -40,11 +40,30 @@ class SeparationSettings:
     steps: int = 3
 
 
+@dataclass(frozen=True)
+class BoundLimbs:
+    """The limbs of one body: what a `LimbSeparator` needs. shape: of the body. joint_names: (d,) of the rig. warnings:
+    limbs that are left out, and why."""
+
+    shape: CollisionShape
+    joint_names: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+
+
+def fit_limbs(rig: Rig, avatar: Avatar) -> BoundLimbs:
+    """Fit a collision shape to a body's skin: a tenth of a second. Arguments and ValueErrors: as of `LimbSeparator`."""
+    if len(avatar.bone_heads) != rig.bone_count:
+        raise ValueError(f"avatar {avatar.source} has {len(avatar.bone_heads)} bones, the rig {rig.bone_count}")
+    started = perf_counter()
+    shape, left_out = fit_collision_shape(avatar, rig, onset=SeparationSettings().onset)
+    log.info("fitted a collision shape to %s in %.0f ms", avatar.source, 1e3 * (perf_counter() - started))
+    return BoundLimbs(shape, rig.joint_names, left_out)
+
+
 class LimbSeparator:
     """Separates the limbs of one body, a pose at a time. Not for use by two threads at once.
 
-    rig: whose joint positions come in; avatar: a body bound to it. Binding fits a collision shape to the body's skin: a
-    tenth of a second.
+    rig: whose joint positions come in; avatar: a body bound to it, which `fit_limbs` looks at.
     warnings: limbs that are left out, and why. A pose that is free is given back as it is; the canonical pose is, too:
     what touches there may. Positions stay within the rig's limits, or, where they were given beyond, do not go farther.
     The result depends on the pose alone, continuously, so that motion that is smooth stays so.
@@ -52,13 +71,18 @@ class LimbSeparator:
     """
 
     def __init__(self, rig: Rig, avatar: Avatar) -> None:
-        if len(avatar.bone_heads) != rig.bone_count:
-            raise ValueError(f"avatar {avatar.source} has {len(avatar.bone_heads)} bones, the rig {rig.bone_count}")
-        settings, started = SeparationSettings(), perf_counter()
-        self.shape, self.warnings = fit_collision_shape(avatar, rig, onset=settings.onset)
-        log.info("fitted a collision shape to %s in %.0f ms", avatar.source, 1e3 * (perf_counter() - started))
-        self.joint_names = rig.joint_names
-        self._separator = native.LimbSeparator(self.shape, *astuple(settings))
+        self._bind(fit_limbs(rig, avatar))
+
+    @classmethod
+    def of_bound(cls, limbs: BoundLimbs) -> LimbSeparator:
+        """The separator of limbs that were fitted already, maybe by another process."""
+        separator = cls.__new__(cls)
+        separator._bind(limbs)
+        return separator
+
+    def _bind(self, limbs: BoundLimbs) -> None:
+        self.shape, self.joint_names, self.warnings = limbs.shape, limbs.joint_names, limbs.warnings
+        self._separator = native.LimbSeparator(self.shape, *astuple(SeparationSettings()))
 
     def separate(self, joint_positions: np.ndarray, *, out: np.ndarray | None = None) -> tuple[np.ndarray, float]:
         """Positions moved as little as needed, and by how much.

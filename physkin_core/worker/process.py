@@ -13,13 +13,12 @@ from threading import Lock
 from time import monotonic
 from typing import Any
 
+from physkin_core.file_reading import sentence
 from physkin_core.worker.channel import Channel
 from physkin_core.worker.codec import Codec, CodecError
 
 __all__ = ["Worker", "WorkerError"]
 
-LONGEST = 300
-"""Letters of a sentence that says what went wrong."""
 ENDS_WITHIN = 5.0
 """[s] a process that was killed, or has closed its end, is gone."""
 
@@ -87,12 +86,12 @@ class Worker:
                     self._wait()
                 status = self._process.poll()
                 self._replace()
-                raise WorkerError(_short(f"{what} {self._fate(error, status)}")) from error
+                raise WorkerError(sentence(f"{what} {self._fate(error, status)}")) from error
         if "refused" in said:
-            raise WorkerError(_short(said["refused"]))
+            raise WorkerError(sentence(said["refused"]))
         if "memory" in said:
             too_much = f"it takes more than {self.memory} MiB of memory (load_memory)"
-            raise WorkerError(_short(f"{what} could not be loaded: {too_much}; use a smaller file"))
+            raise WorkerError(sentence(f"{what} could not be loaded: {too_much}; use a smaller file"))
         if "failed" in said:
             raise RuntimeError(said["failed"])
         return said["answer"]
@@ -141,6 +140,3 @@ class Worker:
         with contextlib.suppress(subprocess.TimeoutExpired):  # it hangs in a read of the system's
             self._process.wait(ENDS_WITHIN)
 
-
-def _short(sentence: str) -> str:
-    return sentence if len(sentence) <= LONGEST else sentence[: LONGEST - 3] + "..."

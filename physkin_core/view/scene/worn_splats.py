@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from physkin_core.outfit.outfit import Outfit
-from physkin_core.points.point_files import PointFile, splat_colours
+from physkin_core.points.point_files import splat_colours
 from physkin_core.points.splat_draper import SplatSkinner
 from physkin_core.points.splats import Splats
-from physkin_core.quality import closest_points
+from physkin_core.points.splats_on_outfit import SplatsOnOutfit
 
 __all__ = ["SplatFrame", "WornSplats"]
 
@@ -28,21 +26,11 @@ class SplatFrame:
 
 
 class WornSplats:
-    """The splats of a file on the garment that they lie on; order of layers and tucks do not move them.
+    """Splats, skinned to the garment of an outfit that they are on."""
 
-    Raises ValueError for splats farther than 5 cm from every garment of the outfit.
-    """
-
-    def __init__(self, path: Path, file: PointFile, outfit: Outfit) -> None:
-        some = file.points[:: -(-len(file.points) // 1000)]
-        meshes = [layer.model.garment for layer in outfit.layers]
-        apart = [closest_points(some, mesh.vertices, mesh.faces)[0].mean() for mesh in meshes]
-        self._garment = int(np.argmin(apart))
-        try:
-            self._skinner = SplatSkinner(outfit.layers[self._garment], file.splats)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
-        self._look = splat_colours(file.look, len(file.points))
+    def __init__(self, splats: SplatsOnOutfit) -> None:
+        self._garment, self._skinner = splats.garment, SplatSkinner(splats.bound)
+        self._look = splat_colours(splats.look, self._skinner.splat_count)
 
     def frame(self, node_transforms: tuple[np.ndarray, ...]) -> SplatFrame:
         """Where they are; as of `Outfit.node_transforms`."""
