@@ -10,6 +10,7 @@ import pytest
 from random_models import random_hyper_modulator
 
 from physkin_core import Garment, GarmentModel, load_body_model, load_garment_model, save_garment_model
+from physkin_core.loader.asset_loader import AssetLoader
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.mlp import modulation_size
 
@@ -31,6 +32,14 @@ def pytest_report_header() -> str | None:
 def exact_network_weights(monkeypatch):
     """Where a test does not choose, the native evaluator computes with network weights in fp32, as the reference."""
     monkeypatch.setenv("PHYSKIN_NATIVE_PRECISION", "fp32")
+
+
+@pytest.fixture(scope="session")
+def asset_loader():
+    """A loader with a process of its own, for all who need one."""
+    loader = AssetLoader()
+    yield loader
+    loader.close()
 
 
 @pytest.fixture(scope="session")

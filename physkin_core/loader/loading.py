@@ -8,22 +8,19 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import sys
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import load_avatar
-from physkin_core.file_reading import LARGEST_FILE, shown
+from physkin_core.file_reading import LARGEST_FILE
 from physkin_core.loader.kept import Kept
 from physkin_core.loader.requests import (
     CODEC,
     AvatarRequest,
-    GarmentRequest,
     LoadedAvatar,
     LoadedOutfit,
     MotionRequest,
@@ -31,23 +28,25 @@ from physkin_core.loader.requests import (
 )
 from physkin_core.look.face_colours import avatar_colours
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.model_file import load_garment_model, model_source, split_fabric
+from physkin_core.model.model_file import load_garment_model, model_content, split_fabric
 from physkin_core.motion.loading import load_motion
 from physkin_core.outfit.bound_outfit import BoundOutfit, bind_outfit
-from physkin_core.points.point_files import PointFile, read_splat_file
+from physkin_core.points.point_files import read_splat_file
 from physkin_core.points.splats_on_outfit import SplatsOnOutfit, splats_on_outfit
 from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_core.runtime.layer import WornGarment
-from physkin_core.separation.limb_separator import fit_limbs
+from physkin_core.separation.limb_separator import BoundLimbs, fit_limbs
 
-__all__ = ["Loading"]
+__all__ = ["KEPT_BYTES", "Loading"]
 
 KEPT_BYTES = 128_000_000
+"""Of models, avatars and outfits that were loaded last."""
 LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
 
 
 class Loading:
-    """Answers requests. Raises ValueError or OSError naming what is wrong with a file, or what cannot be worn so."""
+    """Answers the requests of `physkin_core.loader.requests`. Raises ValueError or OSError naming what is wrong with a
+    file, or what cannot be worn so."""
 
     def __init__(self) -> None:
         self._kept = Kept(KEPT_BYTES)
@@ -63,6 +62,120 @@ class Loading:
                     return LoadedAvatar(avatar, avatar_colours(avatar))
                 case MotionRequest():
                     return load_motion(request.motion)
-            raise TypeError(f"no request: {type(request).__name__}")
+            raise TypeError(f"{type(request).__name__} is no request")
         finally:
             _return_memory()
+
+    def _outfit(self, request: OutfitRequest) -> LoadedOutfit:
+        """What a request for an outfit asks for."""
+        models = [self._model(garment.model) for garment in request.garments]
+        worn = [
+            WornGarment(model, tucked=garment.tucked, fit=checked_fit(model, garment.fit))
+            for (model, _), garment in zip(models, request.garments)
+        ]
+        body = Path(request.body)
+        with _unchanged(_files_of(body, request.rig_file)) as body_digest:
+            made_of = [(digest, garment.tucked, garment.fit) for (_, digest), garment in zip(models, worn)]
+            key = _digest(repr((body_digest, made_of, request.hide)).encode())
+            bound = self._kept.get(key)
+            if cached := bound is not None:
+                bound = replace(bound, avatar=replace(bound.avatar, source=str(body)))  # maybe it has another name
+            else:
+                avatar = self._avatar(body, request.rig_file, body_digest, models[0][0])
+                bound = bind_outfit(worn, avatar, hide=request.hide).without_networks()
+        if not cached:
+            self._keep(key, bound)
+        splats, refused = _splats(request.points, bound)
+        return LoadedOutfit(
+            key=key,
+            bound=None if key in request.known else bound,
+            cached=cached,
+            limbs=self._limbs(key, bound) if request.limbs else None,
+            splats=splats,
+            splats_refused=refused,
+            colours=avatar_colours(bound.avatar.with_accessories()) if request.colours else None,
+        )
+
+    def _model(self, name: str) -> tuple[GarmentModel, str]:
+        """A garment model, and what it is known by: its content and its fabric."""
+        content = model_content(name)
+        key = f"{_digest(content)}:{split_fabric(name)[1]}"
+        model = self._kept.get(key)
+        if model is None:
+            model = load_garment_model(name, content=content)
+            self._kept.keep(key, model, sum(array.nbytes for array in model.arrays().values()))
+        return model, key
+
+    def _avatar(self, body: Path, rig_file: str, digest: str, model: GarmentModel) -> Avatar:
+        """The body in the canonical pose of the model's rig. digest: of its files."""
+        key = "avatar", digest, repr(model.rig.to_json())
+        avatar = self._kept.get(key)
+        if avatar is None:
+            avatar = load_avatar(body, model.rig, rig_file=rig_file or None)
+            self._keep(key, avatar)
+        return replace(avatar, source=str(body))
+
+    def _limbs(self, outfit: str, bound: BoundOutfit) -> BoundLimbs:
+        key = "limbs", outfit
+        limbs = self._kept.get(key)
+        if limbs is None:
+            limbs = fit_limbs(bound.layers[0].model.rig, bound.avatar)
+            self._keep(key, limbs)
+        return limbs
+
+    def _keep(self, key: Hashable, value: object) -> None:
+        self._kept.keep(key, value, sum(array.nbytes for array in CODEC.encode(value)[1]))
+
+
+def _splats(points: str, bound: BoundOutfit) -> tuple[SplatsOnOutfit | None, str]:
+    """Splats of a file on an outfit; where they cannot be used, the reason. The outfit can be worn without them."""
+    if not points:
+        return None, ""
+    try:
+        return splats_on_outfit(points, read_splat_file(points), bound.layers), ""
+    except (ValueError, OSError) as error:
+        return None, str(error)
+
+
+def _files_of(body: Path, rig_file: str) -> list[Path]:
+    """Everything that a body is read from: the mesh, its rig file, and the buffers beside a .gltf."""
+    files = [body, Path(rig_file) if rig_file else body.with_suffix(".rig.json")]
+    if body.suffix.lower() == ".gltf":
+        files += sorted(body.parent.glob("*.bin"))
+    return files
+
+
+@contextmanager
+def _unchanged(files: Sequence[Path]) -> Iterator[str]:
+    """Gives a digest of files, of those that are there, by content and kind. Raises ValueError at the end where it is
+    another one by then: what was read may not be what it is of."""
+    before = _digest_of(files)
+    yield before
+    if _digest_of(files) != before:
+        raise ValueError(f"{files[0]} changed while it was read; load it again")
+
+
+def _digest_of(files: Sequence[Path]) -> str:
+    known = [(file.suffix.lower(), _file_digest(file)) for file in files if _readable(file)]
+    return _digest(repr(known).encode())
+
+
+def _readable(file: Path) -> bool:
+    """Larger files and what is no file are refused by whoever reads them."""
+    return file.is_file() and file.stat().st_size <= LARGEST_FILE
+
+
+def _file_digest(file: Path) -> str:
+    with open(file, "rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _return_memory() -> None:
+    """Give back to the system what loading has left free: where bodies are swapped for days, glibc keeps half as much
+    again in pieces."""
+    if trim := getattr(LIBC, "malloc_trim", None):
+        trim(0)

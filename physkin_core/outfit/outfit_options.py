@@ -26,6 +26,7 @@ __all__ = [
     "add_tucked_option",
     "chosen_garments",
     "dressed",
+    "named_garments",
     "print_warnings",
     "read_motion",
     "the_garment",
@@ -112,18 +113,21 @@ def the_garment(names: Sequence[str] | None, taker: str) -> str:
     return name
 
 
-def chosen_garments(names: Sequence[str] | None, tucked: Sequence[str]) -> list[WornGarment]:
-    """Garments by file or shipped name, from the skin outwards; a T-shirt where none is named.
-
-    Raises ValueError when one is tucked that is not worn, or a file is no model."""
+def named_garments(names: Sequence[str] | None, tucked: Sequence[str]) -> list[tuple[str, bool]]:
+    """Garments by file or shipped name, from the skin outwards, and whether each is tucked in; a T-shirt where none is
+    named. Raises ValueError when one is tucked that is not worn."""
     names = names or [DEFAULT]
     files = [split_fabric(name)[0] for name in names]
     for name in tucked:
         if name not in names and name not in files:
             raise ValueError(f"--tucked {name}: none of the garments, which are {', '.join(names)}")
+    return [(name, name in tucked or file in tucked) for name, file in zip(names, files)]
+
+
+def chosen_garments(names: Sequence[str] | None, tucked: Sequence[str]) -> list[WornGarment]:
+    """The same, loaded. Raises ValueError, too, when a file is no model."""
     return [
-        WornGarment(load_garment_model(name), tucked=name in tucked or file in tucked)
-        for name, file in zip(names, files)
+        WornGarment(load_garment_model(name), tucked=is_tucked) for name, is_tucked in named_garments(names, tucked)
     ]
 
 

@@ -71,7 +71,7 @@ class Drawing:
         for surface in (*self._surfaces, *self._plain):
             surface.remove()
         self.figures, self.skin_shows = OutfitFigures(frame.outfit), None
-        self._own = own_bands(frame.outfit.body_to_draw, _shown(frame))
+        self._own = own_bands(frame.own_colours, _shown(frame))
         self._surfaces = self._new_surfaces("/world/figure", frame)
         self._plain = []
 

@@ -6,9 +6,11 @@ import argparse
 import signal
 import sys
 import webbrowser
+from contextlib import closing
 from importlib import import_module
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR
+from physkin_core.loader.asset_loader import AssetLoader
 from physkin_core.outfit.outfit_options import (
     add_fit_option,
     add_garment_option,
@@ -32,11 +34,17 @@ def main(argv: list[str]) -> int:
     options = command_parser().parse_args(argv)
     if options.ros:
         return import_module(ROS_PAGE).show(options)
+    with closing(AssetLoader()) as loader:
+        return _show(options, loader)
+
+
+def _show(options: argparse.Namespace, loader: AssetLoader) -> int:
     from physkin_core.view.scene.scene_state import SceneState
     from physkin_core.view.viewer import Viewer
 
     motion = None if options.motion == "none" else options.motion
     state = SceneState(
+        loader,
         options.garment or WORN,
         tucked=options.tucked,
         body=options.avatar or BUNDLED_AVATAR,

@@ -76,6 +76,6 @@ class Channel:
         self._end.close()
 
 
-def _bytes_of(array: np.ndarray) -> np.ndarray:
+def _bytes_of(array: np.ndarray) -> memoryview:
     """A view of a C-contiguous array: what is written there is written into it."""
-    return array.reshape(-1).view(np.uint8)
+    return array.reshape(-1).view(np.uint8).data

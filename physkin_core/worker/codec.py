@@ -62,16 +62,16 @@ class Codec:
         except (ValueError, TypeError, AttributeError, LookupError, RecursionError) as error:
             raise CodecError(f"not a message: {error}") from error
 
-    def _object(self, kind: str, said: Mapping[str, object], arrays: list, objects: list) -> object:
+    def _object(self, kind: str, said: Mapping[str, object], arrays: list[np.ndarray], objects: list[object]) -> object:
         made = self._kinds[kind]
         if said.keys() != {field.name for field in fields(made)}:
             raise CodecError(f"a {kind} of the fields {', '.join(said)}")
-        new = object.__new__(made)
+        new: object = object.__new__(made)
         for name, value in said.items():
             object.__setattr__(new, name, self._value(value, arrays, objects))
         return new
 
-    def _value(self, said: Any, arrays: list, objects: list) -> object:
+    def _value(self, said: Any, arrays: list[np.ndarray], objects: list[object]) -> object:
         if isinstance(said, list):
             return tuple(self._value(each, arrays, objects) for each in said)
         if not isinstance(said, dict):
@@ -79,7 +79,7 @@ class Codec:
         ((how, what),) = said.items()
         if how == "mapping":
             return {key: self._value(each, arrays, objects) for key, each in what.items()}
-        return {"array": arrays, "object": objects}[how][what]
+        return arrays[what] if how == "array" else {"object": objects}[how][what]
 
 
 class _Writing:
@@ -88,8 +88,8 @@ class _Writing:
     def __init__(self, kinds: Mapping[str, type]) -> None:
         self._kinds = kinds
         self.arrays: list[np.ndarray] = []
-        self.objects: list[dict] = []
-        self._known: dict[int, dict] = {}
+        self.objects: list[dict[str, Any]] = []
+        self._known: dict[int, dict[str, int]] = {}
 
     def say(self, value: Any) -> Any:
         if value is None or type(value) in PLAIN:
@@ -106,12 +106,12 @@ class _Writing:
             self._known[id(value)] = self._array(value) if isinstance(value, np.ndarray) else self._object(value)
         return self._known[id(value)]
 
-    def _array(self, array: np.ndarray) -> dict:
-        _dtype(_description(array.dtype))
-        self.arrays.append(array)
+    def _array(self, array: np.ndarray) -> dict[str, int]:
+        dtype = _dtype(_description(array.dtype))
+        self.arrays.append(array.astype(dtype, copy=False))
         return {"array": len(self.arrays) - 1}
 
-    def _object(self, value: Any) -> dict:
+    def _object(self, value: Any) -> dict[str, int]:
         kind = type(value)
         if self._kinds.get(kind.__name__) is not kind:
             raise CodecError(f"{kind.__name__} cannot be sent")
@@ -121,7 +121,8 @@ class _Writing:
 
 
 def _description(dtype: np.dtype) -> Any:
-    return dtype.str if dtype.names is None else dtype.descr
+    """What JSON can say of it; records without what lies between their fields."""
+    return dtype.str if dtype.names is None else [(name, dtype[name].str) for name in dtype.names]
 
 
 def _dtype(described: Any) -> np.dtype:
@@ -133,7 +134,7 @@ def _dtype(described: Any) -> np.dtype:
     return dtype
 
 
-def _product(shape: tuple) -> int:
+def _product(shape: tuple[Any, ...]) -> int:
     """Elements of a shape; Python's own integers do not overflow."""
     count = 1
     for size in shape:

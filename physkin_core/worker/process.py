@@ -19,6 +19,8 @@ from physkin_core.worker.codec import Codec, CodecError
 
 __all__ = ["Worker", "WorkerError"]
 
+STARTS_WITHIN = 120.0
+"""[s] a process says that it is ready; that does not count as the time of its first answer."""
 ENDS_WITHIN = 5.0
 """[s] a process that was killed, or has closed its end, is gone."""
 
@@ -43,6 +45,7 @@ class Worker:
         self._begin()
 
     def _begin(self) -> None:
+        self._ready = False
         ours, its = socket.socketpair()
         self._channel = Channel(ours, self._codec)
         paths = dict.fromkeys(os.path.abspath(path) for path in sys.path)
@@ -70,23 +73,18 @@ class Worker:
         with self._asking:
             if self._closed:
                 raise WorkerError(f"{what} was not loaded: the loader is closed")
-            self._cancelled = False
             if self._process.poll() is not None:  # it was killed while nobody asked
                 self._replace()
-            deadline = monotonic() + self.seconds
             try:
-                self._channel.send(request)
-                said = self._channel.receive(deadline)
-                while "log" in said:
-                    name, level, text = said["log"]
-                    logging.getLogger(name).log(level, "%s", text)
-                    said = self._channel.receive(deadline)
+                said = self._answer(request)
             except (EOFError, TimeoutError, CodecError) as error:
                 if isinstance(error, EOFError):
                     self._wait()
-                status = self._process.poll()
+                fate = self._fate(error, self._process.poll())
                 self._replace()
-                raise WorkerError(sentence(f"{what} {self._fate(error, status)}")) from error
+                raise WorkerError(sentence(f"{what} {fate}")) from error
+            finally:
+                self._cancelled = False
         if "refused" in said:
             raise WorkerError(sentence(said["refused"]))
         if "memory" in said:
@@ -96,10 +94,25 @@ class Worker:
             raise RuntimeError(said["failed"])
         return said["answer"]
 
+    def _answer(self, request: object) -> Any:
+        if not self._ready:
+            self._channel.receive(monotonic() + STARTS_WITHIN)
+            self._ready = True
+        deadline = monotonic() + self.seconds
+        self._channel.send(request)
+        said = self._channel.receive(deadline)
+        while "log" in said:
+            name, level, text = said["log"]
+            logging.getLogger(name).log(level, "%s", text)
+            said = self._channel.receive(deadline)
+        return said
+
     def _fate(self, error: Exception, status: int | None) -> str:
         """Why there is no answer. status: with which the process ended, None where it had not."""
         if self._cancelled:
             return "was not loaded: loading was cancelled"
+        if not self._ready:
+            return f"could not be loaded: the process that reads files has not started (exit status {status})"
         if isinstance(error, TimeoutError) or status == -signal.SIGALRM:
             return f"could not be loaded within {self.seconds:g} s (load_seconds); use a smaller file"
         if isinstance(error, CodecError) or status is None:
@@ -139,4 +152,3 @@ class Worker:
     def _wait(self) -> None:
         with contextlib.suppress(subprocess.TimeoutExpired):  # it hangs in a read of the system's
             self._process.wait(ENDS_WITHIN)
-

@@ -48,6 +48,7 @@ def serve(answer: Callable[[Any], object], codec: Codec) -> None:
     logger.setLevel(logging.INFO)
     logger.addHandler(_Forwarding(channel))
     logger.propagate = False
+    channel.send({"ready": True})
     while True:
         try:
             request = channel.receive()

@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,7 +18,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState, PointCloud2
 
-from physkin_core import load_avatar, load_body_model
+from physkin_core import load_body_model
+from physkin_core.loader.asset_loader import AssetLoader
+from physkin_core.loader.requests import LoadedAvatar
 from physkin_core.picture import BODY_COLOUR, layer_colours
 from physkin_core.view.page import Page, Readout
 from physkin_core.view.scene.heat_map import own_bands
@@ -146,18 +149,18 @@ def _avatar_of(topic: str) -> str:
 
 
 class RosPage:
-    """Draws what a listener has. body: avatar file whose joint states are shown too, or None.
+    """Draws what a listener has. body: an avatar of the body model's rig, whose joint states are shown too, or None.
 
     What is in one frame is a figure. It stands where TF says, and the page looks at the middle of all such; figures
     that TF does not know stand in a row.
     """
 
-    def __init__(self, page: Page, listener: CloudListener, *, body: str | None = None, rig_file=None) -> None:
+    def __init__(self, page: Page, listener: CloudListener, *, body: LoadedAvatar | None = None) -> None:
         self._page, self._listener = page, listener
         self._readout = Readout(page)
         self._rig = load_body_model().rig
-        self._avatar = None if body is None else load_avatar(body, self._rig, rig_file=rig_file).with_accessories()
-        self._own = (None, None) if self._avatar is None else own_bands(self._avatar)
+        self._avatar = None if body is None else body.avatar
+        self._own = own_bands(None if body is None else body.colours)
         self._bodies: dict[str, tuple[str, SurfaceNode]] = {}
         self._cloths: dict[str, tuple[object, np.ndarray | None, int]] = {}
         self._figures: dict[str, object] = {}
@@ -260,8 +263,12 @@ def show(options: argparse.Namespace) -> int:
     use_shipped_profile()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # Ctrl+C ends the page, and that this
     listener = CloudListener(options.joint_states or ["joint_states"])
+    body = None
+    if options.avatar is not None:
+        with closing(AssetLoader()) as loader:
+            body = loader.avatar(options.avatar, rig_file=options.rig)
     page = Page(host=options.host, port=options.port, title="PhySkin, ROS")
-    drawn = RosPage(page, listener, body=options.avatar, rig_file=options.rig)
+    drawn = RosPage(page, listener, body=body)
     executor = SingleThreadedExecutor()
     executor.add_node(listener)
     spinning = threading.Thread(target=executor.spin, daemon=True)

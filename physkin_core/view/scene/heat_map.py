@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physkin_core.avatar.avatar import Avatar
-from physkin_core.look.face_colours import avatar_colours
 from physkin_core.look.surfaces import few_colours
 
 __all__ = ["SKIN_BANDS", "STRAIN_BANDS", "Bands", "Colour", "Part", "as_bytes", "own_bands", "parts_of"]
@@ -57,10 +55,12 @@ MOST_COLOURS = 16
 """Of a body: each is a mesh of its own."""
 
 
-def own_bands(avatar: Avatar, faces: np.ndarray | slice = slice(None)) -> tuple[Bands | None, np.ndarray | None]:
-    """The colours of an avatar's own materials, few enough to draw, and which of them each of its faces has, as values
-    of the bands. None, twice, where its file has no materials. faces: (f,) a mask of those that are drawn."""
-    colours = avatar_colours(avatar)
+def own_bands(
+    colours: np.ndarray | None, faces: np.ndarray | slice = slice(None)
+) -> tuple[Bands | None, np.ndarray | None]:
+    """The colours of a body's own materials, few enough to draw, and which of them each of its faces has, as values of
+    the bands. colours: (F, 3) sRGB in [0, 1] of all its faces. None, twice, where it has no materials. faces: (F,) a
+    mask of those that are drawn."""
     if colours is None:
         return None, None
     palette, index = few_colours(colours[faces], MOST_COLOURS)

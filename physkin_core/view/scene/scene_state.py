@@ -5,7 +5,6 @@ Dimensions: `d` degrees of freedom, `V` body vertices, `v` vertices given of a g
 
 from __future__ import annotations
 
-import warnings
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,16 +14,14 @@ from time import perf_counter
 
 import numpy as np
 
-from physkin_core.avatar.avatar import AvatarWarning
-from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
+from physkin_core.avatar.loading import BUNDLED_AVATAR
+from physkin_core.loader.asset_loader import AssetLoader
+from physkin_core.loader.requests import GarmentRequest, OutfitRequest
 from physkin_core.model.model_file import split_fabric
-from physkin_core.motion.loading import load_motion
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.outfit.outfit_options import chosen_garments
+from physkin_core.outfit.outfit_options import named_garments
 from physkin_core.picture import BODY_COLOUR, layer_colours
-from physkin_core.points.point_files import read_splat_file
-from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import plain_skinning
 from physkin_core.separation.limb_separator import LimbSeparator
 from physkin_core.view.scene.heat_map import Colour
@@ -45,8 +42,9 @@ class Frame:
 
     outfit: what is worn. pose: of the body, with its place in the world. body: (V, 3) float32. cloth: (v, 6) float32 of
     each garment, positions and normals, overwritten by the next frame. plain: (v, 3) of each garment by plain skinning,
-    where asked for. nodes: (m, 3) garment nodes of each garment. splats: of one of them, if any. microseconds: what
-    draping takes, the median of the last frames.
+    where asked for. nodes: (m, 3) garment nodes of each garment. splats: of one of them, if any. colours: of the body
+    and each garment. own_colours: (F, 3) sRGB of the body's faces by its own materials, where it has any. microseconds:
+    what draping takes, the median of the last frames.
     """
 
     outfit: Outfit
@@ -57,16 +55,17 @@ class Frame:
     nodes: tuple[np.ndarray, ...]
     splats: SplatFrame | None
     colours: tuple[Colour, ...]
+    own_colours: np.ndarray | None
     microseconds: float
 
 
 class SceneState:
     """Changed from any thread, drawn by one: `advance` gives the frames.
 
-    garments: names of shipped models or files, from the skin outwards; tucked: those of them whose hem is under the
-    next one's waistband. body: an avatar file; rig_file: of one without a skin. motion: as `load_motion` takes it, or
-    None. fit: as of `Outfit`. separate_limbs: whether poses go through a `LimbSeparator`. points: a file of splats
-    where one of the garments lies; while that is worn, frames have them.
+    loader: of all files. garments: names of shipped models or files, from the skin outwards; tucked: those of them
+    whose hem is under the next one's waistband. body: an avatar file; rig_file: of one without a skin. motion: as
+    `load_motion` takes it, or None. fit: as of `Outfit`. separate_limbs: whether poses go through a `LimbSeparator`.
+    points: a file of splats where one of the garments lies; while that is worn, frames have them.
     warnings: of what is worn, and of limbs that are not separated. rig: whose joints there are. playing, speed: of the
     motion; seconds: its time. sway: as of `Outfit`. pose: shown now; posed_by_hand: whether a joint was set last.
     show_plain: compute plain skinning too.
@@ -75,6 +74,7 @@ class SceneState:
 
     def __init__(
         self,
+        loader: AssetLoader,
         garments: Sequence[str],
         *,
         tucked: Sequence[str] = (),
@@ -85,8 +85,7 @@ class SceneState:
         separate_limbs: bool = False,
         points: str | Path | None = None,
     ) -> None:
-        self._fit = fit
-        self._points = None if points is None else (Path(points), read_splat_file(points))
+        self._loader, self._fit, self._points = loader, fit, points
         self._splats: WornSplats | None = None
         self._binding, self._lock = Lock(), RLock()
         self._changed = True
@@ -117,49 +116,44 @@ class SceneState:
     def put_on(self, body: str | Path, *, rig_file: str | Path | None = None) -> None:
         """Put the garments on another body."""
         with self._binding:
-            self._dress(self.garments, self.tucked, Path(body), rig_file, self.separate_limbs, new_body=True)
+            self._dress(self.garments, self.tucked, Path(body), rig_file, self.separate_limbs)
 
     def separate(self, limbs: bool) -> None:
         """Separate limbs before draping, or no longer."""
         with self._binding:
             self._dress(self.garments, self.tucked, self.body, self.rig_file, limbs)
 
-    def _dress(self, garments, tucked, body, rig_file, separate_limbs, *, new_body: bool = False) -> None:
+    def _dress(self, garments, tucked, body, rig_file, separate_limbs) -> None:
         if not garments:
             raise ValueError("nothing to wear: choose at least one garment")
-        chosen = chosen_garments(garments, sorted(tucked))
-        rig = chosen[0].model.rig
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", AvatarWarning)  # they are in `Outfit.warnings`
-            known = self.outfit is not None and not new_body and _same_rig(rig, self.rig)
-            avatar = self._avatar if known else load_avatar(body, rig, rig_file=rig_file)
-            outfit = Outfit(chosen, avatar, fit=self._fit)
-        player = None if self._player is None else MotionPlayer(self._player.motion, rig, outfit.avatar)
-        splats = self._bound_splats(outfit)
-        separator = LimbSeparator(rig, avatar) if separate_limbs else None
+        named = named_garments(garments, sorted(tucked))
+        request = OutfitRequest(
+            tuple(GarmentRequest(name, tucked=is_tucked, fit=self._fit) for name, is_tucked in named),
+            str(body),
+            str(rig_file or ""),
+            limbs=separate_limbs,
+            points=str(self._points or ""),
+            colours=True,
+        )
+        outfit, loaded = self._loader.outfit(request)
+        if loaded.splats_refused and self.outfit is None:  # later, the garment that they lie on has been taken off
+            raise ValueError(loaded.splats_refused)
+        rig, avatar = outfit.rig, outfit.avatar
+        player = None if self._player is None else MotionPlayer(self._player.motion, rig, avatar)
+        separator = None if loaded.limbs is None else LimbSeparator.of_bound(loaded.limbs)
+        splats = None if loaded.splats is None else WornSplats(loaded.splats)
         with self._lock:
             posed = self.outfit is not None and self.rig.joint_names == rig.joint_names
             positions = self.pose.positions if posed else rig.rest
             self.garments, self.tucked = tuple(garments), frozenset(tucked)
             self.body, self.rig_file, self.separate_limbs = body, rig_file, separate_limbs
-            self._avatar, self.rig, self._player, self.outfit = avatar, rig, player, outfit
-            self._splats, self._separator = splats, separator
+            self.rig, self._player, self.outfit = rig, player, outfit
+            self._splats, self._separator, self._own_colours = splats, separator, loaded.colours
             self.warnings = outfit.warnings + (() if separator is None else separator.warnings)
             self.pose = standing_pose(positions, avatar) if player is None else player.pose(self.seconds)
             self._cloth = tuple(np.zeros((layer.vertex_count, 6), dtype=np.float32) for layer in outfit.layers)
             self._times: deque[float] = deque(maxlen=TIMED_FRAMES)
             self._changed = True
-
-    def _bound_splats(self, outfit: Outfit) -> WornSplats | None:
-        """None, too, once the garment that they lie on has been taken off."""
-        if self._points is None:
-            return None
-        try:
-            return WornSplats(*self._points, outfit)
-        except ValueError:
-            if self.outfit is None:
-                raise
-            return None
 
     @property
     def cloth_colours(self) -> tuple[Colour, ...]:
@@ -199,12 +193,12 @@ class SceneState:
 
     def choose_motion(self, motion: str | Path | None) -> None:
         """Show a motion from its start, or, with None, a pose that joints are set to, upright where the body stands."""
-        loaded = None if motion is None else load_motion(motion)
+        loaded = None if motion is None else self._loader.motion(motion)
         with self._lock:
-            self._player = None if loaded is None else MotionPlayer(loaded, self.rig, self._avatar)
+            self._player = None if loaded is None else MotionPlayer(loaded, self.rig, self.outfit.avatar)
             if self._player is None:
                 self.playing = False
-                self.pose = standing_pose(self.pose.positions, self._avatar)
+                self.pose = standing_pose(self.pose.positions, self.outfit.avatar)
                 self._changed = True
             else:
                 self.scrub(0.0)
@@ -242,7 +236,7 @@ class SceneState:
         with self._lock:
             self.playing = False
             self.posed_by_hand = False
-            self.pose = standing_pose(self.rig.rest, self._avatar)
+            self.pose = standing_pose(self.rig.rest, self.outfit.avatar)
             self._changed = True
 
     def redraw(self) -> None:
@@ -286,9 +280,6 @@ class SceneState:
             nodes=tuple(each[..., 3] for each in transforms),
             splats=None if self._splats is None else self._splats.frame(transforms),
             colours=(self.body_colour, *self.cloth_colours),
+            own_colours=self._own_colours,
             microseconds=float(np.median(self._times)),
         )
-
-
-def _same_rig(one: Rig, other: Rig) -> bool:
-    return one.joint_names == other.joint_names and np.array_equal(one.heads, other.heads)

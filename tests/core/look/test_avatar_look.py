@@ -97,7 +97,7 @@ def test_each_face_keeps_its_place_and_material(tmp_path, inside_out):
     np.testing.assert_allclose(avatar_colours(avatar)[clear], colours[clear], atol=0.02)
     half = np.arange(len(avatar.faces)) % 2 == 0
     np.testing.assert_array_equal(avatar_look(avatar, half).uv, look.uv[half])
-    bands, index = own_bands(avatar, half)
+    bands, index = own_bands(avatar_colours(avatar), half)
     assert len(bands.colours) <= MOST_COLOURS
     drawn = np.array(bands.colours)[bands.band(index)]
     np.testing.assert_allclose(drawn[clear[half]], colours[half][clear[half]], atol=0.02)
@@ -167,7 +167,7 @@ def test_a_damaged_picture_is_told(tmp_path, caplog, harm):
 
 def test_bodies_without_materials_have_no_look(tmp_path):
     avatar = load_avatar(BUNDLED_AVATAR, RIG)
-    assert avatar_look(avatar) is None and avatar_colours(avatar) is None and own_bands(avatar) == (None, None)
+    assert avatar_look(avatar) is None and avatar_colours(avatar) is None and own_bands(None) == (None, None)
     assert avatar_look(PERSON) is None
 
 

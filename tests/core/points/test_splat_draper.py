@@ -17,7 +17,7 @@ from physkin_core import (
     load_motion,
 )
 from physkin_core.avatar.avatar import avatar_from_body
-from physkin_core.points.splat_draper import SplatSkinner
+from physkin_core.points.splat_draper import SplatSkinner, bind_splats
 
 pytestmark = pytest.mark.filterwarnings("ignore::physkin_core.AvatarWarning")
 
@@ -54,7 +54,7 @@ def poses(tshirt):
 
 def test_splats_follow_the_garment_nodes_of_a_drape(tshirt, avatar, worn, poses):
     splats = splats_at(tshirt.garment.vertices[:50], scales=(0.004, 0.002, 0.001))
-    draper, skinner = SplatDraper(tshirt, avatar, splats), SplatSkinner(worn.layer, splats)
+    draper, skinner = SplatDraper(tshirt, avatar, splats), SplatSkinner(bind_splats(worn.layer, splats))
     assert draper.splat_count == skinner.splat_count == 50
     for pose in poses:
         worn.drape(*pose)
@@ -65,7 +65,7 @@ def test_splats_follow_the_garment_nodes_of_a_drape(tshirt, avatar, worn, poses)
 
 def test_centres_on_vertices_are_the_drape(tshirt, worn, poses):
     """Of a garment made to measure, too: centres are carried to the rest shape that is worn."""
-    skinner = SplatSkinner(worn.layer, splats_at(tshirt.garment.vertices))
+    skinner = SplatSkinner(bind_splats(worn.layer, splats_at(tshirt.garment.vertices)))
     for pose in poses:
         cloth = worn.drape(*pose)[:, :3]
         np.testing.assert_allclose(skinner.skin(worn.node_transforms()).centres, cloth, atol=2e-6)
@@ -107,7 +107,7 @@ def test_splats_stretch_as_the_cloth_does(tshirt, worn, poses):
     flat = frames(corners)
     quaternions = Rotation.from_matrix(flat / np.linalg.norm(flat, axis=1, keepdims=True)).as_quat()
     splats = Splats(corners.mean(axis=1), quaternions, np.tile([0.004, 0.004, 1e-5], (len(faces), 1)))
-    skinner = SplatSkinner(worn.layer, splats)
+    skinner = SplatSkinner(bind_splats(worn.layer, splats))
     for pose in poses:
         map_of_triangles = frames(worn.drape(*pose)[:, :3][faces]) @ np.linalg.inv(flat)
         found = skinner.skin(worn.node_transforms())

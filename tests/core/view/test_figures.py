@@ -16,9 +16,9 @@ from physkin_core.view.scene.scene_state import SceneState
 
 
 @pytest.fixture(scope="module")
-def dressed():
+def dressed(asset_loader):
     """A T-shirt at rest: its figures, and the frame."""
-    state = SceneState(["tshirt"])
+    state = SceneState(asset_loader, ["tshirt"])
     return OutfitFigures(state.outfit), state.advance(0.0)
 
 

@@ -24,9 +24,9 @@ JOINT = "clavicle.L_x"
 
 
 @pytest.fixture(scope="module")
-def shown():
+def shown(asset_loader):
     """A T-shirt on a page that runs: page and state."""
-    state, page = SceneState(["tshirt"], motion="walk"), Page(port=8380)
+    state, page = SceneState(asset_loader, ["tshirt"], motion="walk"), Page(port=8380)
     viewer = Viewer(page, state, motion="walk")
     running = threading.Thread(target=page.run, args=(viewer.tick,))
     running.start()

@@ -26,9 +26,9 @@ from physkin_core.view.scene.scene_state import SceneState
 
 
 @pytest.fixture(scope="module")
-def shared():
+def shared(asset_loader):
     """One T-shirt, for tests that set all that they need."""
-    return SceneState(["tshirt"])
+    return SceneState(asset_loader, ["tshirt"])
 
 
 @pytest.fixture
@@ -137,9 +137,9 @@ def test_plain_skinning_is_computed_where_asked_for(state):
     assert 0.002 < np.linalg.norm(frame.plain[0] - frame.cloth[0][:, :3], axis=1).max() < 0.3
 
 
-def test_outfit_in_order_with_colours():
+def test_outfit_in_order_with_colours(asset_loader):
     """Garments from the skin outwards, one tucked; what was chosen for a garment stays with it."""
-    state = SceneState(["tshirt", "trousers"], tucked=["tshirt"])
+    state = SceneState(asset_loader, ["tshirt", "trousers"], tucked=["tshirt"])
     assert isinstance(state.outfit, Outfit) and [layer.name for layer in state.outfit.layers] == ["tshirt", "trousers"]
     state.recolour(body=(0.1, 0.2, 0.3), cloth=[(1.0, 0.0, 0.0), state.cloth_colours[1]])
     state.wear(["trousers", "tshirt"])
@@ -148,9 +148,9 @@ def test_outfit_in_order_with_colours():
     assert len(frame.cloth) == 2 and frame.outfit is state.outfit
 
 
-def test_a_colour_stays_with_a_garment_of_another_fabric():
+def test_a_colour_stays_with_a_garment_of_another_fabric(asset_loader):
     """Chosen for the skirt, it is the denim skirt's, and the jersey one's again."""
-    state = SceneState(["skirt"])
+    state = SceneState(asset_loader, ["skirt"])
     red = (1.0, 0.0, 0.0)
     state.recolour(body=state.body_colour, cloth=[red])
     state.wear(["skirt:denim"])
@@ -201,9 +201,9 @@ def test_another_body(state, tmp_path):
     state.put_on(BUNDLED_AVATAR)
 
 
-def test_limbs_are_separated_and_those_left_out_are_told(monkeypatch):
+def test_limbs_are_separated_and_those_left_out_are_told(asset_loader, monkeypatch):
     """What is drawn is the separated pose, of body and cloth."""
-    state = SceneState(["tshirt"], separate_limbs=True)
+    state = SceneState(asset_loader, ["tshirt"], separate_limbs=True)
     assert state.warnings == state.outfit.warnings
     joint = state.rig.joint_names.index("upperarm01.L_x")
     state.set_joint(joint, -0.9)
@@ -214,7 +214,8 @@ def test_limbs_are_separated_and_those_left_out_are_told(monkeypatch):
     np.testing.assert_allclose(frame.body, state.outfit.posed_body(expected), atol=1e-6)
     (alone,) = Outfit([load_garment_model("tshirt")], state.outfit.avatar).drape(expected)
     np.testing.assert_allclose(frame.cloth[0], alone, atol=1e-5)
-    monkeypatch.setattr(scene_state, "LimbSeparator", lambda *_: SimpleNamespace(warnings=("a leg is not separated",)))
+    of_bound = lambda _: SimpleNamespace(warnings=("a leg is not separated",))  # noqa: E731
+    monkeypatch.setattr(scene_state, "LimbSeparator", SimpleNamespace(of_bound=of_bound))
     state.separate(True)
     assert state.warnings == (*state.outfit.warnings, "a leg is not separated")
 

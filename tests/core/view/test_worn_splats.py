@@ -25,9 +25,9 @@ def splats(tmp_path_factory, shirt):
     return path
 
 
-def test_splats_follow_every_frame(shirt, splats):
+def test_splats_follow_every_frame(asset_loader, shirt, splats):
     """Sliders move them as they do those of a draper; once their garment is off, there are none."""
-    state = SceneState(["tshirt"], points=splats)
+    state = SceneState(asset_loader, ["tshirt"], points=splats)
     assert state.has_splats
     state.set_joint(state.rig.joint_names.index("upperarm01.L_x"), 0.5)
     frame = state.advance(0.0)
@@ -41,20 +41,20 @@ def test_splats_follow_every_frame(shirt, splats):
     assert state.advance(0.0).splats.garment == 1
     state.wear(["trousers"])
     assert state.advance(0.0).splats is None
-    assert not SceneState(["tshirt"]).has_splats
+    assert not SceneState(asset_loader, ["tshirt"]).has_splats
 
 
-def test_files_that_cannot_be_used_are_told(tmp_path, shirt, splats):
+def test_files_that_cannot_be_used_are_told(asset_loader, tmp_path, shirt, splats):
     """Before there is a page."""
     (tmp_path / "far.ply").write_bytes(splat_ply("ascii", shirt.garment.vertices[:COUNT] + [0, 0, 1]))
     with pytest.raises(ValueError, match=r"far.ply: point .* from garment 'tshirt'"):
-        SceneState(["tshirt"], points=tmp_path / "far.ply")
+        SceneState(asset_loader, ["tshirt"], points=tmp_path / "far.ply")
     (tmp_path / "cloud.ply").write_text(
         "ply\nformat ascii 1.0\nelement vertex 1\n"
         "property float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n"
     )
     with pytest.raises(ValueError, match="cloud.ply as points: they are no Gaussian splats"):
-        SceneState(["tshirt"], points=tmp_path / "cloud.ply")
+        SceneState(asset_loader, ["tshirt"], points=tmp_path / "cloud.ply")
 
 
 def test_colours_and_opacity_of_splats(splats):

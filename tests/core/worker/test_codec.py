@@ -64,6 +64,13 @@ def test_arrays_keep_type_shape_and_content(dtype, shape):
     np.testing.assert_array_equal(found, array)
 
 
+def test_some_fields_of_records():
+    """Without what lies between them."""
+    records = np.ones(3, dtype=[("x", "<f4"), ("y", "<f8"), ("z", "u1")])[["x", "z"]]
+    found = there_and_back(records)
+    assert found.dtype == np.dtype([("x", "<f4"), ("z", "u1")]) and found.tolist() == records.tolist()
+
+
 def test_what_is_there_twice_is_sent_once():
     """Also views: what is sent is contiguous."""
     array = np.arange(12.0).reshape(3, 4).T

@@ -60,7 +60,7 @@ def until(true, again=lambda: None):
         time.sleep(0.05)
 
 
-def test_clouds_and_mesh_are_drawn(listening):
+def test_clouds_and_mesh_are_drawn(asset_loader, listening):
     """A cloud as a surface once its mesh is known, the body in the pose of the joint states, faults as an error."""
     listener, topics = listening
     model = load_garment_model("skirt")
@@ -70,7 +70,7 @@ def test_clouds_and_mesh_are_drawn(listening):
     joints = JointState(name=["spine03_x"], position=[0.15])
     page = Page(port=8490)
     try:
-        drawn = RosPage(page, listener, body=str(BUNDLED_AVATAR))
+        drawn = RosPage(page, listener, body=asset_loader.avatar(BUNDLED_AVATAR))
         seen = lambda: listener.garments.get("/drape_node/garment")  # noqa: E731
 
         def send():
@@ -97,7 +97,7 @@ def test_clouds_and_mesh_are_drawn(listening):
         page.server.stop()
 
 
-def test_figures_stand_where_tf_says(domain):
+def test_figures_stand_where_tf_says(asset_loader, domain):
     """In the world that TF is of, seen from their middle; bodies in the frame of the clouds that bear their name; what
     TF does not know stands in a row."""
     pytest.importorskip("tf2_msgs", reason="needs tf2_msgs: python msg_defs/wheel/build.py --install")
@@ -106,7 +106,7 @@ def test_figures_stand_where_tf_says(domain):
     listener = CloudListener(["/alice/joint_states", "/bob/joint_states"], context=context)
     page = Page(port=8492)
     try:
-        drawn = RosPage(page, listener, body=str(BUNDLED_AVATAR))
+        drawn = RosPage(page, listener, body=asset_loader.avatar(BUNDLED_AVATAR))
         for avatar in ("alice", "bob", "carol", "dan"):
             points = np.zeros((3, 6), dtype=np.float32)
             listener.garments[f"/drape_node/{avatar}/top/garment"] = GarmentSeen(points, f"{avatar}_root", clouds=1)

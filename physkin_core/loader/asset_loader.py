@@ -1,0 +1,74 @@
+"""AssetLoader: outfits, avatars and motion out of files that this process never opens."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+from weakref import WeakValueDictionary
+
+from physkin_core.loader.requests import CODEC, AvatarRequest, LoadedAvatar, LoadedOutfit, MotionRequest, OutfitRequest
+from physkin_core.motion.motion import Motion
+from physkin_core.outfit.outfit import Outfit
+from physkin_core.runtime.evaluator import Precision
+from physkin_core.worker.process import Worker
+
+__all__ = ["LOAD_MEMORY", "LOAD_SECONDS", "AssetLoader"]
+
+LOAD_SECONDS, LOAD_MEMORY = 180.0, 4096
+"""[s] and [MiB] that one request may take."""
+
+
+class AssetLoader:
+    """Has files read, checked, fitted and bound by a process of its own, one at a time, from any thread.
+
+    What such a process cannot survive, such as a file that is truncated while it is read, costs the request; the next
+    one is answered by another process. seconds, memory [MiB]: that one request may take.
+    All requests raise ValueError, in one sentence: what is wrong with a file, what cannot be worn so, or that the
+    process was ended, has needed too much, was cancelled, or is closed.
+    """
+
+    def __init__(self, *, seconds: float = LOAD_SECONDS, memory: int = LOAD_MEMORY) -> None:
+        self._worker = Worker("physkin_core.loader.loading_process", CODEC, seconds=seconds, memory=memory)
+        self._worn: WeakValueDictionary[tuple[str, Precision | None, str], Outfit] = WeakValueDictionary()
+
+    @property
+    def pid(self) -> int:
+        """Of the process that loads."""
+        return self._worker.pid
+
+    def outfit(
+        self,
+        request: OutfitRequest,
+        *,
+        precision: Precision | None = None,
+        normals: Literal["skinned", "faces"] = "skinned",
+    ) -> tuple[Outfit, LoadedOutfit]:
+        """An outfit, and what else was asked for. One that is worn already, by whomever, shares its arrays."""
+        worn = dict(self._worn)
+        known = tuple(key for key, *how in worn if how == [precision, normals])
+        loaded: LoadedOutfit = self._worker.ask(replace(request, known=known), request.body)
+        key = loaded.key, precision, normals
+        if loaded.bound is not None:
+            outfit = Outfit.of_bound(loaded.bound, precision=precision, normals=normals)
+        else:
+            outfit = worn[key].twin()
+            outfit.avatar = replace(outfit.avatar, source=request.body)  # the same body may have another name
+        self._worn[key] = outfit
+        return outfit, loaded
+
+    def avatar(self, body: str | Path, *, rig_file: str | Path | None = None) -> LoadedAvatar:
+        """A body bound to the body model's rig."""
+        return self._worker.ask(AvatarRequest(str(body), str(rig_file or "")), str(body))
+
+    def motion(self, motion: str | Path) -> Motion:
+        """A motion, as `load_motion` reads it."""
+        return self._worker.ask(MotionRequest(str(motion)), str(motion))
+
+    def cancel(self) -> None:
+        """Let a request that is being answered fail at once."""
+        self._worker.cancel()
+
+    def close(self) -> None:
+        """End the process."""
+        self._worker.close()
