@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from physkin_core import BoneRotations, Rig
+from physkin_core.file_reading import shown
 from physkin_ros.joints.joint_state_wire import MOST_NAMES
 from physkin_ros.joints.joint_states import JointStateError, JointStateReader
 
@@ -54,9 +55,8 @@ class BoneRotationReader:
             raise JointStateError("bone rotations name a bone twice")
         if unknown := self._bones.unknown(names):
             if len(unknown) == len(names):
-                raise JointStateError(
-                    f"no bone is known among {unknown[:4]}; there are {self._bones.bone_names[:4]}, ..."
-                )
+                some, known = (", ".join(map(shown, each[:4])) for each in (unknown, self._bones.bone_names))
+                raise JointStateError(f"no bone is known among {some}; there are {known}, ...")
             self._on_unknown(unknown)
             given = {name: given[name] for name in given.keys() - set(unknown)}
         try:

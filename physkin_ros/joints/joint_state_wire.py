@@ -20,8 +20,9 @@ __all__ = ["MOST_NAMES", "JointStateWire"]
 
 MOST_NAMES = 4096
 """A message that names more joints is refused unread."""
+LONGEST_BEGINNING = 1 << 18
+"""[bytes] So is one whose frame and names are longer."""
 RECENT = 8  # layouts of messages that are kept: publishers that take turns on one topic
-LONGEST_KEPT = 1 << 18  # [bytes]
 ORDER = {0: ">", 1: "<"}  # second byte of the encapsulation: plain CDR, big or little endian
 
 
@@ -92,8 +93,7 @@ class JointStateWire:
 
     def _look_into(self, data: bytes) -> _Layout:
         layout = _read_layout(data, self._reader, self._out)
-        if layout.offset <= LONGEST_KEPT:
-            self._recent = [layout, *self._recent[: RECENT - 1]]
+        self._recent = [layout, *self._recent[: RECENT - 1]]
         return layout
 
 
@@ -106,6 +106,10 @@ def _read_layout(data: bytes, reader: JointStateReader, out: np.ndarray) -> _Lay
     padding = [slice(4, 12)]  # and the stamp
 
     def after_padding(at: int) -> int:
+        if LONGEST_BEGINNING < at <= len(data):
+            raise JointStateError(
+                f"frame and names of the joint state have over {LONGEST_BEGINNING} bytes; shorten or leave out names"
+            )
         padding.append(slice(at, at + -at % 4))
         return at + -at % 4
 

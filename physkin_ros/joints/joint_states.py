@@ -13,12 +13,15 @@ from typing import Protocol
 import numpy as np
 import physkin_core._native as _native
 
+from physkin_core.file_reading import shown
 from physkin_core.rig.ball_joints import BallJoint, BallJoints
 from physkin_ros.joints.joint_map import MappedJoint
 
 __all__ = ["JointNaming", "JointStateError", "JointStateReader", "MappedNames", "NamedJoints", "Selection"]
 
-CACHED_NAME_SETS = 64
+CACHED_NAMES = 1 << 15
+"""Names, of all the lists that are kept; each takes some 200 bytes."""
+CACHED_CHARACTERS = 1 << 20
 FARTHEST = 3 * np.pi
 """[rad] No joint turns one and a half times: a position beyond was probably meant in degrees."""
 
@@ -128,7 +131,7 @@ class Selection:
         if not finite.all():
             index = int(source[np.flatnonzero(~finite)[0]])
             raise JointStateError(
-                f"the position of joint {self.names[index]!r} is {values[index]}; it must be finite [rad]"
+                f"the position of joint {shown(self.names[index])} is {values[index]}; it must be finite [rad]"
             )
         farthest = int(np.abs(read).argmax())
         return int(source[farthest]) if abs(read[farthest]) > FARTHEST else None
@@ -162,6 +165,7 @@ class JointStateReader:
         self._index = {name: index for index, name in enumerate(joint_names)}
         self._on_unknown, self._on_degrees = on_unknown, on_degrees
         self._selections: dict[tuple[str, ...], Selection] = {}
+        self._cached = self._cached_characters = 0
 
     @property
     def positions(self) -> np.ndarray:
@@ -215,7 +219,8 @@ class JointStateReader:
         drives += [(joint, max(sources)) for ball, sources in found.balls for joint in ball.joints if joint]
         for joint, index in drives:
             if joint in driven:
-                raise JointStateError(f"joints {driven[joint]!r} and {names[index]!r} are the same joint, {joint!r}")
+                both = f"{shown(driven[joint])} and {shown(names[index])}"
+                raise JointStateError(f"joints {both} are the same joint, {joint!r}")
             driven[joint] = names[index]
         if found.unknown:
             self._on_unknown([names[index] for index in found.unknown])
@@ -228,12 +233,21 @@ class JointStateReader:
             offset=np.array([offset for _, _, _, offset in found.scaled]),
             balls=BallJoints(found.balls, self._index) if found.balls else None,
         )
-        if len(self._selections) >= CACHED_NAME_SETS:
-            self._selections.clear()
-        self._selections[names] = selection
+        self._keep(names, selection)
         return selection
+
+    def _keep(self, names: tuple[str, ...], selection: Selection) -> None:
+        """Know the names again, and forget all others where these are too many: whoever invents names must not fill the
+        memory."""
+        characters = sum(map(len, names))
+        self._cached += len(names)
+        self._cached_characters += characters
+        if self._cached > CACHED_NAMES or self._cached_characters > CACHED_CHARACTERS:
+            self._selections.clear()
+            self._cached, self._cached_characters = len(names), characters
+        self._selections[names] = selection
 
 
 def _some(names: Sequence[str], count: int = 4) -> str:
-    shown = ", ".join(name if len(name) <= 60 else f"{name[:60]}..." for name in names[:count])
-    return shown + (f" and {len(names) - count} more" if len(names) > count else "")
+    more = f" and {len(names) - count} more" if len(names) > count else ""
+    return ", ".join(map(shown, names[:count])) + more

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from physkin_core import Rig
+from physkin_core.file_reading import shown
 from physkin_core.rig.ball_joints import BallJoint
 from physkin_ros.joints.joint_states import JointStateError, NamedJoints
 
@@ -67,7 +68,7 @@ class Ros4hriNaming:
                 continue
             known = match[1]
             if known in seen:
-                raise JointStateError(f"joint {name!r} is the second {known!r}; a joint state holds one body")
+                raise JointStateError(f"joint {shown(name)} is the second {known!r}; a joint state holds one body")
             seen.add(known)
             if known in self._hinges:
                 found.scaled += [(index, joint, scale, offset) for joint, scale, offset in self._hinges[known]]

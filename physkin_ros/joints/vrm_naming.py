@@ -11,6 +11,7 @@ import re
 from collections.abc import Sequence
 
 from physkin_core import Rig
+from physkin_core.file_reading import shown
 from physkin_core.rig.vrm_bones import vrm_ball_joints
 from physkin_ros.joints.joint_states import JointStateError, NamedJoints
 
@@ -43,7 +44,7 @@ class VrmNaming:
                 slots = angles.setdefault(match[1], [-1, -1, -1])
                 slot = "xyz".index(match[2])
                 if slots[slot] >= 0:
-                    raise JointStateError(f"joints {names[slots[slot]]!r} and {name!r} are the same angle")
+                    raise JointStateError(f"joints {shown(names[slots[slot]])} and {shown(name)} are the same angle")
                 slots[slot] = index
             elif name in self._own:
                 found.scaled.append((index, name, 1.0, 0.0))

@@ -16,6 +16,7 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState, MultiDOFJointState
 
 from physkin_core import BUNDLED_AVATAR, FrameInput, GarmentModel, LimbSeparator
+from physkin_core.file_reading import sentence, shown
 from physkin_core.sway.frame_input import RootSample
 from physkin_ros.joints.joint_naming import load_naming
 from physkin_ros.joints.joint_state_wire import JointStateWire
@@ -152,13 +153,11 @@ class AvatarStream:
                 worn.stream.show_mesh(worn.outfit, worn.index, worn.revision)
         found = [warning for each in loaded for warning in each.outfit.warnings]
         for warning in dict.fromkeys([*found, *(now.separator.warnings if now.separator else ())]):
-            self._log.warning(f"{self._label}{warning}")
+            self._log.warning(sentence(f"{self._label}{warning}"))
         source = mesh if mesh and mesh != str(BUNDLED_AVATAR) else "the bundled avatar"
         for worn in now.garments:
-            self._log.info(
-                f"{self._label}{worn.layer.name} with {worn.layer.vertex_count} vertices on {source}: "
-                f"{self.topic} -> {worn.stream.cloud_publisher.topic_name}"
-            )
+            what = f"{shown(worn.layer.name)} with {worn.layer.vertex_count} vertices on {sentence(source)}"
+            self._log.info(f"{self._label}{what}: {self.topic} -> {worn.stream.cloud_publisher.topic_name}")
         return loaded
 
     def _worn_now(self, loaded: Sequence[LoadedLayer]) -> WornOutfits:
@@ -283,7 +282,8 @@ class AvatarStream:
         np.copyto(worn.pose, worn.reader.positions)
         self._missing.pass_over()
         self.statistics.reject(str(error))
-        self._log.warning(f"{self._label}joint state ignored: {error}", throttle_duration_sec=WARNING_PERIOD)
+        reason = self.statistics.last_rejection
+        self._log.warning(f"{self._label}joint state ignored: {reason}", throttle_duration_sec=WARNING_PERIOD)
 
     # Orientation.
 
@@ -329,23 +329,27 @@ class AvatarStream:
 
     def _on_bad_orientation(self, reason: str) -> None:
         self.statistics.reject_gravity(reason)
+        reason = self.statistics.last_rejection
         self._log.warning(f"{self._label}gravity message ignored: {reason}", throttle_duration_sec=WARNING_PERIOD)
 
     def _warn_unknown(self, names: list[str]) -> None:
-        passed = self._unknown.union(self.settings.orientation_joints if self._follows else ())
-        new = [name for name in names if name not in passed][: MOST_UNKNOWN - len(self._unknown)]
+        if len(self._unknown) >= MOST_UNKNOWN:
+            return
+        expected = self.settings.orientation_joints if self._follows else ()
+        quoted = {shown(name): name for name in names if name not in expected}
+        new = [each for each in quoted if each not in self._unknown][: MOST_UNKNOWN - len(self._unknown)]
         if not new:
             return
         self._unknown.update(new)
-        near = nearest_names(new[0], self._worn.reader.joint_names) if self._worn is not None else ""
+        near = nearest_names(quoted[new[0]], self._worn.reader.joint_names) if self._worn is not None else ""
         self._log.warning(
-            f"{self._label}joints without a counterpart in the rig are ignored: {', '.join(each[:60] for each in new)}"
+            f"{self._label}joints without a counterpart in the rig are ignored: {', '.join(new)}"
             + (f"; did you mean {near}?" if near else "")
             + ("; further ones will not be named" if len(self._unknown) >= MOST_UNKNOWN else "")
         )
 
     def _warn_degrees(self, name: str, value: float) -> None:
-        reason = f"joint {name!r} is {value:g} rad; are these degrees?"
+        reason = f"joint {shown(name)} is {value:g} rad; are these degrees?"
         self.statistics.doubt(reason)
         self._log.warning(f"{self._label}{reason} It is draped as it is.", throttle_duration_sec=WARNING_PERIOD)
 
@@ -363,7 +367,9 @@ class AvatarStream:
     def _strangers(self) -> str:
         publishers = self._node.get_publishers_info_by_topic(self.topic)
         others = sorted(
-            f"{each.topic_type} of {each.node_name}" for each in publishers if each.topic_type != JOINT_STATE_TYPE
+            sentence(f"{each.topic_type} of {each.node_name}")
+            for each in publishers
+            if each.topic_type != JOINT_STATE_TYPE
         )
         return ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
 

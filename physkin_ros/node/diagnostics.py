@@ -13,6 +13,7 @@ import numpy as np
 import physkin_core._native as _native
 
 from physkin_core import Rig
+from physkin_core.file_reading import sentence
 
 __all__ = ["AvatarStatistics", "GarmentStatistics", "Health", "HealthReporter", "PoseRange", "diagnostic_status"]
 
@@ -59,7 +60,7 @@ class PoseRange:
 
 @dataclass
 class AvatarStatistics:
-    """Counts of one avatar since it was configured.
+    """Counts of one avatar since it was configured. Reasons may quote what strangers send; they are made sentences.
 
     gravity_rejected: messages of a direction that is none, or of an effective gravity that cannot be; they count as
     rejections to warn about, but not as joint states. not_ready: joint states while there was nothing to drape yet, or
@@ -94,22 +95,22 @@ class AvatarStatistics:
     def reject(self, reason: str) -> None:
         """Count a joint state that was not draped, and keep why."""
         self.rejected += 1
-        self.last_rejection = reason
+        self.last_rejection = sentence(reason)
 
     def reject_gravity(self, reason: str) -> None:
         """Count an orientation message that was not used, and keep why."""
         self.gravity_rejected += 1
-        self.last_rejection = reason
+        self.last_rejection = sentence(reason)
 
     def fail_swap(self, reason: str) -> None:
         """Count a swap that failed, and keep why."""
         self.swaps_failed += 1
-        self.last_error = reason
+        self.last_error = sentence(reason)
 
     def doubt(self, reason: str) -> None:
         """Count a joint state that looks like degrees, and keep which joint."""
         self.implausible += 1
-        self.last_implausible = reason
+        self.last_implausible = sentence(reason)
 
 
 @dataclass
@@ -244,15 +245,16 @@ class HealthReporter:
 
 
 def diagnostic_status(name: str, hardware_id: str, well: bool, message: str, values: dict[str, str]):
-    """A `diagnostic_msgs/DiagnosticStatus`, OK when `well`, else WARN."""
+    """A `diagnostic_msgs/DiagnosticStatus`, OK when `well`, else WARN. Names come from files and strangers: they are
+    shortened and escaped."""
     from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
     return DiagnosticStatus(
         level=DiagnosticStatus.OK if well else DiagnosticStatus.WARN,
-        name=name,
-        hardware_id=hardware_id,
+        name=sentence(name),
+        hardware_id=sentence(hardware_id),
         message=message,
-        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        values=[KeyValue(key=key, value=sentence(value)) for key, value in values.items()],
     )
 
 

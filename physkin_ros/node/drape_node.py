@@ -14,12 +14,15 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 
+from physkin_core.file_reading import sentence
 from physkin_core.model.model_file import shipped_models
 from physkin_ros.joints.ros4hri import ROS4HRI
 from physkin_ros.messages.interfaces import missing_interfaces
+from physkin_ros.middleware.answers import answer_all
 from physkin_ros.middleware.shared_memory import leftovers, remove_shared_memory
 from physkin_ros.node.asset_loading import AssetRoots, OutfitLoader
 from physkin_ros.node.avatar_stream import AvatarStream
@@ -81,6 +84,7 @@ class DrapeNode(LifecycleNode):
         )
         self._loader = OutfitLoader()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="physkin-loader", initializer=_schedule_as_batch)
+        answer_all(self)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._follow_parameters)
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_INTERVAL))
@@ -110,8 +114,8 @@ class DrapeNode(LifecycleNode):
                     self._roots.check_body(value)
                 elif key == "model":
                     self._check_models(parameter.name, value)
-            except ValueError as error:
-                return SetParametersResult(successful=False, reason=str(error))
+            except (ValueError, OSError, RuntimeError) as error:  # the latter for a circle of links
+                return SetParametersResult(successful=False, reason=sentence(str(error)))
         return SetParametersResult(successful=True)
 
     def _check_models(self, name: str, value: str) -> None:
@@ -213,7 +217,7 @@ class DrapeNode(LifecycleNode):
         except (ValueError, OSError, ImportError) as error:
             self._failure = error
             if not self._starting:
-                self.get_logger().error(f"cannot configure: {error}")
+                self.get_logger().error(sentence(f"cannot configure: {error}"))
             self._take_down()
             return TransitionCallbackReturn.FAILURE
         except Exception as error:  # rclpy would swallow it
@@ -271,7 +275,8 @@ class DrapeNode(LifecycleNode):
 
             self._services_of_swaps = SwapServices(self, self._set_body, self._set_garment)
         if self._templates:
-            self._body_timer = self.create_timer(0.5, self._look_for_bodies)
+            steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand
+            self._body_timer = self.create_timer(0.5, self._look_for_bodies, clock=steady)
 
     def _open(self, avatar: AvatarSettings) -> AvatarStream:
         deadline_ns = round(1e9 * self._settings.deadline)
@@ -375,7 +380,7 @@ class DrapeNode(LifecycleNode):
     def _report_swap(self, stream: AvatarStream | None, error: Exception) -> str:
         """Log and count a swap that failed; returns why."""
         known = isinstance(error, (ValueError, OSError))
-        reason = str(error) if known else f"{type(error).__name__}: {error}"
+        reason = sentence(str(error) if known else f"{type(error).__name__}: {error}")
         if stream is not None:
             stream.statistics.fail_swap(reason)
         self.get_logger().error(f"swap failed, the old one goes on: {reason}")

@@ -17,6 +17,7 @@ from rclpy.logging import get_logger
 from rclpy.utilities import remove_ros_args
 
 from physkin_core import AvatarWarning
+from physkin_core.file_reading import sentence
 from physkin_ros.messages.topics import TOPICS
 from physkin_ros.middleware.spinning import new_executor
 from physkin_ros.middleware.transport import use_shipped_profile
@@ -47,11 +48,9 @@ def spin(node: DrapeNode) -> None:
             except Exception as error:
                 if not ok():  # rclpy's, when a signal ends the context between ok() and the wait
                     break
-                node.get_logger().error(
-                    f"a message or request could not be handled: {type(error).__name__}: {error} "
-                    f"({''.join(traceback.format_tb(error.__traceback__)[-1:]).strip()})",
-                    throttle_duration_sec=1.0,
-                )
+                what = sentence(f"a message or request could not be handled: {type(error).__name__}: {error}")
+                where = "".join(traceback.format_tb(error.__traceback__)[-1:]).strip()
+                node.get_logger().error(f"{what} ({where})", throttle_duration_sec=1.0)
     finally:
         executor.remove_node(node)
         executor.shutdown()
@@ -61,7 +60,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM. argv: without the program's name. Returns the exit status."""
     arguments = ["drape_node", *(sys.argv[1:] if argv is None else argv)]
     use_shipped_profile()
-    node = None
+    node, began = None, False
 
     def interrupt(signal_number: int, frame: object) -> None:
         """After rclpy's own handler, which ends the context. Raised in a callback it would be logged as a fault."""
@@ -73,6 +72,7 @@ def main(argv: list[str] | None = None) -> int:
         arguments = _with_config(arguments)
         _check_assignments(arguments)
         _initialise(arguments)
+        began = True
         if unknown := remove_ros_args(arguments)[1:]:
             return _explain_usage(unknown)
         _forward_log()
@@ -84,20 +84,23 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 0
     except (ValueError, OSError, ImportError, ParameterException, NameValidationException) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+        return _refuse(str(error))
     except Exception as error:
         if node is None and str(error).startswith(NO_PARTICIPANT):  # such as DDS security that is not there
-            print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-            return 2
-        if rclpy.ok() or node is not None:
+            return _refuse(str(error))
+        if rclpy.ok() or node is not None or not began:
             raise
-        return 0  # a signal came while the node was being made
+        return 0  # a signal came while the node was being made: nothing else ends the context
     finally:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
         gc.unfreeze()  # or evaluators in reference cycles outlive Python, which nanobind tells on 40 lines
+
+
+def _refuse(reason: str) -> int:
+    print(f"error: {sentence(reason)}", file=sys.stderr)
+    return 2
 
 
 def _with_config(arguments: list[str]) -> list[str]:
@@ -169,8 +172,8 @@ class _RosLogHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         # one line a level: rclpy ties each call site to the level of its first message
         if record.levelno >= logging.ERROR:
-            get_logger(record.name).error(record.getMessage())
+            get_logger(record.name).error(sentence(record.getMessage()))
         elif record.levelno >= logging.WARNING:
-            get_logger(record.name).warning(record.getMessage())
+            get_logger(record.name).warning(sentence(record.getMessage()))
         else:
-            get_logger(record.name).info(record.getMessage())
+            get_logger(record.name).info(sentence(record.getMessage()))

@@ -19,7 +19,6 @@ from physkin_ros.root.gravity import FRESH, EffectiveGravity
 from physkin_ros.root.quaternions import quaternion_of, vector_of
 from physkin_ros.root.root_orientation import DirectionTaker, MotionTaker, RootOrientation, stamp_of
 from physkin_ros.root.tf_topics import FollowedTransforms, RootBroadcaster
-from physkin_ros.root.transform_tree import MOST_FRAMES
 
 __all__ = ["OrientationSource", "check_orientation"]
 
@@ -119,7 +118,7 @@ class OrientationSource:
         tree = self._transforms.tree
         if tree.left_out != self._left_out:  # once, the first
             self._left_out = tree.left_out
-            self._on_bad(f"frame {self._left_out[:60]!r} of TF and further ones are left out: {MOST_FRAMES} are known")
+            self._on_bad(f"frames of TF are left out: {tree.left_out}")
         for reason in self._root.transforms(tree, wrong, *self._frames):
             self._on_bad(reason)
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from time import monotonic_ns
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from physkin_ros.messages.interfaces import missing_interfaces
@@ -30,7 +31,8 @@ class Reports:
 
             self._statistics = node.create_publisher(DrapeStatistics, STATISTICS.name, 10)
         self._shared: set[str] = set()
-        self._timer = node.create_timer(PERIOD, self._report)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand
+        self._timer = node.create_timer(PERIOD, self._report, clock=steady)
 
     def close(self) -> None:
         """Take timer and topics down."""

@@ -13,6 +13,7 @@ from physkin_msgs.srv import SetBody, SetGarment
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
+from physkin_core.file_reading import sentence
 from physkin_ros.messages.topics import SET_BODY, SET_GARMENT
 from physkin_ros.middleware.spinning import new_executor
 
@@ -57,4 +58,6 @@ class SwapServices:
                 return
             except Exception as error:  # a broken request must not end the service
                 if self._node.context.ok() and not self._closed:
-                    self._log.error(f"swap service: {type(error).__name__}: {error}", throttle_duration_sec=1.0)
+                    self._log.error(
+                        sentence(f"swap service: {type(error).__name__}: {error}"), throttle_duration_sec=1.0
+                    )

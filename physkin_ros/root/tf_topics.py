@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from geometry_msgs.msg import TransformStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from physkin_core.file_reading import shown
 from physkin_ros.root.quaternions import OrientationError, Quaternion, Vector, unit_quaternion
 from physkin_ros.root.transform_tree import TransformTree
 
@@ -87,7 +88,9 @@ class RootBroadcaster:
         """
         parent = header.frame_id.lstrip("/") or self._world_frame
         if parent == self._frame_id:
-            raise OrientationError(f"the root's pose is given in frame {parent!r}, which is the root's own (frame_id)")
+            raise OrientationError(
+                f"the root's pose is given in frame {shown(parent)}, which is the root's own (frame_id)"
+            )
         told = TransformStamped(child_frame_id=self._frame_id)
         told.header.frame_id = parent
         stamped = header.stamp.sec or header.stamp.nanosec

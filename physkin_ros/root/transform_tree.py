@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from physkin_core.file_reading import shown
 from physkin_ros.root.gravity import SAME_CLOCK
 from physkin_ros.root.quaternions import (
     OrientationError,
@@ -21,13 +22,13 @@ from physkin_ros.root.quaternions import (
     vector_of,
 )
 
-__all__ = ["MOST_FRAMES", "TransformTree"]
+__all__ = ["TransformTree"]
 
 DEEPEST_CHAIN = 64
 KEPT = 32
 """Places of a frame that are kept: corrections are stamped a second ahead, at up to some 30 Hz."""
-MOST_FRAMES = 1000
-"""Frames beyond these are not taken, some 14 MB: who invents names must not fill the memory."""
+MOST_FRAMES, LONGEST_NAME = 1000, 256
+"""Frames beyond these, or with longer names, are not taken, some 14 MB: who invents names must not fill the memory."""
 PACE = 4
 """The messages by which frames are compared: the faster one's so many-th last came later."""
 LATEST = 100_000_000
@@ -76,7 +77,7 @@ class _Frame:
 
 
 class TransformTree:
-    """The frames of TF. left_out: the first frame that was not taken as there are `MOST_FRAMES` already, or ""."""
+    """The frames of TF. left_out: which frame was the first that was not taken, and why; or ""."""
 
     def __init__(self) -> None:
         self.left_out = ""
@@ -91,18 +92,22 @@ class TransformTree:
         wrong = {}
         for transform in transforms:
             parent, child = transform.header.frame_id.lstrip("/"), transform.child_frame_id.lstrip("/")
+            if max(len(parent), len(child)) > LONGEST_NAME:
+                why = f"names of frames have up to {LONGEST_NAME} characters"
+                self.left_out = self.left_out or f"{shown(max(parent, child, key=len))}: {why}"
+                continue
             shift, stamp = vector_of(transform.transform.translation), transform.header.stamp
             try:
                 turn = unit_quaternion(quaternion_of(transform.transform.rotation))
                 if not all(map(math.isfinite, shift)):
                     raise OrientationError(f"translation is {list(shift)}; it must be finite [m]")
             except OrientationError as error:
-                wrong[child] = f"transform from {parent!r} to {child!r}: {error}"
+                wrong[child] = f"transform from {shown(parent)} to {shown(child)}: {error}"
                 continue
             known = self._frames.get(child)
             if known is None or known.parent != parent or known.static != static:
                 if known is None and len(self._frames) >= MOST_FRAMES:
-                    self.left_out = self.left_out or child
+                    self.left_out = self.left_out or f"{shown(child)} and further ones: {MOST_FRAMES} are known"
                     continue
                 known = self._frames[child] = _Frame(parent, static)
             self._arrived += 1
@@ -117,7 +122,9 @@ class TransformTree:
         """Frames from `frame` up to the one below `world`. Raises OrientationError when they do not lead there."""
         chain, end = self._above(frame, world)
         if end != world:
-            raise OrientationError(f"no transform from {world!r} to {frame!r}: nothing is known above {end!r}")
+            raise OrientationError(
+                f"no transform from {shown(world)} to {shown(frame)}: nothing is known above {shown(end)}"
+            )
         return chain
 
     def pose(self, frame: str, world: str) -> tuple[int, Vector, Quaternion]:
@@ -148,7 +155,7 @@ class TransformTree:
         chain = []
         while frame != world and frame in self._frames:
             if len(chain) == DEEPEST_CHAIN or frame in chain:
-                raise OrientationError(f"the transforms above {chain[0]!r} go round in a circle")
+                raise OrientationError(f"the transforms above {shown(chain[0])} go round in a circle")
             chain.append(frame)
             frame = self._frames[frame].parent
         return chain, frame

@@ -157,3 +157,13 @@ def test_joints_that_are_not_named_keep_what_the_reader_has(reader):
     wire.keep()
     wire.read(wire_bytes(["knee"], [3.0]))
     np.testing.assert_array_equal(out, np.float32([2, 3, 7, 8]))
+
+
+@pytest.mark.parametrize("long", [{"frame": "f" * 300_000}, {"names": ("hip", "n" * 300_000)}])
+def test_long_frames_and_names_are_not_read(reader, long):
+    """Nor kept, though a good joint is named."""
+    wire = JointStateWire(reader, np.empty(4, dtype=np.float32))
+    names = long.get("names", ("hip", "tail"))
+    with pytest.raises(JointStateError, match="have over 262144 bytes"):
+        wire.read(wire_bytes(names, [1.0, 2.0], frame=long.get("frame", "")))
+    assert not wire._recent and not reader._selections

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -36,7 +38,8 @@ def test_unknown_joints_are_reported_once_for_each_set_of_names():
         (["hip", "knee"], [np.inf, 1.0], "'hip' is inf"),
         (["hip"], [1e300], "'hip' is 1e"),
         (["hip", "knee", "hip"], [1.0, 2.0, 3.0], "'hip' and 'hip' are the same joint"),
-        (["tail", "fin"], [1.0, 2.0], "no joint is known among tail, fin"),
+        (["tail", "fin"], [1.0, 2.0], "no joint is known among 'tail', 'fin'"),
+        (["\x1b[2J\n" + "x" * 10**6], [1.0], r"among '\\x1b\[2J\\nx+\.\.\.x+'; the rig has 'hip',"),
     ],
 )
 def test_bad_joint_states_are_refused(names, values, reason):
@@ -75,3 +78,17 @@ def test_missing_joints_can_go_back_to_rest():
     reader = JointStateReader(NAMES, REST, keep_missing=False)
     reader.positions = reader.read(["knee"], [2.0])
     np.testing.assert_array_equal(reader.read(["hip"], [1.0]), positions(1, 0.2, 0.3, 0.4))
+
+
+@pytest.mark.parametrize(("names", "length"), [(3000, 10), (2, 100_000)])
+def test_invented_names_fill_no_memory(names, length):
+    """Many short ones, few long ones."""
+    reader = JointStateReader(NAMES, REST)
+    tracemalloc.start()
+    try:
+        for k in range(60):
+            reader.read(["hip", *(f"{k}-{n}-".ljust(length, "x") for n in range(names))], [0.0] * (names + 1))
+        held, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert held < 10e6

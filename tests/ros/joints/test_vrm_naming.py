@@ -81,7 +81,7 @@ def test_bad_names_are_refused(reader):
     """Two names for one angle; a name that is neither the rig's nor VRM's."""
     with pytest.raises(JointStateError, match="'leftHand_x' and 'leftHand.x' are the same angle"):
         reader.read(["leftHand_x", "leftHand.x"], [0.0, 0.0])
-    with pytest.raises(JointStateError, match="no joint is known among leftThumb_x"):
+    with pytest.raises(JointStateError, match="no joint is known among 'leftThumb_x'"):
         reader.read(["leftThumb_x"], [0.0])
     with pytest.raises(JointStateError, match="'leftHand_x' is nan"):
         reader.read(["leftHand_x"], [np.nan])

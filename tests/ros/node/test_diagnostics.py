@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from physkin_core import load_body_model
-from physkin_ros.node.diagnostics import AvatarStatistics, GarmentStatistics, HealthReporter, PoseRange
+from physkin_ros.node.diagnostics import (
+    AvatarStatistics,
+    GarmentStatistics,
+    HealthReporter,
+    PoseRange,
+    diagnostic_status,
+)
 
 SECOND = 1_000_000_000
 
@@ -67,3 +74,17 @@ def test_poses_outside_the_trained_range():
     garment.draped(1000)
     well, summary, values = report(HealthReporter(), AvatarStatistics(), garment, beyond)
     assert not well and beyond[0] in summary and beyond[1] in values["outside the trained range"]
+
+
+def test_what_strangers_write_is_shortened_and_escaped():
+    """In each reason, and in what else a status says."""
+    hostile = "\x1b[2J\nERROR " + "x" * 10**6
+    counts = AvatarStatistics()
+    for told in (counts.reject, counts.reject_gravity, counts.fail_swap, counts.doubt):
+        told(hostile)
+    _, summary, values = report(HealthReporter(), counts, GarmentStatistics())
+    pytest.importorskip("diagnostic_msgs", reason="needs diagnostic_msgs: pip install 'physkin[ros]'")
+    status = diagnostic_status(hostile, hostile, False, summary, values | {"model": hostile})
+    texts = [status.name, status.hardware_id, status.message, *(each.value for each in status.values)]
+    assert all(text.isprintable() and len(text) < 1200 for text in texts)
+    assert sum("\\x1b[2J ERROR x" in text for text in texts) >= 5

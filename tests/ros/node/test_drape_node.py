@@ -65,7 +65,7 @@ def test_bad_joint_states_leave_the_last_good_state(peer, shared_node, draper, c
     peer.until_told("joint states rejected", "0")
     bad = [
         (names, [np.inf, *good[1:]], f"{names[0]!r} is inf"),
-        (["tail", "fin"], [0.0, 0.0], "tail, fin"),
+        (["tail", "fin"], [0.0, 0.0], "'tail', 'fin'"),
     ]
     for index, (bad_names, values, reason) in enumerate(bad, start=1):
         peer.send(bad_names, values, (2, index))

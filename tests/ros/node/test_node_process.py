@@ -105,6 +105,9 @@ def test_arguments_that_are_none(start, run_main, capfd, tmp_path):
     assert "model:=dress is a parameter; parameters are given as --ros-args -p model:=dress" in capfd.readouterr().err
     assert run_main("--config") == 2
     path = tmp_path / "avatars.yaml"
+    path.write_text("drape_node: " + "{a: " * 3000 + "}" * 3000)
+    assert run_main("--config", str(path)) == 2
+    assert capfd.readouterr().err.endswith(f"error: config {path} is nested too deeply\n")
     path.write_text("drape_node: {ros__parameters: {avatars: {ann: {garments: {top: {modl: tshirt}}}}}}")
     node = start("physkin_ros", "--config", str(path))
     assert node.wait(30) == 2

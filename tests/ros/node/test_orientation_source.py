@@ -203,7 +203,7 @@ def test_frames_that_are_left_out_are_told_once(monkeypatch):
     for k in range(3):
         as_tf(wired, 1.0 + k, (0, 0, 0))
         wired.send("/tf", Message(transforms=[transform("world", f"invented{k}")]))
-    assert len(wired.bad) == 1 and "frame 'invented0' of TF and further ones are left out" in wired.bad[0]
+    assert len(wired.bad) == 1 and "frames of TF are left out: 'invented0' and further ones" in wired.bad[0]
     assert len(wired.gravity) == 3
 
 

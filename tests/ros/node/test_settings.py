@@ -93,7 +93,7 @@ def test_frames_may_bear_a_slash():
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("[", "cannot read config"),
+        ("[", "expected the node content"),
         ("camera: {ros__parameters: {}}", "names 'camera'; expected drape_node"),
         ("drape_node: {model: tshirt}", "expected drape_node: {ros__parameters"),
         ("drape_node: {ros__parameters: {modell: tshirt}}", "unknown key 'modell'; did you mean 'model'"),
@@ -182,3 +182,23 @@ def test_what_is_wrong_is_named(tmp_path, text, reason):
     with pytest.raises(SettingsError) as error:
         load_config(path)
     assert reason in str(error.value) and str(path) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("drape_node: " + "{a: " * 3000 + "1" + "}" * 3000, " is nested too deeply"),
+        ("a: &a [1, 2]\ndrape_node: {ros__parameters: {model: *a}}", "has an alias (*NAME)"),
+        ("drape_node: {ros__parameters: {? [1, 2] : 3}}", "found unhashable key"),
+        ("drape_node: {ros__parameters: {" + "k" * 900 + ": 3}}", "parameter kkkk"),
+        ("[" + "1, " * 9000 + "1]", "expected a ROS 2 parameter file"),
+        ("#" * (1 << 20) + "\n", "has 1048577 bytes"),
+    ],
+)
+def test_files_that_hurt_are_refused_in_a_sentence(tmp_path, text, reason):
+    """Nested, expanding, long: whatever the parser trips over."""
+    pytest.importorskip("yaml")
+    path = write(tmp_path, text)
+    with pytest.raises(SettingsError) as error:
+        load_config(path)
+    assert reason in str(error.value) and str(error.value).startswith(f"config {path}") and len(str(error.value)) <= 300

@@ -146,6 +146,14 @@ def test_invented_frames_fill_no_memory(monkeypatch):
     monkeypatch.setattr(transform_tree, "MOST_FRAMES", 3)
     tree = TransformTree()
     tree.update([transform("map", f"frame{k}") for k in range(9)])
-    assert len(tree._frames) == 3 and tree.left_out == "frame3"
+    assert len(tree._frames) == 3 and tree.left_out == "'frame3' and further ones: 3 are known"
     tree.update([transform("map", "frame0", place=(1, 0, 0))])
     assert tree.pose("frame0", "map")[1] == (1, 0, 0)
+
+
+@pytest.mark.parametrize("names", [("map", "n" * 1_000_000), ("n" * 1_000_000, "root")])
+def test_names_that_are_too_long_fill_no_memory(names):
+    tree = TransformTree()
+    assert tree.update([transform(*names), transform("map", "arm")]) == {}
+    assert list(tree._frames) == ["arm"] and len(tree.left_out) < 120
+    assert tree.left_out.endswith("names of frames have up to 256 characters")
