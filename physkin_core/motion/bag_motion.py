@@ -6,6 +6,7 @@ Dimensions: `T` frames, `d` joints. Times in ns.
 from __future__ import annotations
 
 import logging
+import sys
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from physkin_core.file_reading import Budget, reading
 from physkin_core.motion.bag_reader import BagError, BagReader, Recorded, decode
-from physkin_core.motion.motion import Motion, upright_orientation
+from physkin_core.motion.motion import MOST_FRAMES, Motion, upright_orientation
 
 __all__ = ["load_bag_motion"]
 
@@ -23,8 +25,10 @@ log = logging.getLogger(__name__)
 AXES = ("x", "y", "z")
 ROOT = (*AXES, "turn x", "turn y", "turn z", "turn w")
 LARGEST_DISAGREEMENT = 5.0  # [degrees] of odometry and gravity about what is down: else it is of another body
-MOST_FRAMES = 100
+MOST_FRAMES_A_STATE = 100
 """A clip has at most this many frames for each joint state: more would be a pause of hours, or stamps of two clocks."""
+LARGEST_CLIP = 1 << 29  # [bytes] of the joint positions
+LARGEST_NAMES = 1 << 26  # [bytes] of joint names
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,21 @@ class _Sample:
     time_ns: int
     names: tuple[str, ...]
     values: np.ndarray
+
+
+class _JointNames:
+    """The names of joint states, the same ones kept once: some bag brings new ones in each message."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[str, ...], tuple[str, ...]] = {}
+        self._budget = Budget(LARGEST_NAMES)
+
+    def kept(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Equal names, as they were kept first. Raises ContentError when they take too much memory."""
+        if names not in self._known:
+            self._budget.charge(sum(map(sys.getsizeof, names)), "all different joint names")
+            self._known[names] = names
+        return self._known[names]
 
 
 def load_bag_motion(path: str | Path) -> Motion:
@@ -48,12 +67,15 @@ def load_bag_motion(path: str | Path) -> Motion:
     """
     kept: dict[str, list[_Sample]] = {"joint_state": [], "gravity": [], "odometry": []}
     left_out = 0
-    with BagReader(path, root=["odometry"]) as bag:
+    joint_names = _JointNames()
+    with reading(f"bag {path}", BagError), BagReader(path, root=["odometry"]) as bag:
         for message in bag:
             try:
-                kept[message.kind].append(_sample(message))
+                sample = _sample(message)
             except ValueError:
                 left_out += 1
+            else:
+                kept[message.kind].append(replace(sample, names=joint_names.kept(sample.names)))
     if left_out:
         log.warning("bag %s: %d messages that cannot be used were left out", path, left_out)
     if not all(sample.stamp_ns for samples in kept.values() for sample in samples):
@@ -63,9 +85,17 @@ def load_bag_motion(path: str | Path) -> Motion:
     if len(times) < 2:
         raise BagError(f"bag {path}: a clip needs joint states at two times at least, {bag.topic} has {len(times)}")
     step, length = float(np.median(np.diff(times))), float(times[-1] - times[0])
-    if length / step > MOST_FRAMES * len(times):
-        raise BagError(f"bag {path}: {len(times)} joint states {step / 1e6:.3g} ms apart span {length / 1e9:.3g} s")
+    if length / step > min(MOST_FRAMES_A_STATE * len(times), MOST_FRAMES):
+        raise BagError(
+            f"bag {path}: {len(times)} joint states {step / 1e6:.3g} ms apart span {length / 1e9:.3g} s; allowed are "
+            f"{MOST_FRAMES_A_STATE} frames for each of them, and {MOST_FRAMES} in all"
+        )
     frames = times[0] + np.linspace(0.0, length, 1 + round(length / step))
+    width = len({name for sample in states for name in sample.names})
+    if (size := 8 * len(frames) * width) > LARGEST_CLIP:
+        raise BagError(
+            f"bag {path}: {len(frames)} frames of {width} joints take {size} bytes, allowed are {LARGEST_CLIP}"
+        )
     positions = _tracks(states, frames)
     down = _tracks(downs, frames)
     gravity = np.stack([down[axis] for axis in AXES], axis=1) if downs else np.tile([0.0, 0.0, -1.0], (len(frames), 1))

@@ -18,6 +18,8 @@ from rosbags.rosbag2 import Reader, ReaderError, WriterError
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
+from physkin_core.file_reading import ContentError, reading
+from physkin_core.motion.bag_limits import check_before_opening, check_opened, unpacked_message
 from physkin_core.motion.motion import MotionError
 
 __all__ = [
@@ -91,15 +93,21 @@ class BagReader:
     ) -> None:
         self.path = Path(path)
         with bag_errors(self.path):
+            check_before_opening(self.path)
             self._reader = Reader(self.path)
             self._reader.open()
         try:
+            with bag_errors(self.path):
+                check_opened(self._reader)
             types = {connection.topic: connection.msgtype for connection in self._reader.connections}
             self.topic = _topic(self.path, types, topic, JOINT_STATE, "/joint_states", required=True)
             self.orientation_topic = _orientation_topic(self.path, types, orientation, orientation_topic)
         except BagError:
             self._reader.close()
             raise
+        storage = self._reader.storage
+        self._compressed = storage.metadata.compression_mode == "message"
+        storage.metadata = storage.metadata._replace(compression_mode=None)  # messages are unpacked here, within limits
         root = (*root, "transforms") if orientation == "tf" else root
         self._kinds = {name: kind for kind in root for name in ROOT_TOPICS[kind] if types.get(name) == KINDS[kind]}
         self._kinds[self.topic] = "joint_state"
@@ -129,7 +137,12 @@ class BagReader:
         with bag_errors(self.path):
             for _, moment in itertools.groupby(messages, key=lambda message: message[1]):
                 moment = [
-                    Recorded(self._kinds[connection.topic], time_ns, bytes(data), connection.topic)
+                    Recorded(
+                        self._kinds[connection.topic],
+                        time_ns,
+                        unpacked_message(bytes(data), compressed=self._compressed),
+                        connection.topic,
+                    )
                     for connection, time_ns, data in moment
                 ]
                 yield from sorted(moment, key=lambda message: order.index(message.kind))
@@ -184,12 +197,11 @@ def _topic(
 
 @contextmanager
 def bag_errors(path: Path):
-    """What `rosbags` and its storages raise, as BagError."""
-    try:
-        yield
-    except (BagError, FileNotFoundError):
-        raise
-    except (ReaderError, WriterError, apsw.Error, OSError, struct.error, UnicodeDecodeError, KeyError) as error:
-        told = str(error) or type(error).__name__
-        remedy = next((f" {what_to_do}" for said, what_to_do in REMEDIES.items() if said in told), "")
-        raise BagError(f"bag {path}: {told}{remedy}") from error
+    """Whatever goes wrong in `rosbags` and its storages, as BagError."""
+    with reading(f"bag {path}", BagError):
+        try:
+            yield
+        except (ReaderError, WriterError, apsw.Error) as error:
+            told = str(error) or type(error).__name__
+            remedy = next((f" {what_to_do}" for said, what_to_do in REMEDIES.items() if said in told), "")
+            raise ContentError(f"{told}{remedy}") from error

@@ -62,10 +62,7 @@ def _read_bag(path: Path) -> Motion:
         from physkin_core.motion.bag_motion import load_bag_motion
     except ModuleNotFoundError as error:
         raise MotionError(f"cannot read bag {path}: {error}; bags need: pip install 'physkin[replay]'") from error
-    try:
-        return load_bag_motion(path)
-    except OSError as error:
-        raise MotionError(f"cannot read bag {path}: {error}") from error
+    return load_bag_motion(path)
 
 
 def _read(path: Path) -> Motion:

@@ -8,14 +8,18 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
+from physkin_core.file_reading import ContentError, read_bytes, reading, shown
 from physkin_ros.joints.nearest_names import nearest_names
 
 __all__ = ["JointMapError", "MappedJoint", "load_joint_map"]
 
+LARGEST_MAP = 1 << 20  # [bytes]
+LONGEST_NAME = 100  # [characters] that a hint is looked for
 ENTRY_KEYS = ("joint", "scale", "offset")
 
 
@@ -38,21 +42,22 @@ def load_joint_map(path: str | Path, joint_names: Collection[str]) -> dict[str, 
     Raises JointMapError naming the file and the entry: unreadable, not an object, unknown key, a joint the rig does not
     have or that two entries drive, a scale or offset that is not a finite number, a scale of zero.
     """
-    try:
-        entries = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise JointMapError(f"cannot read joint map {path}: {error}") from error
+    with reading(f"joint map {path}", JointMapError):
+        return _mapped_joints(json.loads(read_bytes(Path(path), most=LARGEST_MAP)), joint_names)
+
+
+def _mapped_joints(entries: object, joint_names: Collection[str]) -> dict[str, MappedJoint]:
     if not isinstance(entries, dict):
-        raise JointMapError(f"joint map {path} must be a JSON object, incoming name to rig joint, got {_kind(entries)}")
+        raise ContentError(f"it must be a JSON object, incoming name to rig joint, got {_kind(entries)}")
     mapped: dict[str, MappedJoint] = {}
     for name, entry in entries.items():
         try:
             mapped[name] = _mapped_joint(entry, joint_names)
-        except JointMapError as error:
-            raise JointMapError(f"joint map {path}, entry {name!r}: {error}") from None
-    driven = [entry.joint for entry in mapped.values()]
-    if twice := sorted({joint for joint in driven if driven.count(joint) > 1}):
-        raise JointMapError(f"joint map {path}: two entries drive {', '.join(twice)}; a rig joint takes one")
+        except ContentError as error:
+            raise ContentError(f"entry {shown(name)}: {error}") from None
+    driven = Counter(entry.joint for entry in mapped.values())
+    if twice := sorted(joint for joint, times in driven.items() if times > 1):
+        raise ContentError(f"two entries drive {', '.join(twice)}; a rig joint takes one")
     return mapped
 
 
@@ -60,23 +65,23 @@ def _mapped_joint(entry: object, joint_names: Collection[str]) -> MappedJoint:
     if isinstance(entry, str):
         entry = {"joint": entry}
     if not isinstance(entry, dict):
-        raise JointMapError(f"must be a rig joint name or an object, got {_kind(entry)}")
+        raise ContentError(f"must be a rig joint name or an object, got {_kind(entry)}")
     if unknown := sorted(set(entry) - set(ENTRY_KEYS)):
-        raise JointMapError(f"unknown key {', '.join(map(repr, unknown))}; allowed: {', '.join(ENTRY_KEYS)}")
+        raise ContentError(f"unknown key {', '.join(map(shown, unknown))}; allowed: {', '.join(ENTRY_KEYS)}")
     if entry.get("joint") not in joint_names:
-        near = nearest_names(str(entry.get("joint")), joint_names)
+        near = nearest_names(str(entry.get("joint"))[:LONGEST_NAME], joint_names)
         hint = f"did you mean {near}?" if near else "physkin info tshirt lists the joints of the default rig"
-        raise JointMapError(f"the rig has no joint {entry.get('joint')!r}; {hint}")
+        raise ContentError(f"the rig has no joint {shown(entry.get('joint'))}; {hint}")
     numbers = {key: entry[key] for key in ("scale", "offset") if key in entry}
     for key, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise JointMapError(f"{key} must be a finite number, got {value!r}")
+            raise ContentError(f"{key} must be a finite number, got {shown(value)}")
     if numbers.get("scale") == 0:
-        raise JointMapError("scale must not be zero")
+        raise ContentError("scale must not be zero")
     return MappedJoint(entry["joint"], **{key: float(value) for key, value in numbers.items()})
 
 
 def _kind(value: object) -> str:
     return {"list": "an array", "NoneType": "null", "str": "a string", "dict": "an object"}.get(
-        type(value).__name__, f"{value!r}"
+        type(value).__name__, shown(value)
     )

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import time
 
 import pytest
 
+from physkin_core.file_reading import LONGEST_SENTENCE
 from physkin_ros.joints.joint_map import JointMapError, MappedJoint, load_joint_map
 
 JOINTS = ("hip", "knee")
@@ -21,7 +23,12 @@ def test_names_and_objects(tmp_path):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("{", "cannot read joint map"),
+        ("{", "is malformed: JSONDecodeError"),
+        ('{"a":' * 10**5, "is nested too deeply"),
+        (" " * (1 << 20) + "{}", "has 1048578 bytes, allowed are 1048576"),
+        ('{"a": {"joint": "hip", "offset": 1%s}}' % ("0" * 400), "malformed: OverflowError"),
+        ('{"%s": "elbow"}' % ("\\u001b" * 10**4), "the rig has no joint 'elbow'"),
+        ('{"a": "%s"}' % ("x" * 10**5), "the rig has no joint"),
         ("[]", "must be a JSON object"),
         ('{"a": "elbow"}', "entry 'a': the rig has no joint 'elbow'"),
         ('{"a": "Kneee"}', "the rig has no joint 'Kneee'; did you mean 'knee'"),
@@ -41,3 +48,14 @@ def test_bad_files_are_refused(tmp_path, text, reason):
     with pytest.raises(JointMapError, match=reason) as error:
         load_joint_map(path, JOINTS)
     assert str(path) in str(error.value)
+    assert len(str(error.value)) <= LONGEST_SENTENCE and str(error.value).isprintable()
+
+
+def test_many_entries_are_refused_at_once(tmp_path):
+    """In linear time: it took minutes."""
+    path = tmp_path / "map.json"
+    path.write_text(json.dumps({f"{k}": JOINTS[k % 2] for k in range(60_000)}))
+    started = time.perf_counter()
+    with pytest.raises(JointMapError, match="two entries drive hip, knee; a rig joint takes one"):
+        load_joint_map(path, JOINTS)
+    assert time.perf_counter() - started < 5

@@ -215,7 +215,7 @@ def test_joints_beyond_their_limits_are_named(run, draper, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (["replay", "{tmp}/none"], "does not exist"),
+        (["replay", "{tmp}/none"], "no such file"),
         (["replay", "{bag}", "--topic", "/clouds"], "topic /clouds is not in it; topics of sensor_msgs/msg/JointState"),
         (["replay", "{bag}", "--topic", "/gravity"], "topic /gravity is geometry_msgs/msg/Vector3Stamped"),
         (["replay", "{bag}", "--gravity-topic", "/up"], "topic /up is not in it"),
