@@ -10,6 +10,9 @@ from physkin_core.view.scene.scene_state import SceneState
 __all__ = ["LookTab"]
 
 HEATS = {"none": None, "edge strain": "strain", "skin that shows": "skin"}
+HEAT_HINT = (
+    "edge strain: how much longer or shorter than at rest the cloth is; skin that shows: where cloth should cover it"
+)
 BANDS = {"strain": STRAIN_BANDS, "skin": SKIN_BANDS}
 
 
@@ -20,11 +23,11 @@ class LookTab:
         self._state, self._drawing = state, drawing
         gui, switches = page.server.gui, drawing.switches
         splats = [("splats", "splats", "in place of the garment that they are of")] if state.has_splats else []
-        self._heat = gui.add_dropdown("heat map", tuple(HEATS))
+        self._heat = gui.add_dropdown("heat map", tuple(HEATS), hint=HEAT_HINT)
         self._heat.on_update(page.by_hand(self._change_heat))
         self._legend = gui.add_html("", visible=False)
         for name, label, hint in (
-            ("nodes", "garment nodes", "the frames that carry the cloth"),
+            ("nodes", "garment nodes", "points that carry the cloth, as bones carry a body"),
             ("wireframe", "wireframe", "the cloth's triangles"),
             ("normals", "normals", "of some of the cloth's vertices"),
             ("own_colours", "avatar's own colours", "by its file's materials, where it has any"),
@@ -33,9 +36,14 @@ class LookTab:
         ):
             box = gui.add_checkbox(label, getattr(switches, name), hint=hint)
             box.on_update(page.by_hand(lambda name=name, box=box: self._switch(name, box.value)))
-        shadows = gui.add_checkbox("shadows", False, hint="slow without a graphics card")
+        page.lamp.cast_shadow = True
+        shadows = gui.add_checkbox("shadows", True, hint="half as many frames without a graphics card")
         shadows.on_update(page.by_hand(lambda: setattr(page.lamp, "cast_shadow", shadows.value)))
-        plain = gui.add_checkbox("plain skinning beside", False, hint="what the model is compared with")
+        plain = gui.add_checkbox(
+            "plain skinning beside",
+            False,
+            hint="a second figure, whose cloth only follows its bones: without the networks",
+        )
         plain.on_update(page.by_hand(lambda: self._show_plain(plain.value)))
 
     def _switch(self, name: str, on: bool) -> None:

@@ -12,6 +12,8 @@ __all__ = ["MotionTab"]
 
 BY_HAND = "none, posed by hand"
 SLOWEST, FASTEST = 0.1, 2.0
+NO_MARKS = ()
+"""Below a slider: its handle would cover them."""
 
 
 class MotionTab:
@@ -29,11 +31,13 @@ class MotionTab:
         self._motion.on_update(page.by_hand(self._change_motion))
         self._play = gui.add_button("Pause", icon="player-pause")
         self._play.on_click(page.by_hand(self._play_or_pause))
-        self._time = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
+        self._time = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0, marks=NO_MARKS)
         self._time.on_update(page.by_hand(self._scrub))
-        speed = gui.add_slider("speed", SLOWEST, FASTEST, 0.05, 1.0, marks=((0.1, "0.1"), (1.0, "1"), (2.0, "2")))
+        hint = f"times as fast as it was recorded, {SLOWEST} to {FASTEST}"
+        speed = gui.add_slider("speed", SLOWEST, FASTEST, 0.05, 1.0, marks=NO_MARKS, hint=hint)
         speed.on_update(page.by_hand(lambda: setattr(state, "speed", speed.value)))
-        sway = gui.add_slider("sway", 0.0, 1.0, 0.05, state.sway)
+        hint = "how much the cloth lags, swings and settles, 0 to 1"
+        sway = gui.add_slider("sway", 0.0, 1.0, 0.05, state.sway, marks=NO_MARKS, hint=hint)
         sway.on_update(page.by_hand(lambda: setattr(state, "sway", sway.value)))
         hint = "BVH, AMC (send its ASF before it), a bag's .mcap or .db3 file"
         uploads.add_button(page, "Load a motion", hint=hint, load=self._load)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import html
 import io
 import logging
 import socket
@@ -13,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal
 
 from physkin_core.picture import PictureError
@@ -171,20 +173,23 @@ def _check_address(host: str, port: int) -> None:
 
 
 class Readout:
-    """A table at the top of the panel: what a frame takes, and how well the cloth sits."""
+    """A table in the panel. meanings: what its names mean, shown where the mouse rests on one; that of "edge strain" is
+    shown on "edge strain, skirt"."""
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: Page, meanings: Mapping[str, str] = MappingProxyType({})) -> None:
         self._html = page.server.gui.add_html("")
+        self._meanings = {name: html.escape(meaning) for name, meaning in meanings.items()}
 
     def show(self, rows: Mapping[str, str | None]) -> None:
         """Names and values; None for a value that is not there yet."""
         cells = "".join(
-            f'<tr><td style="padding:0 1em 0 0;opacity:0.7">{name}</td>'
+            f'<tr title="{self._meanings.get(name.partition(",")[0], "")}">'
+            f'<td style="padding:0 1em 0 0;opacity:0.7">{name}</td>'
             f'<td style="text-align:right">{WAITING if value is None else value}</td></tr>'
             for name, value in rows.items()
         )
         table = f'<table style="width:100%;font-size:0.85em;font-variant-numeric:tabular-nums">{cells}</table>'
-        content = f'<div style="padding:0.3em 0.9em">{table}</div>'
+        content = f'<div style="padding:0.3em 0.9em 0.6em">{table}</div>'
         if content != self._html.content:
             self._html.content = content
 

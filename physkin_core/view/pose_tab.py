@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from physkin_core.rig.rig import Rig
 from physkin_core.separation.limb_chains import find_limbs
+from physkin_core.view.motion_tab import NO_MARKS
 from physkin_core.view.page import Page
 from physkin_core.view.scene.scene_state import SceneState
+
+if TYPE_CHECKING:
+    import viser
 
 __all__ = ["PoseTab", "joint_groups"]
 
@@ -17,15 +23,16 @@ ALL = "joints"
 
 
 class PoseTab:
-    """Sliders are in degrees. `follow` sets them to the state."""
+    """Sliders are in degrees. `follow` sets them to the state. tab: where they are, those of a later rig, too."""
 
-    def __init__(self, page: Page, state: SceneState) -> None:
-        self._page, self._state = page, state
+    def __init__(self, page: Page, state: SceneState, tab: viser.GuiTabHandle) -> None:
+        self._page, self._state, self._tab = page, state, tab
         self._gui = page.server.gui
-        rest = self._gui.add_button("Rest pose", icon="rotate", hint="the canonical pose, upright")
+        with tab:
+            rest = self._gui.add_button("Rest pose", icon="rotate", hint="the canonical pose, upright")
         rest.on_click(page.guarded(lambda event: state.rest()))
         self._sliders: dict[int, object] = {}
-        self._folder = self._gui.add_folder("Joints [degrees]")
+        self._folders: list = []
         self._shown: tuple = ()
         self._add_sliders()
 
@@ -33,8 +40,8 @@ class PoseTab:
         """Show the state's pose, unless it is being set by the sliders; other sliders for another rig."""
         state = self._state
         if state.rig.joint_names != self._names:
-            self._folder.remove()
-            self._folder = self._gui.add_folder("Joints [degrees]")
+            for folder in self._folders:
+                folder.remove()
             self._add_sliders()
         if state.posed_by_hand or state.playing or state.pose is self._shown:
             return
@@ -46,16 +53,19 @@ class PoseTab:
         rig = self._state.rig
         self._names, self._sliders = rig.joint_names, {}
         positions = np.clip(self._state.pose.positions, rig.lower, rig.upper)
-        with self._folder:
+        self._folders = []
+        with self._tab:
             for part, joints in joint_groups(rig).items():
-                with self._gui.add_folder(part, expand_by_default=False):
+                self._folders.append(self._gui.add_folder(f"{part} [degrees]", expand_by_default=False))
+                with self._folders[-1]:
                     for joint in joints:
                         self._add_slider(joint, *np.degrees([rig.lower[joint], rig.upper[joint], positions[joint]]))
 
     def _add_slider(self, joint: int, lower: float, upper: float, position: float) -> None:
         low, high = float(np.ceil(lower)), float(np.floor(upper))
         start = float(np.clip(round(position), low, high))
-        slider = self._gui.add_slider(self._names[joint], low, high, STEP, start)
+        hint = f"{self._names[joint]}: {low:.0f} to {high:.0f} degrees"
+        slider = self._gui.add_slider(self._names[joint], low, high, STEP, start, hint=hint, marks=NO_MARKS)
         slider.on_update(self._page.by_hand(lambda: self._state.set_joint(joint, np.radians(slider.value))))
         self._sliders[joint] = slider
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import threading
 import time
 
@@ -16,7 +17,7 @@ from physkin_core.view.scene.scene_state import SceneState
 
 pytest.importorskip("viser", reason="needs viser: pip install 'physkin[view]'")
 
-from physkin_core.view.page import Page  # noqa: E402
+from physkin_core.view.page import Page, Readout  # noqa: E402
 from physkin_core.view.viewer import Viewer  # noqa: E402
 
 JOINT = "clavicle.L_x"
@@ -89,8 +90,8 @@ def test_slider_moves_the_cloth(shown, browser):
     before, joint = still(browser), state.rig.joint_names.index(JOINT)
     start = state.pose.positions[joint]
     browser.click(find("[role=tab]", "Pose"))
-    browser.wait(f"{find('*', 'left arm')} !== undefined")
-    browser.click(find("*", "left arm"))
+    browser.wait(f"{find('*', 'left arm [degrees]')} !== undefined")
+    browser.click(find("*", "left arm [degrees]"))
     slider = "[...document.querySelectorAll('[role=slider]')].find(each => each.checkVisibility())"
     browser.wait(f"{slider} !== undefined", seconds=20)
     browser.value(f"{slider}.focus()")
@@ -102,6 +103,24 @@ def test_slider_moves_the_cloth(shown, browser):
     assert state.posed_by_hand and state.pose.positions[joint] - start >= np.radians(8)
     assert changed_share(still(browser, unlike=before), before) < 0.3  # a slow browser may draw the old picture first
     assert browser.errors == []
+
+
+def test_header_says_what_it_measures(shown, browser):
+    """Of what is worn; how it sits is told beside the heat maps, and shadows are drawn."""
+    page, _ = shown
+    browser.wait("/draping, 1 garment0\\.\\d\\d ms/.test(document.body.textContent)")
+    title = browser.value(f"{find('td', 'draping, 1 garment')}.parentElement.title")
+    assert "physkin bench" in title and page.lamp.cast_shadow
+    browser.click(find("[role=tab]", "Look"))
+    browser.wait(f"{find('td', 'edge strain, tshirt')} !== undefined")
+
+
+def test_meanings_are_text(shown):
+    """That of a name goes on its rows of all garments; what looks like HTML is none."""
+    readout = Readout(shown[0], {"strain": '"<b>longer</b>"'})
+    readout.show({"strain, skirt": "1 %", "other": None})
+    (first, second) = re.findall('<tr title="([^"]*)">', readout._html.content)
+    assert first == "&quot;&lt;b&gt;longer&lt;/b&gt;&quot;" and second == ""
 
 
 def test_error_is_a_notice(shown, browser):
