@@ -22,6 +22,7 @@ from physkin_core.outfit.outfit_options import (
     add_fit_option,
     add_garment_option,
     add_limbs_option,
+    add_own_clothes_option,
     add_rig_option,
     add_tucked_option,
     dressed,
@@ -138,6 +139,7 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> a
     )
     add_limbs_option(drape)
     add_tucked_option(drape)
+    add_own_clothes_option(drape)
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garments as .obj, or a .png picture")
     drape.set_defaults(run=_drape)
     bind = commands.add_parser(

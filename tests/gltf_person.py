@@ -1,4 +1,4 @@
-"""A held-out body as a glTF document that tests may change before it is written and loaded."""
+"""A held-out body as a glTF document that tests may change before it is written and loaded; bare, or dressed."""
 
 import json
 from pathlib import Path
@@ -9,6 +9,7 @@ from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.export.gltf_builder import GltfBuilder, write_glb
+from physkin_core.model.garment import vertex_normals
 from physkin_prepare.gltf_export import skinned_document
 
 BODY = load_body_model()
@@ -67,3 +68,68 @@ def write_gltf(path: Path, builder: GltfBuilder, *, buffer_uri: str) -> None:
     """Write the JSON alone; `buffer_uri` is where its buffer is found (a file beside it, or a data URI)."""
     document = {**builder.document, "buffers": [{**builder.document["buffers"][0], "uri": buffer_uri}]}
     path.write_text(json.dumps(document), encoding="utf-8")
+
+
+# --- The person as makers of avatars dress theirs: skin where it is seen, clothes in meshes and materials of their own
+
+SLEEVE, EASE = 0.045, 0.008
+"""[m] How far sleeves and other clothes are from the skin."""
+NORMALS = vertex_normals(PERSON.vertices, PERSON.faces)
+
+
+def faces_on(*bones):
+    """Faces of the person that hang on bones whose names begin so."""
+    strongest = PERSON.influence_bones[np.arange(len(PERSON.vertices)), PERSON.influence_weights.argmax(axis=1)]
+    chosen = [bone for bone, name in enumerate(RIG.bone_names) if name.startswith(bones)]
+    return PERSON.faces[np.isin(strongest, chosen)[PERSON.faces].all(axis=1)]
+
+
+TRUNK, ARMS, LEGS = (
+    ("spine", "root", "clavicle", "breast", "pelvis"),
+    ("upperarm", "lowerarm"),
+    ("upperleg", "lowerleg"),
+)
+SLEEVES = {"short": ("upperarm",), "long": ARMS}
+
+
+def add_part(builder, name, faces, *, offset=0.0, material=None, inwards=False):
+    """A mesh of the person's faces, `offset` [m] (a number, or one a vertex) off the skin, in a node of its own.
+    material: glTF's."""
+    document, binary = builder.document, builder.document["meshes"][0]["primitives"][0]["attributes"]
+    moved = PERSON.vertices + np.broadcast_to(offset, len(PERSON.vertices))[:, None] * NORMALS
+    position = builder.add_accessor(moved[:, [1, 2, 0]].astype(np.float32))
+    primitive = {"attributes": {**binary, "POSITION": position}}
+    primitive["indices"] = builder.add_accessor(faces.astype(np.uint16).reshape(-1))
+    if material is not None:
+        document.setdefault("materials", []).append(material)
+        primitive["material"] = len(document["materials"]) - 1
+    document["meshes"].append({"name": name, "primitives": [primitive]})
+    document["nodes"].append({"name": name, "mesh": len(document["meshes"]) - 1, "skin": 0})
+    document["scenes"][0]["nodes"].append(len(document["nodes"]) - 1)
+
+
+def plain(name, *colour, **more):
+    """A material of one colour, linear RGB or RGBA."""
+    colour = [*colour, *[1.0] * (4 - len(colour))]
+    return {"name": name, "pbrMetallicRoughness": {"baseColorFactor": colour}, **more}
+
+
+def dressed_document(*, sleeves="long", skin_beneath=False):
+    """Ready Player Me's meshes and names: skin only where it is seen, a top, trousers, shoes, hair, eyes."""
+    trunk_and_arms = faces_on(*TRUNK, *SLEEVES[sleeves])
+    legs = faces_on(*LEGS)
+    covered = {tuple(face) for face in np.concatenate([trunk_and_arms, legs, faces_on("foot")]).tolist()}
+    seen = np.array([face for face in PERSON.faces.tolist() if skin_beneath or tuple(face) not in covered])
+    builder = person_document(faces=seen)
+    builder.document["meshes"][0]["name"] = builder.document["nodes"][-1]["name"] = "Wolf3D_Body"
+    builder.document["materials"] = [plain("Wolf3D_Body", 0.5, 0.27, 0.18)]
+    builder.document["meshes"][0]["primitives"][0]["material"] = 0
+    wide = np.full(len(PERSON.vertices), EASE)
+    wide[np.unique(faces_on(*SLEEVES[sleeves]))] = SLEEVE
+    add_part(builder, "Wolf3D_Outfit_Top", trunk_and_arms, offset=wide, material=plain("Top", 0.6, 0.05, 0.05))
+    add_part(builder, "Wolf3D_Outfit_Bottom", legs, offset=EASE, material=plain("Bottom", 0.05, 0.07, 0.25))
+    add_part(builder, "Wolf3D_Outfit_Footwear", faces_on("foot"), offset=0.004, material=plain("Shoes", 0.1, 0.1, 0.1))
+    head = faces_on("head")
+    upper = head[PERSON.vertices[head][..., 2].min(axis=1) > PERSON.vertices[head][..., 2].max() - 0.12]
+    add_part(builder, "Wolf3D_Hair", upper, offset=0.012, material=plain("Hair", 0.08, 0.04, 0.02))
+    return builder

@@ -6,6 +6,7 @@ Dimensions: `V` body vertices, `f` faces, `b` bones of the garment model's rig, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.rig.linear_blend_skinning import joined_influences, linear_blend_skinning
 
-__all__ = ["Avatar", "AvatarError", "AvatarWarning", "avatar_from_body"]
+__all__ = ["Avatar", "AvatarError", "AvatarWarning", "avatar_from_body", "joined_surfaces"]
 
 
 class AvatarError(ValueError):
@@ -37,6 +38,8 @@ class Avatar:
     file_corners: (f, 3) int, which corner of the file's triangles each face's corner is, counted over the whole file:
     where its texture places are.
     accessories: hair, eyes, glasses and the like of its file, on the same bones: for pictures, nothing to garments.
+    clothes: what it wears already, a surface each, on the same bones: for pictures; an outfit leaves out what it
+    replaces.
     """
 
     vertices: np.ndarray
@@ -51,6 +54,7 @@ class Avatar:
     file_vertices: np.ndarray | None = None
     file_corners: np.ndarray | None = None
     accessories: Avatar | None = None
+    clothes: tuple[Avatar, ...] = ()
 
     def posed_vertices(self, bone_transforms: np.ndarray) -> np.ndarray:
         """Body surface in a pose, by linear blend skinning.
@@ -63,20 +67,25 @@ class Avatar:
         return linear_blend_skinning(self.vertices, matrices, self.influence_bones, self.influence_weights)
 
     def with_accessories(self) -> Avatar:
-        """One surface to draw: the body's vertices and faces first, those of its accessories after them."""
-        more = self.accessories
-        if more is None:
+        """One surface to draw: the body's vertices and faces first, then those of its accessories and its clothes."""
+        more = [*([] if self.accessories is None else [self.accessories]), *self.clothes]
+        if not more:
             return self
-        return replace(
-            self,
-            vertices=np.concatenate([self.vertices, more.vertices]),
-            faces=np.concatenate([self.faces, more.faces + len(self.vertices)]),
-            influence_bones=joined_influences([self.influence_bones, more.influence_bones]),
-            influence_weights=joined_influences([self.influence_weights, more.influence_weights]),
-            file_vertices=None,  # nobody asks where a picture's vertices were
-            file_corners=np.concatenate([self.file_corners, more.file_corners]),
-            accessories=None,
-        )
+        return replace(joined_surfaces([self, *more]), accessories=None, clothes=())
+
+
+def joined_surfaces(avatars: Sequence[Avatar]) -> Avatar:
+    """Surfaces on the same bones as one, the first avatar's in all else; of its file it knows no places."""
+    starts = np.cumsum([0, *(len(each.vertices) for each in avatars[:-1])])
+    return replace(
+        avatars[0],
+        vertices=np.concatenate([each.vertices for each in avatars]),
+        faces=np.concatenate([each.faces + start for each, start in zip(avatars, starts)], dtype=np.int32),
+        influence_bones=joined_influences([each.influence_bones for each in avatars]),
+        influence_weights=joined_influences([each.influence_weights for each in avatars]),
+        file_vertices=None,
+        file_corners=np.concatenate([each.file_corners for each in avatars]),
+    )
 
 
 def avatar_from_body(body_model: BodyModel, coefficients: np.ndarray) -> Avatar:

@@ -1,8 +1,9 @@
-"""Which parts of an avatar are its body: not hair, eyes, glasses, nor clothes with skin under them. Hair, shoes
-and the like are its accessories: for pictures.
+"""Which parts of an avatar are its body, which are clothes that it wears already, and which are accessories, such as
+hair, eyes, glasses and shoes: for pictures.
 
-A part is what one material draws of one mesh. Its names say what it may be; how much surface the body has where the
-part is says whether it is needed: of avatars that were modelled dressed, the clothes are the body.
+A part is what one material draws of one mesh. Its names say what it may be. Where they do not, how much surface a body
+has there says whether the part is needed; of those that are not, what lies over the body is clothes, and what lies in
+its gaps, as the joints of a robot do, is an accessory.
 
 Dimensions: `V` vertices, `f` faces, `j` joints, `k` parts, `r` regions of the body. Metres.
 """
@@ -11,17 +12,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.skinned_mesh import SkinnedMesh
+from physkin_core.avatar.surface_matching import NORMAL_REACH, with_normals
 from physkin_core.model.garment import face_areas
+from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
 from physkin_core.rig.rig import Rig
 
-__all__ = ["kind_of_part", "split_body", "without_accessories"]
+__all__ = ["BodyParts", "free_bones", "kind_of_part", "split_body", "without_accessories"]
 
 BODY, UNKNOWN, CLOTHES, ACCESSORY = range(4)
 WORDS = {
@@ -36,8 +39,12 @@ WORDS = {
 """What the words in a part's names say that it is, the first that is found."""
 FREE_BONES = "neck01", "wrist", "foot"
 """Where parts begin that garments leave free: what is worn there is shown with hair and the like."""
-NOT_SHOWN = {"helper", "lash", "eyelash", "brow", "eyebrow", "cornea"}
-"""Accessories that pictures show better without: helpers, and what is painted on clear cards and shells."""
+NEVER_SHOWN = {"helper", "cornea"}
+"""Accessories that pictures show better without: helpers and clear shells."""
+PAINTED_ON_CARDS = {"lash", "eyelash", "brow", "eyebrow"}
+"""What is shown only where its material says that one sees through the card that it is painted on."""
+OVER, OVER_POINTS = 0.002, 500
+"""[m] How far outside the body clothes are, at least, and how many points of a part are looked at."""
 MARKED_JOINT = re.compile(r"joint[-_]", re.IGNORECASE)
 """How the names of the cubes begin that mark joints in MakeHuman's base mesh."""
 WORD_KINDS = {word: kind for kind, words in WORDS.items() for word in words.split()}
@@ -73,16 +80,22 @@ def without_accessories(
     return vertices[used], corners.reshape(-1, 3)
 
 
-def split_body(
-    mesh: SkinnedMesh, joint_bones: np.ndarray, rig: Rig, *, scale: float
-) -> tuple[SkinnedMesh, SkinnedMesh | None]:
-    """The mesh's parts that are its body, and those that are accessories to show, if there are any; a warning says
-    which were taken and which left out.
+@dataclass(frozen=True)
+class BodyParts:
+    """A mesh in parts. accessories: None where there are none. clothes: one each."""
+
+    body: SkinnedMesh
+    accessories: SkinnedMesh | None = None
+    clothes: tuple[SkinnedMesh, ...] = ()
+
+
+def split_body(mesh: SkinnedMesh, joint_bones: np.ndarray, rig: Rig, *, scale: float) -> BodyParts:
+    """What of a mesh is its body, its clothes and its accessories; a warning says so, where it is not all body.
 
     joint_bones: (j,) bone of `rig` that each joint belongs to. scale: size of the skeleton over the rig's.
     """
     if len(mesh.part_names) < 2:
-        return mesh, None
+        return BodyParts(mesh)
     strongest = np.take_along_axis(mesh.influence_joints, mesh.influence_weights.argmax(axis=1)[:, None], axis=1)[:, 0]
     bones = joint_bones[strongest[mesh.faces[:, 0]]]
     face_area = face_areas(mesh.vertices, mesh.faces)
@@ -90,14 +103,41 @@ def split_body(
     cell = np.ravel_multi_index((mesh.face_parts, _bone_regions(rig)[bones]), cells)
     areas = np.bincount(cell, face_area, cells[0] * cells[1]).reshape(cells)
     kinds = np.array([kind_of_part(names) for names in mesh.part_names])
-    taken = _taken(areas, kinds, scale**2 * _usual_areas(rig))
+    free = np.bincount(mesh.face_parts, face_area * free_bones(rig)[bones], len(areas)) > areas.sum(axis=1) / 2
+    worn = (kinds == CLOTHES) & ~free & _skin_can_stand_in(rig, kinds)
+    taken = _taken(areas * ~worn[:, None], kinds, scale**2 * _usual_areas(rig)) & ~worn
     if taken.all() and not (kinds == CLOTHES).any():
-        return mesh, None
-    free = np.bincount(mesh.face_parts, face_area * _are_free(rig)[bones], len(areas)) > areas.sum(axis=1) / 2
-    shown = ~taken & ((kinds == ACCESSORY) | free)
-    shown &= [k not in mesh.clear_parts and _is_shown(names) for k, names in enumerate(mesh.part_names)]
-    warned = replace(mesh, warnings=(*mesh.warnings, _report(mesh.part_names, kinds, taken, shown)))
-    return _parts_of(warned, taken), _parts_of(warned, shown) if shown[mesh.face_parts].any() else None
+        return BodyParts(mesh)
+    over = ~taken & (kinds == UNKNOWN) & ~free & (areas.sum(axis=1) > 0)
+    over[over] = [_lies_over(mesh, part, taken) for part in np.flatnonzero(over)]
+    worn |= over | (~taken & ~free & (kinds == CLOTHES))
+    shown = (
+        ~taken & ~worn & np.array([_is_shown(names, k in mesh.clear_parts) for k, names in enumerate(mesh.part_names)])
+    )
+    warned = replace(mesh, warnings=(*mesh.warnings, _report(mesh.part_names, kinds, taken, worn, shown)))
+    present = np.bincount(mesh.face_parts, minlength=len(areas)) > 0
+    return BodyParts(
+        _parts_of(warned, taken),
+        _parts_of(warned, shown) if (shown & present).any() else None,
+        tuple(_parts_of(warned, np.arange(len(areas)) == part) for part in np.flatnonzero(worn & present)),
+    )
+
+
+def _skin_can_stand_in(rig: Rig, kinds: np.ndarray) -> bool:
+    """Whether clothes need not be the body where there is no skin beneath (see `skin_beneath`)."""
+    return rig.bone_names == load_body_model().rig.bone_names and bool(np.isin(kinds, (BODY, UNKNOWN)).any())
+
+
+def _lies_over(mesh: SkinnedMesh, part: int, body: np.ndarray) -> bool:
+    """Whether most of a part is outside the body, a mask of parts (k,), next to what faces alike."""
+    from scipy.spatial import cKDTree
+
+    own, skin = (
+        with_normals(*sample_surface(mesh.vertices, mesh.faces[chosen], OVER_POINTS))
+        for chosen in (mesh.face_parts == part, body[mesh.face_parts])
+    )
+    near = skin[cKDTree(skin).query(own)[1]]
+    return float(np.median(((own - near)[:, :3] * near[:, 3:]).sum(axis=1) / NORMAL_REACH)) > OVER
 
 
 def _parts_of(mesh: SkinnedMesh, chosen: np.ndarray) -> SkinnedMesh:
@@ -116,8 +156,9 @@ def _parts_of(mesh: SkinnedMesh, chosen: np.ndarray) -> SkinnedMesh:
     )
 
 
-def _is_shown(names: Sequence[str]) -> bool:
-    return not any(MARKED_JOINT.match(name) or NOT_SHOWN & _forms(name) for name in names)
+def _is_shown(names: Sequence[str], clear: bool) -> bool:
+    hidden = NEVER_SHOWN if clear else NEVER_SHOWN | PAINTED_ON_CARDS
+    return not any(MARKED_JOINT.match(name) or hidden & _forms(name) for name in names)
 
 
 def _taken(areas: np.ndarray, kinds: np.ndarray, usual: np.ndarray) -> np.ndarray:
@@ -132,12 +173,18 @@ def _taken(areas: np.ndarray, kinds: np.ndarray, usual: np.ndarray) -> np.ndarra
     return taken if taken.any() else ~taken
 
 
-def _report(names: Sequence[Sequence[str]], kinds: np.ndarray, taken: np.ndarray, shown: np.ndarray) -> str:
+def _report(
+    names: Sequence[Sequence[str]], kinds: np.ndarray, taken: np.ndarray, worn: np.ndarray, shown: np.ndarray
+) -> str:
     dressed = taken & (kinds == CLOTHES)
     text = f"of {len(names)} parts these were taken as the body: {_listed(names, taken)}"
     if dressed.any():
         text += f" ({_listed(names, dressed)} though by name clothes, as there is too little skin under them)"
-    for label, chosen in (("shown, though garments do not heed it", shown), ("left out", ~taken & ~shown)):
+    for label, chosen in (
+        ("worn already", worn),
+        ("shown, though garments do not heed it", shown),
+        ("left out", ~taken & ~worn & ~shown),
+    ):
         text += f"; {label}: {_listed(names, chosen)}" if chosen.any() else ""
     return text
 
@@ -154,7 +201,7 @@ def _bone_regions(rig: Rig) -> np.ndarray:
     return rig.inherited(starts, len(REGION_BONES))
 
 
-def _are_free(rig: Rig) -> np.ndarray:
+def free_bones(rig: Rig) -> np.ndarray:
     """(b,) bool: bones of head, hands and feet."""
     starts = {bone: 1 for bone, name in enumerate(rig.bone_names) if name.split(".")[0] in FREE_BONES}
     return rig.inherited(starts, 0).astype(bool)

@@ -16,6 +16,7 @@ from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.body_parts import split_body
 from physkin_core.avatar.joint_identification import identify_bones
+from physkin_core.avatar.skin_beneath import with_skin_beneath
 from physkin_core.avatar.skinned_mesh import SkinnedMesh, check_size, turn_upright
 from physkin_core.rig.bone_naming import OWN_NAMES
 from physkin_core.rig.bone_structure import spine_bones
@@ -42,10 +43,12 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
     check_size(mesh.vertices, mesh.source)
     scale = _leg_ratio({bone: mesh.joint_heads[joint] for bone, joint in bone_joint.items()}, rig, rig.heads)
     joint_bones = _joint_bones(mesh, bone_joint, rig)
-    mesh, accessories = split_body(mesh, joint_bones, rig, scale=scale)
+    whole, parts = mesh, split_body(mesh, joint_bones, rig, scale=scale)
+    mesh = parts.body
     root_joint = bone_joint.get(rig.bone_names[0]) if naming == OWN_NAMES else None
     heads, tails, root = place_bones(mesh, bone_joint, rig, root_joint=root_joint)
-    outward = slice(None, None, _orientation(mesh.vertices, mesh.faces))
+    closed = whole if parts.clothes else mesh  # skin may be hands and face alone
+    outward = slice(None, None, _orientation(closed.vertices, closed.faces))
 
     def bound(part: SkinnedMesh) -> Avatar:
         bones, weights = _rig_influences(part, joint_bones, bone_joint, rig, heads, tails)
@@ -63,7 +66,12 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
             file_corners=None if part.file_corners is None else part.file_corners[:, outward],
         )
 
-    return replace(bound(mesh), accessories=None if accessories is None else bound(accessories))
+    clothes = tuple(map(bound, parts.clothes))
+    return replace(
+        with_skin_beneath(bound(mesh), clothes),
+        accessories=None if parts.accessories is None else bound(parts.accessories),
+        clothes=clothes,
+    )
 
 
 def place_bones(

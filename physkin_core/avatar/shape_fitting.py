@@ -11,6 +11,7 @@ Dimensions: `V` vertices of the body model, `c` shape coefficients, `b` bones, `
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -25,10 +26,10 @@ from physkin_core.avatar.surface_matching import (
     spread_vertices,
     with_normals,
 )
-from physkin_core.model.garment import vertex_normals
+from physkin_core.model.garment import face_areas, vertex_normals
 from physkin_core.model.surface_sampling import sample_surface
 
-__all__ = ["LaidBody", "lay_body"]
+__all__ = ["LaidBody", "lay_beneath", "lay_body"]
 
 POINTS = 16384
 """Points sampled on the avatar."""
@@ -54,6 +55,8 @@ KEPT = 4
 """Avatars on which the body model stays laid."""
 CARRIED_FROM = 6
 """Matched vertices from which the displacement of a vertex is taken."""
+SLACK_TRUST = 0.1
+"""What clothes outside of the body count against its skin: they are wider than it, nobody knows by how much."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,15 @@ def lay_body(avatar: Avatar, body: BodyModel) -> LaidBody:
         matching = _SameMesh(avatar, body)
     else:
         matching = _ClosestPoints(avatar, body)
+    return _laid(matching, avatar, body)
+
+
+def lay_beneath(skin: Avatar, clothes: Sequence[Avatar], body: BodyModel) -> LaidBody:
+    """Lay the body model on a skin that is not all there, beneath clothes: these bound it, and do not draw it out."""
+    return _laid(_BeneathClothes(skin, clothes, body), skin, body)
+
+
+def _laid(matching: _SameMesh | _ClosestPoints, avatar: Avatar, body: BodyModel) -> LaidBody:
     coefficients, place = _fitted(matching, avatar, body)
     fitted = _body_surface(body, coefficients) + place
     missing = matching.missing(fitted)
@@ -165,15 +177,32 @@ class _ClosestPoints:
         from scipy.spatial import cKDTree
 
         self._faces = body.faces
-        self._points = with_normals(*sample_surface(avatar.vertices, avatar.faces, POINTS))
+        self._points = self._sampled(avatar)
         self._tree = cKDTree(self._points)
         self.chosen = spread_vertices(body, MATCHED)
 
     def matches(self, surface: np.ndarray, outlier: float = OUTLIER) -> tuple[np.ndarray, np.ndarray]:
         """Points (k, 6) that the chosen vertices of a surface (V, 3) are matched with, and trust in them (k,)."""
+        match, trust = self._pairs(surface, outlier)
+        return self._points[match], trust
+
+    def _pairs(self, surface: np.ndarray, outlier: float) -> tuple[np.ndarray, np.ndarray]:
+        """As `matches`, with the number (k,) of each point."""
         mine = with_normals(surface, vertex_normals(surface, self._faces))[self.chosen]
         distance, match = self._tree.query(mine)
-        return self._points[match], 1 / (1 + (distance / outlier) ** 2) ** 2
+        return match, self._belief(mine, match) / (1 + (distance / outlier) ** 2) ** 2
+
+    def _sampled(self, avatar: Avatar) -> np.ndarray:
+        """Points `with_normals` (N, 6) to match with."""
+        return with_normals(*sample_surface(avatar.vertices, avatar.faces, POINTS))
+
+    def _belief(self, mine: np.ndarray, match: np.ndarray) -> np.ndarray | float:
+        """Trust (k,) in matching (k, 6) with points `match` (k,), however far away these are."""
+        return 1.0
+
+    def _drawn(self, off: np.ndarray, match: np.ndarray) -> np.ndarray:
+        """What vertices are drawn along normals, of the distances off (k,) [m] to points `match` (k,)."""
+        return off
 
     def missing(self, surface: np.ndarray) -> np.ndarray:
         """Smooth displacement (V, 3) [m] of a surface (V, 3) onto the avatar.
@@ -189,9 +218,10 @@ class _ClosestPoints:
         carried /= carried.sum(axis=1, keepdims=True)
         moved = np.zeros_like(surface)
         for radius in RADII:
-            target, trust = self.matches(surface + moved, max(OUTLIER, radius))
-            normals = target[:, 3:] / NORMAL_REACH
-            off = np.einsum("ki,ki->k", target[:, :3] - (surface + moved)[self.chosen], normals)
+            match, trust = self._pairs(surface + moved, max(OUTLIER, radius))
+            target, normals = self._points[match, :3], self._points[match, 3:] / NORMAL_REACH
+            off = np.einsum("ki,ki->k", target - (surface + moved)[self.chosen], normals)
+            off = self._drawn(off, match)
             share = trust[near] * np.exp(-((distance / radius) ** 2))
             share /= share.sum(axis=1, keepdims=True) + 1e-9
             system = np.einsum("kn,kni,knj->kij", share, normals[near], normals[near]) + TANGENTIAL * np.eye(3)
@@ -199,3 +229,27 @@ class _ClosestPoints:
             step = np.linalg.solve(system, right[..., None])[..., 0]
             moved += np.einsum("vk,vki->vi", carried, step[carriers])
         return moved
+
+
+class _BeneathClothes(_ClosestPoints):
+    """Pairs vertices of the body model with points on skin and on clothes, which it may be inside of."""
+
+    def __init__(self, skin: Avatar, clothes: Sequence[Avatar], body: BodyModel) -> None:
+        self._clothes = clothes
+        super().__init__(skin, body)
+
+    def _sampled(self, avatar: Avatar) -> np.ndarray:
+        surfaces = [avatar, *self._clothes]
+        areas = np.array([face_areas(each.vertices, each.faces).sum() for each in surfaces])
+        counts = np.maximum(POINTS * areas / areas.sum(), 1).astype(int)
+        points = [with_normals(*sample_surface(s.vertices, s.faces, n)) for s, n in zip(surfaces, counts)]
+        self._worn = np.repeat(np.arange(len(surfaces)) > 0, counts)
+        return np.concatenate(points)
+
+    def _belief(self, mine: np.ndarray, match: np.ndarray) -> np.ndarray:
+        other = self._points[match]
+        outside = ((other - mine)[:, :3] * other[:, 3:]).sum(axis=1) > 0
+        return np.where(self._worn[match] & outside, SLACK_TRUST, 1.0)
+
+    def _drawn(self, off: np.ndarray, match: np.ndarray) -> np.ndarray:
+        return np.where(self._worn[match], np.minimum(off, 0), off)

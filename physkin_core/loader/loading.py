@@ -58,7 +58,7 @@ class Loading:
                     return self._outfit(request)
                 case AvatarRequest():
                     avatar = load_avatar(request.body, load_body_model().rig, rig_file=request.rig_file or None)
-                    avatar = avatar.with_accessories()
+                    avatar = replace(avatar, clothes=()).with_accessories()
                     return LoadedAvatar(avatar, avatar_colours(avatar))
                 case MotionRequest():
                     return load_motion(request.motion)
@@ -76,13 +76,14 @@ class Loading:
         body = Path(request.body)
         with _unchanged(_files_of(body, request.rig_file)) as body_digest:
             made_of = [(digest, garment.tucked, garment.fit) for (_, digest), garment in zip(models, worn)]
-            key = _digest(repr((body_digest, made_of, request.hide)).encode())
+            key = _digest(repr((body_digest, made_of, request.hide, request.own_clothes)).encode())
             bound = self._kept.get(key)
             if cached := bound is not None:
                 bound = replace(bound, avatar=replace(bound.avatar, source=str(body)))  # maybe it has another name
             else:
                 avatar = self._avatar(body, request.rig_file, body_digest, models[0][0])
-                bound = bind_outfit(worn, avatar, hide=request.hide).without_networks()
+                bound = bind_outfit(worn, avatar, hide=request.hide, own_clothes=request.own_clothes)
+                bound = bound.without_networks()
         if not cached:
             self._keep(key, bound)
         splats, refused = _splats(request.points, bound)

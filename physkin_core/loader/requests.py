@@ -15,6 +15,7 @@ from physkin_core.model.garment_model import SkinnedGarment
 from physkin_core.model.skinning import SkinningData
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.bound_outfit import BoundOutfit
+from physkin_core.outfit.coverage import OwnClothes
 from physkin_core.outfit.layer_order import LayerOrder
 from physkin_core.points.splat_draper import BoundSplats
 from physkin_core.points.splats_on_outfit import SplatsOnOutfit
@@ -40,15 +41,16 @@ class GarmentRequest:
 
 @dataclass(frozen=True)
 class OutfitRequest:
-    """garments: from the skin outwards, to be put on the body of a file; rig_file: empty for none. hide: as of
-    `Outfit`. limbs: fit a collision shape, too. points: file of splats on one of the garments, empty for none. colours:
-    of the body's own materials, too. known: keys of outfits that need not be sent again.
+    """garments: from the skin outwards, to be put on the body of a file; rig_file: empty for none. hide, own_clothes:
+    as of `Outfit`. limbs: fit a collision shape, too. points: file of splats on one of the garments, empty for none.
+    colours: of the body's own materials, too. known: keys of outfits that need not be sent again.
     """
 
     garments: tuple[GarmentRequest, ...]
     body: str
     rig_file: str = ""
     hide: bool = True
+    own_clothes: OwnClothes = "replace"
     limbs: bool = False
     points: str = ""
     colours: bool = False
@@ -81,7 +83,8 @@ class AvatarRequest:
 
 @dataclass(frozen=True)
 class LoadedAvatar:
-    """avatar: with its accessories. colours: (F, 3) sRGB in [0, 1] by its own materials; None where it has none."""
+    """avatar: with its accessories, without its clothes. colours: (F, 3) sRGB in [0, 1] by its own materials; None
+    where it has none."""
 
     avatar: Avatar
     colours: np.ndarray | None

@@ -16,7 +16,7 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.garment_model import GarmentModel, SkinnedGarment
 from physkin_core.motion.everyday_poses import everyday_poses
-from physkin_core.outfit.coverage import Cover, covered, faces_of
+from physkin_core.outfit.coverage import OWN_CLOTHES, Cover, OwnClothes, covered, faces_of, own_clothes_beside
 from physkin_core.outfit.dressing import drapes, put_on
 from physkin_core.outfit.layer_order import LayerOrder, bind_layer_order
 from physkin_core.outfit.taking_in import taken_in
@@ -38,8 +38,9 @@ Poses = list[tuple[np.ndarray, np.ndarray]]
 class BoundOutfit:
     """Garments on one body: everything of an outfit that does not change with the pose.
 
-    avatar: with all that was warned of. layers: from the skin outwards. orders: what keeps them in order. body_hidden:
-    (V,) bool, the body's vertices that are covered in all everyday poses; None where these have not been looked at.
+    avatar: with all that was warned of, its clothes without what is replaced. layers: from the skin outwards. orders:
+    what keeps them in order. body_hidden: (V,) bool, the body's vertices that are covered in all everyday poses; None
+    where these have not been looked at.
     worth_saying: what there is to warn of beyond the avatar's own warnings.
     """
 
@@ -55,9 +56,16 @@ class BoundOutfit:
 
 
 def bind_outfit(
-    garments: Sequence[WornGarment], avatar: Avatar, *, fit: float | None = None, hide: bool = True
+    garments: Sequence[WornGarment],
+    avatar: Avatar,
+    *,
+    fit: float | None = None,
+    hide: bool = True,
+    own_clothes: OwnClothes = "replace",
 ) -> BoundOutfit:
     """Put garments on an avatar. Arguments and ValueErrors: as of `Outfit`."""
+    if own_clothes not in OWN_CLOTHES:
+        raise ValueError(f"own_clothes is {own_clothes!r}; allowed: {', '.join(OWN_CLOTHES)}")
     layers, tucks, worth_saying = put_on(garments, avatar, fit=fit)
     orders: tuple[LayerOrder, ...] = ()
     body_hidden = None
@@ -78,7 +86,10 @@ def bind_outfit(
     given = ", ".join(f"{layer.name} {layer.vertex_count} of {len(layer.rest)}" for layer in layers)
     log.info("draping on %s, vertices: %s", avatar.source, given)
     warnings = tuple(dict.fromkeys([*avatar.warnings, *worth_saying]))
-    return BoundOutfit(replace(avatar, warnings=warnings), tuple(layers), orders, body_hidden, tuple(worth_saying))
+    clothes = own_clothes_beside(avatar, covers_of(layers, [layer.rest for layer in layers]), own_clothes)
+    return BoundOutfit(
+        replace(avatar, warnings=warnings, clothes=clothes), tuple(layers), orders, body_hidden, tuple(worth_saying)
+    )
 
 
 def hidden_body(layers: Sequence[Layer], avatar: Avatar) -> np.ndarray:

@@ -11,14 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.surface_matching import with_normals
-from physkin_core.model.garment import vertex_normals
+from physkin_core.model.garment import face_areas, vertex_normals
 
-__all__ = ["Cover", "covered", "faces_of", "slimmed"]
+__all__ = ["OWN_CLOTHES", "Cover", "OwnClothes", "covered", "faces_of", "own_clothes_beside", "slimmed"]
 
 FROM_HEM = 0.03
 """[m] along the cover, from its hem, within which nothing under it is hidden."""
@@ -28,6 +29,11 @@ SLIMMER = 0.006
 """[m] How much slimmer skin is drawn under cloth."""
 SLIMMING = (-0.03, 0.0)
 """[m] behind a hem, where that begins, on bare skin, and where it is reached: hems slide."""
+REPLACED = 0.5
+"""Share of a piece of an avatar's own clothes under garments from which these replace it."""
+OwnClothes = Literal["replace", "hide", "keep"]
+OWN_CLOTHES: tuple[OwnClothes, ...] = get_args(OwnClothes)
+"""What becomes of clothes that an avatar wears already: gone where garments replace them, all gone, or all kept."""
 SLIMMEST = 0.15
 """But by no more than this share of the way to its bone: wrists are seen in wide cuffs."""
 
@@ -50,10 +56,26 @@ def covered(points: np.ndarray, normals: np.ndarray, covers: Sequence[Cover]) ->
     return under
 
 
+def own_clothes_beside(avatar: Avatar, covers: Sequence[Cover], own_clothes: OwnClothes) -> tuple[Avatar, ...]:
+    """What an avatar still wears beside covers at rest: of its own clothes those that are not replaced, without what
+    is covered."""
+    left = []
+    for piece in avatar.clothes if own_clothes != "hide" else ():
+        normals, areas = vertex_normals(piece.vertices, piece.faces), face_areas(piece.vertices, piece.faces)
+        under = np.max([_depths(piece.vertices, normals, cover) for cover in covers], axis=0) > 0
+        seen = ~faces_of(piece.faces, under)
+        if seen.any() and (own_clothes == "keep" or areas[seen].sum() > (1 - REPLACED) * areas.sum()):
+            left.append(replace(piece, faces=piece.faces[seen], file_corners=piece.file_corners[seen]))
+    return tuple(left)
+
+
 def slimmed(avatar: Avatar, covers: Sequence[Cover]) -> Avatar:
-    """The avatar as it is drawn under covers at rest: skin under cloth up to 6 mm slimmer, so that it does not show
-    through where cloth lies a millimetre too deep."""
+    """The avatar as it is drawn under covers and its own clothes at rest: skin under cloth up to 6 mm slimmer, so that
+    it does not show through where cloth lies a millimetre too deep."""
     normals = vertex_normals(avatar.vertices, avatar.faces)
+    for piece in avatar.clothes:  # which have no hem that slides
+        drawn = vertex_normals(piece.vertices, piece.faces)
+        covers = [*covers, Cover(piece.vertices, drawn, np.full(len(drawn), np.inf))]
     depth = np.max([_depths(avatar.vertices, normals, cover) for cover in covers], axis=0)
     slimmer = np.minimum(SLIMMER, SLIMMEST * _to_bones(avatar)) * np.interp(depth, SLIMMING, (0, 1))
     return replace(avatar, vertices=(avatar.vertices - slimmer[:, None] * normals).astype(np.float32))

@@ -19,7 +19,7 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar, AvatarWarning
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.outfit.bound_outfit import BoundOutfit, bind_outfit, covers_of, hidden_body
-from physkin_core.outfit.coverage import faces_of, slimmed
+from physkin_core.outfit.coverage import OwnClothes, faces_of, slimmed
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Evaluator, Precision
@@ -46,6 +46,8 @@ class Outfit:
         truer where the cloth ripples or slides, for some 5 ns a vertex.
     hide: leave out what cannot be seen in everyday poses; `Layer.visible` says which vertices are given. False: give
         all.
+    own_clothes: what pictures show of clothes that the avatar wears already: "replace", all but those that the garments
+        replace; "hide", none; "keep", all that is not under a garment. Drapes are the same.
     layers: the garments as they are worn here. orders: what keeps them in order. avatar: with all `warnings`.
     What can be worn but looks odd, or does not sit, is issued as AvatarWarning, which `warnings` keeps.
     A joint more than a full turn beyond its limits is probably in degrees: the first such one is logged as a warning.
@@ -63,8 +65,9 @@ class Outfit:
         fit: float | None = None,
         normals: Literal["skinned", "faces"] = "skinned",
         hide: bool = True,
+        own_clothes: OwnClothes = "replace",
     ) -> None:
-        bound = bind_outfit(_checked_garments(garments, avatar), avatar, fit=fit, hide=hide)
+        bound = bind_outfit(_checked_garments(garments, avatar), avatar, fit=fit, hide=hide, own_clothes=own_clothes)
         self._wear(bound, precision, normals)
         for warning in bound.worth_saying:
             warnings.warn(warning, AvatarWarning, stacklevel=2)
@@ -228,8 +231,8 @@ class Outfit:
 
     @cached_property
     def body_to_draw(self) -> Avatar:
-        """The avatar and its accessories, skin under cloth up to 6 mm slimmer, so that none shows through where cloth
-        lies a little too deep."""
+        """The avatar, its accessories and what it still wears, skin under cloth up to 6 mm slimmer, so that none shows
+        through where cloth lies a little too deep."""
         covers = covers_of(self.layers, [layer.rest for layer in self.layers])
         return slimmed(self.avatar, covers).with_accessories()
 

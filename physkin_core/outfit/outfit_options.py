@@ -11,6 +11,7 @@ from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
 from physkin_core.model.model_file import load_garment_model, split_fabric
 from physkin_core.motion.loading import load_motion
 from physkin_core.motion.motion import Motion
+from physkin_core.outfit.coverage import OWN_CLOTHES
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.progress import progress_line
 from physkin_core.runtime.layer import WornGarment
@@ -21,6 +22,7 @@ __all__ = [
     "add_garment_option",
     "add_limbs_option",
     "add_outfit_options",
+    "add_own_clothes_option",
     "add_rig_option",
     "add_sway_option",
     "add_tucked_option",
@@ -36,9 +38,10 @@ DEFAULT = "tshirt"
 
 
 def add_outfit_options(parser: argparse.ArgumentParser) -> None:
-    """Add who wears what, for commands whose avatar is an option: `--avatar`, `--rig`, `--garment`, `--tucked`,
-    `--fit`."""
+    """Add who wears what, for commands whose avatar is an option: `--avatar`, `--rig`, `--own-clothes`, `--garment`,
+    `--tucked`, `--fit`."""
     add_avatar_options(parser)
+    add_own_clothes_option(parser)
     add_garment_option(parser)
     add_tucked_option(parser)
     add_fit_option(parser)
@@ -55,6 +58,16 @@ def add_avatar_options(parser: argparse.ArgumentParser, made_on: bool = False) -
 def add_rig_option(parser: argparse.ArgumentParser) -> None:
     """Add `--rig`."""
     parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+
+
+def add_own_clothes_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--own-clothes`, as `Outfit` takes it."""
+    parser.add_argument(
+        "--own-clothes",
+        choices=OWN_CLOTHES,
+        default=OWN_CLOTHES[0],
+        help="clothes that the avatar wears already: gone where garments replace them (default), all gone, or all kept",
+    )
 
 
 def add_fit_option(parser: argparse.ArgumentParser) -> None:
@@ -140,7 +153,7 @@ def dressed(options: argparse.Namespace, *, for_engines: bool = False) -> Outfit
     if for_engines:
         garments = [replace(garment, model=garment.model.for_engines()) for garment in garments]
     avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
-    outfit = Outfit(garments, avatar, fit=options.fit)
+    outfit = Outfit(garments, avatar, fit=options.fit, own_clothes=options.own_clothes)
     outfit.sway = getattr(options, "sway", outfit.sway)
     print_warnings(outfit.warnings)
     return outfit

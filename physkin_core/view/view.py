@@ -15,6 +15,7 @@ from physkin_core.outfit.outfit_options import (
     add_fit_option,
     add_garment_option,
     add_limbs_option,
+    add_own_clothes_option,
     add_rig_option,
     add_tucked_option,
     print_warnings,
@@ -51,6 +52,7 @@ def _show(options: argparse.Namespace, loader: AssetLoader) -> int:
         rig_file=options.rig,
         motion=motion,
         fit=options.fit,
+        own_clothes=options.own_clothes,
         separate_limbs=options.separate_limbs,
         points=options.points,
     )
@@ -78,6 +80,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin view", description=__doc__.split("`: ")[1])
     parser.add_argument("avatar", metavar="AVATAR", nargs="?", help="body file (default: the bundled one)")
     add_rig_option(parser)
+    add_own_clothes_option(parser)
     add_garment_option(parser, ", ".join(WORN))
     add_tucked_option(parser)
     add_fit_option(parser)

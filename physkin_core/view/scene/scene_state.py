@@ -19,6 +19,7 @@ from physkin_core.loader.asset_loader import AssetLoader
 from physkin_core.loader.requests import GarmentRequest, OutfitRequest
 from physkin_core.model.model_file import split_fabric
 from physkin_core.motion.motion import Motion
+from physkin_core.outfit.coverage import OwnClothes
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import named_garments
 from physkin_core.picture import BODY_COLOUR, layer_colours
@@ -64,8 +65,8 @@ class SceneState:
 
     loader: of all files. garments: names of shipped models or files, from the skin outwards; tucked: those of them
     whose hem is under the next one's waistband. body: an avatar file; rig_file: of one without a skin. motion: as
-    `load_motion` takes it, or None. fit: as of `Outfit`. separate_limbs: whether poses go through a `LimbSeparator`.
-    points: a file of splats where one of the garments lies; while that is worn, frames have them.
+    `load_motion` takes it, or None. fit, own_clothes: as of `Outfit`. separate_limbs: whether poses go through a
+    `LimbSeparator`. points: a file of splats where one of the garments lies; while that is worn, frames have them.
     warnings: of what is worn, and of limbs that are not separated. rig: whose joints there are. playing, speed: of the
     motion; seconds: its time. sway: as of `Outfit`. pose: shown now; posed_by_hand: whether a joint was set last.
     show_plain: compute plain skinning too.
@@ -82,10 +83,11 @@ class SceneState:
         rig_file: str | Path | None = None,
         motion: str | Path | None = None,
         fit: float | None = None,
+        own_clothes: OwnClothes = "replace",
         separate_limbs: bool = False,
         points: str | Path | None = None,
     ) -> None:
-        self._loader, self._fit, self._points = loader, fit, points
+        self._loader, self._points, self._fit, self._own_clothes = loader, points, fit, own_clothes
         self._splats: WornSplats | None = None
         self._binding, self._lock = Lock(), RLock()
         self._changed = True
@@ -131,6 +133,7 @@ class SceneState:
             tuple(GarmentRequest(name, tucked=is_tucked, fit=self._fit) for name, is_tucked in named),
             str(body),
             str(rig_file or ""),
+            own_clothes=self._own_clothes,
             limbs=separate_limbs,
             points=str(self._points or ""),
             colours=True,

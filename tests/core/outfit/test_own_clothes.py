@@ -1,0 +1,46 @@
+"""What becomes of the clothes that an avatar wears already: in pictures; drapes do not know them."""
+
+import numpy as np
+import pytest
+from gltf_person import dressed_document, load_document
+
+from physkin_core import Outfit, load_garment_model
+from physkin_core.look.face_colours import avatar_colours
+
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, which `Avatar.warnings` keeps
+RED, BLUE = (0.6, 0.05, 0.05), (0.05, 0.07, 0.25)
+"""Linear RGB of top and trousers."""
+
+
+@pytest.fixture(scope="module")
+def dressed(tmp_path_factory):
+    return load_document(tmp_path_factory.mktemp("dressed"), dressed_document(sleeves="long"))
+
+
+def _seen(outfit, colour):
+    """How many faces of a colour are drawn."""
+    return int((np.abs(avatar_colours(outfit.body_to_draw) - np.power(colour, 1 / 2.2)) < 0.02).all(axis=1).sum())
+
+
+def test_a_shirt_replaces_a_shirt(dressed):
+    """Trousers stay; hidden, nothing does; kept, sleeves reach out of the T-shirt, and nothing lies under it."""
+    model = load_garment_model("tshirt")
+    outfits = {way: Outfit([model], dressed, own_clothes=way) for way in ("replace", "hide", "keep")}
+    red, blue = ({way: _seen(outfit, colour) for way, outfit in outfits.items()} for colour in (RED, BLUE))
+    top, trousers = (len(piece.faces) for piece in dressed.clothes)
+    assert red["replace"] == red["hide"] == blue["hide"] == 0
+    assert 0.1 * top < red["keep"] < 0.7 * top
+    assert 0.8 * trousers < blue["replace"] == blue["keep"] <= trousers
+    draped = [outfit.drape(model.rig.rest)[0] for outfit in outfits.values()]
+    np.testing.assert_array_equal(draped[0], draped[1])
+    np.testing.assert_array_equal(draped[0], draped[2])
+
+
+def test_trousers_replace_trousers(dressed):
+    outfit = Outfit([load_garment_model("trousers")], dressed)
+    assert _seen(outfit, BLUE) == 0 and _seen(outfit, RED) > 0
+
+
+def test_another_way_is_refused(dressed):
+    with pytest.raises(ValueError, match="own_clothes is 'burn'; allowed: replace, hide, keep"):
+        Outfit([load_garment_model("tshirt")], dressed, own_clothes="burn")
