@@ -98,10 +98,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: list[str]) -> int:
-    if arguments and arguments[0] in FORWARDED:
-        return import_module(FORWARDED[arguments[0]][0]).main(arguments[1:]) or 0
-    options = _parser().parse_args(arguments)
-    return options.run(options)
+    try:
+        if arguments and arguments[0] in FORWARDED:
+            status = import_module(FORWARDED[arguments[0]][0]).main(arguments[1:]) or 0
+        else:
+            options = _parser().parse_args(arguments)
+            status = options.run(options)
+    except SystemExit:  # after help
+        sys.stdout.flush()
+        raise
+    sys.stdout.flush()  # at Python's own end it would be too late to notice that nobody reads it any more
+    return status
 
 
 def _told(error: Exception, arguments: list[str]) -> int:

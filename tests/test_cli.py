@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -264,3 +265,17 @@ def test_drape_writes_an_outfit(tmp_path, capsys):
     assert "--tucked dress: none of the garments, which are tshirt, trousers" in capsys.readouterr().err
     assert cli.main(["bind", *worn[1:]]) == 2
     assert "a bound file holds one garment, got 2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["info", "tshirt"], ["node", "--help"]])
+def test_a_reader_that_goes_ends_a_command_quietly(arguments):
+    """As `head` does: no word of a broken pipe, neither where output is written nor where it is still held back."""
+    if arguments[0] == "node":
+        pytest.importorskip("rclpy")
+    reading, writing = os.pipe()
+    os.close(reading)
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    command = [sys.executable, "-m", "physkin_core.cli", *arguments]
+    ended = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True, env=environment)
+    os.close(writing)
+    assert (ended.returncode, ended.stderr) == (0, "")

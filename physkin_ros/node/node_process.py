@@ -83,6 +83,8 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     except KeyboardInterrupt:
         return 0
+    except BrokenPipeError:
+        raise  # the reader of the usage has gone, which is for the command to know
     except (ValueError, OSError, ImportError, ParameterException, NameValidationException) as error:
         return _refuse(str(error))
     except Exception as error:

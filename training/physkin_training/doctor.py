@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import torch
-import warp
 
 from physkin_core.doctor.doctor import Finding
+from physkin_training.quiet_warp import wp
 
 __all__ = ["look"]
 
@@ -21,14 +21,13 @@ def look() -> Iterator[Finding]:
         yield Finding("torch", "good", f"{torch.__version__} on {names}")
     else:
         yield Finding("torch", "absent", f"{torch.__version__} sees no GPU", CPU_ONLY)
-    warp.config.log_level = warp.LOG_ERROR
-    warp.init()
-    devices = [device.name for device in warp.get_cuda_devices()]
+    wp.init()
+    devices = [device.name for device in wp.get_cuda_devices()]
     if devices:
-        yield Finding("warp", "good", f"{warp.config.version} on {', '.join(devices)}")
+        yield Finding("warp", "good", f"{wp.config.version} on {', '.join(devices)}")
     elif torch.cuda.is_available():
         yield Finding(
-            "warp", "broken", f"{warp.config.version} sees no GPU, torch does", "update warp-lang, or the driver"
+            "warp", "broken", f"{wp.config.version} sees no GPU, torch does", "update warp-lang, or the driver"
         )
     else:
-        yield Finding("warp", "absent", f"{warp.config.version} sees no GPU", CPU_ONLY)
+        yield Finding("warp", "absent", f"{wp.config.version} sees no GPU", CPU_ONLY)

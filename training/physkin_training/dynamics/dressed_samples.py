@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-import warp as wp
 
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
@@ -18,6 +17,7 @@ from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.networks.made_to_measure import MadeToMeasure
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
+from physkin_training.quiet_warp import wp
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 
 __all__ = ["DressedSamples"]

@@ -11,10 +11,10 @@ Dimensions: `B` samples, `n` garment vertices. Metres, newtons, joules.
 from __future__ import annotations
 
 import torch
-import warp as wp
 
 from physkin_training.physics.energy_hessian import EnergyHessian
 from physkin_training.physics.newton_solver import LARGEST_STEP, NewtonSolver, Point, Solution, norm
+from physkin_training.quiet_warp import wp
 
 __all__ = ["StepSolver"]
 

@@ -1,9 +1,9 @@
 """Bending of hinges, pairs of faces with a common edge: k (theta - rest)^2 (Grinspun et al. 2003)."""
 
 import torch
-import warp as wp
 
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest
+from physkin_training.quiet_warp import wp
 
 __all__ = ["Bend"]
 

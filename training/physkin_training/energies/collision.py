@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-import warp as wp
 
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest, view
+from physkin_training.quiet_warp import wp
 
 if TYPE_CHECKING:
     from physkin_training.physics.wearing import Wearing

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import torch
-import warp as wp
 
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material
+from physkin_training.quiet_warp import wp
 
 if TYPE_CHECKING:
     from physkin_training.physics.rest_data import RestData

@@ -1,9 +1,9 @@
 """Gravity: potential energy, height measured from the root against the direction of gravity."""
 
 import numpy as np
-import warp as wp
 
 from physkin_training.energies.energy import Cloth, Drapes, Energy, Rest
+from physkin_training.quiet_warp import wp
 
 __all__ = ["Gravity"]
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
-import warp as wp
 
 from physkin_core.sway.frame_input import STANDARD_GRAVITY
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, view
 from physkin_training.energies.stretch import Stretch
+from physkin_training.quiet_warp import wp
 
 __all__ = ["Dynamics", "TimeStep", "energies_of_motion"]
 

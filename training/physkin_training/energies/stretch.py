@@ -3,9 +3,8 @@
 With E = (F^T F - I) / 2 a face's Green strain, its energy is A (mu E : E + lambda / 2 tr(E)^2).
 """
 
-import warp as wp
-
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest
+from physkin_training.quiet_warp import wp
 
 __all__ = ["Stretch"]
 

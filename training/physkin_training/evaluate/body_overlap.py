@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-import warp as wp
 
 from physkin_training.physics.surface_queries import BodySurface
+from physkin_training.quiet_warp import wp
 from physkin_training.sampling.posed_bodies import PosedBodies
 
 __all__ = ["OFF_SKIN", "SkinPoints", "faces_a_body"]

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-import warp as wp
 
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment import Garment, face_areas
 from physkin_core.model.surface_paths import mesh_edges, path_lengths
 from physkin_training.evaluate.body_overlap import OFF_SKIN, SkinPoints, faces_a_body
 from physkin_training.physics.surface_queries import is_under
+from physkin_training.quiet_warp import wp
 from physkin_training.sampling.posed_bodies import PosedBodies
 
 __all__ = ["SkinShows"]

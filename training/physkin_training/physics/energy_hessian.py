@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-import warp as wp
 
 from physkin_training.energies.energy import Blocks, view
 from physkin_training.physics.physics_losses import PhysicsLosses
+from physkin_training.quiet_warp import wp
 
 __all__ = ["EnergyHessian"]
 

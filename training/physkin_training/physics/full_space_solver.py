@@ -13,13 +13,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-import warp as wp
 
 from physkin_core.sway.frame_input import STANDARD_GRAVITY
 from physkin_training.physics.energy_hessian import EnergyHessian
 from physkin_training.physics.newton_solver import LARGEST_STEP, NewtonSolver, Point, Solution, inner, norm
 from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.vertex_secants import Trial, VertexSecants
+from physkin_training.quiet_warp import wp
 
 __all__ = ["FullSpaceSolver", "Progress"]
 

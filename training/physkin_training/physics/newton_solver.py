@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-import warp as wp
 
 from physkin_training.energies.energy import view
 from physkin_training.physics.energy_hessian import EnergyHessian
+from physkin_training.quiet_warp import wp
 
 __all__ = ["LARGEST_STEP", "NewtonSolver", "Point", "Solution", "inner", "norm", "of_samples"]
 

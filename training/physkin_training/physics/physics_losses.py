@@ -12,7 +12,6 @@ import math
 from dataclasses import dataclass
 
 import torch
-import warp as wp
 
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material
@@ -24,6 +23,7 @@ from physkin_training.energies.gravity import Gravity
 from physkin_training.energies.stretch import Stretch
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
+from physkin_training.quiet_warp import wp
 
 __all__ = ["TERMS", "Energies", "PhysicsLosses"]
 

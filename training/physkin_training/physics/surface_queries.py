@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import warp as wp
 
 from physkin_core.model.garment import vertex_normals
+from physkin_training.quiet_warp import wp
 
 __all__ = ["BodySurface", "Closest", "is_under", "layers_near", "piercing_edges"]
 

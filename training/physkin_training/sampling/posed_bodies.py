@@ -13,13 +13,13 @@ from collections.abc import Iterator
 
 import numpy as np
 import torch
-import warp as wp
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment import vertex_normals
 from physkin_core.rig.linear_blend_skinning import dense_weights
 from physkin_core.rig.rig import Rig
+from physkin_training.quiet_warp import wp
 
 __all__ = ["BodySet", "PosedBodies", "posed_avatar"]
 

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import torch
-import warp as wp
+
+from physkin_training.quiet_warp import wp
 
 __all__ = ["RecordedStep"]
 

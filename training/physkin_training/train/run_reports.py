@@ -7,15 +7,29 @@ import logging
 import sys
 import time
 from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 from physkin_core.progress import progress_line
 from physkin_training.train.trainer import TERMS, Trainer
 
-__all__ = ["RunReports"]
+if TYPE_CHECKING:
+    from torch.utils.tensorboard import SummaryWriter
+
+__all__ = ["RunReports", "scalar_writer"]
 
 log = logging.getLogger(__name__)
 LINE_EVERY = 10
 """Reports between two lines of log."""
+
+
+def scalar_writer(folder: Path) -> SummaryWriter:
+    """What writes figures for TensorBoard, without TensorFlow: where that is installed, loading it would take seconds
+    and print lines of its own."""
+    sys.modules.setdefault("tensorboard.compat.notf", ModuleType("notf"))  # how TensorBoard is told to use its stub
+    from torch.utils.tensorboard import SummaryWriter
+
+    return SummaryWriter(folder)
 
 
 class RunReports:
@@ -30,9 +44,7 @@ class RunReports:
 
     def __enter__(self) -> RunReports:
         if self._trainer.processes.writes:
-            from torch.utils.tensorboard import SummaryWriter
-
-            self._writer = SummaryWriter(self._output / "scalars")
+            self._writer = scalar_writer(self._output / "scalars")
             self._record = open(self._output / "losses.jsonl", "a")
             self._progress = progress_line("training")
         return self
