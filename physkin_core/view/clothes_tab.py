@@ -8,9 +8,10 @@ from physkin_core.avatar.loading import BUNDLED_AVATAR
 from physkin_core.model.fabric import FABRICS
 from physkin_core.model.model_file import shipped_models, split_fabric
 from physkin_core.outfit.dressing import MOST_LAYERS
-from physkin_core.view.page import Page, Uploads
+from physkin_core.view.page import Page
 from physkin_core.view.scene.heat_map import as_bytes
 from physkin_core.view.scene.scene_state import SceneState
+from physkin_core.view.uploads import Uploads
 
 __all__ = ["ClothesTab"]
 
@@ -43,7 +44,7 @@ class ClothesTab:
                 widget.on_update(page.by_hand(self._wear))
             colour.on_update(page.by_hand(self._recolour))
             self._layers.append((garment, fabric, tucked, colour))
-        uploads.add_button(page, "Load a garment model", hint="a .safetensors file", load=self._load_model)
+        uploads.add_button("Load a garment model", hint="a .safetensors file", load=self._load_model)
         with gui.add_folder("Body"):
             self._body = gui.add_dropdown("avatar", tuple(self._bodies))
             self._body.on_update(page.by_hand(self._change_body))
@@ -54,7 +55,7 @@ class ClothesTab:
             )
             self._separate.on_update(page.by_hand(self._change_separation))
             hint = "GLB, VRM, OBJ, PLY or STL; send NAME.rig.json before NAME.obj"
-            uploads.add_button(page, "Load a body", hint=hint, load=self._load_body)
+            uploads.add_button("Load a body", hint=hint, load=self._load_body)
         self.show_what_is_worn()
 
     def show_what_is_worn(self) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from physkin_core.motion.loading import bundled_motions
-from physkin_core.view.page import Page, Uploads
+from physkin_core.view.page import Page
 from physkin_core.view.scene.scene_state import SceneState
+from physkin_core.view.uploads import Uploads
 
 __all__ = ["MotionTab"]
 
@@ -40,7 +41,7 @@ class MotionTab:
         sway = gui.add_slider("sway", 0.0, 1.0, 0.05, state.sway, marks=NO_MARKS, hint=hint)
         sway.on_update(page.by_hand(lambda: setattr(state, "sway", sway.value)))
         hint = "BVH, AMC (send its ASF before it), a bag's .mcap or .db3 file"
-        uploads.add_button(page, "Load a motion", hint=hint, load=self._load)
+        uploads.add_button("Load a motion", hint=hint, load=self._load)
         self.follow()
 
     def follow(self) -> None:

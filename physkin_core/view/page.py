@@ -1,5 +1,4 @@
-"""The page itself: a server, a floor, notices, a read-out, files that a browser sent, and a loop that draws until it is
-interrupted."""
+"""The page itself: a server, a floor, notices, a read-out, and a loop that draws until it is interrupted."""
 
 from __future__ import annotations
 
@@ -9,17 +8,17 @@ import html
 import io
 import logging
 import socket
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
+from physkin_core.file_reading import sentence
 from physkin_core.picture import PictureError
+from physkin_core.view.visitors import only_visitors
 
-__all__ = ["FRAMES_A_SECOND", "Page", "Readout", "Uploads"]
+__all__ = ["FRAMES_A_SECOND", "Page", "Readout"]
 
 log = logging.getLogger(__name__)
 
@@ -35,8 +34,6 @@ SKY, GROUND, SKY_LIGHT = (255, 255, 255), (150, 145, 140), 2.2
 LAMP_PLACE, LAMP_LIGHT = (2.5, 2.0, 4.0), 1.6
 """One sky and one lamp: an environment map costs a browser without a graphics card half of its frames."""
 WAITING = "..."
-COMPANIONS = (".asf", ".rig.json", ".mtl", ".bin")
-"""Ends of the names of files that others need: kept, and read with those."""
 
 
 class Page:
@@ -54,8 +51,11 @@ class Page:
             raise PictureError("the page needs viser: pip install 'physkin[view]'") from error
         _check_address(host, port)
         self._ended = threading.Event()
-        with contextlib.redirect_stdout(io.StringIO()):  # a box with the address, which commands print themselves
+        box = io.StringIO()  # with the address, which commands print themselves
+        with only_visitors(host), contextlib.redirect_stdout(box):
             self.server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
+        # any browser could ask viser for a tunnel from the internet, though the button is not shown
+        self.server._websock_server.unregister_handler(viser._messages.ShareUrlRequest)
         self.server.gui.configure_theme(
             control_width="medium", show_logo=False, show_share_button=False, brand_color=(41, 107, 148)
         )
@@ -127,7 +127,7 @@ class Page:
         if not told:
             log.exception("an error on the page", exc_info=error)
         text = str(error) if told else f"{type(error).__name__}: {error}"
-        self.notice("That did not work", text, kind="error")
+        self.notice("That did not work", sentence(text), kind="error")
 
     def run(self, tick: Callable[[float], None]) -> None:
         """Call `tick(seconds since the last call)` thirty times a second until `end`, or an interrupt.
@@ -183,48 +183,12 @@ class Readout:
     def show(self, rows: Mapping[str, str | None]) -> None:
         """Names and values; None for a value that is not there yet."""
         cells = "".join(
-            f'<tr title="{self._meanings.get(name.partition(",")[0], "")}">'
-            f'<td style="padding:0 1em 0 0;opacity:0.7">{name}</td>'
-            f'<td style="text-align:right">{WAITING if value is None else value}</td></tr>'
+            f'<tr title="{html.escape(self._meanings.get(name.partition(",")[0], ""))}">'
+            f'<td style="padding:0 1em 0 0;opacity:0.7">{html.escape(name)}</td>'
+            f'<td style="text-align:right">{html.escape(WAITING if value is None else value)}</td></tr>'
             for name, value in rows.items()
         )
         table = f'<table style="width:100%;font-size:0.85em;font-variant-numeric:tabular-nums">{cells}</table>'
         content = f'<div style="padding:0.3em 0.9em 0.6em">{table}</div>'
         if content != self._html.content:
             self._html.content = content
-
-
-class Uploads:
-    """Files that a browser has sent, under the names they had, in a folder that goes with this object."""
-
-    def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="physkin-view-")
-
-    def keep(self, name: str, content: bytes) -> Path:
-        """Write a file, whatever folder its name asks for. Raises ValueError for a name that is none, or no content."""
-        plain = Path(name.replace("\\", "/")).name
-        if plain in ("", ".", ".."):
-            raise ValueError(f"{name!r} is no name of a file")
-        if not content:
-            raise ValueError(f"{plain} is empty")
-        path = Path(self._folder.name) / plain
-        path.write_bytes(content)
-        return path
-
-    def add_button(self, page: Page, label: str, *, hint: str, load: Callable[[Path], None]) -> None:
-        """Add a button that sends files; `load` is given where one is kept, unless it only goes with another."""
-        button = page.server.gui.add_upload_button(label, hint=hint, icon="upload")
-
-        def receive(event) -> None:
-            path = self.keep(button.value.name, button.value.content)
-            if self.is_companion(path):
-                page.notice(f"Kept {path.name}", "now send the file that it goes with")
-            else:
-                load(path)
-
-        button.on_upload(page.guarded(receive))
-
-    @staticmethod
-    def is_companion(path: Path) -> bool:
-        """Whether it only goes with another file, which is to be sent next."""
-        return path.name.lower().endswith(COMPANIONS)

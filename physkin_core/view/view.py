@@ -22,10 +22,12 @@ from physkin_core.outfit.outfit_options import (
 )
 from physkin_core.view.page import Page
 
-__all__ = ["begin", "command_parser", "main"]
+__all__ = ["begin", "command_parser", "end_at_sigterm", "main"]
 
 WORN = ("trousers", "tshirt")
 """Unless told otherwise, from the skin outwards."""
+TIDIES_WITHIN = 5
+"""[s] Then the system ends it."""
 ROS_PAGE = "physkin_ros.tools.view"
 """What `--ros` needs; imported only then."""
 
@@ -57,7 +59,7 @@ def _show(options: argparse.Namespace, loader: AssetLoader) -> int:
         points=options.points,
     )
     print_warnings(state.warnings)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    end_at_sigterm()
     page = Page(host=options.host, port=options.port)
     viewer = Viewer(page, state, motion=motion)
     try:
@@ -66,6 +68,17 @@ def _show(options: argparse.Namespace, loader: AssetLoader) -> int:
     finally:
         viewer.close()
     return 0
+
+
+def end_at_sigterm() -> None:
+    """End with status 143 at SIGTERM, tidily; whatever keeps the process from that ends with it some seconds later."""
+    signal.signal(signal.SIGTERM, _end)
+
+
+def _end(*_) -> None:
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.alarm(TIDIES_WITHIN)
+    sys.exit(143)
 
 
 def begin(page: Page, *, browser: bool) -> None:

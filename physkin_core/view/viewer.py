@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from concurrent.futures.process import BrokenProcessPool
 from time import perf_counter
 
 import numpy as np
@@ -10,12 +12,15 @@ from physkin_core.view.clothes_tab import ClothesTab
 from physkin_core.view.drawing import Drawing
 from physkin_core.view.look_tab import LookTab
 from physkin_core.view.motion_tab import MotionTab
-from physkin_core.view.page import Page, Readout, Uploads
+from physkin_core.view.page import Page, Readout
 from physkin_core.view.pose_tab import PoseTab
 from physkin_core.view.scene.figures import Contact, FigureProcess
 from physkin_core.view.scene.scene_state import Frame, SceneState
+from physkin_core.view.uploads import Uploads
 
 __all__ = ["Viewer"]
+
+log = logging.getLogger(__name__)
 
 WIDGETS_EVERY, LOOK_EVERY = 0.25, 1.0
 """[s] between two updates of the widgets, and between two looks at contact while something moves."""
@@ -38,7 +43,7 @@ class Viewer:
     def __init__(self, page: Page, state: SceneState, *, motion: str | None) -> None:
         self._page, self._state = page, state
         self._drawing, self._process = Drawing(page), FigureProcess()
-        uploads, gui = Uploads(), page.server.gui
+        uploads, gui = Uploads(page), page.server.gui
         self._speed = Readout(page, SPEED)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Motion"):
@@ -78,11 +83,15 @@ class Viewer:
 
     def _look_at_contact(self) -> None:
         """Ask about the frame drawn last where that has not been asked, and show what is answered. After an error there
-        are no more such figures."""
+        are no more such figures; where something has ended the process, another one is asked."""
         if not self._looks or self._frame is None:
             return
         try:
             self._ask_and_answer()
+        except BrokenProcessPool:
+            log.warning("the process that looks at contact was ended; another one begins")
+            self._process.restart()
+            self._looked_at, self._look_at = None, perf_counter()
         except Exception:
             self._looks, self._contact = False, None
             raise

@@ -22,7 +22,7 @@ from physkin_ros.root.quaternions import (
     vector_of,
 )
 
-__all__ = ["TransformTree"]
+__all__ = ["LONGEST_NAME", "TransformTree"]
 
 DEEPEST_CHAIN = 64
 KEPT = 32

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import signal
-import sys
 import threading
 from collections.abc import Sequence
 from contextlib import closing
@@ -12,33 +10,37 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState, PointCloud2
 
 from physkin_core import load_body_model
+from physkin_core.file_reading import sentence, shown
 from physkin_core.loader.asset_loader import AssetLoader
 from physkin_core.loader.requests import LoadedAvatar
+from physkin_core.outfit.dressing import MOST_LAYERS
 from physkin_core.picture import BODY_COLOUR, layer_colours
 from physkin_core.view.page import Page, Readout
 from physkin_core.view.scene.heat_map import own_bands
 from physkin_core.view.surface_node import SurfaceNode
-from physkin_core.view.view import begin
+from physkin_core.view.view import begin, end_at_sigterm
 from physkin_ros.messages.conversions import read_cloud
 from physkin_ros.messages.interfaces import missing_tf
 from physkin_ros.messages.topics import GARMENT, MESH
 from physkin_ros.middleware.transport import use_shipped_profile
 from physkin_ros.root.quaternions import OrientationError, Quaternion, Vector
 from physkin_ros.root.tf_topics import TfListener
-from physkin_ros.root.transform_tree import TransformTree
+from physkin_ros.root.transform_tree import LONGEST_NAME, TransformTree
 
 __all__ = ["BodySeen", "CloudListener", "GarmentSeen", "RosPage", "show"]
 
 MESH_TYPE, CLOUD_TYPE = "physkin_msgs/msg/GarmentMesh", "sensor_msgs/msg/PointCloud2"
 LOOK_FOR_TOPICS, READ_OUT = 1.0, 0.5
 """[s]"""
+MOST_GARMENTS = 64
+"""As many are shown; frames of TF that they are in are as many, too."""
 POINT_SIZE = 0.006  # [m]
 PELVIS = 0.95  # [m] above the floor, of a figure of which nobody says where it is
 APART = 1.2  # [m] such figures stand
@@ -78,6 +80,7 @@ class CloudListener(Node):
     def __init__(self, joint_states: Sequence[str] = ("joint_states",), **arguments) -> None:
         super().__init__("physkin_view", **arguments)
         self.garments: dict[str, GarmentSeen] = {}
+        self._joint_names = frozenset(load_body_model().rig.joint_names)
         self.bodies = {topic: BodySeen(_avatar_of(topic)) for topic in joint_states}
         self._latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         for topic, body in self.bodies.items():
@@ -89,9 +92,11 @@ class CloudListener(Node):
         self.look_for_topics()
 
     def look_for_topics(self) -> None:
-        """Subscribe to what has come."""
+        """Subscribe to what has come, the first `MOST_GARMENTS`."""
         end = GARMENT.below("")
         for topic, types in self.get_topic_names_and_types():
+            if len(self.garments) >= MOST_GARMENTS:
+                return
             if CLOUD_TYPE in types and topic.endswith(end) and topic not in self.garments:
                 seen = self.garments[topic] = GarmentSeen()
                 self.create_subscription(PointCloud2, topic, lambda cloud, seen=seen: self._on_cloud(seen, cloud), 1)
@@ -125,21 +130,27 @@ class CloudListener(Node):
 
     def _on_cloud(self, seen: GarmentSeen, cloud: PointCloud2) -> None:
         try:
+            if len(cloud.header.frame_id) > LONGEST_NAME:
+                raise ValueError(f"frame {shown(cloud.header.frame_id)} has more than {LONGEST_NAME} characters")
             seen.points, seen.frame_id = read_cloud(cloud).copy(), cloud.header.frame_id
             seen.clouds += 1
         except ValueError as error:
             seen.fault = str(error)
 
     def _on_mesh(self, seen: GarmentSeen, mesh) -> None:
-        faces = np.array(mesh.faces, dtype=np.int64).reshape(-1, 3)
-        if faces.size and faces.max() >= mesh.vertex_count:
-            seen.fault = f"mesh {mesh.model_name!r} has face index {faces.max()} of {mesh.vertex_count} vertices"
-            return
-        seen.faces, seen.layer, seen.layers = faces, mesh.layer, mesh.layers
+        faces, name = np.array(mesh.faces, dtype=np.int64), shown(mesh.model_name)
+        if len(faces) % 3:
+            seen.fault = f"mesh {name} has {len(faces)} indices of faces; allowed: three for each"
+        elif faces.size and faces.max() >= mesh.vertex_count:
+            seen.fault = f"mesh {name} has face index {faces.max()} of {mesh.vertex_count} vertices"
+        elif not mesh.layer < mesh.layers <= MOST_LAYERS:
+            seen.fault = f"mesh {name} is layer {mesh.layer} of {mesh.layers}; allowed: 0 to 3, of up to {MOST_LAYERS}"
+        else:
+            seen.faces, seen.layer, seen.layers = faces.reshape(-1, 3), mesh.layer, mesh.layers
 
-    @staticmethod
-    def _on_joints(body: BodySeen, message: JointState) -> None:
-        body.positions.update(zip(message.name, message.position))
+    def _on_joints(self, body: BodySeen, message: JointState) -> None:
+        known = self._joint_names
+        body.positions.update((name, at) for name, at in zip(message.name, message.position) if name in known)
 
 
 def _avatar_of(topic: str) -> str:
@@ -173,12 +184,18 @@ class RosPage:
             for topic, seen in list(self._listener.garments.items()):
                 if seen.clouds != seen.drawn:
                     seen.drawn = seen.clouds
-                    self._draw(topic, seen)
+                    try:
+                        self._draw(topic, seen)
+                    except ValueError as error:
+                        seen.fault = str(error)
                 if seen.fault:
                     faults.append(f"{topic}: {seen.fault}")
                     seen.fault = ""
             for topic, body in self._listener.bodies.items():
-                self._draw_body(topic, body)
+                try:
+                    self._draw_body(topic, body)
+                except ValueError as error:
+                    faults.append(str(error))
             self._place_figures()
         self._waited += seconds
         if self._waited >= READ_OUT:
@@ -212,8 +229,10 @@ class RosPage:
         return surface
 
     def _figure(self, frame_id: str) -> str:
-        """Name of the scene's frame for a frame of TF."""
+        """Name of the scene's frame for a frame of TF. Raises ValueError where there are too many."""
         if frame_id not in self._figures:
+            if len(self._figures) >= MOST_GARMENTS:
+                raise ValueError(f"frame {shown(frame_id)} is left out: clouds have come in {MOST_GARMENTS} already")
             name = f"/world/figure{len(self._figures)}"
             self._figures[frame_id] = self._page.server.scene.add_frame(name, show_axes=False)
         return self._figures[frame_id].name
@@ -257,9 +276,21 @@ class RosPage:
         self._readout.show(rows if seen else {"garments": "none is published yet"})
 
 
+def _spin(executor: SingleThreadedExecutor, listener: CloudListener) -> None:
+    """Serve callbacks until the executor or ROS is shut down; what one of them raises ends that one alone."""
+    while listener.context.ok():
+        try:
+            executor.spin_once()
+        except (ExternalShutdownException, ShutdownException):
+            return
+        except Exception as error:
+            what = sentence(f"a message could not be shown: {type(error).__name__}: {error}")
+            listener.get_logger().error(what, throttle_duration_sec=1.0)
+
+
 def show(options: argparse.Namespace) -> int:
     """What `physkin view --ros` does with its options. Returns 0."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    end_at_sigterm()
     use_shipped_profile()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # Ctrl+C ends the page, and that this
     listener = CloudListener(options.joint_states or ["joint_states"])
@@ -271,7 +302,7 @@ def show(options: argparse.Namespace) -> int:
     drawn = RosPage(page, listener, body=body)
     executor = SingleThreadedExecutor()
     executor.add_node(listener)
-    spinning = threading.Thread(target=executor.spin, daemon=True)
+    spinning = threading.Thread(target=_spin, args=(executor, listener), daemon=True)
     spinning.start()
     try:
         begin(page, browser=not options.no_browser)

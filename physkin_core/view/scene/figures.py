@@ -101,9 +101,8 @@ class FigureProcess:
     """A process of its own that looks at contact, one question at a time, so that frames need not wait."""
 
     def __init__(self) -> None:
-        spawn = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(1, mp_context=spawn, initializer=_begin)
         self._asked: Future[Contact] | None = None
+        self._pool = self._begun()
 
     @property
     def busy(self) -> bool:
@@ -111,21 +110,31 @@ class FigureProcess:
         return self._asked is not None
 
     def ask(self, question: ContactQuestion) -> None:
-        """Raises RuntimeError where it is busy."""
+        """Raises RuntimeError where it is busy, BrokenProcessPool where something has ended the process."""
         if self.busy:
             raise RuntimeError("a question has not been answered yet")
         self._asked = self._pool.submit(look_at_contact, question)
 
     def answer(self) -> Contact | None:
-        """Once, when it is there. Raises what looking has raised."""
+        """Once, when it is there. Raises what looking has raised; BrokenProcessPool where the process was ended."""
         if self._asked is None or not self._asked.done():
             return None
         asked, self._asked = self._asked, None
         return asked.result()
 
+    def restart(self) -> None:
+        """Begin another process, where something has ended this one. What was asked is forgotten."""
+        self.close()
+        self._asked, self._pool = None, self._begun()
+
     def close(self) -> None:
         """End the process."""
         self._pool.shutdown(wait=False, cancel_futures=True)
+
+    @staticmethod
+    def _begun() -> ProcessPoolExecutor:
+        spawn = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(1, mp_context=spawn, initializer=_begin)
 
 
 def _begin() -> None:

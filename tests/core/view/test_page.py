@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import io
+import os
 import re
+import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -12,7 +16,6 @@ import pytest
 from browser import CHROMIUM, Browser
 
 from physkin_core import cli
-from physkin_core.view.page import Uploads
 from physkin_core.view.scene.scene_state import SceneState
 
 pytest.importorskip("viser", reason="needs viser: pip install 'physkin[view]'")
@@ -135,6 +138,48 @@ def test_error_is_a_notice(shown, browser):
     assert browser.errors == []
 
 
+def test_figures_come_back(asset_loader):
+    """After the process that finds them was ended, though nothing moves."""
+    state, page = SceneState(asset_loader, ["tshirt"], motion=None), Page(port=8392)
+    viewer = Viewer(page, state, motion=None)
+
+    def until_found() -> None:
+        end = time.monotonic() + 60
+        while viewer._contact is None:
+            assert time.monotonic() < end
+            viewer.tick(0.05)
+            time.sleep(0.05)
+
+    try:
+        until_found()
+        (pid,) = viewer._process._pool._processes
+        os.kill(pid, signal.SIGKILL)
+        viewer._contact = None
+        state.set_joint(0, 0.1)
+        until_found()
+        assert pid not in viewer._process._pool._processes
+    finally:
+        viewer.close()
+        page.server.stop()
+
+
+@pytest.mark.parametrize("swallowed", [False, True])
+def test_sigterm_ends_whatever_is_being_done(swallowed):
+    """With status 143; where something keeps the process from that, the system ends it."""
+    keeps = "while True:\n try: time.sleep(60)\n except BaseException: pass" if swallowed else "time.sleep(60)"
+    lines = ["import time", "from physkin_core.view import view", "view.TIDIES_WITHIN = 1", "view.end_at_sigterm()"]
+    code = "\n".join([*lines, "print('ready', flush=True)", keeps])
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout.readline() == "ready\n"
+        process.terminate()
+        assert process.wait(10) == (-signal.SIGALRM if swallowed else 143)
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
 def test_tick_error_is_told_once(shown):
     """One that comes again with each tick does not flood whoever looks."""
     page, told, count = Page(port=8390), [], iter(range(100))
@@ -163,15 +208,16 @@ def test_addresses_that_cannot_be(address, told):
         Page(**address)
 
 
-def test_uploads_stay_in_their_folder():
-    uploads = Uploads()
-    path = uploads.keep("../../evil/me.glb", b"x")
-    assert path.name == "me.glb" and path.parent == uploads.keep("C:\\here\\you.obj", b"y").parent
-    assert Uploads.is_companion(uploads.keep("02.asf", b"z")) and not Uploads.is_companion(path)
-    with pytest.raises(ValueError, match="is no name of a file"):
-        uploads.keep("..", b"x")
-    with pytest.raises(ValueError, match="me.glb is empty"):
-        uploads.keep("me.glb", b"")
+def test_names_are_no_html():
+    """A garment model may be called whatever its maker likes."""
+    page = Page(port=8394)
+    try:
+        readout = Readout(page)
+        readout.show({"<img src=x onerror=alert(1)>": "<b>"})
+        assert "<img" not in readout._html.content and "&lt;img" in readout._html.content
+        assert "<b>" not in readout._html.content
+    finally:
+        page.server.stop()
 
 
 @pytest.mark.parametrize(

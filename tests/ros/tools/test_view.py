@@ -23,7 +23,7 @@ from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.view.page import Page  # noqa: E402
 from physkin_core.view.surface_node import SurfaceNode  # noqa: E402
 from physkin_ros.messages.conversions import GarmentCloud, garment_mesh  # noqa: E402
-from physkin_ros.tools.view import CloudListener, GarmentSeen, RosPage  # noqa: E402
+from physkin_ros.tools.view import CloudListener, GarmentSeen, RosPage, _spin  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +95,63 @@ def test_clouds_and_mesh_are_drawn(asset_loader, listening):
         drawn.tick(0.1)
     finally:
         page.server.stop()
+
+
+def test_hostile_meshes_and_names_end_nothing(listening):
+    """Each is told; the mesh and the pose that were known stay, and the next cloud is drawn."""
+    from physkin_msgs.msg import GarmentMesh
+
+    listener, topics = listening
+    until(lambda: "/drape_node/garment" in listener.garments)
+    seen = listener.garments["/drape_node/garment"]
+    seen.faces, seen.layer, seen.layers, seen.fault = None, 0, 1, ""
+    for fields, told in (
+        ({"faces": [0, 1, 2, 3]}, "has 4 indices of faces; allowed: three for each"),
+        ({"faces": [0, 1, 9]}, "has face index 9 of 9 vertices"),
+        ({"layer": 9}, "is layer 9 of 1; allowed: 0 to 3, of up to 4"),
+        ({"layers": 2**32 - 1}, "is layer 0 of 4294967295"),
+    ):
+        mesh = GarmentMesh(**({"faces": [0, 1, 2], "vertex_count": 9, "layers": 1} | fields), model_name="\x1b[2J" * 99)
+        topics["mesh"].publish(mesh)
+        until(lambda: seen.fault)
+        assert told in seen.fault and seen.fault.isprintable() and len(seen.fault) < 200
+        seen.fault = ""
+    assert seen.faces is None and (seen.layer, seen.layers) == (0, 1)
+    body = listener.bodies["joint_states"]
+    for k in range(9):
+        names = ["spine03_x", *(f"{k}{n}" for n in range(99))]
+        topics["joints"].publish(JointState(name=names, position=[0.01 * k] * len(names)))
+    until(lambda: body.positions.get("spine03_x") == pytest.approx(0.08))
+    assert len(body.positions) == 1
+    cloud = GarmentCloud(9, "root" * 1000)
+    until(lambda: seen.fault, lambda: cloud.publish(topics["cloud"], 1, 2))
+    assert "has more than 256 characters" in seen.fault
+    seen.fault = ""
+
+
+def test_a_callback_that_fails_ends_itself_alone(domain):
+    """Others are served on."""
+    context = rclpy.Context()
+    rclpy.init(context=context, args=[], domain_id=domain)
+    listener, served = CloudListener(context=context), []
+
+    def fail() -> None:
+        served.append(True)
+        raise ValueError("odd")
+
+    listener.create_timer(0.01, fail)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(listener)
+    spinning = threading.Thread(target=_spin, args=(executor, listener))
+    spinning.start()
+    try:
+        until(lambda: len(served) > 5)
+    finally:
+        executor.shutdown()
+        spinning.join(5)
+        assert not spinning.is_alive()
+        listener.destroy_node()
+        rclpy.shutdown(context=context)
 
 
 def test_figures_stand_where_tf_says(asset_loader, domain):
