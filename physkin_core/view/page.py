@@ -183,7 +183,7 @@ class Readout:
     def show(self, rows: Mapping[str, str | None]) -> None:
         """Names and values; None for a value that is not there yet."""
         cells = "".join(
-            f'<tr title="{html.escape(self._meanings.get(name.partition(",")[0], ""))}">'
+            f'<tr title="{self._meanings.get(name.partition(",")[0], "")}">'
             f'<td style="padding:0 1em 0 0;opacity:0.7">{html.escape(name)}</td>'
             f'<td style="text-align:right">{html.escape(WAITING if value is None else value)}</td></tr>'
             for name, value in rows.items()

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import rclpy
-from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
@@ -278,10 +278,11 @@ class RosPage:
 
 def _spin(executor: SingleThreadedExecutor, listener: CloudListener) -> None:
     """Serve callbacks until the executor or ROS is shut down; what one of them raises ends that one alone."""
-    while listener.context.ok():
+    while True:
         try:
-            executor.spin_once()
-        except (ExternalShutdownException, ShutdownException):
+            executor.spin()
+            return
+        except ExternalShutdownException:
             return
         except Exception as error:
             what = sentence(f"a message could not be shown: {type(error).__name__}: {error}")
