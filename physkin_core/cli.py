@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import sys
+import textwrap
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -16,7 +18,7 @@ import numpy as np
 
 from physkin_core import AvatarWarning, Draper, Outfit, load_avatar, load_garment_model
 from physkin_core.completion import SHELLS, completion_script
-from physkin_core.extras import extra_of
+from physkin_core.extras import extra_of, install_command
 from physkin_core.model.model_file import convert_model_file
 from physkin_core.outfit.outfit_options import (
     add_fit_option,
@@ -71,6 +73,25 @@ FORWARDED = {
 }
 """Subcommand -> module whose `main(argv)` it calls, and what it does."""
 
+OWN = {
+    "drape": "drape one frame of a motion; write a mesh or a picture",
+    "bind": "write a garment on one avatar for hosts without Python (Unity, C, C++)",
+    "info": "say what a garment model file holds",
+    "convert-model": "write a garment model file of an earlier release anew",
+    "completion": "print what a shell needs to complete this command's options",
+}
+"""The other subcommands, and what they do."""
+
+GROUPS = {
+    "look at clothes on an avatar": ("view", "check", "render", "drape"),
+    "take them elsewhere": ("export", "bind", "bind-points"),
+    "ROS 2": ("node", "demo", "replay", "convert"),
+    "garments of your own": ("fit-garment", "train", "train-catalogue", "learn-sway"),
+    "measure garments": ("evaluate", "contact-sheet", "simulate", "info"),
+    "this installation": ("doctor", "bench", "convert-model", "completion"),
+}
+"""Subcommands as `physkin --help` lists them."""
+
 DEBUG = "--debug"
 PICTURE_SIZE = (800, 1000)
 
@@ -115,7 +136,7 @@ def _told(error: Exception, arguments: list[str]) -> int:
     """Say what went wrong, and what to do. Returns the exit status."""
     extra = extra_of(error.name) if isinstance(error, ModuleNotFoundError) else None
     if extra is not None:
-        print(f"error: {error}; physkin {arguments[0]} needs: pip install 'physkin[{extra}]'", file=sys.stderr)
+        print(f"error: {error}; physkin {arguments[0]} needs: {install_command(extra)}", file=sys.stderr)
     elif isinstance(error, ValueError | OSError | PictureError):  # the core's own errors are ValueErrors
         print(f"error: {error}", file=sys.stderr)
     else:
@@ -125,11 +146,36 @@ def _told(error: Exception, arguments: list[str]) -> int:
     return 2
 
 
+class _GroupedParser(argparse.ArgumentParser):
+    """Lists the subcommands by what they are for."""
+
+    def format_help(self) -> str:
+        """Text of --help."""
+        texts = OWN | {name: text for name, (_, text) in FORWARDED.items()}
+        first = 2 + max(map(len, texts)) + 2
+        wide = max(shutil.get_terminal_size().columns - 2, 2 * first)
+        lines = [self.format_usage(), self.description]
+        for title, names in GROUPS.items():
+            lines += ["", f"{title}:"]
+            for name in names:
+                lines += textwrap.wrap(
+                    texts[name], wide, initial_indent=f"  {name}".ljust(first), subsequent_indent=" " * first
+                )
+        return "\n".join(
+            [
+                *lines,
+                "",
+                f"physkin COMMAND --help lists a command's options. {DEBUG} shows where an error was raised.",
+                "",
+            ]
+        )
+
+
 def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> argparse.ArgumentParser:
     """forwarded: options of commands that have their own parser, where they are to be known, too."""
-    parser = argparse.ArgumentParser(prog="physkin", description="Clothes for any avatar, live, on one CPU core.")
+    parser = _GroupedParser(prog="physkin", description="Clothes for any avatar, live, on one CPU core.")
     parser.add_argument(DEBUG, action="store_true", help="show where an error was raised")
-    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    commands = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=argparse.ArgumentParser)
     for name, (_, text) in FORWARDED.items():
         parents = [forwarded[name]] if forwarded and name in forwarded else []
         commands.add_parser(name, help=text, add_help=False, parents=parents)
@@ -138,7 +184,7 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> a
     add_garment_option(worn)
     add_rig_option(worn)
     add_fit_option(worn)
-    drape = commands.add_parser("drape", parents=[worn], help="drape one frame of a motion; write a mesh or a picture")
+    drape = commands.add_parser("drape", parents=[worn], help=OWN["drape"])
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
     drape.add_argument(
@@ -149,19 +195,17 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> a
     add_own_clothes_option(drape)
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garments as .obj, or a .png picture")
     drape.set_defaults(run=_drape)
-    bind = commands.add_parser(
-        "bind", parents=[worn], help="write a garment on one avatar for hosts without Python (Unity, C, C++)"
-    )
+    bind = commands.add_parser("bind", parents=[worn], help=OWN["bind"])
     bind.add_argument("-o", "--output", type=Path, required=True, help="file to write (docs/c-host.md)")
     bind.set_defaults(run=_bind)
-    info = commands.add_parser("info", help="say what a garment model file holds")
+    info = commands.add_parser("info", help=OWN["info"])
     info.add_argument("model", help="garment model file, or the name of a shipped one")
     info.set_defaults(run=_info)
-    convert = commands.add_parser("convert-model", help="write a garment model file of an earlier release anew")
+    convert = commands.add_parser("convert-model", help=OWN["convert-model"])
     convert.add_argument("old", type=Path, metavar="OLD", help="garment model file of an earlier release")
     convert.add_argument("-o", "--output", type=Path, required=True, metavar="NEW", help="garment model file to write")
     convert.set_defaults(run=_convert_model)
-    completion = commands.add_parser("completion", help="print what a shell needs to complete this command's options")
+    completion = commands.add_parser("completion", help=OWN["completion"])
     completion.add_argument("shell", choices=SHELLS)
     completion.set_defaults(run=_complete)
     return parser

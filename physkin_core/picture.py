@@ -15,6 +15,8 @@ from typing import Literal
 
 import numpy as np
 
+from physkin_core.extras import install_command
+
 __all__ = [
     "BODY_COLOUR",
     "CLOTH_COLOUR",
@@ -260,7 +262,7 @@ def _denoised(light: np.ndarray, albedo: np.ndarray, normals: np.ndarray) -> np.
 
 @cache  # once is enough
 def _tell_grainy() -> None:
-    log.warning("pictures are grainy without pyoidn: pip install 'physkin[view]'")
+    log.warning("pictures are grainy without pyoidn: %s", install_command("view"))
 
 
 def _to_linear(value: float | np.ndarray) -> np.ndarray:
@@ -277,7 +279,7 @@ def _mitsuba():
     try:
         import mitsuba
     except ImportError as error:
-        raise PictureError("pictures need mitsuba: pip install 'physkin[view]'") from error
+        raise PictureError(f"pictures need mitsuba: {install_command('view')}") from error
     mitsuba.set_variant("scalar_rgb")  # the one that needs neither a GPU nor LLVM
     return mitsuba
 
@@ -289,5 +291,5 @@ def pillow():
         import PIL.ImageDraw
         import PIL.ImageFont
     except ImportError as error:
-        raise PictureError("pictures need pillow: pip install 'physkin[view]'") from error
+        raise PictureError(f"pictures need pillow: {install_command('view')}") from error
     return PIL

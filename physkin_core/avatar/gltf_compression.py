@@ -12,6 +12,7 @@ from types import ModuleType
 import numpy as np
 
 from physkin_core.avatar.avatar import AvatarError
+from physkin_core.extras import install_command
 
 __all__ = ["DRACO", "draco_mesh", "meshopt_extension", "meshopt_view"]
 
@@ -61,5 +62,5 @@ def _binding(name: str, extension: str, source: str) -> ModuleType:
         return import_module(name)
     except ImportError as error:
         raise AvatarError(
-            f'avatar {source} is compressed with {extension}; to read it: pip install "physkin[compressed]" ({name})'
+            f"avatar {source} is compressed with {extension}; to read it: {install_command('compressed')} ({name})"
         ) from error

@@ -14,7 +14,7 @@ import numpy as np
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
 from physkin_core.doctor.doctor import Finding
-from physkin_core.extras import EXTRAS
+from physkin_core.extras import EXTRAS, install_command
 from physkin_core.model.model_file import load_garment_model, shipped_models
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.outfit.draper import Draper
@@ -24,7 +24,7 @@ __all__ = ["look"]
 
 COMPILERS = ("g++", "clang++", "c++")
 AGREEMENT = 1e-3  # [m] of a drape with rounded network weights and one without
-REINSTALL = "install again: pip install --force-reinstall --no-deps physkin"
+REINSTALL = f"install again: {install_command(options='--force-reinstall --no-deps')}"
 
 
 def look() -> Iterator[Finding]:
@@ -100,5 +100,5 @@ def _extra(extra: str) -> Finding:
     missing = [package for package in EXTRAS[extra] if find_spec(package) is None]
     if missing:
         said = f"lacks {', '.join(missing)}" if len(missing) < len(EXTRAS[extra]) else "not installed"
-        return Finding(f"[{extra}]", "absent", said, f"pip install 'physkin[{extra}]'")
+        return Finding(f"[{extra}]", "absent", said, install_command(extra))
     return Finding(f"[{extra}]", "good", "installed")

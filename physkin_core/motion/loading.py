@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core.avatar.body_model import load_body_model
+from physkin_core.extras import install_command
 from physkin_core.file_reading import ContentError, read_bytes, reading, shown
 from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.progress import Watch
@@ -61,7 +62,7 @@ def _read_bag(path: Path) -> Motion:
     try:
         from physkin_core.motion.bag_motion import load_bag_motion
     except ModuleNotFoundError as error:
-        raise MotionError(f"cannot read bag {path}: {error}; bags need: pip install 'physkin[replay]'") from error
+        raise MotionError(f"cannot read bag {path}: {error}; bags need: {install_command('replay')}") from error
     return load_bag_motion(path)
 
 

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Literal
 
+from physkin_core.extras import install_command
 from physkin_core.file_reading import sentence
 from physkin_core.picture import PictureError
 from physkin_core.view.visitors import only_visitors
@@ -48,7 +49,7 @@ class Page:
         try:
             import viser
         except ImportError as error:
-            raise PictureError("the page needs viser: pip install 'physkin[view]'") from error
+            raise PictureError(f"the page needs viser: {install_command('view')}") from error
         _check_address(host, port)
         self._ended = threading.Event()
         box = io.StringIO()  # with the address, which commands print themselves

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from physkin_core.doctor.doctor import Finding
+from physkin_core.extras import install_command
 from physkin_ros.messages.interfaces import missing_interfaces, missing_tf
 from physkin_ros.middleware.shared_memory import SHARED_MEMORY, leftovers
 from physkin_ros.middleware.transport import FASTDDS_PROFILE, PROFILE_VARIABLES, use_shipped_profile
@@ -41,7 +42,7 @@ def _participant() -> Finding:
     try:
         from rclpy.experimental import EventsExecutor  # noqa: F401
     except ImportError:
-        remedy = "update it: sudo apt upgrade, or pip install --upgrade 'physkin[ros]'"
+        remedy = f"update it: sudo apt upgrade, or {install_command('ros', options='--upgrade')}"
         return Finding("rclpy", "broken", "it is older than 7.1.4, which the node needs for its executor", remedy)
     context = Context()
     try:

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from tabulate import tabulate
 
 from physkin_core import Draper, FrameInput
+from physkin_core.extras import install_command
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, render, save_png
 from physkin_ros.replay.figures import LABELS, SPREAD
 from physkin_ros.replay.replay import Replay
@@ -166,7 +167,7 @@ def _plots(series: Mapping[str, Sequence[float | None]]) -> str:
     try:
         from matplotlib.figure import Figure
     except ImportError:
-        return "<p>No plots: they need matplotlib: pip install 'physkin[view]'</p>"
+        return f"<p>No plots: they need matplotlib: {install_command('view')}</p>"
     drawn = {title: names for title, names in PLOTS.items() if any(value is not None for value in series[names[0]])}
     figure = Figure(figsize=(9, 1.7 * len(drawn)), layout="constrained")
     for axes, (title, names) in zip(figure.subplots(len(drawn), sharex=True, squeeze=False)[:, 0], drawn.items()):

@@ -9,7 +9,7 @@ import pytest
 from physkin_core.cli import main
 from physkin_core.doctor import doctor, installation
 from physkin_core.doctor.doctor import Finding
-from physkin_core.extras import EXTRAS
+from physkin_core.extras import EXTRAS, install_command
 from physkin_core.runtime.evaluator import supported_instruction_sets
 
 
@@ -69,7 +69,7 @@ def test_missing_parts_are_no_fault(quick, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     findings = found(installation.look)
     assert findings["[usd]"].said == "not installed" and findings["[view]"].said == "lacks av"
-    assert findings["[usd]"].remedy == "pip install 'physkin[usd]'" and findings["[ros]"].state == "good"
+    assert findings["[usd]"].remedy == install_command("usd") and findings["[ros]"].state == "good"
     assert findings["compiler"].state == "absent" and "g++" in findings["compiler"].remedy
     assert not any(finding.state == "broken" for finding in findings.values())
 

@@ -15,6 +15,7 @@ from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model
 from physkin_core.cli import main
 from physkin_core.export.export import LIES_ON, garment_looks
 from physkin_core.export.usd_motion import _as_identifiers
+from physkin_core.extras import install_command
 from physkin_core.look.surfaces import surfaces_of
 from physkin_core.mesh_file import LIBRARY, Look, read_mesh, write_obj
 
@@ -208,4 +209,4 @@ def test_pictures_are_not_lost_without_pillow(tmp_path, shirt, monkeypatch, caps
     monkeypatch.setitem(sys.modules, "PIL", None)
     monkeypatch.setitem(sys.modules, "PIL.Image", None)
     assert export(tmp_path / "walk.glb", "--look", tmp_path / "look.glb") == 2
-    assert "pip install 'physkin[view]'" in capsys.readouterr().err
+    assert install_command("view") in capsys.readouterr().err

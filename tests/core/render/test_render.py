@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
 from physkin_core.cli import main
+from physkin_core.extras import install_command
 from physkin_core.progress import progress_line
 from physkin_core.render import filming
 from physkin_core.render.film_files import check_film, write_film
@@ -131,7 +132,7 @@ def test_missing_encoder_is_told_before_drawing(monkeypatch, capsys):
     with pytest.raises(ModuleNotFoundError):
         check_film(Path("a.mp4"), size=(2, 2), rate_hz=30.0)
     assert main(["render", "run", "-o", "a.mp4"]) == 2
-    assert "pip install 'physkin[view]'" in capsys.readouterr().err
+    assert install_command("view") in capsys.readouterr().err
 
 
 def test_progress_tells_the_time_left(monkeypatch, capsys):

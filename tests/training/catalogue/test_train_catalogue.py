@@ -16,6 +16,7 @@ from training.small_runs import small_config, write_belly_band
 
 from physkin_core import load_garment_model
 from physkin_core.cli import main
+from physkin_core.extras import install_command
 from physkin_training.fit_garment.fit_garment import as_toml
 
 
@@ -60,7 +61,7 @@ def test_refusals(arguments, said, shop, tmp_path, capsys):
 def test_without_ray_the_extra_is_named(shop, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
     assert main(["train-catalogue", str(shop), "-o", str(tmp_path / "models")]) == 2
-    assert "pip install 'physkin[catalogue]'" in capsys.readouterr().err
+    assert install_command("catalogue") in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "127.0.0.1:port", "127.0.0.1:99999", "ray://127.0.0.1:1"])
