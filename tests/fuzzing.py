@@ -44,13 +44,20 @@ def damaged(content: bytes, seed: int) -> bytes:
     return bytes(damage)
 
 
-def check_refusals(read: Callable[[Path], object], whole: Path, error: type[ValueError], seeds: range) -> int:
+def check_refusals(
+    read: Callable[[Path], object],
+    whole: Path,
+    error: type[ValueError],
+    seeds: range,
+    *,
+    mend: Callable[[bytes], bytes] = bytes,
+) -> int:
     """Read damaged copies of a file, beside it: each is read, or refused with `error` in one sentence. Returns how many
-    were refused."""
+    were refused. mend: what someone does who knows the format, such as a digest that fits again."""
     content, refused = whole.read_bytes(), 0
     copy = whole.with_name(f"damaged_{whole.name}")
     for seed in seeds:
-        copy.write_bytes(damaged(content, seed))
+        copy.write_bytes(mend(damaged(content, seed)))
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")

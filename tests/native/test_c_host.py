@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzzing import check_refusals
 from model_files import edited_header, resealed
 from native_frames import NativeFrame, clouds, told
 from native_library import NATIVE
@@ -361,6 +362,21 @@ def test_one_bit_of_a_number_is_enough(c, small_bound_file):
     data[-1] ^= 1
     assert load(c, bytes(data))[0] == BAD_FILE
     assert b"digest does not match" in c.physkin_last_error()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mend", [bytes, resealed])
+def test_a_thousand_damages(mend, c, small_bound_file):
+    """Each file is read, or refused in one sentence. tests/native/bound_file_fuzz.cpp does it with sanitizers."""
+
+    def read(path):
+        status, garment = load(c, path.read_bytes())
+        if status != OK:
+            assert status == BAD_FILE
+            raise ValueError(c.physkin_last_error().decode())
+        c.physkin_close(garment)
+
+    assert check_refusals(read, small_bound_file, ValueError, range(1000), mend=mend) > 300
 
 
 @pytest.mark.slow

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from fuzzing import check_refusals
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from model_files import contents, edited_header, save_packed, sealed, written
+from model_files import contents, edited_header, resealed, save_packed, sealed, written
 from random_models import random_model
 
 from physkin_core import GarmentModel, ModelFileError, load_garment_model
@@ -116,3 +117,10 @@ def test_loader(examples, check, tmp_path, small_path):
         check(data, tmp_path, small_path)
 
     loader()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mend", [bytes, resealed])
+def test_a_thousand_damages(mend, small_path):
+    """Each file is read, or refused in one sentence; with a digest that fits again, too."""
+    assert check_refusals(load_garment_model, small_path, ModelFileError, range(1000), mend=mend) > 300

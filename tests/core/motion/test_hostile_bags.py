@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 from contextlib import closing
 
 import numpy as np
@@ -13,6 +14,7 @@ pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[repla
 
 import apsw  # noqa: E402
 from bag_messages import joint_state  # noqa: E402
+from fuzzing import check_refusals  # noqa: E402
 from rosbags.rosbag2.storage_mcap import zstd  # noqa: E402
 
 from physkin_core import load_motion  # noqa: E402
@@ -153,3 +155,29 @@ def test_frames_without_end(tmp_path, monkeypatch):
     refused(bag, "910 frames of 1 joints take 7280 bytes, allowed are 7279")
     monkeypatch.setattr(bag_motion, "MOST_FRAMES", 900)
     refused(bag, "allowed are 100 frames for each of them, and 900 in all")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["run.mcap", "run.db3"])
+def test_a_thousand_damages(name, tmp_path):
+    """Each file is read, or refused in one sentence."""
+    whole = write_bag(tmp_path / name)
+    assert check_refusals(load_motion, whole, BagError, range(1000)) > 300
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", ["metadata.yaml", "run.db3.zstd"])
+def test_a_thousand_damages_of_folders(file, tmp_path):
+    """Their description, and what they have compressed."""
+    folder = write_bag(tmp_path / "run", storage="sqlite3")
+    if file.endswith(".zstd"):
+        compress(folder, "file", lambda data: data)
+
+    def read(path):
+        bag = tmp_path / "bag"
+        shutil.rmtree(bag, ignore_errors=True)
+        shutil.copytree(folder, bag, ignore=shutil.ignore_patterns("damaged_*"))
+        shutil.copy(path, bag / file)
+        load_motion(bag)
+
+    assert check_refusals(read, folder / file, BagError, range(1000)) > 300

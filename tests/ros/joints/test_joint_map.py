@@ -6,6 +6,7 @@ import json
 import time
 
 import pytest
+from fuzzing import check_refusals
 
 from physkin_core.file_reading import LONGEST_SENTENCE
 from physkin_ros.joints.joint_map import JointMapError, MappedJoint, load_joint_map
@@ -59,3 +60,11 @@ def test_many_entries_are_refused_at_once(tmp_path):
     with pytest.raises(JointMapError, match="two entries drive hip, knee; a rig joint takes one"):
         load_joint_map(path, JOINTS)
     assert time.perf_counter() - started < 5
+
+
+@pytest.mark.slow
+def test_a_thousand_damages(tmp_path):
+    """Each file is read, or refused in one sentence."""
+    path = tmp_path / "map.json"
+    path.write_text(json.dumps({"LeftHip": "hip", "LeftKnee": {"joint": "knee", "scale": -1, "offset": 0.25}}))
+    assert check_refusals(lambda copy: load_joint_map(copy, JOINTS), path, JointMapError, range(1000)) > 300

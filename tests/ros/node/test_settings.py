@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from fuzzing import check_refusals
 
+import physkin_ros
 from physkin_ros.node import settings
 from physkin_ros.node.config_file import load_config
 from physkin_ros.node.settings import SettingsError
@@ -202,3 +204,12 @@ def test_files_that_hurt_are_refused_in_a_sentence(tmp_path, text, reason):
     with pytest.raises(SettingsError) as error:
         load_config(path)
     assert reason in str(error.value) and str(error.value).startswith(f"config {path}") and len(str(error.value)) <= 300
+
+
+@pytest.mark.slow
+def test_a_thousand_damages(tmp_path):
+    """Each file is read, or refused in one sentence."""
+    pytest.importorskip("yaml")
+    shipped = Path(physkin_ros.__file__).parent / "config" / "avatars.yaml"
+    path = write(tmp_path, shipped.read_text())
+    assert check_refusals(load_config, path, SettingsError, range(1000)) > 300
