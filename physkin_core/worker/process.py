@@ -6,7 +6,6 @@ import contextlib
 import logging
 import os
 import signal
-import socket
 import subprocess
 import sys
 from threading import Lock
@@ -14,7 +13,7 @@ from time import monotonic
 from typing import Any
 
 from physkin_core.file_reading import sentence
-from physkin_core.worker.channel import Channel
+from physkin_core.worker.channel import Channel, channel_ends
 from physkin_core.worker.codec import Codec, CodecError
 
 __all__ = ["Worker", "WorkerError"]
@@ -46,18 +45,21 @@ class Worker:
 
     def _begin(self) -> None:
         self._ready = False
-        ours, its = socket.socketpair()
-        self._channel = Channel(ours, self._codec)
+        ours, its = channel_ends()
+        self._channel = Channel(*ours, self._codec)
         paths = dict.fromkeys(os.path.abspath(path) for path in sys.path)
-        with its:
+        try:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", self._module, *map(str, (its.fileno(), self.seconds, self.memory))],
+                [sys.executable, "-P", "-m", self._module, *map(str, (*its, self.seconds, self.memory))],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                pass_fds=[its.fileno()],
+                pass_fds=its,
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
                 start_new_session=True,  # Ctrl+C is for whoever started it
             )
+        finally:
+            for end in its:
+                os.close(end)
 
     @property
     def pid(self) -> int:

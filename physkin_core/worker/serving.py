@@ -13,7 +13,6 @@ import os
 import resource
 import select
 import signal
-import socket
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -35,13 +34,13 @@ OVERTIME = 5
 def serve(answer: Callable[[Any], object], codec: Codec) -> None:
     """Answer requests until the other end goes. Arguments of the command line: `Worker` gives them."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("socket", type=int)
+    parser.add_argument("incoming", type=int, help="pipe of requests")
+    parser.add_argument("outgoing", type=int, help="pipe of answers")
     parser.add_argument("seconds", type=float)
     parser.add_argument("memory", type=int, help="[MiB]")
     given = parser.parse_args()
-    end = socket.socket(fileno=given.socket)
-    channel = Channel(end, codec)
-    Thread(target=_end_with, args=(end,), daemon=True).start()
+    channel = Channel(given.incoming, given.outgoing, codec)
+    Thread(target=_end_with, args=(given.outgoing,), daemon=True).start()
     _limit(given.memory)
     warnings.simplefilter("ignore")  # what is worth saying is in what is loaded
     logger = logging.getLogger("physkin_core")
@@ -90,10 +89,10 @@ def _limit(memory: int) -> None:
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
-def _end_with(end: socket.socket) -> None:
-    """End this process when the other end is closed, however that went, and whatever is being done here."""
+def _end_with(outgoing: int) -> None:
+    """End this process when nobody reads from a pipe any more, however that came, and whatever is being done here."""
     poll = select.poll()
-    poll.register(end, select.POLLHUP)
+    poll.register(outgoing, select.POLLERR)
     poll.poll()
     os._exit(0)
 

@@ -1,45 +1,28 @@
-"""Bodies and garment models from files to outfits: which paths are allowed, and what was bound before.
+"""Bodies and garment models from files to outfits: which paths are allowed, and who reads them.
 
-A network can ask a running node for files, so those must lie below the `asset_roots`. Outfits are kept by the content
-of the files they came from, so that a body that comes back is worn at once.
+A network can ask a running node for files, so those must lie below the `asset_roots`, and the node opens none of them:
+a process of its own does.
 """
 
 from __future__ import annotations
 
-import ctypes
-import hashlib
-import json
-import sys
-from collections import OrderedDict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from threading import Lock
 from time import perf_counter
 
-from physkin_core import (
-    BUNDLED_AVATAR,
-    Avatar,
-    GarmentModel,
-    Layer,
-    Outfit,
-    WornGarment,
-    load_avatar,
-    load_garment_model,
-)
+from physkin_core import BUNDLED_AVATAR, Layer, Outfit
+from physkin_core.file_reading import LARGEST_FILE
+from physkin_core.loader.asset_loader import AssetLoader
+from physkin_core.loader.requests import GarmentRequest, OutfitRequest
 from physkin_core.model.fabric import fabric_of
-from physkin_core.model.model_file import MODELS_PATH, shipped_models, split_fabric
-from physkin_core.runtime.garment_on_body import checked_fit
+from physkin_core.model.model_file import shipped_models, split_fabric
+from physkin_core.points.splats_on_outfit import SplatsOnOutfit
+from physkin_core.separation.limb_separator import BoundLimbs
 from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.node.settings import GarmentSettings
 
-__all__ = ["LARGEST_ASSET", "AssetError", "AssetRoots", "LoadedLayer", "OutfitLoader"]
-
-LARGEST_ASSET = 1 << 29
-"""[bytes] A larger file is not opened while the node runs."""
-LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
-KEPT = 8
-"""Outfits, avatars and garment models that are kept of each, the latest."""
+__all__ = ["AssetError", "AssetRoots", "LoadedLayer", "OutfitLoader"]
 
 
 class AssetError(ValueError):
@@ -85,19 +68,22 @@ class AssetRoots:
             raise AssetError(f"{path} lies outside the parameter asset_roots; allowed: {allowed}")
         if not resolved.is_file():
             raise AssetError(f"{path}: no such file")
-        if (size := resolved.stat().st_size) > LARGEST_ASSET:
-            raise AssetError(f"{path} has {size} bytes; at most {LARGEST_ASSET} are read while the node runs")
+        if (size := resolved.stat().st_size) > LARGEST_FILE:
+            raise AssetError(f"{path} has {size} bytes; at most {LARGEST_FILE} are read while the node runs")
 
 
 @dataclass(frozen=True)
 class LoadedLayer:
     """A garment of an outfit, its index from the skin outwards, whether the outfit was known from before, and how long
-    that took [s]."""
+    that took [s]. limbs: of the body, where they were asked for. splats: on the garment, where its settings name a file
+    of them."""
 
     outfit: Outfit
     index: int
     cached: bool
     seconds: float
+    limbs: BoundLimbs | None = None
+    splats: SplatsOnOutfit | None = None
 
     @property
     def layer(self) -> Layer:
@@ -106,87 +92,39 @@ class LoadedLayer:
 
 
 class OutfitLoader:
-    """Makes outfits, from any thread."""
+    """Has outfits made by a process of its own, from any thread. seconds, memory [MiB]: that one of them may take."""
 
-    def __init__(self) -> None:
-        self._lock = Lock()  # one load at a time: a second core is for draping
-        self._models: OrderedDict[str, tuple[GarmentModel, str]] = OrderedDict()
-        self._avatars: OrderedDict[tuple[str, ...], Avatar] = OrderedDict()
-        self._outfits: OrderedDict[tuple[object, ...], Outfit] = OrderedDict()
+    def __init__(self, *, seconds: float, memory: int) -> None:
+        self._loader = AssetLoader(seconds=seconds, memory=memory)
 
     def load(
-        self, garments: Sequence[GarmentSettings], body_mesh: str, body_rig: str, *, hide: bool
+        self, garments: Sequence[GarmentSettings], body_mesh: str, body_rig: str, *, hide: bool, limbs: bool = False
     ) -> list[LoadedLayer]:
         """Put garments on a body over each other, the innermost first, precision and normals being those of the first.
 
-        body_mesh, body_rig: files, the mesh empty for the bundled avatar. hide: leave out what is covered. Raises
-        ValueError or OSError naming what is wrong, or what cannot be worn so.
+        body_mesh, body_rig: files, the mesh empty for the bundled avatar. hide: leave out what is covered. limbs: look
+        at the body's limbs, too. Raises ValueError naming what is wrong, or what cannot be worn so.
         """
-        with self._lock:
-            started = perf_counter()
-            first, models = garments[0], [self._model(each.model) for each in garments]
-            avatar, body_key = self._avatar(body_mesh, body_rig, *models[0][:2])
-            worn = [
-                WornGarment(model, tucked=each.tucked and len(garments) > 1, fit=checked_fit(model, each.fit))
-                for each, (model, *_) in zip(garments, models)
-            ]
-            known_by = ((key, garment.tucked, garment.fit) for (*_, key), garment in zip(models, worn))
-            key = (*body_key, *known_by, first.precision, first.normals, hide)
-            known = self._outfits.get(key)
-            if known is None:
-                outfit = Outfit(worn, avatar, precision=first.precision or None, normals=first.normals, hide=hide)
-            else:
-                outfit = known.twin()
-                outfit.avatar = replace(outfit.avatar, source=avatar.source)  # the same body may have another name
-            _keep(self._outfits, key, outfit)
-            _return_memory()
-            took = perf_counter() - started
-            return [LoadedLayer(outfit, k, known is not None, took) for k in range(len(worn))]
+        started, first = perf_counter(), garments[0]
+        several = len(garments) > 1
+        request = OutfitRequest(
+            tuple(GarmentRequest(each.model, each.tucked and several, each.fit) for each in garments),
+            body_mesh or str(BUNDLED_AVATAR),
+            body_rig,
+            hide=hide,
+            limbs=limbs,
+            points="" if several else first.points,
+        )
+        outfit, loaded = self._loader.outfit(request, precision=first.precision or None, normals=first.normals)
+        if loaded.splats_refused:
+            raise ValueError(f"parameter {first.prefix}points: {loaded.splats_refused}")
+        took = perf_counter() - started
+        return [LoadedLayer(outfit, k, loaded.cached, took, loaded.limbs, loaded.splats) for k in range(len(garments))]
 
-    def _model(self, garment: str) -> tuple[GarmentModel, str, str]:
-        """Garment model, its rig as text, and what it is known by: its content and its fabric."""
-        name, fabric = split_fabric(garment)
-        source = MODELS_PATH / f"{name}.safetensors" if name in shipped_models() else Path(name)
-        key = f"{_digest(source)}:{fabric}" if source.is_file() else name
-        if key not in self._models:
-            model = load_garment_model(garment)
-            _keep(self._models, key, (model, json.dumps(model.rig.to_json())))
-        return *self._models[key], key
+    def cancel(self) -> None:
+        """Let what is being loaded fail at once."""
+        self._loader.cancel()
 
-    def _avatar(self, body_mesh: str, body_rig: str, model: GarmentModel, rig: str) -> tuple[Avatar, tuple[str, ...]]:
-        """The body in the canonical pose of the model's rig, and what its files are known by: their content."""
-        body = Path(body_mesh or BUNDLED_AVATAR)
-        content = _digests(body, body_rig)
-        key = (str(body), *content, rig)
-        avatar = self._avatars.get(key) or load_avatar(body, model.rig, rig_file=body_rig or None)
-        _keep(self._avatars, key, avatar)
-        return avatar, content
-
-
-def _return_memory() -> None:
-    """Give back to the system what loading has left free: where bodies are swapped for days, glibc keeps half as much
-    again in pieces."""
-    if trim := getattr(LIBC, "malloc_trim", None):
-        trim(0)
-
-
-def _keep(kept: OrderedDict, key: object, value: object) -> None:
-    """Put an entry in as the latest, and drop the oldest when there are too many."""
-    kept[key] = value
-    kept.move_to_end(key)
-    while len(kept) > KEPT:
-        kept.popitem(last=False)
-
-
-def _digests(body: Path, rig_file: str) -> tuple[str, ...]:
-    """Of everything that a body is read from: the mesh, its rig file, and the buffers beside a .gltf; what is too large
-    to be read from there is left out."""
-    files = [body, Path(rig_file) if rig_file else body.with_suffix(".rig.json")]
-    if body.suffix.lower() == ".gltf":
-        files += sorted(body.parent.glob("*.bin"))
-    return tuple(_digest(file) for file in files if file.is_file() and file.stat().st_size <= LARGEST_ASSET)
-
-
-def _digest(path: str | Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    def close(self) -> None:
+        """End the process."""
+        self._loader.close()

@@ -15,7 +15,7 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState, MultiDOFJointState
 
-from physkin_core import BUNDLED_AVATAR, FrameInput, GarmentModel, LimbSeparator
+from physkin_core import BUNDLED_AVATAR, FrameInput, LimbSeparator, Rig
 from physkin_core.file_reading import sentence, shown
 from physkin_core.sway.frame_input import RootSample
 from physkin_ros.joints.joint_naming import load_naming
@@ -129,16 +129,18 @@ class AvatarStream:
     ) -> list[LoadedLayer]:
         """Put on what the settings say, with another body (mesh and rig file) or other models by garment index.
 
-        What is worn now serves until all is loaded, and stays when this raises ValueError or OSError, or when it is not
-        `wanted` any more by then.
+        What is worn now serves until all is loaded, and stays when this raises ValueError, or when it is not `wanted`
+        any more by then.
         """
+        if self._closed:
+            raise ValueError(f"{self._label}the avatar is not there any more, nothing is loaded for it")
         mesh, rig_file = body or (self.settings.body_mesh, self.settings.body_rig)
         garments = list(self.settings.garments)
         for index, model in (models or {}).items():
             garments[index] = replace(garments[index], model=model)
         together = [garments] if self.settings.outfit else [[garment] for garment in garments]
-        load, hide = self._loader.load, self.settings.hide
-        loaded = [layer for outfit in together for layer in load(outfit, mesh, rig_file, hide=hide)]
+        how = {"hide": self.settings.hide, "limbs": self.settings.separate_limbs}
+        loaded = [layer for outfit in together for layer in self._loader.load(outfit, mesh, rig_file, **how)]
         now = self._worn_now(loaded)
         if self._closed or not wanted():  # the body went meanwhile
             return loaded
@@ -162,36 +164,38 @@ class AvatarStream:
 
     def _worn_now(self, loaded: Sequence[LoadedLayer]) -> WornOutfits:
         model, *others = [each.layer.model for each in loaded]
+        rig = model.rig
         for other in others:
-            if other.rig.to_json() != model.rig.to_json():
+            if other.rig.to_json() != rig.to_json():
                 raise ValueError(
                     f"garments {model.name!r} and {other.name!r} have different rigs; garments of one avatar share one"
                 )
         reader = JointStateReader(
-            model.rig.joint_names,
-            model.rig.rest,
-            naming=self._naming_for(model),
+            rig.joint_names,
+            rig.rest,
+            naming=self._naming_for(rig),
             keep_missing=self.settings.missing_joints == "last",
             on_unknown=self._warn_unknown,
             on_degrees=self._warn_degrees,
         )
         skeleton = "vrm" if self.settings.joint_map == VRM else "rig"
         bones = {"skeleton": skeleton, "on_unknown": self._warn_unknown}
-        separator = LimbSeparator(model.rig, loaded[0].outfit.avatar) if self.settings.separate_limbs else None
-        now = WornOutfits(reader, model, len(loaded), bool(self.settings.cloud_rate), separator, **bones)
+        limbs = loaded[0].limbs
+        separator = None if limbs is None else LimbSeparator.of_bound(limbs)
+        now = WornOutfits(reader, rig, len(loaded), bool(self.settings.cloud_rate), separator, **bones)
         worn_before = {worn.stream: worn for worn in self._worn.garments} if self._worn else {}
         garments = []
         for stream, each in zip(self.garments, loaded):
             before = worn_before.get(stream)
             revision = 1 if before is None else before.revision + (not same_mesh(before, each))
-            garments.append(LayerMessages(stream, each.outfit, each.index, revision))
+            garments.append(LayerMessages(stream, each, revision))
         now.garments = tuple(garments)
         now.passes = passes_of(now.garments, now.draped, self.root.frame_input.rows)
         return now
 
-    def _naming_for(self, model: GarmentModel) -> JointNaming:
-        if self._naming is None or self._naming[1] != model.rig.joint_names:
-            self._naming = load_naming(self.settings.joint_map, model.rig), model.rig.joint_names
+    def _naming_for(self, rig: Rig) -> JointNaming:
+        if self._naming is None or self._naming[1] != rig.joint_names:
+            self._naming = load_naming(self.settings.joint_map, rig), rig.joint_names
         return self._naming[0]
 
     # The path of a message.

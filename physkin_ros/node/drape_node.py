@@ -6,7 +6,6 @@ the default, both happen at once. The work is done by `AvatarStream`s; here are 
 
 from __future__ import annotations
 
-import os
 import sys
 import traceback
 from collections.abc import Iterable
@@ -43,7 +42,7 @@ __all__ = ["DrapeNode"]
 
 WARNING_PERIOD = 5.0  # [s]
 SWITCH_INTERVAL = 0.00002
-"""[s] A load in the background gives the interpreter's lock up so soon after the executor asks for it. A message asks
+"""[s] A swap in the background gives the interpreter's lock up so soon after the executor asks for it. A message asks
 for it several times; at Python's own 0.005 s, or at a tenth of that, clouds come late by a multiple of the interval."""
 
 
@@ -82,8 +81,8 @@ class DrapeNode(LifecycleNode):
                 )
             ),
         )
-        self._loader = OutfitLoader()
-        self._worker = ThreadPoolExecutor(1, thread_name_prefix="physkin-loader", initializer=_schedule_as_batch)
+        self._loader = OutfitLoader(seconds=self._settings.load_seconds, memory=self._settings.load_memory)
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="physkin-loader")
         answer_all(self)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._follow_parameters)
@@ -257,6 +256,7 @@ class DrapeNode(LifecycleNode):
         """Take everything down, background work included."""
         self._worker.shutdown(wait=False, cancel_futures=True)
         self._take_down()
+        self._loader.close()
         super().destroy_node()
 
     def _configure(self) -> None:
@@ -292,6 +292,10 @@ class DrapeNode(LifecycleNode):
 
     def _take_down(self) -> None:
         self._active = False
+        for stream in self._streams.values():
+            stream.close()
+        self._streams, self._templates = {}, []
+        self._loader.cancel()  # nobody waits for what is being loaded
         if self._services_of_swaps is not None:
             self._services_of_swaps.close()
             self._services_of_swaps = None
@@ -301,9 +305,6 @@ class DrapeNode(LifecycleNode):
         if self._body_timer is not None:
             self.destroy_timer(self._body_timer)
             self._body_timer = None
-        for stream in self._streams.values():
-            stream.close()
-        self._streams, self._templates = {}, []
 
     # Bodies that come and go.
 
@@ -431,9 +432,3 @@ def _one_of(kind: str, name: str, names: list[str]) -> int:
     if not name and len(names) == 1:
         return 0
     raise SettingsError(f"no {kind} {name!r}; allowed: {', '.join(map(repr, names)) or 'none, there is none yet'}")
-
-
-def _schedule_as_batch() -> None:
-    """Tell Linux that this thread computes and nobody waits for it: the executor's thread then gets a core sooner."""
-    if hasattr(os, "SCHED_BATCH"):
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

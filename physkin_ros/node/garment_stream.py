@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import groupby
 from time import perf_counter_ns
@@ -13,9 +13,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker
 
-from physkin_core import GarmentModel, Layer, LimbSeparator, Outfit, Splats
-from physkin_core.points.point_files import read_splat_file
+from physkin_core import Layer, LimbSeparator, Outfit
+from physkin_core.model.skinning import SkinningData
 from physkin_core.points.splat_draper import SplatSkinner
+from physkin_core.points.splats_on_outfit import SplatsOnOutfit
+from physkin_core.rig.rig import Rig
 from physkin_ros.joints.bone_rotation_message import BoneRotationReader
 from physkin_ros.joints.joint_state_wire import JointStateWire
 from physkin_ros.joints.joint_states import JointStateReader
@@ -57,7 +59,8 @@ class GarmentStream:
         if settings.marker:
             self.marker_publisher = node.create_publisher(Marker, MARKER.below(place), **stream_quality())
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.splat_publisher = self._look_publisher = self._splats = None
+        self.splat_publisher = self._look_publisher = None
+        self._look_shown = False
         if settings.points:
             self.splat_publisher = node.create_publisher(PointCloud2, SPLATS.below(place), **stream_quality())
             self._look_publisher = node.create_publisher(PointCloud2, SPLAT_LOOK.below(place), latched)
@@ -68,21 +71,13 @@ class GarmentStream:
             self.nodes_publisher = node.create_publisher(GarmentNodes, GARMENT_NODES.below(place), **stream_quality())
             self._mesh_publisher = node.create_publisher(GarmentMesh, MESH.below(place), latched)
 
-    def show_splats(self) -> Splats:
-        """The splats of the parameter `points`, where they lie on the garment; publishes what else is known of them.
-
-        Raises ValueError naming what is wrong with the file.
-        """
-        if self._splats is not None:
-            return self._splats
-        path = self.settings.points
-        file = read_splat_file(path)
-        if file.look is not None:
-            message = splat_look(file.look, self.frame_id)
+    def show_look(self, look: np.ndarray | None) -> None:
+        """Publish, once, what is known of the splats besides how they move: (n,) records, or None."""
+        if look is not None and not self._look_shown:
+            message = splat_look(look, self.frame_id)
             message.header.stamp = self._node.get_clock().now().to_msg()
             self._look_publisher.publish(message)
-        self._splats = file.splats
-        return file.splats
+            self._look_shown = True
 
     def show_mesh(self, outfit: Outfit, index: int, revision: int) -> None:
         """Publish what changes with the garment only. index: of the garment in its outfit."""
@@ -105,12 +100,11 @@ class LayerMessages:
     """A garment of an outfit, and the messages that its frames fill.
 
     index: of the garment in its outfit. revision: of the garment's mesh, which a swap of the body alone does not change
-    in one size. points: (n, 6) float32 of the cloud, to be draped into. Raises ValueError for splats that are not this
-    garment's.
+    in one size. points: (n, 6) float32 of the cloud, to be draped into.
     """
 
-    def __init__(self, stream: GarmentStream, outfit: Outfit, index: int, revision: int) -> None:
-        self.stream, self.outfit, self.index, self.revision = stream, outfit, index, revision
+    def __init__(self, stream: GarmentStream, loaded: LoadedLayer, revision: int) -> None:
+        self.stream, self.outfit, self.index, self.revision = stream, loaded.outfit, loaded.index, revision
         self._cloud = GarmentCloud(self.layer.vertex_count, stream.frame_id)
         self.points = self._cloud.points
         self._nodes = self._marker = None
@@ -118,7 +112,7 @@ class LayerMessages:
             self._nodes = NodesMessage(len(self.layer.bound.node_rest), stream.frame_id, self.revision)
         if stream.marker_publisher is not None and len(self.layer.faces):
             self._marker = TriangleMarker(self.layer.faces, stream.frame_id, stream.name)
-        self._splats = None if stream.splat_publisher is None else SplatMessages(stream, self.layer)
+        self._splats = None if loaded.splats is None else SplatMessages(stream, loaded.splats)
 
     @property
     def layer(self) -> Layer:
@@ -142,11 +136,9 @@ class SplatMessages:
     """The splats of a garment, where its garment nodes take them. They take half of the time at most: clouds go
     first."""
 
-    def __init__(self, stream: GarmentStream, layer: Layer) -> None:
-        try:
-            self._skinner = SplatSkinner(layer, stream.show_splats())
-        except ValueError as error:
-            raise ValueError(f"parameter {stream.settings.prefix}points, {stream.settings.points}: {error}") from error
+    def __init__(self, stream: GarmentStream, splats: SplatsOnOutfit) -> None:
+        self._skinner = SplatSkinner(splats.bound)
+        stream.show_look(splats.look)
         self._cloud = SplatCloud(self._skinner.splat_count, stream.frame_id)
         self._free_ns = 0
 
@@ -186,13 +178,17 @@ def passes_of(garments: Sequence[LayerMessages], pose: np.ndarray, inputs: np.nd
 
 
 def same_mesh(before: LayerMessages, now: LoadedLayer) -> bool:
-    """Whether two garments differ by the body alone. Made to measure, another body means another rest shape; in an
-    outfit it may mean other hidden vertices."""
-    pairs = [(each.layer.model, each.index, len(each.outfit.layers), each.layer.moved) for each in (before, now)]
-    if pairs[0] != pairs[1] or not np.array_equal(before.layer.visible, now.layer.visible):
-        return False
-    masks = [body_covered(each.outfit, each.index) for each in (before, now)]
-    return np.array_equal(*masks) and np.array_equal(before.layer.given.vertices, now.layer.given.vertices)
+    """Whether two garments have the same mesh in their messages: of the same garment on another body, in one size.
+    Made to measure, another body means another rest shape; in an outfit it may mean other hidden vertices."""
+    pairs = [(each.layer.name, each.index, len(each.outfit.layers), each.layer.moved) for each in (before, now)]
+    arrays = [_mesh_arrays(each) for each in (before, now)]
+    return pairs[0] == pairs[1] and all(map(np.array_equal, *arrays))
+
+
+def _mesh_arrays(worn: LayerMessages | LoadedLayer) -> list[np.ndarray]:
+    """What the message of its mesh is made of."""
+    skinned = [getattr(worn.layer.given, field.name) for field in fields(SkinningData)]
+    return [*skinned, worn.layer.faces, worn.layer.visible, body_covered(worn.outfit, worn.index)]
 
 
 class WornOutfits:
@@ -206,19 +202,19 @@ class WornOutfits:
     def __init__(
         self,
         reader: JointStateReader,
-        model: GarmentModel,
+        rig: Rig,
         garment_count: int,
         interpolates: bool,
         separator: LimbSeparator | None,
         **bones,
     ) -> None:
         self.reader = reader
-        self._rig, self._bones = model.rig, bones
+        self._rig, self._bones = rig, bones
         self.pose = reader.positions.copy()
         self.wire = JointStateWire(reader, self.pose)
         self.separator = separator
         self.draped = self.pose if separator is None else self.pose.copy()
-        self.range = PoseRange(model.rig, self.pose)
+        self.range = PoseRange(rig, self.pose)
         self.interpolator = PoseInterpolator(len(self.pose), garment_count) if interpolates else None
         self.garments: tuple[LayerMessages, ...] = ()
         self.passes: tuple[Pass, ...] = ()

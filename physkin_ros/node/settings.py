@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from physkin_core import NORMALS, UPRIGHT_GRAVITY
+from physkin_core.loader.asset_loader import LOAD_MEMORY, LOAD_SECONDS
 from physkin_core.model.model_file import split_fabric
 from physkin_core.runtime.evaluator import PRECISIONS
 from physkin_ros.messages.conversions import gravity_direction
@@ -240,6 +241,18 @@ class NodeSettings:
         [""],
         "folders that bodies and garments may be swapped for while running; default: those of the files the node "
         "started with. Shipped garments and the bundled avatar are always allowed",
+    )
+    load_seconds: float = _key(
+        LOAD_SECONDS,
+        "[s] that loading a body with its garments may take; then it is refused, and what is worn stays",
+        low=1,
+        high=3600,
+    )
+    load_memory: int = _key(
+        LOAD_MEMORY,
+        "[MiB] that loading may take beyond what the process that loads has at its start",
+        low=64,
+        high=1 << 20,
     )
     deadline: float = _key(
         0.0,

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -148,7 +149,26 @@ def peer(module_peer):
 
 
 @pytest.fixture(scope="module")
-def running_node(module_peer):
+def shared_loader(asset_loader):
+    """Nodes of this process have one process that loads, which they do not end."""
+    from physkin_ros.node import asset_loading
+
+    lent = SimpleNamespace(outfit=asset_loader.outfit, cancel=asset_loader.cancel, close=lambda: None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(asset_loading, "AssetLoader", lambda **_: lent)
+        yield
+
+
+@pytest.fixture
+def outfit_loader(shared_loader):
+    """What a node loads with."""
+    from physkin_ros.node.asset_loading import OutfitLoader
+
+    return OutfitLoader(seconds=60.0, memory=1024)
+
+
+@pytest.fixture(scope="module")
+def running_node(module_peer, shared_loader):
     """Runs a drape node with these parameters in the peer's executor, ten reports a second."""
     from rclpy.parameter import Parameter
 

@@ -28,7 +28,8 @@ WATCHED = """
 import sys
 def watch(event, arguments):
     if event.split(".")[0] in ("socket", "pickle", "marshal", "ftplib", "urllib", "subprocess", "os.system"):
-        if event != "marshal.loads":  # of compiled modules
+        loads = event == "subprocess.Popen" and "physkin_core.loader.loading_process" in arguments[1]
+        if event != "marshal.loads" and not loads:  # of compiled modules; the process that loads
             print("AUDIT", event, arguments, file=sys.stderr, flush=True)
 sys.addaudithook(watch)
 from physkin_ros.node.node_process import main
@@ -76,7 +77,8 @@ def test_sources_open_no_socket_and_unpickle_nothing(package):
 
 
 def test_running_node_opens_dds_ports_only(peer, domain, garment_model, model_path):
-    """No Python code in it makes a socket, unpickles or starts a process; the system knows of UDP ports of DDS only."""
+    """No Python code in it makes a socket, unpickles or starts another process than the one that loads; the system
+    knows of UDP ports of DDS only, and of none of that process."""
     draper = Draper(garment_model, load_avatar(BUNDLED_AVATAR, garment_model.rig))
     command = [sys.executable, "-c", WATCHED, "--ros-args", "-p", f"model:={model_path}"]
     node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
@@ -84,6 +86,8 @@ def test_running_node_opens_dds_ports_only(peer, domain, garment_model, model_pa
         peer.connect()
         peer.cloud(draper.joint_names, garment_model.rig.rest, (1, 0))
         tcp, udp, listening = sockets(node.pid)
+        (loading,) = child_processes(node.pid)
+        assert sockets(loading) == (set(), set(), set())
         node.terminate()
         output, _ = node.communicate(timeout=20)
     finally:
@@ -96,6 +100,12 @@ def test_running_node_opens_dds_ports_only(peer, domain, garment_model, model_pa
     first = 7400 + 250 * domain
     shared_memory = range(7000, 7400)  # Fast DDS reserves a number there for its shared-memory ports
     assert served and all(port in range(first, first + 250) or port in shared_memory for port in served)
+
+
+def child_processes(pid: int) -> list[int]:
+    """Of all threads of a process."""
+    threads = Path(f"/proc/{pid}/task").iterdir()
+    return [int(child) for thread in threads for child in (thread / "children").read_text().split()]
 
 
 def sockets(pid: int) -> tuple[set[int], set[int], set[str]]:
