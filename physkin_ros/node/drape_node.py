@@ -332,6 +332,8 @@ class DrapeNode(LifecycleNode):
                 )
 
     def _dress_body(self, stream: AvatarStream) -> None:
+        if self._streams.get(stream.settings.id) is not stream:
+            return  # the body has gone again
         try:
             stream.dress()
         except Exception as error:
