@@ -128,8 +128,11 @@ class FigureProcess:
         self._asked, self._pool = None, self._begun()
 
     def close(self) -> None:
-        """End the process."""
+        """End the process, in the midst of a question if need be: Python would wait for the answer before it ends."""
+        begun = list((self._pool._processes or {}).values())
         self._pool.shutdown(wait=False, cancel_futures=True)
+        for process in begun:
+            process.kill()
 
     @staticmethod
     def _begun() -> ProcessPoolExecutor:

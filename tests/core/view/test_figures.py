@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from concurrent.futures import CancelledError
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 
@@ -94,6 +95,20 @@ def test_a_process_that_was_ended_is_replaced(dressed):
         assert _answer(process).inside_percent == look_at_contact(question).inside_percent
     finally:
         process.close()
+
+
+def test_closing_waits_for_no_answer(dressed):
+    """However long a question takes."""
+    figures, frame = dressed
+    process = FigureProcess()
+    process.ask(figures.question(frame))
+    (child,) = process._pool._processes.values()
+    asked = process._asked
+    process.close()
+    with pytest.raises((BrokenProcessPool, CancelledError)):
+        asked.result(10)
+    child.join(10)
+    assert child.exitcode == -signal.SIGKILL
 
 
 def _answer(process):
