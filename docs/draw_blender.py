@@ -19,7 +19,8 @@ from draw_gallery import meshes_at, named
 from import_graph import ROOT
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
 from physkin_core.cli import main as physkin
-from physkin_core.mesh_file import LIBRARY, Look, write_obj
+from physkin_core.mesh.look import LIBRARY, Look
+from physkin_core.mesh.mesh_file import write_obj
 from physkin_core.model.garment import Garment
 from physkin_core.picture import contact_sheet, render
 

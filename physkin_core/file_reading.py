@@ -6,11 +6,13 @@ it is and makes all else that goes wrong the same kind of sentence.
 
 from __future__ import annotations
 
+import json
 import os
 import reprlib
 import stat
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 
 __all__ = [
@@ -19,15 +21,20 @@ __all__ = [
     "Budget",
     "ContentError",
     "file_beside",
+    "listed",
     "read_bytes",
+    "read_json",
     "reading",
     "sentence",
     "shown",
 ]
 
 LARGEST_FILE = 1 << 29  # [bytes]
+MOST_JSON_ITEMS = 4_000_000
 LONGEST_SENTENCE = 300  # [characters] of an error
 LONGEST_VALUE = 60  # [characters] of a value in an error
+LISTED = 4
+"""Of many names in an error."""
 LONGEST_INTEGER = 1 << 10  # [bits]; Python refuses to write much longer ones
 
 
@@ -49,6 +56,11 @@ class Budget:
             )
         self.charged += size
 
+    @property
+    def left(self) -> int:
+        """Bytes that may still be charged."""
+        return self.most - self.charged
+
 
 def read_bytes(path: Path, *, most: int = LARGEST_FILE) -> bytes:
     """The content of a regular file of at most `most` bytes, which is opened once.
@@ -58,13 +70,24 @@ def read_bytes(path: Path, *, most: int = LARGEST_FILE) -> bytes:
     with open(path, "rb", opener=_open_at_once) as file:
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
-            raise ContentError("it is not a regular file; a pipe, device or folder cannot be read")
+            raise ContentError(f"{shown(path.name)} is not a regular file; a pipe, device or folder cannot be read")
         if status.st_size > most:
-            raise ContentError(f"it has {status.st_size} bytes, allowed are {most}")
+            raise ContentError(f"{shown(path.name)} has {status.st_size} bytes, allowed are {most}")
         content = file.read(status.st_size + 1)
     if len(content) != status.st_size:
-        raise ContentError(f"it changed from {status.st_size} bytes while it was read; read it again")
+        raise ContentError(f"{shown(path.name)} changed from {status.st_size} bytes while it was read; read it again")
     return content
+
+
+def read_json(content: bytes) -> object:
+    """The value of a JSON text. Raises ContentError where it is none, or has more items than memory is meant for."""
+    items = sum(map(content.count, (b",", b"[", b"{")))  # in texts, too: an upper bound, before anything is made of it
+    if items > MOST_JSON_ITEMS:
+        raise ContentError(f"it has up to {items} JSON items, allowed are {MOST_JSON_ITEMS}")
+    try:
+        return json.loads(content)
+    except ValueError as error:
+        raise ContentError(f"it is not JSON: {error}") from error
 
 
 def file_beside(file: Path, name: str) -> Path:
@@ -114,6 +137,12 @@ def shown(value: object) -> str:
     if isinstance(value, int) and value.bit_length() > LONGEST_INTEGER:
         return f"an integer of {value.bit_length()} bits"
     return _shortened(_printable(_REPR.repr(value)), LONGEST_VALUE)
+
+
+def listed(names: Collection[object], most: int = LISTED) -> str:
+    """Names from outside for an error: the first few as `shown`, and how many there are besides."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(map(shown, islice(names, most))) + more
 
 
 def _representation() -> reprlib.Repr:

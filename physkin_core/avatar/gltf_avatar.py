@@ -12,15 +12,25 @@ from pathlib import Path
 
 import numpy as np
 
-from physkin_core.avatar.avatar import Avatar, AvatarError
-from physkin_core.avatar.gltf_file import GltfFile
+from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.mesh_avatar import retarget_plain_mesh
 from physkin_core.avatar.retargeting import retarget
-from physkin_core.avatar.skinned_mesh import SkinnedMesh, Surface, clean_surface, unit_scale
+from physkin_core.avatar.skinned_mesh import (
+    SkinnedMesh,
+    Surface,
+    check_bone_count,
+    check_influence_count,
+    clean_surface,
+    unit_scale,
+)
+from physkin_core.file_reading import ContentError, shown
+from physkin_core.formats.gltf_document import GltfEntry
+from physkin_core.formats.gltf_file import GltfFile
+from physkin_core.formats.gltf_scene import Drawn, drawn_primitives, in_scene, material_of
 from physkin_core.rig.linear_blend_skinning import joined_influences, linear_blend_skinning
 from physkin_core.rig.rig import Rig, ancestors
 
-__all__ = ["load_gltf", "primitives"]
+__all__ = ["load_gltf"]
 
 # Rows: X forward, Y left, Z up. glTF and VRM 1.0 are Y up and face +Z; VRM 0.x faces -Z.
 TO_ROOT_FRAME = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -29,30 +39,24 @@ END_SUFFIX = "_end"
 
 
 def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None) -> Avatar:
-    """Read a GLB, glTF or VRM file. Raises AvatarError (see `physkin_core.load_avatar`)."""
-    try:
-        file = GltfFile(path)
-        if file.document.skins and rig_file is not None:
-            raise AvatarError(f"avatar {path} has its own skeleton; a rig file ({rig_file}) is for plain meshes")
-        mesh = _skinned_mesh(file) if file.document.skins else _plain_mesh(file)
-    except AvatarError:
-        raise
-    except (AttributeError, IndexError, KeyError, MemoryError, TypeError, ValueError) as error:
-        raise AvatarError(f"avatar {path} is malformed: {type(error).__name__}: {error}") from error
-    if isinstance(mesh, Surface):
-        return retarget_plain_mesh(mesh, rig, path=path, rig_file=rig_file, up="Y")
-    return retarget(mesh, rig)
+    """Read a GLB, glTF or VRM file. Raises AvatarError (see `physkin_core.load_avatar`) and ContentError."""
+    file = GltfFile(path)
+    if not file.document.count("skins"):
+        return retarget_plain_mesh(_plain_mesh(file), rig, path=path, rig_file=rig_file, up="Y")
+    if rig_file is not None:
+        raise ContentError(f"it has its own skeleton; a rig file ({shown(str(rig_file))}) is for plain meshes")
+    return retarget(_skinned_mesh(file), rig)
 
 
 def _plain_mesh(file: GltfFile) -> Surface:
     """All meshes of a file without skins, in glTF's frame."""
     parts, start = [], 0
-    for node, primitive, positions, faces, _ in primitives(file):
-        placed = _in_scene(file, node, positions)
-        parts.append((placed, faces + start, _part_names(file, node, primitive), _is_clear(file, primitive)))
-        start += len(positions)
+    for drawn in drawn_primitives(file):
+        placed = in_scene(file, drawn.node, drawn.positions)
+        parts.append((placed, drawn.faces + start, _part_names(file, drawn), _is_clear(file, drawn)))
+        start += len(placed)
     if not parts:
-        raise AvatarError(f"avatar {file.path} has no faces; a triangle mesh is needed")
+        raise ContentError("it has no faces; a triangle mesh is needed")
     vertices, faces, names, clear = zip(*parts)
     face_parts = np.repeat(np.arange(len(parts)), list(map(len, faces)))
     clear_parts = frozenset(np.flatnonzero(clear).tolist())
@@ -62,43 +66,45 @@ def _plain_mesh(file: GltfFile) -> Surface:
 def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
     humanoid = _humanoid_nodes(file)
     joint_nodes, node_joint = _joints(file, humanoid or {})
-    frame = _frame(file)
     warnings, parts, start = [], [], 0
-    for node, primitive, positions, faces, corners in primitives(file):
-        label = file.document.nodes[node].name or f"node {node}"
-        skin = file.document.nodes[node].skin
+    for drawn in drawn_primitives(file):
+        node, positions = drawn.node, drawn.positions
+        label = shown(file.nodes[node].text("name") or f"node {node}")
+        skin = file.nodes[node].index("skin")
         if skin is not None:
-            joints, weights, unbound = _skin_influences(file, primitive, skin, len(positions), label)
+            joints, weights, unbound = _skin_influences(file, drawn, skin, label)
             if unbound:
-                warnings.append(f"{unbound} vertices of {label!r} have no skinning weights: bound to the first joint")
+                warnings.append(f"{unbound} vertices of {label} have no skinning weights: bound to the first joint")
             positions = linear_blend_skinning(positions, _skin_transforms(file, skin), joints, weights)
-            joints = np.array([node_joint[joint] for joint in file.document.skins[skin].joints])[joints]
+            joints = np.array([node_joint[joint] for joint in _skin_joints(file, skin)])[joints]
         else:
             carrier = next(
                 (node_joint[each] for each in ancestors(file.node_parents, node) if each in node_joint), None
             )
             if carrier is None:
-                warnings.append(f"mesh {label!r} has no skin and hangs on no joint: left out")
+                warnings.append(f"mesh {label} has no skin and hangs on no joint: left out")
                 continue
-            positions = _in_scene(file, node, positions)
+            positions = in_scene(file, node, positions)
             joints, weights = np.full((len(positions), 1), carrier), np.ones((len(positions), 1))
-        named = _part_names(file, node, primitive), _is_clear(file, primitive)
-        parts.append((positions, faces + start, joints, weights, corners, *named))
+        named = _part_names(file, drawn), _is_clear(file, drawn)
+        parts.append((positions, drawn.faces + start, joints, weights, drawn.corners, *named))
         start += len(positions)
     if not parts:
-        raise AvatarError(f"avatar {file.path} has no faces on its skeleton; a triangle mesh is needed")
+        raise ContentError("it has no faces on its skeleton; a triangle mesh is needed")
     vertices, faces, joints, weights, corners, names, clear = zip(*parts)
     face_parts = np.repeat(np.arange(len(parts)), list(map(len, faces)))
     vertices, faces, corners = map(np.concatenate, (vertices, faces, corners))
+    width = max(each.shape[1] for each in joints)
+    file.budget.charge(vertices.itemsize * len(vertices) * (3 + 2 * width), f"a mesh of {len(vertices)} vertices")
     influences = joined_influences(joints), joined_influences(weights)
     vertices, faces, (joints, weights), kept = clean_surface(vertices, faces, influences, str(file.path))
     heads = file.node_worlds[joint_nodes][:, :3, 3]
     scale, unit_warning = unit_scale(vertices)
-    frame = scale * frame
+    frame = scale * _frame(file)
     return SkinnedMesh(
         vertices=vertices @ frame.T,
         faces=faces,
-        joint_names=tuple(file.document.nodes[node].name or f"node {node}" for node in joint_nodes),
+        joint_names=tuple(file.nodes[node].text("name") or f"node {node}" for node in joint_nodes),
         joint_parents=np.array([node_joint.get(int(file.node_parents[node]), -1) for node in joint_nodes]),
         joint_heads=heads @ frame.T,
         joint_tails=_joint_tails(file, joint_nodes) @ frame.T,
@@ -115,55 +121,17 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
     )
 
 
-def primitives(file: GltfFile):
-    """Everything with faces in the scene: node, primitive, positions (V, 3) in mesh space with default morph weights
-    applied, faces (f, 3) as the scene shows them, and numbers of their corners (f, 3), counted over the whole file."""
-    count = 0
-    for node in file.scene_nodes():
-        if file.document.nodes[node].mesh is None:
-            continue
-        mesh = file.document.meshes[file.document.nodes[node].mesh]
-        morph = mesh.weights or []
-        for primitive in mesh.primitives:
-            if primitive.attributes.POSITION is None or len(file.triangles(primitive)) == 0:
-                continue
-            positions = file.attribute(primitive, "POSITION").astype(np.float64)
-            for weight, target in zip(morph, primitive.targets or []):
-                offset = target.get("POSITION") if isinstance(target, dict) else target.POSITION
-                if weight and offset is not None:
-                    positions = positions + weight * file.accessor(offset)
-            mirrored = file.document.nodes[node].skin is None and np.linalg.det(file.node_worlds[node][:3, :3]) < 0
-            faces = _faces(file, primitive, positions, mirrored=mirrored)
-            yield node, primitive, positions, faces, count + np.arange(faces.size).reshape(-1, 3)
-            count += faces.size
-
-
-def _in_scene(file: GltfFile, node: int, positions: np.ndarray) -> np.ndarray:
-    """Positions (V, 3) of a node's mesh where its transform puts them."""
-    world = file.node_worlds[node]
-    return positions @ world[:3, :3].T + world[:3, 3]
-
-
-def _part_names(file: GltfFile, node: int, primitive) -> tuple[str, ...]:
+def _part_names(file: GltfFile, drawn: Drawn) -> tuple[str, ...]:
     """Names of a primitive's material, mesh and node, those that there are."""
-    document = file.document
-    material = None if primitive.material is None else document.materials[primitive.material].name
-    named = document.nodes[node]
-    return tuple(name for name in (material, document.meshes[named.mesh].name, named.name) if name) or (f"node {node}",)
+    material = material_of(file, drawn.primitive)
+    named = ("" if material is None else material.text("name"), drawn.mesh.text("name"))
+    return tuple(filter(None, (*named, file.nodes[drawn.node].text("name")))) or (f"node {drawn.node}",)
 
 
-def _is_clear(file: GltfFile, primitive) -> bool:
+def _is_clear(file: GltfFile, drawn: Drawn) -> bool:
     """Whether what is behind a primitive shows through, as through lenses and the cards of lashes."""
-    return primitive.material is not None and file.document.materials[primitive.material].alphaMode == "BLEND"
-
-
-def _faces(file: GltfFile, primitive, positions: np.ndarray, *, mirrored: bool) -> np.ndarray:
-    faces = file.triangles(primitive)
-    if faces.min() < 0 or faces.max() >= len(positions):
-        raise AvatarError(
-            f"avatar {file.path}: face indices span {faces.min()} to {faces.max()}, allowed 0 to {len(positions) - 1}"
-        )
-    return faces[:, ::-1] if mirrored else faces
+    material = material_of(file, drawn.primitive)
+    return material is not None and material.text("alphaMode") == "BLEND"
 
 
 def _joints(file: GltfFile, humanoid: dict[str, int]) -> tuple[list[int], dict[int, int]]:
@@ -171,35 +139,49 @@ def _joints(file: GltfFile, humanoid: dict[str, int]) -> tuple[list[int], dict[i
 
     These are all skins' joints, the VRM humanoid bones (a skin need not use them all), and their ancestors.
     """
-    joints = [*humanoid.values(), *(joint for skin in file.document.skins for joint in skin.joints)]
-    nodes = {node for joint in set(joints) for node in ancestors(file.node_parents, joint)}
+    nodes: set[int] = set()
+    skinned = (joint for skin in file.document.entries("skins") for joint in _named(file, skin))
+    for joint in (*humanoid.values(), *skinned):
+        while joint >= 0 and joint not in nodes:
+            nodes.add(joint)
+            joint = int(file.node_parents[joint])
+    check_bone_count(len(nodes))
     joint_nodes = [node for node in file.node_order if node in nodes]
     return joint_nodes, {node: joint for joint, node in enumerate(joint_nodes)}
 
 
-def _skin_influences(
-    file: GltfFile, primitive, skin: int, count: int, label: str
-) -> tuple[np.ndarray, np.ndarray, int]:
+def _skin_joints(file: GltfFile, skin: int) -> list[int]:
+    return _named(file, file.document.item("skins", skin))
+
+
+def _named(file: GltfFile, skin: GltfEntry) -> list[int]:
+    """Nodes that are the joints of a skin."""
+    nodes = skin.indices("joints")
+    if not nodes or max(nodes) >= len(file.nodes):
+        raise ContentError(f"joints of {skin.where} are {shown(nodes)}, allowed are nodes 0 to {len(file.nodes) - 1}")
+    return nodes
+
+
+def _skin_influences(file: GltfFile, drawn: Drawn, skin: int, label: str) -> tuple[np.ndarray, np.ndarray, int]:
     """Indices into the skin's joints (V, K), weights (V, K) with rows summing to 1, and how many vertices had none."""
-    joints, weights, index = [], [], 0
-    while (named := file.attribute(primitive, f"JOINTS_{index}")) is not None:
+    joints, weights, count = [], [], len(drawn.positions)
+    while (named := file.attribute(drawn.primitive, f"JOINTS_{len(joints)}")) is not None:
         joints.append(named)
-        weights.append(file.attribute(primitive, f"WEIGHTS_{index}").astype(np.float64))
-        index += 1
+        found = file.attribute(drawn.primitive, f"WEIGHTS_{len(weights)}")
+        weights.append(np.empty((0, 0)) if found is None else found.astype(np.float64))
+        check_influence_count(sum(each.shape[1] for each in joints))
     if not joints:
-        raise AvatarError(f"avatar {file.path}: mesh {label!r} has a skin but no JOINTS_0 and WEIGHTS_0")
+        raise ContentError(f"mesh {label} has a skin but no JOINTS_0 and WEIGHTS_0")
+    if any(one.shape != other.shape or len(one) != count for one, other in zip(joints, weights)):
+        shapes = ", ".join(f"{one.shape} and {other.shape}" for one, other in zip(joints, weights))
+        raise ContentError(f"mesh {label} has {count} vertices, joints and weights {shapes}; these must agree")
     joint, weight = np.concatenate(joints, axis=1), np.concatenate(weights, axis=1)
-    if joint.shape != weight.shape or len(joint) != count:
-        raise AvatarError(
-            f"avatar {file.path}: mesh {label!r} has {count} vertices, joints {joint.shape}, weights {weight.shape}; "
-            "these must agree"
-        )
     if not np.isfinite(weight).all() or weight.min() < 0:
-        raise AvatarError(f"avatar {file.path}: skinning weights of mesh {label!r} must be finite and not negative")
-    limit = len(file.document.skins[skin].joints)
+        raise ContentError(f"skinning weights of mesh {label} must be finite and not negative")
+    limit = len(_skin_joints(file, skin))
     joint = np.where(weight > 0, joint, 0)
-    if joint.max() >= limit:
-        raise AvatarError(f"avatar {file.path}: mesh {label!r} names joint {joint.max()}, allowed 0 to {limit - 1}")
+    if joint.dtype.kind != "i" or joint.min() < 0 or joint.max() >= limit:
+        raise ContentError(f"mesh {label} names joint {joint.max()}, allowed 0 to {limit - 1}")
     total = weight.sum(axis=1)
     weight[total <= 0, 0] = 1.0
     return joint, weight / weight.sum(axis=1, keepdims=True), int((total <= 0).sum())
@@ -207,14 +189,14 @@ def _skin_influences(
 
 def _skin_transforms(file: GltfFile, skin: int) -> np.ndarray:
     """(joints, 3, 4) from mesh space to the scene, for each joint of a skin."""
-    joints = file.document.skins[skin].joints
+    joints, matrices = _skin_joints(file, skin), file.document.item("skins", skin).index("inverseBindMatrices")
     inverse_bind = np.tile(np.eye(4), (len(joints), 1, 1))
-    if file.document.skins[skin].inverseBindMatrices is not None:
-        stored = file.accessor(file.document.skins[skin].inverseBindMatrices)
-        if len(stored) < len(joints) or not np.isfinite(stored).all():
-            raise AvatarError(
-                f"avatar {file.path}: skin {skin} has {len(joints)} joints and {len(stored)} inverse bind matrices; "
-                "each joint needs a finite one"
+    if matrices is not None:
+        stored = file.accessor(matrices)
+        if len(stored) < len(joints) or stored.shape[1] != 16 or not np.isfinite(stored).all():
+            raise ContentError(
+                f"skin {skin} has {len(joints)} joints and {len(stored)} inverse bind matrices of {stored.shape[1]} "
+                "numbers; each joint needs a finite one of 16"
             )
         inverse_bind = stored[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1)
     return (file.node_worlds[joints] @ inverse_bind)[:, :3]
@@ -224,24 +206,30 @@ def _joint_tails(file: GltfFile, joint_nodes: list[int]) -> np.ndarray:
     """(j, 3) place of a joint's child node named `JOINT_end` (as modelling tools export leaf bones), else NaN."""
     tails = np.full((len(joint_nodes), 3), np.nan)
     for joint, node in enumerate(joint_nodes):
-        end = f"{file.document.nodes[node].name}{END_SUFFIX}"
-        for child in file.document.nodes[node].children or []:
-            if file.document.nodes[child].name == end:
+        end = f"{file.nodes[node].text('name')}{END_SUFFIX}"
+        for child in file.node_children[node]:
+            if file.nodes[child].text("name") == end:
                 tails[joint] = file.node_worlds[child][:3, 3]
     return tails
 
 
 def _humanoid_nodes(file: GltfFile) -> dict[str, int] | None:
     """Node by VRM humanoid bone, or None for a file that is not a VRM."""
-    extensions = file.document.extensions or {}
+    extensions = file.document.entry("extensions")
     if "VRMC_vrm" in extensions:
-        return {name: bone["node"] for name, bone in extensions["VRMC_vrm"]["humanoid"]["humanBones"].items()}
-    if "VRM" in extensions:
-        return {bone["bone"]: bone["node"] for bone in extensions["VRM"]["humanoid"]["humanBones"]}
-    return None
+        bones = extensions.entry("VRMC_vrm").entry("humanoid").entry("humanBones")
+        nodes = {name: bones.entry(name).integer("node") for name in bones.members}
+    elif "VRM" in extensions:
+        bones = extensions.entry("VRM").entry("humanoid").entries("humanBones")
+        nodes = {bone.text("bone"): bone.integer("node") for bone in bones}
+    else:
+        return None
+    for node in nodes.values():
+        file.document.item("nodes", node)
+    return nodes
 
 
 def _frame(file: GltfFile) -> np.ndarray:
     """(3, 3) from the file's frame to the root frame."""
-    extensions = file.document.extensions or {}
+    extensions = file.document.entry("extensions")
     return VRM0_TO_ROOT_FRAME if "VRM" in extensions and "VRMC_vrm" not in extensions else TO_ROOT_FRAME

@@ -8,6 +8,7 @@ from pathlib import Path
 from physkin_core.avatar.avatar import Avatar, AvatarError, AvatarWarning
 from physkin_core.avatar.gltf_avatar import load_gltf
 from physkin_core.avatar.mesh_avatar import load_mesh
+from physkin_core.file_reading import ContentError, reading, sentence, shown
 from physkin_core.rig.rig import Rig, RigError
 
 __all__ = ["BUNDLED_AVATAR", "GLTF_SUFFIXES", "load_avatar"]
@@ -30,19 +31,20 @@ def load_avatar(path: str | Path, rig: Rig, *, rig_file: str | Path | None = Non
     Raises AvatarError naming what is wrong with the file and what was allowed.
     """
     path = Path(path)
+    with reading(f"avatar {path}", AvatarError):
+        avatar = _load(path, rig, rig_file)
+    for warning in avatar.warnings:
+        warnings.warn(sentence(f"avatar {path}: {warning}"), AvatarWarning, stacklevel=2)
+    return avatar
+
+
+def _load(path: Path, rig: Rig, rig_file: str | Path | None) -> Avatar:
     suffix = path.suffix.lower()
     if suffix not in GLTF_SUFFIXES + MESH_SUFFIXES:
-        raise AvatarError(
-            f"avatar {path} has the unknown extension {path.suffix!r}; "
-            f"allowed: {', '.join(GLTF_SUFFIXES + MESH_SUFFIXES)}"
-        )
-    if not path.is_file():
-        raise AvatarError(f"avatar {path}: no such file")
+        allowed = ", ".join(GLTF_SUFFIXES + MESH_SUFFIXES)
+        raise ContentError(f"the extension {shown(path.suffix)} is unknown; allowed: {allowed}")
     load = load_gltf if suffix in GLTF_SUFFIXES else load_mesh
     try:
-        avatar = load(path, rig, rig_file=rig_file)
+        return load(path, rig, rig_file=rig_file)
     except RigError as error:
         raise AvatarError(str(error)) from error
-    for warning in avatar.warnings:
-        warnings.warn(f"avatar {path}: {warning}", AvatarWarning, stacklevel=2)
-    return avatar

@@ -27,8 +27,10 @@ from physkin_core.avatar.skinned_mesh import (
     turn_upright,
     unit_scale,
 )
+from physkin_core.file_reading import file_beside, listed
+from physkin_core.formats.obj_file import read_obj
+from physkin_core.formats.surface_file import read_surface
 from physkin_core.model.surface_sampling import sample_surface
-from physkin_core.obj_file import read_obj
 from physkin_core.rig.rig import Rig
 
 __all__ = ["load_mesh", "retarget_plain_mesh"]
@@ -47,13 +49,15 @@ def load_mesh(path: Path, rig: Rig, *, rig_file: str | Path | None = None) -> Av
 
 def retarget_plain_mesh(surface: Surface, rig: Rig, *, path: Path, rig_file: str | Path | None, up: str) -> Avatar:
     """Bind a mesh without a skin. up: its usual axis; a warning says when another is assumed."""
-    source, beside = str(path), path.with_name(f"{path.stem}.rig.json")
-    chosen = Path(rig_file) if rig_file is not None else beside if beside.is_file() else None
+    source, beside = str(path), f"{path.stem}.rig.json"
+    chosen = Path(rig_file) if rig_file is not None else None
+    if chosen is None and path.with_name(beside).is_file():
+        chosen = file_beside(path, beside)
     description = read_rig_file(chosen) if chosen else RigFile()
     attributes = description.influences or ()
     if attributes and len(attributes[0]) != len(surface.vertices):
         raise AvatarError(
-            f"rig file {chosen} has skinning weights for {len(attributes[0])} vertices, {path} has "
+            f"rig file {chosen} has skinning weights for {len(attributes[0])} vertices, the mesh has "
             f"{len(surface.vertices)}; they go with the vertices one by one, in the order of the mesh file"
         )
     vertices, faces, attributes, kept = clean_surface(surface.vertices, surface.faces, attributes, source)
@@ -74,21 +78,21 @@ def retarget_plain_mesh(surface: Surface, rig: Rig, *, path: Path, rig_file: str
     bones, weights = attributes or (np.zeros((len(vertices), 1), dtype=np.int64), np.ones((len(vertices), 1)))
     names, parents, heads, tails = zip(*description.bones)
     joints = (names, np.array(parents), np.array(heads) @ to_root.T, np.array(tails) @ to_root.T)
-    _check_bones_lie_in_mesh(vertices, joints[2], chosen, path)
+    _check_bones_lie_in_mesh(vertices, joints[2], chosen)
     mesh = SkinnedMesh(vertices, faces, *joints, bones, weights, source, **parts, **origin)
     return retarget(mesh if attributes else _with_template_weights(mesh, rig), rig)
 
 
-def _check_bones_lie_in_mesh(vertices: np.ndarray, heads: np.ndarray, rig_file: Path | None, path: Path) -> None:
+def _check_bones_lie_in_mesh(vertices: np.ndarray, heads: np.ndarray, rig_file: Path | None) -> None:
     """Heads (j, 3) of a rig file in another unit, axes or place than the mesh (V, 3) lie outside of it."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     margin = 0.1 * float((high - low).max())
     outside = ((heads < low - margin) | (heads > high + margin)).any(axis=1)
     if outside.mean() > 0.5:
         raise AvatarError(
-            f"rig file {rig_file} does not fit {path}: {outside.sum()} of {len(heads)} bones lie outside of the mesh. "
-            f"Bones span {np.round(np.ptp(heads, axis=0), 3).tolist()} m, the mesh {np.round(high - low, 3).tolist()} "
-            "m; they must share frame, unit and place"
+            f"rig file {rig_file} does not fit: {outside.sum()} of {len(heads)} bones lie outside of the mesh; bones "
+            f"span {np.round(np.ptp(heads, axis=0), 3).tolist()} m, the mesh {np.round(high - low, 3).tolist()} m, "
+            "both must share frame, unit and place"
         )
 
 
@@ -116,9 +120,9 @@ def _fitted(vertices: np.ndarray, faces: np.ndarray, rig: Rig, source: str, *, w
     height = float(np.ptp(vertices[:, 2]))
     if fit.residual > LARGEST_RESIDUAL * height:
         raise AvatarError(
-            f"avatar {source} has no skeleton and the body model does not fit it: {fit.residual * 1000:.0f} mm mean "
-            f"distance, allowed {LARGEST_RESIDUAL * height * 1000:.0f} mm. It must be a person in A- or T-pose; else "
-            'bring a rig file with bones, or one that says what is up: "up": "Y", "forward": "Z"'
+            f"avatar {source} is no person in A- or T-pose that the body model fits: {fit.residual * 1000:.0f} mm mean "
+            f"distance, allowed {LARGEST_RESIDUAL * height * 1000:.0f} mm; bring a rig file with bones, or with "
+            '"up": "Y", "forward": "Z"'
         )
     bones, weights = carry_influences(vertices, faces, fit.vertices, body)
     warning = (
@@ -154,25 +158,19 @@ def _template(rig: Rig, source: str) -> BodyModel:
     if rig.bone_names != body.rig.bone_names:
         unknown = [name for name in rig.bone_names if name not in body.rig.bone_names]
         raise AvatarError(
-            f"avatar {source} has no skinning weights, and the template body cannot give them: the garment model's rig "
-            f"differs from its own ({', '.join(unknown) or 'fewer bones, or another order'}). Bring bones and weights"
+            f"avatar {source} has no skinning weights, and the template body's rig differs from the garment model's "
+            f"({listed(unknown) or 'fewer bones, or another order'}); bring bones and weights"
         )
     return body
 
 
 def _read_surface(path: Path) -> Surface:
     """Vertices in the order of the file."""
-    try:
-        if path.suffix.lower() == ".obj":
-            file = read_obj(path)
-            called = [(names.material, names.group, names.object) for names in file.names]
-            parts = list(dict.fromkeys(called))
-            number = [parts.index(each) for each in called]
-            told = tuple(tuple(filter(None, part)) for part in parts)
-            return Surface(file.vertices, file.faces, told, np.array(number, dtype=int)[file.face_names])
-        import trimesh
-
-        mesh = trimesh.load_mesh(path, process=False)
-        return Surface(np.asarray(mesh.vertices), np.asarray(getattr(mesh, "faces", ())))
-    except Exception as error:  # whatever the parser trips over, the file is not a readable mesh
-        raise AvatarError(f"avatar {path} is not a readable mesh: {type(error).__name__}: {error}") from error
+    if path.suffix.lower() != ".obj":
+        return Surface(*read_surface(path))
+    file = read_obj(path)
+    called = [(names.material, names.group, names.object) for names in file.names]
+    number = {part: index for index, part in enumerate(dict.fromkeys(called))}
+    told = tuple(tuple(filter(None, part)) for part in number)
+    face_parts = np.array([number[part] for part in called], dtype=int)[file.face_names]
+    return Surface(file.vertices, file.faces, told, face_parts)

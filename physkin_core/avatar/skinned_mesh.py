@@ -11,14 +11,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physkin_core.avatar.avatar import AvatarError
+from physkin_core.file_reading import ContentError
 from physkin_core.model.garment import surface_fault
+from physkin_core.rig.rig import MOST_BONES
 
-__all__ = ["SkinnedMesh", "Surface", "check_size", "clean_surface", "turn_upright", "unit_scale"]
+__all__ = [
+    "SkinnedMesh",
+    "Surface",
+    "check_bone_count",
+    "check_influence_count",
+    "check_size",
+    "clean_surface",
+    "turn_upright",
+    "unit_scale",
+]
 
 HEIGHT_RANGE = (0.5, 3.0)
 UNITS = {"decimetres": 0.1, "centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001}
 ADULT_SIZES = (1.2, 2.4)
 """[m] of the largest extent of a mesh that is taken to be in one of `UNITS`; none of these can be mistaken."""
+
+
+MOST_INFLUENCES = 16
+"""Of a vertex."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +76,18 @@ class Surface:
     part_names: tuple[tuple[str, ...], ...] = ()
     face_parts: np.ndarray | None = None
     clear_parts: frozenset[int] = frozenset()
+
+
+def check_bone_count(count: int) -> None:
+    """Raises ContentError for more bones, or joints of a skeleton, than time allows."""
+    if count > MOST_BONES:
+        raise ContentError(f"its skeleton has {count} bones, allowed are {MOST_BONES}; remove helper bones")
+
+
+def check_influence_count(count: int) -> None:
+    """Raises ContentError for more influences a vertex than memory is meant for."""
+    if count > MOST_INFLUENCES:
+        raise ContentError(f"a vertex has {count} skinning weights, allowed are {MOST_INFLUENCES}")
 
 
 def clean_surface(
@@ -112,8 +139,8 @@ def check_size(vertices: np.ndarray, source: str) -> None:
     if not low <= height <= high:
         raise AvatarError(
             f"avatar {source} is {height:.4g} m high, allowed {low} to {high} m, or {ADULT_SIZES[0]} to "
-            f"{ADULT_SIZES[1]} m in {', '.join(UNITS)}. glTF is in metres by its standard; for a plain mesh say so in "
-            'its rig file, such as "scale": 0.01 for centimetres, or "up": "Y", "forward": "Z" if Z is not up'
+            f"{ADULT_SIZES[1]} m in {', '.join(UNITS)}; a plain mesh's rig file may say "
+            '"scale": 0.01, "up": "Y", "forward": "Z"'
         )
 
 

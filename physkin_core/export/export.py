@@ -12,7 +12,8 @@ from physkin_core.export.gltf_motion import write_gltf_motion
 from physkin_core.export.usd_motion import write_usd_motion
 from physkin_core.look.avatar_look import avatar_look
 from physkin_core.look.surfaces import surfaces_of
-from physkin_core.mesh_file import Look, read_mesh
+from physkin_core.mesh.look import Look
+from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import add_outfit_options, add_sway_option, dressed, read_motion
 from physkin_core.output_file import check_other_file

@@ -17,7 +17,7 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.export.affine_joints import as_joint_chains
 from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences, write_glb
 from physkin_core.look.surfaces import ROUGHNESS, Picture, Surface, linear, split_at_seams, surfaces_of
-from physkin_core.mesh_file import Look
+from physkin_core.mesh.look import Look
 from physkin_core.model.garment import vertex_normals
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from physkin_core.look.surfaces import ROUGHNESS, Surface, linear, surfaces_of
-from physkin_core.mesh_file import Look
+from physkin_core.mesh.look import Look
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.picture import BODY_COLOUR, layer_colours

@@ -14,7 +14,7 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.look.avatar_look import avatar_look
 from physkin_core.look.surfaces import Surface, linear, surfaces_of
-from physkin_core.mesh_file import Look
+from physkin_core.mesh.look import Look, check_picture_size
 from physkin_core.picture import BODY_COLOUR, pillow
 
 __all__ = ["avatar_colours", "face_colours"]
@@ -52,6 +52,7 @@ def _picture_colours(surface: Surface, uv: np.ndarray) -> np.ndarray:
         return np.ones((len(uv), 3))
     Image = pillow().Image
     try:
+        check_picture_size(surface.picture.content)
         image = Image.open(io.BytesIO(surface.picture.content)).convert("RGB")
     except Exception as error:  # whatever pillow trips over: damaged files, some too large
         log.warning("picture %s is left out: %s", surface.picture.name, error)

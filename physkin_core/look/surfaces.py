@@ -1,8 +1,7 @@
 """Materials of a look: the faces that each covers, its colour and picture; and texture places one a vertex.
 
 A texture has seams where cloth and skin have none. Files of one texture place a vertex get such vertices twice; both
-are skinned alike, so that nothing opens. Dimensions: `f` faces, `v` vertices, `w` of them with repetitions,
-`k` colours.
+are skinned alike, so that nothing opens. Dimensions: `f` faces, `v` vertices, `w` of them with repetitions.
 """
 
 from __future__ import annotations
@@ -12,15 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from physkin_core.mesh_file import LIBRARY, Look
+from physkin_core.file_reading import shown
+from physkin_core.mesh.look import LIBRARY, Look, picture_kind
 
 __all__ = [
     "ROUGHNESS",
     "Picture",
     "Surface",
-    "few_colours",
     "linear",
-    "picture_kind",
     "readable",
     "split_at_seams",
     "surfaces_of",
@@ -28,10 +26,6 @@ __all__ = [
 
 ROUGHNESS = 0.9
 """Of cloth and skin."""
-PICTURE_KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
-"""Beginnings of the pictures that glTF and USD both take."""
-ROUNDS = 20
-"""Of k-means, to find few colours that stand for many."""
 
 
 @dataclass(frozen=True)
@@ -53,11 +47,6 @@ class Surface:
     picture: Picture | None = None
 
 
-def picture_kind(content: bytes) -> str | None:
-    """Media type of a picture file; None for neither PNG nor JPEG."""
-    return next((kind for start, kind in PICTURE_KINDS.items() if content.startswith(start)), None)
-
-
 def linear(colour: tuple[float, float, float]) -> tuple[float, ...]:
     """Linear RGB of sRGB, both in [0, 1]."""
     return tuple(float(channel) ** 2.2 for channel in colour)
@@ -77,11 +66,12 @@ def surfaces_of(look: Look | None, name: str, colour: tuple[float, ...], count: 
 
 def readable(look: Look, told: Callable[[str], None]) -> Look:
     """The look without those lines of its material library that `surfaces_of` would refuse; why is told of each."""
-    kept, begun = [], b""
+    kept, begun, named, own = [], b"", set(look.materials), ()
     for line in look.files.get(LIBRARY, b"").splitlines(keepends=True):
-        begun = line if line.split()[:1] == [b"newmtl"] else begun
+        if line.split()[:1] == [b"newmtl"]:
+            begun, own = line, tuple({_material_name(line.decode("utf-8", "replace").partition("newmtl")[2])} & named)
         try:
-            _materials(replace(look, files={**look.files, LIBRARY: begun + line}))
+            _materials(replace(look, materials=own, files={**look.files, LIBRARY: begun + line}))
             kept.append(line)
         except ValueError as error:
             told(str(error))
@@ -103,12 +93,17 @@ def _materials(look: Look) -> dict[str, tuple[tuple[float, ...], Picture | None]
     for line in look.files.get(LIBRARY, b"").decode("utf-8", "replace").splitlines():
         word, rest = [*line.split(None, 1), "", ""][:2]
         if word == "newmtl":
-            name = " ".join(rest.split())  # as `usemtl` is read
+            name = _material_name(rest)
         elif name in found and word == "Kd":
             found[name] = _colour(name, rest), found[name][1]
         elif name in found and word == "map_Kd":
             found[name] = found[name][0], _picture(look, name, rest)
     return found
+
+
+def _material_name(told: str) -> str:
+    """As `usemtl` is read. told: what follows the keyword."""
+    return " ".join(told.split())
 
 
 def _colour(material: str, told: str) -> tuple[float, ...]:
@@ -119,7 +114,7 @@ def _colour(material: str, told: str) -> tuple[float, ...]:
         colour = ()
     if len(colour) != 3 or not all(0 <= channel <= 1 for channel in colour):
         raise ValueError(
-            f"the colour Kd of material {material!r} must be three numbers from 0 to 1, got {told.strip()!r}"
+            f"the colour Kd of material {shown(material)} must be three numbers from 0 to 1, got {shown(told.strip())}"
         )
     return colour
 
@@ -129,21 +124,9 @@ def _picture(look: Look, material: str, named: str) -> Picture:
     end = " " + " ".join(named.split())
     name = max((each for each in look.files if end.endswith(" " + " ".join(each.split()))), key=len, default=None)
     if name is None:
-        raise ValueError(f"the picture of material {material!r} is missing: {named.strip()}")
+        raise ValueError(f"the picture of material {shown(material)} is missing: {shown(named.strip())}")
     content = look.files[name]
     kind = picture_kind(content)
     if kind is None:
-        raise ValueError(f"the picture of material {material!r}, {name}, must be PNG or JPEG")
+        raise ValueError(f"the picture of material {shown(material)}, {shown(name)}, must be PNG or JPEG")
     return Picture(name, content, kind)
-
-
-def few_colours(colours: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """At most so many colours that stand for those of faces (f, 3): (k, 3), and which (f,) each face has."""
-    from scipy.cluster.vq import kmeans2
-
-    different, index = np.unique(colours.round(2), axis=0, return_inverse=True)
-    if len(different) <= most:
-        return different, index.reshape(-1)
-    centres, nearest = kmeans2(colours, most, iter=ROUNDS, minit="++", rng=0)
-    used, index = np.unique(nearest, return_inverse=True)
-    return centres[used], index.reshape(-1)

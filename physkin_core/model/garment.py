@@ -11,6 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from physkin_core.file_reading import reading
+from physkin_core.formats.obj_file import read_obj
+from physkin_core.formats.surface_file import read_surface
 from physkin_core.model.model_arrays import Array, described
 
 __all__ = ["Garment", "GarmentError", "face_areas", "load_garment", "surface_fault", "vertex_normals"]
@@ -118,20 +121,18 @@ def load_garment(path: str | Path) -> Garment:
 
     Vertices at equal positions (texture seams, the triangle soup of an STL file) become one, at the first one's place.
     """
-    import trimesh
-
-    try:
-        mesh = trimesh.load_mesh(path, process=False)
-        garment = Garment(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    path = Path(path)
+    with reading(f"garment {path}", GarmentError):
+        if path.suffix.lower() == ".obj":
+            file = read_obj(path)
+            garment = Garment(file.vertices, file.faces)
+        else:
+            garment = Garment(*read_surface(path))
         _, first, inverse = np.unique(garment.vertices + 0.0, axis=0, return_index=True, return_inverse=True)
         if len(first) == len(garment.vertices):
             return garment
         kept, place = np.unique(first, return_inverse=True)
         return Garment(garment.vertices[kept], place[inverse.reshape(-1)][garment.faces])
-    except GarmentError:
-        raise
-    except Exception as error:
-        raise GarmentError(f"cannot read garment mesh {path}: {error}") from error
 
 
 def _edges_and_hinges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,23 +5,33 @@ Dimensions: `n` points. Arrays are float64, in the file's own frame and unit.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from physkin_core.obj_file import read_obj
-from physkin_core.points.ply_file import read_ply
+from physkin_core.file_reading import ContentError, reading
+from physkin_core.formats.gltf_file import GltfFile
+from physkin_core.formats.gltf_scene import drawn_primitives
+from physkin_core.formats.obj_file import read_obj
+from physkin_core.formats.ply_file import read_ply
+from physkin_core.mesh.look import check_picture_size
 from physkin_core.points.splats import Splats
 
-__all__ = ["POINT_FILES", "PointFile", "read_points", "read_splat_file", "splat_colours"]
+__all__ = ["POINT_FILES", "PointFile", "PointFileError", "read_points", "read_splat_file", "splat_colours"]
 
 POSITION, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 ROTATION, SCALE = ("rot_1", "rot_2", "rot_3", "rot_0"), ("scale_0", "scale_1", "scale_2")
 """Of a splat: a quaternion x, y, z, w, and logarithms of standard deviations."""
 PLAIN_COLOUR, CONSTANT_HARMONIC = ("f_dc_0", "f_dc_1", "f_dc_2"), 0.5 / np.sqrt(np.pi)
 """A splat's spherical harmonics of order 0, and what they are factors of."""
+
+
+class PointFileError(ValueError):
+    """A file of points cannot be read, or does not hold what it is used as."""
 
 
 @dataclass(frozen=True)
@@ -46,25 +56,24 @@ def read_points(path: str | Path) -> PointFile:
     """Read a mesh, point cloud or splats.
 
     PLY: anything; vertices with `rot_0` to `rot_3` and `scale_0` to `scale_2` are splats. OBJ, GLB: meshes.
-    Raises ValueError naming what is wrong with the file and what is allowed, OSError where it cannot be opened.
+    Raises PointFileError naming what is wrong with the file and what is allowed.
     """
     path = Path(path)
-    read = POINT_FILES.get(path.suffix.lower())
-    if read is None:
-        raise ValueError(f"cannot read {path}: allowed are {', '.join(POINT_FILES)}")
-    if not path.is_file():
-        raise ValueError(f"cannot read {path}: no such file")
-    file = read(path)
-    if len(file.points) == 0 or not np.isfinite(file.points).all():
-        raise ValueError(f"cannot use {path}: its {len(file.points)} points must be at least one, and finite")
+    with reading(f"points file {path}", PointFileError):
+        read = POINT_FILES.get(path.suffix.lower())
+        if read is None:
+            raise ContentError(f"allowed are {', '.join(POINT_FILES)}")
+        file = read(path)
+        if len(file.points) == 0 or not np.isfinite(file.points).all():
+            raise ContentError(f"its {len(file.points)} points must be at least one, and finite")
     return file
 
 
 def read_splat_file(path: str | Path) -> PointFile:
-    """Read splats. Raises as `read_points`, and ValueError for a file without them."""
+    """Read splats. Raises as `read_points`, for a file without them, too."""
     file = read_points(path)
     if file.splats is None:
-        raise ValueError(f"cannot use {path} as points: they are no Gaussian splats with rot_0 to rot_3 and scales")
+        raise PointFileError(f"cannot use {path} as points: they are no Gaussian splats with rot_0 to rot_3 and scales")
     return file
 
 
@@ -107,30 +116,34 @@ def _read_ply(path: Path) -> PointFile:
 
 
 def _read_obj(path: Path) -> PointFile:
-    try:
-        file = read_obj(path)
-    except ValueError as error:
-        raise ValueError(f"cannot read {path}: {error}") from error
+    file = read_obj(path)
     return PointFile(file.vertices, lambda to, moved, normals: file.write(to, moved))
 
 
 def _read_glb(path: Path) -> PointFile:
-    """All meshes of the scene, in its frame. Skins and animations are left out."""
+    """All meshes of the scene, in its frame. Skins and animations are left out.
+
+    trimesh writes it again, looks and all; so it reads it, too, once it is known to be whole and not too large.
+    """
     import trimesh
 
-    try:
-        scene = trimesh.load_scene(path, process=False)
-        placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
-        found = [(scene.geometry[name], transform) for transform, name in placed]
-        meshes = [  # the cache has the file's own normals
-            mesh.copy(include_cache=True).apply_transform(transform)
-            for mesh, transform in found
-            if isinstance(mesh, trimesh.Trimesh)
-        ]
-    except Exception as error:  # whatever the parser trips over, the file is not a readable mesh
-        raise ValueError(f"cannot read {path}: {error}") from error
+    file = GltfFile(path)
+    file.read_all()
+    for _ in drawn_primitives(file):
+        pass
+    with suppress(ModuleNotFoundError):  # without pillow trimesh leaves pictures alone, too
+        for index in range(file.document.count("images")):
+            check_picture_size(file.picture(index))
+    scene = trimesh.load_scene(io.BytesIO(file.content), file_type="glb", process=False)
+    placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
+    found = [(scene.geometry[name], transform) for transform, name in placed]
+    meshes = [  # the cache has the file's own normals
+        mesh.copy(include_cache=True).apply_transform(transform)
+        for mesh, transform in found
+        if isinstance(mesh, trimesh.Trimesh)
+    ]
     if not meshes:
-        raise ValueError(f"cannot read {path}: it holds no mesh")
+        raise ContentError("it holds no mesh")
     ends = np.cumsum([len(mesh.vertices) for mesh in meshes])[:-1]
     normals = np.concatenate([mesh.vertex_normals for mesh in meshes])
     normals[np.linalg.norm(normals, axis=1) < 1e-9] = [0, 1, 0]  # of vertices without a face

@@ -17,6 +17,9 @@ __all__ = [
     "strongest_influences",
 ]
 
+VERTICES_AT_ONCE = 1 << 16
+"""A transform of each influence is in memory of so many vertices."""
+
 
 def blended_transforms(transforms: np.ndarray, influences: np.ndarray, influence_weights: np.ndarray) -> np.ndarray:
     """(V, 3, 4) every vertex's mean of transforms (j, 3, 4). influences: (V, K) indices; influence_weights: (V, K)."""
@@ -27,8 +30,12 @@ def linear_blend_skinning(
     vertices: np.ndarray, transforms: np.ndarray, influences: np.ndarray, influence_weights: np.ndarray
 ) -> np.ndarray:
     """Vertices (V, 3) moved by their blended transforms. Returns (V, 3)."""
-    blended = blended_transforms(transforms, influences, influence_weights)
-    return np.einsum("vij,vj->vi", blended[..., :3], vertices) + blended[..., 3]
+    moved = np.empty((len(vertices), 3), dtype=np.result_type(vertices, transforms, influence_weights))
+    for start in range(0, len(vertices), VERTICES_AT_ONCE):
+        some = slice(start, start + VERTICES_AT_ONCE)
+        blended = blended_transforms(transforms, influences[some], influence_weights[some])
+        moved[some] = np.einsum("vij,vj->vi", blended[..., :3], vertices[some]) + blended[..., 3]
+    return moved
 
 
 def joined_influences(parts: Sequence[np.ndarray]) -> np.ndarray:

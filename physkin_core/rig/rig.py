@@ -7,6 +7,7 @@ state (paper: Inputs) is the list of degrees of freedom: each turns one bone abo
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -15,7 +16,13 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["DegreeOfFreedom", "Rig", "RigError", "ancestors", "forward_kinematics", "pose_vector"]
+from physkin_core.file_reading import listed, shown
+
+__all__ = ["MOST_BONES", "DegreeOfFreedom", "Rig", "RigError", "ancestors", "forward_kinematics", "pose_vector"]
+
+
+MOST_BONES, MOST_DOFS = 2_048, 6_144
+"""Far beyond what characters have."""
 
 
 class RigError(ValueError):
@@ -61,8 +68,10 @@ class Rig:
     def __post_init__(self) -> None:
         """Check the description and derive the arrays. Raises RigError naming what does not fit."""
         b = len(self.bone_names)
-        if b == 0:
-            raise RigError("a rig needs at least one bone, got none")
+        if not 0 < b <= MOST_BONES:
+            raise RigError(f"a rig needs 1 to {MOST_BONES} bones, got {b}")
+        if len(self.dofs) > MOST_DOFS:
+            raise RigError(f"a rig has at most {MOST_DOFS} degrees of freedom, got {len(self.dofs)}")
         _reject_duplicates("bone", self.bone_names)
         _reject_duplicates("degree of freedom", [dof.name for dof in self.dofs])
         parents = np.asarray(self.parents)
@@ -74,16 +83,15 @@ class Rig:
                 f"expected ({b},), ({b}, 3), ({b}, 3)"
             )
         if parents.dtype.kind not in "iu":
-            raise RigError(f"parents must be integer bone indices, -1 for the root, got {parents.tolist()}")
+            raise RigError(f"parents must be integer bone indices, -1 for the root, got {shown(parents.tolist())}")
         if not (np.isfinite(heads).all() and np.isfinite(tails).all()):
             raise RigError("bone heads and tails must be finite")
         if parents[0] != -1:
-            raise RigError(f"bone 0 ({self.bone_names[0]!r}) must be the root with parent -1, got {parents[0]}")
+            raise RigError(f"bone 0 ({shown(self.bone_names[0])}) must be the root with parent -1, got {parents[0]}")
         for index in range(1, b):
             if not 0 <= parents[index] < index:
-                raise RigError(
-                    f"bone {self.bone_names[index]!r} has parent {parents[index]}; a parent must come before its child"
-                )
+                name = shown(self.bone_names[index])
+                raise RigError(f"bone {name} has parent {parents[index]}; a parent must come before its child")
         bone_index = {name: index for index, name in enumerate(self.bone_names)}
         for dof in self.dofs:
             _check_dof(dof, bone_index)
@@ -202,7 +210,7 @@ class Rig:
             bones, dofs = data["bones"], data["dofs"]
             _reject_unknown("rig", data, ("bones", "dofs"))
             for bone in bones:
-                _reject_unknown(f"bone {bone['name']!r}", bone, ("name", "parent", "head", "tail"))
+                _reject_unknown(f"bone {shown(bone['name'])}", bone, ("name", "parent", "head", "tail"))
             return cls(
                 bone_names=tuple(str(bone["name"]) for bone in bones),
                 parents=np.array([bone["parent"] for bone in bones]),
@@ -258,23 +266,23 @@ def axis_rotation(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 def _reject_duplicates(kind: str, names: Sequence[str]) -> None:
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if list(names).count(name) > 1)
-        raise RigError(f"{kind} {twice!r} occurs twice")
+    twice = next((name for name, count in Counter(names).items() if count > 1), None)
+    if twice is not None:
+        raise RigError(f"{kind} {shown(twice)} occurs twice")
 
 
 def _reject_unknown(where: str, entries: Mapping[str, Any], allowed: Sequence[str]) -> None:
     if unknown := sorted(str(key) for key in set(entries) - set(allowed)):
-        raise RigError(f"{where} has unknown entries {', '.join(unknown)}; allowed: {', '.join(allowed)}")
+        raise RigError(f"{where} has unknown entries {listed(unknown)}; allowed: {', '.join(allowed)}")
 
 
 def _check_dof(dof: DegreeOfFreedom, bone_index: Mapping[str, int]) -> None:
     if dof.bone not in bone_index:
-        raise RigError(f"degree of freedom {dof.name!r} turns unknown bone {dof.bone!r}")
+        raise RigError(f"degree of freedom {shown(dof.name)} turns unknown bone {shown(dof.bone)}")
     numbers = np.array([*dof.axis, dof.lower, dof.upper, dof.rest], dtype=np.float64)
     if numbers.shape != (6,) or not np.isfinite(numbers).all():
-        raise RigError(f"degree of freedom {dof.name!r}: axis, lower, upper and rest must be finite numbers")
+        raise RigError(f"degree of freedom {shown(dof.name)}: axis, lower, upper and rest must be finite numbers")
     if np.linalg.norm(numbers[:3]) < 1e-9:
-        raise RigError(f"degree of freedom {dof.name!r} has a zero axis")
+        raise RigError(f"degree of freedom {shown(dof.name)} has a zero axis")
     if not dof.lower < dof.upper:
-        raise RigError(f"degree of freedom {dof.name!r}: lower {dof.lower} must be below upper {dof.upper}")
+        raise RigError(f"degree of freedom {shown(dof.name)}: lower {dof.lower} must be below upper {dof.upper}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import struct
+from pathlib import Path
 
 import pytest
 from fuzzing import damaged
@@ -15,6 +16,7 @@ from physkin_core.file_reading import (
     ContentError,
     file_beside,
     read_bytes,
+    read_json,
     reading,
     sentence,
     shown,
@@ -33,7 +35,7 @@ def _fails(error):
 def test_files_are_limited(tmp_path):
     (tmp_path / "a").write_bytes(b"12345")
     assert read_bytes(tmp_path / "a", most=5) == b"12345"
-    with pytest.raises(ContentError, match="it has 5 bytes, allowed are 4"):
+    with pytest.raises(ContentError, match="'a' has 5 bytes, allowed are 4"):
         read_bytes(tmp_path / "a", most=4)
 
 
@@ -41,7 +43,7 @@ def test_files_are_limited(tmp_path):
 def test_only_regular_files_are_read(tmp_path):
     """A pipe that nobody writes to, and a device that never ends."""
     os.mkfifo(tmp_path / "pipe")
-    for path in (tmp_path / "pipe", "/dev/zero"):
+    for path in (tmp_path / "pipe", Path("/dev/zero")):
         with pytest.raises(ContentError, match="not a regular file"):
             read_bytes(path)
     with pytest.raises(OwnError, match="^body cannot be read: Is a directory$"), reading("body", OwnError):
@@ -128,6 +130,15 @@ def test_missing_packages_are_told_as_they_are():
 def test_deep_text_is_refused():
     with pytest.raises(OwnError, match="^map is nested too deeply$"), reading("map", OwnError):
         json.loads("[" * 100_000)
+
+
+def test_json_of_many_items_is_refused():
+    """Before it is parsed: a list within a list takes thirty times its text. Numbers that Python refuses are told."""
+    assert read_json(b'\xef\xbb\xbf{"a": [1, 2]}') == {"a": [1, 2]}
+    with pytest.raises(ContentError, match="up to 4000003 JSON items, allowed are 4000000"):
+        read_json(b"[" + b"[],," * 1_333_334 + b"]")
+    with pytest.raises(ContentError, match="it is not JSON: Exceeds the limit"):
+        read_json(b"9" * 5000)
 
 
 def test_values_are_shown_short_and_escaped():

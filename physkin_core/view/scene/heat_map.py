@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physkin_core.look.surfaces import few_colours
+from physkin_core.mesh.look import few_colours
 
 __all__ = ["SKIN_BANDS", "STRAIN_BANDS", "Bands", "Colour", "Part", "as_bytes", "own_bands", "parts_of"]
 

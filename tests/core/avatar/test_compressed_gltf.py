@@ -67,10 +67,10 @@ def test_meshopt(tmp_path, name):
     ("change", "message"),
     [
         ({"byteLength": 10**7}, "a compressed buffer view of 13718 times 12 bytes is at bytes .* allowed are"),
-        ({"count": 10**9}, "1000000000 times 12 bytes .* and 268435456 when decoded"),
+        ({"count": 10**9}, "1000000000 times 12 bytes .* and 164616 when decoded"),
         ({"byteLength": 40}, "a compressed buffer view is malformed"),
-        ({"mode": "HEXAGONS"}, "a compressed buffer view is malformed: mode must be"),
-        ({"buffer": 5}, "malformed: buffer 5, allowed 0 to 1"),
+        ({"mode": "HEXAGONS"}, "mode is 'HEXAGONS', it must be one of ATTRIBUTES"),
+        ({"buffer": 5}, "it names buffers\\[5\\], allowed are 0 to 1"),
     ],
 )
 def test_damaged_meshopt_views_are_refused(tmp_path, change, message):
@@ -119,7 +119,7 @@ def test_damaged_draco_is_refused(tmp_path):
     builder = _draco_document()
     view = builder.document["bufferViews"][-1]
     builder.binary[view["byteOffset"] : view["byteOffset"] + 100] = bytes(100)
-    with pytest.raises(AvatarError, match=f"a primitive's {DRACO} is malformed"):
+    with pytest.raises(AvatarError, match=f"a primitive's {DRACO} begins with 00000000"):
         load_document(tmp_path, builder)
     builder = _draco_document()
     primitive_of(builder)["extensions"][DRACO]["attributes"]["JOINTS_0"] = 77

@@ -97,7 +97,7 @@ def _flat_limb(builder):
     ("damage", "message"),
     [
         (_attribute("POSITION", _nan), "1 vertices are not finite, the first is 12"),
-        (_index_too_large, "face indices span 0 to 20000, allowed 0 to 13717"),
+        (_index_too_large, "face indices span 0 to 20000, allowed are 0 to 13717"),
         (_attribute("JOINTS_0", lambda count: np.full((count, 4), 99, np.uint8)), "names joint 99, allowed 0 to 35"),
         (_attribute("WEIGHTS_0", lambda count: np.full((count, 4), -1, np.float32)), "finite and not negative"),
         (_attribute("WEIGHTS_0", lambda count: np.ones((10, 4), np.float32)), "must agree"),
@@ -110,24 +110,21 @@ def _flat_limb(builder):
         (_child(5, 3), "has two parents"),
         (_loop, "form a loop"),
         (_five_metres, r"m high, allowed 0.5 to 3.0 m"),
-        (_buffer(uri="https://example.org/body.bin"), "only files beside the avatar are read"),
-        (_buffer(uri="gone.bin"), "gone.bin does not exist"),
-        (_buffer(uri="../person.glb"), "buffer 0 is '../person.glb', outside the avatar's folder; it must be in it"),
-        (_buffer(uri="/etc/passwd"), "buffer 0 is '/etc/passwd', outside the avatar's folder"),
-        (_buffer(uri="linked.bin"), "buffer 0 is 'linked.bin', outside the avatar's folder"),
-        (_buffer(uri="person.glb", byteLength=2**31), "buffer 0 has 2147483648 bytes, allowed are 0 to 536870912"),
+        (_buffer(uri="https://example.org/body.bin"), "only files beside it are read"),
+        (_buffer(uri="gone.bin"), "it names 'gone.bin', which does not exist beside it"),
+        (_buffer(uri="../person.glb"), "it names '../person.glb', outside the folder that it is in"),
+        (_buffer(uri="/etc/passwd"), "it names '/etc/passwd', outside the folder"),
+        (_buffer(uri="linked.bin"), "it names 'linked.bin', outside the folder"),
+        (_buffer(uri="person.glb", byteLength=2**31), "is truncated: buffer 0 has [0-9]* of 2147483648 bytes"),
         (_buffer(byteLength=2_000_000), "is truncated: buffer 0 has"),
-        (_without_data(10**12), "1000000000000 elements without data, allowed 1 to"),
-        (_without_data(9_999_999), "9999999 elements without data, allowed 1 to"),
-        (_endless_without_indices, "an accessor of 9999999 elements needs bytes"),
+        (_without_data(10**12), "1000000000000 elements without data, allowed are 1 to"),
+        (_without_data(9_999_999), "9999999 elements without data, allowed are 1 to"),
+        (_endless_without_indices, "accessors\\[0\\] of 9999999 elements needs 119999988 bytes"),
         (_long_accessor, "truncated or malformed"),
-        (
-            lambda builder: primitive_of(builder)["attributes"].update(POSITION=77),
-            "is malformed: accessor 77, allowed 0",
-        ),
-        (_negative_view, "is malformed: buffer view -.*, allowed 0 to"),
-        (_child(5, -1), "is malformed: node -1, allowed 0 to"),
-        (lambda builder: _node(builder, "neck01").update(translation=[np.nan, 0, 0]), "vertices are not finite"),
+        (lambda builder: primitive_of(builder)["attributes"].update(POSITION=77), r"accessors\[77\], allowed are 0 to"),
+        (_negative_view, r"accessors\[0\].bufferView is -5, it must be a whole number from 0"),
+        (_child(5, -1), r"nodes\[5\].children is \[6, -1\], it must be whole numbers from 0"),
+        (lambda builder: _node(builder, "neck01").update(translation=[np.nan, 0, 0]), r"\[nan, 0, 0\], .* 3 finite"),
         (_flat_limb, "has no length"),
     ],
 )
@@ -163,5 +160,5 @@ def test_truncated_and_foreign_files_are_refused(tmp_path):
             load_avatar(tmp_path / "page.glb", RIG)
     for text in ("{", "{}", '\ufeff {"asset": {"version": "2.0"}, "nodes": 3}'):
         (tmp_path / "other.gltf").write_text(text)
-        with pytest.raises(AvatarError, match="not a readable glTF|no faces|malformed"):
+        with pytest.raises(AvatarError, match="it is not JSON|no faces|nodes is 3, it must be a list"):
             load_avatar(tmp_path / "other.gltf", RIG)

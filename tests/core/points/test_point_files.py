@@ -7,7 +7,7 @@ from core.points.splat_files import FIELDS, splat_ply, splat_table
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from physkin_core.points.ply_file import read_ply
+from physkin_core.formats.ply_file import read_ply
 from physkin_core.points.point_files import read_points
 
 OBJ = """mtllib cloth.mtl
@@ -134,21 +134,21 @@ def test_numbers_as_text_may_be_long(tmp_path):
         ("a.ply", None, "no such file"),
         ("a.ply", b"solid", "it is no PLY file"),
         ("a.ply", b"ply\nformat ascii 1.0\nend_header", "it is no PLY file"),
-        ("a.ply", b"ply\nformat ascii 1.0\nend_header\n", "first element must be 'vertex' with a count, got 'none'"),
+        ("a.ply", b"ply\nformat ascii 1.0\nend_header\n", "'vertex' with a count up to 8000000, got 'none'"),
         ("a.ply", replaced(a=(b"binary_little_endian", b"middle")), "its format is 'middle', allowed: ascii"),
-        ("a.ply", replaced(a=(b"element vertex", b"element chunk")), "'vertex' with a count, got 'chunk' 40"),
+        ("a.ply", replaced(a=(b"element vertex", b"element chunk")), "with a count up to 8000000, got 'chunk' 40"),
         ("a.ply", replaced(a=(b"float opacity", b"half opacity")), "'opacity' of its vertices must be one number"),
         ("a.ply", replaced(a=(b"float x", b"list uchar float x")), "property 'x' of its vertices must be one number"),
         ("a.ply", replaced(a=(b"float z", b"int z")), "must have a property 'z' of floating point"),
-        ("a.ply", splat_ply("binary_little_endian")[:-10], "cut off, 10 bytes of its 40 vertices are missing"),
+        ("a.ply", splat_ply("binary_little_endian")[:-10], r"at least 10 bytes of its rows \(40 'vertex'\) are"),
         ("a.ply", splat_ply("ascii").replace(b"\n0.", b"\nzero.", 1), "its vertices must be 40 lines of 20 numbers"),
         ("a.ply", splat_ply("ascii")[:-60], "its vertices must be 40 lines of 20 numbers"),
         ("a.ply", splat_ply("ascii", scale=np.nan), "splat 0: its scales must be finite"),
         ("a.ply", splat_ply("ascii", count=0), "its 0 points must be at least one, and finite"),
-        ("a.obj", b"v 0 0\nf 1 1 1\n", "cannot read .*a.obj: 'v 0 0' must have 3 numbers"),
+        ("a.obj", b"v 0 0\nf 1 1 1\n", "points file .*a.obj: 'v 0 0' must have 3 numbers"),
         ("a.obj", b"# none\n", "its 0 points must be at least one"),
         ("a.obj", b"v 0 0 inf\n", "its 1 points must be at least one, and finite"),
-        ("a.glb", b"glTF", "cannot read"),
+        ("a.glb", b"glTF", "it is truncated: 4 of at least 12 bytes"),
     ],
 )  # fmt: skip
 def test_bad_files_are_refused(name, content, message, tmp_path):

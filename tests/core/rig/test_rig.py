@@ -119,7 +119,7 @@ def dof(**changes) -> tuple[DegreeOfFreedom]:
 @pytest.mark.parametrize(
     "changes, message",
     [
-        (dict(bone_names=(), parents=[], heads=[], tails=[], dofs=()), "at least one bone"),
+        (dict(bone_names=(), parents=[], heads=[], tails=[], dofs=()), "needs 1 to 2048 bones, got 0"),
         (dict(bone_names=("root", "root")), "bone 'root' occurs twice"),
         (dict(dofs=dof() * 2), "degree of freedom 'arm_x' occurs twice"),
         (dict(parents=np.array([-1])), r"parents \(1,\)"),
@@ -176,8 +176,8 @@ def test_joint_positions_by_name():
         (["bones", 1, "tail"], [0, 0], None),
         (["dofs", 0, "upper"], "high", None),
         (["dofs", 0, "stiffness"], 1, None),
-        (["bones", 1, "tial"], [1, 0, 0], "bone 'arm' has unknown entries tial; allowed: name, parent, head, tail"),
-        (["joints"], [], "rig has unknown entries joints; allowed: bones, dofs"),
+        (["bones", 1, "tial"], [1, 0, 0], "bone 'arm' has unknown entries 'tial'; allowed: name, parent, head, tail"),
+        (["joints"], [], "rig has unknown entries 'joints'; allowed: bones, dofs"),
     ],
 )
 def test_malformed_json_is_a_rig_error(path, value, message):

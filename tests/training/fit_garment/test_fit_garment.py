@@ -19,7 +19,7 @@ from training.small_runs import SIZES, small_config, write_belly_band
 
 from physkin_core import load_garment, load_garment_model
 from physkin_core.cli import main
-from physkin_core.mesh_file import Look
+from physkin_core.mesh.look import Look
 from physkin_core.model.garment import vertex_normals
 from physkin_training.config import TrainingConfig, load_config
 from physkin_training.evaluate import contact_sheet

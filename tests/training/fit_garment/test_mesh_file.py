@@ -9,7 +9,7 @@ from PIL import Image
 from training.small_runs import write_belly_band
 
 from physkin_core import load_garment
-from physkin_core.mesh_file import read_mesh
+from physkin_core.mesh.mesh_file import read_mesh
 from physkin_training.fit_garment.checks import check_mesh, write_garment
 
 

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from physkin_core.mesh_file import SUFFIXES
+from physkin_core.mesh.mesh_file import SUFFIXES
 from physkin_training.config import load_config
 from physkin_training.train.checkpoint import checkpoint_step
 

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
-from physkin_core.mesh_file import Look, read_mesh, write_obj
+from physkin_core.mesh.look import Look
+from physkin_core.mesh.mesh_file import read_mesh, write_obj
 from physkin_training.fit_garment import mesh_checks, wear_checks
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.verdicts import Checks, Verdict

@@ -12,10 +12,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from physkin_core.file_reading import ContentError, read_bytes, shown
+from physkin_core.formats.mesh_limits import check_mesh_size
+from physkin_core.formats.surface_file import LARGEST_TEXT, check_text_size
+
 __all__ = ["FaceNames", "ObjFile", "read_obj"]
 
 NAMING = {"usemtl": ("material",), "g": ("group", "part"), "o": ("object", "part")}
 """Keyword -> the names that it sets."""
+LONGEST_LINE = 1 << 20  # [characters]
+LARGEST_INDEX = 1 << 31
 
 
 class FaceNames(NamedTuple):
@@ -59,10 +65,9 @@ class ObjFile:
 
 
 def read_obj(path: Path) -> ObjFile:
-    """Read a file. Raises OSError where it cannot be opened, ValueError for lines that are not as the format has them,
-    and for faces of vertices or texture places that are not there."""
-    text = path.read_text(encoding="utf-8", errors="surrogateescape")  # what is no UTF-8 is written as it was
-    lines = tuple(text.replace("\\\n", " ").splitlines())
+    """Read a file. Raises OSError where it cannot be opened, ContentError where it is too large, for lines that are not
+    as the format has them, and for faces of vertices or texture places that are not there."""
+    lines = _lines(read_bytes(path, most=LARGEST_TEXT))
     vertices, places, faces, uv, face_names, libraries = [], [[np.nan, np.nan]], [], [], [], []
     now, names, polygons = FaceNames(), {}, 0
     for line in lines:
@@ -78,20 +83,34 @@ def read_obj(path: Path) -> ObjFile:
             libraries.append(" ".join(entries))
         elif kind == "f":
             polygons += len(entries) > 3
+            check_mesh_size(vertices=len(vertices), faces=len(faces) + len(entries) - 2, parts=len(names))
             corners = [_corner(line, entry, len(vertices), len(places)) for entry in entries]
             for pair in zip(corners[1:], corners[2:]):
                 vertex, place = zip(corners[0], *pair)
                 faces.append(vertex)
                 uv.append(place)
                 face_names.append(names.setdefault(now, len(names)))
+    check_mesh_size(vertices=len(vertices), parts=len(names))
     corners, places = np.array(faces, dtype=int).reshape(-1, 3), np.array(places)
     uv = np.array(uv, dtype=int).reshape(-1, 3)
     for found, count, what in ((corners, len(vertices), "vertices"), (uv, len(places), "texture places")):
         if len(found) and not (0 <= found.min() and found.max() < count):
-            raise ValueError(f"a face has corners at {what} that are not there")
+            raise ContentError(f"a face has corners at {what} that are not there; it has {count} of them")
     named = np.array(face_names, dtype=int)
     shape = np.array(vertices, dtype=float).reshape(-1, 3), corners
     return ObjFile(*shape, polygons, places[uv], tuple(names), named, tuple(libraries), lines)
+
+
+def _lines(content: bytes) -> tuple[str, ...]:
+    """Lines of a file, continued ones joined."""
+    check_text_size(content)
+    text = content.decode("utf-8", errors="surrogateescape")  # what is no UTF-8 is written as it was
+    text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", " ")
+    lines = tuple(text.splitlines())
+    longest = max(map(len, lines), default=0)
+    if longest > LONGEST_LINE:
+        raise ContentError(f"it has a line of {longest} characters, allowed are {LONGEST_LINE}")
+    return lines
 
 
 def _words(line: str) -> list[str]:
@@ -103,7 +122,7 @@ def _numbers(line: str, entries: list[str], count: int) -> list[float]:
     with suppress(ValueError):
         if len(entries) == count:
             return [float(entry) for entry in entries]
-    raise ValueError(f"{line.strip()[:80]!r} must have {count} numbers")
+    raise ContentError(f"{shown(line.strip())} must have {count} numbers")
 
 
 def _corner(line: str, entry: str, vertices: int, places: int) -> tuple[int, int]:
@@ -111,5 +130,7 @@ def _corner(line: str, entry: str, vertices: int, places: int) -> tuple[int, int
     try:
         vertex, place = (int(number or 0) for number in [*entry.split("/"), ""][:2])
     except ValueError:
-        raise ValueError(f"{line.strip()[:80]!r}: {entry!r} is no corner") from None
+        raise ContentError(f"{shown(line.strip())}: {shown(entry)} is no corner") from None
+    if max(abs(vertex), abs(place)) > LARGEST_INDEX:
+        raise ContentError(f"{shown(line.strip())}: {shown(entry)} is at vertices or texture places that are not there")
     return vertex - 1 if vertex > 0 else vertices + vertex if vertex else -1, place if place >= 0 else places + place

@@ -1,0 +1,288 @@
+"""Reading glTF 2.0 files (GLB, glTF, VRM) into arrays: buffers, accessors, node transforms, triangles.
+
+Dimensions: `N` elements of an accessor, `g` nodes. glTF's own frame and units.
+"""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+
+from physkin_core.file_reading import Budget, ContentError, file_beside, read_bytes, shown
+from physkin_core.formats.gltf_compression import DRACO, DracoMesh, draco_mesh, meshopt_extension, meshopt_view
+from physkin_core.formats.gltf_document import GltfEntry, parse_gltf
+from physkin_core.formats.mesh_limits import LARGEST_CONTENT
+
+__all__ = ["GltfFile"]
+
+COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+INDEX_TYPES = {5121: np.dtype("<u1"), 5123: np.dtype("<u2"), 5125: np.dtype("<u4")}
+COMPONENT_TYPES = {5120: np.dtype("<i1"), 5122: np.dtype("<i2"), **INDEX_TYPES, 5126: np.dtype("<f4")}
+READ_SIZE = 8  # [bytes] of a number as it is read
+TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
+MOST_ITEMS = {"nodes": 16_384, "buffers": 1_024, "bufferViews": 65_536, "accessors": 65_536}
+DEEPEST_NODE = 1_024
+
+
+class GltfFile:
+    """An open glTF file. Raises ContentError where the file is truncated, malformed, too large or compressed in an
+    unknown way.
+
+    content: its bytes. document: its JSON. nodes: (g,). node_parents: (g,) int, -1 for none. node_order: a parent
+    before its children. node_worlds: (g, 4, 4) from node to scene. budget: of all that is read from the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.budget = Budget(LARGEST_CONTENT)
+        self.content = read_bytes(path)
+        self.budget.charge(len(self.content), "the file")
+        self.document, binary = parse_gltf(self.content)
+        for key, most in MOST_ITEMS.items():
+            if self.document.count(key) > most:
+                raise ContentError(f"it has {self.document.count(key)} {key}, allowed are {most}")
+        self.nodes = self.document.entries("nodes")
+        self._decoded_views: dict[int, bytes] = {}
+        self._draco_meshes: dict[int, DracoMesh] = {}
+        entries = self.document.entries("buffers")
+        self.buffers = [self._buffer(index, entry, binary) for index, entry in enumerate(entries)]
+        self.node_children = [node.indices("children") for node in self.nodes]
+        self.node_parents, self.node_order = self._hierarchy()
+        self.node_worlds = np.empty((len(self.nodes), 4, 4))
+        for node in self.node_order:
+            local, parent = _local_transform(self.nodes[node]), self.node_parents[node]
+            self.node_worlds[node] = local if parent < 0 else self.node_worlds[parent] @ local
+
+    def read_all(self) -> None:
+        """Read what is not shown, too, for others who read the whole file: it is checked, and charged."""
+        for view in self.document.entries("bufferViews"):
+            self.budget.charge(view.integer("byteLength"), view.where)
+        for index in range(self.document.count("accessors")):
+            self.accessor(index)
+        for mesh in self.document.entries("meshes"):
+            for primitive in mesh.entries("primitives"):
+                self.triangles(primitive)
+
+    def accessor(self, index: int) -> np.ndarray:
+        """(N, components) array of an accessor: integers as stored, floats and normalised integers as float64."""
+        accessor = self.document.item("accessors", index)
+        width, dtype = accessor.choice("type", COMPONENTS), accessor.choice("componentType", COMPONENT_TYPES)
+        count = accessor.integer("count")
+        if "bufferView" in accessor:
+            data = self._view(accessor, count, width, dtype)
+        else:
+            largest = sum(map(len, self.buffers))  # others at least have as many bytes
+            if not 0 < count <= largest:
+                raise ContentError(
+                    f"accessors[{index}] has {count} elements without data, allowed are 1 to {largest}; export it again"
+                )
+            data = None
+        self.budget.charge(count * width * READ_SIZE, f"accessors[{index}]")
+        if data is None:
+            data = np.zeros((count, width), dtype=dtype)
+        if "sparse" in accessor:
+            data = self._with_sparse(accessor.entry("sparse"), data)
+        return _numbers(data, dtype, accessor)
+
+    def attribute(self, primitive: GltfEntry, name: str) -> np.ndarray | None:
+        """(V, components) a primitive's vertex attribute, as `accessor` gives it; None where there is none."""
+        index, draco = primitive.entry("attributes").index(name), _draco(primitive)
+        if index is None or draco is None or name not in draco.entry("attributes"):
+            return None if index is None else self.accessor(index)
+        accessor = self.document.item("accessors", index)
+        shape = (accessor.integer("count"), accessor.choice("type", COMPONENTS))
+        self.budget.charge(shape[0] * shape[1] * READ_SIZE, f"accessors[{index}]")
+        found = self._draco_mesh(primitive, draco).get_attribute_by_unique_id(draco.entry("attributes").integer(name))
+        data = np.empty(0) if found is None else found["data"]
+        if data.shape != shape:
+            raise ContentError(
+                f"{DRACO} has {name} as {data.shape}, accessors[{index}] {shape}; these must agree, export it again"
+            )
+        return _numbers(data, accessor.choice("componentType", COMPONENT_TYPES), accessor)
+
+    def triangles(self, primitive: GltfEntry) -> np.ndarray:
+        """(f, 3) vertex indices of a primitive; empty for points and lines."""
+        indices = primitive.index("indices")
+        if draco := _draco(primitive):
+            return np.asarray(self._draco_mesh(primitive, draco).faces, dtype=np.int64).reshape(-1, 3)
+        corners = np.arange(self._vertex_count(primitive)) if indices is None else self.accessor(indices)[:, 0]
+        mode = primitive.integer("mode", TRIANGLES)
+        if mode == TRIANGLES:
+            return corners[: len(corners) // 3 * 3].reshape(-1, 3)
+        if mode not in (TRIANGLE_FAN, TRIANGLE_STRIP) or len(corners) < 3:
+            return np.empty((0, 3), dtype=np.int64)
+        self.budget.charge(3 * len(corners) * READ_SIZE, f"triangles of {primitive.where}")
+        if mode == TRIANGLE_FAN:
+            return np.stack([np.full(len(corners) - 2, corners[0]), corners[1:-1], corners[2:]], axis=1)
+        strip = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+        strip[1::2] = strip[1::2, ::-1]
+        return strip
+
+    def picture(self, index: int) -> bytes:
+        """The file of an image."""
+        image = self.document.item("images", index)
+        if "bufferView" not in image:
+            return self._content(f"image {index}", image.text("uri"))
+        length, data, first = self._view_bytes(image.integer("bufferView"))
+        self.budget.charge(length, f"image {index}")
+        return data[first : first + length]
+
+    def scene_nodes(self) -> list[int]:
+        """Nodes of the default scene, parents first; all of them when the file names no scene."""
+        if not self.document.count("scenes"):
+            return self.node_order
+        inside = set(self.document.item("scenes", self.document.integer("scene", 0)).indices("nodes"))
+        for node in self.node_order:
+            if self.node_parents[node] in inside:
+                inside.add(node)
+        return [node for node in self.node_order if node in inside]
+
+    def _vertex_count(self, primitive: GltfEntry) -> int:
+        position = primitive.entry("attributes").integer("POSITION")
+        accessor = self.document.item("accessors", position)
+        count, width = accessor.integer("count"), accessor.choice("type", COMPONENTS)
+        if "bufferView" in accessor:  # which its count is compared with before it is used
+            self._view(accessor, count, width, accessor.choice("componentType", COMPONENT_TYPES))
+        self.budget.charge(count * READ_SIZE, f"corners of {primitive.where}")
+        return count
+
+    def _with_sparse(self, sparse: GltfEntry, data: np.ndarray) -> np.ndarray:
+        """Data (N, components) with some of its elements replaced."""
+        count = sparse.integer("count", 0)
+        if count == 0:
+            return data
+        at = sparse.entry("indices")
+        rows = self._view(at, count, 1, at.choice("componentType", INDEX_TYPES))[:, 0]
+        if rows.max() >= len(data):
+            raise ContentError(f"{sparse.where} replaces element {rows.max()}, allowed are 0 to {len(data) - 1}")
+        data = data.copy()
+        data[rows] = self._view(sparse.entry("values"), count, data.shape[1], data.dtype)
+        return data
+
+    def _view(self, user: GltfEntry, count: int, width: int, dtype: np.dtype) -> np.ndarray:
+        """(count, width) of a buffer view, without a copy. user: what names the view and where in it to begin."""
+        index, offset = user.integer("bufferView"), user.integer("byteOffset", 0)
+        view, item = self.document.item("bufferViews", index), width * dtype.itemsize
+        stride = view.integer("byteStride", 0) or item
+        if stride < item:
+            raise ContentError(
+                f"bufferViews[{index}] has a stride of {stride} bytes, {user.where} needs {item} or more"
+            )
+        length = offset + stride * (count - 1) + item
+        if count < 1 or length > view.integer("byteLength"):
+            raise ContentError(
+                f"{user.where} of {count} elements needs {length} bytes of bufferViews[{index}], which has "
+                f"{view.integer('byteLength')}; the file is truncated or malformed"
+            )
+        _, data, first = self._view_bytes(index)
+        if first + length > len(data):
+            raise ContentError(
+                f"{user.where} of {count} elements needs bytes {first + offset} to {first + length} of a buffer of "
+                f"{len(data)}; the file is truncated or malformed"
+            )
+        return np.ndarray((count, width), dtype, buffer=data, offset=first + offset, strides=(stride, dtype.itemsize))
+
+    def _view_bytes(self, index: int) -> tuple[int, bytes, int]:
+        """Length of a buffer view, the bytes that hold it and where in them it starts; decompressed where it is
+        compressed."""
+        view = self.document.item("bufferViews", index)
+        length, compressed = view.integer("byteLength"), meshopt_extension(view)
+        if compressed is None:
+            return length, self._buffer_bytes(view.integer("buffer")), view.integer("byteOffset", 0)
+        if index not in self._decoded_views:
+            data = self._buffer_bytes(compressed.integer("buffer"))
+            self._decoded_views[index] = meshopt_view(compressed, length, data, self.budget)
+        return length, self._decoded_views[index], 0
+
+    def _buffer_bytes(self, index: int) -> bytes:
+        self.document.item("buffers", index)
+        return self.buffers[index]
+
+    def _draco_mesh(self, primitive: GltfEntry, draco: GltfEntry) -> DracoMesh:
+        """DracoPy's mesh of a primitive."""
+        index = draco.integer("bufferView")
+        if index not in self._draco_meshes:
+            position, indices = primitive.entry("attributes").integer("POSITION"), primitive.integer("indices")
+            vertices = self.document.item("accessors", position).integer("count")
+            faces = self.document.item("accessors", indices).integer("count") // 3
+            attributes = primitive.entry("attributes")
+            named = [self.document.item("accessors", attributes.integer(name)) for name in attributes.members]
+            width = sum(accessor.choice("type", COMPONENTS) for accessor in named)
+            self.budget.charge((vertices * width + 3 * faces) * READ_SIZE, f"{DRACO} of {primitive.where}")
+            length, data, first = self._view_bytes(index)
+            self._draco_meshes[index] = draco_mesh(data[first : first + length], vertices, faces)
+        return self._draco_meshes[index]
+
+    def _buffer(self, index: int, buffer: GltfEntry, binary: bytes) -> bytes:
+        length, compressed = buffer.integer("byteLength"), meshopt_extension(buffer)
+        if "uri" not in buffer:
+            data = binary if index == 0 else b""
+            if compressed is not None and compressed.members.get("fallback"):  # its views are decompressed from another
+                return data
+        else:
+            data = self._content(f"buffer {index}", buffer.text("uri"))
+        if len(data) < length:
+            raise ContentError(f"it is truncated: buffer {index} has {len(data)} of {length} bytes")
+        return data
+
+    def _content(self, what: str, uri: str) -> bytes:
+        """What a URI holds: it, or a file beside this one."""
+        if uri.startswith("data:"):
+            text = uri.partition(",")[2]
+            self.budget.charge(len(text), what)
+            return base64.b64decode(text)
+        if "://" in uri:
+            raise ContentError(f"{what} is at {shown(uri)}; only files beside it are read")
+        content = read_bytes(file_beside(self.path, unquote(uri)), most=self.budget.left)
+        self.budget.charge(len(content), what)
+        return content
+
+    def _hierarchy(self) -> tuple[np.ndarray, list[int]]:
+        parents = np.full(len(self.nodes), -1)
+        for index, children in enumerate(self.node_children):
+            for child in children:
+                self.document.item("nodes", child)
+                if parents[child] >= 0 or child == index:
+                    raise ContentError(f"nodes[{child}] has two parents, allowed is one")
+                parents[child] = index
+        order = [int(node) for node in np.flatnonzero(parents < 0)]
+        depth = np.zeros(len(parents), dtype=int)
+        for node in order:
+            order += self.node_children[node]
+            depth[self.node_children[node]] = depth[node] + 1
+        if len(order) != len(parents):
+            raise ContentError("its nodes form a loop, allowed is a tree")
+        if depth.max(initial=0) > DEEPEST_NODE:
+            raise ContentError(f"its nodes are {depth.max()} levels deep, allowed are {DEEPEST_NODE}")
+        return parents, order
+
+
+def _draco(primitive: GltfEntry) -> GltfEntry | None:
+    extensions = primitive.entry("extensions")
+    return extensions.entry(DRACO) if DRACO in extensions else None
+
+
+def _numbers(data: np.ndarray, dtype: np.dtype, accessor: GltfEntry) -> np.ndarray:
+    """Data stored as `dtype`: floats and normalised integers as float64, integers as int64."""
+    if dtype.kind == "f":
+        return data.astype(np.float64)
+    if accessor.members.get("normalized"):
+        return np.maximum(data.astype(np.float64) / np.iinfo(dtype).max, -1.0)
+    return data.astype(np.int64)
+
+
+def _local_transform(node: GltfEntry) -> np.ndarray:
+    """(4, 4) from the node to its parent."""
+    from scipy.spatial.transform import Rotation
+
+    matrix = node.numbers("matrix", 16)
+    if matrix is not None:
+        return np.array(matrix).reshape(4, 4).T
+    rotation = Rotation.from_quat(node.numbers("rotation", 4) or (0, 0, 0, 1)).as_matrix()
+    local = np.eye(4)
+    local[:3, :3] = rotation * np.array(node.numbers("scale", 3) or (1, 1, 1))
+    local[:3, 3] = node.numbers("translation", 3) or (0, 0, 0)
+    return local

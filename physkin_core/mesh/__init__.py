@@ -1,0 +1,1 @@
+"""Meshes with their look: texture places, materials, pictures and parts, of garments and avatars alike."""
