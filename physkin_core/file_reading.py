@@ -122,6 +122,8 @@ def reading(subject: str, error: type[ValueError]) -> Iterator[None]:
             text = str(wrong)
         else:
             text = f"{subject}{_what_is_wrong(wrong)}"
+        if len(text) > LONGEST_SENTENCE:  # what is wrong is worth more than the folders on the way
+            text = text.replace(subject, _without_folders(subject))
         raise error(sentence(text)) from wrong
 
 
@@ -172,6 +174,11 @@ def _what_is_wrong(error: Exception) -> str:
         case MemoryError():
             return " does not fit in memory"
     return f" is malformed: {type(error).__name__}: {error}"
+
+
+def _without_folders(subject: str) -> str:
+    first, last = subject.find(os.sep), subject.rfind(os.sep)
+    return f"{subject[:first]}…{subject[last:]}" if first < last else subject
 
 
 def _printable(text: str) -> str:

@@ -122,6 +122,15 @@ def test_long_errors_are_shortened():
         assert "aaa…aaa" in str(told.value) and str(told.value).endswith("; do this")
 
 
+def test_folders_are_left_out_first():
+    """Where a sentence is too long; what is wrong stays whole."""
+    subject = f"avatar /{'folder/' * 40}me.glb"
+    for wrong in (ContentError("a" * 200), OwnError(f"{subject}: {'a' * 200}")):
+        with pytest.raises(OwnError) as told, reading(subject, OwnError):
+            raise wrong
+        assert str(told.value) == f"avatar …/me.glb: {'a' * 200}"
+
+
 def test_missing_packages_are_told_as_they_are():
     with pytest.raises(ModuleNotFoundError, match="pillow"):
         _fails(ModuleNotFoundError("pillow"))

@@ -142,7 +142,7 @@ def test_what_a_mesh_without_weights_needs(tmp_path):
     cases = [
         (None, "no such file"),
         ("{", "is not JSON"),
-        ("[]", "it must be a JSON object"),
+        ("[]", "it must be a JSON"),
         (json.dumps(hoofed), lacking),
     ]
     for text, message in cases:
