@@ -9,7 +9,7 @@ from physkin_core.loader.loading import Loading
 from physkin_core.loader.requests import CODEC
 from physkin_core.worker.serving import serve
 
-LOADERS = ("scipy.sparse.csgraph", "scipy.sparse.linalg", "scipy.spatial", "pygltflib", "point_cloud_utils")
+LOADERS = ("scipy.sparse.csgraph", "scipy.sparse.linalg", "scipy.spatial", "point_cloud_utils")
 """What readers and fitting import where they need it: at once, so that the first body does not wait for it."""
 
 if __name__ == "__main__":
