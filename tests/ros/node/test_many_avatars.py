@@ -160,7 +160,8 @@ def test_body_swap_loses_no_cloud(site, drapers, garment_model, other_body):
 
 
 def test_garment_swap(site, drapers, garment_model, leaning_model_path, model_path):
-    """The mesh of the other garment is published with the next revision; its clouds follow."""
+    """The mesh of the other garment is published with the next revision, and its clouds follow; it may be of another
+    fabric, too."""
     rig = garment_model.rig
     site.until(lambda: TOP in site.meshes, "mesh")
     revision = site.meshes[TOP].revision
@@ -169,8 +170,10 @@ def test_garment_swap(site, drapers, garment_model, leaning_model_path, model_pa
     site.until(lambda: site.meshes[TOP].revision == revision + 1, "mesh of the other garment")
     assert site.meshes[TOP].model_name == "tshirt"
     assert len(site.cloud(TOP, rig.joint_names, rig.rest)) == site.meshes[TOP].vertex_count
+    answer = site.call(SetGarment, "set_garment", avatar="alice", garment="top", model="tshirt:denim")
+    assert answer.success, answer.message  # of another fabric
     values = site.call(GetParameters, "get_parameters", names=["avatars.alice.garments.top.model"]).values
-    assert values[0].string_value == "tshirt"
+    assert values[0].string_value == "tshirt:denim"
     request = [text_parameter("avatars.alice.garments.top.model", str(model_path))]  # back, by the parameter
     (result,) = site.call(SetParameters, "set_parameters", parameters=request).results
     assert result.successful
