@@ -19,7 +19,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from physkin_core.file_reading import ContentError, reading
-from physkin_core.motion.bag_limits import check_before_opening, check_opened, unpacked_message
+from physkin_core.motion.bag_limits import check_before_opening, check_opened, unpacked_message, without_views
 from physkin_core.motion.motion import MotionError
 
 __all__ = [
@@ -92,7 +92,7 @@ class BagReader:
         root: Collection[Literal["odometry", "transforms"]] = (),
     ) -> None:
         self.path = Path(path)
-        with bag_errors(self.path):
+        with bag_errors(self.path), without_views():
             check_before_opening(self.path)
             self._reader = Reader(self.path)
             self._reader.open()

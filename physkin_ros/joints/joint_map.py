@@ -6,14 +6,13 @@ position is scale * incoming + offset [rad]; a scale of -1 turns the sense of ro
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from physkin_core.file_reading import ContentError, read_bytes, reading, shown
+from physkin_core.file_reading import ContentError, read_bytes, read_json, reading, shown
 from physkin_ros.joints.nearest_names import nearest_names
 
 __all__ = ["JointMapError", "MappedJoint", "load_joint_map"]
@@ -43,7 +42,7 @@ def load_joint_map(path: str | Path, joint_names: Collection[str]) -> dict[str, 
     have or that two entries drive, a scale or offset that is not a finite number, a scale of zero.
     """
     with reading(f"joint map {path}", JointMapError):
-        return _mapped_joints(json.loads(read_bytes(Path(path), most=LARGEST_MAP)), joint_names)
+        return _mapped_joints(read_json(read_bytes(Path(path), most=LARGEST_MAP)), joint_names)
 
 
 def _mapped_joints(entries: object, joint_names: Collection[str]) -> dict[str, MappedJoint]:

@@ -5,7 +5,6 @@ docs/replay.md explains every key. Dimensions: `T` clouds, `C` clouds measured a
 
 from __future__ import annotations
 
-import json
 import math
 import platform
 from collections import Counter
@@ -17,6 +16,7 @@ import numpy as np
 from tabulate import tabulate
 
 from physkin_core import Draper
+from physkin_core.file_reading import read_bytes, read_json, reading
 from physkin_core.motion.bag_reader import BagReader
 from physkin_ros.replay.replay import Replay
 
@@ -131,10 +131,8 @@ def describe(found: Replay, draper: Draper, bag: BagReader, *, contact_every: in
 
 def load_baseline(path: Path) -> dict:
     """Read what an earlier `--json` wrote. Raises BaselineError."""
-    try:
-        figures = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise BaselineError(f"cannot read baseline {path}: {error}") from error
+    with reading(f"baseline {path}", BaselineError):
+        figures = read_json(read_bytes(path))
     if not isinstance(figures, dict) or figures.get("schema") != SCHEMA:
         raise BaselineError(f"{path} is no baseline: it must be what --json wrote, schema {SCHEMA}")
     sections = ("bag", "run", "counts", "figures", "latency_us")

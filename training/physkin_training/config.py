@@ -10,6 +10,7 @@ from typing import Annotated, get_type_hints
 from pydantic import BeforeValidator, ConfigDict, Field, InstanceOf, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from physkin_core.file_reading import ContentError, read_bytes, reading
 from physkin_core.model.garment_model import Material
 from physkin_core.model.hyper_modulator import HEADS
 
@@ -27,6 +28,7 @@ Real = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(strict=True, ge=0, le=1)]
 
 STRICT = ConfigDict(extra="forbid")
+LARGEST_CONFIG = 1 << 20  # [bytes]
 
 
 class ConfigError(ValueError):
@@ -147,14 +149,12 @@ class TrainingConfig:
 def load_config(path: str | Path) -> TrainingConfig:
     """Read a TOML configuration. Raises ConfigError on unknown keys, wrong types or impossible values."""
     path = Path(path)
-    try:
-        data = tomllib.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"cannot read configuration {path}: {error}") from error
-    try:
-        config = TypeAdapter(TrainingConfig).validate_python(data)
-    except ValidationError as error:
-        raise ConfigError(f"{path}: " + "; ".join(map(_in_words, error.errors()))) from error
+    with reading(f"configuration {path}", ConfigError):
+        data = tomllib.loads(read_bytes(path, most=LARGEST_CONFIG).decode())
+        try:
+            config = TypeAdapter(TrainingConfig).validate_python(data)
+        except ValidationError as error:
+            raise ContentError("; ".join(map(_in_words, error.errors()))) from error
     return replace(config, garment=(path.parent / config.garment).resolve())
 
 

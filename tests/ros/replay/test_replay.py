@@ -223,7 +223,7 @@ def test_joints_beyond_their_limits_are_named(run, draper, tmp_path):
             ["replay", "{bag}", "--joint-map", "mixamo"],
             "mixamo: no such file; allowed: a JSON file, ros4hri, vrm",
         ),
-        (["replay", "{bag}", "--baseline", "{tmp}/none.json"], "cannot read baseline"),
+        (["replay", "{bag}", "--baseline", "{tmp}/none.json"], "none.json: no such file"),
         (["replay", "{bag}", "-g", "skirt"], "replay drapes one garment, got 2: skirt, "),
         (["replay", "{tmp}/text.mcap"], "bag "),
         (["replay", "{tmp}/text.db3"], "bag "),
