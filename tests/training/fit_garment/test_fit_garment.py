@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from tabulate import tabulate
 from training.small_runs import SIZES, small_config, write_belly_band
 
 from physkin_core import load_garment, load_garment_model
@@ -23,7 +24,7 @@ from physkin_core.mesh.look import Look
 from physkin_core.model.garment import vertex_normals
 from physkin_training.config import TrainingConfig, load_config
 from physkin_training.evaluate import contact_sheet
-from physkin_training.fit_garment import fit_garment, report
+from physkin_training.fit_garment import fit_garment, report, training_record
 from physkin_training.fit_garment.checks import CheckedGarment
 from physkin_training.fit_garment.fit_garment import as_toml
 from physkin_training.fit_garment.time_budget import TimeBudget
@@ -106,7 +107,7 @@ def test_a_stopped_run_goes_on_and_is_reported(band, recipe, tmp_path, monkeypat
     steps = [json.loads(line)["step"] for line in losses.read_text().splitlines()]
     assert steps == [1, 2, 3, 4, 5, 6, 7, *range(9, 13)], "the step of Ctrl-C is saved, not reported"
     found = json.loads((tmp_path / "band" / "figures.json").read_text())
-    assert found["seconds"] > report.recorded_seconds(losses) > 0 and "model" in found["figures"]
+    assert found["seconds"] > training_record.recorded_seconds(losses) > 0 and "model" in found["figures"]
     assert "12 steps" in (tmp_path / "band.html").read_text()
 
 
@@ -114,14 +115,15 @@ def test_lost_steps_count_once_in_the_curve_and_in_full_in_the_time(tmp_path):
     path = tmp_path / "losses.jsonl"
     rows = [(10, 4.0), (20, 8.0), (30, 12.0), (20, 3.0), (30, 6.0), (40, 9.0)]
     path.write_text("".join(json.dumps({"step": step, "seconds": seconds}) + "\n" for step, seconds in rows))
-    assert [(row["step"], row["seconds"]) for row in report.read_losses(path)] == [
+    assert [(row["step"], row["seconds"]) for row in training_record.read_losses(path)] == [
         (10, 4.0),
         (20, 3.0),
         (30, 6.0),
         (40, 9.0),
     ]
-    assert report.recorded_seconds(path) == 12 + 9
-    assert report.recorded_seconds(tmp_path / "nosuch") == 0 and report.read_losses(tmp_path / "nosuch") == []
+    assert training_record.recorded_seconds(path) == 12 + 9
+    absent = tmp_path / "nosuch"
+    assert training_record.recorded_seconds(absent) == 0 and training_record.read_losses(absent) == []
 
 
 @pytest.mark.slow
@@ -224,13 +226,30 @@ def test_as_many_poses_are_measured_as_there_is_time_for(left, measured, write_v
 )
 def test_the_report_says_whether_to_train_longer(energies, words):
     rows = [{"step": 100 * (k + 1), "validation_energy": energy} for k, energy in enumerate(energies)]
-    assert words in report.longer_or_not([{"step": 50}, *rows])
+    assert words in training_record.longer_or_not([{"step": 50}, *rows])
+
+
+@pytest.mark.parametrize(("steps", "strain", "few"), [(171, 4.0, True), (9000, 11.8, True), (9000, 5.0, False)])
+def test_undertrained_is_told_in_plain_words(steps, strain, few):
+    """Of a run of few steps, and of one that is hardly better than plain skinning."""
+    scores = {"model": {"edge_strain_percent": strain}, "skinning": {"edge_strain_percent": 12.0}}
+    told = training_record.undertrained(scores, steps)
+    assert bool(told) is few
+    assert not few or (f"After {steps:,} steps" in told and f"{strain} %" in told and "12.0 %" in told)
+
+
+@pytest.mark.parametrize("style", ["pipe", "github"])
+def test_ruler_of_a_table_is_no_row(style):
+    """However Markdown writes it."""
+    page = report.html_table(tabulate([["the model", 3.0], ["-", 2.0]], ["", "edge %"], tablefmt=style) + "\n\nnoted")
+    assert re.findall("<td>(.*?) *</td>", page) == ["the model", "3", "-", "2"] and page.endswith("<p>noted</p>")
 
 
 def test_a_late_report_has_no_pictures(write_vest, tmp_path):
     """It says how to draw them, and has everything else."""
     page = write_vest(TimeBudget(1e-9))
     assert "<img" not in page and "contact-sheet vest.safetensors" in page and "plain skinning" in page
+    assert ">undertrained</span> After 5 steps" in page and ":--" not in page
     assert not (tmp_path / "vest.png").exists()
 
 
@@ -264,6 +283,7 @@ def test_a_refused_mesh_is_told_in_one_line(tmp_path, capsys):
     [
         (["-o", "{tmp}/band.glb"], "band.glb"),
         (["-o", "{tmp}/band.safetensors", "--minutes", "0"], "--minutes 0.0"),
+        (["-o", "{tmp}/band.safetensors", "--minutes", "4"], "--minutes 4 is too little on a CPU: at least 10"),
         (["-o", "{tmp}/band.safetensors", "--steps", "0"], "--steps 0"),
         (["-o", "{tmp}/band.safetensors", "--checkpoint-every", "0"], "--checkpoint-every 0 must be above 0"),
         (["-o", "{tmp}/band.safetensors", "--avatar", "{tmp}/nosuch.glb"], "nosuch.glb"),

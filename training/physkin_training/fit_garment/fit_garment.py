@@ -27,14 +27,9 @@ from physkin_training.config import TrainingConfig, load_config
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
 from physkin_training.fit_garment.own_pose import OwnPose
-from physkin_training.fit_garment.report import (
-    longer_or_not,
-    placement_picture,
-    read_losses,
-    recorded_seconds,
-    write_report,
-)
+from physkin_training.fit_garment.report import placement_picture, write_report
 from physkin_training.fit_garment.time_budget import TimeBudget
+from physkin_training.fit_garment.training_record import longer_or_not, read_losses, recorded_seconds, undertrained
 from physkin_training.fit_garment.verdicts import verdict_table
 from physkin_training.train import train
 from physkin_training.train.checkpoint import checkpoint_step
@@ -50,6 +45,8 @@ REST, LONGEST_REST = 0.25, 150.0
 is too little."""
 MEASURING = 0.1
 """Share of the time in which steps are timed."""
+LEAST_MINUTES = {"cuda": 0.0, "cpu": 10.0}
+"""Of the default recipe: a step takes seconds on a CPU, so that less would be refused after checks and measurements."""
 FEWEST_STEPS = 100
 """Shorter runs do not even get through the warm-up."""
 ADVICE = "give more, or a smaller recipe with --recipe"
@@ -161,6 +158,12 @@ def _fit(options: argparse.Namespace) -> int:
     if not options.checkpoint_every > 0:
         raise ValueError(f"--checkpoint-every {options.checkpoint_every:g} must be above 0 minutes")
     device = resolve_device(options.device)
+    least = LEAST_MINUTES[device.type]
+    if options.minutes is not None and options.minutes < least and not (options.recipe or options.check_only):
+        raise ValueError(
+            f"--minutes {options.minutes:g} is too little on a {device.type.upper()}: at least {least:g} are needed "
+            f"for {FEWEST_STEPS} steps, and {DEFAULT_MINUTES[device.type]:g} for a garment to use; {ADVICE}"
+        )
     minutes = math.inf if options.steps else options.minutes or DEFAULT_MINUTES[device.type]
     budget = TimeBudget(minutes)
     body_model = load_body_model()
@@ -255,9 +258,13 @@ def _train_and_report(
         poses=options.poses,
     )
     found = {"seconds": seconds, "checks": [vars(verdict) for verdict in checked.verdicts]}
-    found |= {"figures": scores, "advice": longer_or_not(read_losses(losses))}
+    too_short = undertrained(scores, config.optimisation.steps)
+    advice = f"Undertrained. {too_short}" if too_short else longer_or_not(read_losses(losses))
+    found |= {"figures": scores, "advice": advice}
     (folder / FIGURES).write_text(json.dumps(found, indent=1))
     print(f"wrote {output} and {report}, {budget.spent / 60:.1f} minutes in all")
+    if too_short:
+        print(f"{output} is undertrained. {too_short}", file=sys.stderr)
     return 0
 
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 import base64
 import html
 import io
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 from tabulate import tabulate
 
 from physkin_core.avatar.avatar import Avatar
@@ -25,6 +23,7 @@ from physkin_training.evaluate.score_table import table
 from physkin_training.fit_garment.checks import CheckedGarment
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.time_budget import TimeBudget
+from physkin_training.fit_garment.training_record import longer_or_not, loss_curve, read_losses, undertrained
 from physkin_training.fit_garment.verdicts import COLUMNS
 
 __all__ = [
@@ -32,11 +31,7 @@ __all__ = [
     "front_and_back",
     "html_page",
     "html_table",
-    "longer_or_not",
-    "loss_curve",
     "placement_picture",
-    "read_losses",
-    "recorded_seconds",
     "write_report",
 ]
 
@@ -46,8 +41,6 @@ PICTURE_SECONDS = 30.0
 """The first pictures, with what they load and compile."""
 SHEET_POSES = 6
 AVATAR_POSES = 2
-LAST, STILL_FALLING = 0.25, 3.0
-"""Share of the run at its end, and by how many percent the validation energy falls in it where more is worth while."""
 VIEWS = (20, 110, 200)
 """Azimuths [degrees] of the pictures at rest: front, side, back."""
 COLOURS = {"ok": "#2d7a46", "repaired": "#1f6fa8", "warning": "#b36b00", "unsure": "#7a4fa3", "refused": "#b3261e"}
@@ -58,6 +51,8 @@ th, td { border-bottom: 1px solid #d8dade; padding: .35em .7em; text-align: left
 img { max-width: 100%; } h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; }
 .outcome { color: white; border-radius: 4px; padding: .1em .5em; } p.note { color: #5a5f66; }
 """
+RULER = set("|:-")
+"""Of which the second line of a Markdown table is made."""
 FRONT_AND_BACK = (20, 200)
 """Azimuths [degrees] of a garment at rest before training."""
 SIZE = (330, 290)
@@ -98,12 +93,13 @@ def write_report(
         scores = evaluate(more)
     optimisation = model.training["optimisation"]
     steps, samples = optimisation["steps"], optimisation["samples"]
-    rows = read_losses(losses)
+    rows, too_short = read_losses(losses), undertrained(scores, steps)
     counts = "{bodies} held-out bodies, {poses} poses each".format(**scores["counts"])
     parts = [
         f"<h1>{html.escape(model.name)}</h1>",
         f"<p>{len(model.garment.vertices)} vertices, {len(model.node_rest)} garment nodes; trained for "
         f"{seconds / 60:.1f} minutes ({steps} steps of {samples} poses) on {html.escape(device.type)}.</p>",
+        *([f"<p>{badge('undertrained', 'warning')} {html.escape(too_short)}</p>"] if too_short else []),
         "<h2>The mesh</h2>",
         _verdicts(checked),
         *([] if worn is None else [_how_it_sits(worn)]),
@@ -173,68 +169,11 @@ def _verdicts(checked: CheckedGarment) -> str:
 def html_table(markdown: str) -> str:
     """A Markdown table, without columns that are empty, and the lines after it as HTML."""
     lines = markdown.splitlines()
-    cells = [line[1:-1].split("|") for line in lines if line.startswith("|") and not line.startswith("|-")]
+    cells = [line[1:-1].split("|") for line in lines if line.startswith("|") and not set(line) <= RULER]
     filled = [column for column in zip(*cells) if any(cell.strip() for cell in column[1:])]
     header, *rows = ([cell.strip() for cell in row] for row in zip(*filled))
     notes = "".join(f"<p>{html.escape(line)}</p>" for line in lines if line and not line.startswith("|"))
     return tabulate(rows, header, tablefmt="html", disable_numparse=True) + notes
-
-
-def loss_curve(rows: list[dict]) -> str:
-    """Median stretch and contact energy over the steps as an SVG, logarithmic; a note instead when there is too little.
-
-    rows: of the training's `losses.jsonl`.
-    """
-    points = [(row["step"], row["median_stretch_and_collision"]) for row in rows]
-    points = [(step, energy) for step, energy in points if energy > 0]
-    if len(points) < 2:
-        return '<p class="note">Too short a run for a curve.</p>'
-    figure = Figure(figsize=(8, 2.6), layout="tight")
-    axes = figure.subplots()
-    axes.semilogy(*zip(*points))
-    axes.set(xlabel="step", ylabel="J")
-    picture = io.StringIO()
-    figure.savefig(picture, format="svg")
-    svg = picture.getvalue()
-    return (
-        "<p>Stretch and contact energy of the median pose; it rises while the poses' range grows.</p>"
-        + svg[svg.index("<svg") :]
-    )
-
-
-def longer_or_not(rows: list[dict]) -> str:
-    """Whether the energy on the validation poses still fell at the end, in words, with the figure.
-
-    rows: of the training's `losses.jsonl`.
-    """
-    measured = [(row["step"], row["validation_energy"]) for row in rows if "validation_energy" in row]
-    earlier = [energy for step, energy in measured if step <= (1 - LAST) * measured[-1][0]]
-    if not earlier:
-        return "Too short a run to say whether a longer one is worth while."
-    before, last = earlier[-1], measured[-1][1]
-    fell = 100 * (before - last) / before
-    advice = "still falling, train longer" if fell > STILL_FALLING else "a longer run would gain little"
-    return (
-        f"Over the last {100 * LAST:g} % of the steps the energy on the validation poses went from {before:.4f} to "
-        f"{last:.4f} J ({-fell:+.1f} %): {advice}."
-    )
-
-
-def recorded_seconds(losses: Path) -> float:
-    """How long a run has trained by its record, over all times that it went on."""
-    rows = _read_rows(losses)
-    last = [row["seconds"] for row, after in zip(rows, rows[1:]) if after["seconds"] < row["seconds"]]
-    return sum(last) + (rows[-1]["seconds"] if rows else 0.0)
-
-
-def _read_rows(path: Path) -> list[dict]:
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-
-
-def read_losses(path: Path) -> list[dict]:
-    """The rows of a training's record, in order of the steps, without those that were lost and taken again."""
-    rows = {row["step"]: row for row in _read_rows(path)}
-    return [rows[step] for step in sorted(rows)]
 
 
 def _how_it_sits(worn: Draper) -> str:

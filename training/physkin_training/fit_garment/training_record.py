@@ -1,0 +1,92 @@
+"""What a training's record and figures say of it: how long it took, its curve, and whether it was long enough."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+__all__ = ["longer_or_not", "loss_curve", "read_losses", "recorded_seconds", "undertrained"]
+
+LAST, STILL_FALLING = 0.25, 3.0
+"""Share of the run at its end, and by how many percent the validation energy falls in it where more is worth while."""
+FEW_STEPS = 1000
+"""Fewer have hardly begun; from some 10,000 on strains are close to those of the shipped garments."""
+LITTLE_BETTER = 0.7
+"""Of plain skinning's edge strain; shipped garments have a quarter to a half of it."""
+
+
+def loss_curve(rows: list[dict]) -> str:
+    """Median stretch and contact energy over the steps as an SVG, logarithmic; a note instead when there is too little.
+
+    rows: of the training's `losses.jsonl`.
+    """
+    points = [(row["step"], row["median_stretch_and_collision"]) for row in rows]
+    points = [(step, energy) for step, energy in points if energy > 0]
+    if len(points) < 2:
+        return '<p class="note">Too short a run for a curve.</p>'
+    figure = Figure(figsize=(8, 2.6), layout="tight")
+    axes = figure.subplots()
+    axes.semilogy(*zip(*points))
+    axes.set(xlabel="step", ylabel="J")
+    picture = io.StringIO()
+    figure.savefig(picture, format="svg")
+    svg = picture.getvalue()
+    return (
+        "<p>Stretch and contact energy of the median pose; it rises while the poses' range grows.</p>"
+        + svg[svg.index("<svg") :]
+    )
+
+
+def longer_or_not(rows: list[dict]) -> str:
+    """Whether the energy on the validation poses still fell at the end, in words, with the figure.
+
+    rows: of the training's `losses.jsonl`.
+    """
+    measured = [(row["step"], row["validation_energy"]) for row in rows if "validation_energy" in row]
+    earlier = [energy for step, energy in measured if step <= (1 - LAST) * measured[-1][0]]
+    if not earlier:
+        return "Too short a run to say whether a longer one is worth while."
+    before, last = earlier[-1], measured[-1][1]
+    fell = 100 * (before - last) / before
+    advice = "still falling, train longer" if fell > STILL_FALLING else "a longer run would gain little"
+    return (
+        f"Over the last {100 * LAST:g} % of the steps the energy on the validation poses went from {before:.4f} to "
+        f"{last:.4f} J ({-fell:+.1f} %): {advice}."
+    )
+
+
+def undertrained(scores: Mapping, steps: int) -> str:
+    """What is to be said, in plain words, of a model that has not learnt enough to be used; "" of one that has.
+
+    scores: of `evaluate_model`. steps: of its training.
+    """
+    model, skinning = (scores[row]["edge_strain_percent"] for row in ("model", "skinning"))
+    if steps >= FEW_STEPS and model <= LITTLE_BETTER * skinning:
+        return ""
+    return (
+        f"After {steps:,} steps the edges of the cloth are {model:.1f} % longer or shorter than at rest on average, "
+        f"and {skinning:.1f} % where the cloth only follows the bones (plain skinning). A garment that has trained for "
+        "some 10,000 steps has a quarter to a half of that. Train it for 15 minutes on a GPU, or a night or more on a "
+        "CPU."
+    )
+
+
+def recorded_seconds(losses: Path) -> float:
+    """How long a run has trained by its record, over all times that it went on."""
+    rows = _read_rows(losses)
+    last = [row["seconds"] for row, after in zip(rows, rows[1:]) if after["seconds"] < row["seconds"]]
+    return sum(last) + (rows[-1]["seconds"] if rows else 0.0)
+
+
+def _read_rows(path: Path) -> list[dict]:
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def read_losses(path: Path) -> list[dict]:
+    """The rows of a training's record, in order of the steps, without those that were lost and taken again."""
+    rows = {row["step"]: row for row in _read_rows(path)}
+    return [rows[step] for step in sorted(rows)]
