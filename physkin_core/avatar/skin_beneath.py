@@ -27,14 +27,14 @@ POINTS = 24576
 """Points sampled on each surface."""
 BARE = 0.02
 """[m] The body model farther than this from skin that faces alike has none."""
-OVERLAP = 0.035
+OVERLAP = 0.04
 """[m] The body model reaches so far beneath skin."""
 WORN = 0.12
 """[m] Clothes so near are worn there."""
-BENEATH = 0.004
-"""[m] The body model stands in this much beneath clothes, and beneath the edge of skin that it joins."""
-DEEPEST = 0.02
-"""[m] The most that it is moved for that."""
+BENEATH_CLOTHES, BENEATH_SKIN = 0.004, 0.001
+"""[m] The body model stands in so much beneath clothes, and beneath the edge of skin that it joins."""
+FARTHEST, FADING = 0.02, 0.05
+"""[m] The most that it is moved for that, and how far from skin less and less."""
 LEAST = 0.01
 """Share of the body without skin from which that is no accident."""
 
@@ -51,11 +51,12 @@ def with_skin_beneath(skin: Avatar, clothes: Sequence[Avatar]) -> Avatar:
     off_clothes, from_clothes = _gaps(surface, normals, clothes)
     lacking = (from_skin > BARE) & (from_clothes < WORN) & ~_free_vertices(body)
     areas = face_areas(surface, body.faces)
-    chosen = _near(surface, lacking)[body.faces].all(axis=1)
+    chosen = _near(surface, lacking)[body.faces].any(axis=1)
     if areas[chosen].sum() < LEAST * areas.sum():
         return skin
-    off = np.minimum(np.where(lacking, WORN, off_skin), np.where(from_clothes < WORN, off_clothes, WORN))
-    surface = surface + np.clip(off - BENEATH, -DEEPEST, 0)[:, None] * normals
+    off = _carried_on(surface, off_skin - BENEATH_SKIN, from_skin < BARE)
+    off = np.minimum(off, np.where(from_clothes < WORN, off_clothes - BENEATH_CLOTHES, np.inf))
+    surface = surface + np.clip(off, -FARTHEST, FARTHEST)[:, None] * normals
     used, faces = np.unique(body.faces[chosen], return_inverse=True)
     faces = faces.reshape(-1, 3).astype(np.int32)
     stand_in = replace(
@@ -82,6 +83,16 @@ def _gaps(vertices: np.ndarray, normals: np.ndarray, surfaces: Sequence[Avatar])
     outward = near[:, 3:] / np.linalg.norm(near[:, 3:], axis=1, keepdims=True)
     alike = (outward * normals).sum(axis=1) > 0
     return (gap * outward).sum(axis=1), np.where(alike, np.linalg.norm(gap, axis=1), np.inf)
+
+
+def _carried_on(surface: np.ndarray, off: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """(V,) [m] distances where they are known, a mask (V,); elsewhere those of the closest such vertex, fading."""
+    from scipy.spatial import cKDTree
+
+    if not known.any():
+        return np.zeros(len(surface))
+    distance, nearest = cKDTree(surface[known]).query(surface)
+    return np.exp(-((distance / FADING) ** 2)) * off[known][nearest]
 
 
 def _near(surface: np.ndarray, lacking: np.ndarray) -> np.ndarray:

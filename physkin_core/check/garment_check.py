@@ -1,23 +1,27 @@
 """How one garment sits on one avatar, at rest and in everyday poses, and a verdict.
 
-At rest: what of the cloth is inside the body, and what of the skin shows.
+At rest: what of the cloth is inside the body, what of the skin shows, and whether collar or waistband stands off.
 Dimensions: `P` poses, `d` degrees of freedom, `n` garment vertices, `V` body vertices, `f` body faces. Metres.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
+from physkin_core.avatar.avatar import Avatar
+from physkin_core.check.sight import stands_off_mm
 from physkin_core.model.garment import Garment, face_areas
 from physkin_core.model.surface_paths import mesh_edges, path_lengths
 from physkin_core.motion.everyday_poses import everyday_poses
-from physkin_core.outfit.draper import Draper
 from physkin_core.quality import contact_figures, edge_strain, signed_distance
+from physkin_core.runtime.layer import Layer
+from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
 __all__ = [
+    "VERDICTS",
     "GarmentCheck",
     "RestCheck",
     "SkinSeen",
@@ -43,8 +47,12 @@ SHOWN_PERCENT = 0.005
 """Less of the skin than this is none: a face or two."""
 GOOD_EVERYDAY = 1.0
 """Most of the vertices inside the body [%], over the everyday poses, for the verdict "good"."""
+STANDS_OFF_MM, GAPES_MM = 15.0, 40.0
+"""From here on a collar or waistband that is so much farther from the skin than it was made is not good, and bad."""
 
 Verdict = Literal["good", "usable", "bad"]
+VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
+"""From best to worst."""
 
 
 @dataclass(frozen=True)
@@ -153,50 +161,62 @@ class Everyday:
 
 @dataclass(frozen=True)
 class GarmentCheck:
-    """What was found."""
+    """What was found. stands_off_mm: as of the function."""
 
     rest: RestCheck
     everyday: Everyday
+    stands_off_mm: float = 0.0
+
+    @property
+    def stands_off(self) -> bool:
+        """By 15 mm or more."""
+        return self.stands_off_mm >= STANDS_OFF_MM
 
     @property
     def verdict(self) -> Verdict:
-        """ "bad" where it sits badly at rest; "good" where it sits well and everyday poses have at most 1 % inside."""
-        if self.rest.sits_badly:
+        """ "bad" where it sits badly at rest or stands off by 40 mm; "good" where it sits well, stands off by less than
+        15 mm, and everyday poses have at most 1 % inside."""
+        if self.rest.sits_badly or self.stands_off_mm >= GAPES_MM:
             return "bad"
-        return "good" if self.rest.sits_well and self.everyday.inside_percent <= GOOD_EVERYDAY else "usable"
+        well = self.rest.sits_well and not self.stands_off
+        return "good" if well and self.everyday.inside_percent <= GOOD_EVERYDAY else "usable"
 
     def __str__(self) -> str:
         everyday = self.everyday
         return (
             f"{self.verdict}: {self.rest}; in everyday poses {everyday.inside_percent:.2f} % is inside, "
-            f"{everyday.deepest_mm:.0f} mm deep"
+            f"{everyday.deepest_mm:.0f} mm deep; the upper opening stands off by {self.stands_off_mm:.0f} mm"
         )
 
     def as_plain_data(self) -> dict:
-        """For JSON: `rest` and `everyday` with their figures, `skin_shows_percent` (at rest) and `verdict`."""
+        """For JSON: `rest` and `everyday` with their figures, `skin_shows_percent` and `stands_off_mm` (at rest) and
+        `verdict`."""
         rest = asdict(self.rest)
         shows = rest.pop("skin_shows_percent")
-        return {"rest": rest, "everyday": asdict(self.everyday), "skin_shows_percent": shows, "verdict": self.verdict}
+        figures = {"rest": rest, "everyday": asdict(self.everyday), "skin_shows_percent": shows}
+        return {**figures, "stands_off_mm": self.stands_off_mm, "verdict": self.verdict}
 
 
-def check_garment(draper: Draper, *, poses: np.ndarray | None = None) -> GarmentCheck:
-    """Look at a garment on its avatar, at rest and in everyday poses: a second or two.
+def check_garment(layer: Layer, avatar: Avatar, *, poses: np.ndarray | None = None) -> GarmentCheck:
+    """Look at a garment as it is worn on an avatar, at rest and in everyday poses: a second or two.
 
     poses: (P, d) [rad] joint positions in place of the everyday ones, as where limbs have been separated.
     """
-    avatar, rig = draper.avatar, draper.model.rig
-    at_rest = rest_check(draper.model.garment, draper.drape(rig.rest)[:, :3], avatar.vertices, avatar.faces)
-    distances, strains = [], []
+    rig = layer.model.rig
+    (lying,) = layer.drape([(rig.rest, UPRIGHT_GRAVITY)])
+    lying = lying[:, :3]
+    at_rest = rest_check(layer.model.garment, lying, avatar.vertices, avatar.faces)
     usual, downs = everyday_poses(rig)
-    for positions, gravity in zip(usual if poses is None else poses, downs):
-        cloth = draper.drape(positions, gravity)[:, :3]
-        body = avatar.posed_vertices(draper.bone_transforms(positions))
-        distances.append(signed_distance(cloth, body, avatar.faces))
-        strains.append(edge_strain(draper.rest_garment, cloth))
+    positions = usual if poses is None else poses
+    distances, strains = [], []
+    for pose, cloth in zip(positions, layer.drape(zip(positions, downs))):
+        body = avatar.posed_vertices(rig.bone_transforms(pose, heads=avatar.bone_heads))
+        distances.append(signed_distance(cloth[:, :3], body, avatar.faces))
+        strains.append(edge_strain(layer.rest_garment, cloth[:, :3]))
     contact = contact_figures(np.array(distances))
     everyday = Everyday(
         inside_percent=contact["inside_percent"],
         deepest_mm=contact["max_depth_mm"],
         edge_strain_percent=float(np.mean(strains)),
     )
-    return GarmentCheck(at_rest, everyday)
+    return GarmentCheck(at_rest, everyday, stands_off_mm(layer, lying, avatar.vertices, avatar.faces))

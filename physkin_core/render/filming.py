@@ -11,13 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from physkin_core.avatar.avatar import Avatar
 from physkin_core.look.face_colours import avatar_colours
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.picture import BODY_COLOUR, Mesh, contact_sheet, layer_colours, render
 from physkin_core.progress import Watch
 
-__all__ = ["MOST_FRAMES", "Camera", "draw_strip", "dressed_meshes", "film"]
+__all__ = ["MOST_FRAMES", "Camera", "avatar_mesh", "draw_figures", "draw_strip", "dressed_meshes", "film"]
 
 MOST_FRAMES = 24
 FRAME_SIZE = 180, 320
@@ -85,13 +86,18 @@ def dressed_meshes(outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]
     """Surfaces of one frame. body: (V, 3) vertices of `body_to_draw`; cloth: (v, 3 or more) of each garment, positions
     first; all [m] in one frame with Z up."""
     shown = outfit.faces_to_draw if len(cloth) > 1 else slice(None)
-    colours = avatar_colours(outfit.body_to_draw)
-    skin = Mesh(body, outfit.body_to_draw.faces[shown], BODY_COLOUR if colours is None else colours[shown])
+    skin = avatar_mesh(outfit.body_to_draw, body, shown)
     worn = [
         Mesh(np.asarray(points)[:, :3], layer.faces, colour)
         for points, layer, colour in zip(cloth, outfit.layers, layer_colours(len(cloth)))
     ]
     return [skin, *worn]
+
+
+def avatar_mesh(avatar: Avatar, vertices: np.ndarray, shown: np.ndarray | slice = slice(None)) -> Mesh:
+    """An avatar, or some of its faces, in its own colours. vertices: (V, 3) [m] where they are."""
+    colours = avatar_colours(avatar)
+    return Mesh(vertices, avatar.faces[shown], BODY_COLOUR if colours is None else colours[shown])
 
 
 def draw_strip(outfit: Outfit, motion: Motion, count: int, *, watch: Watch = lambda share: None) -> np.ndarray:
@@ -109,23 +115,34 @@ def draw_strip(outfit: Outfit, motion: Motion, count: int, *, watch: Watch = lam
     for frame, (positions, gravity) in enumerate(zip(motion.positions_for(outfit.rig), motion.gravity)):
         cloth = outfit.drape(positions, gravity)
         if frame in chosen:
-            body = outfit.posed_body(positions)
-            columns.append((dressed_meshes(outfit, body, cloth), body))
-    half = max(np.abs(body - _middle(body)).max(axis=0).max() for _, body in columns) + AROUND
+            columns.append(dressed_meshes(outfit, outfit.posed_body(positions), cloth))
+    return draw_figures(columns, watch=watch)
+
+
+def draw_figures(
+    figures: Sequence[Sequence[Mesh]],
+    *,
+    size: tuple[int, int] = FRAME_SIZE,
+    watch: Watch = lambda share: None,
+) -> np.ndarray:
+    """Figures beside each other, from the front and below it from the back: (H, W, 3) uint8. figures: of each its body,
+    then what it wears, as of `dressed_meshes`. size: of one, width and height [pixels]. watch, PictureError: as of
+    `draw_strip`."""
+    half = max(np.abs(body.vertices - _middle(body.vertices)).max() for body, *_ in figures) + AROUND
     pictures = []
     for azimuth in VIEWS:
-        for meshes, body in columns:
-            bounds = _middle(body) + _box(half)
-            pictures.append(render(meshes, size=FRAME_SIZE, azimuth=azimuth, bounds=bounds, samples=8))
-            watch(len(pictures) / (len(VIEWS) * count))
-    return contact_sheet(pictures, columns=count, gap=2)
+        for meshes in figures:
+            bounds = _middle(meshes[0].vertices) + _box(half, size)
+            pictures.append(render(meshes, size=size, azimuth=azimuth, bounds=bounds, samples=8))
+            watch(len(pictures) / (len(VIEWS) * len(figures)))
+    return contact_sheet(pictures, columns=len(figures), gap=2)
 
 
 def _middle(body: np.ndarray) -> np.ndarray:
     return (body.min(axis=0) + body.max(axis=0)) / 2
 
 
-def _box(half: float) -> np.ndarray:
-    """(2, 3) [m] about the origin, as wide as a frame is for its height."""
-    across = half * FRAME_SIZE[0] / FRAME_SIZE[1]
+def _box(half: float, size: tuple[int, int]) -> np.ndarray:
+    """(2, 3) [m] about the origin, as wide as a picture of that size is for its height."""
+    across = half * size[0] / size[1]
     return np.array([[-across, -across, -half], [across, across, half]])

@@ -18,7 +18,8 @@ from tabulate import tabulate
 
 from physkin_core import Draper, FrameInput
 from physkin_core.extras import install_command
-from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, render, save_png
+from physkin_core.picture import PictureError, render, save_png
+from physkin_core.render.filming import dressed_meshes
 from physkin_ros.replay.figures import LABELS, SPREAD
 from physkin_ros.replay.replay import Replay
 
@@ -56,7 +57,7 @@ def thumbnails(found: Replay, draper: Draper, *, count: int) -> tuple[list[tuple
     scenes = []
     for row in chosen:
         cloth = _cloth(found, draper, row)
-        body = draper.avatar.posed_vertices(draper.bone_transforms(found.positions[row]))
+        body = draper.outfit.posed_body(found.positions[row])
         upright = Rotation.align_vectors([[0.0, 0.0, -1.0]], [found.down[row]])[0]
         scenes.append((upright.apply(body), upright.apply(cloth)))
     drawn = np.concatenate([points for scene in scenes for points in scene])
@@ -64,9 +65,8 @@ def thumbnails(found: Replay, draper: Draper, *, count: int) -> tuple[list[tuple
     pictures = []
     try:
         for row, (body, cloth) in zip(chosen, scenes):
-            meshes = [Mesh(body, draper.avatar.faces), Mesh(cloth, draper.faces, CLOTH_COLOUR)]
             png = io.BytesIO()
-            save_png(png, render(meshes, bounds=bounds, size=PICTURE_SIZE))
+            save_png(png, render(dressed_meshes(draper.outfit, body, [cloth]), bounds=bounds, size=PICTURE_SIZE))
             pictures.append((f"{(found.times_ns[row] - found.times_ns[0]) / 1e9:.2f} s", png.getvalue()))
     except PictureError as error:
         return [], f"No pictures: {error}"

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from gltf_person import PERSON, SLEEVE, dressed_document, load_document
 
-from physkin_core import Draper, load_garment_model
+from physkin_core import Draper, Outfit, load_garment_model
+from physkin_core.check.sight import hole_percent
 from physkin_core.quality import signed_distance
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, which `Avatar.warnings` keeps
@@ -37,6 +38,11 @@ def test_sleeves_that_stick_out_are_no_arms(dressed):
     on_dressed, on_bare = (Draper(model, body).drape(model.rig.rest)[:, :3] for body in (dressed, PERSON))
     apart = 1000 * np.linalg.norm(on_dressed - on_bare, axis=1)
     assert apart.mean() < 8 and apart.max() < 30  # 51 and 237 where sleeves are taken for arms
+
+
+def test_the_stand_in_joins_the_skin(dressed):
+    """No gap through which one sees into the body, at collar and cuffs, with the old clothes gone."""
+    assert hole_percent(Outfit([load_garment_model("tshirt")], dressed, own_clothes="hide")) < 0.02
 
 
 def test_skin_that_is_there_is_left_as_it_is(tmp_path):

@@ -57,7 +57,7 @@ def test_odd_pivots_leave_cloth_outside_in_everyday_poses(person, own_mesh):
     is inside."""
     avatar = load_avatar(BUNDLED_AVATAR, BODY.rig) if own_mesh else person
     draper = Draper(load_garment_model("tshirt"), with_odd_pivots(avatar, 1))
-    assert check_garment(draper).everyday.inside_percent < 1
+    assert check_garment(draper.layer, draper.avatar).everyday.inside_percent < 1
 
 
 def test_grading_is_set_up_once_for_all_bodies(person, monkeypatch):

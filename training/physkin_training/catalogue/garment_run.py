@@ -15,6 +15,7 @@ import numpy as np
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.check.garment_check import check_garment
 from physkin_core.picture import PictureError, contact_sheet
+from physkin_core.render.filming import dressed_meshes
 from physkin_training.catalogue.plan import CHECKPOINT, Job, Status, read_status, stage, write_status
 from physkin_training.evaluate.contact_sheet import chosen_poses
 from physkin_training.fit_garment import fit_garment
@@ -76,14 +77,13 @@ def _looked_at(job: Job) -> dict:
     draper = Draper(model, load_avatar(job.avatar or BUNDLED_AVATAR, model.rig, rig_file=job.rig))
     poses, _ = chosen_poses(model.rig, count=2, seed=0)
     positions, gravity = poses.positions[1].numpy(), poses.gravity[1].numpy()
-    body = draper.avatar.posed_vertices(draper.bone_transforms(positions))
-    garment = draper.drape(positions, gravity)[:, :3]
+    body, garment = draper.outfit.posed_body(positions), draper.drape(positions, gravity)
     try:
-        views = front_and_back(body, draper.avatar.faces, garment, draper.faces)
+        views = front_and_back(dressed_meshes(draper.outfit, body, [garment]))
         _save_jpeg(job.folder / PICTURE, contact_sheet(views, columns=2))
     except PictureError as error:
         print(f"no picture: {error}")
-    return check_garment(draper).as_plain_data()
+    return check_garment(draper.layer, draper.avatar).as_plain_data()
 
 
 def _save_jpeg(path: Path, picture: np.ndarray) -> None:

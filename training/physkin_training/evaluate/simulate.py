@@ -278,9 +278,10 @@ def _write(path: Path, garment: Garment, vertices: np.ndarray, result: Solution)
 
 def _draw(path: Path, avatar: Avatar, garment: Garment, bodies: np.ndarray, drapes: np.ndarray) -> None:
     from physkin_core.picture import CLOTH_COLOUR, Mesh, contact_sheet, render, save_png
+    from physkin_core.render.filming import avatar_mesh
 
     images = [
-        render([Mesh(body, avatar.faces), Mesh(drape, garment.faces, CLOTH_COLOUR)], size=(600, 750))
+        render([avatar_mesh(avatar, body), Mesh(drape, garment.faces, CLOTH_COLOUR)], size=(600, 750))
         for body, drape in zip(bodies, drapes, strict=True)
     ]
     save_png(path, images[0] if len(images) == 1 else contact_sheet(images, columns=min(4, len(images))))

@@ -17,6 +17,7 @@ from physkin_core.check.garment_check import check_garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.outfit.draper import Draper
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
+from physkin_core.render.filming import avatar_mesh, dressed_meshes
 from physkin_training.evaluate.contact_sheet import chosen_poses, draw_sheet
 from physkin_training.evaluate.evaluate import evaluate_model
 from physkin_training.evaluate.score_table import table
@@ -178,7 +179,7 @@ def html_table(markdown: str) -> str:
 
 def _how_it_sits(worn: Draper) -> str:
     """What `physkin check` finds on the user's avatar."""
-    return f"<h2>On your avatar</h2><p>{html.escape(str(check_garment(worn)))}.</p>"
+    return f"<h2>On your avatar</h2><p>{html.escape(str(check_garment(worn.layer, worn.avatar)))}.</p>"
 
 
 def _on_avatar(worn: Draper) -> np.ndarray:
@@ -187,8 +188,7 @@ def _on_avatar(worn: Draper) -> np.ndarray:
     images = []
     for positions, gravity in zip(poses.positions.numpy(), poses.gravity.numpy()):
         garment = worn.drape(positions, gravity)[:, :3]
-        body = worn.avatar.posed_vertices(worn.bone_transforms(positions))
-        images += front_and_back(body, worn.avatar.faces, garment, worn.faces)
+        images += front_and_back(dressed_meshes(worn.outfit, worn.outfit.posed_body(positions), [garment]))
     return contact_sheet(
         images, columns=4, captions=[f"{name}, {side}" for name in names for side in ("front", "back")]
     )
@@ -210,18 +210,16 @@ def placement_picture(checked: CheckedGarment, avatar: Avatar, template: Avatar,
 
     own: the avatar in its own pose, None where no avatar was given. Raises PictureError without the [view] extra.
     """
-    trained = front_and_back(template.vertices, template.faces, checked.vertices, checked.faces)
+    cloth = Mesh(checked.vertices, checked.faces, CLOTH_COLOUR)
+    trained = front_and_back([avatar_mesh(template, template.vertices), cloth])
     if own is None:
         return contact_sheet(trained, columns=2, captions=["as it is trained", "back"])
     body = own.vertices if checked.in_own_pose else avatar.vertices
-    lying = front_and_back(body, avatar.faces, checked.lying, checked.faces)
+    lying = front_and_back([avatar_mesh(avatar, body), Mesh(checked.lying, checked.faces, CLOTH_COLOUR)])
     captions = ["on the avatar as it lies" if checked.in_own_pose else "on the avatar, where it was placed", "back"]
     return contact_sheet(lying + trained, columns=2, captions=[*captions, "on the template, as it is trained", "back"])
 
 
-def front_and_back(
-    body: np.ndarray, body_faces: np.ndarray, garment: np.ndarray, faces: np.ndarray
-) -> list[np.ndarray]:
-    """Two pictures of a garment (n, 3) [m], faces (f, 3), on a body (V, 3)."""
-    meshes = [Mesh(body, body_faces), Mesh(garment, faces, CLOTH_COLOUR)]
+def front_and_back(meshes: Sequence[Mesh]) -> list[np.ndarray]:
+    """Two pictures of a body and what it wears."""
     return [render(meshes, size=SIZE, azimuth=azimuth, samples=8) for azimuth in FRONT_AND_BACK]
