@@ -12,7 +12,7 @@ import numpy as np
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState, PointCloud2
 
@@ -83,8 +83,9 @@ class CloudListener(Node):
         self._joint_names = frozenset(load_body_model().rig.joint_names)
         self.bodies = {topic: BodySeen(_avatar_of(topic)) for topic in joint_states}
         self._latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        whatever = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # of reliable publishers, too
         for topic, body in self.bodies.items():
-            self.create_subscription(JointState, topic, lambda state, body=body: self._on_joints(body, state), 1)
+            self.create_subscription(JointState, topic, lambda state, body=body: self._on_joints(body, state), whatever)
         self._tree, self._tree_lock = TransformTree(), threading.Lock()
         if not missing_tf():
             TfListener(self, self._on_transforms)

@@ -15,7 +15,7 @@ pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/
 
 import rclpy  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data  # noqa: E402
 from root_messages import transform  # noqa: E402
 from sensor_msgs.msg import JointState, PointCloud2  # noqa: E402
 
@@ -37,7 +37,7 @@ def listening(domain):
     topics = {
         "cloud": other.create_publisher(PointCloud2, "/drape_node/garment", 1),
         "mesh": other.create_publisher(GarmentMesh, "/drape_node/mesh", latched),
-        "joints": other.create_publisher(JointState, "joint_states", 1),
+        "joints": other.create_publisher(JointState, "joint_states", qos_profile_sensor_data),
     }
     executor = SingleThreadedExecutor()
     executor.add_node(listener)
