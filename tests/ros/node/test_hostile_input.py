@@ -172,16 +172,28 @@ def test_hostile_body_files(site, drapes, bodies):
     (bodies / "index.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 999999999\n")
     before = resident(site)
     for name, change, reason in (
-        ("faces.glb", lambda document: accessor(document, "indices").update(byteOffset=2**31), "an accessor of"),
-        ("count.glb", lambda document: accessor(document, "POSITION").update(count=2**31), "an accessor of"),
-        ("view.glb", lambda document: accessor(document, "POSITION").update(bufferView=-5), "view -5, allowed 0 to"),
-        ("none.glb", lambda document: accessor(document, "JOINTS_0").update(bufferView=10**9), "view 1000000000,"),
+        (
+            "faces.glb",
+            lambda document: accessor(document, "indices").update(byteOffset=2**31),
+            "bytes of bufferViews[3], which has 164520",
+        ),
+        (
+            "count.glb",
+            lambda document: accessor(document, "POSITION").update(count=2**31),
+            "accessors[0] of 2147483648 elements",
+        ),
+        ("view.glb", lambda document: accessor(document, "POSITION").update(bufferView=-5), "bufferView is -5"),
+        (
+            "none.glb",
+            lambda document: accessor(document, "JOINTS_0").update(bufferView=10**9),
+            "bufferViews[1000000000]",
+        ),
         ("empty.glb", nothing_but_a_count, "2147483647 elements without data"),
-        ("outside.gltf", lambda document: buffer(document, "../secret.bin"), "outside the avatar's folder"),
-        ("coded.gltf", lambda document: buffer(document, "%2e%2e/secret.bin"), "outside the avatar's folder"),
-        ("absolute.gltf", lambda document: buffer(document, str(secret)), "outside the avatar's folder"),
-        ("linked.gltf", lambda document: buffer(document, "link.bin"), "outside the avatar's folder"),
-        ("remote.gltf", lambda document: buffer(document, "http://127.0.0.1/a.bin"), "only files beside the avatar"),
+        ("outside.gltf", lambda document: buffer(document, "../secret.bin"), "outside the folder that it is in"),
+        ("coded.gltf", lambda document: buffer(document, "%2e%2e/secret.bin"), "outside the folder that it is in"),
+        ("absolute.gltf", lambda document: buffer(document, str(secret)), "outside the folder that it is in"),
+        ("linked.gltf", lambda document: buffer(document, "link.bin"), "outside the folder that it is in"),
+        ("remote.gltf", lambda document: buffer(document, "http://127.0.0.1/a.bin"), "only files beside it are read"),
         ("sparse.gltf", lambda document: buffer(document, "sparse.bin", 2**31), "has 2147483648 bytes"),
         ("sparse.glb", None, "has 2147483648 bytes; at most"),
         ("huge.ply", None, "huge.ply"),

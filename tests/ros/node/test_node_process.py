@@ -79,7 +79,7 @@ def test_sigterm_and_remapping(start, peer, model_path):
         ({"model": "{tmp}/truncated.safetensors"}, "it cannot be read as safetensors"),
         ({"model": 3}, "expecting type 'STRING'"),
         ({"body_mesh": "{tmp}/nosuch.glb"}, "nosuch.glb: no such file"),
-        ({"body_mesh": "{tmp}/odd.txt"}, "unknown extension '.txt'"),
+        ({"body_mesh": "{tmp}/odd.txt"}, "the extension '.txt' is unknown"),
         ({"joint_map": "{tmp}/map.json"}, "unknown key 'gain'"),
         ({"modell": "dress"}, "unknown key 'modell'; did you mean 'model'"),
         ({"fit": 1.5}, "Parameter fit out of range Min: 0.0, Max: 1.0, value: 1.5"),
@@ -107,9 +107,21 @@ def test_arguments_that_are_none(start, run_main, capfd, tmp_path):
     path = tmp_path / "avatars.yaml"
     path.write_text("drape_node: " + "{a: " * 3000 + "}" * 3000)
     assert run_main("--config", str(path)) == 2
-    assert capfd.readouterr().err.endswith(f"error: config {path} is nested too deeply\n")
+    assert f"error: config {path}: it is nested" in capfd.readouterr().err
     path.write_text("drape_node: {ros__parameters: {avatars: {ann: {garments: {top: {modl: tshirt}}}}}}")
     node = start("physkin_ros", "--config", str(path))
     assert node.wait(30) == 2
     lines = node.stdout.read().splitlines()
     assert len(lines) == 1 and lines[0].startswith(f"error: config {path}: ") and "'modl'" in lines[0]
+
+
+def test_status_0_needs_a_signal(run_main, monkeypatch):
+    """What nobody thought of ends the process before there is a node, but not as if all had been well."""
+    from physkin_ros.node import node_process
+
+    def trip(path) -> None:
+        raise RecursionError("odd")
+
+    monkeypatch.setattr(node_process, "load_config", trip)
+    with pytest.raises(RecursionError, match="odd"):
+        run_main("--config", "avatars.yaml")
