@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 from weakref import WeakValueDictionary
 
+from physkin_core.loader.memory import return_memory
 from physkin_core.loader.requests import CODEC, AvatarRequest, LoadedAvatar, LoadedOutfit, MotionRequest, OutfitRequest
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
@@ -55,6 +56,7 @@ class AssetLoader:
             outfit = worn[key].twin()
             outfit.avatar = replace(outfit.avatar, source=request.body)  # the same body may have another name
         self._worn[key] = outfit
+        return_memory()
         return outfit, loaded
 
     def avatar(self, body: str | Path, *, rig_file: str | Path | None = None) -> LoadedAvatar:

@@ -5,9 +5,7 @@ What was loaded is known by a digest of the files that it came from, so that a b
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
-import sys
 from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -18,6 +16,7 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.file_reading import LARGEST_FILE
 from physkin_core.loader.kept import Kept
+from physkin_core.loader.memory import return_memory
 from physkin_core.loader.requests import (
     CODEC,
     AvatarRequest,
@@ -41,7 +40,6 @@ __all__ = ["KEPT_BYTES", "Loading"]
 
 KEPT_BYTES = 128_000_000
 """Of models, avatars and outfits that were loaded last."""
-LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
 
 
 class Loading:
@@ -64,7 +62,7 @@ class Loading:
                     return load_motion(request.motion)
             raise TypeError(f"{type(request).__name__} is no request")
         finally:
-            _return_memory()
+            return_memory()
 
     def _outfit(self, request: OutfitRequest) -> LoadedOutfit:
         """What a request for an outfit asks for."""
@@ -173,10 +171,3 @@ def _file_digest(file: Path) -> str:
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
-
-
-def _return_memory() -> None:
-    """Give back to the system what loading has left free: where bodies are swapped for days, glibc keeps half as much
-    again in pieces."""
-    if trim := getattr(LIBC, "malloc_trim", None):
-        trim(0)

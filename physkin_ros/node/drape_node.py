@@ -386,7 +386,8 @@ class DrapeNode(LifecycleNode):
         reason = sentence(str(error) if known else f"{type(error).__name__}: {error}")
         if stream is not None:
             stream.statistics.fail_swap(reason)
-        self.get_logger().error(f"swap failed, the old one goes on: {reason}")
+        if self.context.ok():  # else a signal has ended it
+            self.get_logger().error(f"swap failed, the old one goes on: {reason}")
         return reason
 
     def _tell_leftovers(self) -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
+from threading import Thread
 from types import SimpleNamespace
 
 import numpy as np
@@ -199,6 +202,30 @@ def test_another_body(state, tmp_path):
     assert state.body == own and frame.outfit is state.outfit is not before and state.motion.name == "walk"
     assert state.playing and frame.outfit.avatar.source.endswith("me.glb")
     state.put_on(BUNDLED_AVATAR)
+
+
+def test_a_body_that_ends_the_process_that_reads_it_is_refused(asset_loader, shared):
+    """In one sentence; what is worn goes on, and the next body is read by another process."""
+    told, worn = [], shared.outfit
+
+    def put_on() -> None:
+        try:
+            shared.put_on(BUNDLED_AVATAR)
+        except ValueError as error:
+            told.append(str(error))
+
+    os.kill(asset_loader.pid, signal.SIGSTOP)
+    changing = Thread(target=put_on)
+    changing.start()
+    shared.set_joint(0, 0.1)
+    assert shared.advance(0.0).outfit is worn
+    os.kill(asset_loader.pid, signal.SIGKILL)
+    changing.join(10)
+    assert len(told) == 1 and "(SIGKILL)" in told[0]
+    shared.set_joint(0, 0.2)
+    assert shared.advance(0.0).outfit is worn
+    shared.put_on(BUNDLED_AVATAR)
+    assert shared.advance(0.0).outfit is not worn
 
 
 def test_limbs_are_separated_and_those_left_out_are_told(asset_loader, monkeypatch):

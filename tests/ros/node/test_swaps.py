@@ -120,13 +120,15 @@ def test_swaps_do_not_hold_up_clouds(start_site, tmp_path):
     client = site.node.create_client(SetBody, "/drape_node/set_body")
     site.until(client.service_is_ready, "service")
     arrived: dict[int, float] = {}
-    site.node.create_subscription(
+    subscription = site.node.create_subscription(
         PointCloud2,
         "/drape_node/alice/top/garment",
         lambda data: arrived.setdefault(int.from_bytes(data[4:8], "little"), time.perf_counter()),
         100,
         raw=True,
     )
+    site.until(subscription.get_publisher_count, "publisher of clouds")
+    site.spin(0.5)
     message = JointState(name=list(rig.joint_names), position=rig.rest.tolist())
     swaps = 0
 

@@ -27,6 +27,8 @@ EXCEPTIONS = {
 WATCHED = """
 import sys
 def watch(event, arguments):
+    if event == "open" and str(arguments[0]).endswith((".safetensors", ".glb")):
+        print("AUDIT", event, arguments, file=sys.stderr, flush=True)
     if event.split(".")[0] in ("socket", "pickle", "marshal", "ftplib", "urllib", "subprocess", "os.system"):
         loads = event == "subprocess.Popen" and "physkin_core.loader.loading_process" in arguments[1]
         if event != "marshal.loads" and not loads:  # of compiled modules; the process that loads
@@ -77,8 +79,8 @@ def test_sources_open_no_socket_and_unpickle_nothing(package):
 
 
 def test_running_node_opens_dds_ports_only(peer, domain, garment_model, model_path):
-    """No Python code in it makes a socket, unpickles or starts another process than the one that loads; the system
-    knows of UDP ports of DDS only, and of none of that process."""
+    """No Python code in it makes a socket, unpickles, opens what it wears or starts another process than the one that
+    loads that; the system knows of UDP ports of DDS only, and of none of that process."""
     draper = Draper(garment_model, load_avatar(BUNDLED_AVATAR, garment_model.rig))
     command = [sys.executable, "-c", WATCHED, "--ros-args", "-p", f"model:={model_path}"]
     node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
