@@ -168,7 +168,7 @@ physkin_status physkin_open(const char* path, const physkin_options* options, ph
            stream.read(part.data(), std::streamsize(part.size())).gcount() > 0) {
       data.append(part.data(), std::size_t(stream.gcount()));
     }
-    if (data.empty()) return fail(PHYSKIN_BAD_FILE, "cannot read %s, or it is empty", physkin::shown(path).c_str());
+    if (data.empty()) return fail(PHYSKIN_BAD_FILE, "cannot read %.200s, or it is empty", path);
     return open(reinterpret_cast<const unsigned char*>(data.data()), data.size(), options, garment);
   });
 }

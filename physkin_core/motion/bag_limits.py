@@ -20,7 +20,9 @@ __all__ = ["check_before_opening", "check_opened", "unpacked_message", "without_
 LARGEST_METADATA = 1 << 20  # [bytes]
 LARGEST_MESSAGE = 1 << 24  # [bytes]; those that are read take kilobytes
 LARGEST_CHUNK = 1 << 28  # [bytes]; recorders write up to some megabytes, and a message more
-ALWAYS_UNPACKED, MOST_UNPACKED = 1 << 30, 100  # [bytes], and times a file's size
+ALWAYS_UNPACKED = 1 << 30  # [bytes] of a file
+ALWAYS_UNPACKED_CHUNK = 1 << 24  # [bytes]
+MOST_UNPACKED = 100  # times a size
 MOST_TOPICS = 5000
 
 
@@ -91,8 +93,9 @@ def _limited(opened: Callable) -> Callable[[bytes, int], bytes]:
     library refuses; its own unpacks to whatever comes."""
 
     def unpack(data: bytes, size: int) -> bytes:
-        if size > LARGEST_CHUNK:
-            raise ReaderError(f"a chunk claims to unpack to {size} bytes, allowed are {LARGEST_CHUNK}")
+        most = min(LARGEST_CHUNK, max(ALWAYS_UNPACKED_CHUNK, MOST_UNPACKED * len(data)))
+        if size > most:
+            raise ReaderError(f"a chunk of {len(data)} bytes claims to unpack to {size}, allowed are {most}")
         with opened(BytesIO(data)) as stream:
             return stream.read(size + 1)
 

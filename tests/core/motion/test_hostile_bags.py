@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("rosbags", reason="needs rosbags: pip install 'physkin[replay]'")
 
 import apsw  # noqa: E402
+import lz4.frame  # noqa: E402
 from bag_messages import joint_state  # noqa: E402
 from fuzzing import check_refusals  # noqa: E402
 from rosbags.rosbag2.storage_mcap import zstd  # noqa: E402
@@ -90,13 +91,15 @@ def test_messages_that_unpack_without_end(folder):
     refused(folder, "one of its messages has more than the 16777216 bytes that are allowed")
 
 
-def test_chunks_that_unpack_without_end(tmp_path):
+@pytest.mark.parametrize("kind", ["zstd", "lz4"])
+def test_chunks_that_unpack_without_end(kind):
     """To more than they claim, and what they claim."""
-    unpack = bag_limits.DECOMPRESSORS["zstd"]
-    assert unpack(zstd.compress(bytes(100)), 100) == bytes(100)
-    assert len(unpack(zstd.compress(bytes(1 << 22)), 100)) == 101
-    with pytest.raises(bag_limits.ReaderError, match="claims to unpack to 268435457 bytes, allowed are 268435456"):
-        unpack(zstd.compress(b""), (1 << 28) + 1)
+    unpack, pack = bag_limits.DECOMPRESSORS[kind], {"zstd": zstd.compress, "lz4": lz4.frame.compress}[kind]
+    assert unpack(pack(bytes(100)), 100) == bytes(100)
+    assert len(unpack(pack(bytes(1 << 22)), 100)) == 101
+    for size, most in ((100, 1 << 24), (1 << 20, 100 << 20), (1 << 23, 1 << 28)):
+        with pytest.raises(bag_limits.ReaderError, match=f"a chunk of {size} bytes claims .* allowed are {most}"):
+            unpack(bytes(size), most + 1)
 
 
 def test_chunks_that_unpack_too_often(tmp_path, monkeypatch):
