@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import http
 import ipaddress
 import platform
 from collections.abc import Iterator, Mapping
 from urllib.parse import urlsplit
 
 __all__ = ["only_visitors", "refusal"]
+
+FORBIDDEN = 403
+"""HTTP's word for it."""
 
 
 def refusal(headers: Mapping[str, str], served_as: str) -> str:
@@ -57,7 +59,7 @@ def only_visitors(served_as: str) -> Iterator[None]:
             except LookupError:  # a header twice
                 reason = "a header comes twice"
             if reason:
-                return connection.respond(http.HTTPStatus.FORBIDDEN, reason)
+                return connection.respond(FORBIDDEN, reason)
             return process_request(connection, request)
 
         return serve(*arguments, process_request=answer, **options)
