@@ -111,15 +111,15 @@ def split_body(mesh: SkinnedMesh, joint_bones: np.ndarray, rig: Rig, *, scale: f
     over = ~taken & (kinds == UNKNOWN) & ~free & (areas.sum(axis=1) > 0)
     over[over] = [_lies_over(mesh, part, taken) for part in np.flatnonzero(over)]
     worn |= over | (~taken & ~free & (kinds == CLOTHES))
-    shown = (
-        ~taken & ~worn & np.array([_is_shown(names, k in mesh.clear_parts) for k, names in enumerate(mesh.part_names)])
-    )
+    seen = np.ones(len(mesh.faces), dtype=bool) if mesh.seen is None else mesh.seen
+    in_sight = np.bincount(mesh.face_parts, seen, len(areas)) > 0
+    shown = ~taken & ~worn & in_sight
+    shown &= [_is_shown(names, part in mesh.clear_parts) for part, names in enumerate(mesh.part_names)]
     warned = replace(mesh, warnings=(*mesh.warnings, _report(mesh.part_names, kinds, taken, worn, shown)))
-    present = np.bincount(mesh.face_parts, minlength=len(areas)) > 0
     return BodyParts(
-        _parts_of(warned, taken),
-        _parts_of(warned, shown) if (shown & present).any() else None,
-        tuple(_parts_of(warned, np.arange(len(areas)) == part) for part in np.flatnonzero(worn & present)),
+        _faces_of(warned, taken[mesh.face_parts]),
+        _faces_of(warned, shown[mesh.face_parts] & seen) if shown.any() else None,
+        tuple(_faces_of(warned, (mesh.face_parts == part) & seen) for part in np.flatnonzero(worn & in_sight)),
     )
 
 
@@ -140,9 +140,8 @@ def _lies_over(mesh: SkinnedMesh, part: int, body: np.ndarray) -> bool:
     return float(np.median(((own - near)[:, :3] * near[:, 3:]).sum(axis=1) / NORMAL_REACH)) > OVER
 
 
-def _parts_of(mesh: SkinnedMesh, chosen: np.ndarray) -> SkinnedMesh:
-    """The mesh with some of its parts, a mask (k,)."""
-    kept = chosen[mesh.face_parts]
+def _faces_of(mesh: SkinnedMesh, kept: np.ndarray) -> SkinnedMesh:
+    """The mesh with some of its faces, a mask (f,)."""
     used, corners = np.unique(mesh.faces[kept], return_inverse=True)
     return replace(
         mesh,
@@ -151,6 +150,7 @@ def _parts_of(mesh: SkinnedMesh, chosen: np.ndarray) -> SkinnedMesh:
         influence_joints=mesh.influence_joints[used],
         influence_weights=mesh.influence_weights[used],
         face_parts=mesh.face_parts[kept],
+        seen=None if mesh.seen is None else mesh.seen[kept],
         file_vertices=None if mesh.file_vertices is None else mesh.file_vertices[used],
         file_corners=None if mesh.file_corners is None else mesh.file_corners[kept],
     )

@@ -27,6 +27,7 @@ from physkin_core.file_reading import ContentError, shown
 from physkin_core.formats.gltf_document import GltfEntry
 from physkin_core.formats.gltf_file import GltfFile
 from physkin_core.formats.gltf_scene import Drawn, drawn_primitives, in_scene, material_of
+from physkin_core.mesh.gltf_opacity import seen_faces, shows_through
 from physkin_core.rig.linear_blend_skinning import joined_influences, linear_blend_skinning
 from physkin_core.rig.rig import Rig, ancestors
 
@@ -53,14 +54,16 @@ def _plain_mesh(file: GltfFile) -> Surface:
     parts, start = [], 0
     for drawn in drawn_primitives(file):
         placed = in_scene(file, drawn.node, drawn.positions)
-        parts.append((placed, drawn.faces + start, _part_names(file, drawn), _is_clear(file, drawn)))
+        looks = _part_names(file, drawn), shows_through(file, drawn), seen_faces(file, drawn)
+        parts.append((placed, drawn.faces + start, *looks))
         start += len(placed)
     if not parts:
         raise ContentError("it has no faces; a triangle mesh is needed")
-    vertices, faces, names, clear = zip(*parts)
+    vertices, faces, names, clear, seen = zip(*parts)
     face_parts = np.repeat(np.arange(len(parts)), list(map(len, faces)))
     clear_parts = frozenset(np.flatnonzero(clear).tolist())
-    return Surface(np.concatenate(vertices), np.concatenate(faces), names, face_parts, clear_parts)
+    vertices, faces, seen = map(np.concatenate, (vertices, faces, seen))
+    return Surface(vertices, faces, names, face_parts, clear_parts, seen)
 
 
 def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
@@ -86,14 +89,14 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
                 continue
             positions = in_scene(file, node, positions)
             joints, weights = np.full((len(positions), 1), carrier), np.ones((len(positions), 1))
-        named = _part_names(file, drawn), _is_clear(file, drawn)
-        parts.append((positions, drawn.faces + start, joints, weights, drawn.corners, *named))
+        looks = _part_names(file, drawn), shows_through(file, drawn), seen_faces(file, drawn)
+        parts.append((positions, drawn.faces + start, joints, weights, drawn.corners, *looks))
         start += len(positions)
     if not parts:
         raise ContentError("it has no faces on its skeleton; a triangle mesh is needed")
-    vertices, faces, joints, weights, corners, names, clear = zip(*parts)
+    vertices, faces, joints, weights, corners, names, clear, seen = zip(*parts)
     face_parts = np.repeat(np.arange(len(parts)), list(map(len, faces)))
-    vertices, faces, corners = map(np.concatenate, (vertices, faces, corners))
+    vertices, faces, corners, seen = map(np.concatenate, (vertices, faces, corners, seen))
     width = max(each.shape[1] for each in joints)
     file.budget.charge(vertices.itemsize * len(vertices) * (3 + 2 * width), f"a mesh of {len(vertices)} vertices")
     influences = joined_influences(joints), joined_influences(weights)
@@ -116,6 +119,7 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
         part_names=names,
         face_parts=face_parts[kept],
         clear_parts=frozenset(np.flatnonzero(clear).tolist()),
+        seen=seen[kept],
         file_vertices=vertices,
         file_corners=corners[kept],
     )
@@ -126,12 +130,6 @@ def _part_names(file: GltfFile, drawn: Drawn) -> tuple[str, ...]:
     material = material_of(file, drawn.primitive)
     named = ("" if material is None else material.text("name"), drawn.mesh.text("name"))
     return tuple(filter(None, (*named, file.nodes[drawn.node].text("name")))) or (f"node {drawn.node}",)
-
-
-def _is_clear(file: GltfFile, drawn: Drawn) -> bool:
-    """Whether what is behind a primitive shows through, as through lenses and the cards of lashes."""
-    material = material_of(file, drawn.primitive)
-    return material is not None and material.text("alphaMode") == "BLEND"
 
 
 def _joints(file: GltfFile, humanoid: dict[str, int]) -> tuple[list[int], dict[int, int]]:

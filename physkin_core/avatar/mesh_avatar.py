@@ -68,7 +68,9 @@ def retarget_plain_mesh(surface: Surface, rig: Rig, *, path: Path, rig_file: str
         warnings += () if axis == up else (f"{axis} is taken to be up, not {up}: it is symmetric and tallest so",)
     to_root = scale * axes_to_root_frame(axis, description.forward)
     parts = {"part_names": surface.part_names, "clear_parts": surface.clear_parts, "warnings": warnings}
-    parts["face_parts"] = None if surface.face_parts is None else surface.face_parts[kept]
+    for name in ("face_parts", "seen"):
+        of_faces = getattr(surface, name)
+        parts[name] = None if of_faces is None else of_faces[kept]
     in_file, vertices = vertices, vertices @ to_root.T
     origin = {"file_vertices": in_file, "file_corners": np.arange(surface.faces.size).reshape(-1, 3)[kept]}
     if not description.bones:

@@ -45,8 +45,8 @@ class SkinnedMesh:
     influence_joints: (V, K) integers; influence_weights: (V, K), rows sum to 1.
     humanoid: joint by VRM humanoid bone, for files that state it. warnings: as in `Avatar`.
     part_names: names of each part of the mesh, the most telling first, and face_parts: (f,) the part of each face; None
-    for a mesh of one part. clear_parts: those that one sees through. file_vertices: (V, 3) in the file's own frame and
-    unit. file_corners: as in `Avatar`.
+    for a mesh of one part. clear_parts: those of a material that may show what is behind it, and seen: (f,) bool, faces
+    where it does not; None: all. file_vertices: (V, 3) in the file's own frame and unit. file_corners: as in `Avatar`.
     """
 
     vertices: np.ndarray
@@ -63,6 +63,7 @@ class SkinnedMesh:
     part_names: tuple[tuple[str, ...], ...] = ()
     face_parts: np.ndarray | None = None
     clear_parts: frozenset[int] = frozenset()
+    seen: np.ndarray | None = None
     file_vertices: np.ndarray | None = None
     file_corners: np.ndarray | None = None
 
@@ -76,6 +77,7 @@ class Surface:
     part_names: tuple[tuple[str, ...], ...] = ()
     face_parts: np.ndarray | None = None
     clear_parts: frozenset[int] = frozenset()
+    seen: np.ndarray | None = None
 
 
 def check_bone_count(count: int) -> None:

@@ -5,7 +5,6 @@ Dimensions: `f` faces.
 
 from __future__ import annotations
 
-import io
 import logging
 from functools import lru_cache
 
@@ -14,17 +13,13 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.look.avatar_look import avatar_look
 from physkin_core.look.surfaces import Surface, linear, surfaces_of
-from physkin_core.mesh.look import Look, check_picture_size
+from physkin_core.mesh.look import Look
+from physkin_core.mesh.picture_samples import sampled_picture
 from physkin_core.picture import BODY_COLOUR, pillow
 
 __all__ = ["avatar_colours", "face_colours"]
 
 log = logging.getLogger(__name__)
-
-SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / [[3], [6], [6], [6]]
-"""Where in a triangle a picture is looked at: shares of its corners."""
-LARGEST_PICTURE = 512
-"""[pixels] a side; larger ones are made smaller first, so that a sample is the mean of what is about it."""
 
 
 @lru_cache(maxsize=4)  # a film asks for the same avatar in every frame
@@ -50,17 +45,10 @@ def _picture_colours(surface: Surface, uv: np.ndarray) -> np.ndarray:
     """(k, 3) linear RGB of faces with texture places (k, 3, 2); ones without a picture."""
     if surface.picture is None:
         return np.ones((len(uv), 3))
-    Image = pillow().Image
+    pillow()
     try:
-        check_picture_size(surface.picture.content)
-        image = Image.open(io.BytesIO(surface.picture.content)).convert("RGB")
+        samples = sampled_picture(surface.picture.content, uv, "RGB")
     except Exception as error:  # whatever pillow trips over: damaged files, some too large
         log.warning("picture %s is left out: %s", surface.picture.name, error)
         return np.ones((len(uv), 3))
-    image.thumbnail((LARGEST_PICTURE, LARGEST_PICTURE), Image.Resampling.BOX)
-    pixels = (np.asarray(image) / 255.0) ** 2.2
-    u, v = np.moveaxis(np.einsum("sc,kcu->ksu", SAMPLES, np.nan_to_num(uv)), 2, 0)
-    rows, columns = pixels.shape[:2]
-    row = np.floor((1 - v) % 1 * rows).astype(int) % rows
-    column = np.floor(u % 1 * columns).astype(int) % columns
-    return pixels[row, column].mean(axis=1)
+    return (samples**2.2).mean(axis=0)

@@ -16,7 +16,7 @@ from physkin_core.formats.gltf_file import GltfFile
 from physkin_core.formats.gltf_scene import Drawn, material_of
 from physkin_core.mesh.look import Look, MaterialLibrary, check_picture_size, few_colours, picture_kind
 
-__all__ = ["gltf_look"]
+__all__ = ["base_picture", "gltf_look", "picture_content", "texture_places"]
 
 MOST_PAINTED = 32
 """Colours of one part whose vertices are painted."""
@@ -31,7 +31,7 @@ def gltf_look(file: GltfFile, drawn: Iterable[Drawn], told: Callable[[str], None
     for each in drawn:
         material, index = material_of(file, each.primitive), each.primitive.index("material")
         painted = _painted(file, each, material)
-        places.append(_places(file, each, material)[each.faces])
+        places.append(texture_places(file, each, material)[each.faces])
         if painted is not None:
             materials.append(_add_painted(library, painted))
             continue
@@ -44,10 +44,10 @@ def gltf_look(file: GltfFile, drawn: Iterable[Drawn], told: Callable[[str], None
     )
 
 
-def _places(file: GltfFile, drawn: Drawn, material: GltfEntry | None) -> np.ndarray:
+def texture_places(file: GltfFile, drawn: Drawn, material: GltfEntry | None) -> np.ndarray:
     """(V, 2) where the vertices of a primitive are in its base colour's picture, origin at the lower left; NaN where
     the file does not say."""
-    used = None if material is None else _base_picture(material)
+    used = None if material is None else base_picture(material)
     transform = GltfEntry({}, TRANSFORM) if used is None else used.entry("extensions").entry(TRANSFORM)
     channel = 0 if used is None else transform.integer("texCoord", used.integer("texCoord", 0))
     found = file.attribute(drawn.primitive, f"TEXCOORD_{channel}")
@@ -61,7 +61,7 @@ def _places(file: GltfFile, drawn: Drawn, material: GltfEntry | None) -> np.ndar
 def _painted(file: GltfFile, drawn: Drawn, material: GltfEntry | None) -> np.ndarray | None:
     """(f, 3) linear RGB that vertices give the faces of a primitive; None where all is white or there is a picture."""
     colours = file.attribute(drawn.primitive, "COLOR_0")
-    if colours is None or (material is not None and _base_picture(material) is not None):
+    if colours is None or (material is not None and base_picture(material) is not None):
         return None
     _check_rows("colours", colours, drawn, (3, 4))
     colours = np.clip(colours[:, :3], 0, 1)
@@ -88,7 +88,7 @@ def _base_colour(material: GltfEntry | None) -> np.ndarray:
     return np.clip((factor or (1, 1, 1))[:3], 0, 1)
 
 
-def _base_picture(material: GltfEntry) -> GltfEntry | None:
+def base_picture(material: GltfEntry) -> GltfEntry | None:
     """What a material says of its base colour's texture, if it has one."""
     shading = material.entry("pbrMetallicRoughness")
     return shading.entry("baseColorTexture") if "baseColorTexture" in shading else None
@@ -100,18 +100,19 @@ def _add_material(
     """Its number in the library; materials of one name are told apart."""
     name = library.plain_name(material.text("name") or f"material_{index}")
     name = f"{name}_{index}" if name in library.names else name
-    content, used = None, _base_picture(material)
+    content, used = None, base_picture(material)
     if used is not None:
         texture = file.document.item("textures", used.integer("index"))
         try:
-            content = _readable(_picture(file, texture))
+            content = _readable(picture_content(file, texture))
         except ContentError as error:
             told(f"material {name!r} is shown without its picture: {error}")
     suffix = "jpg" if content is not None and picture_kind(content) == "image/jpeg" else "png"
     return library.add(name, _base_colour(material), content, suffix=suffix)
 
 
-def _picture(file: GltfFile, texture: GltfEntry) -> bytes:
+def picture_content(file: GltfFile, texture: GltfEntry) -> bytes:
+    """The file of a texture's picture; empty where it has none. Raises ContentError."""
     source = texture.entry("extensions").entry(WEBP).index("source")
     source = texture.index("source") if source is None else source
     return b"" if source is None else file.picture(source)

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 from core.export.gltf_reader import Reader
-from gltf_person import PERSON, RIG, load_document, person_document, rig_json, write_gltf
+from gltf_person import PERSON, RIG, add_part, faces_on, load_document, person_document, rig_json, write_gltf
 from PIL import Image
 
 from physkin_core import BUNDLED_AVATAR, load_avatar
@@ -286,3 +286,45 @@ def test_a_gltf_keeps_its_look_too(tmp_path):
     avatar = load_avatar(tmp_path / "person.gltf", RIG)
     colours, clear = expected(avatar)
     np.testing.assert_allclose(avatar_colours(avatar)[clear], colours[clear], atol=0.02)
+
+
+def half_clear(length=None):
+    """Brown on the left, clear on the right; the first `length` bytes of the file."""
+    image, buffer = Image.new("RGBA", (64, 16), (*RIGHT, 0)), io.BytesIO()
+    image.paste((90, 60, 30, 255), (0, 0, 32, 16))
+    image.save(buffer, format="PNG")
+    return buffer.getvalue()[:length]
+
+
+def with_eyes(content, mode):
+    """The person with a sheet before the face that has a picture, as `places` has it, and what faces are on it."""
+    builder, head = person_document(), faces_on("head")
+    view = builder.add_view(np.frombuffer(content, dtype=np.uint8))
+    builder.document["images"] = [{"bufferView": view, "mimeType": "image/png"}]
+    builder.document["textures"] = [{"source": 0}]
+    iris = {"alphaMode": mode, "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    add_part(builder, "N00_000_00_EyeIris_00_EYE", head, offset=0.002, material=iris)
+    uv = (places(PERSON.vertices) * [1, -1] + [0, 1]).astype(np.float32)
+    builder.document["meshes"][-1]["primitives"][0]["attributes"]["TEXCOORD_0"] = builder.add_accessor(uv)
+    return builder, head
+
+
+@pytest.mark.parametrize("mode", ["BLEND", "MASK"])
+def test_irises_are_shown_where_they_are_not_clear(tmp_path, mode):
+    """A sheet that is clear on one side is shown on the other; a lens that is clear all over is left out."""
+    builder, head = with_eyes(half_clear(), mode)
+    lens = {"name": "lens", "alphaMode": mode, "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 0.2]}}
+    add_part(builder, "Glasses", head, offset=0.02, material=lens)
+    avatar = load_document(tmp_path, builder)
+    shown, left = avatar.accessories, PERSON.vertices[head][..., 1].mean(axis=1) > 0
+    assert abs(len(shown.faces) - left.sum()) < 0.1 * len(head)
+    assert (shown.vertices[shown.faces][..., 1].mean(axis=1) > -0.005).mean() > 0.97
+    brown = np.isclose(avatar_colours(shown), np.array((90, 60, 30)) / 255, atol=0.05).all(axis=1)
+    assert brown.mean() > 0.9 and "left out: 'Glasses/lens'" in avatar.warnings[0]
+
+
+@pytest.mark.parametrize(("content", "mode"), [(half_clear(40), "BLEND"), (half_clear(), "OPAQUE")])
+def test_what_cannot_be_read_or_is_opaque_is_shown(tmp_path, content, mode):
+    """A damaged picture hides no eyes and hinders nobody from draping."""
+    builder, head = with_eyes(content, mode)
+    assert len(load_document(tmp_path, builder).accessories.faces) == len(head)
