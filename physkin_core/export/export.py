@@ -15,7 +15,7 @@ from physkin_core.look.surfaces import surfaces_of
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.outfit.outfit_options import add_outfit_options, add_sway_option, dressed, read_motion
+from physkin_core.outfit.outfit_options import add_outfit_options, add_sway_option, dressed, print_warnings, read_motion
 from physkin_core.output_file import check_other_file
 from physkin_core.quality import closest_points
 
@@ -59,10 +59,12 @@ def main(argv: list[str]) -> int:
     check_other_file(options.output, options.avatar, options.motion, *options.look)
     motion = read_motion(options)
     outfit = dressed(options, for_engines=kind == ".glb")
-    looks = [avatar_look(outfit.body_to_draw, outfit.faces_to_draw), *garment_looks(options.look, outfit)]
-    WRITERS[kind](options.output, outfit, motion, looks=looks)
+    body = slice(None) if kind == ".glb" else outfit.faces_to_draw  # a .glb leaves out by its own frames
+    looks = [avatar_look(outfit.body_to_draw, body), *garment_looks(options.look, outfit)]
+    not_shown = WRITERS[kind](options.output, outfit, motion, looks=looks)
     size = options.output.stat().st_size / 1e6
     print(f"wrote {options.output}: {motion.frame_count} frames at {motion.rate_hz:g} Hz, {size:.1f} MB")
+    print_warnings(not_shown)
     return 0
 
 

@@ -55,6 +55,28 @@ class GltfBuilder:
         self.document["accessors"].append(accessor)
         return len(self.document["accessors"]) - 1
 
+    def add_sparse_accessor(self, indices: np.ndarray, values: np.ndarray, count: int) -> int:
+        """Append a (count, 3) array that is zero but for rows `indices` (k,), which hold values (k, 3), in order of
+        index; returns the accessor's index."""
+        everywhere = np.concatenate([values, np.zeros((min(1, count - len(values)), 3), dtype=values.dtype)])
+        accessor = {
+            "componentType": COMPONENT_TYPES[values.dtype.name],
+            "count": count,
+            "type": WIDTH_NAMES[3],
+            "min": everywhere.min(axis=0).tolist(),
+            "max": everywhere.max(axis=0).tolist(),
+            "sparse": {
+                "count": len(values),
+                "indices": {
+                    "bufferView": self.add_view(indices.astype(np.uint32)),
+                    "componentType": COMPONENT_TYPES["uint32"],
+                },
+                "values": {"bufferView": self.add_view(values)},
+            },
+        }
+        self.document["accessors"].append(accessor)
+        return len(self.document["accessors"]) - 1
+
 
 def strongest_influences(joints: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The 4 strongest of skinning's influences (V, K), as glTF stores them: joints (V, 4) uint16, weights (V, 4) uint16

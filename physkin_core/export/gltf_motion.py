@@ -1,13 +1,15 @@
 """A draped motion as glTF 2.0: the avatar on its skeleton, garments on skins whose joints are their garment nodes.
 
 A garment node is affine, a glTF joint is not: each is a chain of two joints (`affine_joints`). Engines take 4
-influences a vertex, which models learn beside their own skinning weights (`GarmentModel.for_engines`).
-Dimensions: `T` frames, `b` bones, `m` garment nodes, `v` vertices given of a garment.
+influences a vertex, which models learn beside their own skinning weights (`GarmentModel.for_engines`). What moves
+vertices after skinning, the order of layers, is in morph targets (`morph_targets`).
+Dimensions: `T` frames, `b` bones, `m` garment nodes, `v` vertices of a mesh, `j` joints.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.export.affine_joints import as_joint_chains
+from physkin_core.export.draped_clip import DrapedGarment, drape_clip
 from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences, write_glb
 from physkin_core.look.surfaces import ROUGHNESS, Picture, Surface, linear, split_at_seams, surfaces_of
 from physkin_core.mesh.look import Look
@@ -23,40 +26,90 @@ from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.picture import BODY_COLOUR, layer_colours
 from physkin_core.rig.rig import Rig
-from physkin_core.runtime.bound_garment import BoundGarment
 
 __all__ = ["write_gltf_motion"]
+
+TOO_FAR = 0.005
+"""[m] off from where the order of layers has a vertex: less is hardly ever seen."""
 
 
 def write_gltf_motion(
     path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None] | None = None
-) -> None:
-    """Write avatar and garments in motion as one .glb, the root where the motion has it.
+) -> list[str]:
+    """Write avatar and garments in motion as one .glb, the root where the motion has it. Returns what it cannot show, a
+    sentence each.
 
-    outfit: of models `for_engines`; vertices that it hides are left out. Order between layers and tucks move vertices,
-    not garment nodes, and are not in the file. looks: of the body's faces that are shown, as of `avatar_look`, and
-    of each garment, as of `garment_looks`; default a colour each. Raises OSError when it cannot be written.
+    outfit: of models `for_engines`, whole (`hide=False`); what no frame shows is left out. looks: of all faces of
+    `outfit.body_to_draw`, as of `avatar_look`, and of each garment, as of `garment_looks`; default a colour each.
+    Raises OSError when it cannot be written.
     """
-    rig, bones, nodes = outfit.rig, [], []
-    outfit.reset()
-    for positions, time, root_now in zip(motion.positions_for(rig), motion.times, motion.root):
-        outfit.drape(positions, time=time, root=root_now)
-        bones.append(outfit.bone_transforms(positions))
-        nodes.append(outfit.node_transforms())
+    clip = drape_clip(outfit, motion)
     looks = looks or [None] * (1 + len(outfit.layers))
-    scene = _Scene(motion.times)
+    scene = _Scene(motion.name or path.stem, motion.times)
     root = scene.add_root(translation=motion.root_position[:, None], rotation=motion.root_orientation[:, None])
-    scene.add_avatar(outfit.body_to_draw, rig, np.array(bones), outfit.faces_to_draw, root, looks[0])
+    scene.add_avatar(
+        outfit.body_to_draw, outfit.rig, clip.bones, clip.body_shown, root, _of_faces(looks[0], clip.body_shown)
+    )
     colours = layer_colours(len(outfit.layers))
-    for layer, transforms, colour, look in zip(outfit.layers, zip(*nodes), colours, looks[1:]):
-        scene.add_garment(layer.name, layer.given, np.array(transforms), root, colour, look)
+    for garment, colour, look in zip(clip.garments, colours, looks[1:]):
+        if garment.shown.any():
+            scene.add_garment(garment, root, colour, _of_faces(look, garment.shown))
     write_glb(path, scene.finished())
+    return [told for garment in clip.garments for told in _not_shown(garment)]
+
+
+def _not_shown(garment: DrapedGarment) -> list[str]:
+    """What a .glb cannot show of a garment, a sentence if anything."""
+    if not garment.shown.any():
+        return [f"{garment.name} is not in the file: it is covered in all frames"]
+    lacking = garment.lacking
+    if lacking.max() < TOO_FAR:
+        return []
+    return [
+        f"{garment.name} is up to {1000 * lacking.max():.0f} mm off in {np.sum(lacking >= TOO_FAR)} of {len(lacking)} "
+        "frames, where morph targets cannot keep the order of layers: what lies beneath may show there; a .usdc has it "
+        "exactly"
+    ]
+
+
+def _of_faces(look: Look | None, shown: np.ndarray) -> Look | None:
+    """The look of those faces alone."""
+    return None if look is None else look.of_corners(np.arange(3 * len(shown)).reshape(-1, 3)[shown])
+
+
+@dataclass(frozen=True)
+class _Skinned:
+    """A mesh as it is skinned. positions, normals: (v, 3) where joints (j,) are at `rest` (j, 3). influences: as of
+    `strongest_influences`. moved: (u,) vertices, in order, that morph targets (K, u, 3) move."""
+
+    positions: np.ndarray
+    normals: np.ndarray
+    influences: tuple[np.ndarray, np.ndarray]
+    faces: np.ndarray
+    joints: Sequence[int]
+    rest: np.ndarray
+    moved: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
+    targets: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 3)))
+
+    def of_vertices(self, vertices: np.ndarray, faces: np.ndarray) -> _Skinned:
+        """The same with vertices (w,) of these, some repeated; faces (f, 3) of them."""
+        moved = np.flatnonzero(np.isin(vertices, self.moved))
+        return replace(
+            self,
+            positions=self.positions[vertices],
+            normals=self.normals[vertices],
+            influences=(self.influences[0][vertices], self.influences[1][vertices]),
+            faces=faces,
+            moved=moved,
+            targets=self.targets[:, np.searchsorted(self.moved, vertices[moved])],
+        )
 
 
 class _Scene:
-    """A glTF document with one animation while it grows. Arrays come in our root frame. times: (T,) [s]."""
+    """A glTF document with one animation while it grows. Arrays come in our root frame. name: of the animation. times:
+    (T,) [s]."""
 
-    def __init__(self, times: np.ndarray) -> None:
+    def __init__(self, name: str, times: np.ndarray) -> None:
         self.builder = GltfBuilder({"generator": "PhySkin"})
         self._nodes, self._meshes, self._skins, self._materials, self._channels, self._samplers = ([] for _ in range(6))
         self._roots: list[int] = []
@@ -68,7 +121,7 @@ class _Scene:
             "meshes": self._meshes,
             "skins": self._skins,
             "materials": self._materials,
-            "animations": [{"name": "motion", "channels": self._channels, "samplers": self._samplers}],
+            "animations": [{"name": name, "channels": self._channels, "samplers": self._samplers}],
         }
         self._times = self.builder.add_accessor(times.astype(np.float32))
         span = {"min": [float(np.float32(times[0]))], "max": [float(np.float32(times[-1]))]}
@@ -102,32 +155,43 @@ class _Scene:
                 translation=place[:, None],
                 rotation=Rotation.from_matrix(rotation).as_quat()[:, None],
             )
-        joints = list(range(first, first + len(heads)))
-        vertices = avatar.vertices, vertex_normals(avatar.vertices, avatar.faces)
-        influences = strongest_influences(avatar.influence_bones, avatar.influence_weights)
-        self._add_mesh("body", vertices, influences, avatar.faces[shown], BODY_COLOUR, look, joints, heads)
+        mesh = _Skinned(
+            avatar.vertices,
+            vertex_normals(avatar.vertices, avatar.faces),
+            strongest_influences(avatar.influence_bones, avatar.influence_weights),
+            avatar.faces[shown],
+            joints=range(first, first + len(heads)),
+            rest=heads,
+        )
+        self._add_mesh("body", mesh, BODY_COLOUR, look)
 
     def add_garment(
-        self,
-        name: str,
-        bound: BoundGarment,
-        transforms: np.ndarray,
-        root: int,
-        colour: tuple[float, float, float],
-        look: Look | None,
+        self, garment: DrapedGarment, root: int, colour: tuple[float, float, float], look: Look | None
     ) -> None:
-        """A garment on its garment nodes. transforms: (T, m, 3, 4). colour: sRGB, of what has no material."""
-        chains = as_joint_chains(transforms)
-        names = [f"{name}_{node}" for node in range(transforms.shape[1])]
+        """A garment on its garment nodes. colour: sRGB, of what has no material."""
+        name, bound = garment.name, garment.given
+        chains = as_joint_chains(garment.node_transforms)
+        names = [f"{name}_{node}" for node in range(len(bound.node_rest))]
         moved = {"translation": chains.translation, "rotation": chains.rotation, "scale": chains.scale}
         outer = self._add_joints(names, parent=root, rest=bound.node_rest, **moved)
         inner = []
         for k, (each, joint) in enumerate(zip(names, outer)):
             turn = chains.inner_rotation[:, [k]]
             inner += self._add_joints([f"{each}_inner"], parent=joint, rest=np.zeros((1, 3)), rotation=turn)
-        vertices = bound.vertices, bound.normals
-        influences = strongest_influences(bound.influence_nodes, bound.influence_weights)
-        self._add_mesh(name, vertices, influences, bound.faces, colour, look, inner, bound.node_rest)
+        mesh = _Skinned(
+            bound.vertices,
+            bound.normals,
+            strongest_influences(bound.influence_nodes, bound.influence_weights),
+            bound.faces,
+            inner,
+            bound.node_rest,
+            garment.morphs.moved,
+            garment.morphs.targets,
+        )
+        self._add_mesh(name, mesh, colour, look)
+        if len(garment.morphs.targets):
+            weights = garment.morphs.weights.astype(np.float32).reshape(-1)
+            self._animate(len(self._nodes) - 1, "weights", weights)
 
     def finished(self) -> GltfBuilder:
         """The document, whole."""
@@ -157,52 +221,52 @@ class _Scene:
                 moved = _in_gltf_frame(path, values[:, joint])
                 if rest is None:
                     node[path] = moved[0].tolist()
-                self._channels.append(
-                    {"sampler": len(self._samplers), "target": {"node": len(self._nodes), "path": path}}
-                )
-                self._samplers.append({"input": self._times, "output": self.builder.add_accessor(moved)})
+                self._animate(len(self._nodes), path, moved)
             if parent is not None:
                 self._nodes[parent].setdefault("children", []).append(len(self._nodes))
             self._nodes.append(node)
         return list(range(first, len(self._nodes)))
 
-    def _add_mesh(
-        self,
-        name: str,
-        vertices: tuple[np.ndarray, np.ndarray],
-        influences: tuple[np.ndarray, np.ndarray],
-        faces: np.ndarray,
-        colour: tuple[float, float, float],
-        look: Look | None,
-        joints: Sequence[int],
-        rest: np.ndarray,
-    ) -> None:
-        """A mesh skinned by joints that are at `rest` (j, 3) when it is as given. vertices: positions (v, 3) and
-        normals (v, 3). influences: as of `strongest_influences`."""
-        surfaces = surfaces_of(look, name, linear(colour), len(faces))
+    def _animate(self, node: int, path: str, values: np.ndarray) -> None:
+        """values: float32, those of each frame after those of the last."""
+        self._channels.append({"sampler": len(self._samplers), "target": {"node": node, "path": path}})
+        self._samplers.append({"input": self._times, "output": self.builder.add_accessor(values)})
+
+    def _add_mesh(self, name: str, mesh: _Skinned, colour: tuple[float, float, float], look: Look | None) -> None:
+        """A mesh, its skin, and the scene's node that has both, the last one there is."""
+        surfaces = surfaces_of(look, name, linear(colour), len(mesh.faces))
         add, attributes = self.builder.add_accessor, {}
         if look is not None:
-            own, places, faces = split_at_seams(look, faces)
-            vertices, influences = (tuple(each[own] for each in pair) for pair in (vertices, influences))
+            own, places, faces = split_at_seams(look, mesh.faces)
+            mesh = mesh.of_vertices(own, faces)
             attributes["TEXCOORD_0"] = add((places * [1, -1] + [0, 1]).astype(np.float32))
-        positions, normals = vertices
-        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = mesh.normals / np.linalg.norm(mesh.normals, axis=1, keepdims=True)
         attributes |= {
-            "POSITION": add((positions @ FROM_ROOT_FRAME.T).astype(np.float32)),
+            "POSITION": add((mesh.positions @ FROM_ROOT_FRAME.T).astype(np.float32)),
             "NORMAL": add((normals @ FROM_ROOT_FRAME.T).astype(np.float32)),
-            "JOINTS_0": add(influences[0]),
-            "WEIGHTS_0": add(influences[1], normalized=True),
+            "JOINTS_0": add(mesh.influences[0]),
+            "WEIGHTS_0": add(mesh.influences[1], normalized=True),
         }
+        targets = [
+            self.builder.add_sparse_accessor(
+                mesh.moved, (target @ FROM_ROOT_FRAME.T).astype(np.float32), len(mesh.positions)
+            )
+            for target in mesh.targets
+        ]
+        morphs = {"targets": [{"POSITION": target} for target in targets]} if targets else {}
         primitives = []
         for surface in surfaces:
-            indices = self.builder.add_accessor(faces[surface.faces].astype(np.uint32).reshape(-1))
+            indices = self.builder.add_accessor(mesh.faces[surface.faces].astype(np.uint32).reshape(-1))
             material = self._add_material(surface)
-            primitives.append({"attributes": attributes, "indices": indices, "material": material})
-        bind = np.tile(np.eye(4), (len(rest), 1, 1))
-        bind[:, :3, 3] = -rest @ FROM_ROOT_FRAME.T
+            primitives.append({"attributes": attributes, "indices": indices, "material": material, **morphs})
+        bind = np.tile(np.eye(4), (len(mesh.rest), 1, 1))
+        bind[:, :3, 3] = -mesh.rest @ FROM_ROOT_FRAME.T
         inverse = self.builder.add_accessor(bind.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32))
         self._meshes.append({"name": name, "primitives": primitives})
-        self._skins.append({"joints": joints, "inverseBindMatrices": inverse})
+        if targets:
+            names = [f"order_{k}" for k in range(len(targets))]
+            self._meshes[-1] |= {"weights": [0.0] * len(targets), "extras": {"targetNames": names}}
+        self._skins.append({"name": name, "joints": list(mesh.joints), "inverseBindMatrices": inverse})
         self._roots.append(len(self._nodes))
         self._nodes.append({"name": name, "mesh": len(self._meshes) - 1, "skin": len(self._skins) - 1})
 

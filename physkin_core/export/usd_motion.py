@@ -21,9 +21,11 @@ if TYPE_CHECKING:
 __all__ = ["write_usd_motion"]
 
 
-def write_usd_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None] | None = None) -> None:
+def write_usd_motion(
+    path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None] | None = None
+) -> list[str]:
     """Write avatar and garments in motion as .usd or .usdc: meshes under a moving root, metres, Z up, with all
-    points at each frame.
+    points at each frame. Returns sentences on what it cannot show: none, as it shows all.
 
     looks: of the body's faces that are shown, as of `avatar_look`, and of each garment, as of `garment_looks`; default
     a colour each. Their pictures are written into a folder beside the file, `walk_pictures` for `walk.usdc`.
@@ -73,6 +75,7 @@ def write_usd_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Seque
         place.Set(Gf.Vec3d(*map(float, motion.root_position[frame])), frame)
     if not stage.Export(str(path)):
         raise OSError(f"cannot write {path}")
+    return []
 
 
 def _paint(mesh: UsdGeom.Mesh, look: Look | None, colour: tuple[float, ...], count: int, path: Path) -> None:

@@ -13,20 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
-from physkin_core.model.garment import vertex_normals
 from physkin_core.model.garment_model import GarmentModel, SkinnedGarment
 from physkin_core.motion.everyday_poses import everyday_poses
-from physkin_core.outfit.coverage import OWN_CLOTHES, Cover, OwnClothes, covered, faces_of, own_clothes_beside
+from physkin_core.outfit.coverage import OWN_CLOTHES, AlwaysCovered, OwnClothes, covers_of, faces_of, own_clothes_beside
 from physkin_core.outfit.dressing import drapes, put_on
 from physkin_core.outfit.layer_order import LayerOrder, bind_layer_order
 from physkin_core.outfit.taking_in import taken_in
-from physkin_core.outfit.tuck import DEEP, SLIDES
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.layer import Layer, WornGarment
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
-__all__ = ["BoundOutfit", "bind_outfit", "covers_of", "hidden_body"]
+__all__ = ["BoundOutfit", "bind_outfit", "hidden_body"]
 
 log = logging.getLogger(__name__)
 
@@ -75,8 +73,9 @@ def bind_outfit(
             layers[inner] = taken_in(layers[inner], layers[outer], poses)
         cloth = drapes(layers, tucks, poses)
         if checked:
-            hidden, body_hidden = _hidden(layers, cloth, poses, avatar)
-            layers = [replace(layer, hidden=mask) for layer, mask in zip(layers, hidden)]
+            always = _looked_at(layers, cloth, poses, avatar)
+            body_hidden = always.body
+            layers = [replace(layer, hidden=mask) for layer, mask in zip(layers, always.cloth)]
         else:
             worth_saying.append("everyday poses are of the default rig: with this one nothing is hidden")
         layers = [_giving_visible(layer) if hide else _untwisted(layer, layer.given) for layer in layers]
@@ -97,12 +96,7 @@ def hidden_body(layers: Sequence[Layer], avatar: Avatar) -> np.ndarray:
     poses, checked = _poses_to_look_at(layers[0].model.rig)
     if not checked:
         return np.zeros(len(avatar.vertices), dtype=bool)
-    return _hidden(layers, drapes(layers, (), poses), poses, avatar)[1]
-
-
-def covers_of(layers: Sequence[Layer], drawn: Sequence[np.ndarray]) -> list[Cover]:
-    """Layers as they are drawn in a pose, (n, 6) each."""
-    return [Cover(d[:, :3], d[:, 3:], layer.hem_distance) for layer, d in zip(layers, drawn)]
+    return _looked_at(layers, drapes(layers, (), poses), poses, avatar).body
 
 
 def _poses_to_look_at(rig: Rig) -> tuple[Poses, bool]:
@@ -114,32 +108,12 @@ def _poses_to_look_at(rig: Rig) -> tuple[Poses, bool]:
         return rest, False
 
 
-def _hidden(
-    layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: Poses, avatar: Avatar
-) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    """What is covered in all poses: a mask (n,) of each layer, and one of the body's vertices."""
-    hidden = [np.ones(len(layer.rest), dtype=bool) for layer in layers]
-    body = np.ones(len(avatar.vertices), dtype=bool)
+def _looked_at(layers: Sequence[Layer], cloth: list[list[np.ndarray]], poses: Poses, avatar: Avatar) -> AlwaysCovered:
+    """What is covered in all poses."""
+    always = AlwaysCovered(layers, avatar)
     for (positions, _), drawn in zip(poses, cloth):
-        drawn = [layer.astype(np.float64) for layer in drawn]
-        covers = covers_of(layers, drawn)
-        skin = avatar.posed_vertices(layers[0].model.rig.bone_transforms(positions, heads=avatar.bone_heads)).astype(
-            np.float64
-        )
-        skin = np.concatenate([skin, vertex_normals(skin, avatar.faces)], axis=1)
-        for mask, points, over in [
-            (body, skin, covers),
-            *((hidden[k], drawn[k], _over(layers[k], covers[k + 1 :])) for k in range(len(layers))),
-        ]:
-            left = np.flatnonzero(mask)
-            mask[left] = covered(points[left, :3], points[left, 3:], over)
-    return tuple(mask | (layer.tucked_depth > DEEP) for layer, mask in zip(layers, hidden)), body
-
-
-def _over(layer: Layer, covers: Sequence[Cover]) -> list[Cover]:
-    """What covers a layer. A tucked one may slide up, so that more of it, below a waistband, counts as near that."""
-    slides = SLIDES if layer.tucked else 0
-    return [replace(cover, hem_distance=cover.hem_distance - slides) for cover in covers]
+        always.look(positions, drawn)
+    return always
 
 
 def _giving_visible(layer: Layer) -> Layer:

@@ -18,8 +18,13 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.surface_matching import with_normals
 from physkin_core.model.garment import face_areas, vertex_normals
+from physkin_core.outfit.tuck import DEEP, SLIDES
+from physkin_core.runtime.layer import Layer
 
-__all__ = ["OWN_CLOTHES", "Cover", "OwnClothes", "covered", "faces_of", "own_clothes_beside", "slimmed"]
+__all__ = [
+    *("OWN_CLOTHES", "AlwaysCovered", "Cover", "OwnClothes", "covered", "covers_of", "faces_of", "own_clothes_beside"),
+    "slimmed",
+]
 
 FROM_HEM = 0.03
 """[m] along the cover, from its hem, within which nothing under it is hidden."""
@@ -45,6 +50,47 @@ class Cover:
     vertices: np.ndarray
     normals: np.ndarray
     hem_distance: np.ndarray
+
+
+class AlwaysCovered:
+    """What layers cover in every pose looked at: until the first one, everything.
+
+    cloth: a mask (n,) of each layer; of what is tucked in, also what nobody sees so far below a waistband. body: one of
+    the avatar's vertices (V,).
+    """
+
+    def __init__(self, layers: Sequence[Layer], avatar: Avatar) -> None:
+        self.body = np.ones(len(avatar.vertices), dtype=bool)
+        self._layers, self._avatar = layers, avatar
+        self._covered = [np.ones(len(layer.rest), dtype=bool) for layer in layers]
+
+    @property
+    def cloth(self) -> list[np.ndarray]:
+        """See above."""
+        return [mask | (layer.tucked_depth > DEEP) for layer, mask in zip(self._layers, self._covered)]
+
+    def look(self, joint_positions: np.ndarray, drawn: Sequence[np.ndarray]) -> None:
+        """Look at one more pose. joint_positions: (d,) [rad]. drawn: the whole layers in it, (n, 6) each."""
+        drawn = [layer.astype(np.float64) for layer in drawn]
+        covers = covers_of(self._layers, drawn)
+        bones = self._layers[0].model.rig.bone_transforms(joint_positions, heads=self._avatar.bone_heads)
+        skin = self._avatar.posed_vertices(bones).astype(np.float64)
+        skin = np.concatenate([skin, vertex_normals(skin, self._avatar.faces)], axis=1)
+        over = [_over(layer, covers[k + 1 :]) for k, layer in enumerate(self._layers)]
+        for mask, points, above in zip([self.body, *self._covered], [skin, *drawn], [covers, *over]):
+            left = np.flatnonzero(mask)
+            mask[left] = covered(points[left, :3], points[left, 3:], above)
+
+
+def covers_of(layers: Sequence[Layer], drawn: Sequence[np.ndarray]) -> list[Cover]:
+    """Layers as they are drawn in a pose, (n, 6) each."""
+    return [Cover(d[:, :3], d[:, 3:], layer.hem_distance) for layer, d in zip(layers, drawn)]
+
+
+def _over(layer: Layer, covers: Sequence[Cover]) -> list[Cover]:
+    """What covers a layer. A tucked one may slide up, so that more of it, below a waistband, counts as near that."""
+    slides = SLIDES if layer.tucked else 0
+    return [replace(cover, hem_distance=cover.hem_distance - slides) for cover in covers]
 
 
 def covered(points: np.ndarray, normals: np.ndarray, covers: Sequence[Cover]) -> np.ndarray:

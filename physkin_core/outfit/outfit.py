@@ -18,8 +18,8 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, AvatarWarning
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.outfit.bound_outfit import BoundOutfit, bind_outfit, covers_of, hidden_body
-from physkin_core.outfit.coverage import OwnClothes, faces_of, slimmed
+from physkin_core.outfit.bound_outfit import BoundOutfit, bind_outfit, hidden_body
+from physkin_core.outfit.coverage import OwnClothes, covers_of, faces_of, slimmed
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Evaluator, Precision

@@ -147,13 +147,14 @@ def chosen_garments(names: Sequence[str] | None, tucked: Sequence[str]) -> list[
 def dressed(options: argparse.Namespace, *, for_engines: bool = False) -> Outfit:
     """The garments on the avatar, as the options have them; prints what was assumed, and how garments sit if not well.
 
-    for_engines: with the skinning weights that engines take. Raises as `chosen_garments`, `load_avatar` and `Outfit`.
+    for_engines: with the skinning weights that engines take, and whole. Raises as `chosen_garments`, `load_avatar` and
+    `Outfit`.
     """
     garments = chosen_garments(options.garment, options.tucked)
     if for_engines:
         garments = [replace(garment, model=garment.model.for_engines()) for garment in garments]
     avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
-    outfit = Outfit(garments, avatar, fit=options.fit, own_clothes=options.own_clothes)
+    outfit = Outfit(garments, avatar, fit=options.fit, hide=not for_engines, own_clothes=options.own_clothes)
     outfit.sway = getattr(options, "sway", outfit.sway)
     print_warnings(outfit.warnings)
     return outfit

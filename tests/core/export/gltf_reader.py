@@ -27,10 +27,18 @@ class Reader:
 
     def array(self, index):
         accessor = self.file.accessors[index]
-        view = self.file.bufferViews[accessor.bufferView]
-        count = accessor.count * WIDTHS[accessor.type]
-        values = np.frombuffer(self.binary, TYPES[accessor.componentType], count, view.byteOffset)
-        return values.reshape(accessor.count, -1)
+        width = WIDTHS[accessor.type]
+        if accessor.bufferView is not None:
+            return self.view(accessor.bufferView, accessor.componentType, accessor.count, width)
+        values, sparse = np.zeros((accessor.count, width), TYPES[accessor.componentType]), accessor.sparse
+        at = self.view(sparse.indices.bufferView, sparse.indices.componentType, sparse.count, 1)[:, 0]
+        assert (np.diff(at.astype(int)) > 0).all(), "as the specification asks"
+        values[at] = self.view(sparse.values.bufferView, accessor.componentType, sparse.count, width)
+        return values
+
+    def view(self, index, kind, count, width):
+        start = self.file.bufferViews[index].byteOffset
+        return np.frombuffer(self.binary, TYPES[kind], count * width, start).reshape(count, width)
 
     def world(self, node, frame):
         """(4, 4) of a node in a frame."""
@@ -45,16 +53,32 @@ class Reader:
 
     def attributes(self, name):
         """Accessors of a mesh, which all its primitives share."""
-        return next(mesh for mesh in self.file.meshes if mesh.name == name).primitives[0].attributes
+        return self.mesh(name).primitives[0].attributes
+
+    def mesh(self, name):
+        return next(mesh for mesh in self.file.meshes if mesh.name == name)
+
+    def faces(self, name):
+        """(f, 3) of all materials together."""
+        return np.concatenate([self.array(part.indices).reshape(-1, 3) for part in self.mesh(name).primitives])
+
+    def morphed(self, name, node, frame):
+        """(v, 3) a mesh in a frame before it is skinned."""
+        points = self.array(self.attributes(name).POSITION).astype(np.float64)
+        targets = self.mesh(name).primitives[0].targets or []
+        weights = self.moved.get((node, "weights"), np.zeros(0)).reshape(len(self.times), -1)[frame]
+        assert len(weights) == len(targets)
+        return points + sum(w * self.array(target["POSITION"]) for w, target in zip(weights, targets))
 
     def skinned(self, name, frame):
         """(v, 3) a mesh in a frame, in glTF's world."""
-        node = next(node for node in self.file.nodes if node.name == name and node.mesh is not None)
+        nodes = self.file.nodes
+        place = next(k for k, node in enumerate(nodes) if node.name == name and node.mesh is not None)
         attributes = self.attributes(name)
-        skin = self.file.skins[node.skin]
+        skin = self.file.skins[nodes[place].skin]
         bind = self.array(skin.inverseBindMatrices).reshape(-1, 4, 4).transpose(0, 2, 1)
         joints = np.array([self.world(joint, frame) for joint in skin.joints]) @ bind
-        points = np.pad(self.array(attributes.POSITION), ((0, 0), (0, 1)), constant_values=1.0)
+        points = np.pad(self.morphed(name, place, frame), ((0, 0), (0, 1)), constant_values=1.0)
         weights = self.array(attributes.WEIGHTS_0) / 65535
         each = np.einsum("vkij,vj->vki", joints[self.array(attributes.JOINTS_0)], points)
         return np.einsum("vk,vki->vi", weights, each)[:, :3]
@@ -64,6 +88,12 @@ def in_gltf_world(points, motion, frame):
     """Points of the root frame where glTF has them."""
     turned = Rotation.from_quat(motion.root_orientation[frame]).apply(points) + motion.root_position[frame]
     return turned @ FROM_ROOT_FRAME.T
+
+
+def in_root_frame(points, motion, frame):
+    """Points of glTF's world in the root frame."""
+    world = points @ FROM_ROOT_FRAME - motion.root_position[frame]
+    return np.ascontiguousarray(Rotation.from_quat(motion.root_orientation[frame]).inv().apply(world))
 
 
 def skinned_layers(outfit):

@@ -1,0 +1,78 @@
+"""What is added to skinning frame by frame, as an offset and few morph targets."""
+
+import numpy as np
+import pytest
+
+from physkin_core.export.morph_targets import MOST_TARGETS, in_few_targets, unskinned
+
+RNG = np.random.default_rng(3)
+VERTICES, FRAMES = 40, 30
+
+
+def in_frames(added):
+    """Each frame as `unskinned` gives it, of (T, v, 3)."""
+    return [(np.flatnonzero(frame.any(axis=1)), frame[frame.any(axis=1)]) for frame in added]
+
+
+def whole(morphs):
+    """(T, v, 3) what an engine adds to vertices that are not offset."""
+    found = np.zeros((len(morphs.weights), VERTICES, 3))
+    found[:, morphs.moved] = morphs.offset + np.einsum("tk,kui->tui", morphs.weights, morphs.targets)
+    return found
+
+
+def test_what_is_added_before_skinning_is_what_lacks_after_it():
+    """By matrices that turn, stretch and shear; of vertices that are there already nothing is said."""
+    rest = RNG.normal(size=(VERTICES, 3))
+    matrices = np.concatenate(
+        [np.eye(3) + 0.3 * RNG.normal(size=(VERTICES, 3, 3)), RNG.normal(size=(VERTICES, 3, 1))], axis=2
+    )
+    skinned = np.einsum("vij,vj->vi", matrices[..., :3], rest) + matrices[..., 3]
+    push = 0.01 * RNG.normal(size=rest.shape) * (np.arange(VERTICES) % 3 == 0)[:, None]
+    moved, added = unskinned(rest, matrices, skinned + push)
+    assert list(moved) == list(range(0, VERTICES, 3))
+    rest[moved] += added
+    again = np.einsum("vij,vj->vi", matrices[..., :3], rest) + matrices[..., 3]
+    assert np.linalg.norm(again - skinned - push, axis=1).max() < 1e-3
+
+
+def test_cloth_that_skinning_squeezes_flat_is_not_thrown_far():
+    matrices = np.zeros((1, 3, 4))
+    matrices[0, :2, :2] = np.eye(2)
+    _, added = unskinned(np.zeros((1, 3)), matrices, np.array([[0.01, 0.0, 0.02]]))
+    np.testing.assert_allclose(added, [[0.01, 0.0, 0.0]], atol=1e-4)
+
+
+def test_few_ways_of_moving_are_held_exactly():
+    """Of three there are three targets, with weights from -1 to 1; vertices that never move are not in them."""
+    ways = RNG.normal(size=(3, VERTICES, 3)) * (np.arange(VERTICES) > 9)[:, None]
+    added = np.einsum("tk,kvi->tvi", 0.01 * RNG.normal(size=(FRAMES, 3)), ways) + 0.005 * ways[0]
+    morphs = in_few_targets(in_frames(added))
+    assert list(morphs.moved) == list(range(10, VERTICES)) and len(morphs.targets) == 3
+    np.testing.assert_allclose(np.abs(morphs.weights).max(axis=0), 1)
+    np.testing.assert_allclose(whole(morphs), added, atol=1e-9)
+    assert np.abs(morphs.lacking).max() < 1e-9
+
+
+def test_of_many_ways_the_most_important_are_held_and_what_lacks_is_told():
+    """The first ones do most: what lacks is what is told, and much less than what an offset alone would leave."""
+    sizes = 0.02 * 0.6 ** np.arange(FRAMES)
+    added = np.einsum("tk,kvi->tvi", RNG.normal(size=(FRAMES, FRAMES)) * sizes, RNG.normal(size=(FRAMES, VERTICES, 3)))
+    morphs = in_few_targets(in_frames(added))
+    assert len(morphs.targets) == MOST_TARGETS
+    np.testing.assert_allclose(morphs.lacking, added - whole(morphs), atol=1e-12)
+    assert 0 < np.abs(morphs.lacking).max() < 0.1 * np.abs(added - added.mean(axis=0)).max()
+
+
+@pytest.mark.parametrize("frames", [1, 4])
+def test_cloth_that_nothing_moves_has_no_targets(frames):
+    morphs = in_few_targets([(np.empty(0, dtype=int), np.empty((0, 3)))] * frames)
+    assert morphs.targets.shape == (0, 0, 3) and morphs.weights.shape == (frames, 0)
+    assert morphs.lacking.shape == (frames, 0, 3)
+
+
+def test_a_still_picture_is_an_offset_alone():
+    added = RNG.normal(size=(1, VERTICES, 3))
+    morphs = in_few_targets(in_frames(added))
+    assert len(morphs.targets) == 0
+    np.testing.assert_allclose(whole(morphs), added)
