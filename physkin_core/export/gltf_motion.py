@@ -9,7 +9,7 @@ Dimensions: `T` frames, `b` bones, `m` garment nodes, `v` vertices of a mesh, `j
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.export.affine_joints import as_joint_chains
 from physkin_core.export.draped_clip import DrapedGarment, drape_clip
 from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences, write_glb
+from physkin_core.export.morph_targets import MorphTargets
 from physkin_core.look.surfaces import ROUGHNESS, Picture, Surface, linear, split_at_seams, surfaces_of
 from physkin_core.mesh.look import Look
 from physkin_core.model.garment import vertex_normals
@@ -80,7 +81,7 @@ def _of_faces(look: Look | None, shown: np.ndarray) -> Look | None:
 @dataclass(frozen=True)
 class _Skinned:
     """A mesh as it is skinned. positions, normals: (v, 3) where joints (j,) are at `rest` (j, 3). influences: as of
-    `strongest_influences`. moved: (u,) vertices, in order, that morph targets (K, u, 3) move."""
+    `strongest_influences`. morphs: of its vertices."""
 
     positions: np.ndarray
     normals: np.ndarray
@@ -88,20 +89,17 @@ class _Skinned:
     faces: np.ndarray
     joints: Sequence[int]
     rest: np.ndarray
-    moved: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
-    targets: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 3)))
+    morphs: MorphTargets | None = None
 
     def of_vertices(self, vertices: np.ndarray, faces: np.ndarray) -> _Skinned:
         """The same with vertices (w,) of these, some repeated; faces (f, 3) of them."""
-        moved = np.flatnonzero(np.isin(vertices, self.moved))
         return replace(
             self,
             positions=self.positions[vertices],
             normals=self.normals[vertices],
             influences=(self.influences[0][vertices], self.influences[1][vertices]),
             faces=faces,
-            moved=moved,
-            targets=self.targets[:, np.searchsorted(self.moved, vertices[moved])],
+            morphs=None if self.morphs is None else self.morphs.of_vertices(vertices),
         )
 
 
@@ -185,13 +183,9 @@ class _Scene:
             bound.faces,
             inner,
             bound.node_rest,
-            garment.morphs.moved,
-            garment.morphs.targets,
+            garment.morphs if len(garment.morphs.targets) else None,
         )
         self._add_mesh(name, mesh, colour, look)
-        if len(garment.morphs.targets):
-            weights = garment.morphs.weights.astype(np.float32).reshape(-1)
-            self._animate(len(self._nodes) - 1, "weights", weights)
 
     def finished(self) -> GltfBuilder:
         """The document, whole."""
@@ -233,7 +227,7 @@ class _Scene:
         self._samplers.append({"input": self._times, "output": self.builder.add_accessor(values)})
 
     def _add_mesh(self, name: str, mesh: _Skinned, colour: tuple[float, float, float], look: Look | None) -> None:
-        """A mesh, its skin, and the scene's node that has both, the last one there is."""
+        """A mesh, its skin, and the scene's node that has both."""
         surfaces = surfaces_of(look, name, linear(colour), len(mesh.faces))
         add, attributes = self.builder.add_accessor, {}
         if look is not None:
@@ -247,28 +241,29 @@ class _Scene:
             "JOINTS_0": add(mesh.influences[0]),
             "WEIGHTS_0": add(mesh.influences[1], normalized=True),
         }
-        targets = [
-            self.builder.add_sparse_accessor(
-                mesh.moved, (target @ FROM_ROOT_FRAME.T).astype(np.float32), len(mesh.positions)
-            )
-            for target in mesh.targets
-        ]
-        morphs = {"targets": [{"POSITION": target} for target in targets]} if targets else {}
+        targets = {} if mesh.morphs is None else {"targets": self._add_targets(mesh.morphs, len(mesh.positions))}
         primitives = []
         for surface in surfaces:
             indices = self.builder.add_accessor(mesh.faces[surface.faces].astype(np.uint32).reshape(-1))
             material = self._add_material(surface)
-            primitives.append({"attributes": attributes, "indices": indices, "material": material, **morphs})
+            primitives.append({"attributes": attributes, "indices": indices, "material": material, **targets})
         bind = np.tile(np.eye(4), (len(mesh.rest), 1, 1))
         bind[:, :3, 3] = -mesh.rest @ FROM_ROOT_FRAME.T
         inverse = self.builder.add_accessor(bind.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32))
         self._meshes.append({"name": name, "primitives": primitives})
-        if targets:
-            names = [f"order_{k}" for k in range(len(targets))]
-            self._meshes[-1] |= {"weights": [0.0] * len(targets), "extras": {"targetNames": names}}
         self._skins.append({"name": name, "joints": list(mesh.joints), "inverseBindMatrices": inverse})
         self._roots.append(len(self._nodes))
         self._nodes.append({"name": name, "mesh": len(self._meshes) - 1, "skin": len(self._skins) - 1})
+        if mesh.morphs is not None:
+            names = [f"order_{k}" for k in range(len(mesh.morphs.targets))]
+            self._meshes[-1] |= {"weights": mesh.morphs.resting.tolist(), "extras": {"targetNames": names}}
+            self._animate(len(self._nodes) - 1, "weights", mesh.morphs.weights.astype(np.float32).reshape(-1))
+
+    def _add_targets(self, morphs: MorphTargets, count: int) -> list[dict[str, int]]:
+        """Of a mesh of so many vertices."""
+        add, moved = self.builder.add_sparse_accessor, morphs.moved
+        offsets = (morphs.targets @ FROM_ROOT_FRAME.T).astype(np.float32)
+        return [{"POSITION": add(moved, each, count)} for each in offsets]
 
     def _add_material(self, surface: Surface) -> int:
         """Its index."""

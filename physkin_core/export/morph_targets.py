@@ -6,16 +6,15 @@ Dimensions: `T` frames, `v` vertices, `u` of them moved, `K` morph targets. Metr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 __all__ = ["MOST_TARGETS", "MorphTargets", "in_few_targets", "unskinned"]
 
-MOST_TARGETS = 8
-"""So many every glTF client should show."""
-NEGLIGIBLE = 1e-4
-"""[m] A target that moves no vertex farther is left out."""
+MOST_TARGETS = 16
+ENOUGH = 0.004
+"""[m] No more targets where every vertex is this close, at rest, to where it should be."""
 STILL = 1e-6
 """[m] A vertex that skinning alone brings this close is not moved: floats are no more exact."""
 DAMPING = 1e-3
@@ -24,14 +23,23 @@ DAMPING = 1e-3
 
 @dataclass(frozen=True)
 class MorphTargets:
-    """moved: (u,) indices of vertices. offset: (u, 3) of these at rest. targets: (K, u, 3) what a weight of 1 adds;
-    weights: (T, K) from -1 to 1. lacking: (T, u, 3) what is still to be added."""
+    """moved: (u,) indices of vertices. offset: (u, 3) of these. targets: (K, u, 3) what a weight of 1 adds to that.
+    weights: (T, K) from 0 to 1, as Blender wants them; resting: (K,) those that make up the mean. lacking: (T, u, 3)
+    what is still to be added."""
 
     moved: np.ndarray
     offset: np.ndarray
     targets: np.ndarray
     weights: np.ndarray
+    resting: np.ndarray
     lacking: np.ndarray
+
+    def of_vertices(self, vertices: np.ndarray) -> MorphTargets:
+        """The same for vertices (w,) of these, some repeated."""
+        moved = np.flatnonzero(np.isin(vertices, self.moved))
+        of = np.searchsorted(self.moved, vertices[moved])
+        per_vertex = {"offset": self.offset[of], "targets": self.targets[:, of], "lacking": self.lacking[:, of]}
+        return replace(self, moved=moved, **per_vertex)
 
 
 def unskinned(rest: np.ndarray, matrices: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -45,20 +53,27 @@ def unskinned(rest: np.ndarray, matrices: np.ndarray, wanted: np.ndarray) -> tup
 
 
 def in_few_targets(frames: Sequence[tuple[np.ndarray, np.ndarray]]) -> MorphTargets:
-    """The offset and the targets that come closest to what is added in all frames: indices (k,) and (k, 3) of each, as
-    of `unskinned`. The offset is the mean; targets are principal components of what is left."""
+    """An offset, and as few targets as come close to what is added in all frames: indices (k,) and (k, 3) of each, as
+    of `unskinned`. Targets are principal components of what is not the mean."""
     moved = np.unique(np.concatenate([indices for indices, _ in frames]))
     added = np.zeros((len(frames), len(moved), 3))
     for frame, (indices, values) in zip(added, frames):
         frame[np.searchsorted(moved, indices)] = values
-    offset = added.mean(axis=0)
-    left = (added - offset).reshape(len(frames), -1)
-    amounts, sizes, directions = np.linalg.svd(left, full_matrices=False)
-    amounts = (amounts * sizes)[:, :MOST_TARGETS]
-    targets = directions[:MOST_TARGETS].reshape(amounts.shape[1], len(moved), 3)
-    most = np.abs(amounts).max(axis=0)
-    reach = most * np.linalg.norm(targets, axis=2).max(axis=1, initial=0)
-    worth = reach > NEGLIGIBLE
-    weights, targets = amounts[:, worth] / most[worth], targets[worth] * most[worth, None, None]
-    lacking = added - offset - np.einsum("tk,kui->tui", weights, targets)
-    return MorphTargets(moved, offset, targets, weights, lacking)
+    mean = added.mean(axis=0)
+    lacking = added - mean
+    amounts, sizes, directions = np.linalg.svd(lacking.reshape(len(frames), -1), full_matrices=False)
+    amounts, directions = amounts * sizes, directions.reshape(len(sizes), len(moved), 3)
+    count = 0
+    while count < min(MOST_TARGETS, len(sizes)) and np.linalg.norm(lacking, axis=2).max(initial=0) > ENOUGH:
+        lacking -= amounts[:, count, None, None] * directions[count]
+        count += 1
+    amounts, directions = amounts[:, :count], directions[:count]
+    least, spans = amounts.min(axis=0), np.ptp(amounts, axis=0)
+    return MorphTargets(
+        moved=moved,
+        offset=mean + np.einsum("k,kui->ui", least, directions),
+        targets=directions * spans[:, None, None],
+        weights=(amounts - least) / spans,
+        resting=-least / spans,
+        lacking=lacking,
+    )
