@@ -169,7 +169,7 @@ def test_a_colour_stays_with_a_garment_of_another_fabric(asset_loader):
         (lambda state, folder: state.wear(["tshirt", "tshirt"]), "tshirt"),
         (lambda state, folder: state.wear(["tshirt"], tucked=["skirt"]), "--tucked skirt: none of the garments"),
         (lambda state, folder: state.wear(["nosuch"]), "no garment model 'nosuch'"),
-        (lambda state, folder: state.put_on(folder / "me.fbx"), "unknown extension '.fbx'"),
+        (lambda state, folder: state.put_on(folder / "me.fbx"), "the extension '.fbx' is unknown"),
         (lambda state, folder: state.put_on(folder / "broken.glb"), "broken.glb"),
         (lambda state, folder: state.choose_motion(folder / "broken.bvh"), "broken.bvh"),
         (lambda state, folder: state.choose_motion("nosuch"), "no bundled motion 'nosuch'"),
