@@ -7,7 +7,8 @@ PROCESSES ?= 2
 
 VENV := .venv
 # Not compiled on installation: Python compiles what is imported, which is a fraction, and keeps it.
-PIP := $(VENV)/bin/pip install --quiet --no-compile --constraint constraints.txt
+PIP_TELLING := $(VENV)/bin/pip install --no-compile --constraint constraints.txt
+PIP := $(PIP_TELLING) --quiet
 PYTEST := $(VENV)/bin/pytest
 # Installed editable: Python changes are live, and a Python started in this folder finds the native module too.
 BUILT_FROM := pyproject.toml constraints.txt $(shell find native -type f -not -path '*/__pycache__/*')
@@ -71,12 +72,17 @@ clean:
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
+# What a newcomer runs first says what it installs, and how far it is.
 $(VENV)/installed-demo: $(BUILT_FROM) | $(VENV)/bin/python
-	$(PIP) --editable ".[ros,view]"
+	@echo "Installing PhySkin, ROS 2 (rclpy) and what draws pictures into $(VENV): 130 packages, 1 GB on disk, nothing"
+	@echo "outside of it. The evaluator is compiled last, which takes a minute or two."
+	@$(PIP_TELLING) --editable ".[ros,view]"
 	touch $@ $(VENV)/installed-view
 
 $(VENV)/installed-view: $(BUILT_FROM) | $(VENV)/bin/python
-	$(PIP) --editable ".[view]"
+	@echo "Installing PhySkin and what draws its page and pictures into $(VENV): 45 packages, 850 MB on disk, nothing"
+	@echo "outside of it. The evaluator is compiled last, which takes a minute or two."
+	@$(PIP_TELLING) --editable ".[view]"
 	touch $@
 
 # The message package is built beside the installation. torch goes first and alone, so that the build the user's pip is
