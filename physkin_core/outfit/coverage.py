@@ -18,6 +18,7 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.surface_matching import with_normals
 from physkin_core.model.garment import face_areas, vertex_normals
+from physkin_core.model.surface_paths import openings, path_lengths
 from physkin_core.outfit.tuck import DEEP, SLIDES
 from physkin_core.runtime.layer import Layer
 
@@ -119,12 +120,18 @@ def slimmed(avatar: Avatar, covers: Sequence[Cover]) -> Avatar:
     """The avatar as it is drawn under covers and its own clothes at rest: skin under cloth up to 6 mm slimmer, so that
     it does not show through where cloth lies a millimetre too deep."""
     normals = vertex_normals(avatar.vertices, avatar.faces)
-    for piece in avatar.clothes:  # which have no hem that slides
-        drawn = vertex_normals(piece.vertices, piece.faces)
-        covers = [*covers, Cover(piece.vertices, drawn, np.full(len(drawn), np.inf))]
+    covers = [*covers, *map(_cover_of, avatar.clothes)]
     depth = np.max([_depths(avatar.vertices, normals, cover) for cover in covers], axis=0)
     slimmer = np.minimum(SLIMMER, SLIMMEST * _to_bones(avatar)) * np.interp(depth, SLIMMING, (0, 1))
     return replace(avatar, vertices=(avatar.vertices - slimmer[:, None] * normals).astype(np.float32))
+
+
+def _cover_of(piece: Avatar) -> Cover:
+    """A piece of the avatar's own clothes at rest."""
+    vertices, faces = piece.vertices, piece.faces
+    hems = np.concatenate([np.empty(0, dtype=int), *openings(vertices, faces)])
+    within = np.minimum(path_lengths(vertices, faces, hems), STANDS_OUT)  # closed pieces have no hem
+    return Cover(vertices, vertex_normals(vertices, faces), within)
 
 
 def _to_bones(avatar: Avatar) -> np.ndarray:

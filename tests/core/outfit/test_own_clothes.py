@@ -41,6 +41,16 @@ def test_trousers_replace_trousers(dressed):
     assert _seen(outfit, BLUE) == 0 and _seen(outfit, RED) > 0
 
 
+def test_skin_is_drawn_slimmer_under_what_stays(dressed):
+    """Up to 6 mm under the trousers; face and hands are drawn as they are."""
+    outfit = Outfit([load_garment_model("tshirt")], dressed)
+    drawn = outfit.body_to_draw.vertices[: len(dressed.vertices)]
+    moved = 1000 * np.linalg.norm(drawn - dressed.vertices, axis=1)
+    height = dressed.vertices[:, 2]
+    assert moved[(height < -0.2) & (height > -0.5)].mean() > 3 and moved.max() < 6.1
+    assert moved[height > 0.55].max() == 0
+
+
 def test_another_way_is_refused(dressed):
     with pytest.raises(ValueError, match="own_clothes is 'burn'; allowed: replace, hide, keep"):
         Outfit([load_garment_model("tshirt")], dressed, own_clothes="burn")
