@@ -19,6 +19,7 @@ import numpy as np
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.skinned_mesh import SkinnedMesh
 from physkin_core.avatar.surface_matching import NORMAL_REACH, with_normals
+from physkin_core.file_reading import shown
 from physkin_core.model.garment import face_areas
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
@@ -192,7 +193,7 @@ def _report(
 def _listed(names: Sequence[Sequence[str]], chosen: np.ndarray) -> str:
     labels = list(dict.fromkeys("/".join(dict.fromkeys(names[part][::-1])) for part in np.flatnonzero(chosen)))
     more = f" and {len(labels) - LISTED_PARTS} more" if len(labels) > LISTED_PARTS else ""
-    return ", ".join(map(repr, labels[:LISTED_PARTS])) + more
+    return ", ".join(map(shown, labels[:LISTED_PARTS])) + more
 
 
 def _bone_regions(rig: Rig) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import AvatarError
 from physkin_core.avatar.skinned_mesh import SkinnedMesh
+from physkin_core.file_reading import shown
 from physkin_core.rig.bone_naming import limb_joints, missing_bones, named_bones, required_bones
 from physkin_core.rig.bone_structure import (
     LIMB_BONES,
@@ -69,7 +70,7 @@ def identify_bones(mesh: SkinnedMesh, rig: Rig) -> tuple[SkinnedMesh, dict[str, 
 
 def _with_taken(mesh: SkinnedMesh, warning: str, taken: Mapping[str, int]) -> SkinnedMesh:
     """The mesh with a warning that lists joints by rig bone."""
-    pairs = ", ".join(f"{mesh.joint_names[joint]!r} for {bone}" for bone, joint in taken.items())
+    pairs = ", ".join(f"{shown(mesh.joint_names[joint])} for {bone}" for bone, joint in taken.items())
     return _with_warning(mesh, warning + pairs)
 
 
