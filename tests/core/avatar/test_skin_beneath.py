@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from gltf_person import PERSON, SLEEVE, dressed_document, load_document
+from gltf_person import PERSON, SLEEVE, TRUNK, add_part, dressed_document, faces_on, load_document, person_document
 
 from physkin_core import Draper, Outfit, load_garment_model
 from physkin_core.check.sight import hole_percent
@@ -50,3 +50,14 @@ def test_skin_that_is_there_is_left_as_it_is(tmp_path):
     avatar = load_document(tmp_path, dressed_document(skin_beneath=True))
     assert len(avatar.vertices) == len(PERSON.vertices) and len(avatar.warnings) == 1
     assert len(avatar.clothes) == 2
+
+
+def test_skin_that_was_left_out_under_a_top_is_filled(tmp_path):
+    """VRoid's chest: no hole in sight when the top is gone."""
+    centres = PERSON.vertices[PERSON.faces].mean(axis=1)
+    chest = (np.abs(centres[:, 2] - 0.22) < 0.16) & (np.abs(centres[:, 1]) < 0.13)
+    builder = person_document(faces=PERSON.faces[~chest])
+    add_part(builder, "Tops_01_CLOTH", faces_on(*TRUNK), offset=0.012)
+    avatar = load_document(tmp_path, builder)
+    outfit = Outfit([load_garment_model("trousers")], avatar, own_clothes="hide")
+    assert outfit.avatar.clothes == () and hole_percent(outfit) < 0.05

@@ -1,8 +1,12 @@
 """Garments that options ask for."""
 
-import pytest
+import argparse
 
-from physkin_core.outfit.outfit_options import chosen_garments
+import pytest
+from gltf_person import dressed_document
+
+from physkin_core.export.gltf_builder import write_glb
+from physkin_core.outfit.outfit_options import add_outfit_options, chosen_garments, dressed
 
 
 @pytest.mark.parametrize("tucked", ["tshirt", "tshirt:denim"])
@@ -18,3 +22,15 @@ def test_a_fabric_that_is_not_worn_is_not_tucked():
         ValueError, match="--tucked tshirt:silk: none of the garments, which are tshirt:denim, trousers"
     ):
         chosen_garments(["tshirt:denim", "trousers"], ["tshirt:silk"])
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, which is printed
+def test_own_clothes_are_kept_when_asked_so(tmp_path, capsys):
+    """By default what garments replace is gone; the warning says what the avatar wears."""
+    write_glb(tmp_path / "me.glb", dressed_document())
+    parser = argparse.ArgumentParser()
+    add_outfit_options(parser)
+    arguments = ["--avatar", str(tmp_path / "me.glb"), "-g", "tshirt"]
+    replaced, kept = (dressed(parser.parse_args([*arguments, *more])) for more in ([], ["--own-clothes", "keep"]))
+    assert len(replaced.avatar.clothes) == 1 and len(kept.avatar.clothes) == 2
+    assert "worn already: 'Wolf3D_Outfit_Top/Top', 'Wolf3D_Outfit_Bottom/Bottom'" in capsys.readouterr().err
