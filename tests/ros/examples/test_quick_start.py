@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+import select
 import shlex
 import subprocess
 import sys
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +38,11 @@ def start_reader(domain):
     yield start
     for reader in readers:
         reader.terminate()
-        reader.communicate(timeout=20)
+        try:
+            reader.communicate(timeout=10)
+        except subprocess.TimeoutExpired:
+            reader.kill()
+            reader.communicate()
 
 
 def test_example_reads_clouds(peer, running_node, model_path, start_reader, draper):
@@ -46,12 +52,15 @@ def test_example_reads_clouds(peer, running_node, model_path, start_reader, drap
     heights = draper.drape(positions)[:, 2]
     with running_node({"model": str(model_path)}):
         reader = start_reader("/drape_node/garment")
-        readers = lambda: peer.node.count_subscribers("/drape_node/garment") > 1  # noqa: E731
-        peer.until(readers, "reader")
-        for nanosecond in range(20):  # the first may come before the node knows of its reader
-            peer.cloud(names, positions, (1, nanosecond))
-        count, lowest, highest = SAID.match(reader.stdout.readline()).groups()
-    assert int(count) == len(heights)
+        stamps = ((1, nanosecond) for nanosecond in count())
+
+        def has_spoken() -> bool:  # the first clouds may come before the node knows of its reader
+            peer.cloud(names, positions, next(stamps))
+            return bool(select.select([reader.stdout], [], [], 0.05)[0])
+
+        peer.until(has_spoken, "line of the reader")
+        vertices, lowest, highest = SAID.match(reader.stdout.readline()).groups()
+    assert int(vertices) == len(heights)
     assert [float(lowest), float(highest)] == pytest.approx([heights.min(), heights.max()], abs=1e-3)
 
 
