@@ -114,6 +114,7 @@ nb::dict constants() {
   d["heads"] = kHeads;
   d["capsule_blur"] = kCapsuleBlur;
   d["bound_garment_version"] = kBoundGarmentVersion;
+  d["skin_bones"] = kSkinBones;
   d["turns"] = kTurns;
   d["beside"] = kBeside;
   return d;

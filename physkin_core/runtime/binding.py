@@ -26,9 +26,10 @@ from physkin_core.native_module import as_float32
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
 from physkin_core.runtime.body_encoder import encode_body
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.garment_on_body import checked_fit, put_on_body
+from physkin_core.runtime.garment_on_body import GarmentOnBody, checked_fit, put_on_body
 from physkin_core.runtime.layer import Layer
 from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
+from physkin_core.runtime.skin_guard import guarded
 from physkin_core.sway.node_twist import node_twist
 
 __all__ = ["FARTHEST_POINT", "bind_garment", "bind_points", "rest_normals"]
@@ -98,6 +99,17 @@ def bind_garment(
         faces=np.ascontiguousarray(worn.garment.faces, dtype=np.int32),
         **({} if model.sway is None else fold_body(model.sway, modulation)),
     )
+    bound = _clear_of_skin(bound, model, avatar, worn, elsewhere)
+    return replace(bound, **guarded(bound, avatar, rig))
+
+
+def _clear_of_skin(
+    bound: BoundGarment, model: GarmentModel, avatar: Avatar, worn: GarmentOnBody, elsewhere: np.ndarray
+) -> BoundGarment:
+    """A garment with room on an avatar that differs from the body that networks see.
+
+    elsewhere: (b, 3) [m] by which bone heads of that body lie elsewhere.
+    """
     unlike = max(np.linalg.norm(each, axis=1).max() for each in (worn.differs, elsewhere)) > UNLIKE
     if not worn.differs.any() and not unlike:
         return bound
@@ -108,7 +120,7 @@ def bind_garment(
         draped, bound.faces, wanted, SkinClearance(avatar.vertices, avatar.faces)
     )
     if unlike:
-        vertices = vertices + room_to_move(replace(bound, vertices=as_float32(vertices)), avatar, rig)
+        vertices = vertices + room_to_move(replace(bound, vertices=as_float32(vertices)), avatar, model.rig)
     return replace(bound, vertices=as_float32(vertices), normals=rest_normals(model, vertices))
 
 

@@ -20,7 +20,7 @@ from physkin_core.separation.limb_chains import Limb, Limbs, find_limbs
 from physkin_core.separation.limb_shape import CAPSULES, END, LOWER, SPHERES, UPPER, SkinPoints, fit_limb
 from physkin_core.separation.trunk_shape import TrunkShape, fit_trunk
 
-__all__ = ["CollisionShape", "fit_collision_shape"]
+__all__ = ["CollisionShape", "SkinByPart", "fit_collision_shape", "trunk_of"]
 
 TRUNK = -1
 """Stands for the trunk where else a capsule's index does."""
@@ -125,7 +125,7 @@ def fit_collision_shape(avatar: Avatar, rig: Rig, *, onset: float) -> tuple[Coll
     found = find_limbs(rig)
     heads = avatar.bone_heads.astype(np.float64)
     warnings = [f"{name} is not separated: the rig has no bones for it, or no joints" for name in found.missing]
-    skin = _SkinByPart(avatar, rig, found)
+    skin = SkinByPart(avatar, rig, found)
     spheres, limbs = _Spheres(rig, heads), []
     for index, limb in enumerate(found.limbs):
         try:
@@ -141,7 +141,7 @@ def fit_collision_shape(avatar: Avatar, rig: Rig, *, onset: float) -> tuple[Coll
     if len(head.points):
         spheres.add_head(found.head, head)
     groups, pairs = _pairs(limbs, with_head=bool(len(head.points)))
-    trunk = _trunk(skin, found, heads)
+    trunk = trunk_of(skin, found, heads)
     arrays = spheres.arrays() | {"groups": groups, "pairs": pairs}
     centre, radius = arrays["sphere_centre"], arrays["sphere_radius"]
     reach = []
@@ -172,7 +172,7 @@ def fit_collision_shape(avatar: Avatar, rig: Rig, *, onset: float) -> tuple[Coll
     return replace(shape, allowed=as_float32(np.maximum(at_rest + onset, 0.0))), tuple(warnings)
 
 
-class _SkinByPart:
+class SkinByPart:
     """Skin points by the part of the body they belong to: three of each limb, then the head, else the trunk."""
 
     def __init__(self, avatar: Avatar, rig: Rig, found: Limbs) -> None:
@@ -276,8 +276,9 @@ def _pairs(limbs: list[Limb], *, with_head: bool) -> tuple[np.ndarray, np.ndarra
     return np.array(groups, dtype=np.int32), np.array(rows, dtype=np.int32).reshape(-1, 3)
 
 
-def _trunk(skin: _SkinByPart, found: Limbs, heads: np.ndarray) -> TrunkShape:
-    """The surface from crotch to shoulders, thighs above the crotch included."""
+def trunk_of(skin: SkinByPart, found: Limbs, heads: np.ndarray) -> TrunkShape:
+    """The surface from crotch to shoulders, thighs above the crotch included. Raises ValueError where that is too
+    short."""
     own = skin.trunk()
     shoulders = [heads[limb.ends[0], 2] for limb in found.limbs if limb.is_arm]
     hips = [heads[limb.ends[0]] for limb in found.limbs if not limb.is_arm]

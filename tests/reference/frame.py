@@ -9,6 +9,7 @@ from reference.networks import mlp
 from reference.node_twist import twisted
 from reference.pace import Pace
 from reference.skeleton import bone_transforms, pose_vector
+from reference.skin_guard import kept_out
 from reference.skinning import face_normals, skin, unit
 from reference.sway_network import SwayNetwork
 
@@ -81,5 +82,5 @@ class _Garment:
         nodes = self._pace.kept(posed, nodes, -1.0 if jumped else row.passed)
         if row.twist and bound.node_twist.any():
             nodes = twisted(nodes, bones, bound.node_twist.astype(np.float64), bound.node_bone, row.twist)
-        self.nodes = nodes
-        return nodes
+        self.nodes = kept_out(bound, bones, nodes)
+        return self.nodes

@@ -42,6 +42,7 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
                                         : std::optional<LearntSway>()),
       garment_nodes_(g, arena_),
       pace_(g.nodes, arena_),
+      skin_guard_(g.is_guarded() ? std::make_optional<SkinGuard>(g, kernels, arena_) : std::optional<SkinGuard>()),
       skinner_(g, kernels, arena_),
       bone_count_(g.bones),
       deformer_bone_count_(g.deformer_bone_count),
@@ -109,6 +110,7 @@ void GarmentEvaluator::compose_nodes(const GarmentInput& input) noexcept {
     pace_.keep(garment_nodes_, bone_transforms_, jumped() ? -1.0f : input.passed, node_transforms_);
   }
   garment_nodes_.twist(bone_transforms_, input.twist, node_transforms_);
+  if (skin_guard_) skin_guard_->keep_out(bone_transforms_, node_transforms_);
 }
 
 void GarmentEvaluator::compute_normals(const VertexRows& rows) noexcept {

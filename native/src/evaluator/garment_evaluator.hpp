@@ -11,6 +11,7 @@
 #include "evaluator/mlp.hpp"
 #include "evaluator/pace.hpp"
 #include "evaluator/rig.hpp"
+#include "evaluator/skin_guard.hpp"
 #include "evaluator/skinner.hpp"
 #include "garment/bound_garment.hpp"
 #include "garment/finite.hpp"
@@ -78,6 +79,7 @@ class GarmentEvaluator {
   std::optional<LearntSway> learnt_sway_;
   GarmentNodes garment_nodes_;
   Pace pace_;
+  std::optional<SkinGuard> skin_guard_;
   Skinner skinner_;
   int bone_count_, deformer_bone_count_;
   const std::int32_t* deformer_bones_;

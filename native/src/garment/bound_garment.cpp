@@ -5,6 +5,7 @@
 #include <string>
 
 #include "garment/finite.hpp"
+#include "kernels/kernels.hpp"
 
 namespace physkin {
 namespace {
@@ -55,6 +56,16 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.floats("sway_turns", g.sway_turns, {&g.sway_states});
   visit_skinning_data(g, visit);
   visit.indices("faces", g.faces, {&g.face_count, 3}, 0, g.vertex_count);
+  visit.floats("guard_vertices", g.guard_vertices, {&g.guard_samples, 3});
+  visit.indices("guard_influence_nodes", g.guard_influence_nodes, {&g.guard_samples, &g.guard_influences}, 0, g.nodes);
+  visit.floats("guard_influence_weights", g.guard_influence_weights, {&g.guard_samples, &g.guard_influences});
+  visit.floats("guard_shares", g.guard_shares, {&g.guard_samples});
+  visit.floats("guard_gaps", g.guard_gaps, {&g.skin_parts, &g.guard_samples});
+  visit.floats("skin_frames", g.skin_frames, {&g.skin_parts, 3, 4});
+  visit.floats("skin_shapes", g.skin_shapes, {&g.skin_parts, 5});
+  visit.indices("skin_bones", g.skin_bones, {&g.skin_parts, kSkinBones}, 0, g.bones);
+  visit.floats("skin_heights", g.skin_heights, {&g.skin_parts, kSkinBones});
+  visit.floats("skin_coefficients", g.skin_coefficients, {&g.skin_parts, &g.skin_splines, kTrunkWaves});
 }
 
 // --- Reading ---
@@ -101,7 +112,9 @@ struct Describer {
         {&g.influences, "influences"},        {&g.bones, "bones"},
         {&g.dofs, "degrees of freedom"},      {&g.deformer_bone_count, "deformer bones"},
         {&g.twist_size, "twisting nodes"},    {&g.face_count, "faces"},
-        {&g.sway_joint_count, "sway joints"}, {&g.sway_states, "oscillators"}};
+        {&g.sway_joint_count, "sway joints"}, {&g.sway_states, "oscillators"},
+        {&g.guard_samples, "guard samples"},  {&g.guard_influences, "guard influences"},
+        {&g.skin_parts, "skin parts"},        {&g.skin_splines, "skin splines"}};
     FieldDescription& field = fields.emplace_back(FieldDescription{name, type, {}});
     for (const Axis& axis : shape) {
       std::string found = std::to_string(axis.number);
@@ -190,6 +203,21 @@ void check_sway(const BoundGarment& g) {
   }
 }
 
+// A part of the skin: a height range to be spread over, and splines that reach over it.
+void check_skin(const BoundGarment& g) {
+  for (int k = 0; k < g.skin_parts; ++k) {
+    const float* shape = g.skin_shapes + 5 * k;
+    if (!(shape[3] > shape[2]) || !(shape[4] > 0)) {
+      fail(element("skin_shapes", k) + " goes from " + std::to_string(shape[2]) + " to " + std::to_string(shape[3]) +
+           ", blended over " + std::to_string(shape[4]) + "; it must go upwards, and be blended over more than 0");
+    }
+  }
+  if (g.skin_parts > 0 && g.skin_splines < 3) {
+    fail("skin_coefficients have " + std::to_string(g.skin_splines) + " splines; at least 3 are needed");
+  }
+  if (g.guard_samples > 0 && g.guard_influences < 1) fail("guard_influence_nodes: a sample needs an influence");
+}
+
 void check_sizes(const SkinningData& d) {
   if (d.nodes < 1 || d.vertex_count < 1 || d.influences < 1) {
     fail("a garment needs at least one garment node, vertex and influence");
@@ -259,6 +287,7 @@ void validate(const BoundGarment& garment) {
          std::to_string(g.nodes) + " garment nodes");
   }
   check_sway(g);
+  check_skin(g);
 }
 
 }  // namespace physkin

@@ -26,6 +26,7 @@ struct SkinningData {
 struct BoundGarment : SkinningData {
   int bones = -1, dofs = -1, deformer_bone_count = -1, twist_size = -1, face_count = -1;
   int sway_joint_count = -1, sway_states = -1;
+  int guard_samples = -1, guard_influences = -1, skin_parts = -1, skin_splines = -1;
 
   const std::int32_t* bone_parents = nullptr;  // (bones,) parent before child, -1 for the root
   const float* bone_heads = nullptr;           // (bones, 3) joint centres at the canonical pose
@@ -50,7 +51,23 @@ struct BoundGarment : SkinningData {
   const float* sway_turns = nullptr;  // (sway_states,) rad/s
   bool sways_by_network() const { return !sway_layers.empty(); }
   const std::int32_t* faces = nullptr;  // (face_count, 3), none for a point set
+  // Samples of cloth that hangs free, at rest, and the skin that they are kept out of; or none. See SkinGuard.
+  const float* guard_vertices = nullptr;                // (guard_samples, 3)
+  const std::int32_t* guard_influence_nodes = nullptr;  // (guard_samples, guard_influences)
+  const float* guard_influence_weights = nullptr;       // (guard_samples, guard_influences)
+  const float* guard_shares = nullptr;                  // (guard_samples,) how free each hangs, 0 to 1
+  const float* guard_gaps = nullptr;                    // (skin_parts, guard_samples) kept from the part's skin
+  const float* skin_frames = nullptr;        // (skin_parts, 3, 4) from the canonical pose to the part's own axes
+  const float* skin_shapes = nullptr;        // (skin_parts, 5) x, y, low, high, blend as in TrunkField
+  const std::int32_t* skin_bones = nullptr;  // (skin_parts, kSkinBones)
+  const float* skin_heights = nullptr;       // (skin_parts, kSkinBones) that each takes over at; kNoHeight: none
+  const float* skin_coefficients = nullptr;  // (skin_parts, skin_splines, kTrunkWaves)
+  bool is_guarded() const { return guard_samples > 0 && skin_parts > 0; }
 };
+
+// Bones of a part of the skin, and the height of one that is not there.
+constexpr int kSkinBones = 4;
+constexpr float kNoHeight = 1e3f;
 
 // Where fields are read from, by name. A negative size in `shape` allows any and is filled in; a field that is missing,
 // or of another type or shape, is refused by an exception of the source's own.

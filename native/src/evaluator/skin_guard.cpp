@@ -1,0 +1,221 @@
+#include "evaluator/skin_guard.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "evaluator/affine.hpp"
+
+namespace physkin {
+namespace {
+
+// [m] Cloth is moved by what it lacks, from this much before it must, so that it begins without a kink.
+constexpr float kSoft = 0.002f;
+// [m] Cloth this deep is of another part of the body, or has no way out to prefer; over how much it fades towards that.
+constexpr float kTooDeep = 0.15f, kFade = 0.05f;
+// [m] Samples this much farther off than they must be may lack something when others are moved, or a bone turns.
+constexpr float kAside = 0.01f;
+// Garment nodes whose samples lack less than this [m] together stay.
+constexpr float kLeast = 1e-9f;
+// What a sample lacks is its garment nodes' part only: the second time sees what the first has left.
+constexpr int kPasses = 2;
+
+// Along a part's axis: where its bones begin, and where the last one ends.
+float height_of(const TrunkField& field, int bone) {
+  return bone == 0 ? field.low : bone == field.bones ? field.high : field.heights[bone];
+}
+
+// [m] The largest radius between two heights, by the splines that reach there, in some directions.
+float widest(const TrunkField& field, float from, float to) {
+  constexpr int kDirections = 32;
+  const float scale = float(field.splines - 2) / (field.high - field.low);
+  const int first = std::clamp(int((from - field.low) * scale), 0, field.splines - 1);
+  const int last = std::clamp(int((to - field.low) * scale) + 2, first, field.splines - 1);
+  float most = 0;
+  for (int spline = first; spline <= last; ++spline) {
+    const float* waves = field.coefficients + kTrunkWaves * spline;
+    for (int k = 0; k < kDirections; ++k) {
+      float radius = waves[0];
+      for (int h = 1; 2 * h < kTrunkWaves; ++h) {
+        const float angle = 6.2831853f * float(h * k) / kDirections;
+        radius += waves[2 * h - 1] * std::cos(angle) + waves[2 * h] * std::sin(angle);
+      }
+      most = std::max(most, radius);
+    }
+  }
+  return most;
+}
+
+// To whole calls of the kernel.
+std::size_t padded(int count) { return std::size_t(count + kTrunkPoints - 1) / kTrunkPoints * kTrunkPoints; }
+
+SkinningData samples_of(const BoundGarment& g) {
+  SkinningData data;
+  data.nodes = g.nodes;
+  data.vertex_count = g.guard_samples;
+  data.influences = g.guard_influences;
+  data.node_rest = g.node_rest;
+  data.vertices = g.guard_vertices;
+  data.normals = g.guard_vertices;  // nobody asks for them
+  data.influence_nodes = g.guard_influence_nodes;
+  data.influence_weights = g.guard_influence_weights;
+  return data;
+}
+
+}  // namespace
+
+SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena)
+    : kernels_(kernels),
+      nodes_(g.nodes),
+      samples_(g.guard_samples),
+      influences_(g.guard_influences),
+      skinner_(samples_of(g), kernels, arena),
+      influence_nodes_(arena.copy(g.guard_influence_nodes, std::size_t(samples_) * influences_)),
+      influence_weights_(arena.copy(g.guard_influence_weights, std::size_t(samples_) * influences_)),
+      shares_(arena.copy(g.guard_shares, samples_)),
+      skinned_(arena.take<float>(3 * std::size_t(samples_))),
+      positions_(arena.take<float>(3 * std::size_t(samples_))),
+      beyond_(arena.take<float>(samples_)),
+      points_(arena.take<float>(3 * padded(samples_))),
+      contacts_(arena.take<float>(4 * padded(samples_))),
+      lacks_(arena.take<float>(4 * std::size_t(nodes_))),
+      moved_(arena.take<float>(3 * std::size_t(nodes_))) {
+  const std::size_t coefficients = std::size_t(g.skin_splines) * kTrunkWaves;
+  for (int k = 0; k < g.skin_parts; ++k) {
+    const float* shape = g.skin_shapes + 5 * k;
+    Part part;
+    part.bones = arena.copy(g.skin_bones + kSkinBones * k, kSkinBones);
+    part.frame = arena.copy(g.skin_frames + 12 * k, 12);
+    part.back = arena.take<float>(12 * kSkinBones);
+    const float* heights = arena.copy(g.skin_heights + kSkinBones * k, kSkinBones);
+    const float* waves = arena.copy(g.skin_coefficients + coefficients * k, coefficients);
+    part.field = {1, g.skin_splines, shape[0], shape[1], shape[2], shape[3], shape[4], part.back, heights, waves};
+    while (part.field.bones < kSkinBones && heights[part.field.bones] < kNoHeight) ++part.field.bones;
+    for (int bone = 0; bone < part.field.bones; ++bone) {
+      part.widths[bone] = widest(part.field, height_of(part.field, bone), height_of(part.field, bone + 1)) + kAside;
+    }
+    part.gaps = arena.copy(g.guard_gaps + std::size_t(k) * samples_, samples_);
+    part.near = arena.take<std::int32_t>(samples_ + 1);
+    parts_.push_back(part);
+  }
+}
+
+void SkinGuard::keep_out(const float* bone_transforms, float* node_transforms) noexcept {
+  skinner_.skin(node_transforms, {reinterpret_cast<unsigned char*>(skinned_), 3, false});
+  for (int s = 0; s < samples_; ++s) {
+    for (int axis = 0; axis < 3; ++axis) positions_[axis * samples_ + s] = skinned_[3 * s + axis];
+  }
+  for (Part& part : parts_) {
+    pose(part, bone_transforms);
+    find_near(part);
+  }
+  std::fill_n(moved_, 3 * std::size_t(nodes_), 0.0f);
+  for (int pass = 0; pass < kPasses; ++pass) {
+    if (pass > 0) move_near_samples();
+    std::fill_n(lacks_, 4 * std::size_t(nodes_), 0.0f);
+    bool any = false;
+    for (Part& part : parts_) any |= add_lacking(part);
+    if (!any) return;
+    move_nodes(node_transforms);
+  }
+}
+
+void SkinGuard::pose(Part& part, const float* bone_transforms) const noexcept {
+  const Affine frame = load_affine(part.frame);
+  for (int k = 0; k < part.field.bones; ++k) {
+    const Affine bone = load_affine(bone_transforms + 12 * part.bones[k]);
+    const Matrix3 back = frame.linear * from_columns(bone.linear.rows[0], bone.linear.rows[1], bone.linear.rows[2]);
+    store_affine({back, frame.translation - back * bone.translation}, part.back + 12 * k);
+  }
+  for (int k = 0; k <= part.field.bones; ++k) {
+    const Affine back = load_affine(part.back + 12 * std::min(k, part.field.bones - 1));
+    const Vector3 from = Vector3{part.field.x, part.field.y, height_of(part.field, k)} - back.translation;
+    part.axis[k] = from.x * back.linear.rows[0] + from.y * back.linear.rows[1] + from.z * back.linear.rows[2];
+  }
+}
+
+void SkinGuard::find_near(Part& part) noexcept {
+  const float *x = positions_, *y = x + samples_, *z = y + samples_;
+  std::fill_n(beyond_, samples_, 1.0f);
+  for (int k = 0; k < part.field.bones; ++k) {
+    const Vector3 from = part.axis[k], way = part.axis[k + 1] - from;
+    const float per = 1 / std::max(dot(way, way), 1e-9f), square = part.widths[k] * part.widths[k];
+    for (int s = 0; s < samples_; ++s) {
+      const float dx = x[s] - from.x, dy = y[s] - from.y, dz = z[s] - from.z;
+      float along = per * (dx * way.x + dy * way.y + dz * way.z);
+      along = along < 0 ? 0 : along;
+      along = along > 1 ? 1 : along;
+      const float ax = dx - along * way.x, ay = dy - along * way.y, az = dz - along * way.z;
+      const float beyond = ax * ax + ay * ay + az * az - square;
+      beyond_[s] = beyond < beyond_[s] ? beyond : beyond_[s];
+    }
+  }
+  part.near_count = 0;
+  for (int s = 0; s < samples_; ++s) {
+    part.near[part.near_count] = s;
+    part.near_count += beyond_[s] < 0;
+  }
+}
+
+bool SkinGuard::add_lacking(Part& part) noexcept {
+  const int count = part.near_count, rows = int(padded(count));
+  if (count == 0) return false;
+  for (int axis = 0; axis < 3; ++axis) {
+    const float* from = positions_ + axis * samples_;
+    for (int k = 0; k < rows; ++k) points_[axis * rows + k] = from[part.near[std::min(k, count - 1)]];
+  }
+  kernels_.trunk_depth(part.field, points_, rows, contacts_);
+  bool any = false;
+  part.near_count = 0;
+  for (int k = 0; k < count; ++k) {
+    const int s = part.near[k];
+    const float depth = contacts_[k], wanted = depth + part.gaps[s] + kSoft;
+    part.near[part.near_count] = s;
+    part.near_count += wanted > -kAside;
+    if (!(wanted > 0) || !(depth < kTooDeep)) continue;
+    const float lack = wanted < 2 * kSoft ? wanted * wanted / (4 * kSoft) : wanted - kSoft;
+    const Vector3 normal{contacts_[rows + k], contacts_[2 * rows + k], contacts_[3 * rows + k]};
+    add(s, shares_[s] * std::min((kTooDeep - depth) / kFade, 1.0f) * lack, normalized(normal));
+    any = true;
+  }
+  return any;
+}
+
+// What lacks more counts more, so that a sample that hardly lacks anything does not hold back one beside it.
+void SkinGuard::add(int sample, float lack, Vector3 normal) noexcept {
+  const std::size_t first = std::size_t(sample) * influences_;
+  for (int k = 0; k < influences_; ++k) {
+    const float share = influence_weights_[first + k] * lack, counted = share * lack;
+    float* to = lacks_ + 4 * influence_nodes_[first + k];
+    to[0] += counted * normal.x;
+    to[1] += counted * normal.y;
+    to[2] += counted * normal.z;
+    to[3] += share;
+  }
+}
+
+void SkinGuard::move_nodes(float* node_transforms) noexcept {
+  for (int i = 0; i < nodes_; ++i) {
+    const float* lack = lacks_ + 4 * i;
+    const float per = lack[3] > kLeast ? 1 / lack[3] : 0.0f;
+    for (int axis = 0; axis < 3; ++axis) {
+      moved_[3 * i + axis] += per * lack[axis];
+      node_transforms[12 * i + 4 * axis + 3] += per * lack[axis];
+    }
+  }
+}
+
+void SkinGuard::move_near_samples() noexcept {
+  for (const Part& part : parts_) {
+    for (int at = 0; at < part.near_count; ++at) {
+      const int s = part.near[at];
+      const std::size_t first = std::size_t(s) * influences_;
+      Vector3 moved = load_vector(skinned_ + 3 * s);
+      for (int k = 0; k < influences_; ++k) {
+        moved = moved + influence_weights_[first + k] * load_vector(moved_ + 3 * influence_nodes_[first + k]);
+      }
+      positions_[s] = moved.x, positions_[samples_ + s] = moved.y, positions_[2 * samples_ + s] = moved.z;
+    }
+  }
+}
+
+}  // namespace physkin

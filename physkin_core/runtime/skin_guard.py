@@ -1,0 +1,112 @@
+"""Which cloth is kept out of the skin on every frame: what hangs free around both legs, as a skirt or a dress does.
+
+Where cloth hugs the body the networks keep it out, having learnt every pose's contact. Cloth that swings is where they
+have not seen it; on every frame native/src/evaluator/skin_guard.cpp moves garment nodes out of legs, hips and trunk as
+far as samples of that cloth lack. A sample need not be farther from a part of the skin than it is at rest.
+
+Dimensions: `n` garment vertices, `s` samples, `K` influences, `k` parts of the skin. Metres, canonical pose.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar
+from physkin_core.native_module import as_float32, native
+from physkin_core.rig.rig import Rig
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.skin_clearance import draped_at_rest
+from physkin_core.separation.limb_chains import find_limbs
+from physkin_core.separation.skin_parts import SkinPart, fit_skin_parts
+
+__all__ = ["guarded"]
+
+SAMPLES = 208
+"""Closer together than garment nodes are, so that no leg passes between them."""
+BLOCK = 16
+"""Samples that lie together are skinned together."""
+GAP = 0.003
+"""[m] Samples are kept this far from the skin."""
+FREE = 0.07
+"""[m] A garment of which nothing below the hips is this far from legs at rest does not hang: a shirt, trousers."""
+HUGS, HANGS = 0.004, 0.02
+"""[m] Cloth nearer to the skin at rest than the first hugs it and is left alone; farther than the second it hangs."""
+
+
+def guarded(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any]:
+    """The fields of `BoundGarment` to replace in one that is to be kept out of the skin; none where nothing hangs."""
+    if not len(bound.node_twist):
+        return {}
+    parts = fit_skin_parts(avatar, rig)
+    if not parts:
+        return {}
+    draped = draped_at_rest(bound)
+    clearance = -np.stack([part.depth(draped) for part in parts])
+    nearest = clearance.min(axis=0)
+    of_arms = (_of_arms(rig)[bound.node_bone][bound.influence_nodes] * bound.influence_weights).sum(axis=1)
+    if nearest[(of_arms < 0.5) & (draped[:, 2] < _hips(avatar, rig))].max(initial=0.0) < FREE:
+        return {}
+    free = np.clip((nearest - HUGS) / (HANGS - HUGS), 0, 1)
+    shares = free * free * (3 - 2 * free) * (1 - of_arms)
+    hanging = np.flatnonzero(shares > 0)
+    vertices = bound.vertices.astype(np.float64)
+    samples = _in_blocks(vertices, _spread(vertices, hanging, min(SAMPLES, len(hanging))))
+    return {
+        "guard_vertices": bound.vertices[samples],
+        "guard_influence_nodes": bound.influence_nodes[samples],
+        "guard_influence_weights": bound.influence_weights[samples],
+        "guard_shares": as_float32(shares[samples]),
+        "guard_gaps": as_float32(np.minimum(clearance[:, samples], GAP)),
+        **_described(parts),
+    }
+
+
+def _of_arms(rig: Rig) -> np.ndarray:
+    """(b,) bool, bones of arms: sleeves may hang, but not around legs."""
+    arms = [limb.ends[0] for limb in find_limbs(rig).limbs if limb.is_arm]
+    return np.array([bool(set(arms) & set(rig.ancestors(bone))) for bone in range(rig.bone_count)])
+
+
+def _hips(avatar: Avatar, rig: Rig) -> float:
+    """[m] Their height; below all cloth where there are none."""
+    legs = [limb.ends[0] for limb in find_limbs(rig).limbs if not limb.is_arm]
+    return float(avatar.bone_heads[legs, 2].max(initial=-np.inf))
+
+
+def _spread(points: np.ndarray, candidates: np.ndarray, count: int) -> np.ndarray:
+    """`count` of candidates, each the farthest from those chosen before, the first the lowest."""
+    at = points[candidates]
+    chosen = [int(at[:, 2].argmin())]
+    distance = np.full(len(at), np.inf)
+    while len(chosen) < count:
+        distance = np.minimum(distance, ((at - at[chosen[-1]]) ** 2).sum(axis=1))
+        chosen.append(int(distance.argmax()))
+    return candidates[chosen]
+
+
+def _in_blocks(points: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """The same, so that whole blocks lie together: halved along their longest side, and halved again."""
+    if len(chosen) <= BLOCK:
+        return chosen
+    at = points[chosen]
+    ordered = chosen[at[:, np.ptp(at, axis=0).argmax()].argsort(kind="stable")]
+    half = (len(ordered) // 2 + BLOCK - 1) // BLOCK * BLOCK
+    return np.concatenate([_in_blocks(points, ordered[:half]), _in_blocks(points, ordered[half:])])
+
+
+def _described(parts: tuple[SkinPart, ...]) -> dict[str, np.ndarray]:
+    """Fields skin_... of `BoundGarment`."""
+    most: int = native.constants["skin_bones"]
+    bones, heights = np.zeros((len(parts), most), dtype=np.int32), np.full((len(parts), most), 1e4, dtype=np.float32)
+    for k, part in enumerate(parts):
+        bones[k, : len(part.bones)], heights[k, : len(part.bones)] = part.bones, part.heights
+    shapes = [[*part.shape.centre, part.shape.low, part.shape.high, part.blend] for part in parts]
+    return {
+        "skin_frames": as_float32([part.frame for part in parts]),
+        "skin_shapes": as_float32(shapes),
+        "skin_bones": bones,
+        "skin_heights": heights,
+        "skin_coefficients": as_float32([part.shape.coefficients for part in parts]),
+    }

@@ -1,0 +1,83 @@
+"""The skin of legs and trunk as smooth surfaces that follow the bones: what cloth that hangs free is kept out of.
+
+A leg is a radius about the way from hip to ankle, as the trunk is one about a vertical axis: `TrunkShape` in axes of
+its own. Dimensions: `k` parts, `J` splines, `H` harmonics. Metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar
+from physkin_core.rig.rig import Rig
+from physkin_core.separation.collision_shape import SkinByPart, trunk_of
+from physkin_core.separation.limb_chains import Limb, find_limbs
+from physkin_core.separation.trunk_shape import TrunkShape, fit_trunk
+
+__all__ = ["SkinPart", "fit_skin_parts"]
+
+BLEND = {"leg": 0.1, "trunk": 0.06}
+"""[m] along the axis over which a bone takes over from the last one."""
+FEWEST = 60
+"""Skin points that a leg must have."""
+
+
+@dataclass(frozen=True)
+class SkinPart:
+    """A leg or the trunk.
+
+    frame: (3, 4) from canonical points to the part's own axes, the third of them along it. bones: those that turn it,
+    in their order along the axis. heights: [m] along the axis that each takes over at. blend: [m] over how much.
+    """
+
+    shape: TrunkShape
+    frame: np.ndarray
+    bones: tuple[int, ...]
+    heights: tuple[float, ...]
+    blend: float
+
+    def depth(self, points: np.ndarray) -> np.ndarray:
+        """How deep canonical points (V, 3) are in it, (V,) [m], negative outside."""
+        return self.shape.depth(points @ self.frame[:, :3].T + self.frame[:, 3])[0]
+
+
+def fit_skin_parts(avatar: Avatar, rig: Rig) -> tuple[SkinPart, ...]:
+    """Legs and trunk of a body; those without skin or bones are left out, all of them where there are no limbs."""
+    try:
+        found = find_limbs(rig)
+    except ValueError:
+        return ()
+    heads = avatar.bone_heads.astype(np.float64)
+    skin = SkinByPart(avatar, rig, found)
+    parts = []
+    for index, limb in enumerate(found.limbs):
+        if not limb.is_arm and (part := _leg(limb, heads, skin, index)) is not None:
+            parts.append(part)
+    try:
+        trunk = trunk_of(skin, found, heads)
+    except ValueError:
+        return tuple(parts)
+    heights = tuple(heads[list(found.trunk), 2].tolist())
+    return (*parts, SkinPart(trunk, np.eye(3, 4), found.trunk, heights, BLEND["trunk"]))
+
+
+def _leg(limb: Limb, heads: np.ndarray, skin: SkinByPart, index: int) -> SkinPart | None:
+    """A leg from hip to ankle."""
+    hip, knee, ankle = heads[list(limb.ends)]
+    length = float(np.linalg.norm(ankle - hip))
+    if length < 1e-3:
+        return None
+    down = (ankle - hip) / length
+    forward = np.eye(3)[0] - down[0] * down
+    forward /= np.linalg.norm(forward)
+    turn = np.stack([forward, np.cross(down, forward), down])
+    frame = np.column_stack([turn, -turn @ hip])
+    own = skin.of(3 * index, 3 * index + 1)
+    points = (own.points - hip) @ turn.T
+    along = (points[:, 2] > 0) & (points[:, 2] < length)
+    if along.sum() < FEWEST:
+        return None
+    shape = fit_trunk(points[along], own.areas[along], 0.0, length)
+    return SkinPart(shape, frame, limb.ends[:2], (0.0, float((knee - hip) @ down)), BLEND["leg"])

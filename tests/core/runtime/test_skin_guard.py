@@ -1,0 +1,103 @@
+"""Cloth that hangs free stays out of legs and trunk; nothing else is touched."""
+
+import numpy as np
+import pytest
+from native_frames import NativeFrame, clouds, told, unguarded
+from reference.frame import ReferenceFrame
+
+from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
+from physkin_core.quality import edge_strain, signed_distance
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.separation.skin_parts import fit_skin_parts
+
+RATE = 30.0
+INSIDE = 0.002
+"""[m] A vertex deeper in the skin than this counts."""
+
+
+@pytest.fixture(scope="module")
+def skirt():
+    """On the bundled avatar."""
+    model = load_garment_model("skirt")
+    return Draper(model, load_avatar(BUNDLED_AVATAR, model.rig))
+
+
+def march(rig, frames: int) -> np.ndarray:
+    """(frames, d) [rad] thighs that swing to and fro twice a second, at rest in the first frame."""
+    joints = [rig.joint_names.index(f"upperleg01.{side}_x") for side in "LR"]
+    swing = 0.7 * np.sin(2 * np.pi * 2.0 * np.arange(frames) / RATE)
+    positions = np.tile(rig.rest, (frames, 1)).astype(np.float32)
+    positions[:, joints] += np.stack([swing, -swing], axis=1).astype(np.float32)
+    return positions
+
+
+def walked(draper: Draper, bound: BoundGarment, motion: np.ndarray) -> np.ndarray:
+    """(frames, n, 3) the cloth in a motion, swaying in full."""
+    outfit = draper.outfit.giving(0, bound)
+    root = np.array([0, 0, 0, 0, 0, 0, 1.0])
+    return np.array(
+        [outfit.drape(pose, time=k / RATE, root=root)[0][:, :3] for k, pose in enumerate(motion)], dtype=np.float64
+    )
+
+
+def inside(draper: Draper, motion: np.ndarray, cloth: np.ndarray, legs: np.ndarray) -> np.ndarray:
+    """Of each frame, how many vertices are in a leg. legs: (V,) bool, skin of legs."""
+    avatar, counts = draper.avatar, []
+    faces = avatar.faces[legs[avatar.faces].all(axis=1)]
+    for pose, points in zip(motion, cloth):
+        body = avatar.posed_vertices(draper.bone_transforms(pose))
+        distance = signed_distance(points, body, avatar.faces)
+        nearest = signed_distance(points, body, faces)
+        counts.append(int(((distance < -INSIDE) & (np.abs(nearest) < np.abs(distance) + 1e-6)).sum()))
+    return np.array(counts)
+
+
+def test_legs_that_march_stay_under_the_skirt(skirt):
+    """With sway that has not seen the motion: none inside where without the guard there are many; cloth strains hardly
+    more."""
+    rig, motion = skirt.layer.model.rig, march(skirt.layer.model.rig, 36)
+    thighs = [k for k, name in enumerate(rig.bone_names) if "leg" in name]
+    legs = np.isin(skirt.avatar.influence_bones[:, 0], thighs)
+    guarded, free = (walked(skirt, bound, motion) for bound in (skirt.layer.given, unguarded(skirt.layer.given)))
+    seen, without = inside(skirt, motion, guarded, legs), inside(skirt, motion, free, legs)
+    assert without.max() > 20
+    assert seen.max() <= 3
+    rest = skirt.layer.rest_garment
+    assert edge_strain(rest, guarded).mean() < edge_strain(rest, free).mean() + 0.3
+
+
+@pytest.mark.parametrize("name", ["skirt", "dress"])
+def test_what_hangs_is_guarded_as_the_reference_does(name):
+    """In strides of a body that leans back or forward, so that cloth falls on its legs."""
+    model = load_garment_model(name)
+    bound = Draper(model, load_avatar(BUNDLED_AVATAR, model.rig)).layer.bound
+    reference, native = ReferenceFrame([bound]), NativeFrame([bound])
+    moved = 0.0
+    for pose, lean in zip(march(model.rig, 8), 4 * [-0.8, 0.8]):
+        row = told((lean, 0.0, -0.6))
+        clouds(reference, [bound], pose, row)
+        clouds(native, [bound], pose, row)
+        assert np.abs(native.node_transforms() - reference.node_transforms()).max() < 2e-5
+        free = NativeFrame([unguarded(bound)])
+        clouds(free, [bound], pose, row)
+        moved = max(moved, float(np.abs(free.node_transforms() - native.node_transforms()).max()))
+    assert moved > 1e-4
+
+
+@pytest.mark.parametrize("name", ["tshirt", "longsleeve", "trousers"])
+def test_what_does_not_hang_costs_nothing(name):
+    model = load_garment_model(name)
+    bound = Draper(model, load_avatar(BUNDLED_AVATAR, model.rig)).layer.bound
+    assert len(bound.guard_vertices) == 0 and len(bound.skin_frames) == 0
+
+
+def test_the_fitted_skin_is_near_the_skin(skirt):
+    """At rest, within millimetres on shins."""
+    avatar, rig = skirt.avatar, skirt.layer.model.rig
+    parts = fit_skin_parts(avatar, rig)
+    assert len(parts) == 3
+    shins = np.isin(
+        avatar.influence_bones[:, 0], [k for k, name in enumerate(rig.bone_names) if name.startswith("lowerleg")]
+    )
+    depth = np.max([part.depth(avatar.vertices[shins].astype(np.float64)) for part in parts], axis=0)
+    assert np.quantile(np.abs(depth), 0.9) < 0.005

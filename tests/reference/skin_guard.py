@@ -1,0 +1,68 @@
+"""Cloth that hangs free kept out of legs and trunk: garment nodes moved along the skin's normals by what samples lack.
+
+A garment node moves by the mean, over the samples that it carries, of what each lacks along the normal there, weighted
+by skinning weight times lack; twice, the second time seeing what the first has left. The fields are those of
+`physkin_core.runtime.skin_guard`; depths are those of the product's `TrunkShape`.
+"""
+
+import numpy as np
+
+from physkin_core.model.skinning import SkinningData
+from physkin_core.separation.trunk_shape import TrunkShape
+from reference.skinning import skin
+
+SOFT, TOO_DEEP, FADE, PASSES = 0.002, 0.15, 0.05, 2
+
+
+def kept_out(bound, bones, nodes):
+    """Garment nodes (m, 3, 4) moved out of the skin of bones (b, 3, 4)."""
+    if not len(bound.guard_vertices):
+        return nodes
+    nodes = nodes.copy()
+    sampled = SkinningData(
+        node_rest=bound.node_rest,
+        vertices=bound.guard_vertices,
+        normals=bound.guard_vertices,
+        influence_nodes=bound.guard_influence_nodes,
+        influence_weights=bound.guard_influence_weights,
+    )
+    samples, count = len(bound.guard_vertices), len(nodes)
+    weights = np.zeros((samples, count))
+    np.add.at(weights, (np.arange(samples)[:, None], bound.guard_influence_nodes), bound.guard_influence_weights)
+    for _ in range(PASSES):
+        at, _ = skin(sampled, nodes)
+        counted, moved = np.zeros(count), np.zeros((count, 3))
+        for part in range(len(bound.skin_frames)):
+            depth, normal = _depth(bound, part, bones, at)
+            lack = bound.guard_shares * np.clip((TOO_DEEP - depth) / FADE, 0, 1) * _soft(depth + bound.guard_gaps[part])
+            share = weights * lack[:, None]
+            counted += share.sum(axis=0)
+            moved += share.T @ (lack[:, None] * normal)
+        nodes[:, :, 3] += np.where(counted > 1e-9, 1 / np.maximum(counted, 1e-9), 0)[:, None] * moved
+    return nodes
+
+
+def _soft(lacking):
+    over = np.maximum(lacking + SOFT, 0)
+    return np.where(over < 2 * SOFT, over**2 / (4 * SOFT), over - SOFT)
+
+
+def _depth(bound, part, bones, points):
+    """Depth (s,) of points (s, 3) in a part of the skin, and unit normals (s, 3) in the root frame."""
+    x, y, low, high, blend = bound.skin_shapes[part].astype(np.float64)
+    frame = bound.skin_frames[part].astype(np.float64)
+    taken_over = bound.skin_heights[part] < 1e3
+    at = turn = None
+    for bone, height in zip(bound.skin_bones[part][taken_over], bound.skin_heights[part][taken_over]):
+        back = frame[:, :3] @ bones[bone, :, :3].T
+        seen = (points - bones[bone, :, 3]) @ back.T + frame[:, 3]
+        if at is None:
+            at, turn = seen, np.repeat(back[None], len(points), axis=0)
+            continue
+        share = np.clip(0.5 + (0.5 * (at[:, 2] + seen[:, 2]) - height) / blend, 0, 1)
+        share = share**2 * (3 - 2 * share)
+        at = at + share[:, None] * (seen - at)
+        turn = turn + share[:, None, None] * (back - turn)
+    depth, normal = TrunkShape(np.array([x, y]), low, high, bound.skin_coefficients[part].astype(np.float64)).depth(at)
+    normal = np.einsum("sji,sj->si", turn, normal)
+    return depth, normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
