@@ -48,7 +48,8 @@ class AssetLoader:
         """An outfit, and what else was asked for. One that is worn already, by whomever, shares its arrays."""
         worn = dict(self._worn)
         known = tuple(key for key, *how in worn if how == [precision, normals])
-        loaded: LoadedOutfit = self._worker.ask(replace(request, known=known), request.body)
+        what = f"{', '.join(garment.model for garment in request.garments)} on {request.body}"
+        loaded: LoadedOutfit = self._worker.ask(replace(request, known=known), what)
         key = loaded.key, precision, normals
         if loaded.bound is not None:
             outfit = Outfit.of_bound(loaded.bound, precision=precision, normals=normals)

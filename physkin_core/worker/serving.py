@@ -27,6 +27,8 @@ __all__ = ["serve"]
 MIB = 1 << 20
 LONGEST_LINE = 1000
 """Letters of what is logged."""
+POLITENESS = 10
+"""Others, whose frames are due, get a core first."""
 OVERTIME = 5
 """[s] after its time the process ends by itself, where nobody ended it."""
 
@@ -85,8 +87,7 @@ def _limit(memory: int) -> None:
         _, highest = resource.getrlimit(limit)
         most = most if highest == resource.RLIM_INFINITY else min(most, highest)
         resource.setrlimit(limit, (most, most))
-    if hasattr(os, "SCHED_BATCH"):  # others wait for a core, this can
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    os.nice(POLITENESS)
 
 
 def _end_with(outgoing: int) -> None:

@@ -6,6 +6,7 @@ the default, both happen at once. The work is done by `AvatarStream`s; here are 
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 from collections.abc import Iterable
@@ -82,7 +83,7 @@ class DrapeNode(LifecycleNode):
             ),
         )
         self._loader = OutfitLoader(seconds=self._settings.load_seconds, memory=self._settings.load_memory)
-        self._worker = ThreadPoolExecutor(1, thread_name_prefix="physkin-loader")
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="physkin-loader", initializer=_schedule_as_batch)
         answer_all(self)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._follow_parameters)
@@ -435,3 +436,9 @@ def _one_of(kind: str, name: str, names: list[str]) -> int:
     if not name and len(names) == 1:
         return 0
     raise SettingsError(f"no {kind} {name!r}; allowed: {', '.join(map(repr, names)) or 'none, there is none yet'}")
+
+
+def _schedule_as_batch() -> None:
+    """Tell Linux that this thread computes and nobody waits for it: the executor's thread then gets a core sooner."""
+    if hasattr(os, "SCHED_BATCH"):
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
