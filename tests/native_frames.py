@@ -64,8 +64,8 @@ class NativeLayerOrder:
     def __init__(self, order) -> None:
         self._binding, self._order = order, None
 
-    def apply(self, steady: np.ndarray, yielding: np.ndarray, *, look_at_all: bool) -> None:
+    def apply(self, steady: np.ndarray, yielding: np.ndarray, *, look_at_all: bool, passed: float = -1.0) -> None:
         """Move yielding (n, 6) float32."""
         if self._order is None:
             self._order = native.LayerOrder(self._binding, len(steady), len(yielding))
-        self._order.apply(steady, yielding, look_at_all)
+        self._order.apply(steady, yielding, look_at_all, passed)

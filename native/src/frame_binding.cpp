@@ -131,10 +131,10 @@ class BoundLayerOrder {
         steady_(steady_vertices),
         yielding_(yielding_vertices) {}
 
-  void apply(const OutputArray& steady, const OutputArray& yielding, bool look_at_all) {
+  void apply(const OutputArray& steady, const OutputArray& yielding, bool look_at_all, float passed) {
     const VertexRows stays = vertex_rows(steady, steady_), moves = vertex_rows(yielding, yielding_);
     if (!stays.with_normals || !moves.with_normals) throw nb::value_error("both layers must have normals");
-    order_.apply(stays, moves, look_at_all);
+    order_.apply(stays, moves, look_at_all, passed);
   }
 
  private:
@@ -184,7 +184,8 @@ void bind_frame(nb::module_& module) {
       .def("compute_normals", &BoundStep::compute_normals);
   nb::class_<BoundLayerOrder>(module, "LayerOrder")
       .def(nb::init<nb::handle, int, int>(), "order"_a, "steady_vertices"_a, "yielding_vertices"_a)
-      .def("apply", &BoundLayerOrder::apply, "steady"_a.noconvert(), "yielding"_a.noconvert(), "look_at_all"_a);
+      .def("apply", &BoundLayerOrder::apply, "steady"_a.noconvert(), "yielding"_a.noconvert(), "look_at_all"_a,
+           "passed"_a = -1.0f);
   nb::class_<RootSample>(module, "RootSample").def_prop_ro("known", [](const RootSample& self) { return self.known; });
   nb::class_<Pendulum>(module, "Pendulum")
       .def(nb::init<>())

@@ -43,7 +43,8 @@ class ReferenceFrame:
         for outer in range(len(layers)):
             for steady, yielding, order in self._orders:
                 if max(steady, yielding) == outer:
-                    order.apply(layers[steady], layers[yielding], look_at_all=jumps.any())
+                    passed = -1.0 if jumps.any() else inputs[yielding].passed
+                    order.apply(layers[steady], layers[yielding], look_at_all=jumps.any(), passed=passed)
         for garment, layer, out in zip(self._garments, layers, outs):
             if self._normals == "faces":
                 layer[:, 3:] = face_normals(layer[:, :3], garment.bound.faces)

@@ -21,6 +21,8 @@ TURNS = 8
 LOST, PLANE_REACH, FULL_SHARE = 1.0, 1.3, 0.5
 """In mean edges: beside its partner a contact looks for a closer one at once; how far planes count. Planes that count
 less than the third together push less."""
+PUSH_PACE = 0.5
+"""[m/s] by which pushes grow or give way."""
 STEPS, PASSES, AGAIN = 3, 4, 0.002
 """The most a partner is walked; times that contacts are looked at, again those that have moved by more than the third
 [m]."""
@@ -38,12 +40,14 @@ class LayerOrder:
         self._partner = order.seed[order.seed_start[:-1]].astype(int)
         self._pushed_partner = self._partner.copy()
         self._free = np.zeros(len(order.contact), dtype=bool)
+        self._last_total = np.zeros(len(order.moved))
         self._frame = 0
 
-    def apply(self, steady, yielding, *, look_at_all):
+    def apply(self, steady, yielding, *, look_at_all, passed=-1.0):
         """Move the yielding layer (n, 6), positions and unit normals, on the right side of the steady one (r, 6).
 
-        look_at_all: do not trust the last frame in where nothing can touch.
+        look_at_all: do not trust the last frame in where nothing can touch. passed: [s] since that, by which pushes
+        keep their pace; negative: that does not count.
         """
         order = self._order
         place = np.searchsorted(order.moved, order.contact)
@@ -56,6 +60,7 @@ class LayerOrder:
             if turns[c] or aside > (LOST * order.edge) ** 2:
                 self._partner[c] = self._closest(c, start, steady, yielding)
         partner = self._partner
+        total = np.zeros(len(order.moved))
         for again in range(PASSES):
             if again:
                 before = partner.copy()
@@ -70,7 +75,13 @@ class LayerOrder:
                     self._free[c] = free
                 push[self._pushes[c]] = np.maximum(push[self._pushes[c]], lack * self._shares[c])
             yielding[order.moved, :3] += self._side * push[:, None] * yielding[order.moved, 3:]
+            total += push
             looked_at = push[place] > AGAIN
+        kept = total
+        if passed >= 0:
+            kept = np.clip(total, self._last_total - PUSH_PACE * passed, self._last_total + PUSH_PACE * passed)
+            yielding[order.moved, :3] += self._side * (kept - total)[:, None] * yielding[order.moved, 3:]
+        self._last_total = kept
 
     def _closest(self, contact, partner, steady, yielding):
         """The steady vertex closest to a contact that it finds: of those it knows, then from there along edges."""

@@ -75,7 +75,7 @@ Rejection Evaluator::step(const float* joint_positions, const GarmentInput* inpu
   const VertexRows* with_normals = copied ? own_rows_.data() : rows;
   for (int k = 0; k < count(); ++k) {
     garments_[std::size_t(k)]->skin(with_normals[k]);
-    keep_under(k, with_normals, look_at_all);
+    keep_under(k, with_normals, look_at_all, inputs);
   }
   if (!copied) {
     compute_normals(rows);
@@ -128,17 +128,19 @@ void Evaluator::skin(const VertexRows* rows) noexcept {
 }
 
 void Evaluator::keep(const VertexRows* rows) noexcept {
-  for (int k = 0; k < count(); ++k) keep_under(k, rows, false);
+  for (int k = 0; k < count(); ++k) keep_under(k, rows, false, nullptr);
 }
 
 void Evaluator::compute_normals(const VertexRows* rows) noexcept {
   for (int k = 0; k < count(); ++k) garments_[std::size_t(k)]->compute_normals(rows[k]);
 }
 
-void Evaluator::keep_under(int outer, const VertexRows* rows, bool look_at_all) noexcept {
+void Evaluator::keep_under(int outer, const VertexRows* rows, bool look_at_all, const GarmentInput* inputs) noexcept {
   for (Kept& kept : orders_) {
     const auto [steady, yielding] = kept.layers;
-    if (std::max(steady, yielding) == outer) kept.order->apply(rows[steady], rows[yielding], look_at_all);
+    if (std::max(steady, yielding) != outer) continue;
+    const float passed = look_at_all || inputs == nullptr ? -1.0f : inputs[yielding].passed;
+    kept.order->apply(rows[steady], rows[yielding], look_at_all, passed);
   }
 }
 

@@ -53,7 +53,8 @@ class Evaluator {
   };
 
   Rejection run(const float* joint_positions, const GarmentInput* inputs) noexcept;
-  void keep_under(int outer, const VertexRows* rows, bool look_at_all) noexcept;
+  // inputs: none, where pushes need not keep their pace.
+  void keep_under(int outer, const VertexRows* rows, bool look_at_all, const GarmentInput* inputs) noexcept;
 
   const Kernels& kernels_;
   Precision precision_;

@@ -20,6 +20,9 @@ constexpr float kSoft = 0.001f, kMostPush = 0.05f, kFade = 0.01f;
 // A vertex this far [m] off its partner's plane on the right side, or this many mean edge lengths beside it, is free:
 // it is looked at only in its turn. One farther off that plane than kNear [m] is right without looking at those around.
 constexpr float kFree = 0.01f, kFarAside = 2.0f, kNear = 0.005f;
+// [m/s] A push grows or gives way no faster: what must go out far in no time, as where a partner is another all of a
+// sudden, would leap.
+constexpr float kPushPace = 0.5f;
 // In mean edge lengths along the cloth: a vertex farther beside its partner looks for a closer one at once; planes of
 // vertices this far do not count. Planes that count less than kFullShare together, as beyond a hem, push less.
 constexpr float kLost = 1.0f, kPlaneReach = 1.3f, kFullShare = 0.5f;
@@ -113,7 +116,7 @@ LayerOrder::LayerOrder(const LayerOrderData& d, Side side, int steady_vertices, 
   push_to_ = arena.copy(d.push_to, d.pushes);
   push_share_ = arena.copy(d.push_share, d.pushes);
   moved_ = arena.copy(d.moved, d.moved_count);
-  push_ = arena.take<float>(d.moved_count);
+  for (float** values : {&push_, &total_, &last_total_}) *values = arena.take<float>(d.moved_count);
   pushed_ = arena.take<std::int32_t>(d.moved_count + 1);
   has_moved_ = arena.take<bool>(d.moved_count);
 
@@ -146,7 +149,8 @@ LayerOrder::LayerOrder(const LayerOrderData& d, Side side, int steady_vertices, 
   for (std::int32_t** list : {&here_, &searching_, &near_}) *list = arena.take<std::int32_t>(d.contacts + 4);
 }
 
-void LayerOrder::apply(const VertexRows& steady_rows, const VertexRows& yielding_rows, bool look_at_all) noexcept {
+void LayerOrder::apply(const VertexRows& steady_rows, const VertexRows& yielding_rows, bool look_at_all,
+                       float passed) noexcept {
   const ClothRows steady(steady_rows), yielding(yielding_rows);
   const int turn = frame_++ % kTurns;
   int here = 0, searching = 0;
@@ -157,6 +161,7 @@ void LayerOrder::apply(const VertexRows& steady_rows, const VertexRows& yielding
   }
   now_ = partner_;
   near_count_ = 0;
+  std::fill_n(total_, moved_count_, 0.0f);
   search(look(here, searching, steady, yielding), steady, yielding);
   for (int pass = 1; push_lacking(steady, yielding) && pass < kPasses; ++pass) {
     if (pass == 1) {
@@ -172,6 +177,17 @@ void LayerOrder::apply(const VertexRows& steady_rows, const VertexRows& yielding
     search(searching, steady, yielding);
     for (int k = 0; k < searching; ++k) pushed_partner_[searching_[k]] = later_[searching_[k]];
   }
+  keep_pace(yielding, passed);
+}
+
+void LayerOrder::keep_pace(const ClothRows& yielding, float passed) noexcept {
+  const float allowed = kPushPace * passed;
+  for (int k = 0; passed >= 0 && k < moved_count_; ++k) {
+    const float kept = std::clamp(total_[k], last_total_[k] - allowed, last_total_[k] + allowed);
+    if (kept != total_[k]) yielding.move(moved_[k], side_ * (kept - total_[k]));
+    total_[k] = kept;
+  }
+  std::swap(total_, last_total_);
 }
 
 // Stage by stage for many contacts: what one of them waits for does not hold up the others.
@@ -260,7 +276,11 @@ bool LayerOrder::push_lacking(const ClothRows& steady, const ClothRows& yielding
     pushed_[pushed] = k;
     pushed += push_[k] > 0.0f;
   }
-  for (int k = 0; k < pushed; ++k) yielding.move(moved_[pushed_[k]], side_ * push_[pushed_[k]]);
+  for (int k = 0; k < pushed; ++k) {
+    const std::int32_t at = pushed_[k];
+    yielding.move(moved_[at], side_ * push_[at]);
+    total_[at] += push_[at];
+  }
   return true;
 }
 

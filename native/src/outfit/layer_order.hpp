@@ -44,8 +44,9 @@ class LayerOrder {
   LayerOrder(const LayerOrderData& data, Side side, int steady_vertices, int yielding_vertices, Arena& arena);
 
   // Moves the yielding layer's positions; rows of both must have normals. look_at_all: do not trust the last frame in
-  // where nothing can touch. Allocates nothing.
-  void apply(const VertexRows& steady, const VertexRows& yielding, bool look_at_all) noexcept;
+  // where nothing can touch. passed: [s] since that frame, by which pushes keep their pace; negative: that does not
+  // count. Allocates nothing.
+  void apply(const VertexRows& steady, const VertexRows& yielding, bool look_at_all, float passed) noexcept;
 
  private:
   // Looks at the partners of the `here` contacts of here_: those near them go to near_, those that have lost them to
@@ -58,6 +59,7 @@ class LayerOrder {
   void settle(std::int32_t contact, float off, float aside_square, bool now) noexcept;
   // Moves what near contacts lack, and says whether any did.
   bool push_lacking(const ClothRows& steady, const ClothRows& yielding) noexcept;
+  void keep_pace(const ClothRows& yielding, float passed) noexcept;
   // What each of four contacts lacks [m].
   Quad lack(const std::int32_t* four, const ClothRows& steady, const ClothRows& yielding) const noexcept;
 
@@ -84,6 +86,8 @@ class LayerOrder {
   const float* push_share_;
   const std::int32_t* moved_;
   float* push_;           // (moved_count_,) [m] of one pass
+  float* total_;          // (moved_count_,) [m] of all passes
+  float* last_total_;     // (moved_count_,) [m] of the last frame, as far as its pace let it go
   bool* has_moved_;       // (moved_count_,) in this pass
   std::int32_t* pushed_;  // list of those among moved_ that a pass pushes
   std::int32_t* here_;    // lists of contacts in one pass

@@ -114,12 +114,31 @@ def test_agrees_with_the_reference(layers):
             radius -= depth * np.exp(-((np.linalg.norm(INNER.vertices - at, axis=1) / 0.03) ** 2))
         outer = scaled(radius)
         found, expected = outer.copy(), outer.astype(np.float64)
-        native.apply(inner, found, look_at_all=frame == 0)
-        reference.apply(inner.astype(np.float64), expected, look_at_all=frame == 0)
+        how = {"look_at_all": frame == 0, "passed": -1.0 if frame < 8 else 1 / 60}
+        native.apply(inner, found, **how)
+        reference.apply(inner.astype(np.float64), expected, **how)
         apart = np.linalg.norm((found - expected)[:, :3], axis=1)
         assert apart.max() < 1e-3 and np.quantile(apart, 0.99) < 2e-6
         pushed = max(pushed, np.abs(found - outer)[:, :3].max())
     assert pushed > 0.03
+
+
+def test_a_push_keeps_its_pace(layers):
+    """A dent that is there all of a sudden goes out, and back, by half a metre a second; where it is not said how much
+    time has passed, at once."""
+    inner, _, order = layers
+    smooth, dent = scaled(np.full(len(INNER.vertices), 0.156)), dented(0.03)[0]
+    pushes = {}
+    for passed in (1 / 60, -1.0):
+        keeper, sizes = NativeLayerOrder(order), []
+        for outer in (smooth, *8 * [dent], *8 * [smooth]):
+            found = outer.copy()
+            keeper.apply(inner, found, look_at_all=True, passed=passed)
+            sizes.append(np.linalg.norm(found - outer, axis=1).max())
+        pushes[passed] = np.array(sizes)
+    paced, at_once = pushes[1 / 60], pushes[-1.0]
+    assert np.abs(np.diff(paced)).max() < 0.5 / 60 + 1e-6
+    assert at_once[1] > 0.02 and abs(paced[8] - at_once[1]) < 1e-5 and paced[-1] < 1e-5
 
 
 def test_layers_that_never_meet_need_no_order():
