@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
 
 import numpy as np
 from reference.frame_input import FrameInput as ReferenceRow
@@ -13,7 +12,7 @@ from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Evaluator
 from physkin_core.sway.frame_input import FrameInput
 
-__all__ = ["NativeFrame", "NativeFrameInput", "NativeLayerOrder", "clouds", "told", "unguarded"]
+__all__ = ["NativeFrame", "NativeFrameInput", "NativeLayerOrder", "clouds", "told"]
 
 
 def told(gravity=(0.0, 0.0, -1.0), **numbers) -> np.ndarray:
@@ -38,12 +37,6 @@ def clouds(frame, bounds: Sequence[BoundGarment], joint_positions: np.ndarray, *
     outs = [np.full((len(bound.vertices), 6), np.nan, dtype=np.float32) for bound in bounds]
     frame.evaluate(joint_positions, np.stack(rows * (len(bounds) // len(rows))), outs)
     return outs
-
-
-def unguarded(bound: BoundGarment) -> BoundGarment:
-    """The same, not kept out of the skin."""
-    empty = {f.name: f.default_factory() for f in fields(BoundGarment) if f.name.startswith(("guard_", "skin_"))}
-    return replace(bound, **empty)
 
 
 class NativeFrameInput:

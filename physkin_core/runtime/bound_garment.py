@@ -7,7 +7,7 @@ are float32 and C-contiguous; lengths in metres, angles in radians, root frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -84,6 +84,12 @@ class BoundGarment(SkinningData):
     def sways_by_network(self) -> bool:
         """Whether a sway network moves it."""
         return bool(self.sway_layers)
+
+    @property
+    def unguarded(self) -> BoundGarment:
+        """The same, not kept out of the skin: as the networks alone drape it."""
+        guard = [each for each in fields(self) if each.name.startswith(("guard_", "skin_"))]
+        return replace(self, **{each.name: each.default_factory() for each in guard})
 
     def of_vertices(self, vertices: np.ndarray, faces: np.ndarray) -> BoundGarment:
         """The same of which only some vertices (v,) are computed; faces (f, 3) int32 of these."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from native_frames import NativeFrame, clouds, told, unguarded
+from native_frames import NativeFrame, clouds, told
 from reference.frame import ReferenceFrame
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
@@ -58,7 +58,7 @@ def test_legs_that_march_stay_under_the_skirt(skirt):
     rig, motion = skirt.layer.model.rig, march(skirt.layer.model.rig, 36)
     thighs = [k for k, name in enumerate(rig.bone_names) if "leg" in name]
     legs = np.isin(skirt.avatar.influence_bones[:, 0], thighs)
-    guarded, free = (walked(skirt, bound, motion) for bound in (skirt.layer.given, unguarded(skirt.layer.given)))
+    guarded, free = (walked(skirt, bound, motion) for bound in (skirt.layer.given, skirt.layer.given.unguarded))
     seen, without = inside(skirt, motion, guarded, legs), inside(skirt, motion, free, legs)
     assert without.max() > 20
     assert seen.max() <= 3
@@ -78,7 +78,7 @@ def test_what_hangs_is_guarded_as_the_reference_does(name):
         clouds(reference, [bound], pose, row)
         clouds(native, [bound], pose, row)
         assert np.abs(native.node_transforms() - reference.node_transforms()).max() < 2e-5
-        free = NativeFrame([unguarded(bound)])
+        free = NativeFrame([bound.unguarded])
         clouds(free, [bound], pose, row)
         moved = max(moved, float(np.abs(free.node_transforms() - native.node_transforms()).max()))
     assert moved > 1e-4

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from native_frames import unguarded
 from random_models import random_sway_network
 from reference.frame_input import FrameInput
 from reference.sway_network import SwayNetwork
@@ -144,7 +143,7 @@ def test_without_time_or_sway_it_is_the_drape_bit_for_bit(plain, swaying):
 def test_half_the_sway_is_half_the_offsets(plain, swaying):
     """But where cloth meets a leg."""
     exact = physkin.Draper(plain.model, plain.avatar, precision="fp32")
-    free = unguarded(bound_to(swaying, exact).layer.given)
+    free = bound_to(swaying, exact).layer.given.unguarded
     whole, half = (bound_to(swaying, exact).outfit.giving(0, free) for _ in range(2))
     half.sway = 0.5
     for positions, told in walking(4):
