@@ -113,7 +113,10 @@ class Uploads:
         if not 0 < size <= LARGEST:
             allowed = f"allowed are 1 to {LARGEST}; larger ones are for the command line"
             raise ValueError(f"{shown(name)} has {shown(size)} bytes; {allowed}")
-        held = sum(path.stat().st_size for path in self._kept.iterdir())
+        held = 0
+        for path in self._kept.iterdir():
+            with contextlib.suppress(FileNotFoundError):  # the loader has just put it aside
+                held += path.stat().st_size
         held += sum(each.size for each in self._arriving.values())
         if held + size > MOST:
             raise ValueError(f"{shown(name)} is too much: the page has {held} bytes of files, of {MOST}; start it anew")

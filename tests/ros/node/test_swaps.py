@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
+import termios
 import time
 from pathlib import Path
 
@@ -52,13 +54,25 @@ def loading_process(site) -> int:
     return pid
 
 
+def is_asked(pid: int) -> bool:
+    """Whether a request waits in the pipe that a loading process reads."""
+    pipe = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")[4].decode()
+    end = os.open(f"/proc/{pid}/fd/{pipe}", os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        return fcntl.ioctl(end, termios.FIONREAD, bytes(4)) != bytes(4)
+    finally:
+        os.close(end)
+
+
 def held_up(site, body):
     """A request for a body whose load does not go on; and the process that it holds up."""
     pid = loading_process(site)
     os.kill(pid, signal.SIGSTOP)
     client = site.node.create_client(SetBody, "/drape_node/set_body")
     site.until(client.service_is_ready, "service")
-    return client.call_async(SetBody.Request(avatar="alice", body_mesh=str(body))), pid
+    request = client.call_async(SetBody.Request(avatar="alice", body_mesh=str(body)))
+    site.until(lambda: is_asked(pid), "request for the process")
+    return request, pid
 
 
 @pytest.mark.parametrize(
