@@ -115,6 +115,7 @@ nb::dict constants() {
   d["capsule_blur"] = kCapsuleBlur;
   d["bound_garment_version"] = kBoundGarmentVersion;
   d["skin_bones"] = kSkinBones;
+  d["no_height"] = kNoHeight;
   d["turns"] = kTurns;
   d["beside"] = kBeside;
   return d;

@@ -18,7 +18,7 @@ from physkin_core.native_module import as_float32, native
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.skin_clearance import draped_at_rest
-from physkin_core.separation.limb_chains import find_limbs
+from physkin_core.separation.limb_chains import Limbs, find_limbs
 from physkin_core.separation.skin_parts import SkinPart, fit_skin_parts
 
 __all__ = ["guarded"]
@@ -39,14 +39,18 @@ def guarded(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any]:
     """The fields of `BoundGarment` to replace in one that is to be kept out of the skin; none where nothing hangs."""
     if not len(bound.node_twist):
         return {}
-    parts = fit_skin_parts(avatar, rig)
+    try:
+        found = find_limbs(rig)
+    except ValueError:
+        return {}
+    parts = fit_skin_parts(avatar, rig, found)
     if not parts:
         return {}
     draped = draped_at_rest(bound)
     clearance = -np.stack([part.depth(draped) for part in parts])
     nearest = clearance.min(axis=0)
-    of_arms = (_of_arms(rig)[bound.node_bone][bound.influence_nodes] * bound.influence_weights).sum(axis=1)
-    if nearest[(of_arms < 0.5) & (draped[:, 2] < _hips(avatar, rig))].max(initial=0.0) < FREE:
+    of_arms = (_of_arms(rig, found)[bound.node_bone][bound.influence_nodes] * bound.influence_weights).sum(axis=1)
+    if nearest[(of_arms < 0.5) & (draped[:, 2] < _hips(avatar, found))].max(initial=0.0) < FREE:
         return {}
     free = np.clip((nearest - HUGS) / (HANGS - HUGS), 0, 1)
     shares = free * free * (3 - 2 * free) * (1 - of_arms)
@@ -63,15 +67,15 @@ def guarded(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any]:
     }
 
 
-def _of_arms(rig: Rig) -> np.ndarray:
+def _of_arms(rig: Rig, found: Limbs) -> np.ndarray:
     """(b,) bool, bones of arms: sleeves may hang, but not around legs."""
-    arms = [limb.ends[0] for limb in find_limbs(rig).limbs if limb.is_arm]
+    arms = [limb.ends[0] for limb in found.limbs if limb.is_arm]
     return np.array([bool(set(arms) & set(rig.ancestors(bone))) for bone in range(rig.bone_count)])
 
 
-def _hips(avatar: Avatar, rig: Rig) -> float:
+def _hips(avatar: Avatar, found: Limbs) -> float:
     """[m] Their height; below all cloth where there are none."""
-    legs = [limb.ends[0] for limb in find_limbs(rig).limbs if not limb.is_arm]
+    legs = [limb.ends[0] for limb in found.limbs if not limb.is_arm]
     return float(avatar.bone_heads[legs, 2].max(initial=-np.inf))
 
 
@@ -99,7 +103,8 @@ def _in_blocks(points: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 def _described(parts: tuple[SkinPart, ...]) -> dict[str, np.ndarray]:
     """Fields skin_... of `BoundGarment`."""
     most: int = native.constants["skin_bones"]
-    bones, heights = np.zeros((len(parts), most), dtype=np.int32), np.full((len(parts), most), 1e4, dtype=np.float32)
+    bones = np.zeros((len(parts), most), dtype=np.int32)
+    heights = np.full((len(parts), most), native.constants["no_height"], dtype=np.float32)
     for k, part in enumerate(parts):
         bones[k, : len(part.bones)], heights[k, : len(part.bones)] = part.bones, part.heights
     shapes = [[*part.shape.centre, part.shape.low, part.shape.high, part.blend] for part in parts]

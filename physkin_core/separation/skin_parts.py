@@ -13,7 +13,7 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.rig.rig import Rig
 from physkin_core.separation.collision_shape import SkinByPart, trunk_of
-from physkin_core.separation.limb_chains import Limb, find_limbs
+from physkin_core.separation.limb_chains import Limb, Limbs
 from physkin_core.separation.trunk_shape import TrunkShape, fit_trunk
 
 __all__ = ["SkinPart", "fit_skin_parts"]
@@ -22,6 +22,8 @@ BLEND = {"leg": 0.1, "trunk": 0.06}
 """[m] along the axis over which a bone takes over from the last one."""
 FEWEST = 60
 """Skin points that a leg must have."""
+MOST_ALONG_X = 0.9
+"""Of a leg's direction: one that points forward more than that has its own axes otherwise."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +45,8 @@ class SkinPart:
         return self.shape.depth(points @ self.frame[:, :3].T + self.frame[:, 3])[0]
 
 
-def fit_skin_parts(avatar: Avatar, rig: Rig) -> tuple[SkinPart, ...]:
-    """Legs and trunk of a body; those without skin or bones are left out, all of them where there are no limbs."""
-    try:
-        found = find_limbs(rig)
-    except ValueError:
-        return ()
+def fit_skin_parts(avatar: Avatar, rig: Rig, found: Limbs) -> tuple[SkinPart, ...]:
+    """Legs and trunk of a body, of the limbs found in its rig; those without skin or bones are left out."""
     heads = avatar.bone_heads.astype(np.float64)
     skin = SkinByPart(avatar, rig, found)
     parts = []
@@ -70,7 +68,8 @@ def _leg(limb: Limb, heads: np.ndarray, skin: SkinByPart, index: int) -> SkinPar
     if length < 1e-3:
         return None
     down = (ankle - hip) / length
-    forward = np.eye(3)[0] - down[0] * down
+    across = np.eye(3)[0 if abs(down[0]) < MOST_ALONG_X else 1]
+    forward = across - (across @ down) * down
     forward /= np.linalg.norm(forward)
     turn = np.stack([forward, np.cross(down, forward), down])
     frame = np.column_stack([turn, -turn @ hip])

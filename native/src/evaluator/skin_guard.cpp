@@ -27,9 +27,9 @@ float height_of(const TrunkField& field, int bone) {
 // [m] The largest radius between two heights, by the splines that reach there, in some directions.
 float widest(const TrunkField& field, float from, float to) {
   constexpr int kDirections = 32;
-  const float scale = float(field.splines - 2) / (field.high - field.low);
-  const int first = std::clamp(int((from - field.low) * scale), 0, field.splines - 1);
-  const int last = std::clamp(int((to - field.low) * scale) + 2, first, field.splines - 1);
+  const float scale = float(field.splines - 2) / (field.high - field.low), most_cells = float(field.splines - 2);
+  const auto cell = [&](float height) { return int(std::clamp((height - field.low) * scale, 0.0f, most_cells)); };
+  const int first = cell(from), last = std::max(first, std::min(cell(to) + 2, field.splines - 1));
   float most = 0;
   for (int spline = first; spline <= last; ++spline) {
     const float* waves = field.coefficients + kTrunkWaves * spline;

@@ -1,4 +1,4 @@
-// How deep points are in a body's trunk. Included by kernel_unit.cpp only (see simd.hpp).
+// How deep points are in a body's trunk, or a leg. Included by kernel_unit.cpp only (see simd.hpp).
 // physkin_core/separation/trunk_shape.py fits it.
 #pragma once
 

@@ -8,6 +8,7 @@ from reference.frame import ReferenceFrame
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.quality import edge_strain, signed_distance
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.separation.limb_chains import find_limbs
 from physkin_core.separation.skin_parts import fit_skin_parts
 
 RATE = 30.0
@@ -94,7 +95,7 @@ def test_what_does_not_hang_costs_nothing(name):
 def test_the_fitted_skin_is_near_the_skin(skirt):
     """At rest, within millimetres on shins."""
     avatar, rig = skirt.avatar, skirt.layer.model.rig
-    parts = fit_skin_parts(avatar, rig)
+    parts = fit_skin_parts(avatar, rig, find_limbs(rig))
     assert len(parts) == 3
     shins = np.isin(
         avatar.influence_bones[:, 0], [k for k, name in enumerate(rig.bone_names) if name.startswith("lowerleg")]

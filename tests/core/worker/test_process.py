@@ -114,19 +114,25 @@ def test_one_that_was_killed_meanwhile_is_replaced(worker):
     assert answers(worker) and worker.pid != before
 
 
-def test_waiting_can_be_cancelled(worker):
-    """At once; and where nobody waits, nothing is cancelled."""
+def waits_for(worker, seconds) -> tuple[Thread, list[str]]:
+    """A thread that has begun to wait for an answer, and the errors that it is told."""
     told = []
 
     def ask() -> None:
         try:
-            worker.ask(("sleep", 1.9), "body.glb")
+            worker.ask(("sleep", seconds), "body.glb")
         except WorkerError as error:
             told.append(str(error))
 
     waiting = Thread(target=ask)
     waiting.start()
     time.sleep(0.3)
+    return waiting, told
+
+
+def test_waiting_can_be_cancelled(worker):
+    """At once; and where nobody waits, nothing is cancelled."""
+    waiting, told = waits_for(worker, 1.9)
     began = time.monotonic()
     worker.cancel()
     waiting.join(5)
@@ -140,17 +146,7 @@ def test_waiting_can_be_cancelled(worker):
 def test_closing_ends_process_and_waiting():
     worker = Worker("troublesome_worker", CODEC, seconds=20.0, memory=200)
     assert answers(worker)
-    told = []
-
-    def ask() -> None:
-        try:
-            worker.ask(("sleep", 19), "body.glb")
-        except WorkerError as error:
-            told.append(str(error))
-
-    waiting = Thread(target=ask)
-    waiting.start()
-    time.sleep(0.3)
+    waiting, told = waits_for(worker, 19)
     worker.close()
     waiting.join(5)
     assert len(told) == 1 and "was not loaded" in told[0] and not alive(worker.pid)
