@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from physkin_core.model.detail import Detail
 from physkin_core.model.garment import Garment
 from physkin_core.model.hyper_modulator import HEADS, hyper_modulator_shapes
 from physkin_core.model.mlp import Layer, modulation_size
@@ -94,14 +95,16 @@ class GarmentModel(SkinnedGarment):
 
     hyper_modulator: arrays by name (see `physkin_core.model.hyper_modulator`), "fit" and "bend" among them, by which
     rest shapes made to measure and cloth that bends otherwise are known. pose_modulator, node_deformer: layers. sway:
-    network that moves the garment nodes of a body that moves; None where a pendulum does. training, scores: plain data
-    on how it was trained (seed, bodies, steps) and how it measured up.
+    network that moves the garment nodes of a body that moves; None where a pendulum does. detail: folds between garment
+    nodes; None for none. training, scores: plain data on how it was trained (seed, bodies, steps) and how it measured
+    up.
     """
 
     pose_modulator: tuple[Layer, ...] = described("pose_modulator", Chain("p", "deformer_modulation"))
     node_deformer: tuple[Layer, ...] = described("node_deformer", Chain("12m", "12m"))
     hyper_modulator: Mapping[str, np.ndarray] = described("hyper_modulator", Named(hyper_modulator_shapes))
     sway: SwayNetwork | None = described("sway", Part(SwayNetwork, optional=True), default=None)
+    detail: Detail | None = described("detail", Part(Detail, optional=True), default=None)
     material: Material = field(default_factory=Material)
     training: Mapping[str, Any] = field(default_factory=dict)
     scores: Mapping[str, Any] = field(default_factory=dict)
@@ -118,6 +121,9 @@ class GarmentModel(SkinnedGarment):
         if self.sway is not None:
             joints = self.sway.joints.size
             sizes |= {"drive": drive_size(joints), "pose": pose_size(joints)}
+        if self.detail is not None:
+            sizes["deformer_width"] = self.node_deformer[-1][0].shape[1]
+            sizes["detail_nodes"] = len(self.detail.offsets) // 3
         check_arrays(self, sizes)
         if (width := len(self.hyper_modulator["fit"])) % HEADS:
             raise GarmentModelError(f"hyper_modulator token width {width} is not a multiple of its {HEADS} heads")

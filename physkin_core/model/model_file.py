@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 FORMAT = "physkin-garment"
-SCHEMA_VERSION = 5
+SCHEMA_VERSION, OLDEST_READ = 6, 5
 LEAST_PACKED = 2**15
 """Network weights of so many numbers or more are packed. Smaller ones take little space; among them is the pose
 modulator's first layer, whose rounding can move single vertices by almost a millimetre."""
@@ -62,12 +62,13 @@ def load_garment_model(path: str | Path, *, content: bytes | None = None) -> Gar
     path = _resolve(file)
     with reading(f"garment model {path}", ModelFileError):
         metadata, tensors = _contents(path, read_bytes(path) if content is None else content)
-        if metadata["schema_version"] != str(SCHEMA_VERSION):
-            version = metadata["schema_version"]
-            older = int(version) < SCHEMA_VERSION
+        version = int(metadata["schema_version"])
+        if not OLDEST_READ <= version <= SCHEMA_VERSION:
+            older = version < OLDEST_READ
             remedy = f"convert it: physkin convert-model {path} -o NEW{MODEL_SUFFIX}" if older else "update PhySkin"
             raise ModelFileError(
-                f"garment model {path} has schema version {version}, this release reads {SCHEMA_VERSION}; {remedy}"
+                f"garment model {path} has schema version {version}, this release reads {OLDEST_READ} to "
+                f"{SCHEMA_VERSION}; {remedy}"
             )
         model = _model(path, metadata, tensors)
     return made_of(model, fabric) if fabric else model
@@ -164,7 +165,7 @@ def convert_model_file(old: str | Path, new: str | Path) -> None:
     old = Path(old)
     with reading(f"garment model {old}", ModelFileError):
         metadata, tensors = _contents(old, read_bytes(old))
-    if int(metadata["schema_version"]) >= SCHEMA_VERSION:
+    if int(metadata["schema_version"]) >= OLDEST_READ:
         raise ModelFileError(f"garment model {old} has schema version {metadata['schema_version']}, nothing to convert")
     activation = metadata.pop("activation", None)
     try:
