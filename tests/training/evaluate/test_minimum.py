@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 from random_models import random_model, random_rotation, tube
 
@@ -64,3 +65,7 @@ def test_minima_on_a_clothed_body_are_in_order(monkeypatch):
     assert total["minimum"] < total["subspace_minimum"] < total["model_on_subset"]
     assert rows["minimum"]["edge_strain_percent"] < 0.5 * rows["model_on_subset"]["edge_strain_percent"]
     assert all(0 < rows[name]["gradient_norm"] < np.inf for name in ("subspace_minimum", "minimum"))
+    for name in ("model_on_subset", "subspace_minimum"):
+        ratio = rows[name]["bend_j"] / rows["minimum"]["bend_j"]
+        assert rows[name]["fold_energy_ratio"] == pytest.approx(ratio, rel=1e-4)
+    assert 0 < rows["subspace_minimum"]["normal_error_degrees"] < 90

@@ -22,6 +22,7 @@ from physkin_core.rig.rig import Rig
 from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_core.sway.frame_input import STANDARD_GRAVITY
 from physkin_training.evaluate.figures import Figures
+from physkin_training.evaluate.folds import FoldFigures
 from physkin_training.evaluate.minimum import subspace_minimum
 from physkin_training.evaluate.skin_shows import SkinShows
 from physkin_training.networks.draping import Drape, RestShape, compose_nodes, delta_transforms
@@ -216,15 +217,20 @@ class Evaluation:
         `minimum`.
 
         The full-space minimum starts from the lower of the other two. Minima also hold the mean `gradient_norm` at the
-        end, the full-space one the `converged_percent` of its samples (see `Solution`).
+        end, the full-space one the `converged_percent` of its samples (see `Solution`), the other two rows what
+        `FoldFigures` says of them.
         """
         rows = {name: self.new_figures() for name in ("model_on_subset", "subspace_minimum", "minimum")}
+        folds = {name: FoldFigures(self.model.garment, self.device) for name in ("model_on_subset", "subspace_minimum")}
         converged: list[bool] = []
         norms: dict[str, list[float]] = {"subspace_minimum": [], "minimum": []}
         for batch in self.batches(pairs):
 
             def objective(vertices: torch.Tensor, batch: Batch = batch) -> torch.Tensor:
                 return self.energy(vertices, batch)[0]
+
+            def bend(vertices: torch.Tensor, batch: Batch = batch) -> torch.Tensor:
+                return self.energy(vertices, batch)[1].bend
 
             with torch.no_grad():
                 raw = self._raw(batch)
@@ -239,8 +245,12 @@ class Evaluation:
                 norms[name] += minimum.gradient_norm[: batch.count].tolist()
             for name, vertices in {"model_on_subset": own, **{k: m.vertices for k, m in minima.items()}}.items():
                 self.count_in(rows[name], vertices, batch)
+                if name in folds:
+                    folds[name].add(vertices, minima["minimum"].vertices, bend, count=batch.count)
             self.watch(MINIMUM_COST * batch.count)
         results = {name: figures.result() for name, figures in rows.items()}
+        for name, compared in folds.items():
+            results[name] |= compared.result()
         for name, values in norms.items():
             results[name]["gradient_norm"] = sum(values) / len(values)
         results["minimum"]["converged_percent"] = 100 * sum(converged) / len(converged)
@@ -315,14 +325,14 @@ def evaluate_model(
 ) -> dict:
     """All rows of one model as plain data; on a terminal, progress is shown meanwhile.
 
-    minimum: pairs for the minima, uniform ones and as many of motion, 0 to leave them out. motions: clips for the rows
-    on motion. `energy_ratio`: model / full-space minimum.
+    minimum: pairs for the minima, uniform ones and as many of motion, in one size and made to measure, 0 to leave them
+    out. motions: clips for the rows on motion. `energy_ratio`: model / full-space minimum.
     Raises ValueError for another rig than the body model's, impossible counts and clips that cannot be used.
     """
     clips = measured_clips(motions)
     frames = sum(clip.frame_count for clip in clips)
     measured = 2 * bodies * (2 * poses + frames)
-    minimised = min(minimum, bodies * poses) + min(minimum, bodies * frames)
+    minimised = min(minimum, bodies * poses) + 2 * min(minimum, bodies * frames)
     batch = LARGEST_MEASURED if device.type == "cuda" else min(16, bodies * poses)
     watch = counting_line(f"measuring {model.name}", measured + MINIMUM_COST * minimised)
     given = {"bodies": bodies, "poses": poses, "seed": seed, "batch": batch, "watch": watch}
@@ -342,11 +352,13 @@ def evaluate_model(
     if clips:
         scores["motion"] = evaluation.motion(clips)
     if minimum:
-        evaluation = Evaluation(model, device, **given | {"batch": min(batch, LARGEST_MINIMISED)}, fit=0.0)
+        given["batch"] = min(batch, LARGEST_MINIMISED)
+        evaluation = Evaluation(model, device, **given, fit=0.0)
         scores |= evaluation.minima(evaluation.uniform(upright=True).spread(minimum))
         scores["counts"]["minimum_pairs"] = scores["minimum"]["pairs"]
         scores["energy_ratio"] = scores["model_on_subset"]["energy_j"] / scores["minimum"]["energy_j"]
     if minimum and clips:
-        every_frame = Pairs.joined([evaluation.frames(clip) for clip in clips])
-        scores["motion"] |= evaluation.minima(every_frame.spread(minimum))
+        chosen = Pairs.joined([evaluation.frames(clip) for clip in clips]).spread(minimum)
+        scores["motion"] |= evaluation.minima(chosen)
+        made["motion"] |= Evaluation(model, device, **given, fit=1.0).minima(chosen)
     return scores
