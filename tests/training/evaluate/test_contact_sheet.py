@@ -54,6 +54,18 @@ def test_poses_are_half_uniform_half_motion_and_seeded():
         chosen_poses(BODY.rig, count=0, seed=0)
 
 
+def test_poses_of_clips_are_spread_over_them():
+    """Evenly over the frames of both, 93 and 77 of them, and no more poses than those."""
+    clips = [load_motion(name) for name in ("kick", "walk")]
+    pairs, names = chosen_poses(BODY.rig, count=2, seed=0, motions=clips)
+    assert names == ["kick 42", "walk 34"]
+    for pair, (clip, frame) in enumerate(zip(clips, (42, 34))):
+        np.testing.assert_array_equal(pairs.positions[pair].numpy(), clip.positions_for(BODY.rig)[frame])
+    assert len(set(chosen_poses(BODY.rig, count=170, seed=0, motions=clips)[1])) == 170
+    with pytest.raises(ValueError, match="poses must be at most 170.* 171"):
+        chosen_poses(BODY.rig, count=171, seed=0, motions=clips)
+
+
 def test_drapes_are_the_run_times_and_the_minimum_is_lower(model, rough_minima):
     """Pose by pose, body by body; the surfaces under them are the avatars'. A batch holds three of the four."""
     bodies = [5, 2]
@@ -95,29 +107,78 @@ def test_made_to_measure_is_drawn_with_its_own_strain(model):
     assert abs(template - drapes.strains["model"].mean()) > 1
 
 
-def test_the_command_draws_every_cell(model, tmp_path, monkeypatch, capsys):
-    """Two poses on three bodies: one row of six pairs of pictures; figures are printed."""
-    drawn = []
+@pytest.fixture
+def drawn(monkeypatch):
+    """What is drawn, in order: pictures are 40 pixels wide, and each is as bright as its number."""
+    pytest.importorskip("PIL.Image", reason="needs pillow: pip install 'physkin[view]'")
+    calls = []
 
-    def render(meshes, *, size, bounds, samples):
-        drawn.append(meshes)
-        return np.full((size[1], size[0], 3), len(drawn), dtype=np.uint8)
+    def render(meshes, *, size, bounds, azimuth, samples):
+        calls.append(SimpleNamespace(body=meshes[0], cloth=meshes[1], bounds=bounds, azimuth=azimuth))
+        return np.full((size[1], size[0], 3), len(calls), dtype=np.uint8)
 
-    image = pytest.importorskip("PIL.Image", reason="needs pillow: pip install 'physkin[view]'")
     monkeypatch.setattr(contact_sheet, "render", render)
     monkeypatch.setattr(contact_sheet, "WIDTH", 40)
+    monkeypatch.setattr(contact_sheet, "CLOSE_WIDTH", 40)
     monkeypatch.setattr(Evaluation, "full_space_minimum", lambda _, start, batch: SimpleNamespace(vertices=start))
+    return calls
+
+
+def cells(path, columns, rows):
+    """Which picture is in each cell (rows, columns) of a sheet of those."""
+    sheet = np.asarray(pytest.importorskip("PIL.Image").open(path))
+    assert sheet.shape[1] == 4 + 44 * columns
+    return sheet[20 :: 4 + 50 + 24, 24::44, 0][:rows, :columns]
+
+
+def test_the_command_draws_every_cell(model, tmp_path, drawn, capsys):
+    """Two poses on three bodies: one row of six pairs of pictures; figures are printed."""
     save(model, tmp_path / "band.safetensors")
     arguments = ["contact-sheet", str(tmp_path / "band.safetensors"), "-o", str(tmp_path / "sheet.png")]
     options = ["--poses", "2", "--minimum", "--device", "cpu"]
     assert cli.main([*arguments, *options]) == 0
-    sheet = np.asarray(image.open(tmp_path / "sheet.png"))
-    assert sheet.shape[1] == 4 + 12 * 44
-    assert [sheet[20, 24 + 44 * k, 0] for k in range(12)] == list(range(1, 13))
-    assert all(len(body.vertices) == len(BODY.mean_vertices) for body, _ in drawn)
-    assert drawn[0][1].colour == drawn[2][1].colour != drawn[1][1].colour
+    np.testing.assert_array_equal(cells(tmp_path / "sheet.png", 12, 1), [range(1, 13)])
+    assert all(len(picture.body.vertices) == len(BODY.mean_vertices) for picture in drawn)
+    assert drawn[0].cloth.colour == drawn[2].cloth.colour != drawn[1].cloth.colour
+    assert all(np.all(picture.bounds[0] <= picture.body.vertices.min(axis=0)) for picture in drawn)
     printed = capsys.readouterr().out
     assert "model (6 pairs): " in printed and "minimum (6 pairs): " in printed and "sheet.png" in printed
+
+
+def test_close_pictures_are_of_the_garment_from_both_sides(model, tmp_path, drawn):
+    """A row a body: the model and the minimum, in front and from behind, all from as near as both garments allow."""
+    save(model, tmp_path / "band.safetensors")
+    arguments = ["contact-sheet", str(tmp_path / "band.safetensors"), "-o", str(tmp_path / "sheet.png")]
+    options = ["--poses", "2", "--motion", "walk", "kick", "--close", "--minimum", "--device", "cpu"]
+    assert cli.main([*arguments, *options]) == 0
+    np.testing.assert_array_equal(cells(tmp_path / "sheet.png", 4, 6), np.arange(1, 25).reshape(6, 4))
+    assert [picture.azimuth for picture in drawn] == 6 * [30, 30, 210, 210]
+    for first in range(0, 24, 4):
+        garments = np.concatenate([picture.cloth.vertices for picture in drawn[first : first + 4]])
+        for picture in drawn[first : first + 4]:
+            np.testing.assert_array_equal(picture.bounds, [garments.min(axis=0), garments.max(axis=0)])
+            assert np.any(picture.bounds[0] > picture.body.vertices.min(axis=0))
+
+
+def test_a_strip_is_of_the_middle_of_a_clip(model, tmp_path, drawn, monkeypatch):
+    """At its own rate, on the average body, and the camera stands still; a shorter clip is drawn as a whole."""
+    save(model, tmp_path / "band.safetensors")
+    arguments = ["contact-sheet", str(tmp_path / "band.safetensors"), "-o", str(tmp_path / "strip.png")]
+    monkeypatch.setattr(contact_sheet, "STRIP_FRAMES", 4)
+    assert cli.main([*arguments, "--strip", "walk", "--device", "cpu"]) == 0
+    clip = load_motion("walk").resampled(12.0)
+    (body,) = bodies_by_girth(BODY, 1)
+    draper = Draper(model, avatar_from_body(BODY, BODY.held_out_bodies[body]), precision="fp32")
+    first = (clip.frame_count - 4) // 2
+    for picture, frame in zip(drawn, range(first, first + 4), strict=True):
+        expected = draper.avatar.posed_vertices(draper.bone_transforms(clip.positions_for(model.rig)[frame]))
+        height = np.ptp(expected @ -clip.gravity[frame])
+        assert np.ptp(picture.body.vertices[:, 2]) == pytest.approx(height, abs=0.002), "turned upright"
+        np.testing.assert_array_equal(picture.bounds, drawn[0].bounds)
+    drawn.clear()
+    monkeypatch.setattr(contact_sheet, "STRIP_FRAMES", 1000)
+    assert cli.main([*arguments, "--strip", "run", "--device", "cpu"]) == 0
+    assert len(drawn) == load_motion("run").resampled(12.0).frame_count
 
 
 @pytest.mark.parametrize(
@@ -126,6 +187,8 @@ def test_the_command_draws_every_cell(model, tmp_path, monkeypatch, capsys):
         (["-o", "{tmp}/none/sheet.png"], "none/sheet.png"),
         (["-o", "{tmp}/sheet.jpg"], "sheet.jpg"),
         (["-o", "{tmp}/sheet.png", "--poses", "0"], "poses .* 0"),
+        (["-o", "{tmp}/sheet.png", "--strip", "walk", "--poses", "2"], "--poses does not go with --strip"),
+        (["-o", "{tmp}/sheet.png", "--strip", "walk", "--close"], "--close does not go with --strip"),
     ],
 )
 def test_errors_are_one_line(model, options, reason, tmp_path, capsys):

@@ -1,7 +1,8 @@
-"""A contact sheet of a garment model: seeded poses x three held-out bodies, the model beside the full-space minimum.
+"""A contact sheet of a garment model: poses x three held-out bodies, the model beside the full-space minimum.
 
 `physkin contact-sheet MODEL -o PNG`. Half the poses are uniform in the joint limits, half are frames of the shipped
-clips, turned so that gravity points down; each cell's caption gives its edge strain.
+clips, turned so that gravity points down; or all are frames of clips that were named. Each cell's caption gives its
+edge strain. Or, with `--strip CLIP`, frames of one clip one after the other, in which nothing should swim.
 Dimensions: `P` pairs, `B` samples of a batch, `n` garment vertices, `V` body vertices.
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -20,10 +22,11 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import bundled_motions, load_motion
-from physkin_core.motion.motion import upright_orientation
+from physkin_core.motion.motion import Motion, upright_orientation
 from physkin_core.outfit.outfit_options import add_fit_option
 from physkin_core.output_file import check_folder
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
+from physkin_core.progress import progress_line
 from physkin_core.quality import edge_strain
 from physkin_core.rig.rig import Rig
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
@@ -31,14 +34,19 @@ from physkin_training.evaluate.evaluate import Evaluation
 from physkin_training.sampling.chosen_bodies import bodies_by_girth
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 
-__all__ = ["Drapes", "chosen_poses", "command_parser", "drape_all", "draw_sheet"]
+__all__ = ["Drapes", "chosen_poses", "command_parser", "drape_all", "draw_sheet", "draw_strip"]
 
 BODIES = ("thin", "average", "heavy")
 """The held-out ones with the least, the median and the most volume for their height squared."""
 MINIMUM_COLOUR = (0.45, 0.50, 0.28)
 POSES_A_ROW = 2
-WIDTH = 170
-"""Of a picture [pixels]."""
+VIEWS = {"front": 30.0, "back": 210.0}
+"""Azimuth of the camera [degrees]."""
+WIDTH, CLOSE_WIDTH = 170, 320
+"""Of a picture [pixels], of all of the body and of the garment."""
+POSES = 12
+STRIP_FRAMES, STRIP_RATE, STRIP_COLUMNS = 24, 12.0, 6
+"""Of a strip: so many frames at most, a second, and a row."""
 PIXELS_HIGH = 1.25
 """Height of a picture, relative to its width."""
 LIGHT_PATHS = 8
@@ -62,16 +70,28 @@ class Drapes:
     figures: dict[str, dict[str, float]]
 
 
-def chosen_poses(rig: Rig, *, count: int, seed: int) -> tuple[Pairs, list[str]]:
-    """`count` poses of body 0 and what to call them: half uniform over the limits, half frames of the shipped clips."""
+def chosen_poses(rig: Rig, *, count: int, seed: int, motions: Sequence[Motion] = ()) -> tuple[Pairs, list[str]]:
+    """`count` poses of body 0 and what to call them: half uniform over the limits, half frames of the shipped clips.
+
+    Where clips are given, all are frames of these, evenly spread.
+
+    Raises ValueError when there are not so many, MotionError when a clip moves none of the rig's joints.
+    """
     if count < 1:
         raise ValueError(f"poses must be at least 1, got {count}")
-    uniform = count - count // 2
-    parts = [uniform_pairs(rig, bodies=1, poses=uniform, seed=seed, upright=True)]
-    names = [f"uniform {k}" for k in range(1, uniform + 1)]
-    clips = [load_motion(name) for name in bundled_motions()]
+    clips = motions or [load_motion(name) for name in bundled_motions()]
     frames = [(clip, frame) for clip in clips for frame in range(clip.frame_count)]
-    for index in sorted(np.random.default_rng(seed).choice(len(frames), count - uniform, replace=False)):
+    if motions:
+        if count > len(frames):
+            raise ValueError(f"poses must be at most {len(frames)}, the frames of the clips, got {count}")
+        parts, names = [], []
+        indices = np.floor((np.arange(count) + 0.5) * len(frames) / count).astype(int)
+    else:
+        uniform = count - count // 2
+        parts = [uniform_pairs(rig, bodies=1, poses=uniform, seed=seed, upright=True)]
+        names = [f"uniform {k}" for k in range(1, uniform + 1)]
+        indices = np.sort(np.random.default_rng(seed).choice(len(frames), count - uniform, replace=False))
+    for index in indices:
         clip, frame = frames[index]
         parts.append(motion_pairs(clip, rig, bodies=1)[torch.tensor([frame])])
         names.append(f"{clip.name} {frame}")
@@ -117,35 +137,78 @@ def draw_sheet(
     poses: int,
     fit: float | None = None,
     minimum: bool = False,
+    motions: Sequence[Motion] = (),
+    close: bool = False,
 ) -> tuple[np.ndarray, dict[str, dict[str, float]]]:
     """The sheet (H, W, 3) uint8 of so many poses on three bodies, drapes beside each other, and the figures of
-    `Drapes`. fit: as in `Draper`. Raises PictureError without the [view] extra."""
+    `Drapes`. fit: as in `Draper`. motions: see `chosen_poses`. close: the garment fills the pictures, from both sides.
+    Raises PictureError without the [view] extra."""
+    bodies = bodies_by_girth(load_body_model(), len(BODIES))
+    evaluation = Evaluation(model, device, bodies=bodies, poses=poses, seed=0, fit=fit)
+    pairs, names = chosen_poses(model.rig, count=poses, seed=0, motions=motions)
+    drapes = _stood(drape_all(evaluation, pairs, minimum=minimum), pairs.gravity.repeat_interleave(len(bodies), dim=0))
+    pictures, texts = [], []
+    for pair, (name, body_name) in enumerate(product(names, BODIES)):
+        cloths = {row: vertices[pair] for row, vertices in drapes.garments.items()}
+        shown = np.concatenate([*cloths.values()] if close else [drapes.bodies[pair], *cloths.values()])
+        for view in VIEWS if close else ["front"]:
+            for row, cloth in cloths.items():
+                pictures.append(_picture(model, drapes.bodies[pair], cloth, shown, row=row, view=view, close=close))
+                of = f"{name}, {body_name}" if row == "model" else row
+                texts.append(f"{of} {drapes.strains[row][pair]:.1f} %")
+    columns = len(drapes.garments) * (len(VIEWS) if close else POSES_A_ROW * len(BODIES))
+    return contact_sheet(pictures, columns=columns, captions=texts, gap=4), drapes.figures
+
+
+def draw_strip(
+    model: GarmentModel, device: torch.device, motion: Motion, *, fit: float | None = None
+) -> tuple[np.ndarray, dict[str, dict[str, float]]]:
+    """`STRIP_FRAMES` frames from the middle of a clip (all, if it is shorter) on the average body, otherwise as above.
+
+    The camera stands still, and every frame is draped by itself."""
+    clip = motion.resampled(STRIP_RATE)
+    frames = range(clip.frame_count)
+    frames = frames[max(0, (len(frames) - STRIP_FRAMES) // 2) :][:STRIP_FRAMES]
+    pairs = motion_pairs(clip, model.rig, bodies=1)[torch.tensor(frames)]
+    bodies = bodies_by_girth(load_body_model(), 1)
+    evaluation = Evaluation(model, device, bodies=bodies, poses=len(frames), seed=0, fit=fit)
+    drapes = _stood(drape_all(evaluation, pairs, minimum=False), pairs.gravity)
+    cloths = drapes.garments["model"]
+    shown = cloths.reshape(-1, 3)
+    pictures = [_picture(model, body, cloth, shown, close=True) for body, cloth in zip(drapes.bodies, cloths)]
+    texts = [f"{k / STRIP_RATE:.2f} s, {strain:.1f} %" for k, strain in zip(frames, drapes.strains["model"])]
+    return contact_sheet(pictures, columns=STRIP_COLUMNS, captions=texts, gap=4), drapes.figures
+
+
+def _stood(drapes: Drapes, gravity: torch.Tensor) -> Drapes:
+    """Turned so that gravity (P, 3) points down."""
     from scipy.spatial.transform import Rotation
 
-    body_model = load_body_model()
-    bodies = bodies_by_girth(body_model, len(BODIES))
-    evaluation = Evaluation(model, device, bodies=bodies, poses=poses, seed=0, fit=fit)
-    pairs, names = chosen_poses(model.rig, count=poses, seed=0)
-    drapes = drape_all(evaluation, pairs, minimum=minimum)
-    colours = {"model": CLOTH_COLOUR, "minimum": MINIMUM_COLOUR}
-    pictures, texts = [], []
-    turns = Rotation.from_quat(upright_orientation(pairs.gravity.numpy())).inv().as_matrix()
-    for pair, (name, body_name) in enumerate(product(names, BODIES)):
-        turn = turns[pair // len(BODIES)]
-        body = drapes.bodies[pair] @ turn
-        cloths = {row: vertices[pair] @ turn for row, vertices in drapes.garments.items()}
-        everything = np.concatenate([body, *cloths.values()])
-        for row, cloth in cloths.items():
-            picture = render(
-                [Mesh(body, body_model.faces), Mesh(cloth, model.garment.faces, colours[row])],
-                size=(WIDTH, round(PIXELS_HIGH * WIDTH)),
-                bounds=np.stack([everything.min(axis=0), everything.max(axis=0)]),
-                samples=LIGHT_PATHS,
-            )
-            pictures.append(picture)
-            texts.append(f"{f'{name}, {body_name}' if row == 'model' else row} {drapes.strains[row][pair]:.1f} %")
-    columns = POSES_A_ROW * len(BODIES) * len(drapes.garments)
-    return contact_sheet(pictures, columns=columns, captions=texts, gap=4), drapes.figures
+    turns = Rotation.from_quat(upright_orientation(gravity.numpy())).inv().as_matrix()
+    garments = {row: vertices @ turns for row, vertices in drapes.garments.items()}
+    return replace(drapes, garments=garments, bodies=drapes.bodies @ turns)
+
+
+def _picture(
+    model: GarmentModel,
+    body: np.ndarray,
+    cloth: np.ndarray,
+    shown: np.ndarray,
+    *,
+    row: str = "model",
+    view: str = "front",
+    close: bool,
+) -> np.ndarray:
+    """A drape (n, 3) on its body (V, 3), from where all points `shown` (k, 3) are in the picture."""
+    colour = CLOTH_COLOUR if row == "model" else MINIMUM_COLOUR
+    width = CLOSE_WIDTH if close else WIDTH
+    return render(
+        [Mesh(body, load_body_model().faces), Mesh(cloth, model.garment.faces, colour)],
+        size=(width, round(PIXELS_HIGH * width)),
+        azimuth=VIEWS[view],
+        bounds=np.stack([shown.min(axis=0), shown.max(axis=0)]),
+        samples=LIGHT_PATHS,
+    )
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -153,11 +216,36 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin contact-sheet", description=__doc__.splitlines()[0])
     parser.add_argument("model", help="garment model file, or the name of a shipped one")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="PNG")
-    parser.add_argument("--poses", type=int, default=12, help="poses on each of the three bodies (default 12)")
+    parser.add_argument("--poses", type=int, help=f"poses on each of the three bodies (default {POSES})")
+    parser.add_argument(
+        "--motion",
+        nargs="+",
+        metavar="CLIP",
+        help="shipped clips, motion files or bags that all poses are from (default: half of the poses are uniform)",
+    )
+    parser.add_argument("--close", action="store_true", help="the garment alone fills the pictures, front and back")
+    parser.add_argument(
+        "--strip",
+        metavar="CLIP",
+        help=f"instead: the middle {STRIP_FRAMES} frames of a clip at {STRIP_RATE:g} Hz, close, on the average body",
+    )
     add_fit_option(parser)
     parser.add_argument("--minimum", action="store_true", help="beside the full-space minimum (minutes on a CPU)")
     parser.add_argument("--device", default=DEFAULT_DEVICE)
     return parser
+
+
+def _check_alone(arguments: argparse.Namespace) -> None:
+    """Raises ValueError for options that say nothing of a strip."""
+    for name in ("poses", "motion", "minimum", "close"):
+        if getattr(arguments, name) not in (None, False):
+            raise ValueError(
+                f"--{name} does not go with --strip, which draws frames of one clip; leave one of them out"
+            )
+
+
+def _clip(name: str) -> Motion:
+    return load_motion(name, watch=progress_line(f"reading {name}"))
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -167,8 +255,15 @@ def main(argv: list[str] | None = None) -> int:
         if arguments.output.suffix.lower() != ".png":
             raise ValueError(f"cannot write {arguments.output}: the name must end in .png")
         check_folder(arguments.output)
-        model, given = load_garment_model(arguments.model), {"fit": arguments.fit, "minimum": arguments.minimum}
-        sheet, rows = draw_sheet(model, resolve_device(arguments.device), poses=arguments.poses, **given)
+        model, device = load_garment_model(arguments.model), resolve_device(arguments.device)
+        if arguments.strip:
+            _check_alone(arguments)
+            sheet, rows = draw_strip(model, device, _clip(arguments.strip), fit=arguments.fit)
+        else:
+            given = {name: getattr(arguments, name) for name in ("fit", "minimum", "close")}
+            motions = [_clip(name) for name in arguments.motion or ()]
+            poses = POSES if arguments.poses is None else arguments.poses
+            sheet, rows = draw_sheet(model, device, poses=poses, motions=motions, **given)
         save_png(arguments.output, sheet)
     except (ValueError, PictureError) as error:
         print(f"error: {error}", file=sys.stderr)
