@@ -29,12 +29,12 @@ def squared_heights(vertices):
     return vertices[..., 2].square().sum(dim=1)
 
 
-def figures_of(garment, drapes, minima, *, sizes):
+def figures_of(garment, drapes, minima, *, sizes, **options):
     """Over batches of those sizes, each filled up with a drape that does not count."""
     figures = FoldFigures(garment, CPU)
     for drape, other in zip(drapes.split(sizes), minima.split(sizes)):
         filled = torch.cat([drape, 7 * drape[:1]]), torch.cat([other, 2 * other[:1]])
-        figures.add(*filled, squared_heights, count=len(drape))
+        figures.add(*filled, squared_heights, count=len(drape), **options)
     return figures.result()
 
 
@@ -68,6 +68,9 @@ def test_normals_are_compared_near_the_minimum(sizes):
         turned[k, :, 2] = np.sin(np.radians(degrees)) * flat[k, :, 0]
     result = figures_of(STRIP, turned, flat, sizes=sizes)
     assert result["normal_error_degrees"] == pytest.approx((4 * 3 + 8 * 1) / 12, abs=1e-3)
+
+    straight_on = torch.tensor([0.0, 0, 1]).expand(2, len(STRIP.vertices), 3)
+    assert figures_of(STRIP, turned, flat, sizes=(2,), normals=straight_on)["normal_error_degrees"] == 0
 
 
 def test_nothing_to_compare_with():

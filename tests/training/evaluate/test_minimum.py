@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 from random_models import random_model, random_rotation, tube
+from training.small_runs import waist_band_model
 
-from physkin_core import Garment, load_body_model
+from physkin_core import Draper, Garment, avatar_from_body, load_body_model
+from physkin_core.model.garment import vertex_normals
 from physkin_core.model.garment_nodes import closest_bones
 from physkin_training.evaluate import minimum
 from physkin_training.evaluate.evaluate import Evaluation
@@ -18,6 +21,7 @@ from physkin_training.networks.draping import compose_nodes, delta_transforms
 from physkin_training.networks.export import drape_from_model
 
 CPU = torch.device("cpu")
+BODY = load_body_model()
 
 
 def test_subspace_finds_a_drape_that_the_nodes_can_reach(monkeypatch):
@@ -51,13 +55,12 @@ def test_subspace_finds_a_drape_that_the_nodes_can_reach(monkeypatch):
 def test_minima_on_a_clothed_body_are_in_order(monkeypatch):
     """The model's energy is above the subspace minimum's, and that above the full-space minimum's; gravity included."""
     monkeypatch.setattr(minimum, "STEPS", 100)
-    body = load_body_model()
     band = tube(rings=9, segments=20, radius=1.0, height=0.3)
     garment = Garment(band.vertices * [0.19, 0.23, 1.0] + [0, 0, 0.12], band.faces)
     model = random_model(
-        np.random.default_rng(1), rig=body.rig, garment=garment, nodes=12, influences=6, correction=0.005
+        np.random.default_rng(1), rig=BODY.rig, garment=garment, nodes=12, influences=6, correction=0.005
     )
-    model = replace(model, node_bone=closest_bones(model.node_rest, body.rig.heads, body.rig.tails))
+    model = replace(model, node_bone=closest_bones(model.node_rest, BODY.rig.heads, BODY.rig.tails))
     evaluation = Evaluation(model, CPU, bodies=1, poses=2, seed=0)
     rows = evaluation.minima(evaluation.uniform(upright=True))
     assert list(rows) == ["model_on_subset", "subspace_minimum", "minimum"]
@@ -69,3 +72,26 @@ def test_minima_on_a_clothed_body_are_in_order(monkeypatch):
         ratio = rows[name]["bend_j"] / rows["minimum"]["bend_j"]
         assert rows[name]["fold_energy_ratio"] == pytest.approx(ratio, rel=1e-4)
     assert 0 < rows["subspace_minimum"]["normal_error_degrees"] < 90
+
+
+def test_folds_of_the_model_are_seen_by_the_run_times_normals(monkeypatch):
+    """Where the minimum is the model's own drape, those of faces are right, and the run time's as wrong as they are."""
+    monkeypatch.setattr(minimum, "STEPS", 0)
+    model = waist_band_model()
+    inside_out = replace(model, rest_normals=-model.rest_normals)
+    errors, done = [], {"converged": torch.ones(2, dtype=bool), "gradient_norm": torch.zeros(2)}
+    for shown in (model, inside_out):
+        evaluation = Evaluation(shown, CPU, bodies=2, poses=1, seed=0, fit=0.0)
+        monkeypatch.setattr(evaluation, "full_space_minimum", lambda start, _: SimpleNamespace(vertices=start, **done))
+        rows = evaluation.minima(evaluation.uniform(upright=True))
+        assert rows["subspace_minimum"]["normal_error_degrees"] == pytest.approx(0, abs=0.01)
+        assert rows["model_on_subset"]["fold_energy_ratio"] == pytest.approx(1, rel=1e-4)
+        errors.append(rows["model_on_subset"]["normal_error_degrees"])
+    angles = []
+    (batch,) = evaluation.batches(evaluation.uniform(upright=True))
+    for joints, down, body in zip(batch.positions.numpy(), batch.gravity.numpy(), BODY.held_out_bodies):
+        cloud = Draper(model, avatar_from_body(BODY, body), fit=0.0).drape(joints, down)
+        cosine = (cloud[:, 3:] * vertex_normals(cloud[:, :3], model.garment.faces)).sum(axis=1)
+        angles.append(np.degrees(np.arccos(cosine.clip(-1, 1))))
+    assert errors == [pytest.approx(np.mean(angles), rel=0.05), pytest.approx(180 - np.mean(angles), rel=0.05)]
+    assert 1 < errors[0] < 80

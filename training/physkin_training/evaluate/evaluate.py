@@ -24,6 +24,7 @@ from physkin_core.sway.frame_input import STANDARD_GRAVITY
 from physkin_training.evaluate.figures import Figures
 from physkin_training.evaluate.folds import FoldFigures
 from physkin_training.evaluate.minimum import subspace_minimum
+from physkin_training.evaluate.run_time_normals import RunTimeNormals
 from physkin_training.evaluate.skin_shows import SkinShows
 from physkin_training.networks.draping import Drape, RestShape, compose_nodes, delta_transforms
 from physkin_training.networks.export import drape_from_model, encode_bodies
@@ -111,6 +112,7 @@ class Evaluation:
             model.garment, model.material, self.batch, device, wearing=wearing, reach=REACH, rest=self.rest
         )
         self.skin = SkinShows(model.garment, body_model, self.posed_bodies)
+        self._normals = RunTimeNormals(model, body_model, self.bodies.coefficients, fit=fit)
         self.modulations = encode_bodies(self.drape, self.bodies.vertices.cpu().numpy(), body_model.faces, fit=fit)
         self.node_positions = self.drape.node_positions(self.bodies)
 
@@ -245,8 +247,9 @@ class Evaluation:
                 norms[name] += minimum.gradient_norm[: batch.count].tolist()
             for name, vertices in {"model_on_subset": own, **{k: m.vertices for k, m in minima.items()}}.items():
                 self.count_in(rows[name], vertices, batch)
-                if name in folds:
-                    folds[name].add(vertices, minima["minimum"].vertices, bend, count=batch.count)
+            lowest, shown = minima["minimum"].vertices, self._normals(batch.positions, batch.gravity, batch.body)
+            folds["model_on_subset"].add(own, lowest, bend, normals=shown, count=batch.count)
+            folds["subspace_minimum"].add(subspace.vertices, lowest, bend, count=batch.count)
             self.watch(MINIMUM_COST * batch.count)
         results = {name: figures.result() for name, figures in rows.items()}
         for name, compared in folds.items():

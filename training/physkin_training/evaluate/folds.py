@@ -37,24 +37,27 @@ class FoldFigures:
         minima: torch.Tensor,
         bend: Callable[[torch.Tensor], torch.Tensor],
         *,
+        normals: torch.Tensor | None = None,
         count: int | None = None,
     ) -> None:
         """Count in the first `count` (default all) of a batch of drapes and minima (B, n, 3) [m].
 
-        bend: bending energies (B,) [J] of vertices (B, n, 3).
+        bend: bending energies (B,) [J] of vertices (B, n, 3). normals: unit normals (B, n, 3) that the drapes are shown
+        with, default those of their faces.
         """
         with torch.no_grad():
             for name, vertices in (("drape", drapes), ("minimum", minima)):
                 energy = bend(vertices)
                 self._count(f"{name} bend", energy[:count])
                 self._count(f"{name} noise", (energy - bend(averaged_with_neighbours(vertices, self._edges)))[:count])
-            drapes, minima = drapes[:count], minima[:count]
-            own, other = (normalize(area_normals(vertices, self._faces), dim=2) for vertices in (drapes, minima))
-            apart = torch.linalg.norm(torch.linalg.cross(own, other), dim=2)
-            degrees = torch.rad2deg(torch.atan2(apart, (own * other).sum(dim=2)))
-            near = torch.linalg.norm(drapes - minima, dim=2) < NEAR
+            own = self._face_normals(drapes) if normals is None else normals
+            degrees = angles(own[:count], self._face_normals(minima)[:count])
+            near = torch.linalg.norm(drapes - minima, dim=2)[:count] < NEAR
             self._count("degrees", degrees[near])
             self._count("near", near)
+
+    def _face_normals(self, vertices: torch.Tensor) -> torch.Tensor:
+        return normalize(area_normals(vertices, self._faces), dim=2)
 
     def _count(self, name: str, values: torch.Tensor) -> None:
         self._sums[name] += float(values.double().sum())
@@ -80,3 +83,9 @@ def averaged_with_neighbours(vertices: torch.Tensor, edges: torch.Tensor) -> tor
         means.index_add_(1, here, vertices[:, there])
         count.index_add_(0, here, torch.ones(len(here), device=count.device))
     return means / count[:, None]
+
+
+def angles(normals: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
+    """Between vectors (..., 3), in degrees (...)."""
+    sine = torch.linalg.norm(torch.linalg.cross(normals, others), dim=-1)
+    return torch.rad2deg(torch.atan2(sine, (normals * others).sum(dim=-1)))
