@@ -14,13 +14,15 @@ from numbers import Real
 
 import numpy as np
 
+from physkin_core.file_reading import shown
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.hyper_modulator import BENDING_OCTAVES, with_bending
+from physkin_core.model.hyper_modulator import with_bending
 
 __all__ = ["FABRICS", "Fabric", "fabric_of", "made_of"]
 
-LIGHTEST, HEAVIEST = 0.75, 1.25
-"""Weight over stretch, in those of the trained cloth, that a garment may have: lighter cloth comes out no better."""
+LIGHTEST, HEAVIEST = 0.25, 1.75
+"""Weight over stretch that a garment may have, in times that of the trained cloth: networks know roots that accelerate
+until nothing weighs anything, or three times as much."""
 
 
 @dataclass(frozen=True)
@@ -43,22 +45,33 @@ class Fabric:
 
 
 KEYS = {entry.name for entry in fields(Fabric)}
+JERSEY = Fabric(stretch=200.0, bend=3e-6, density=0.2)
 FABRICS = {
-    "jersey": Fabric(stretch=60.0, bend=2.5e-5, density=0.2),
-    "wool": Fabric(stretch=90.0, bend=1.5e-4, density=0.3),
-    "denim": Fabric(stretch=120.0, bend=4.0e-4, density=0.4),
-    "leather": Fabric(stretch=200.0, bend=1.3e-3, density=0.7),
+    "jersey": JERSEY,
+    "cotton": Fabric(stretch=400.0, bend=5e-6, density=0.13),
+    "silk": Fabric(stretch=250.0, bend=1e-6, density=0.08),
+    "wool": Fabric(stretch=300.0, bend=1e-5, density=0.25),
+    "denim": Fabric(stretch=400.0, bend=1.2e-4, density=0.4),
+    "leather": Fabric(stretch=800.0, bend=3.5e-4, density=0.7),
 }
-"""Cloth by name. Jersey is the reference material; weights are usual ones, stiffness is relative to it."""
+"""Cloth by name, as measured (docs/fabrics.md names the sources). Jersey is the reference material."""
 
 
-def fabric_of(text: str) -> Fabric:
-    """A fabric by its name, or by numbers: "stretch=120+bend=3e-4+density=0.4". What is left out is jersey's.
+def fabric_of(text: str, model: GarmentModel) -> Fabric:
+    """A fabric for a garment model by its name, or by numbers: "stretch=120+bend=3e-4+density=0.4".
 
+    Numbers are what they say, and what is left out is the model's own. A name stands for ratios to jersey, of what the
+    model was trained as; where a model has not learnt to bend so, it means the nearest that it has learnt.
     Raises ValueError saying what is allowed.
     """
+    material = model.material
+    own = Fabric(material.youngs_modulus, material.bending, material.density)
     if text in FABRICS:
-        return FABRICS[text]
+        named = FABRICS[text]
+        stretch, bend, density = (getattr(named, key) / getattr(JERSEY, key) for key in ("stretch", "bend", "density"))
+        least, most = (2.0**octave for octave in model.bending_octaves)
+        bend = min(max(bend / stretch, least), most) * stretch
+        return Fabric(own.stretch * stretch, own.bend * bend, own.density * density)
     try:
         pairs = [(name.strip(), float(number)) for name, number in (part.split("=") for part in text.split("+"))]
     except ValueError:
@@ -66,34 +79,34 @@ def fabric_of(text: str) -> Fabric:
     values = dict(pairs)
     if not pairs or len(values) < len(pairs) or not values.keys() <= KEYS:
         raise ValueError(
-            f"no fabric {text!r}; allowed: {', '.join(FABRICS)}, or numbers, each once, as in "
+            f"no fabric {shown(text)}; allowed: {', '.join(FABRICS)}, or numbers, each once, as in "
             "stretch=120+bend=3e-4+density=0.4"
         )
-    return replace(FABRICS["jersey"], **values)
+    return replace(own, **values)
 
 
 def made_of(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
-    """The garment made of another fabric, by name (see `FABRICS`) or by numbers: a model like any other.
+    """The garment made of another fabric, by name or by numbers (see `fabric_of`): a model like any other.
 
     Raises ValueError for a fabric that the model has not learnt, saying what is allowed.
     """
-    fabric = fabric_of(fabric) if isinstance(fabric, str) else fabric
     material = model.material
-    stretch = fabric.stretch / material.youngs_modulus
-    heavier = fabric.density / material.density / stretch
-    stiffer = fabric.bend / material.bending / stretch if material.bending else math.inf
-    if not model.hyper_modulator["bend"].any():
+    if not model.hyper_modulator["bend"].any() or not material.bending:
         raise ValueError(
             f"garment model {model.name!r} is of another fabric already, take the model as it was trained; or it has "
             "learnt no bending, train it with optimisation.other_bending"
         )
+    fabric = fabric_of(fabric, model) if isinstance(fabric, str) else fabric
+    stretch = fabric.stretch / material.youngs_modulus
+    heavier = fabric.density / material.density / stretch
+    stiffer = fabric.bend / material.bending / stretch
     if not LIGHTEST * 0.999 <= heavier <= HEAVIEST * 1.001:
         allowed = " to ".join(f"{times * stretch * material.density:.3g}" for times in (LIGHTEST, HEAVIEST))
         raise ValueError(
             f"density {fabric.density:g} kg/m2 at stretch {fabric.stretch:g} N/m is not what {model.name!r} has "
             f"learnt, allowed: {allowed} kg/m2"
         )
-    least, most = (2.0**octave for octave in BENDING_OCTAVES)
+    least, most = (2.0**octave for octave in model.bending_octaves)
     if not least * 0.999 <= stiffer <= most * 1.001:
         allowed = " to ".join(f"{times * stretch * material.bending:.2g}" for times in (least, most))
         raise ValueError(

@@ -9,10 +9,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from numbers import Real
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
+from physkin_core.file_reading import shown
 from physkin_core.model.detail import Detail
 from physkin_core.model.garment import Garment
 from physkin_core.model.hyper_modulator import HEADS, hyper_modulator_shapes
@@ -30,30 +31,39 @@ from physkin_core.model.model_arrays import (
 from physkin_core.model.sway_network import SwayNetwork, drive_size, pose_size
 from physkin_core.rig.rig import Rig
 
-__all__ = ["GarmentModel", "Material", "SkinnedGarment"]
+__all__ = ["GarmentModel", "Material", "RestAngles", "SkinnedGarment"]
 
+RestAngles = Literal["flat", "as_made"]
+OCTAVES_OF_OLDER = (-2.0, 4.0)
+MOST_OCTAVES = 16
 SHORTEST_NORMAL = 1e-3
 """Rest normals may have any length from here on."""
 
 
 @dataclass(frozen=True)
 class Material:
-    """What the garment was trained as. Defaults are the reference material of every quoted figure.
+    """What the garment was trained as. Defaults are the reference material: jersey, flat at rest.
 
     youngs_modulus [N/m] and poisson_ratio of the StVK membrane, bending [J] of the dihedral energy, density [kg/m2],
-    contact_offset [m], contact_stiffness [J/m4] (energy = stiffness * vertex area * depth^2).
+    contact_offset [m], contact_stiffness [J/m4] (energy = stiffness * vertex area * depth^2). rest_angles: "flat" for
+    cloth that bends from the plane, as woven and knitted cloth does; "as_made" for cloth that bends from the shape of
+    its mesh.
     Raises ValueError naming a value that is not a finite number or has no physical meaning, and what is allowed.
     """
 
-    youngs_modulus: float = 60.0
+    youngs_modulus: float = 200.0
     poisson_ratio: float = 0.25
-    bending: float = 2.5e-5
+    bending: float = 3e-6
     density: float = 0.2
     contact_offset: float = 0.003
     contact_stiffness: float = 4.0e6
+    rest_angles: RestAngles = "flat"
 
     def __post_init__(self) -> None:
-        for name in (entry.name for entry in fields(self)):
+        if self.rest_angles not in get_args(RestAngles):
+            allowed = " or ".join(map(repr, get_args(RestAngles)))
+            raise ValueError(f"material rest_angles is {shown(self.rest_angles)}, allowed: {allowed}")
+        for name in (entry.name for entry in fields(self) if entry.name != "rest_angles"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
                 raise ValueError(f"material {name} is {value!r}, allowed: a finite number")
@@ -97,7 +107,8 @@ class GarmentModel(SkinnedGarment):
     rest shapes made to measure and cloth that bends otherwise are known. pose_modulator, node_deformer: layers. sway:
     network that moves the garment nodes of a body that moves; None where a pendulum does. detail: folds between garment
     nodes; None for none. training, scores: plain data on how it was trained (seed, bodies, steps) and how it measured
-    up.
+    up. In training, bending_octaves says how much softer and stiffer than `material` it has learnt to bend, as powers
+    of two; models that do not say so have learnt -2 to 4.
     """
 
     pose_modulator: tuple[Layer, ...] = described("pose_modulator", Chain("p", "deformer_modulation"))
@@ -125,6 +136,7 @@ class GarmentModel(SkinnedGarment):
             sizes["deformer_width"] = self.node_deformer[-1][0].shape[1]
             sizes["detail_nodes"] = len(self.detail.offsets) // 3
         check_arrays(self, sizes)
+        _check_octaves(self.training.get("bending_octaves", OCTAVES_OF_OLDER))
         if (width := len(self.hyper_modulator["fit"])) % HEADS:
             raise GarmentModelError(f"hyper_modulator token width {width} is not a multiple of its {HEADS} heads")
         if self.sway is not None and not self.sway.rates.min() > 0:
@@ -135,6 +147,12 @@ class GarmentModel(SkinnedGarment):
                 f"garment.normals of vertex {int(length.argmin())} is {length.min():.1e} long, "
                 f"allowed: {SHORTEST_NORMAL:g} or more"
             )
+
+    @property
+    def bending_octaves(self) -> tuple[float, float]:
+        """How much softer and stiffer than its material it has learnt to bend, as powers of two."""
+        softest, stiffest = self.training.get("bending_octaves", OCTAVES_OF_OLDER)
+        return softest, stiffest
 
     def for_engines(self) -> GarmentModel:
         """The same model skinned by the few influences that engines take."""
@@ -147,3 +165,13 @@ class GarmentModel(SkinnedGarment):
     def arrays(self) -> dict[str, np.ndarray]:
         """Every array by its name in the garment model file."""
         return {name: array for name, array, _ in described_arrays(self)}
+
+
+def _check_octaves(octaves: object) -> None:
+    try:
+        softest, stiffest = map(float, octaves)
+    except (TypeError, ValueError):
+        softest = stiffest = math.nan
+    if not -MOST_OCTAVES <= softest <= 0 <= stiffest <= MOST_OCTAVES:
+        allowed = f"two numbers, from {-MOST_OCTAVES} to 0 and from 0 to {MOST_OCTAVES}"
+        raise GarmentModelError(f"training.bending_octaves is {shown(octaves)}, allowed: {allowed}")

@@ -18,6 +18,7 @@ from physkin_core.native_module import native
 __all__ = [
     "BENDING_OCTAVES",
     "ENCODING_FREQUENCIES",
+    "OCTAVES_OF_A_CODE",
     "POINT_COUNT",
     "at_fit",
     "bending_code",
@@ -29,8 +30,10 @@ __all__ = [
 POINT_COUNT = 4096
 ENCODING_FREQUENCIES: int = native.constants["encoding_frequencies"]
 HEADS: int = native.constants["heads"]
-BENDING_OCTAVES = (-2.0, 4.0)
-"""How much softer and stiffer than the trained cloth others bend, as powers of two."""
+BENDING_OCTAVES = (-2.0, 5.0)
+"""How much softer and stiffer than the trained cloth others bend in training, as powers of two."""
+OCTAVES_OF_A_CODE = 4.0
+"""How many of them a step of 1 in the code for bending is."""
 
 
 def token_features() -> int:
@@ -74,7 +77,7 @@ def at_fit(network: Mapping[str, np.ndarray], fit: float) -> dict[str, np.ndarra
 
 def bending_code(stiffer: float) -> float:
     """The number that stands for cloth which bends `stiffer` times as stiffly as the trained one: 0 for that one."""
-    return math.log2(stiffer) / BENDING_OCTAVES[1]
+    return math.log2(stiffer) / OCTAVES_OF_A_CODE
 
 
 def with_bending(network: Mapping[str, np.ndarray], stiffer: float) -> dict[str, np.ndarray]:

@@ -38,6 +38,8 @@ __all__ = [
 
 FORMAT = "physkin-garment"
 SCHEMA_VERSION, OLDEST_READ = 6, 5
+OF_OLDER = {"rest_angles": "as_made"}
+"""What the material of a file that does not say so is: it was trained before there was a choice."""
 LEAST_PACKED = 2**15
 """Network weights of so many numbers or more are packed. Smaller ones take little space; among them is the pose
 modulator's first layer, whose rounding can move single vertices by almost a millimetre."""
@@ -124,7 +126,7 @@ def _model(path: Path, metadata: Mapping[str, str], tensors: Mapping[str, np.nda
             name=metadata["name"],
             rig=Rig.from_json(json.loads(metadata["rig"])),
             **described,
-            material=Material(**json.loads(metadata["material"])),
+            material=Material(**OF_OLDER | json.loads(metadata["material"])),
             training=json.loads(metadata["training"]),
             scores=json.loads(metadata["scores"]),
         )

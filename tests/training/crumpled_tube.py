@@ -24,7 +24,8 @@ LINEAR_BEYOND = 0.006
 
 class CrumpledTube:
     """Two samples of a tube about the origin, 12 cm high, of other rest shapes and bending, over a floor at height
-    `floor`; three of its vertices are tied to corners of the floor. `potential`: of a step that `begin` told of.
+    `floor`; three of its vertices are tied to corners of the floor. It bends from the shape that it was made in.
+    `potential`: of a step that `begin` told of.
 
     only: of the energies, default all. worn: whether deep contact counts. scale: of the rest shape.
     """
@@ -44,7 +45,7 @@ class CrumpledTube:
             *(FACES, np.zeros(2, np.int32), np.full((n, 1), worn), np.zeros((n, 1), bool), np.zeros(1, bool)),
             *(np.zeros(n, np.int32), np.arange(3), np.arange(3), np.zeros(3, np.float32)),
         )
-        material = Material(bending=1e-3, contact_stiffness=1e5)
+        material = Material(bending=1e-3, contact_stiffness=1e5, rest_angles="as_made")
         shapes = np.stack([self.garment.vertices, self.garment.vertices * [1.2, 0.9, 1.1]])
         self.potential = IncrementalPotential(
             *(self.garment, material, SAMPLES, CPU),

@@ -33,12 +33,13 @@ def stretch_energy(x: torch.Tensor, garment: Garment, material: Material) -> tor
 
 
 def bend_energy(x: torch.Tensor, garment: Garment, material: Material) -> torch.Tensor:
-    """k sum 3 |e|^2 / (A1 + A2) (theta - rest)^2 of x (n, 3), theta signed about the shared edge."""
+    """k sum 3 |e|^2 / (A1 + A2) (theta - rest)^2 of x (n, 3), theta signed about the shared edge, rest 0 of flat cloth."""
     rest = torch.as_tensor(garment.vertices)
     total = torch.zeros((), dtype=torch.float64)
     for hinge in garment.hinges.tolist():
         angle, _, _ = _hinge(x, hinge)
-        rest_angle, length, areas = _hinge(rest, hinge)
+        made, length, areas = _hinge(rest, hinge)
+        rest_angle = 0.0 if material.rest_angles == "flat" else made
         difference = angle - rest_angle
         difference = difference - 2 * np.pi * torch.round(difference.detach() / (2 * np.pi))
         total = total + material.bending * 3 * length**2 / areas * difference**2

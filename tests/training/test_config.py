@@ -61,6 +61,7 @@ def test_shipped_models_are_runs_of_their_configurations(name):
     for training, path in ((first, f"{name}.toml"), (last, f"fabrics/{name}.toml")):
         config = load_config(FOLDER / path).as_plain_data()
         training["optimisation"] = {"other_bending": 0.0} | training["optimisation"]
+        training["material"] = {"rest_angles": "as_made"} | training["material"]
         for key, value in config.items():
             ran = training[key]
             assert value == ({name: ran[name] for name in value} if isinstance(value, dict) else ran)
@@ -107,6 +108,7 @@ def test_shipped_models_are_runs_of_their_configurations(name):
         ("[material]\npoisson_ratio = 1", "poisson_ratio", "1"),
         ("[material]\nyoungs_modulus = -60", "youngs_modulus", "-60"),
         ("[material]\ndensity = true", "density", "True"),
+        ('[material]\nrest_angles = "round"', "rest_angles is 'round'", "'flat' or 'as_made'"),
         ("material = 3", "material", "3"),
     ],
 )

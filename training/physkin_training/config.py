@@ -46,7 +46,7 @@ class OptimisationConfig:
     `encoder_points` of them. `validate_every`: steps from one measurement of the moving average to the next, once range
     and influences are final; the best one is exported. `steadiness` [J/m2]: weight of garment nodes that jump between
     poses beside each other (see `Steadiness`). `other_bending`: share of the bodies whose cloth bends otherwise, from a
-    quarter to 16 times as stiffly. Every second body of a step wears the garment made to measure.
+    quarter to 32 times as stiffly. Every second body of a step wears the garment made to measure.
     """
 
     steps: Count = 100000

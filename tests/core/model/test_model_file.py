@@ -48,6 +48,20 @@ def refused(saved, match, change, *, seal=True):
 # --- The round trip ---
 
 
+def test_cloth_of_a_file_that_does_not_say_so_bends_from_the_shape_of_its_mesh(saved):
+    """That was what every garment did; and those files have learnt fewer octaves of bending."""
+    metadata, tensors = contents(saved)
+    assert load_garment_model(saved).material.rest_angles == "flat"
+    metadata["material"] = json.dumps({"youngs_modulus": 60.0, "bending": 2.5e-5})
+    saved.write_bytes(sealed(metadata, tensors))
+    model = load_garment_model(saved)
+    assert model.material == Material(youngs_modulus=60.0, bending=2.5e-5, rest_angles="as_made")
+    assert model.bending_octaves == (-2, 4)
+    metadata["training"] = json.dumps({"bending_octaves": [-2, 5]})
+    saved.write_bytes(sealed(metadata, tensors))
+    assert load_garment_model(saved).bending_octaves == (-2, 5)
+
+
 @pytest.mark.parametrize("size", SIZES)
 def test_round_trip(tmp_path, size):
     """Indices, geometry in float32, rig and plain data come back exactly, large network weights to a thousandth of a
@@ -300,6 +314,8 @@ def test_values_of_another_kind_and_unknown_arrays_are_refused(saved, name, chan
         ("density", "0.2", "a finite number"),
         ("density", True, "a finite number"),
         ("density", None, "a finite number"),
+        ("rest_angles", "round", "'flat' or 'as_made'"),
+        ("rest_angles", ["flat"], "'flat' or 'as_made'"),
     ],
 )
 def test_impossible_material_is_refused(field, value, message):
@@ -312,6 +328,13 @@ def test_impossible_material_is_refused(field, value, message):
     [
         (lambda m: dict(name=" "), "needs a name"),
         (lambda m: dict(training=[]), r"training must be an object of names and values, got \[\]"),
+        *(
+            (
+                lambda m, octaves=octaves: dict(training={"bending_octaves": octaves}),
+                "training.bending_octaves is .*, allowed",
+            )
+            for octaves in (3, None, "ab", [-2], [-2, "x"], [1, 5], [-2, -1], [-2, 17], [-2, np.nan], [-2, 3, 4])
+        ),
         (lambda m: dict(influence_weights=-m.influence_weights), "non-negative and sum to 1"),
         (lambda m: dict(influence_weights=1.1 * m.influence_weights), "non-negative and sum to 1"),
         (lambda m: dict(influence_nodes=m.influence_nodes + 4), r"skinning.nodes holds index \d\.\.\d, allowed 0\.\.5"),

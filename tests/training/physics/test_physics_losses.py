@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import trimesh
 import warp as wp
 
 from physkin_core.model.garment import Garment
-from physkin_core.model.garment_model import Material
+from physkin_core.model.garment_model import Material, RestAngles
 from physkin_training.energies.band import BAND_SLACK, BAND_STIFFNESS
 from physkin_training.energies.collision import LED_BACK_BEYOND
 from physkin_training.physics.physics_losses import PhysicsLosses
@@ -55,14 +56,14 @@ def run(scene, x, *, times=1, **options):
     return energies, leaf.grad.numpy()
 
 
-def oracle_terms(scene, x, sample):
+def oracle_terms(scene, x, sample, material=MATERIAL):
     """Energy terms of one sample as functions of a leaf tensor."""
     garment, body, _, _, _, gravity = scene
     return {
-        "stretch": oracle.stretch_energy(x, garment, MATERIAL),
-        "bend": oracle.bend_energy(x, garment, MATERIAL),
-        "collision": oracle.collision_energy(x, garment, MATERIAL, np.asarray(body.vertices), np.asarray(body.faces)),
-        "gravity": oracle.gravity_energy(x, garment, MATERIAL, torch.as_tensor(gravity[sample])),
+        "stretch": oracle.stretch_energy(x, garment, material),
+        "bend": oracle.bend_energy(x, garment, material),
+        "collision": oracle.collision_energy(x, garment, material, np.asarray(body.vertices), np.asarray(body.faces)),
+        "gravity": oracle.gravity_energy(x, garment, material, torch.as_tensor(gravity[sample])),
     }
 
 
@@ -108,29 +109,30 @@ def rest_shapes(garment) -> list[Garment]:
     ]
 
 
-def test_each_sample_has_its_own_rest_shape(scene):
+@pytest.mark.parametrize("rest_angles", get_args(RestAngles))
+def test_each_sample_has_its_own_rest_shape(scene, rest_angles):
     """Energies and gradient against the oracle with that rest shape alone, the band's by its formula; rows may change
     from call to call."""
     garment, _, x, offset, mesh, gravity = scene
-    shapes = rest_shapes(garment)
-    rest = RestData(garment, MATERIAL, torch.device("cpu"), shapes=np.stack([shape.vertices for shape in shapes]))
+    shapes, material = rest_shapes(garment), replace(MATERIAL, rest_angles=rest_angles)
+    rest = RestData(garment, material, torch.device("cpu"), shapes=np.stack([shape.vertices for shape in shapes]))
     body = scene[1]
     band = worn_on(garment, body, worn=True, band=[0, 5, 9])
-    losses = PhysicsLosses(garment, MATERIAL, SAMPLES, torch.device("cpu"), rest=rest, wearing=band)
+    losses = PhysicsLosses(garment, material, SAMPLES, torch.device("cpu"), rest=rest, wearing=band)
     tensors = [torch.as_tensor(a, dtype=torch.float32) for a in (x, gravity, offset)]
     for rows in ([2, 1], [0, 2]):
         losses.rest_row.copy_(torch.tensor(rows))
         energies, gradient = losses.evaluate(tensors[0], tensors[1], mesh, tensors[2])
         for sample, row in enumerate(rows):
             leaf = torch.tensor(x[sample], requires_grad=True)
-            terms = oracle_terms((shapes[row], *scene[1:]), leaf, sample)
+            terms = oracle_terms((shapes[row], *scene[1:]), leaf, sample, material)
             for name, value in terms.items():
                 assert energies[name][sample].item() == pytest.approx(value.item(), rel=3e-4), (name, row)
             (expected,) = torch.autograd.grad(sum(terms.values()), leaf)
             held = band_gradient(shapes[row], body, x[sample], band)
             error = np.abs(gradient[sample].numpy() - expected.numpy() - held).max()
             assert error < 1e-3 * np.abs(expected.numpy()).max()
-    alone = PhysicsLosses(shapes[2], MATERIAL, SAMPLES, torch.device("cpu"), wearing=band)
+    alone = PhysicsLosses(shapes[2], material, SAMPLES, torch.device("cpu"), wearing=band)
     there = alone.evaluate(tensors[0], tensors[1], mesh, tensors[2])[0]
     assert there["band"][1].item() == pytest.approx(energies["band"][1].item(), rel=1e-5) and there["band"][1] > 0
 

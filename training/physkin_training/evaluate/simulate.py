@@ -12,6 +12,7 @@ import sys
 import time
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import torch
@@ -21,7 +22,7 @@ from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.model.garment import Garment, load_garment
-from physkin_core.model.garment_model import GarmentModel, Material
+from physkin_core.model.garment_model import GarmentModel, Material, RestAngles
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
 from physkin_core.outfit.draper import Draper
@@ -182,7 +183,8 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("--start-from", metavar="MODEL", help="trained garment to start from (default: plain skinning)")
     for entry in fields(Material):
         name = "--" + entry.name.replace("_", "-")
-        parser.add_argument(name, type=float, default=entry.default, metavar="X", help="(default %(default)s)")
+        kind = {"choices": get_args(RestAngles)} if entry.name == "rest_angles" else {"type": float, "metavar": "X"}
+        parser.add_argument(name, default=entry.default, help="(default %(default)s)", **kind)
     parser.add_argument("--tolerance", type=float, default=1e-2, help="residual force / weight (default %(default)s)")
     parser.add_argument("--device", default=DEFAULT_DEVICE)
     parser.add_argument(

@@ -5,8 +5,6 @@ Dimensions: `n` garment vertices, `b` bones. Metres, root frame, canonical pose.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
@@ -27,6 +25,8 @@ CLEARANCE = 0.0035
 """[m] a garment at rest keeps from the body, beyond the 3 mm contact offset of training."""
 SOFT = 0.002
 """[m] farther out than `CLEARANCE`, contact begins to push while the garment is relaxed."""
+MOULDED = Material(youngs_modulus=60.0, bending=2.5e-5, rest_angles="as_made", contact_offset=CLEARANCE + SOFT)
+"""What a garment is made of while it is relaxed: it is to keep the shape of its mesh, and to stay smooth."""
 NEAREST = 16
 """Body vertices from which a garment vertex takes its bones."""
 
@@ -63,8 +63,7 @@ def clear_of(
     contact, without gravity. start: (n, 3) where it begins, default its rest shape. iterations: Newton steps, at most.
     """
     device = torch.device("cpu")
-    material = replace(Material(), contact_offset=CLEARANCE + SOFT)
-    losses = PhysicsLosses(garment, material, 1, device)
+    losses = PhysicsLosses(garment, MOULDED, 1, device)
     rig = load_body_model().rig
     posed = posed_avatar(body, rig, 1, device)
     posed.pose(torch.tensor(rig.rest[None], dtype=torch.float32))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from physkin_core.model.hyper_modulator import BENDING_OCTAVES
+from physkin_core.model.hyper_modulator import BENDING_OCTAVES, OCTAVES_OF_A_CODE
 
 __all__ = ["drawn_bending"]
 
@@ -15,4 +15,4 @@ def drawn_bending(bodies: int, share: float, device: torch.device) -> tuple[torc
     softest, stiffest = BENDING_OCTAVES
     drawn, chosen = torch.rand(2, bodies, device=device)
     octaves = (softest + (stiffest - softest) * drawn) * (chosen < share)
-    return octaves / stiffest, torch.exp2(octaves)
+    return octaves / OCTAVES_OF_A_CODE, torch.exp2(octaves)

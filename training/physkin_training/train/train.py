@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.hyper_modulator import BENDING_OCTAVES
 from physkin_training.config import ConfigError, load_config
 from physkin_training.devices import DEFAULT_DEVICE
 from physkin_training.networks.compensated_rounding import rounded_model
@@ -174,6 +175,7 @@ def export(trainer: Trainer, path: Path) -> GarmentModel:
     otherwise."""
     config, drape, best = trainer.config, trainer.best_drape(), trainer.best
     training = config.as_plain_data() | {"step": best.step if best else trainer.step}
+    training["bending_octaves"] = list(BENDING_OCTAVES)
     if best:
         training["validation_energy_j"] = best.energy
         log.info("the model is the one of step %d, with the lowest validation energy, %.4f J", best.step, best.energy)
