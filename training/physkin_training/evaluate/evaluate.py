@@ -259,9 +259,11 @@ class Evaluation:
         results["minimum"]["converged_percent"] = 100 * sum(converged) / len(converged)
         return results
 
-    def full_space_minimum(self, start: torch.Tensor, batch: Batch) -> Solution:
-        """Minimise over all vertices from drapes (B, n, 3), against the bodies of the batch posed last."""
-        return self._solver.minimise(start, batch.gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
+    def full_space_minimum(self, start: torch.Tensor, batch: Batch, **limits: int) -> Solution:
+        """Minimise over all vertices from drapes (B, n, 3), against the bodies of the batch posed last. limits: of
+        `FullSpaceSolver.minimise`."""
+        bodies = self.posed_bodies
+        return self._solver.minimise(start, batch.gravity, bodies.mesh, bodies.offset, **limits)
 
     @cached_property
     def _solver(self) -> FullSpaceSolver:
