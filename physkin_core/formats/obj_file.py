@@ -37,7 +37,8 @@ class FaceNames(NamedTuple):
 class ObjFile:
     """vertices: (n, 3) in the order, frame and unit of the file. faces: (f, 3); larger ones, `polygons` of them, are
     cut into fans. uv: (f, 3, 2) of each corner, NaN for none. names: what faces are called, each once; face_names: (f,)
-    indices into them. libraries: material libraries, as they are named. lines: all of the file, continued ones joined.
+    indices into them. libraries: material libraries, as they are named. line_elements: (k, 2) vertices that lines run
+    between, those of more corners cut into pieces. lines: all of the file, continued ones joined.
     """
 
     vertices: np.ndarray
@@ -47,6 +48,7 @@ class ObjFile:
     names: tuple[FaceNames, ...]
     face_names: np.ndarray
     libraries: tuple[str, ...]
+    line_elements: np.ndarray
     lines: tuple[str, ...]
 
     def write(self, path: Path, vertices: np.ndarray) -> None:
@@ -66,9 +68,10 @@ class ObjFile:
 
 def read_obj(path: Path) -> ObjFile:
     """Read a file. Raises OSError where it cannot be opened, ContentError where it is too large, for lines that are not
-    as the format has them, and for faces of vertices or texture places that are not there."""
+    as the format has them, and for faces and line elements at vertices or texture places that are not there."""
     lines = _lines(read_bytes(path, most=LARGEST_TEXT))
     vertices, places, faces, uv, face_names, libraries = [], [[np.nan, np.nan]], [], [], [], []
+    line_elements: list[tuple[int, int]] = []
     now, names, polygons = FaceNames(), {}, 0
     for line in lines:
         kind, *entries = _words(line)
@@ -81,6 +84,9 @@ def read_obj(path: Path) -> ObjFile:
             now = now._replace(**{key: name for key in NAMING[kind]})
         elif kind == "mtllib":
             libraries.append(" ".join(entries))
+        elif kind == "l":
+            ends = [_corner(line, entry, len(vertices), len(places))[0] for entry in entries]
+            line_elements += zip(ends, ends[1:])
         elif kind == "f":
             polygons += len(entries) > 3
             check_mesh_size(vertices=len(vertices), faces=len(faces) + len(entries) - 2, parts=len(names))
@@ -92,13 +98,17 @@ def read_obj(path: Path) -> ObjFile:
                 face_names.append(names.setdefault(now, len(names)))
     check_mesh_size(vertices=len(vertices), parts=len(names))
     corners, places = np.array(faces, dtype=int).reshape(-1, 3), np.array(places)
-    uv = np.array(uv, dtype=int).reshape(-1, 3)
-    for found, count, what in ((corners, len(vertices), "vertices"), (uv, len(places), "texture places")):
+    uv, ends = np.array(uv, dtype=int).reshape(-1, 3), np.array(line_elements, dtype=int).reshape(-1, 2)
+    for element, found, count, what in (
+        ("face", corners, len(vertices), "vertices"),
+        ("face", uv, len(places), "texture places"),
+        ("line", ends, len(vertices), "vertices"),
+    ):
         if len(found) and not (0 <= found.min() and found.max() < count):
-            raise ContentError(f"a face has corners at {what} that are not there; it has {count} of them")
+            raise ContentError(f"a {element} has corners at {what} that are not there; it has {count} of them")
     named = np.array(face_names, dtype=int)
     shape = np.array(vertices, dtype=float).reshape(-1, 3), corners
-    return ObjFile(*shape, polygons, places[uv], tuple(names), named, tuple(libraries), lines)
+    return ObjFile(*shape, polygons, places[uv], tuple(names), named, tuple(libraries), ends, lines)
 
 
 def _lines(content: bytes) -> tuple[str, ...]:

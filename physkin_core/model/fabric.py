@@ -48,11 +48,11 @@ KEYS = {entry.name for entry in fields(Fabric)}
 JERSEY = Fabric(stretch=200.0, bend=3e-6, density=0.2)
 FABRICS = {
     "jersey": JERSEY,
-    "cotton": Fabric(stretch=400.0, bend=5e-6, density=0.13),
-    "silk": Fabric(stretch=250.0, bend=1e-6, density=0.08),
-    "wool": Fabric(stretch=300.0, bend=1e-5, density=0.25),
-    "denim": Fabric(stretch=400.0, bend=1.2e-4, density=0.4),
-    "leather": Fabric(stretch=800.0, bend=3.5e-4, density=0.7),
+    "silk": Fabric(stretch=130.0, bend=5e-7, density=0.06),
+    "cotton": Fabric(stretch=250.0, bend=4e-6, density=0.12),
+    "wool": Fabric(stretch=200.0, bend=7e-6, density=0.22),
+    "denim": Fabric(stretch=350.0, bend=5e-5, density=0.4),
+    "leather": Fabric(stretch=800.0, bend=2.5e-4, density=0.55),
 }
 """Cloth by name, as measured (docs/fabrics.md names the sources). Jersey is the reference material."""
 

@@ -1,6 +1,6 @@
 """Garment mesh and its rest data: what the physics and the quality figures measure against.
 
-Dimensions: `n` vertices, `f` faces, `e` edges, `q` interior edges (hinges). Metres.
+Dimensions: `n` vertices, `f` faces, `e` edges, `q` interior edges (hinges), `c` edges along creases. Metres.
 """
 
 from __future__ import annotations
@@ -63,16 +63,21 @@ class Garment:
     vertices: (n, 3) float64 [m], root frame of the garment maker's body at the canonical pose. faces: (f, 3) int32.
     edges: (e, 2) int32; edge_lengths: (e,). face_areas: (f,) [m2]. hinges: (q, 4) int32, the shared edge's two
     vertices, then the opposite vertex of either face. vertex_areas: (n,) [m2], a third of each face at its corners.
-    Raises GarmentError on non-finite vertices, missing or degenerate faces, or indices out of range.
+    creases: (c, 2), edges that keep the angle that they are made with where other cloth is flat at rest, such as a
+    pressed pleat or a stiff seam; None for none. creased: (q,) bool, the hinges there.
+    Raises GarmentError on non-finite vertices, missing or degenerate faces, indices out of range, or creases that are
+    no edges.
     """
 
     vertices: np.ndarray = described("vertices", Array("n 3", np.float32))
     faces: np.ndarray = described("faces", Array("f 3", below="n"))
+    creases: np.ndarray | None = described("creases", Array("c 2", below="n", optional=True), default=None)
     edges: np.ndarray = field(init=False, repr=False)
     edge_lengths: np.ndarray = field(init=False, repr=False)
     face_areas: np.ndarray = field(init=False, repr=False)
     vertex_areas: np.ndarray = field(init=False, repr=False)
     hinges: np.ndarray = field(init=False, repr=False)
+    creased: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, dtype=np.float64)
@@ -83,6 +88,7 @@ class Garment:
         areas = _checked_areas(vertices, faces)
         edges, hinges = _edges_and_hinges(faces)
         self._set(faces=faces, edges=edges, hinges=hinges, **_measured(vertices, faces, edges, areas))
+        self._set(**self._checked_creases())
 
     def reshaped(self, vertices: np.ndarray) -> Garment:
         """The same mesh with another rest shape. vertices: (n, 3) [m]. Raises GarmentError as the class does."""
@@ -92,6 +98,23 @@ class Garment:
         other = copy.copy(self)
         other._set(**_measured(vertices, self.faces, self.edges, _checked_areas(vertices, self.faces)))
         return other
+
+    def _checked_creases(self) -> dict[str, np.ndarray]:
+        if self.creases is None:
+            return {"creased": np.zeros(len(self.hinges), bool)}
+        creases, count = np.asarray(self.creases), len(self.vertices)
+        if creases.ndim != 2 or creases.shape[1] != 2 or creases.dtype.kind not in "iu" or not len(creases):
+            raise GarmentError(f"creases {creases.shape} of {creases.dtype} must be (c, 2) vertex indices, one or more")
+        along, edges, hinges = (
+            np.sort(pairs, axis=1) @ [count, 1] for pairs in (creases.astype(np.int64), self.edges, self.hinges[:, :2])
+        )
+        there = np.isin(along, edges) & (creases >= 0).all(axis=1) & (creases < count).all(axis=1)
+        if not there.all():
+            raise GarmentError(
+                f"{np.sum(~there)} creases run along no edge of the mesh, the first is from vertex "
+                f"{' to '.join(map(str, creases[~there][0]))}; mark creases (line elements of an OBJ) along edges alone"
+            )
+        return {"creases": creases.astype(np.int32), "creased": np.isin(hinges, along)}
 
     def _set(self, **arrays: np.ndarray) -> None:
         for name, array in arrays.items():
@@ -120,19 +143,21 @@ def load_garment(path: str | Path) -> Garment:
     """Read a garment mesh (OBJ, PLY, STL; metres, root frame of its canonical body). Raises GarmentError.
 
     Vertices at equal positions (texture seams, the triangle soup of an STL file) become one, at the first one's place.
+    Line elements of an OBJ are the garment's creases.
     """
     path = Path(path)
     with reading(f"garment {path}", GarmentError):
         if path.suffix.lower() == ".obj":
             file = read_obj(path)
-            garment = Garment(file.vertices, file.faces)
+            garment, creases = Garment(file.vertices, file.faces), file.line_elements
         else:
-            garment = Garment(*read_surface(path))
+            garment, creases = Garment(*read_surface(path)), np.zeros((0, 2), int)
         _, first, inverse = np.unique(garment.vertices + 0.0, axis=0, return_index=True, return_inverse=True)
-        if len(first) == len(garment.vertices):
+        if len(first) == len(garment.vertices) and not len(creases):
             return garment
         kept, place = np.unique(first, return_inverse=True)
-        return Garment(garment.vertices[kept], place[inverse.reshape(-1)][garment.faces])
+        place = place[inverse.reshape(-1)]
+        return Garment(garment.vertices[kept], place[garment.faces], place[creases] if len(creases) else None)
 
 
 def _edges_and_hinges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -167,9 +167,9 @@ class GarmentModel(SkinnedGarment):
         return {name: array for name, array, _ in described_arrays(self)}
 
 
-def _check_octaves(octaves: object) -> None:
+def _check_octaves(octaves: Any) -> None:
     try:
-        softest, stiffest = map(float, octaves)
+        softest, stiffest = (float(octave) for octave in octaves)
     except (TypeError, ValueError):
         softest = stiffest = math.nan
     if not -MOST_OCTAVES <= softest <= 0 <= stiffest <= MOST_OCTAVES:

@@ -44,18 +44,22 @@ def described(name: str, kind: Array | Linear | Chain | Named | Part, **options:
 class Array:
     """shape: sizes with spaces between, each a number, a name or a sum, as in "n 3" and "2K+p 12m". stored: type in the
     file. below: the size that indices, which are whole numbers from 0, are below; none for floating point numbers.
-    sums_to_one: each row does, of numbers that are not negative."""
+    sums_to_one: each row does, of numbers that are not negative. optional: None where the file has none."""
 
     shape: str
     stored: type = np.float16
     below: str = ""
     sums_to_one: bool = False
+    optional: bool = False
 
-    def arrays(self, name: str, value: np.ndarray) -> Iterator[DescribedArray]:
-        yield name, value, self
+    def arrays(self, name: str, value: np.ndarray | None) -> Iterator[DescribedArray]:
+        if value is not None or not self.optional:
+            yield name, value, self
 
-    def read(self, name: str, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    def read(self, name: str, arrays: Mapping[str, np.ndarray]) -> np.ndarray | None:
         """What the file holds; indices as int32, rows that sum to 1 relieved of their rounding. `check` comes after."""
+        if self.optional and name not in arrays:
+            return None
         array = arrays[name]
         if self.sums_to_one and array.dtype.kind == "f":
             return array / np.maximum(array.sum(axis=-1, keepdims=True), 1e-6)

@@ -74,7 +74,7 @@ class GarmentSettings:
     model: str = _key(
         "tshirt",
         "garment model: a .safetensors file, or the name of a shipped one, with a fabric behind it as skirt:denim or "
-        "skirt:bend=1e-4+density=0.18; without avatars also several, joined by commas, from the skin outwards",
+        "skirt:bend=2e-5+density=0.18; without avatars also several, joined by commas, from the skin outwards",
         changes=True,
         may_be_empty=False,
     )

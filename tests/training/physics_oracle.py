@@ -33,13 +33,13 @@ def stretch_energy(x: torch.Tensor, garment: Garment, material: Material) -> tor
 
 
 def bend_energy(x: torch.Tensor, garment: Garment, material: Material) -> torch.Tensor:
-    """k sum 3 |e|^2 / (A1 + A2) (theta - rest)^2 of x (n, 3), theta signed about the shared edge, rest 0 of flat cloth."""
+    """k sum 3 |e|^2 / (A1 + A2) (theta - rest)^2 of x (n, 3), theta signed about the shared edge; see `Material`."""
     rest = torch.as_tensor(garment.vertices)
     total = torch.zeros((), dtype=torch.float64)
-    for hinge in garment.hinges.tolist():
+    for hinge, creased in zip(garment.hinges.tolist(), garment.creased):
         angle, _, _ = _hinge(x, hinge)
         made, length, areas = _hinge(rest, hinge)
-        rest_angle = 0.0 if material.rest_angles == "flat" else made
+        rest_angle = made if creased or material.rest_angles == "as_made" else 0.0
         difference = angle - rest_angle
         difference = difference - 2 * np.pi * torch.round(difference.detach() / (2 * np.pi))
         total = total + material.bending * 3 * length**2 / areas * difference**2

@@ -81,11 +81,6 @@ def test_a_name_means_ratios_to_jersey_where_the_model_was_trained_as_something_
     assert made_of(rubber, "density=0.16").material.youngs_modulus == 60
 
 
-def test_stiffness_spans_a_hundredfold():
-    ratios = {name: fabric.bend / fabric.stretch for name, fabric in FABRICS.items()}
-    assert 60 < ratios["denim"] / ratios["silk"] < 150
-
-
 def test_a_name_may_carry_the_fabric(model, tmp_path):
     path = tmp_path / "cape.safetensors"
     save_garment_model(model, path)
@@ -93,7 +88,7 @@ def test_a_name_may_carry_the_fabric(model, tmp_path):
     assert load_garment_model(f"{path}:density=0.16 + bend=5e-6").material.bending == 5e-6
     assert load_garment_model(path).material == model.material
     with pytest.raises(
-        ValueError, match="no fabric 'tweed'; allowed: jersey, cotton, silk, wool, denim, leather, or numbers"
+        ValueError, match="no fabric 'tweed'; allowed: jersey, silk, cotton, wool, denim, leather, or numbers"
     ):
         load_garment_model(f"{path}:tweed")
     with pytest.raises(ModelFileError, match="no garment model 'cope'"):

@@ -109,6 +109,44 @@ def test_texture_seams_do_not_cut_the_cloth(tmp_path):
     assert len(loaded.vertices) == len(garment.vertices) and len(loaded.hinges) == len(garment.hinges)
 
 
+@pytest.mark.parametrize("doubled", [False, True])
+def test_line_elements_of_an_obj_are_creases(tmp_path, doubled):
+    """Along the mesh's own vertices, or, as Blender writes edges that were duplicated, along others at their places."""
+    garment = tube(rings=4, segments=6)
+    fold = [1, 7, 13]
+    lines = [f"v {x} {y} {z}" for x, y, z in garment.vertices.tolist()]
+    lines += ["f " + " ".join(str(v + 1) for v in face) for face in garment.faces.tolist()]
+    if doubled:
+        lines += ["v {} {} {}".format(*garment.vertices[v]) for v in fold] + ["l -3 -2", "l -2 -1"]
+    else:
+        lines += ["l " + " ".join(str(v + 1) for v in fold)]
+    (tmp_path / "fold.obj").write_text("\n".join(lines))
+    loaded = load_garment(tmp_path / "fold.obj")
+    np.testing.assert_array_equal(loaded.faces, garment.faces)
+    assert sorted(map(sorted, loaded.creases.tolist())) == [[1, 7], [7, 13]]
+    creased = {frozenset(hinge[:2]) for hinge in loaded.hinges[loaded.creased].tolist()}
+    assert creased == {frozenset({1, 7}), frozenset({7, 13})}
+    reshaped = loaded.reshaped(1.1 * loaded.vertices)
+    np.testing.assert_array_equal(reshaped.creased, loaded.creased)
+    assert garment.creases is None and not garment.creased.any()
+
+
+def test_creases_off_the_edges_are_refused(tmp_path):
+    text = "".join("v {} {} {}\n".format(*corner) for corner in SQUARE) + "f 1 2 3\nf 1 3 4\n"
+    for line, message in (
+        ("l 2 4", "1 creases run along no edge of the mesh, the first is from vertex 1 to 3; mark creases"),
+        ("l 1 3 1\nl 3 3", "1 creases run along no edge of the mesh, the first is from vertex 2 to 2"),
+        ("l 1 9", "a line has corners at vertices that are not there; it has 4 of them"),
+        ("l 1 x", "'l 1 x': 'x' is no corner"),
+    ):
+        (tmp_path / "odd.obj").write_text(f"{text}{line}\n")
+        with pytest.raises(GarmentError, match=message):
+            load_garment(tmp_path / "odd.obj")
+    for creases in ([[0, -1]], [[0, 5]], [[0.0, 1.0]], [0, 1], np.zeros((0, 2), int)):
+        with pytest.raises(GarmentError, match="creases"):
+            Garment(SQUARE, TWO_FACES, np.array(creases))
+
+
 @pytest.mark.parametrize(
     "vertices, faces, message",
     [

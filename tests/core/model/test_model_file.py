@@ -12,6 +12,7 @@ from random_models import SIZES, random_model
 from safetensors.numpy import save
 
 from physkin_core import (
+    Garment,
     GarmentModelError,
     Material,
     ModelFileError,
@@ -48,18 +49,26 @@ def refused(saved, match, change, *, seal=True):
 # --- The round trip ---
 
 
-def test_cloth_of_a_file_that_does_not_say_so_bends_from_the_shape_of_its_mesh(saved):
+def test_cloth_of_a_file_that_does_not_say_so_bends_from_the_shape_of_its_mesh(saved, tmp_path):
     """That was what every garment did; and those files have learnt fewer octaves of bending."""
     metadata, tensors = contents(saved)
     assert load_garment_model(saved).material.rest_angles == "flat"
     metadata["material"] = json.dumps({"youngs_modulus": 60.0, "bending": 2.5e-5})
-    saved.write_bytes(sealed(metadata, tensors))
-    model = load_garment_model(saved)
+    model = load_garment_model(written(tmp_path / "older.safetensors", sealed(metadata, tensors)))
     assert model.material == Material(youngs_modulus=60.0, bending=2.5e-5, rest_angles="as_made")
     assert model.bending_octaves == (-2, 4)
     metadata["training"] = json.dumps({"bending_octaves": [-2, 5]})
-    saved.write_bytes(sealed(metadata, tensors))
-    assert load_garment_model(saved).bending_octaves == (-2, 5)
+    newer = written(tmp_path / "newer.safetensors", sealed(metadata, tensors))
+    assert load_garment_model(newer).bending_octaves == (-2, 5)
+
+
+def test_creases_of_the_mesh_are_kept(saved, tmp_path):
+    model, path = load_garment_model(saved), tmp_path / "creased.safetensors"
+    assert model.garment.creases is None
+    garment = Garment(model.garment.vertices, model.garment.faces, model.garment.edges[3:7])
+    save_garment_model(replace(model, garment=garment), path)
+    np.testing.assert_array_equal(load_garment_model(path).garment.creases, garment.creases)
+    refused(path, "is not valid.*creases", lambda _, tensors: tensors.update({"garment.creases": np.array([[0, 999]])}))
 
 
 @pytest.mark.parametrize("size", SIZES)

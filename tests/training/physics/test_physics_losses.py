@@ -112,8 +112,9 @@ def rest_shapes(garment) -> list[Garment]:
 @pytest.mark.parametrize("rest_angles", get_args(RestAngles))
 def test_each_sample_has_its_own_rest_shape(scene, rest_angles):
     """Energies and gradient against the oracle with that rest shape alone, the band's by its formula; rows may change
-    from call to call."""
+    from call to call. Of flat cloth creases alone keep the angle that they have in each."""
     garment, _, x, offset, mesh, gravity = scene
+    garment = Garment(garment.vertices, garment.faces, garment.hinges[::5, :2])
     shapes, material = rest_shapes(garment), replace(MATERIAL, rest_angles=rest_angles)
     rest = RestData(garment, material, torch.device("cpu"), shapes=np.stack([shape.vertices for shape in shapes]))
     body = scene[1]

@@ -10,6 +10,7 @@ import torch
 from training.small_runs import small_config, train_command
 
 from physkin_core import load_body_model, load_garment_model
+from physkin_core.model.hyper_modulator import BENDING_OCTAVES
 from physkin_training.fit_garment.fit_garment import as_toml
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.physics.physics_losses import PhysicsLosses
@@ -160,6 +161,7 @@ def test_the_export_is_the_best_model(tmp_path, monkeypatch, unfitted_normals):
     assert main(train_command(tmp_path)) == 0
     model = load_garment_model(tmp_path / "out" / "band.safetensors")
     assert model.training["step"] == 2 and model.training["validation_energy_j"] == 1.0
+    assert model.bending_octaves == BENDING_OCTAVES
     exported = drape_from_model(model).skinning_weights.detach().sort(dim=1).values
     first, second = (weights.sort(dim=1).values[:, -3:] for weights in averages)
     assert (exported - first).abs().max() < 0.2 * (second - first).abs().max()

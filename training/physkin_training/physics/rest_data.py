@@ -37,8 +37,8 @@ class RestData:
         self.edge_length = table([shape.edge_lengths for shape in garments])
         self.weight = table([shape.vertex_areas * material.density * STANDARD_GRAVITY for shape in garments])
         hinges = [hinge_rest(shape) for shape in garments]
-        flat = material.rest_angles == "flat"
-        self.hinge_angle = table([np.zeros_like(angle) if flat else angle for angle, _ in hinges])
+        kept = garment.creased if material.rest_angles == "flat" else True
+        self.hinge_angle = table([np.where(kept, angle, 0.0) for angle, _ in hinges])
         self.bend_stiffness = table([material.bending * factor for _, factor in hinges])
 
 
