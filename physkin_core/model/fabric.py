@@ -9,7 +9,7 @@ goes into the network weights for gravity, and bending into a bias of the hyper 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from numbers import Real
 
 import numpy as np
@@ -18,7 +18,7 @@ from physkin_core.file_reading import shown
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.hyper_modulator import with_bending
 
-__all__ = ["FABRICS", "Fabric", "fabric_of", "made_of"]
+__all__ = ["FABRICS", "Fabric", "made_of", "said_of"]
 
 LIGHTEST, HEAVIEST = 0.25, 1.75
 """Weight over stretch that a garment may have, in times that of the trained cloth: networks know roots that accelerate
@@ -57,21 +57,13 @@ FABRICS = {
 """Cloth by name, as measured (docs/fabrics.md names the sources). Jersey is the reference material."""
 
 
-def fabric_of(text: str, model: GarmentModel) -> Fabric:
-    """A fabric for a garment model by its name, or by numbers: "stretch=120+bend=3e-4+density=0.4".
+def said_of(text: str) -> dict[str, float]:
+    """What the name of a fabric, or numbers such as "stretch=120+bend=3e-5", say of it: some fields of `Fabric`.
 
-    Numbers are what they say, and what is left out is the model's own. A name stands for ratios to jersey, of what the
-    model was trained as; where a model has not learnt to bend so, it means the nearest that it has learnt.
     Raises ValueError saying what is allowed.
     """
-    material = model.material
-    own = Fabric(material.youngs_modulus, material.bending, material.density)
     if text in FABRICS:
-        named = FABRICS[text]
-        stretch, bend, density = (getattr(named, key) / getattr(JERSEY, key) for key in ("stretch", "bend", "density"))
-        least, most = (2.0**octave for octave in model.bending_octaves)
-        bend = min(max(bend / stretch, least), most) * stretch
-        return Fabric(own.stretch * stretch, own.bend * bend, own.density * density)
+        return asdict(FABRICS[text])
     try:
         pairs = [(name.strip(), float(number)) for name, number in (part.split("=") for part in text.split("+"))]
     except ValueError:
@@ -80,14 +72,29 @@ def fabric_of(text: str, model: GarmentModel) -> Fabric:
     if not pairs or len(values) < len(pairs) or not values.keys() <= KEYS:
         raise ValueError(
             f"no fabric {shown(text)}; allowed: {', '.join(FABRICS)}, or numbers, each once, as in "
-            "stretch=120+bend=3e-4+density=0.4"
+            "stretch=120+bend=3e-5+density=0.2"
         )
-    return replace(own, **values)
+    replace(JERSEY, **values)  # checks them
+    return values
+
+
+def _fabric_for(text: str, model: GarmentModel) -> Fabric:
+    """A fabric by its name or by numbers, for a garment model (see `made_of`)."""
+    said, material = said_of(text), model.material
+    own = Fabric(material.youngs_modulus, material.bending, material.density)
+    if text not in FABRICS:
+        return replace(own, **said)
+    stretch, bend, density = (said[key] / getattr(JERSEY, key) for key in ("stretch", "bend", "density"))
+    least, most = (2.0**octave for octave in model.bending_octaves)
+    bend = min(max(bend / stretch, least), most) * stretch
+    return Fabric(own.stretch * stretch, own.bend * bend, own.density * density)
 
 
 def made_of(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
-    """The garment made of another fabric, by name or by numbers (see `fabric_of`): a model like any other.
+    """The garment made of another fabric, by name or by numbers (see `said_of`): a model like any other.
 
+    A name stands for ratios to jersey, of what the model was trained as; where it has not learnt to bend so, for the
+    nearest that it has learnt. Numbers are what they say, and what they leave out is the model's own.
     Raises ValueError for a fabric that the model has not learnt, saying what is allowed.
     """
     material = model.material
@@ -96,7 +103,7 @@ def made_of(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
             f"garment model {model.name!r} is of another fabric already, take the model as it was trained; or it has "
             "learnt no bending, train it with optimisation.other_bending"
         )
-    fabric = fabric_of(fabric, model) if isinstance(fabric, str) else fabric
+    fabric = _fabric_for(fabric, model) if isinstance(fabric, str) else fabric
     stretch = fabric.stretch / material.youngs_modulus
     heavier = fabric.density / material.density / stretch
     stiffer = fabric.bend / material.bending / stretch

@@ -1,6 +1,6 @@
 """Fabrics: what cloth a garment is made of."""
 
-from dataclasses import astuple, replace
+from dataclasses import asdict, astuple, replace
 
 import numpy as np
 import pytest
@@ -15,7 +15,8 @@ from physkin_core import (
     made_of,
     save_garment_model,
 )
-from physkin_core.model.model_file import ModelFileError, split_fabric
+from physkin_core.model.fabric import said_of
+from physkin_core.model.model_file import ModelFileError, shipped_models, split_fabric
 from tests.random_models import random_avatar, random_model
 
 STANDARD_GRAVITY = 9.81
@@ -108,6 +109,13 @@ def test_what_is_no_fabric_is_refused(model, text):
         made_of(model, text)
 
 
+def test_numbers_are_checked_before_there_is_a_model():
+    assert said_of("bend=2e-5 + density=0.18") == {"bend": 2e-5, "density": 0.18}
+    assert said_of("jersey") == asdict(JERSEY)
+    with pytest.raises(ValueError, match="fabric stretch is 0.0, allowed: a finite number above 0"):
+        said_of("stretch=0")
+
+
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf"), True, "1"])
 def test_numbers_of_a_fabric_are_above_zero(value):
     with pytest.raises(ValueError, match="fabric bend is .*, allowed: a finite number above 0"):
@@ -124,3 +132,15 @@ def test_what_was_not_learnt_is_refused(model):
     for other in ("jersey", "density=0.16"):
         with pytest.raises(ValueError, match="'random' is of another fabric already, .* optimisation.other_b"):
             made_of(made_of(model, "bend=5e-6"), other)
+
+
+def test_jersey_is_the_reference_material():
+    material = Material()
+    assert Fabric(material.youngs_modulus, material.bending, material.density) == JERSEY
+
+
+@pytest.mark.parametrize("name", shipped_models())
+def test_shipped_garments_can_be_made_of_every_named_fabric(name):
+    model = load_garment_model(name)
+    for fabric in FABRICS:
+        assert made_of(model, fabric).garment is model.garment

@@ -62,6 +62,27 @@ def test_a_drape_that_cannot_converge_says_so(band, tmp_path, capsys, monkeypatc
 
 
 @pytest.mark.parametrize(
+    "options, material",
+    [
+        ([], Material()),
+        (
+            ["--bending", "2.5e-5", "--youngs-modulus", "60", "--rest-angles", "as_made"],
+            Material(bending=2.5e-5, youngs_modulus=60.0, rest_angles="as_made"),
+        ),
+    ],
+)
+def test_options_say_what_the_cloth_is(band, monkeypatch, capsys, options, material):
+    """The reference material unless they do."""
+
+    def simulation(garment, avatar, model, material, *_, **__):
+        raise ValueError(str(material))
+
+    monkeypatch.setattr(simulate, "DrapeSimulation", simulation)
+    assert main(["simulate", str(band), "--device", "cpu", "-o", "drape.ply", *options]) == 2
+    assert str(material) in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
     "arguments, message",
     [
         (["-o", "drape.stl"], "must end in .obj or .ply or .npz"),
