@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from physkin_core.file_reading import ContentError, read_bytes, reading
+from physkin_core.file_reading import LARGEST_FILE, ContentError, read_bytes, reading
 from physkin_core.motion.calibration_pose import calibration_frames
 from physkin_core.motion.mocap_files import Skeleton, read_amc, read_bvh
 from physkin_core.motion.motion import MOST_FRAMES, Motion, MotionError
@@ -36,6 +36,8 @@ log = logging.getLogger(__name__)
 AMC_RATE_HZ = 120.0
 """An AMC file does not state its rate; this is that of the CMU database."""
 RATE_HZ = 60.0
+LARGEST_SKELETON = 1 << 22
+"""[bytes] of an ASF file: that of 1,000 bones has some hundred thousand."""
 
 HINGE_GUESS = 0.05  # how much a T-pose's elbow and knee axes count beside those seen in the clip
 RAISED = 0.5  # cosine to the vertical from which on a limb or the trunk stands
@@ -101,12 +103,12 @@ def _read(path: Path, skeleton: str | Path | None, source_rate_hz: float) -> Ske
         return read_bvh(_text(path))
     asf = Path(skeleton) if skeleton else path.with_name(f"{path.stem.split('_')[0]}.asf")
     with reading(f"skeleton {asf}", MotionError):
-        bones = _text(asf)
+        bones = _text(asf, LARGEST_SKELETON)
     return read_amc(_text(path), bones, source_rate_hz)
 
 
-def _text(path: Path) -> str:
-    return read_bytes(path).decode().replace("\r\n", "\n").replace("\r", "\n")
+def _text(path: Path, most: int = LARGEST_FILE) -> str:
+    return read_bytes(path, most=most).decode().replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _hanging(source: Skeleton, joint: dict[str, int]) -> tuple[dict[str, Rotation], np.ndarray, float]:

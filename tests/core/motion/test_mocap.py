@@ -260,6 +260,15 @@ def test_children_come_after_their_parents(rig, tmp_path):
         load_mocap(path, rig)
 
 
+def test_a_skeleton_larger_than_any_is_refused(rig, tmp_path):
+    """It took four times its size."""
+    path = write_amc(tmp_path, [POSE])
+    skeleton = tmp_path / "07.asf"
+    skeleton.write_text(skeleton.read_text().replace("XYZ", "XYZ" + " a" * (1 << 21), 1))
+    with pytest.raises(MotionError, match="07.asf: '07.asf' has [0-9]+ bytes, allowed are 4194304"):
+        load_mocap(path, rig)
+
+
 def test_amc_needs_its_skeleton(rig, tmp_path):
     """And a rate that makes sense."""
     path = write_amc(tmp_path, [POSE])
