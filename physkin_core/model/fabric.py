@@ -54,7 +54,7 @@ FABRICS = {
     "denim": Fabric(stretch=350.0, bend=5e-5, density=0.4),
     "leather": Fabric(stretch=800.0, bend=2.5e-4, density=0.55),
 }
-"""Cloth by name, as measured (docs/fabrics.md names the sources). Jersey is the reference material."""
+"""Cloth by name, from measurements and textbooks (docs/fabrics.md says which). Jersey is the reference material."""
 
 
 def said_of(text: str) -> dict[str, float]:
