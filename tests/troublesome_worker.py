@@ -38,11 +38,6 @@ def process(_):
     return os.getpid()
 
 
-def threads(_):
-    """How many threads numerical libraries may start."""
-    return [os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")]
-
-
 def end(number):
     """Be ended by a signal."""
     os.kill(os.getpid(), number)

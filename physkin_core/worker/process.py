@@ -22,8 +22,6 @@ STARTS_WITHIN = 120.0
 """[s] a process says that it is ready; that does not count as the time of its first answer."""
 ENDS_WITHIN = 5.0
 """[s] a process that was killed, or has closed its end, is gone."""
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-"""The other cores are for whoever has frames due."""
 
 
 class WorkerError(ValueError):
@@ -56,7 +54,7 @@ class Worker:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 pass_fds=its,
-                env={**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(paths)},
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
                 start_new_session=True,  # Ctrl+C is for whoever started it
             )
         finally:

@@ -58,11 +58,6 @@ def test_answers_come_with_what_was_logged(worker, caplog):
     assert answers(worker) and worker.pid != os.getpid()
 
 
-def test_it_leaves_the_other_cores_alone(worker):
-    """Frames are due there."""
-    assert worker.ask(("threads", None), "it") == ("1", "1")
-
-
 @pytest.mark.parametrize(
     ("name", "argument", "told"),
     [
