@@ -32,7 +32,7 @@ from physkin_training.evaluate.skin_shows import SkinShows
 from physkin_training.sampling.chosen_bodies import bodies_by_girth
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 
-__all__ = ["RUN", "evaluate_outfits", "parse_outfit"]
+__all__ = ["RUN", "Counts", "DressedBody", "evaluate_outfits", "parse_outfit"]
 
 RUN = 5
 """Neighbouring frames of a run: three second differences."""
@@ -138,10 +138,11 @@ class DressedBody:
                 strains = edge_strains(each.rest_garment, vertices)
                 counts["strain", layer.name, how].append(float(strains[self.edges[k]].mean()))
         counts["hidden",].append(float(100 * np.concatenate([layer.hidden for layer in self.given.layers]).mean()))
-        self._count_seen(whole, frames[-1], positions[-1], counts)
+        self.count_seen(whole, frames[-1], positions[-1], counts)
         return whole
 
-    def _count_seen(self, whole: list, given: list, positions: np.ndarray, counts: Counts) -> None:
+    def count_seen(self, whole: list, given: list, positions: np.ndarray, counts: Counts) -> None:
+        """Count in what eight cameras see of a frame: its clouds of `whole` and of `given`, at positions (d,)."""
         avatar = self.given.avatar
         body = avatar.posed_vertices(self.given.bone_transforms(positions)).astype(np.float64)
         cloth = [
