@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from physkin_core import Avatar, DegreeOfFreedom, Garment, GarmentModel, Rig
+from physkin_core.model.detail import Detail
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.hyper_modulator import token_features
 from physkin_core.model.sway_network import SwayNetwork, drive_size, pose_size
@@ -151,11 +152,12 @@ def random_model(
     width: int = 8,
     correction: float = 0.1,
     learnt_sway: bool = False,
+    detail_nodes: int = 0,
 ) -> GarmentModel:
     """A garment model with random networks and smooth random skinning weights.
 
     rig, garment: default a random rig of `bones` and `dofs`, and a `tube` of `rings` by `segments`. correction: about
-    how large the node deformer's numbers are. learnt_sway: it has a sway network.
+    how large the node deformer's numbers are. learnt_sway: it has a sway network. detail_nodes: that it has.
     """
     rig = random_rig(rng, bones=bones, dofs=dofs) if rig is None else rig
     garment = tube(rings=rings, segments=segments) if garment is None else garment
@@ -185,8 +187,35 @@ def random_model(
         pose_modulator=pose,
         node_deformer=deformer,
         sway=random_sway_network(rng, len(rig.dofs), nodes, modulation=2 * sum(pose_widths)) if learnt_sway else None,
+        detail=random_detail(rng, garment, detail_nodes, width=deformer_widths[-1]) if detail_nodes else None,
         training={"seed": 7, "bodies": 3},
         scores={"edge_strain_percent": 3.5},
+    )
+
+
+def random_detail(
+    rng: np.random.Generator,
+    garment: Garment,
+    nodes: int,
+    *,
+    width: int,
+    features: int = 7,
+    influences: int = 3,
+    offset: float = 0.02,
+) -> Detail:
+    """Detail nodes at random vertices, which move by about `offset` [m]."""
+    places = garment.vertices[rng.choice(len(garment.vertices), size=nodes, replace=False)]
+    distance = np.linalg.norm(garment.vertices[:, None] - places, axis=-1)
+    nearest = np.argsort(distance, axis=1)[:, :influences].astype(np.int32)
+    weights = rng.uniform(0.2, 1.0, size=nearest.shape)
+    return Detail(
+        features=(
+            rng.normal(size=(features, width)).astype(np.float32),
+            rng.normal(size=features).astype(np.float32),
+        ),
+        offsets=(offset * rng.normal(size=(3 * nodes, features))).astype(np.float32),
+        nodes=nearest,
+        weights=(weights / weights.sum(axis=1, keepdims=True)).astype(np.float32),
     )
 
 

@@ -64,6 +64,7 @@ void encode(const nb::dict& network, nb::handle points, nb::handle normals,
 }
 
 using TransformArray = nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+using FeatureArray = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 // A garment without its networks.
 class BoundSkinner {
@@ -75,19 +76,24 @@ class BoundSkinner {
           const Kernels& kernels = select_kernels();
           const nb::gil_scoped_release release;
           validate(data);
-          return Skinner(data, kernels, arena_);
-        }()) {}
+          return Skinner(data, select_precision(""), kernels, arena_);
+        }()),
+        features_(arena_.take<float>(padded_to_group(skinner_.features()) + kGroup)) {}
 
-  void skin(const TransformArray& node_transforms, const OutputArray& out) {
+  void skin(const TransformArray& node_transforms, const OutputArray& out, const FeatureArray& features) {
     check_shape(node_transforms, "node_transforms", {skinner_.nodes(), 3, 4});
+    check_shape(features, "features", {skinner_.features()});
+    std::copy_n(features.data(), skinner_.features(), features_);
     const VertexRows rows = vertex_rows(out, skinner_.vertex_count());
     raise_if(skinner_.check(node_transforms.data()));
-    skinner_.skin(node_transforms.data(), rows);
+    raise_if(skinner_.check_features(features_));
+    skinner_.skin(node_transforms.data(), features_, rows);
   }
 
  private:
   Arena arena_;
   Skinner skinner_;
+  float* features_;
 };
 
 // (name, type, axes) of every field of a bound garment.
@@ -131,7 +137,8 @@ NB_MODULE(_native, module) {
   using physkin::Text;
   nb::class_<BoundSkinner>(module, "Skinner")
       .def(nb::init<nb::handle>(), "skinning_data"_a)
-      .def("skin", &BoundSkinner::skin, "node_transforms"_a.noconvert(), "out"_a.noconvert());
+      .def("skin", &BoundSkinner::skin, "node_transforms"_a.noconvert(), "out"_a.noconvert(),
+           "features"_a.noconvert());
   module.def("encode_body", &physkin::encode, "network"_a, "points"_a, "normals"_a, "out"_a.noconvert(),
              "instruction_set"_a = nb::none());
   module.def("bound_garment_fields", physkin::described_fields);

@@ -153,6 +153,11 @@ nb::ndarray<nb::numpy, const float, nb::shape<-1, 12>> corrections(BoundEvaluato
   return {of.corrections(), {std::size_t(of.nodes()), 12}, nb::find(self)};
 }
 
+nb::ndarray<nb::numpy, const float, nb::ndim<1>> features(BoundEvaluator& self, int garment) {
+  const GarmentEvaluator& of = self.garment(garment);
+  return {of.features(), {of.features() == nullptr ? 0 : std::size_t(of.feature_count())}, nb::find(self)};
+}
+
 nb::ndarray<nb::numpy, float, nb::shape<-1, kGarmentInput>, nb::c_contig> rows(FrameInput& self) {
   return {
       reinterpret_cast<float*>(self.rows()), {std::size_t(self.count()), std::size_t(kGarmentInput)}, nb::find(self)};
@@ -167,6 +172,7 @@ void bind_frame(nb::module_& module) {
            "normals"_a = "skinned")
       .def("node_transforms", node_transforms, "garment"_a = 0)
       .def("corrections", corrections, "garment"_a = 0)
+      .def("features", features, "garment"_a = 0)
       .def(
           "skinning_terms", [](BoundEvaluator& self, int garment) { return self.garment(garment).skinning_terms(); },
           "garment"_a = 0)

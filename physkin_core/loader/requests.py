@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
+from physkin_core.model.detail import Detail
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import SkinnedGarment
 from physkin_core.model.skinning import SkinningData
@@ -100,7 +101,7 @@ class MotionRequest:
 CODEC = Codec(
     [
         *(GarmentRequest, OutfitRequest, LoadedOutfit, AvatarRequest, LoadedAvatar, MotionRequest),
-        *(BoundOutfit, Layer, LayerOrder, RestLook, BoundGarment, SkinnedGarment, Garment, Rig, DegreeOfFreedom),
-        *(Avatar, BoundLimbs, CollisionShape, SplatsOnOutfit, BoundSplats, SkinningData, Motion),
+        *(BoundOutfit, Layer, LayerOrder, RestLook, BoundGarment, SkinnedGarment, Garment, Detail),
+        *(Rig, DegreeOfFreedom, Avatar, BoundLimbs, CollisionShape, SplatsOnOutfit, BoundSplats, SkinningData, Motion),
     ]
 )

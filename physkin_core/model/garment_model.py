@@ -84,7 +84,7 @@ class SkinnedGarment:
     draped garment's normals; fitted to drapes they come out truer than the mesh's, for cloth does not deform as
     skinning's linear part says. node_rest: (m, 3); node_bone: (m,) index into `rig`. influence_nodes: (n, K) index;
     influence_weights: (n, K), rows sum to 1. engine_nodes, engine_weights: (n, k), the same with the few influences
-    that engines take, learnt beside.
+    that engines take, learnt beside. detail: folds between garment nodes; None for none.
     """
 
     name: str
@@ -97,6 +97,7 @@ class SkinnedGarment:
     influence_weights: np.ndarray = described("skinning.weights", Array("n K", sums_to_one=True))
     engine_nodes: np.ndarray = described("engine_skinning.nodes", Array("n k", below="m"))
     engine_weights: np.ndarray = described("engine_skinning.weights", Array("n k", sums_to_one=True))
+    detail: Detail | None = described("detail", Part(Detail, optional=True), default=None, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -105,17 +106,16 @@ class GarmentModel(SkinnedGarment):
 
     hyper_modulator: arrays by name (see `physkin_core.model.hyper_modulator`), "fit" and "bend" among them, by which
     rest shapes made to measure and cloth that bends otherwise are known. pose_modulator, node_deformer: layers. sway:
-    network that moves the garment nodes of a body that moves; None where a pendulum does. detail: folds between garment
-    nodes; None for none. training, scores: plain data on how it was trained (seed, bodies, steps) and how it measured
-    up. In training, bending_octaves says how much softer and stiffer than `material` it has learnt to bend, as powers
-    of two; models that do not say so have learnt -2 to 4.
+    network that moves the garment nodes of a body that moves; None where a pendulum does. training, scores: plain data
+    on how it was trained (seed, bodies, steps) and how it measured up. In training, bending_octaves says how much
+    softer and stiffer than `material` it has learnt to bend, as powers of two; models that do not say so have learnt
+    -2 to 4.
     """
 
     pose_modulator: tuple[Layer, ...] = described("pose_modulator", Chain("p", "deformer_modulation"))
     node_deformer: tuple[Layer, ...] = described("node_deformer", Chain("12m", "12m"))
     hyper_modulator: Mapping[str, np.ndarray] = described("hyper_modulator", Named(hyper_modulator_shapes))
     sway: SwayNetwork | None = described("sway", Part(SwayNetwork, optional=True), default=None)
-    detail: Detail | None = described("detail", Part(Detail, optional=True), default=None)
     material: Material = field(default_factory=Material)
     training: Mapping[str, Any] = field(default_factory=dict)
     scores: Mapping[str, Any] = field(default_factory=dict)

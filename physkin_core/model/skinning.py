@@ -1,11 +1,12 @@
 """Linear blend skinning of garment vertices and normals to garment nodes. Paper: Node-based Skinning for Garments.
 
-Dimensions: `n` vertices, `m` garment nodes, `K` influences a vertex. Metres, root frame.
+Dimensions: `n` vertices, `m` garment nodes, `K` influences a vertex, `D` detail nodes, `J` of them a vertex, `F`
+features. Metres, root frame.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,6 +23,8 @@ class SkinningData:
     node_rest: (m, 3) garment nodes at rest on the garment (translation of chi-bar).
     vertices: (n, 3) rest garment; normals: (n, 3) unit, what skinning carries to the draped garment's.
     influence_nodes: (n, K) int32; influence_weights: (n, K), rows sum to 1.
+    detail_offsets: (3 D, F), what a feature of 1 adds to x, y and z of each detail node; detail_nodes: (n, J) int32,
+    those that a vertex goes with before it is skinned; detail_weights: (n, J). All empty of a garment without detail.
     """
 
     node_rest: np.ndarray
@@ -29,6 +32,9 @@ class SkinningData:
     normals: np.ndarray
     influence_nodes: np.ndarray
     influence_weights: np.ndarray
+    detail_offsets: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
+    detail_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
+    detail_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
 
 
 def cofactors(linear: np.ndarray) -> np.ndarray:

@@ -182,6 +182,10 @@ class Draper:
         """Garment node transforms chi (m, 3, 4) of the last `drape`, canonical garment node frame to root frame."""
         return self.outfit.node_transforms()[0]
 
+    def features(self) -> np.ndarray:
+        """What moves the detail nodes in the last `drape`, (F,), empty of a garment without any."""
+        return self.outfit.features()[0]
+
     def bone_transforms(self, joint_positions: np.ndarray) -> np.ndarray:
         """(b, 3, 4) canonical-to-posed transforms of this body's bones; as of `Outfit`."""
         return self.outfit.bone_transforms(joint_positions)

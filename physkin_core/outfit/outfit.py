@@ -217,6 +217,11 @@ class Outfit:
         frame. Skinned by `Layer.given` they give the vertices as they are before those of layers `moved` are moved."""
         return tuple(self._evaluator.node_transforms(k) for k in range(len(self.layers)))
 
+    def features(self) -> tuple[np.ndarray, ...]:
+        """What moves the detail nodes of each garment in the last frame (F,), empty where there are none: skinning
+        takes it beside `node_transforms`."""
+        return tuple(self._evaluator.features(k) for k in range(len(self.layers)))
+
     def bone_transforms(self, joint_positions: np.ndarray) -> np.ndarray:
         """(b, 3, 4) canonical-to-posed transforms of this body's bones, for posing the body beside the garments.
 

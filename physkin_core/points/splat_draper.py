@@ -19,7 +19,7 @@ from physkin_core.model.skinning import SkinningData
 from physkin_core.outfit.draper import Draper
 from physkin_core.points.splats import Splats, moved_splats
 from physkin_core.runtime.binding import FARTHEST_POINT, bind_points
-from physkin_core.runtime.evaluator import Skinner
+from physkin_core.runtime.evaluator import NO_FEATURES, Skinner
 from physkin_core.runtime.layer import Layer
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
@@ -46,7 +46,10 @@ def bind_splats(layer: Layer, splats: Splats) -> BoundSplats:
     points = np.concatenate([splats.centres[None], ends]).reshape(-1, 3)
     placed = bind_points(layer.model, points, rest=layer.bound.vertices, farthest=FARTHEST_POINT + STEP)
     del placed["faces"]
-    return BoundSplats(SkinningData(node_rest=layer.bound.node_rest, **placed), splats.scales)
+    bound = layer.bound
+    return BoundSplats(
+        SkinningData(node_rest=bound.node_rest, detail_offsets=bound.detail_offsets, **placed), splats.scales
+    )
 
 
 class SplatSkinner:
@@ -61,11 +64,11 @@ class SplatSkinner:
         """Number of splats n."""
         return len(self._scales)
 
-    def skin(self, node_transforms: np.ndarray) -> Splats:
-        """The splats in the root frame. node_transforms: (m, 3, 4) float32 as of `Outfit.node_transforms`. Raises
-        TypeError or ValueError as `Skinner.skin` does."""
+    def skin(self, node_transforms: np.ndarray, features: np.ndarray = NO_FEATURES) -> Splats:
+        """The splats in the root frame. node_transforms: (m, 3, 4) float32 as of `Outfit.node_transforms`, features
+        (F,) as of `Outfit.features`. Raises TypeError or ValueError as `Skinner.skin` does."""
         cloud = np.empty((self._skinner.vertex_count, 6), dtype=np.float32)
-        self._skinner.skin(node_transforms, cloud)
+        self._skinner.skin(node_transforms, cloud, features)
         centres, *ends = cloud[:, :3].reshape(4, -1, 3)
         return moved_splats(centres, (np.stack(ends) - centres) / np.float32(STEP), self._scales)
 
@@ -96,4 +99,4 @@ class SplatDraper:
     ) -> Splats:
         """The splats in one pose, given as to `Draper.drape`, in the root frame. Raises ValueError as that does."""
         self._draper.drape(joint_positions, gravity, effective_gravity=effective_gravity)
-        return self._skinner.skin(self._draper.node_transforms())
+        return self._skinner.skin(self._draper.node_transforms(), self._draper.features())

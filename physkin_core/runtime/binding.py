@@ -41,8 +41,8 @@ FARTHEST_POINT = 0.05
 UNLIKE = 0.005
 """[m] Cloth gets room to move on an avatar whose skin or pivots are farther than this from those of the body that
 networks see."""
-POINTS_AT_ONCE = 8192
-"""Points whose skinning weights over all garment nodes `bind_points` holds at a time."""
+WEIGHTS_AT_ONCE = 1 << 20
+"""Skinning weights, of some points over all garment nodes, that `bind_points` holds at a time."""
 
 
 def bind_garment(
@@ -97,10 +97,23 @@ def bind_garment(
         influence_nodes=np.ascontiguousarray(model.influence_nodes, dtype=np.int32),
         influence_weights=as_float32(model.influence_weights),
         faces=np.ascontiguousarray(worn.garment.faces, dtype=np.int32),
+        **_detail(model),
         **({} if model.sway is None else fold_body(model.sway, modulation)),
     )
     bound = _clear_of_skin(bound, model, avatar, worn, elsewhere)
     return replace(bound, **guarded(bound, avatar, rig))
+
+
+def _detail(model: GarmentModel) -> dict[str, Any]:
+    """The fields of `BoundGarment` that a model's detail fills."""
+    if model.detail is None:
+        return {}
+    return {
+        "detail_layers": float32_layers([model.detail.features]),
+        "detail_offsets": as_float32(model.detail.offsets),
+        "detail_nodes": np.ascontiguousarray(model.detail.nodes, dtype=np.int32),
+        "detail_weights": as_float32(model.detail.weights),
+    }
 
 
 def _clear_of_skin(
@@ -137,8 +150,8 @@ def bind_points(
     points: (n, 3) [m] in the model's canonical space. normals: (n, 3) of any length but zero, turned as those of the
     trained surface are by being fitted to drapes; default these. rest: rest shape of the model's mesh, its vertices
     [m], that points and normals are carried to; default its own. farthest: [m] from the garment that a point may be.
-    Returns the fields of `BoundGarment` to replace: vertices, normals, influence_nodes, influence_weights, and faces,
-    of which there are none.
+    Returns the fields of `BoundGarment` to replace: vertices, normals, influence_nodes, influence_weights, the same of
+    detail nodes, and faces, of which there are none.
     Raises ValueError when points or normals are not finite, normals are not one a point or have no length, or points
     lie farther than that from the trained garment.
     """
@@ -170,15 +183,18 @@ def bind_points(
         normals = _turned(normals, unit(there(vertex_normals(garment.vertices, garment.faces))), fitted)
     if rest is not None:
         points = points + there(rest - garment.vertices)
-    chunks = [slice(start, start + POINTS_AT_ONCE) for start in range(0, len(points), POINTS_AT_ONCE)]
-    influences = [_influences_in_faces(model, corners[chunk], barycentric[chunk]) for chunk in chunks]
-    return {
+    nodes, weights = _influences_in_faces(model.influence_nodes, model.influence_weights, corners, barycentric)
+    placed = {
         "vertices": as_float32(points),
         "normals": as_float32(unit(normals)),
-        "influence_nodes": np.concatenate([nodes for nodes, _ in influences]),
-        "influence_weights": np.concatenate([weights for _, weights in influences]),
+        "influence_nodes": nodes,
+        "influence_weights": weights,
         "faces": np.empty((0, 3), dtype=np.int32),
     }
+    if (detail := model.detail) is not None:
+        nodes, weights = _influences_in_faces(detail.nodes, detail.weights, corners, barycentric)
+        placed |= {"detail_nodes": nodes, "detail_weights": weights}
+    return placed
 
 
 def rest_normals(model: SkinnedGarment, vertices: np.ndarray) -> np.ndarray:
@@ -215,11 +231,20 @@ def _reject_far_points(distance: np.ndarray, farthest: float, bound: str, garmen
 
 
 def _influences_in_faces(
-    model: SkinnedGarment, corners: np.ndarray, barycentric: np.ndarray
+    nodes: np.ndarray, weights: np.ndarray, corners: np.ndarray, barycentric: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Skinning weights inside faces: the corners' mixed, the K largest kept. corners, barycentric: (n, 3)."""
-    shares = model.influence_weights[corners] * np.clip(barycentric[..., None], 0, 1)
-    nodes = model.influence_nodes[corners].reshape(len(corners), -1)
-    dense = dense_weights(nodes, shares.reshape(len(corners), -1), len(model.node_rest))
-    nodes, weights = strongest_influences(dense, model.influence_nodes.shape[1])
-    return nodes.astype(np.int32), as_float32(weights)
+    """Influences inside faces, of nodes (v, K) by weights (v, K) of vertices: the corners' mixed, the K largest kept.
+    corners, barycentric: (n, 3)."""
+    count = int(nodes.max()) + 1
+    at_once = max(WEIGHTS_AT_ONCE // count, 1)
+    chunks = [slice(start, start + at_once) for start in range(0, len(corners), at_once)]
+    found = []
+    for chunk in chunks:
+        shares = weights[corners[chunk]] * np.clip(barycentric[chunk][..., None], 0, 1)
+        flat = len(shares), -1
+        dense = dense_weights(nodes[corners[chunk]].reshape(flat), shares.reshape(flat), count)
+        found.append(strongest_influences(dense, nodes.shape[1]))
+    return (
+        np.concatenate([each for each, _ in found]).astype(np.int32),
+        as_float32(np.concatenate([each for _, each in found])),
+    )

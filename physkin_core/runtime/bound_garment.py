@@ -37,6 +37,8 @@ class BoundGarment(SkinningData):
     deformer_layers: node deformer; the first network weight is (h, 12 u) over the row-major (3, 4) bone transforms,
         hidden layer k is SiLU((1 + scale_k) * (W x + bias) + shift_k), the last layer is linear and
         gives 12 m numbers.
+    detail_layers: one layer (F, h) from the node deformer's last hidden layer to features, followed by SiLU; none of a
+        garment without detail.
     node_bone: (m,) int32, the bone each garment node follows.
     node_positions: (m, 3) garment nodes at the canonical pose of this body.
     node_twist: (m,) how far each garment node goes along where cloth twists about the root's vertical, 0 to 1; (0,)
@@ -63,6 +65,7 @@ class BoundGarment(SkinningData):
     deformer_layers: tuple[Layer, ...]
     node_bone: np.ndarray
     node_positions: np.ndarray
+    detail_layers: tuple[Layer, ...] = ()
     node_twist: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     sway_joints: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
     sway_layers: tuple[Layer, ...] = ()
@@ -86,6 +89,11 @@ class BoundGarment(SkinningData):
         return bool(self.sway_layers)
 
     @property
+    def has_detail(self) -> bool:
+        """Whether it has folds between its garment nodes."""
+        return bool(self.detail_layers)
+
+    @property
     def unguarded(self) -> BoundGarment:
         """The same, not kept out of the skin: as the networks alone drape it."""
         guard = [each for each in fields(self) if each.name.startswith(("guard_", "skin_"))]
@@ -93,7 +101,9 @@ class BoundGarment(SkinningData):
 
     def of_vertices(self, vertices: np.ndarray, faces: np.ndarray) -> BoundGarment:
         """The same of which only some vertices (v,) are computed; faces (f, 3) int32 of these."""
-        per_vertex = [name for name, _, axes in native.bound_garment_fields() if axes[:1] == ("vertices",)]
+        fields_of = {name: axes[:1] for name, _, axes in native.bound_garment_fields()}
+        per_vertex = [name for name, axes in fields_of.items() if axes == ("vertices",)]
+        per_vertex += [name for name, axes in fields_of.items() if axes == ("detail vertices",) and self.has_detail]
         kept = {name: np.ascontiguousarray(getattr(self, name)[vertices]) for name in per_vertex}
         return replace(self, faces=faces, **kept)
 

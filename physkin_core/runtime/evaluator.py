@@ -15,11 +15,22 @@ from physkin_core.native_module import native
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.sway.frame_input import FrameInput
 
-__all__ = ["PRECISIONS", "Evaluator", "Precision", "Skinner", "drape_poses", "supported_instruction_sets"]
+__all__ = [
+    "NO_FEATURES",
+    "PRECISIONS",
+    "Evaluator",
+    "Precision",
+    "Skinner",
+    "drape_poses",
+    "supported_instruction_sets",
+]
 
 Precision = Literal["fp32", "bf16", "int8"]
 PRECISIONS: tuple[Precision, ...] = ("fp32", "bf16", "int8")
 """Precisions of network weights."""
+
+NO_FEATURES = np.empty(0, dtype=np.float32)
+"""Of garments without detail."""
 
 
 def supported_instruction_sets() -> list[str]:
@@ -107,6 +118,11 @@ class Evaluator:
         """What the networks gave last, (m, 12) float32; zeros before the first frame."""
         return self._evaluator.corrections(garment).copy()
 
+    def features(self, garment: int = 0) -> np.ndarray:
+        """What moves the detail nodes in the last frame, (F,) float32; (0,) of a garment without detail, and before the
+        first frame."""
+        return self._evaluator.features(garment).copy()
+
     def skinning_terms(self, garment: int = 0) -> int:
         """Garment nodes blended, summed over blocks of 16 vertices: each costs 12 multiply-adds a vertex."""
         return self._evaluator.skinning_terms(garment)
@@ -136,18 +152,19 @@ class Skinner:
 
     def __init__(self, data: SkinningData) -> None:
         self.vertex_count, self.node_count = len(data.vertices), len(data.node_rest)
+        self.feature_count = data.detail_offsets.shape[1] if len(data.detail_nodes) else 0
         self._skinner = native.Skinner(data)
 
-    def skin(self, node_transforms: np.ndarray, out: np.ndarray) -> None:
+    def skin(self, node_transforms: np.ndarray, out: np.ndarray, features: np.ndarray = NO_FEATURES) -> None:
         """Write x, y, z [m] and unit normals into `out`, (n, 6) or (n, 3) float32 as for `Evaluator.bind_frame`, from
-        node_transforms (m, 3, 4) float32, C-contiguous.
+        node_transforms (m, 3, 4) and, of a garment with detail, features (F,), float32 and C-contiguous.
 
         Raises TypeError or ValueError as `Evaluator.bind_frame` does, and for transforms that are not finite.
         """
         try:
-            self._skinner.skin(node_transforms, out)
+            self._skinner.skin(node_transforms, out, features)
         except TypeError:
-            raise TypeError(_explain(node_transforms=node_transforms, out=out)) from None
+            raise TypeError(_explain(node_transforms=node_transforms, features=features, out=out)) from None
 
 
 def _explain(**arrays: object) -> str:

@@ -129,7 +129,8 @@ class LayerMessages:
         if self._marker is not None and stream.marker_publisher.get_subscription_count():
             self._marker.publish(stream.marker_publisher, self.points, sec, nanosec)
         if self._splats is not None and stream.splat_publisher.get_subscription_count():
-            self._splats.publish(stream.splat_publisher, self.outfit.node_transforms()[self.index], sec, nanosec)
+            moved = self.outfit.node_transforms()[self.index], self.outfit.features()[self.index]
+            self._splats.publish(stream.splat_publisher, *moved, sec, nanosec)
 
 
 class SplatMessages:
@@ -142,13 +143,13 @@ class SplatMessages:
         self._cloud = SplatCloud(self._skinner.splat_count, stream.frame_id)
         self._free_ns = 0
 
-    def publish(self, publisher, node_transforms: np.ndarray, sec: int, nanosec: int) -> None:
-        """Publish the splats of a frame with garment nodes (m, 3, 4), unless the last ones took so long that it is too
-        soon."""
+    def publish(self, publisher, node_transforms: np.ndarray, features: np.ndarray, sec: int, nanosec: int) -> None:
+        """Publish the splats of a frame with garment nodes (m, 3, 4) and features (F,), unless the last ones took so
+        long that it is too soon."""
         began = perf_counter_ns()
         if began < self._free_ns:
             return
-        self._cloud.fill(self._skinner.skin(node_transforms))
+        self._cloud.fill(self._skinner.skin(node_transforms, features))
         self._cloud.publish(publisher, sec, nanosec)
         now = perf_counter_ns()
         self._free_ns = 2 * now - began

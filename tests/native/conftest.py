@@ -1,11 +1,12 @@
 """Random bound garments of any size for the native evaluator's tests."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from native_frames import told
-from random_models import random_layers, random_sway_network, unit_rows
+from random_models import random_detail, random_layers, random_sway_network, unit_rows
 
 from physkin_core.model.sway_network import fold_body
 from physkin_core.runtime.bound_file import save_bound_garment
@@ -24,6 +25,7 @@ def random_bound_garment(
     deformer_widths=(12, 12),
     used_bones=None,
     learnt_sway=False,
+    detail_nodes=0,
 ):
     """A rig, networks and skinning weights with nothing regular about them, of about a person's size."""
 
@@ -36,10 +38,20 @@ def random_bound_garment(
     weights[rng.uniform(size=weights.shape) < 0.2] = 0.0  # the same garment node twice and zero weights may occur
     weights[:, 0] += 0.1
     weights /= weights.sum(axis=1, keepdims=True)
-    sway = {}
+    parts = {}
     if learnt_sway:
         network = random_sway_network(rng, dofs, nodes, modulation=8)
-        sway = fold_body(network, rng.normal(size=8))
+        parts |= fold_body(network, rng.normal(size=8))
+    if detail_nodes:
+        of_each = 1 if detail_nodes == vertices else 3
+        places = SimpleNamespace(vertices=box(vertices))
+        detail = random_detail(rng, places, detail_nodes, width=deformer_widths[-1], influences=of_each, offset=0.05)
+        parts |= {
+            "detail_layers": (detail.features,),
+            "detail_offsets": detail.offsets,
+            "detail_nodes": detail.nodes,
+            "detail_weights": detail.weights,
+        }
     return BoundGarment(
         bone_parents=np.array([-1] + [rng.integers(0, j) for j in range(1, bones)], dtype=np.int32),
         bone_heads=box(bones),
@@ -59,7 +71,7 @@ def random_bound_garment(
         influence_nodes=rng.integers(0, nodes, size=(vertices, influences)).astype(np.int32),
         influence_weights=weights.astype(np.float32),
         node_twist=np.maximum(rng.uniform(-0.5, 1, size=nodes), 0).astype(np.float32),
-        **sway,
+        **parts,
     )
 
 
@@ -68,7 +80,7 @@ def small_bound_file(tmp_path_factory):
     """A bound garment file of a few kilobytes with everything that one can hold."""
     rng = np.random.default_rng(40)
     faces = rng.integers(0, 50, size=(90, 3)).astype(np.int32)
-    garment = replace(random_bound_garment(rng, learnt_sway=True), faces=faces)
+    garment = replace(random_bound_garment(rng, learnt_sway=True, detail_nodes=9), faces=faces)
     path = tmp_path_factory.mktemp("bound") / "small.bound.safetensors"
     save_bound_garment(garment, path, name="small", joint_names=[f"joint {k}" for k in range(7)])
     return path

@@ -55,6 +55,14 @@ def changed(array, index, value):
         (lambda g: dict(node_bone=changed(g.node_bone, 1, -1)), r"node_bone\[1\].* is -1"),
         (lambda g: dict(deformer_bones=changed(g.deformer_bones, 1, 9)), r"deformer_bones\[1\].* is 9"),
         (lambda g: dict(influence_nodes=changed(g.influence_nodes, (3, 1), 6)), r"influence_nodes\[10\].* is 6"),
+        (lambda g: dict(detail_nodes=changed(g.detail_nodes, (3, 1), 9)), r"detail_nodes\[10\].* is 9"),
+        (
+            lambda g: dict(detail_nodes=g.detail_nodes[:-1], detail_weights=g.detail_weights[:-1]),
+            "49 vertices",
+        ),
+        (lambda g: dict(detail_offsets=g.detail_offsets[:-1]), "26 rows; expected three"),
+        (lambda g: dict(detail_layers=()), "detail_layers are 0; expected one"),
+        (lambda g: dict(detail_layers=g.deformer_layers[-1:]), "give 72 features; expected 7"),
         (lambda g: dict(dof_upper=g.dof_lower), "must be above its lower limit"),
         (lambda g: dict(vertices=changed(g.vertices, (0, 1), np.nan)), r"vertices\[1\].* is nan"),
         (lambda g: dict(influence_weights=changed(g.influence_weights, (0, 0), np.inf)), "influence_weights.* is inf"),
@@ -82,7 +90,7 @@ def changed(array, index, value):
     ],
 )
 def test_malformed_garment_raises_value_error(change, message, make_garment):
-    garment = make_garment(np.random.default_rng(14))
+    garment = make_garment(np.random.default_rng(14), detail_nodes=9)
     NativeFrame([garment])
     with pytest.raises(ValueError, match=message):
         NativeFrame([replace(garment, **change(garment))])

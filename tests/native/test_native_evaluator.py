@@ -16,6 +16,7 @@ from physkin_core.runtime.evaluator import Skinner, supported_instruction_sets
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
 
 LEVELS = supported_instruction_sets()
+DETAIL = ("detail_offsets", "detail_nodes", "detail_weights")
 
 ODD = dict(nodes=13, vertices=101, pose_widths=(37, 19, 65), deformer_widths=(33, 7, 50))
 SHIPPED = dict(nodes=128, pose_widths=(512,) * 4, deformer_widths=(128,) * 4)
@@ -84,6 +85,32 @@ def test_a_motion_agrees_with_the_reference(shape, make_garment, make_frames):
             row_without = FrameInput.of(row)._replace(**{name: -1.0 if name == "passed" else 0.0}).row()
             moved[name] = max(moved[name], np.abs(clouds(lesser, [g], q, row_without)[0] - expected)[:, :3].max())
     assert min(moved.values()) > 0.01, moved
+
+
+@pytest.mark.parametrize("columns", [6, 3])
+@pytest.mark.parametrize(
+    ("shape", "detail_nodes"), (("odd widths", 17), ("many influences", 333), ("default rig", 500))
+)
+def test_detail_moves_the_rest_garment(shape, detail_nodes, columns, make_garment, make_pose):
+    """As in the reference, on every instruction set, also where each vertex is a detail node of its own; whoever skins
+    by garment nodes and features gets the same bits. Garment nodes are those without detail."""
+    rng = np.random.default_rng(list(f"detail {shape}".encode()))
+    g = make_garment(rng, **SHAPES[shape], detail_nodes=detail_nodes)
+    plain = replace(g, detail_layers=(), **{name: np.empty((0, 0), getattr(g, name).dtype) for name in DETAIL})
+    q, gravity = make_pose(rng, g)
+    reference = ReferenceFrame([g])
+    clouds(reference, [g], q, told(gravity))
+    positions, normals = skin(g, reference.node_transforms(), reference.features())
+    for level in LEVELS:
+        frame, without = (NativeFrame([each], instruction_set=level) for each in (g, plain))
+        out, smooth, skinned = np.full((3, len(g.vertices), columns), np.nan, dtype=np.float32)
+        frame.evaluate(q, told(gravity)[None], [out])
+        without.evaluate(q, told(gravity)[None], [smooth])
+        assert_agrees(out, positions, normals)
+        assert (frame.node_transforms() == without.node_transforms()).all()
+        assert np.linalg.norm(out - smooth, axis=1).mean() > 0.02
+    Skinner(g).skin(frame.node_transforms(), skinned, frame.features())
+    assert (skinned == out).all() and without.features().shape == (0,)
 
 
 @pytest.mark.parametrize("level", LEVELS)

@@ -5,7 +5,7 @@ import numpy as np
 from reference.frame_input import FrameInput
 from reference.garment_nodes import correct_nodes, pose_nodes
 from reference.layer_order import LayerOrder
-from reference.networks import mlp
+from reference.networks import last_hidden, mlp, silu
 from reference.node_twist import twisted
 from reference.pace import Pace
 from reference.skeleton import bone_transforms, pose_vector
@@ -38,7 +38,8 @@ class ReferenceFrame:
         self._last = given
         layers = []
         for garment, row, jumped in zip(self._garments, inputs, jumps):
-            positions, normals = skin(garment.bound, garment.drape(q, row, jumped))
+            nodes = garment.drape(q, row, jumped)
+            positions, normals = skin(garment.bound, nodes, garment.features)
             layers.append(np.concatenate([positions, unit(normals)], axis=1))
         for outer in range(len(layers)):
             for steady, yielding, order in self._orders:
@@ -53,6 +54,10 @@ class ReferenceFrame:
     def node_transforms(self, garment=0):
         """chi (m, 3, 4) of a garment in the last frame."""
         return self._garments[garment].nodes
+
+    def features(self, garment=0):
+        """(F,) what moved the detail nodes of a garment in the last frame; () without detail."""
+        return self._garments[garment].features
 
     def corrections(self, garment=0):
         """(12 m,) what the networks made of a garment in the last frame."""
@@ -72,7 +77,11 @@ class _Garment:
         skeleton = bound.bone_parents, bound.bone_heads, bound.dof_bone, bound.dof_axis
         bones = bone_transforms(*skeleton, q - bound.dof_rest)
         modulation = mlp(bound.pose_layers, pose_vector(q, bound.dof_lower, bound.dof_upper, row.gravity))
-        self.corrections = mlp(bound.deformer_layers, bones[bound.deformer_bones].reshape(-1), modulation)
+        inputs = bones[bound.deformer_bones].reshape(-1)
+        self.corrections = mlp(bound.deformer_layers, inputs, modulation)
+        self.features = ()
+        for weight, bias in bound.detail_layers:
+            self.features = silu(weight @ last_hidden(bound.deformer_layers, inputs, modulation) + bias)
         if self._sway is not None:
             if row.sway > 0:
                 self.corrections = self.corrections + row.sway * self._sway.offsets(q, row)

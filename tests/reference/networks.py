@@ -18,7 +18,12 @@ def mlp(layers, x, modulation=None):
 
     modulation: [scale_0, shift_0, scale_1, ...] of all hidden layers, or None for zeros.
     """
-    *hidden, last = layers
+    return linear(layers[-1], last_hidden(layers, x, modulation))
+
+
+def last_hidden(layers, x, modulation=None):
+    """What the last layer of such a network reads."""
+    *hidden, _ = layers
     start = 0
     for layer in hidden:
         x = linear(layer, x)
@@ -27,4 +32,4 @@ def mlp(layers, x, modulation=None):
             x = (1 + scale) * x + shift
             start += 2 * len(x)
         x = silu(x)
-    return linear(last, x)
+    return x

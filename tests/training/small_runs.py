@@ -13,6 +13,7 @@ from random_models import random_model, tube
 
 from physkin_core import Garment, GarmentModel, load_body_model
 from physkin_training.config import (
+    DetailConfig,
     GarmentNodeConfig,
     NetworkConfig,
     OptimisationConfig,
@@ -50,6 +51,7 @@ def waist_band_model(**options) -> GarmentModel:
     return random_model(np.random.default_rng(1), rig=rig, garment=garment, nodes=12, correction=0.02, **options)
 
 
+SMALL_DETAIL = DetailConfig(nodes=40, features=8, influences=3)
 NODES = GarmentNodeConfig(count=12, initial_influences=6, influences=3, engine_influences=2)
 
 

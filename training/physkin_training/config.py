@@ -16,6 +16,7 @@ from physkin_core.model.hyper_modulator import HEADS
 
 __all__ = [
     "ConfigError",
+    "DetailConfig",
     "GarmentNodeConfig",
     "NetworkConfig",
     "OptimisationConfig",
@@ -94,6 +95,17 @@ class GarmentNodeConfig:
 
 
 @dataclass(frozen=True, config=STRICT)
+class DetailConfig:
+    """Folds between garment nodes (see `physkin_core.model.detail`): `nodes` detail nodes, `influences` of them a
+    vertex, moved by `features` numbers. nodes 0, the default: none, the garment is what its garment nodes make of
+    it."""
+
+    nodes: Annotated[int, Field(strict=True, ge=0)] = 0
+    features: Count = 96
+    influences: Count = 6
+
+
+@dataclass(frozen=True, config=STRICT)
 class NetworkConfig:
     """Sizes of the networks.
 
@@ -131,6 +143,7 @@ class TrainingConfig:
     optimisation: OptimisationConfig = field(default_factory=OptimisationConfig)
     garment_nodes: GarmentNodeConfig = field(default_factory=GarmentNodeConfig)
     networks: NetworkConfig = field(default_factory=NetworkConfig)
+    detail: DetailConfig = field(default_factory=DetailConfig)
     material: Annotated[InstanceOf[Material], BeforeValidator(_as_material)] = field(default_factory=Material)
 
     def __post_init__(self) -> None:

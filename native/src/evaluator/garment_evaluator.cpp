@@ -37,13 +37,16 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
     : rig_(validated(g), arena_),
       pose_modulator_(g.pose_layers, of_first_layers(options.precision), options.precision, kernels, arena_),
       node_deformer_(g.deformer_layers, of_first_layers(options.precision), options.precision, kernels, arena_),
+      detail_features_(g.has_detail() ? std::make_optional<Mlp>(g.detail_layers, options.precision, options.precision,
+                                                                kernels, arena_, Activation::silu)
+                                      : std::optional<Mlp>()),
       learnt_sway_(g.sways_by_network() ? std::make_optional<LearntSway>(g, of_first_layers(options.precision),
                                                                          options.precision, kernels, arena_)
                                         : std::optional<LearntSway>()),
       garment_nodes_(g, arena_),
       pace_(g.nodes, arena_),
       skin_guard_(g.is_guarded() ? std::make_optional<SkinGuard>(g, kernels, arena_) : std::optional<SkinGuard>()),
-      skinner_(g, kernels, arena_),
+      skinner_(g, options.precision, kernels, arena_),
       bone_count_(g.bones),
       deformer_bone_count_(g.deformer_bone_count),
       deformer_bones_(arena_.copy(g.deformer_bones, g.deformer_bone_count)),
@@ -57,7 +60,8 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
 }
 
 Rejection GarmentEvaluator::check_corrections() noexcept {
-  const Rejection bad = reject_beyond("corrections of garment nodes", corrections_, node_deformer_.outputs(), kLargest);
+  Rejection bad = reject_beyond("corrections of garment nodes", corrections_, node_deformer_.outputs(), kLargest);
+  if (!bad && detail_features_) bad = skinner_.check_features(features_);
   if (bad) forget();
   return bad;
 }
@@ -99,6 +103,7 @@ void GarmentEvaluator::gather_deformer_input() noexcept {
 
 void GarmentEvaluator::run_networks(const GarmentInput& input) noexcept {
   corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, nullptr));
+  if (detail_features_) features_ = detail_features_->run(node_deformer_.last_hidden(), nullptr);
   if (learnt_sway_) corrections_ = learnt_sway_->added(corrections_, last_positions_, input);
 }
 

@@ -47,7 +47,7 @@ class GarmentEvaluator {
   void pose_as(const GarmentEvaluator& other, const GarmentInput& input) noexcept;
   void run_networks(const GarmentInput& input) noexcept;
   void compose_nodes(const GarmentInput& input) noexcept;
-  void skin(const VertexRows& rows) noexcept { skinner_.skin(node_transforms_, rows); }
+  void skin(const VertexRows& rows) noexcept { skinner_.skin(node_transforms_, features_, rows); }
   void compute_normals(const VertexRows& rows) noexcept;  // from faces; does nothing if they are skinned
 
   // What `run_networks` and `compose_nodes` have left is refused where it is not finite. The next frame is then a first
@@ -62,8 +62,12 @@ class GarmentEvaluator {
   // What the networks last gave, (nodes, 12); zeros before the first frame.
   const float* corrections() const { return corrections_; }
 
+  // What moves detail nodes in the last frame, (feature_count); null without detail, or before the first frame.
+  const float* features() const { return features_; }
+
   int dofs() const { return rig_.dofs(); }
   int nodes() const { return garment_nodes_.count(); }
+  int feature_count() const { return skinner_.features(); }
   int vertex_count() const { return skinner_.vertex_count(); }
   int skinning_terms() const { return skinner_.terms(); }
 
@@ -76,6 +80,7 @@ class GarmentEvaluator {
   Rig rig_;
   Mlp pose_modulator_;
   Mlp node_deformer_;
+  std::optional<Mlp> detail_features_;
   std::optional<LearntSway> learnt_sway_;
   GarmentNodes garment_nodes_;
   Pace pace_;
@@ -91,6 +96,7 @@ class GarmentEvaluator {
   float* deformer_input_;
   float* node_transforms_;
   const float* corrections_;
+  const float* features_ = nullptr;
   std::optional<FaceNormals> face_normals_;
 };
 

@@ -10,20 +10,25 @@ namespace physkin {
 
 class Mlp {
  public:
-  // Packs the network weights, those of the first layer in a precision of their own; the last layer is linear, the
-  // others are followed by SiLU.
-  Mlp(const std::vector<DenseWeights>& layers, Precision first, Precision others, const Kernels& kernels, Arena& arena);
+  // Packs the network weights, those of the first layer in a precision of their own; all layers but the last are
+  // followed by SiLU, that one by `last`.
+  Mlp(const std::vector<DenseWeights>& layers, Precision first, Precision others, const Kernels& kernels, Arena& arena,
+      Activation last = Activation::none);
 
   // input: 64-byte aligned, readable to a multiple of 64 bytes. modulation: [scale_0, shift_0, scale_1, shift_1, ...]
   // over the hidden activations, readable for kGroup floats beyond its end; null for none. Returns the outputs, valid
   // until the next run, readable for kGroup floats beyond.
   const float* run(const float* input, const float* modulation);
 
+  // What the last layer has read, as long as the outputs are valid; for two layers or more.
+  const float* last_hidden() const { return buffers_[layers_.size() % 2]; }
+
   int outputs() const { return layers_.back().outputs; }
 
  private:
   const DenseKernel (&dense_)[kPrecisionCount][2];
   bool fetch_ahead_;
+  Activation last_;
   std::vector<PackedLayer> layers_;
   std::int16_t* quantised_;
   float* buffers_[2];  // a layer reads one and writes the other

@@ -68,7 +68,7 @@ SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena
       nodes_(g.nodes),
       samples_(g.guard_samples),
       influences_(g.guard_influences),
-      skinner_(samples_of(g), kernels, arena),
+      skinner_(samples_of(g), Precision::fp32, kernels, arena),
       influence_nodes_(arena.copy(g.guard_influence_nodes, std::size_t(samples_) * influences_)),
       influence_weights_(arena.copy(g.guard_influence_weights, std::size_t(samples_) * influences_)),
       shares_(arena.copy(g.guard_shares, samples_)),
@@ -100,7 +100,7 @@ SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena
 }
 
 void SkinGuard::keep_out(const float* bone_transforms, float* node_transforms) noexcept {
-  skinner_.skin(node_transforms, {reinterpret_cast<unsigned char*>(skinned_), 3, false});
+  skinner_.skin(node_transforms, nullptr, {reinterpret_cast<unsigned char*>(skinned_), 3, false});
   for (int s = 0; s < samples_; ++s) {
     for (int axis = 0; axis < 3; ++axis) positions_[axis * samples_ + s] = skinned_[3 * s + axis];
   }

@@ -1,6 +1,9 @@
 // Linear blend skinning of one garment from its garment nodes' transforms.
 #pragma once
 
+#include <optional>
+
+#include "evaluator/mlp.hpp"
 #include "garment/bound_garment.hpp"
 #include "garment/finite.hpp"
 #include "kernels/arena.hpp"
@@ -13,24 +16,30 @@ SkinningBlocks pack_skinning_blocks(const SkinningData& data, Arena& arena);
 
 class Skinner {
  public:
-  // The data must be valid; they are copied into the arena.
-  Skinner(const SkinningData& data, const Kernels& kernels, Arena& arena);
+  // The data must be valid; they are copied into the arena. precision: of the offsets of detail nodes.
+  Skinner(const SkinningData& data, Precision precision, const Kernels& kernels, Arena& arena);
 
   // node_transforms (nodes, 3, 4), root frame, metres: refused where they are not finite.
   Rejection check(const float* node_transforms) const noexcept;
 
-  // From transforms that were checked. Allocates nothing.
-  void skin(const float* node_transforms, const VertexRows& rows) noexcept;
+  // Features of a frame, refused likewise.
+  Rejection check_features(const float* features) const noexcept;
+
+  // From transforms and features that were checked; these are 64-byte aligned, readable for kGroup floats beyond, and
+  // null for a garment without detail. Allocates nothing.
+  void skin(const float* node_transforms, const float* features, const VertexRows& rows) noexcept;
 
   int nodes() const { return nodes_; }
+  int features() const { return features_; }  // 0 without detail
   int vertex_count() const { return blocks_.vertex_count; }
   // Garment nodes over all blocks of kBlock vertices: each costs 12 multiply-adds a vertex.
   int terms() const { return blocks_.influence_start[blocks_.block_count]; }
 
  private:
   const Kernels& kernels_;
-  int nodes_;
+  int nodes_, features_;
   SkinningBlocks blocks_;
+  std::optional<Mlp> detail_offsets_;
   const float* node_rest_;  // (nodes, 3)
   float* matrices_;         // (nodes, 3, 4): chi_i * inverse of the node's rest transform
 };

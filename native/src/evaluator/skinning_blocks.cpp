@@ -1,6 +1,8 @@
 // Which vertices the skinning kernel works on together.
 #include <algorithm>
+#include <array>
 #include <cstdint>
+#include <map>
 #include <numeric>
 #include <vector>
 
@@ -130,6 +132,30 @@ std::vector<Block> choose_blocks(const SkinningData& g) {
   return blocks;
 }
 
+// Detail nodes of each block, and the weights of its vertices. order: vertices, block by block.
+void pack_detail(const SkinningData& g, const std::vector<std::int32_t>& order, SkinningBlocks& blocks, Arena& arena) {
+  std::vector<std::int32_t> offsets, start{0};
+  std::vector<float> weights;
+  for (int block = 0; block < blocks.block_count; ++block) {
+    std::map<std::int32_t, std::array<float, kBlock>> of_nodes;
+    const int first = block * kBlock, count = std::min(kBlock, g.vertex_count - first);
+    for (int lane = 0; lane < count; ++lane) {
+      const std::size_t at = std::size_t(order[std::size_t(first + lane)]) * std::size_t(g.detail_influences);
+      for (int k = 0; k < g.detail_influences; ++k) {
+        if (g.detail_weights[at + k] != 0.0f) of_nodes[g.detail_nodes[at + k]][lane] += g.detail_weights[at + k];
+      }
+    }
+    for (const auto& [node, of_lanes] : of_nodes) {
+      offsets.push_back(3 * node);
+      weights.insert(weights.end(), of_lanes.begin(), of_lanes.end());
+    }
+    start.push_back(std::int32_t(offsets.size()));
+  }
+  blocks.detail_start = arena.copy(start.data(), start.size());
+  blocks.detail_offset = arena.copy(offsets.data(), offsets.size());
+  blocks.detail_weight = arena.copy(weights.data(), weights.size());
+}
+
 }  // namespace
 
 SkinningBlocks pack_skinning_blocks(const SkinningData& g, Arena& arena) {
@@ -170,6 +196,7 @@ SkinningBlocks pack_skinning_blocks(const SkinningData& g, Arena& arena) {
   blocks.influence_weight = weights;
   blocks.rest = rest;
   blocks.vertex = vertex;
+  if (g.has_detail()) pack_detail(g, order, blocks, arena);
   return blocks;
 }
 

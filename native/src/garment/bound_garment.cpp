@@ -32,6 +32,9 @@ void visit_skinning_data(SkinningData& d, Visitor&& visit) {
   visit.floats("normals", d.normals, {&d.vertex_count, 3});
   visit.indices("influence_nodes", d.influence_nodes, {&d.vertex_count, &d.influences}, 0, d.nodes);
   visit.floats("influence_weights", d.influence_weights, {&d.vertex_count, &d.influences});
+  visit.floats("detail_offsets", d.detail_offsets, {&d.detail_numbers, &d.detail_features});
+  visit.indices("detail_nodes", d.detail_nodes, {&d.detail_vertices, &d.detail_influences}, 0, d.detail_numbers / 3);
+  visit.floats("detail_weights", d.detail_weights, {&d.detail_vertices, &d.detail_influences});
 }
 
 // The same, and visit.layers(name, layers).
@@ -47,6 +50,7 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.layers("pose_layers", g.pose_layers);
   visit.indices("deformer_bones", g.deformer_bones, {&g.deformer_bone_count}, 0, g.bones);
   visit.layers("deformer_layers", g.deformer_layers);
+  visit.layers("detail_layers", g.detail_layers);
   visit.indices("node_bone", g.node_bone, {&g.nodes}, 0, g.bones);
   visit.floats("node_positions", g.node_positions, {&g.nodes, 3});
   visit.floats("node_twist", g.node_twist, {&g.twist_size});
@@ -114,7 +118,9 @@ struct Describer {
         {&g.twist_size, "twisting nodes"},    {&g.face_count, "faces"},
         {&g.sway_joint_count, "sway joints"}, {&g.sway_states, "oscillators"},
         {&g.guard_samples, "guard samples"},  {&g.guard_influences, "guard influences"},
-        {&g.skin_parts, "skin parts"},        {&g.skin_splines, "skin splines"}};
+        {&g.skin_parts, "skin parts"},        {&g.skin_splines, "skin splines"},
+        {&g.detail_vertices, "detail vertices"}, {&g.detail_influences, "detail influences"},
+        {&g.detail_numbers, "detail numbers"},   {&g.detail_features, "features"}};
     FieldDescription& field = fields.emplace_back(FieldDescription{name, type, {}});
     for (const Axis& axis : shape) {
       std::string found = std::to_string(axis.number);
@@ -218,6 +224,34 @@ void check_skin(const BoundGarment& g) {
   if (g.guard_samples > 0 && g.guard_influences < 1) fail("guard_influence_nodes: a sample needs an influence");
 }
 
+void check_detail(const SkinningData& d) {
+  if (d.detail_vertices != 0 && d.detail_vertices != d.vertex_count) {
+    fail("detail_nodes are for " + std::to_string(d.detail_vertices) + " vertices; expected none, or " +
+         std::to_string(d.vertex_count));
+  }
+  if (d.detail_numbers % 3 != 0) {
+    fail("detail_offsets have " + std::to_string(d.detail_numbers) + " rows; expected three for each detail node");
+  }
+  if (d.has_detail() && (d.detail_influences < 1 || d.detail_features < 1)) {
+    fail("detail needs at least one feature, and a detail node a vertex");
+  }
+}
+
+// The layer that gives the features, where there is detail.
+void check_features(const BoundGarment& g) {
+  if (g.detail_layers.size() != (g.has_detail() ? 1u : 0u)) {
+    fail("detail_layers are " + std::to_string(g.detail_layers.size()) +
+         "; expected one with detail, and none without");
+  }
+  if (!g.has_detail()) return;
+  if (g.deformer_layers.size() < 2) fail("detail needs a node deformer with a hidden layer");
+  check_layers("detail_layers", g.detail_layers, g.deformer_layers.back().inputs);
+  if (g.detail_layers[0].outputs != g.detail_features) {
+    fail("detail_layers give " + std::to_string(g.detail_layers[0].outputs) + " features; expected " +
+         std::to_string(g.detail_features));
+  }
+}
+
 void check_sizes(const SkinningData& d) {
   if (d.nodes < 1 || d.vertex_count < 1 || d.influences < 1) {
     fail("a garment needs at least one garment node, vertex and influence");
@@ -247,12 +281,14 @@ std::vector<FieldDescription> bound_garment_fields() {
 
 void validate(const SkinningData& data) {
   check_sizes(data);
+  check_detail(data);
   SkinningData views = data;
   visit_skinning_data(views, Check{});
 }
 
 void validate(const BoundGarment& garment) {
   check_sizes(garment);
+  check_detail(garment);
   BoundGarment g = garment;
   if (g.bones < 1) fail("a bound garment needs at least one bone");
   visit_bound_garment(g, Check{});
@@ -286,6 +322,7 @@ void validate(const BoundGarment& garment) {
     fail("deformer_layers give " + std::to_string(outputs) + " values; expected 12 for each of " +
          std::to_string(g.nodes) + " garment nodes");
   }
+  check_features(g);
   check_sway(g);
   check_skin(g);
 }

@@ -20,6 +20,13 @@ struct SkinningData {
   const float* normals = nullptr;                 // (vertex_count, 3) unit
   const std::int32_t* influence_nodes = nullptr;  // (vertex_count, influences)
   const float* influence_weights = nullptr;       // (vertex_count, influences)
+
+  // Offsets of rest vertices by features of a frame, through detail nodes that each vertex goes with; or none.
+  int detail_vertices = -1, detail_influences = -1, detail_numbers = -1, detail_features = -1;
+  const std::int32_t* detail_nodes = nullptr;  // (detail_vertices, detail_influences)
+  const float* detail_weights = nullptr;       // (detail_vertices, detail_influences)
+  const float* detail_offsets = nullptr;       // (detail_numbers, detail_features) x, y, z of each detail node
+  bool has_detail() const { return detail_vertices > 0; }
 };
 
 // Metres, radians, root frame.
@@ -40,6 +47,8 @@ struct BoundGarment : SkinningData {
   std::vector<DenseWeights> pose_layers;         // the body's modulation is folded in
   const std::int32_t* deformer_bones = nullptr;  // (deformer_bone_count,)
   std::vector<DenseWeights> deformer_layers;
+
+  std::vector<DenseWeights> detail_layers;  // one, from the node deformer's last hidden layer to features, or none
 
   const std::int32_t* node_bone = nullptr;  // (nodes,)
   const float* node_positions = nullptr;    // (nodes, 3) canonical pose of this body
@@ -80,7 +89,7 @@ class FieldSource {
 };
 
 // Of the bound garment file: raised when the fields below change, or the file's form.
-constexpr char kBoundGarmentVersion[] = "3";
+constexpr char kBoundGarmentVersion[] = "4";
 
 // Reads every field; what the arrays hold is for `validate` to check.
 SkinningData read_skinning_data(FieldSource& source);

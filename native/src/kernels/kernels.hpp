@@ -20,6 +20,10 @@ struct SkinningBlocks {
   const float* influence_weight = nullptr;         // (influences, kBlock), zeros beyond vertex_count
   const float* rest = nullptr;                     // (block_count, 6, kBlock): x, y, z, normal x, y, z
   const std::int32_t* vertex = nullptr;            // (block_count, kBlock) index in the caller's order
+  // The same of detail nodes, or none: those of a block, where their offsets start, and weights of its vertices.
+  const std::int32_t* detail_start = nullptr;   // (block_count + 1,)
+  const std::int32_t* detail_offset = nullptr;  // (detail influences,)
+  const float* detail_weight = nullptr;         // (detail influences, kBlock)
 };
 
 // Where vertices go: a row of floats each, x y z or x y z nx ny nz, `stride` floats from row to row. Rows need no
@@ -99,8 +103,9 @@ struct Kernels {
   DenseKernel dense[kPrecisionCount][2];
 
   // x' = M x and normal' = normalised cofactors(A) normal, with M = [A | c] = sum_k w_k M_k, M_k in matrices (nodes,
-  // 12). A normal becomes zero where A flattens the cloth to a line.
-  void (*skin)(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows);
+  // 12). A normal becomes zero where A flattens the cloth to a line. offsets: (detail nodes, 3) that are added to x
+  // before, null where the blocks have no detail.
+  void (*skin)(const SkinningBlocks& blocks, const float* matrices, const float* offsets, const VertexRows& rows);
 
   // Points (3, count) to contacts (4, count): how deep [m], and the normal outwards. Aligned; count is a multiple of
   // kTrunkPoints.

@@ -12,8 +12,9 @@ struct SkinnedLanes {
 };
 
 // Sums the matrices of a block's garment nodes, then applies the sum once.
-template <bool kNormals>
-inline SkinnedLanes skin_lanes(const SkinningBlocks& blocks, const float* matrices, int block, int lane) {
+template <bool kNormals, bool kDetail>
+inline SkinnedLanes skin_lanes(const SkinningBlocks& blocks, const float* matrices, const float* offsets, int block,
+                               int lane) {
   const std::int32_t start = blocks.influence_start[block];
   const std::int32_t* at = blocks.influence_matrix + start;
   const int node_count = blocks.influence_start[block + 1] - start;
@@ -26,7 +27,14 @@ inline SkinnedLanes skin_lanes(const SkinningBlocks& blocks, const float* matric
     for (int e = 0; e < 12; ++e) blend[e] += weight * matrix[e];
   }
   const float* rest = blocks.rest + std::ptrdiff_t(block) * 6 * kBlock + lane;
-  const Floats x = load(rest), y = load(rest + kBlock), z = load(rest + 2 * kBlock);
+  Floats x = load(rest), y = load(rest + kBlock), z = load(rest + 2 * kBlock);
+  if (kDetail) {
+    for (std::int32_t k = blocks.detail_start[block]; k < blocks.detail_start[block + 1]; ++k) {
+      const float* offset = offsets + blocks.detail_offset[k];
+      const Floats weight = load(blocks.detail_weight + std::ptrdiff_t(k) * kBlock + lane);
+      x += weight * offset[0], y += weight * offset[1], z += weight * offset[2];
+    }
+  }
   SkinnedLanes skinned;
   for (int r = 0; r < 3; ++r) {
     const Floats* row = blend + 4 * r;
@@ -140,26 +148,31 @@ inline void write_some(const SkinnedLanes& skinned, const std::int32_t* vertex, 
 
 // The block that may be short comes after the loop: within, choosing between two ways to write would put the columns
 // into memory for the one that is not taken.
-template <bool kNormals>
-inline void skin_blocks(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows) {
+template <bool kNormals, bool kDetail>
+inline void skin_blocks(const SkinningBlocks& blocks, const float* matrices, const float* offsets,
+                        const VertexRows& rows) {
   const std::ptrdiff_t row_bytes = rows.stride * std::ptrdiff_t(sizeof(float));
   const int full = blocks.vertex_count / kBlock, left = blocks.vertex_count % kBlock;
   const std::int32_t* vertex = blocks.vertex;
   for (int block = 0; block < full; ++block) {
     for (int lane = 0; lane < kBlock; lane += kLanes, vertex += kLanes) {
-      write_rows<kNormals>(skin_lanes<kNormals>(blocks, matrices, block, lane), vertex, rows, row_bytes);
+      write_rows<kNormals>(skin_lanes<kNormals, kDetail>(blocks, matrices, offsets, block, lane), vertex, rows,
+                           row_bytes);
     }
   }
   for (int lane = 0; lane < left; lane += kLanes, vertex += kLanes) {
-    write_some<kNormals>(skin_lanes<kNormals>(blocks, matrices, full, lane), vertex, left - lane, rows, row_bytes);
+    write_some<kNormals>(skin_lanes<kNormals, kDetail>(blocks, matrices, offsets, full, lane), vertex, left - lane,
+                         rows, row_bytes);
   }
 }
 
-inline void skin(const SkinningBlocks& blocks, const float* matrices, const VertexRows& rows) {
-  if (rows.with_normals) {
-    skin_blocks<true>(blocks, matrices, rows);
+inline void skin(const SkinningBlocks& blocks, const float* matrices, const float* offsets, const VertexRows& rows) {
+  if (offsets != nullptr) {
+    rows.with_normals ? skin_blocks<true, true>(blocks, matrices, offsets, rows)
+                      : skin_blocks<false, true>(blocks, matrices, offsets, rows);
   } else {
-    skin_blocks<false>(blocks, matrices, rows);
+    rows.with_normals ? skin_blocks<true, false>(blocks, matrices, nullptr, rows)
+                      : skin_blocks<false, false>(blocks, matrices, nullptr, rows);
   }
 }
 

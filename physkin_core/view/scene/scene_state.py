@@ -281,7 +281,7 @@ class SceneState:
             cloth=self._cloth,
             plain=tuple(plain_skinning(layer.given, bones) for layer in outfit.layers) if self.show_plain else (),
             nodes=tuple(each[..., 3] for each in transforms),
-            splats=None if self._splats is None else self._splats.frame(transforms),
+            splats=None if self._splats is None else self._splats.frame(transforms, outfit.features()),
             colours=(self.body_colour, *self.cloth_colours),
             own_colours=self._own_colours,
             microseconds=float(np.median(self._times)),

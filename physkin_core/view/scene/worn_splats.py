@@ -32,6 +32,7 @@ class WornSplats:
         self._garment, self._skinner = splats.garment, SplatSkinner(splats.bound)
         self._look = splat_colours(splats.look, self._skinner.splat_count)
 
-    def frame(self, node_transforms: tuple[np.ndarray, ...]) -> SplatFrame:
-        """Where they are; as of `Outfit.node_transforms`."""
-        return SplatFrame(self._skinner.skin(node_transforms[self._garment]), self._garment, *self._look)
+    def frame(self, node_transforms: tuple[np.ndarray, ...], features: tuple[np.ndarray, ...]) -> SplatFrame:
+        """Where they are; as of `Outfit.node_transforms` and `Outfit.features`."""
+        splats = self._skinner.skin(node_transforms[self._garment], features[self._garment])
+        return SplatFrame(splats, self._garment, *self._look)

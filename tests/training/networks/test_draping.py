@@ -5,10 +5,11 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 import torch
 from random_models import random_avatar, random_model, random_pose, random_rotation
 from reference.skinning import skin
-from reference.unfolded_frame import unfolded_drape
+from reference.unfolded_frame import unfolded_drape, unfolded_features
 
 from physkin_core.model.mlp import modulation_size
 from physkin_training.networks.draping import compose_nodes, delta_transforms
@@ -27,21 +28,26 @@ def posed_scene(seed, **sizes):
     return rng, model, drape_from_model(model).double(), np.array(bones)
 
 
-def test_the_whole_drape_agrees_with_the_reference():
-    """Pose and body in, vertices out, on a random rig and another body."""
+@pytest.mark.parametrize("detail_nodes", [0, 15])
+def test_the_whole_drape_agrees_with_the_reference(detail_nodes):
+    """Pose and body in, vertices out, on a random rig and another body; with detail and without."""
     rng = np.random.default_rng(1)
-    model = random_model(rng, bones=12, dofs=20)
+    model = random_model(rng, bones=12, dofs=20, detail_nodes=detail_nodes)
     drape, avatar = drape_from_model(model).double(), random_avatar(rng, model.rig)
     heads, tails = (tensor(each)[None] for each in (avatar.bone_heads, avatar.bone_tails))
     on_body = drape.node_positions(SimpleNamespace(heads=heads, tails=tails))
     modulation = rng.normal(size=modulation_size(model.pose_modulator), scale=0.3)
     worn = SimpleNamespace(**vars(model), vertices=model.garment.vertices, normals=0 * model.garment.vertices)
+    if model.detail is not None:
+        worn.detail_offsets, worn.detail_nodes = model.detail.offsets, model.detail.nodes
+        worn.detail_weights = model.detail.weights
     for _ in range(3):
         q, gravity = random_pose(rng, model.rig)
         posed = drape.posed_nodes(tensor(model.rig.bone_transforms(q, heads=avatar.bone_heads))[None], on_body)
         with torch.no_grad():
             vertices = drape(tensor(modulation)[None], tensor(q)[None], tensor(gravity)[None], posed)[0].numpy()
-        expected, _ = skin(worn, unfolded_drape(model, avatar, modulation, q, gravity))
+        features = unfolded_features(model, avatar, modulation, q, gravity)
+        expected, _ = skin(worn, unfolded_drape(model, avatar, modulation, q, gravity), features)
         np.testing.assert_allclose(vertices, expected, atol=1e-6)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from random_models import random_model
-from training.small_runs import exported, run, small_config
+from training.small_runs import SMALL_DETAIL, exported, run, small_config
 
 from physkin_core import Draper, avatar_from_body, load_body_model, load_garment_model, save_garment_model
 from physkin_core.runtime.binding import encode_body
@@ -29,15 +29,16 @@ BODY = load_body_model()
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """A small run a few steps in, not yet pruned, with networks large enough to matter."""
-    trainer = Trainer(
-        small_config(tmp_path_factory.mktemp("run"), prune_at=1.0, full_encoding=1.0), torch.device("cpu")
-    )
+    """A small run a few steps in, not yet pruned, with networks and detail large enough to matter."""
+    config = small_config(tmp_path_factory.mktemp("run"), prune_at=1.0, full_encoding=1.0)
+    trainer = Trainer(replace(config, detail=SMALL_DETAIL), torch.device("cpu"))
     run(trainer, 3)
     with torch.no_grad():
         for network in (trainer.drape.networks.pose_modulator, trainer.drape.networks.node_deformer):
             network.layers[-1].weight += 0.05 * torch.randn_like(network.layers[-1].weight)
         trainer.drape.skinning_logits += torch.randn_like(trainer.drape.skinning_logits)
+        trainer.drape.detail_logits += torch.randn_like(trainer.drape.detail_logits)
+        trainer.drape.networks.detail.offsets.weight += 0.02 * torch.randn(120, 8)
     return trainer
 
 

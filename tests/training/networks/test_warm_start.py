@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from training.small_runs import exported, small_config
+from training.small_runs import SMALL_DETAIL, exported, small_config
 
 from physkin_core.model.model_file import save_garment_model
+from physkin_training.config import DetailConfig
 from physkin_training.networks.export import agreement
 from physkin_training.networks.warm_start import NEW_INFLUENCE, take_over_model
 from physkin_training.train.trainer import Trainer
@@ -17,14 +18,14 @@ from physkin_training.train.trainer import Trainer
 CPU = torch.device("cpu")
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory):
+@pytest.fixture(scope="module", params=[DetailConfig(), SMALL_DETAIL], ids=["plain", "with detail"])
+def trained(request, tmp_path_factory):
     """The folder of a configuration and a model of it that was pruned to three influences, as a file holds it."""
     folder = tmp_path_factory.mktemp("warm")
-    trainer = Trainer(small_config(folder), CPU)
+    trainer = Trainer(replace(small_config(folder), detail=request.param), CPU)
     with torch.no_grad():
-        for parameter in trainer.drape.parameters():
-            parameter += 0.05 * torch.randn_like(parameter)
+        for name, parameter in trainer.drape.named_parameters():
+            parameter += (0.005 if name.endswith("offsets.weight") else 0.05) * torch.randn_like(parameter)
     model = exported(trainer, 3)
     save_garment_model(model, folder / "band.safetensors")
     return folder, model
@@ -32,7 +33,8 @@ def trained(tmp_path_factory):
 
 def more_influences(folder, **optimisation):
     config = small_config(folder, **optimisation)
-    return replace(config, garment_nodes=replace(config.garment_nodes, initial_influences=5, influences=5))
+    nodes = replace(config.garment_nodes, initial_influences=5, influences=5)
+    return replace(config, garment_nodes=nodes, detail=SMALL_DETAIL)
 
 
 def test_the_run_drapes_as_the_model_but_for_its_new_influences(trained):

@@ -1,8 +1,9 @@
 import torch
 
-from physkin_training.train.steadiness import REACH, SLACK, Steadiness
+from physkin_training.train.steadiness import DETAIL_SLACK, REACH, SLACK, Steadiness
 
 STIFFNESS = 50.0
+AXIS = torch.tensor([1.0, 0.0, 0.0])
 
 
 class Bodies:
@@ -23,9 +24,9 @@ class Drape:
     def posed_nodes(self, bones, node_positions):
         return torch.cat([bones[..., :3], node_positions[..., None]], dim=-1)
 
-    def draped_nodes(self, modulation, positions, gravity, posed_nodes):
+    def draped(self, modulation, positions, gravity, posed_nodes):
         side = torch.tensor([0.0, 0.0, 0.0, 1.0]) * torch.eye(3)[:1].T
-        return posed_nodes + self.jump * (positions[:, :1] > 0).float()[:, :, None, None] * side
+        return posed_nodes + self.jump * (positions[:, :1] > 0).float()[:, :, None, None] * side, None
 
 
 def penalty(drape, first_joint, samples=400):
@@ -34,9 +35,11 @@ def penalty(drape, first_joint, samples=400):
     positions[:, 0] = first_joint
     where = torch.zeros(samples, 1, 3)
     posed = drape.posed_nodes(Bodies().bone_transforms(positions, None), where)
-    nodes = drape.draped_nodes(None, positions, None, posed)
+    nodes, detail = drape.draped(None, positions, None, posed)
     given = {"modulation": None, "gravity": None, "body": torch.zeros(samples, dtype=torch.int64)}
-    return Steadiness(drape, Bodies(), STIFFNESS)(nodes, posed, positions=positions, node_positions=where, **given)
+    return Steadiness(drape, Bodies(), STIFFNESS)(
+        nodes, posed, detail, positions=positions, node_positions=where, **given
+    )
 
 
 def test_nodes_that_jump_cost_energy_where_they_jump_and_nowhere_else():
@@ -54,12 +57,25 @@ def test_nodes_that_stay_and_turn_cost_energy_for_the_cloth_beside_them():
     """A node that shrinks along one axis: the point there jumps, one of four."""
 
     class Shrinking(Drape):
-        def draped_nodes(self, modulation, positions, gravity, posed_nodes):
+        def draped(self, modulation, positions, gravity, posed_nodes):
             along = torch.tensor([1.0, 0.0, 0.0, 0.0]) * torch.eye(3)[:1].T
-            return posed_nodes - self.jump * (positions[:, :1] > 0).float()[:, :, None, None] * along
+            return posed_nodes - self.jump * (positions[:, :1] > 0).float()[:, :, None, None] * along, None
 
     there = float(penalty(Shrinking(0.8), 0.0))
     torch.testing.assert_close(there, 0.5 * STIFFNESS * (0.8 * REACH - SLACK) ** 2 / 4, rtol=0.15, atol=0)
+
+
+def test_detail_nodes_that_jump_cost_energy():
+    """One of four jumps, and one moves by less than the slack."""
+
+    class Folding(Drape):
+        def draped(self, modulation, positions, gravity, posed_nodes):
+            there = (positions[:, :1] > 0).float()[..., None]
+            return posed_nodes, there * torch.tensor([self.jump, 0.9 * DETAIL_SLACK, 0, 0])[:, None].expand(4, 3) * AXIS
+
+    there = float(penalty(Folding(0.02), 0.0))
+    torch.testing.assert_close(there, 0.5 * STIFFNESS * (0.02 - DETAIL_SLACK) ** 2 / 4, rtol=0.15, atol=0)
+    assert penalty(Folding(0.9 * DETAIL_SLACK), 0.0) == 0
 
 
 def test_what_a_bone_moves_is_free():

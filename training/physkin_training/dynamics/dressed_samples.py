@@ -85,7 +85,7 @@ class DressedSamples:
 
     def draped_nodes(self, positions: torch.Tensor, gravity: torch.Tensor, posed: torch.Tensor) -> torch.Tensor:
         """Garment nodes (B, m, 3, 4) as the model corrects the posed ones. gravity: (B, 3)."""
-        return self.drape.draped_nodes(self._modulation, positions, gravity, posed)
+        return self.drape.draped(self._modulation, positions, gravity, posed)[0]
 
     def skinned(self, nodes: torch.Tensor) -> torch.Tensor:
         """Vertices (B, n, 3) of the samples' rest shapes, carried by garment nodes (B, m, 3, 4)."""

@@ -202,10 +202,12 @@ class Evaluation:
         rows = {name: self.new_figures() for name in drapes}
         with torch.no_grad():
             for batch in self.batches(pairs):
-                raw = self._raw(batch)
+                raw, detail = self._corrections(batch)
                 for name, drape in drapes.items():
-                    delta = delta_transforms(torch.zeros_like(raw) if name == "skinning" else raw)
-                    vertices = drape.skin(compose_nodes(batch.posed_nodes, delta), batch.rest)
+                    plain = name == "skinning"
+                    delta = delta_transforms(torch.zeros_like(raw) if plain else raw)
+                    nodes = compose_nodes(batch.posed_nodes, delta)
+                    vertices = drape.skin(nodes, batch.rest, None if plain else detail)
                     self.count_in(rows[name], vertices, batch, motion=motion)
                 self.watch(batch.count)
         return rows
@@ -235,8 +237,8 @@ class Evaluation:
                 return self.energy(vertices, batch)[1].bend
 
             with torch.no_grad():
-                raw = self._raw(batch)
-                own = self.drape.skin(compose_nodes(batch.posed_nodes, delta_transforms(raw)), batch.rest)
+                raw, detail = self._corrections(batch)
+                own = self.drape.skin(compose_nodes(batch.posed_nodes, delta_transforms(raw)), batch.rest, detail)
             subspace = subspace_minimum(objective, self.drape, batch.posed_nodes, raw, rest=batch.rest)
             with torch.no_grad():
                 better = self.energy(subspace.vertices, batch)[1].total < self.energy(own, batch)[1].total
@@ -269,9 +271,9 @@ class Evaluation:
     def _solver(self) -> FullSpaceSolver:
         return FullSpaceSolver(self.losses)
 
-    def _raw(self, batch: Batch) -> torch.Tensor:
+    def _corrections(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor | None]:
         vector = self.drape.pose_vector(batch.positions, batch.gravity)
-        return self.drape.networks(batch.modulation, vector, batch.posed_nodes)
+        return self.drape.networks.with_detail(batch.modulation, vector, batch.posed_nodes)
 
 
 def counting_line(doing: str, total: int) -> Callable[[int], None]:

@@ -17,8 +17,9 @@ import numpy as np
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
+from physkin_core.model.detail import Detail
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.mlp import Layer, layer_inputs
+from physkin_core.model.mlp import Layer, layer_inputs, silu
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.rig.rig import Rig, forward_kinematics, pose_vector
@@ -64,7 +65,7 @@ def rounded_model(model: GarmentModel, *, seed: int = 0) -> GarmentModel:
     if model.rig.to_json() != body_model.rig.to_json():
         raise ValueError("network weights are rounded over the body model's poses; this garment has another rig")
     random = np.random.default_rng(seed)
-    pose_inputs, deformer_inputs = [], []
+    pose_inputs, deformer_inputs, hidden = [], [], []
     for body in random.choice(len(body_model.train_bodies), BODIES, replace=False):
         avatar = avatar_from_body(body_model, body_model.train_bodies[body])
         bound = bind_garment(model, avatar)
@@ -83,11 +84,21 @@ def rounded_model(model: GarmentModel, *, seed: int = 0) -> GarmentModel:
         *of_bones, _ = layer_inputs(bound.deformer_layers, chi, modulation)
         pose_inputs.append(of_poses)
         deformer_inputs.append(of_bones)
+        hidden.append(of_bones[-1])
     return replace(
         model,
         pose_modulator=_rounded(model.pose_modulator, pose_inputs),
         node_deformer=_rounded(model.node_deformer, deformer_inputs),
+        detail=None if model.detail is None else _rounded_detail(model.detail, np.concatenate(hidden)),
     )
+
+
+def _rounded_detail(detail: Detail, hidden: np.ndarray) -> Detail:
+    """hidden: (F, h) what features are made of."""
+    weight, bias = detail.features
+    weight = compensated_rounding(weight, hidden)
+    offsets = compensated_rounding(detail.offsets, silu(hidden @ weight.T + bias))
+    return replace(detail, features=(weight, bias), offsets=offsets)
 
 
 def _rounded(layers: Sequence[Layer], inputs: Sequence[Sequence[np.ndarray]]) -> tuple[Layer, ...]:

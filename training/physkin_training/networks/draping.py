@@ -1,11 +1,12 @@
 """The trainable drape: networks, garment nodes and skinning weights from pose to garment vertices, in torch.
 
-Dimensions: `B` samples, `m` garment nodes, `n` vertices, `K` influences, `p` pose vector, `s` body modulation.
+Dimensions: `B` samples, `m` garment nodes, `n` vertices, `K` influences, `p` pose vector, `s` body modulation, `D`
+detail nodes.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -14,6 +15,7 @@ from torch import nn
 from physkin_core.model.garment import Garment
 from physkin_core.rig.rig import Rig
 from physkin_training.config import NetworkConfig
+from physkin_training.networks.detail_nodes import DetailNodeSet
 from physkin_training.networks.garment_nodes import GarmentNodeSet
 from physkin_training.networks.networks import Networks
 from physkin_training.sampling.posed_bodies import BodySet
@@ -34,12 +36,27 @@ class Drape(nn.Module):
 
     Skinning is one dense product: a vertex's basis is w_vi (x_v - chi-bar_i, 1) over all garment nodes. The same
     garment nodes carry the garment by a second set of skinning weights, of fewer influences a vertex, as engines want
-    them.
+    them. detail: of a garment that has folds between its garment nodes, offsets of rest vertices.
     """
 
-    def __init__(self, garment: Garment, nodes: GarmentNodeSet, rig: Rig, config: NetworkConfig) -> None:
+    def __init__(
+        self,
+        garment: Garment,
+        nodes: GarmentNodeSet,
+        rig: Rig,
+        config: NetworkConfig,
+        detail: DetailNodeSet | None = None,
+    ) -> None:
         super().__init__()
-        self.networks = Networks(config, pose_size=rig.pose_size, node_count=len(nodes.rest))
+        self.networks = Networks(
+            config,
+            pose_size=rig.pose_size,
+            node_count=len(nodes.rest),
+            **({} if detail is None else {"detail_nodes": detail.count, "detail_features": detail.features}),
+        )
+        if detail is not None:
+            self.detail_logits = nn.Parameter(_tensor(np.log(np.maximum(detail.influence_weights, 1e-12))))
+            self.register_buffer("detail_nodes", _tensor(detail.influence_nodes, torch.int64))
         self.skinning_logits = nn.Parameter(_tensor(np.log(np.maximum(nodes.influence_weights, 1e-12))))
         self.register_buffer("influence_nodes", _tensor(nodes.influence_nodes, torch.int64))
         self.register_buffer("influence_bias", torch.zeros_like(self.skinning_logits))
@@ -62,6 +79,16 @@ class Drape(nn.Module):
     def engine_weights(self) -> torch.Tensor:
         """The second set of skinning weights, like the first."""
         return torch.softmax(self.engine_logits + self.engine_bias, dim=1)
+
+    @property
+    def has_detail(self) -> bool:
+        """Whether there are folds between garment nodes."""
+        return self.networks.detail is not None
+
+    @property
+    def detail_weights(self) -> torch.Tensor:
+        """(n, J), rows sum to 1."""
+        return torch.softmax(self.detail_logits, dim=1)
 
     def prune_influences(self, keep: int) -> None:
         """Leave only the `keep` strongest influences of every vertex; the others stay zero from here on."""
@@ -98,26 +125,42 @@ class Drape(nn.Module):
         rest: RestShape | None = None,
     ) -> torch.Tensor:
         """Deformed vertices (B, n, 3) [m]. body_modulation: (B, s), otherwise as above and below."""
-        return self.skin(self.draped_nodes(body_modulation, joint_positions, gravity, posed_nodes), rest)
+        nodes, detail = self.draped(body_modulation, joint_positions, gravity, posed_nodes)
+        return self.skin(nodes, rest, detail)
 
-    def draped_nodes(
+    def draped(
         self,
         body_modulation: torch.Tensor,
         joint_positions: torch.Tensor,
         gravity: torch.Tensor,
         posed_nodes: torch.Tensor,
-    ) -> torch.Tensor:
-        """chi (B, m, 3, 4): the posed garment nodes as the networks correct them."""
-        raw = self.networks(body_modulation, self.pose_vector(joint_positions, gravity), posed_nodes)
-        return compose_nodes(posed_nodes, delta_transforms(raw))
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """chi (B, m, 3, 4): the posed garment nodes as the networks correct them; and offsets of detail nodes (B, D, 3)
+        [m], None of a garment without any."""
+        pose = self.pose_vector(joint_positions, gravity)
+        raw, detail = self.networks.with_detail(body_modulation, pose, posed_nodes)
+        return compose_nodes(posed_nodes, delta_transforms(raw)), detail
 
-    def skin(self, nodes: torch.Tensor, rest: RestShape | None = None, *, for_engines: bool = False) -> torch.Tensor:
+    def skin(
+        self,
+        nodes: torch.Tensor,
+        rest: RestShape | None = None,
+        detail: torch.Tensor | None = None,
+        *,
+        for_engines: bool = False,
+    ) -> torch.Tensor:
         """Linear blend skinning of the garment to garment node transforms (B, m, 3, 4). Returns (B, n, 3).
 
-        rest: the samples' rest shapes, default the template for all. for_engines: by the second set of weights.
+        rest: the samples' rest shapes, default the template for all. detail: offsets of detail nodes (B, D, 3) [m],
+        default none. for_engines: by the second set of weights.
         """
         n, m = len(self.vertices), len(self.node_rest)
         dense = self.dense(self.engine_weights if for_engines else self.skinning_weights, nodes)
+        if detail is not None:
+            rest = rest or RestShape(
+                self.vertices.expand(len(nodes), -1, -1), self.node_rest.expand(len(nodes), -1, -1)
+            )
+            rest = replace(rest, vertices=rest.vertices + self.vertex_offsets(detail))
         if rest is not None:
             shift = nodes[..., 3:] - nodes[..., :3] @ rest.nodes[..., None]
             handles = torch.cat([nodes[..., :3], shift], dim=-1).permute(1, 0, 2, 3).reshape(m, -1)
@@ -127,6 +170,13 @@ class Drape(nn.Module):
         basis = torch.cat([dense[..., None] * offset, dense[..., None]], dim=-1).view(n, 4 * m)
         handles = nodes.permute(1, 3, 0, 2).reshape(4 * m, -1)
         return (basis @ handles).view(n, -1, 3).transpose(0, 1).contiguous()
+
+    def vertex_offsets(self, detail: torch.Tensor) -> torch.Tensor:
+        """Offsets of rest vertices (B, n, 3) [m] of those of detail nodes (B, D, 3)."""
+        weights = torch.zeros(len(self.vertices), detail.shape[1], device=detail.device, dtype=detail.dtype)
+        weights = weights.scatter_add(1, self.detail_nodes, self.detail_weights.to(detail.dtype))
+        moved = weights @ detail.transpose(0, 1).flatten(1)
+        return moved.unflatten(1, (-1, 3)).transpose(0, 1)
 
     def linear_parts(self, nodes: torch.Tensor) -> torch.Tensor:
         """The linear parts of garment node transforms (B, m, 3, 4), blended at each vertex: (B, n, 3, 3)."""

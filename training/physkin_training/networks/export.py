@@ -15,6 +15,7 @@ import torch
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
+from physkin_core.model.detail import Detail
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.hyper_modulator import POINT_COUNT
@@ -24,6 +25,7 @@ from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.outfit.draper import Draper
 from physkin_core.rig.rig import Rig
 from physkin_training.config import NetworkConfig
+from physkin_training.networks.detail_nodes import DetailNodeSet
 from physkin_training.networks.draping import Drape, RestShape
 from physkin_training.networks.garment_nodes import GarmentNodeSet
 from physkin_training.networks.networks import ModulatedMLP
@@ -64,8 +66,9 @@ def model_from_drape(
 ) -> GarmentModel:
     """The garment model of a trained drape, pruned to the `influences` strongest garment nodes a vertex.
     engine_influences: those of its skinning weights for engines. Rest normals are those of the mesh."""
-    nodes, weights = _strongest(drape, drape.skinning_weights, influences)
-    engine_nodes, engine_weights = _strongest(drape, drape.engine_weights, engine_influences)
+    own = drape.influence_nodes
+    nodes, weights = _strongest(own, drape.skinning_weights, influences)
+    engine_nodes, engine_weights = _strongest(own, drape.engine_weights, engine_influences)
     networks = {key: tensor.detach().cpu().numpy() for key, tensor in drape.networks.state_dict().items()}
     hyper = {
         key.removeprefix("hyper_modulator."): array
@@ -86,8 +89,22 @@ def model_from_drape(
         hyper_modulator=hyper,
         pose_modulator=_layers(drape.networks.pose_modulator),
         node_deformer=(_numpy(*drape.networks.folded_first_layer()), *_layers(drape.networks.node_deformer)[1:]),
+        detail=_detail(drape),
         material=material,
         training=training or {},
+    )
+
+
+def _detail(drape: Drape) -> Detail | None:
+    if not drape.has_detail:
+        return None
+    nodes, weights = _strongest(drape.detail_nodes, drape.detail_weights, drape.detail_nodes.shape[1])
+    network = drape.networks.detail
+    return Detail(
+        features=_numpy(network.features.weight, network.features.bias),
+        offsets=network.offsets.weight.detach().cpu().numpy(),
+        nodes=nodes,
+        weights=weights,
     )
 
 
@@ -95,8 +112,15 @@ def drape_from_model(model: GarmentModel) -> Drape:
     """The torch drape of a garment model (for evaluation, or to train on); its skinning weights for engines are the
     model's others."""
     nodes = GarmentNodeSet(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
-    drape = Drape(model.garment, nodes, model.rig, network_config(model))
+    detail = model.detail
+    detail_nodes = None
     state = {f"hyper_modulator.{key}": array for key, array in model.hyper_modulator.items()}
+    if detail is not None:
+        numbers, features = detail.offsets.shape
+        detail_nodes = DetailNodeSet(numbers // 3, features, detail.nodes, detail.weights)
+        state |= {"detail.features.weight": detail.features[0], "detail.features.bias": detail.features[1]}
+        state["detail.offsets.weight"] = detail.offsets
+    drape = Drape(model.garment, nodes, model.rig, network_config(model), detail_nodes)
     for network in ("pose_modulator", "node_deformer"):
         for index, (weight, bias) in enumerate(getattr(model, network)):
             state |= {f"{network}.layers.{index}.weight": weight, f"{network}.layers.{index}.bias": bias}
@@ -208,13 +232,13 @@ def store_checked(model: GarmentModel, drape: Drape, path: Path) -> GarmentModel
     return stored
 
 
-def _strongest(drape: Drape, weights: torch.Tensor, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Garment nodes and skinning weights (n, count) of the `count` strongest influences, of weights (n, K)."""
+def _strongest(nodes: torch.Tensor, weights: torch.Tensor, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The `count` strongest influences (n, count), of nodes (n, K) with weights (n, K)."""
     weights = weights.detach().cpu().numpy()
     order = np.argsort(-weights, axis=1, kind="stable")[:, :count]
     kept = np.take_along_axis(weights, order, axis=1)
-    nodes = np.take_along_axis(drape.influence_nodes.cpu().numpy(), order, axis=1).astype(np.int32)
-    return nodes, kept / kept.sum(axis=1, keepdims=True)
+    strongest = np.take_along_axis(nodes.cpu().numpy(), order, axis=1).astype(np.int32)
+    return strongest, kept / kept.sum(axis=1, keepdims=True)
 
 
 def _layers(network: ModulatedMLP) -> tuple:

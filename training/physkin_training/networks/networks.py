@@ -14,7 +14,7 @@ from torch.nn import functional
 from physkin_core.model.hyper_modulator import ENCODING_FREQUENCIES, HEADS, token_features
 from physkin_training.config import NetworkConfig
 
-__all__ = ["HyperModulator", "ModulatedMLP", "Networks"]
+__all__ = ["DetailNetwork", "HyperModulator", "ModulatedMLP", "Networks"]
 
 
 class ModulatedMLP(nn.Module):
@@ -34,12 +34,31 @@ class ModulatedMLP(nn.Module):
 
     def forward(self, x: torch.Tensor, modulation: torch.Tensor) -> torch.Tensor:
         """x: (B, in). modulation: (B, modulation_size). Returns (B, out)."""
+        return self.layers[-1](self.last_hidden(x, modulation))
+
+    def last_hidden(self, x: torch.Tensor, modulation: torch.Tensor) -> torch.Tensor:
+        """What the linear layer reads, (B, hidden)."""
         start = 0
         for layer in self.layers[:-1]:
             scale, shift = modulation[:, start : start + 2 * layer.out_features].chunk(2, dim=-1)
             x = functional.silu(torch.addcmul(shift, 1 + scale, layer(x)))
             start += 2 * layer.out_features
-        return self.layers[-1](x)
+        return x
+
+
+class DetailNetwork(nn.Module):
+    """The node deformer's last hidden activations to offsets of detail nodes (see `physkin_core.model.detail`); those
+    begin near zero."""
+
+    def __init__(self, hidden: int, features: int, nodes: int) -> None:
+        super().__init__()
+        self.features = nn.Linear(hidden, features)
+        self.offsets = nn.Linear(features, 3 * nodes, bias=False)
+        nn.init.normal_(self.offsets.weight, std=1e-6)
+
+    def forward(self, hidden: torch.Tensor) -> torch.Tensor:
+        """(B, h) to offsets (B, D, 3) [m]."""
+        return self.offsets(functional.silu(self.features(hidden))).unflatten(1, (-1, 3))
 
 
 class HyperModulator(nn.Module):
@@ -102,10 +121,12 @@ class Networks(nn.Module):
     """The three networks chained: (body points, pose vector, posed garment nodes) -> raw delta-chi.
 
     The node deformer sees node transforms shifted and scaled to about unit variance (`normalise_nodes`); the model file
-    holds its first layer with both folded in.
+    holds its first layer with both folded in. `detail`: None of a garment that has none.
     """
 
-    def __init__(self, config: NetworkConfig, *, pose_size: int, node_count: int) -> None:
+    def __init__(
+        self, config: NetworkConfig, *, pose_size: int, node_count: int, detail_nodes: int = 0, detail_features: int = 0
+    ) -> None:
         super().__init__()
         numbers = 12 * node_count
         self.node_deformer = ModulatedMLP(numbers, config.deformer_hidden, config.deformer_layers, numbers)
@@ -113,6 +134,7 @@ class Networks(nn.Module):
             pose_size, config.pose_hidden, config.pose_layers, self.node_deformer.modulation_size
         )
         self.hyper_modulator = HyperModulator(config, self.pose_modulator.modulation_size)
+        self.detail = DetailNetwork(config.deformer_hidden, detail_features, detail_nodes) if detail_nodes else None
         nn.init.normal_(self.pose_modulator.layers[-1].weight, std=1e-2)
         self.register_buffer("node_mean", torch.zeros(12 * node_count))
         self.register_buffer("node_scale", torch.ones(12 * node_count))
@@ -135,9 +157,17 @@ class Networks(nn.Module):
         self, body_modulation: torch.Tensor, pose_vector: torch.Tensor, posed_nodes: torch.Tensor
     ) -> torch.Tensor:
         """body_modulation: (B, s). pose_vector: (B, p). posed_nodes: (B, m, 3, 4). Returns (B, m, 12)."""
+        return self.with_detail(body_modulation, pose_vector, posed_nodes)[0]
+
+    def with_detail(
+        self, body_modulation: torch.Tensor, pose_vector: torch.Tensor, posed_nodes: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """The same, and offsets of detail nodes (B, D, 3) [m], None of a garment without any."""
         modulation = self.pose_modulator(pose_vector, body_modulation)
         inputs = (posed_nodes.flatten(1) - self.node_mean) * self.node_scale
-        return self.node_deformer(inputs, modulation).unflatten(1, (posed_nodes.shape[1], -1))
+        hidden = self.node_deformer.last_hidden(inputs, modulation)
+        raw = self.node_deformer.layers[-1](hidden).unflatten(1, (posed_nodes.shape[1], -1))
+        return raw, None if self.detail is None else self.detail(hidden)
 
 
 def encode_points(points: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:

@@ -43,11 +43,21 @@ def take_over_model(model: GarmentModel, drape: Drape) -> dict:
                 f"cannot start from model {model.name!r}: {name} is {tuple(tensor.shape)}, expected {expected}"
             )
     drape.networks.load_state_dict(own | state)
+    if learnt.has_detail:
+        _take_over_detail(learnt, drape)
     influences = drape.influence_nodes.cpu().numpy()
     with torch.no_grad():
         drape.skinning_logits.copy_(torch.as_tensor(_logits(model, influences)))
         drape.engine_logits.copy_(torch.as_tensor(_logits(model.for_engines(), influences)))
     return {"model": model.name} | dict(model.training)
+
+
+def _take_over_detail(learnt: Drape, drape: Drape) -> None:
+    """Weights of detail nodes; the influences of the model's file come strongest first, in the run's own order here."""
+    known = torch.zeros(len(drape.vertices), len(learnt.networks.detail.offsets.weight) // 3)
+    known.scatter_(1, learnt.detail_nodes, learnt.detail_weights.detach())
+    with torch.no_grad():
+        drape.detail_logits.copy_(known.gather(1, drape.detail_nodes.cpu()).clamp_min(NEW_INFLUENCE).log())
 
 
 def _unfolded(drape: Drape, weight: torch.Tensor, bias: torch.Tensor) -> dict[str, torch.Tensor]:

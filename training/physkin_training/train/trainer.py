@@ -23,6 +23,7 @@ from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment import load_garment
 from physkin_core.model.model_file import load_garment_model
 from physkin_training.config import TrainingConfig
+from physkin_training.networks.detail_nodes import DetailNodeSet
 from physkin_training.networks.draping import Drape, RestShape
 from physkin_training.networks.garment_nodes import GarmentNodeSet
 from physkin_training.networks.made_to_measure import MadeToMeasure
@@ -103,7 +104,8 @@ class Trainer:
             self.garment, self.rig, config.garment_nodes.count, config.garment_nodes.initial_influences
         )
         self.nodes = nodes
-        self.drape = Drape(self.garment, nodes, self.rig, config.networks).to(device)
+        detail = DetailNodeSet.sample(self.garment, config.detail)
+        self.drape = Drape(self.garment, nodes, self.rig, config.networks, detail).to(device)
         bodies, swelling = training_bodies(body_model, config.train_bodies, seed=config.seed)
         self.bodies = BodySet(body_model, bodies, device, swelling=swelling)
         self.fits = MadeToMeasure(self.garment, self.drape, self.bodies, body_model)
@@ -314,8 +316,9 @@ class Trainer:
         self.drape.networks.normalise_nodes(torch.cat(posed))
 
     def _logits(self) -> list[torch.nn.Parameter]:
-        """Of the skinning weights, both sets."""
-        return [self.drape.skinning_logits, self.drape.engine_logits]
+        """Of the skinning weights, both sets, and of detail nodes' weights."""
+        detail = [self.drape.detail_logits] if self.drape.has_detail else []
+        return [self.drape.skinning_logits, self.drape.engine_logits, *detail]
 
     def _set_schedules(self) -> None:
         before, self.schedule = self.schedule, Schedule.at(self.step, self.config)
@@ -375,12 +378,13 @@ class Trainer:
             self.losses.bend.stiffer.copy_(stiffer.repeat_interleave(per_body))
         modulation = self.drape.networks.hyper_modulator(*surface, self.made.float(), bending)
         modulation = modulation.repeat_interleave(per_body, dim=0)
-        nodes = self.drape.draped_nodes(modulation, positions, gravity, posed_nodes)
-        loss = self.objective(self.skinned(nodes, worn.rest), gravity)
+        nodes, detail = self.drape.draped(modulation, positions, gravity, posed_nodes)
+        loss = self.objective(self.skinned(nodes, worn.rest, detail), gravity)
         if optimisation.steadiness:
             loss = loss + self._steadiness(
                 nodes,
                 posed_nodes,
+                detail,
                 modulation=modulation,
                 positions=positions,
                 gravity=gravity,
@@ -395,8 +399,9 @@ class Trainer:
         self._update_average()
         self.gradient_norm.copy_(norm)
 
-    def skinned(self, nodes: torch.Tensor, rest: RestShape) -> torch.Tensor:
-        """Drapes (B, n, 3) of garment nodes (B, m, 3, 4); each body's last ones by the skinning weights for engines."""
+    def skinned(self, nodes: torch.Tensor, rest: RestShape, detail: torch.Tensor | None = None) -> torch.Tensor:
+        """Drapes (B, n, 3) of garment nodes (B, m, 3, 4) and detail nodes (B, D, 3); each body's last ones by the
+        skinning weights for engines."""
         parts = []
         last = max(1, round(ENGINE_SHARE * self._samples / self._bodies))
         for poses, for_engines in ((slice(None, -last), False), (slice(-last, None), True)):
@@ -405,7 +410,8 @@ class Trainer:
                 return values.unflatten(0, (self._bodies, -1))[:, poses].flatten(0, 1)
 
             own = RestShape(part(rest.vertices), part(rest.nodes))
-            skinned = self.drape.skin(part(nodes), own, for_engines=for_engines)
+            own_detail = None if detail is None else part(detail)
+            skinned = self.drape.skin(part(nodes), own, own_detail, for_engines=for_engines)
             parts.append(skinned.unflatten(0, (self._bodies, -1)))
         return torch.cat(parts, dim=1).flatten(0, 1)
 
