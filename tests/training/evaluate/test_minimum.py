@@ -12,6 +12,7 @@ from random_models import random_model, random_rotation, tube
 from training.small_runs import waist_band_model
 
 from physkin_core import Draper, Garment, avatar_from_body, load_body_model
+from physkin_core.model.detail import Detail
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.garment_nodes import closest_bones
 from physkin_training.evaluate import minimum
@@ -24,20 +25,34 @@ CPU = torch.device("cpu")
 BODY = load_body_model()
 
 
-def test_subspace_finds_a_drape_that_the_nodes_can_reach(monkeypatch):
-    """The energy is the squared distance to a drape made with known node numbers."""
+def with_detail(rng, model):
+    """The model with six detail nodes, two of them a vertex."""
+    n, width = len(model.garment.vertices), len(model.node_deformer[-1][0].T)
+    detail = Detail(
+        features=(rng.normal(size=(5, width)).astype(np.float32), np.zeros(5, dtype=np.float32)),
+        offsets=0.01 * rng.normal(size=(18, 5)).astype(np.float32),
+        nodes=np.stack([np.arange(n) % 3, 3 + np.arange(n) % 3], axis=1).astype(np.int32),
+        weights=np.full((n, 2), 0.5, dtype=np.float32),
+    )
+    return replace(model, detail=detail)
+
+
+@pytest.mark.parametrize("detailed", [False, True])
+def test_subspace_finds_a_drape_that_the_nodes_can_reach(detailed, monkeypatch):
+    """The energy is the squared distance to a drape made with known node numbers, and with detail that stays."""
     monkeypatch.setattr(minimum, "STEPS", 500)
     monkeypatch.setattr(minimum, "RATE", 0.02)
     rng = np.random.default_rng(0)
     model = random_model(rng, nodes=4)
-    drape = drape_from_model(model)
+    drape = drape_from_model(with_detail(rng, model) if detailed else model)
+    detail = torch.as_tensor(0.05 * rng.normal(size=(2, 6, 3)), dtype=torch.float32) if detailed else None
     posed = torch.as_tensor(
         np.array([[np.c_[random_rotation(rng), rng.normal(size=3)] for _ in range(4)] for _ in range(2)]),
         dtype=torch.float32,
     )
 
     def shape(raw):
-        return drape.skin(compose_nodes(posed, delta_transforms(raw)))
+        return drape.skin(compose_nodes(posed, delta_transforms(raw)), detail=detail)
 
     with torch.no_grad():
         goal = shape(torch.as_tensor(0.1 * rng.normal(size=(2, 4, 12)), dtype=torch.float32))
@@ -46,7 +61,7 @@ def test_subspace_finds_a_drape_that_the_nodes_can_reach(monkeypatch):
     def distance(result):
         return (result - goal).square().sum(dim=-1).mean().sqrt().item()
 
-    result = subspace_minimum(lambda x: (x - goal).square().mean(), drape, posed, start)
+    result = subspace_minimum(lambda x: (x - goal).square().mean(), drape, posed, start, detail=detail)
     assert distance(shape(start)) > 0.02 and distance(result.vertices) < 1e-3
     assert not result.vertices.requires_grad and not result.gradient_norm.requires_grad
     assert not start.any(), "the start is left alone"

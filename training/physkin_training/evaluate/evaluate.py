@@ -239,7 +239,7 @@ class Evaluation:
             with torch.no_grad():
                 raw, detail = self._corrections(batch)
                 own = self.drape.skin(compose_nodes(batch.posed_nodes, delta_transforms(raw)), batch.rest, detail)
-            subspace = subspace_minimum(objective, self.drape, batch.posed_nodes, raw, rest=batch.rest)
+            subspace = subspace_minimum(objective, self.drape, batch.posed_nodes, raw, rest=batch.rest, detail=detail)
             with torch.no_grad():
                 better = self.energy(subspace.vertices, batch)[1].total < self.energy(own, batch)[1].total
             start = torch.where(better[:, None, None], subspace.vertices, own)

@@ -39,14 +39,16 @@ def subspace_minimum(
     raw: torch.Tensor,
     *,
     rest: RestShape | None = None,
+    detail: torch.Tensor | None = None,
 ) -> Minimum:
     """Minimise over the garment nodes' numbers `raw` (B, m, 12), skinning weights fixed. rest: of the samples, default
-    the template."""
+    the template. detail: offsets of detail nodes (B, D, 3) [m] that stay as they are, so that the minimum is below the
+    model's own drape, which they belong to; default none."""
     free = raw.detach().clone().requires_grad_(True)
     optimiser = torch.optim.Adam([free], lr=RATE)
 
     def shape() -> torch.Tensor:
-        return drape.skin(compose_nodes(posed_nodes, delta_transforms(free)), rest)
+        return drape.skin(compose_nodes(posed_nodes, delta_transforms(free)), rest, detail)
 
     def compute_gradient() -> None:
         (free.grad,) = torch.autograd.grad(energy(shape()) * len(free), free)
