@@ -155,7 +155,7 @@ nb::ndarray<nb::numpy, const float, nb::shape<-1, 12>> corrections(BoundEvaluato
 
 nb::ndarray<nb::numpy, const float, nb::ndim<1>> features(BoundEvaluator& self, int garment) {
   const GarmentEvaluator& of = self.garment(garment);
-  return {of.features(), {of.features() == nullptr ? 0 : std::size_t(of.feature_count())}, nb::find(self)};
+  return {of.features(), {std::size_t(of.feature_count())}, nb::find(self)};
 }
 
 nb::ndarray<nb::numpy, float, nb::shape<-1, kGarmentInput>, nb::c_contig> rows(FrameInput& self) {

@@ -89,11 +89,6 @@ class BoundGarment(SkinningData):
         return bool(self.sway_layers)
 
     @property
-    def has_detail(self) -> bool:
-        """Whether it has folds between its garment nodes."""
-        return bool(self.detail_layers)
-
-    @property
     def unguarded(self) -> BoundGarment:
         """The same, not kept out of the skin: as the networks alone drape it."""
         guard = [each for each in fields(self) if each.name.startswith(("guard_", "skin_"))]
@@ -101,9 +96,8 @@ class BoundGarment(SkinningData):
 
     def of_vertices(self, vertices: np.ndarray, faces: np.ndarray) -> BoundGarment:
         """The same of which only some vertices (v,) are computed; faces (f, 3) int32 of these."""
-        fields_of = {name: axes[:1] for name, _, axes in native.bound_garment_fields()}
-        per_vertex = [name for name, axes in fields_of.items() if axes == ("vertices",)]
-        per_vertex += [name for name, axes in fields_of.items() if axes == ("detail vertices",) and self.has_detail]
+        counted = ("vertices", "detail vertices") if self.detail_layers else ("vertices",)
+        per_vertex = [name for name, _, axes in native.bound_garment_fields() if axes and axes[0] in counted]
         kept = {name: np.ascontiguousarray(getattr(self, name)[vertices]) for name in per_vertex}
         return replace(self, faces=faces, **kept)
 

@@ -119,8 +119,8 @@ class Evaluator:
         return self._evaluator.corrections(garment).copy()
 
     def features(self, garment: int = 0) -> np.ndarray:
-        """What moves the detail nodes in the last frame, (F,) float32; (0,) of a garment without detail, and before the
-        first frame."""
+        """What moves the detail nodes in the last frame, (F,) float32, zeros before the first one; (0,) of a garment
+        without detail."""
         return self._evaluator.features(garment).copy()
 
     def skinning_terms(self, garment: int = 0) -> int:
@@ -152,7 +152,6 @@ class Skinner:
 
     def __init__(self, data: SkinningData) -> None:
         self.vertex_count, self.node_count = len(data.vertices), len(data.node_rest)
-        self.feature_count = data.detail_offsets.shape[1] if len(data.detail_nodes) else 0
         self._skinner = native.Skinner(data)
 
     def skin(self, node_transforms: np.ndarray, out: np.ndarray, features: np.ndarray = NO_FEATURES) -> None:

@@ -69,8 +69,7 @@ def guarded(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any]:
 
 def _of_arms(rig: Rig, found: Limbs) -> np.ndarray:
     """(b,) bool, bones of arms: sleeves may hang, but not around legs."""
-    arms = [limb.ends[0] for limb in found.limbs if limb.is_arm]
-    return np.array([bool(set(arms) & set(rig.ancestors(bone))) for bone in range(rig.bone_count)])
+    return rig.inherited({limb.ends[0]: 1 for limb in found.limbs if limb.is_arm}, 0) == 1
 
 
 def _hips(avatar: Avatar, found: Limbs) -> float:

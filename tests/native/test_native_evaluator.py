@@ -103,6 +103,7 @@ def test_detail_moves_the_rest_garment(shape, detail_nodes, columns, make_garmen
     positions, normals = skin(g, reference.node_transforms(), reference.features())
     for level in LEVELS:
         frame, without = (NativeFrame([each], instruction_set=level) for each in (g, plain))
+        assert not frame.features().any() and len(frame.features()) == len(g.detail_offsets.T)
         out, smooth, skinned = np.full((3, len(g.vertices), columns), np.nan, dtype=np.float32)
         frame.evaluate(q, told(gravity)[None], [out])
         without.evaluate(q, told(gravity)[None], [smooth])

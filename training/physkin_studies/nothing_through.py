@@ -198,8 +198,7 @@ def play(outfits: Sequence[str], bodies: Sequence[str], motions: Sequence[Motion
 
 def _of_arms(avatar: Avatar, rig: Rig) -> np.ndarray:
     """(f,) bool, the faces of hands and forearms."""
-    starts = {limb.ends[1] for limb in find_limbs(rig).limbs if limb.is_arm}
-    bones = np.array([bool(starts & set(rig.ancestors(bone))) for bone in range(rig.bone_count)])
+    bones = rig.inherited({limb.ends[1]: 1 for limb in find_limbs(rig).limbs if limb.is_arm}, 0) == 1
     share = (bones[avatar.influence_bones] * avatar.influence_weights).sum(axis=1)
     return share[avatar.faces].mean(axis=1) > 0.5
 

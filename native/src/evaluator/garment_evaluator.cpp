@@ -55,7 +55,8 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
       bone_transforms_(arena_.take<float>(12 * g.bones)),
       deformer_input_(arena_.take<float>(12 * g.deformer_bone_count)),
       node_transforms_(arena_.take<float>(12 * g.nodes)),
-      corrections_(arena_.take<float>(12 * g.nodes)) {
+      corrections_(arena_.take<float>(12 * g.nodes)),
+      features_(arena_.take<float>(padded_to_group(skinner_.features()) + kGroup)) {
   if (options.normals == Normals::faces) face_normals_.emplace(g, arena_);
 }
 

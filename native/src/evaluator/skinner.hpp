@@ -26,7 +26,7 @@ class Skinner {
   Rejection check_features(const float* features) const noexcept;
 
   // From transforms and features that were checked; these are 64-byte aligned, readable for kGroup floats beyond, and
-  // null for a garment without detail. Allocates nothing.
+  // not looked at without detail. Allocates nothing.
   void skin(const float* node_transforms, const float* features, const VertexRows& rows) noexcept;
 
   int nodes() const { return nodes_; }

@@ -224,7 +224,10 @@ void check_skin(const BoundGarment& g) {
   if (g.guard_samples > 0 && g.guard_influences < 1) fail("guard_influence_nodes: a sample needs an influence");
 }
 
-void check_detail(const SkinningData& d) {
+void check_sizes(const SkinningData& d) {
+  if (d.nodes < 1 || d.vertex_count < 1 || d.influences < 1) {
+    fail("a garment needs at least one garment node, vertex and influence");
+  }
   if (d.detail_vertices != 0 && d.detail_vertices != d.vertex_count) {
     fail("detail_nodes are for " + std::to_string(d.detail_vertices) + " vertices; expected none, or " +
          std::to_string(d.vertex_count));
@@ -252,12 +255,6 @@ void check_features(const BoundGarment& g) {
   }
 }
 
-void check_sizes(const SkinningData& d) {
-  if (d.nodes < 1 || d.vertex_count < 1 || d.influences < 1) {
-    fail("a garment needs at least one garment node, vertex and influence");
-  }
-}
-
 }  // namespace
 
 SkinningData read_skinning_data(FieldSource& source) {
@@ -281,14 +278,12 @@ std::vector<FieldDescription> bound_garment_fields() {
 
 void validate(const SkinningData& data) {
   check_sizes(data);
-  check_detail(data);
   SkinningData views = data;
   visit_skinning_data(views, Check{});
 }
 
 void validate(const BoundGarment& garment) {
   check_sizes(garment);
-  check_detail(garment);
   BoundGarment g = garment;
   if (g.bones < 1) fail("a bound garment needs at least one bone");
   visit_bound_garment(g, Check{});

@@ -111,7 +111,7 @@ def test_new_networks_correct_almost_nothing():
     torch.manual_seed(2)
     networks = Networks(NetworkConfig(pose_hidden=64, deformer_hidden=32, token_width=16), pose_size=20, node_count=9)
     body = networks.hyper_modulator(torch.randn(4, 100, 3), torch.randn(4, 100, 3))
-    raw = networks(body, torch.rand(4, 20) * 2 - 1, torch.randn(4, 9, 3, 4))
+    raw, _ = networks(body, torch.rand(4, 20) * 2 - 1, torch.randn(4, 9, 3, 4))
     assert raw.shape == (4, 9, 12) and 0 < raw.abs().max() < 0.03
 
 

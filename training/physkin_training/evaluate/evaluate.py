@@ -273,7 +273,7 @@ class Evaluation:
 
     def _corrections(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor | None]:
         vector = self.drape.pose_vector(batch.positions, batch.gravity)
-        return self.drape.networks.with_detail(batch.modulation, vector, batch.posed_nodes)
+        return self.drape.networks(batch.modulation, vector, batch.posed_nodes)
 
 
 def counting_line(doing: str, total: int) -> Callable[[int], None]:

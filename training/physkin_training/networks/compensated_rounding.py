@@ -65,7 +65,7 @@ def rounded_model(model: GarmentModel, *, seed: int = 0) -> GarmentModel:
     if model.rig.to_json() != body_model.rig.to_json():
         raise ValueError("network weights are rounded over the body model's poses; this garment has another rig")
     random = np.random.default_rng(seed)
-    pose_inputs, deformer_inputs, hidden = [], [], []
+    pose_inputs, deformer_inputs = [], []
     for body in random.choice(len(body_model.train_bodies), BODIES, replace=False):
         avatar = avatar_from_body(body_model, body_model.train_bodies[body])
         bound = bind_garment(model, avatar)
@@ -84,12 +84,12 @@ def rounded_model(model: GarmentModel, *, seed: int = 0) -> GarmentModel:
         *of_bones, _ = layer_inputs(bound.deformer_layers, chi, modulation)
         pose_inputs.append(of_poses)
         deformer_inputs.append(of_bones)
-        hidden.append(of_bones[-1])
+    hidden = np.concatenate([of_layers[-1] for of_layers in deformer_inputs])
     return replace(
         model,
         pose_modulator=_rounded(model.pose_modulator, pose_inputs),
         node_deformer=_rounded(model.node_deformer, deformer_inputs),
-        detail=None if model.detail is None else _rounded_detail(model.detail, np.concatenate(hidden)),
+        detail=None if model.detail is None else _rounded_detail(model.detail, hidden),
     )
 
 

@@ -48,12 +48,7 @@ class Drape(nn.Module):
         detail: DetailNodeSet | None = None,
     ) -> None:
         super().__init__()
-        self.networks = Networks(
-            config,
-            pose_size=rig.pose_size,
-            node_count=len(nodes.rest),
-            **({} if detail is None else {"detail_nodes": detail.count, "detail_features": detail.features}),
-        )
+        self.networks = Networks(config, pose_size=rig.pose_size, node_count=len(nodes.rest), detail=detail)
         if detail is not None:
             self.detail_logits = nn.Parameter(_tensor(np.log(np.maximum(detail.influence_weights, 1e-12))))
             self.register_buffer("detail_nodes", _tensor(detail.influence_nodes, torch.int64))
@@ -138,7 +133,7 @@ class Drape(nn.Module):
         """chi (B, m, 3, 4): the posed garment nodes as the networks correct them; and offsets of detail nodes (B, D, 3)
         [m], None of a garment without any."""
         pose = self.pose_vector(joint_positions, gravity)
-        raw, detail = self.networks.with_detail(body_modulation, pose, posed_nodes)
+        raw, detail = self.networks(body_modulation, pose, posed_nodes)
         return compose_nodes(posed_nodes, delta_transforms(raw)), detail
 
     def skin(
@@ -173,8 +168,7 @@ class Drape(nn.Module):
 
     def vertex_offsets(self, detail: torch.Tensor) -> torch.Tensor:
         """Offsets of rest vertices (B, n, 3) [m] of those of detail nodes (B, D, 3)."""
-        weights = torch.zeros(len(self.vertices), detail.shape[1], device=detail.device, dtype=detail.dtype)
-        weights = weights.scatter_add(1, self.detail_nodes, self.detail_weights.to(detail.dtype))
+        weights = _dense(self.detail_nodes, self.detail_weights.to(detail.dtype), detail.shape[1])
         moved = weights @ detail.transpose(0, 1).flatten(1)
         return moved.unflatten(1, (-1, 3)).transpose(0, 1)
 
@@ -184,8 +178,13 @@ class Drape(nn.Module):
 
     def dense(self, weights: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
         """Skinning weights (n, K) over all garment nodes (n, m), in the type of `nodes`."""
-        dense = torch.zeros(len(self.vertices), len(self.node_rest), device=nodes.device, dtype=nodes.dtype)
-        return dense.scatter_add(1, self.influence_nodes, weights.to(nodes.dtype))
+        return _dense(self.influence_nodes, weights.to(nodes.dtype), len(self.node_rest))
+
+
+def _dense(influences: torch.Tensor, weights: torch.Tensor, count: int) -> torch.Tensor:
+    """Weights (n, K) of influences (n, K) over all of `count` (n, count)."""
+    dense = torch.zeros(len(weights), count, device=weights.device, dtype=weights.dtype)
+    return dense.scatter_add(1, influences, weights)
 
 
 def _prune(weights: torch.Tensor, keep: int, bias: torch.Tensor) -> None:

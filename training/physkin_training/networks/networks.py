@@ -13,6 +13,7 @@ from torch.nn import functional
 
 from physkin_core.model.hyper_modulator import ENCODING_FREQUENCIES, HEADS, token_features
 from physkin_training.config import NetworkConfig
+from physkin_training.networks.detail_nodes import DetailNodeSet
 
 __all__ = ["DetailNetwork", "HyperModulator", "ModulatedMLP", "Networks"]
 
@@ -125,7 +126,7 @@ class Networks(nn.Module):
     """
 
     def __init__(
-        self, config: NetworkConfig, *, pose_size: int, node_count: int, detail_nodes: int = 0, detail_features: int = 0
+        self, config: NetworkConfig, *, pose_size: int, node_count: int, detail: DetailNodeSet | None = None
     ) -> None:
         super().__init__()
         numbers = 12 * node_count
@@ -134,7 +135,7 @@ class Networks(nn.Module):
             pose_size, config.pose_hidden, config.pose_layers, self.node_deformer.modulation_size
         )
         self.hyper_modulator = HyperModulator(config, self.pose_modulator.modulation_size)
-        self.detail = DetailNetwork(config.deformer_hidden, detail_features, detail_nodes) if detail_nodes else None
+        self.detail = None if detail is None else DetailNetwork(config.deformer_hidden, detail.features, detail.count)
         nn.init.normal_(self.pose_modulator.layers[-1].weight, std=1e-2)
         self.register_buffer("node_mean", torch.zeros(12 * node_count))
         self.register_buffer("node_scale", torch.ones(12 * node_count))
@@ -155,14 +156,9 @@ class Networks(nn.Module):
 
     def forward(
         self, body_modulation: torch.Tensor, pose_vector: torch.Tensor, posed_nodes: torch.Tensor
-    ) -> torch.Tensor:
-        """body_modulation: (B, s). pose_vector: (B, p). posed_nodes: (B, m, 3, 4). Returns (B, m, 12)."""
-        return self.with_detail(body_modulation, pose_vector, posed_nodes)[0]
-
-    def with_detail(
-        self, body_modulation: torch.Tensor, pose_vector: torch.Tensor, posed_nodes: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor | None]:
-        """The same, and offsets of detail nodes (B, D, 3) [m], None of a garment without any."""
+        """body_modulation: (B, s). pose_vector: (B, p). posed_nodes: (B, m, 3, 4). Returns (B, m, 12), and offsets of
+        detail nodes (B, D, 3) [m], None of a garment without any."""
         modulation = self.pose_modulator(pose_vector, body_modulation)
         inputs = (posed_nodes.flatten(1) - self.node_mean) * self.node_scale
         hidden = self.node_deformer.last_hidden(inputs, modulation)
