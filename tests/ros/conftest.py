@@ -97,7 +97,7 @@ def start_site(domain, tmp_path_factory):
     try:
         for site in sites:
             site.process.send_signal(signal.SIGINT)
-            assert site.process.wait(10) == 0, site.log.read_text()
+            assert site.process.wait(60) == 0, site.log.read_text()
             text = site.log.read_text()
             assert "Traceback" not in text and "nanobind" not in text
     finally:
@@ -123,7 +123,7 @@ def start(domain):
         if process.poll() is None:
             process.terminate()
             try:
-                process.wait(10)
+                process.wait(60)
             except subprocess.TimeoutExpired:
                 process.kill()
         process.stdout.close()

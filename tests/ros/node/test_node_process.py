@@ -42,7 +42,7 @@ def test_clouds_equal_the_core(start, peer, garment_model, model_path, executor)
         np.testing.assert_allclose(cloud, draper.drape(motion.positions[frame][index]), atol=1e-6)
     assert peer.frame_ids == {"body_7"}
     node.send_signal(signal.SIGINT)
-    status, output = node.wait(10), node.stdout.read()
+    status, output = node.wait(60), node.stdout.read()
     assert status == 0, output
     assert "Traceback" not in output and "nanobind" not in output and "encoded body" in output and " ms" in output
 
@@ -57,7 +57,7 @@ def test_interrupted_in_a_callback(start, model_path):
         assert any("->" in line for line in lines), "the node did not start"
         time.sleep(0.3)
         node.send_signal(signal.SIGINT)
-        assert node.wait(10) == 0
+        assert node.wait(60) == 0
         assert list(lines) == []
 
 
@@ -68,7 +68,7 @@ def test_sigterm_and_remapping(start, peer, model_path):
     )
     peer.until(lambda: peer.node.count_subscribers("/arm/joints"), "subscription to the new name")
     node.send_signal(signal.SIGTERM)
-    assert node.wait(10) == 0
+    assert node.wait(60) == 0
     assert "Traceback" not in node.stdout.read()
 
 
