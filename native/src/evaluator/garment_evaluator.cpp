@@ -62,7 +62,7 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
 
 Rejection GarmentEvaluator::check_corrections() noexcept {
   Rejection bad = reject_beyond("corrections of garment nodes", corrections_, node_deformer_.outputs(), kLargest);
-  if (!bad && detail_features_) bad = skinner_.check_features(features_);
+  if (!bad && detail_features_) bad = skinner_.check_features(given_features_);
   if (bad) forget();
   return bad;
 }
@@ -104,12 +104,13 @@ void GarmentEvaluator::gather_deformer_input() noexcept {
 
 void GarmentEvaluator::run_networks(const GarmentInput& input) noexcept {
   corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, nullptr));
-  if (detail_features_) features_ = detail_features_->run(node_deformer_.last_hidden(), nullptr);
+  if (detail_features_) given_features_ = detail_features_->run(node_deformer_.last_hidden(), nullptr);
   if (learnt_sway_) corrections_ = learnt_sway_->added(corrections_, last_positions_, input);
 }
 
 void GarmentEvaluator::compose_nodes(const GarmentInput& input) noexcept {
   garment_nodes_.compose(bone_transforms_, corrections_, node_transforms_);
+  if (detail_features_) std::copy_n(given_features_, feature_count(), features_);
   if (input.passed == kStandsAlone) {
     pace_.forget();
   } else {

@@ -62,7 +62,7 @@ class GarmentEvaluator {
   // What the networks last gave, (nodes, 12); zeros before the first frame.
   const float* corrections() const { return corrections_; }
 
-  // What moves detail nodes in the last frame, (feature_count); zeros before the first frame.
+  // What moves detail nodes in the last frame that was not refused, (feature_count); zeros before the first one.
   const float* features() const { return features_; }
 
   int dofs() const { return rig_.dofs(); }
@@ -96,7 +96,8 @@ class GarmentEvaluator {
   float* deformer_input_;
   float* node_transforms_;
   const float* corrections_;
-  const float* features_;
+  const float* given_features_ = nullptr;  // by the networks; features_ is what is shown
+  float* features_;
   std::optional<FaceNormals> face_normals_;
 };
 
