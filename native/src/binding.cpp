@@ -69,14 +69,14 @@ using FeatureArray = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::dev
 // A garment without its networks.
 class BoundSkinner {
  public:
-  explicit BoundSkinner(nb::handle skinning_data)
+  BoundSkinner(nb::handle skinning_data, const Text& precision)
       : skinner_([&] {
           PythonReader reader;
           const SkinningData data = reader.skinning_data(skinning_data);
           const Kernels& kernels = select_kernels();
           const nb::gil_scoped_release release;
           validate(data);
-          return Skinner(data, select_precision(""), kernels, arena_);
+          return Skinner(data, select_precision(precision.value_or("")), kernels, arena_);
         }()),
         features_(arena_.take<float>(padded_to_group(skinner_.features()) + kGroup)) {}
 
@@ -136,7 +136,7 @@ NB_MODULE(_native, module) {
   using physkin::MachineProbe;
   using physkin::Text;
   nb::class_<BoundSkinner>(module, "Skinner")
-      .def(nb::init<nb::handle>(), "skinning_data"_a)
+      .def(nb::init<nb::handle, const Text&>(), "skinning_data"_a, "precision"_a = nb::none())
       .def("skin", &BoundSkinner::skin, "node_transforms"_a.noconvert(), "out"_a.noconvert(),
            "features"_a.noconvert());
   module.def("encode_body", &physkin::encode, "network"_a, "points"_a, "normals"_a, "out"_a.noconvert(),

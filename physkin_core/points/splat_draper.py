@@ -19,7 +19,7 @@ from physkin_core.model.skinning import SkinningData
 from physkin_core.outfit.draper import Draper
 from physkin_core.points.splats import Splats, moved_splats
 from physkin_core.runtime.binding import FARTHEST_POINT, bind_points
-from physkin_core.runtime.evaluator import NO_FEATURES, Skinner
+from physkin_core.runtime.evaluator import NO_FEATURES, Precision, Skinner
 from physkin_core.runtime.layer import Layer
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
@@ -53,10 +53,10 @@ def bind_splats(layer: Layer, splats: Splats) -> BoundSplats:
 
 
 class SplatSkinner:
-    """Splats of a garment where its garment nodes take them. Raises ValueError as `Skinner` does."""
+    """Splats of a garment where its garment nodes take them. precision: as of `Skinner`. Raises ValueError as that."""
 
-    def __init__(self, bound: BoundSplats) -> None:
-        self._skinner = Skinner(bound.skinning)
+    def __init__(self, bound: BoundSplats, *, precision: Precision | None = None) -> None:
+        self._skinner = Skinner(bound.skinning, precision=precision)
         self._scales = bound.scales
 
     @property

@@ -146,13 +146,16 @@ class Skinner:
     """Skins one garment from garment nodes that somebody else computed, without having its networks. Not for use by two
     threads at once.
 
-    Raises ValueError when a shape or dtype is another than of `SkinningData`, an index out of range or a value not
-    finite.
+    precision: that detail is worked out in, as of `Evaluator`: one of the same precision gives the same vertices, bit
+        for bit.
+
+    Raises ValueError when a shape or dtype is another than of `SkinningData`, an index out of range, a value not finite
+    or the precision unknown.
     """
 
-    def __init__(self, data: SkinningData) -> None:
+    def __init__(self, data: SkinningData, *, precision: Precision | None = None) -> None:
         self.vertex_count, self.node_count = len(data.vertices), len(data.node_rest)
-        self._skinner = native.Skinner(data)
+        self._skinner = native.Skinner(data, precision)
 
     def skin(self, node_transforms: np.ndarray, out: np.ndarray, features: np.ndarray = NO_FEATURES) -> None:
         """Write x, y, z [m] and unit normals into `out`, (n, 6) or (n, 3) float32 as for `Evaluator.bind_frame`, from

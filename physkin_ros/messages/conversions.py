@@ -1,6 +1,6 @@
 """Between ROS messages and the core's arrays: gravity in; clouds, meshes and garment nodes out.
 
-Dimensions: `n` garment vertices, `m` garment nodes. Metres, root frame.
+Dimensions: `n` garment vertices, `m` garment nodes, `F` features. Metres, root frame.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from physkin_core import Outfit
+from physkin_core.model.skinning import SkinningData
 from physkin_ros.messages.point_cloud import point_cloud
 from physkin_ros.messages.serialised import SerialisedMessage
 
@@ -45,24 +46,26 @@ class GarmentCloud:
         kept = SerialisedMessage(
             lambda data: point_cloud(records, point_count, data, frame_id),  # a frame not finite is never published
             (point_count, len(CLOUD_FIELDS)),
-            np.float32,
+            dtype=np.float32,
         )
-        self.points, self.publish = kept.payload, kept.publish
+        (self.points,), self.publish = kept.payloads, kept.publish
 
 
 class NodesMessage:
-    """One `physkin_msgs/GarmentNodes`, filled in place. transforms: (m, 3, 4) float32 view of its data."""
+    """One `physkin_msgs/GarmentNodes` of a garment, filled in place. transforms: (m, 3, 4) and features: (F,) float32
+    views of its data."""
 
-    def __init__(self, node_count: int, frame_id: str, revision: int) -> None:
+    def __init__(self, skinning: SkinningData, frame_id: str, revision: int) -> None:
         from physkin_msgs.msg import GarmentNodes
 
-        def message_of(data: bytes) -> GarmentNodes:
-            message = GarmentNodes(revision=revision, transforms=array("f", data))
+        def message_of(transforms: bytes, features: bytes) -> GarmentNodes:
+            message = GarmentNodes(revision=revision, transforms=array("f", transforms), features=array("f", features))
             message.header.frame_id = frame_id
             return message
 
-        kept = SerialisedMessage(message_of, (node_count, 3, 4), np.float32)
-        self.transforms, self.publish = kept.payload, kept.publish
+        shapes = (len(skinning.node_rest), 3, 4), (skinning.detail_offsets.shape[1],)
+        kept = SerialisedMessage(message_of, *shapes, dtype=np.float32)
+        (self.transforms, self.features), self.publish = kept.payloads, kept.publish
 
 
 class TriangleMarker:
@@ -82,11 +85,12 @@ class TriangleMarker:
             return message
 
         self._corners = faces.ravel()
-        self._serialised = SerialisedMessage(message_of, (faces.size, 3), np.float64)
+        self._serialised = SerialisedMessage(message_of, (faces.size, 3), dtype=np.float64)
 
     def publish(self, publisher: Publisher, points: np.ndarray, sec: int, nanosec: int) -> None:
         """Publish the marker of a cloud (n, 6)."""
-        self._serialised.payload[:] = points[self._corners, :3]
+        (corners,) = self._serialised.payloads
+        corners[:] = points[self._corners, :3]
         self._serialised.publish(publisher, sec, nanosec)
 
 
@@ -139,6 +143,13 @@ def garment_mesh(outfit: Outfit, index: int, frame_id: str, *, revision: int = 1
         influence_weights=array("f", bound.influence_weights.tobytes()),
         joint_names=list(outfit.joint_names),
         joint_rest=array("f", model.rig.rest.astype(np.float32).tobytes()),
+        feature_count=bound.detail_offsets.shape[1],
+        detail_node_count=len(bound.detail_offsets) // 3,
+        detail_influences=bound.detail_nodes.shape[1],
+        detail_nodes=array("I", bound.detail_nodes.astype(np.uint32).tobytes()),
+        detail_weights=array("f", bound.detail_weights.tobytes()),
+        detail_offsets=array("f", bound.detail_offsets.tobytes()),
+        precision=outfit.precision,
     )
     message.header.frame_id = frame_id
     return message

@@ -8,10 +8,10 @@ __all__ = ["missing_interfaces", "missing_tf"]
 def missing_interfaces() -> str:
     """What there is not without `physkin_msgs`, and how to install it; "" where it is installed in this version."""
     try:
-        from physkin_msgs.msg import GarmentMesh
+        from physkin_msgs.msg import GarmentNodes
         from physkin_msgs.srv import SetBody  # noqa: F401
 
-        if hasattr(GarmentMesh, "visible"):
+        if hasattr(GarmentNodes, "features"):
             return ""
         state = "of an earlier version"
     except ImportError:

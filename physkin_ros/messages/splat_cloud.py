@@ -31,8 +31,8 @@ class SplatCloud:
     """One `sensor_msgs/PointCloud2` of splats, filled in place and published again and again."""
 
     def __init__(self, count: int, frame_id: str) -> None:
-        kept = SerialisedMessage(lambda data: point_cloud(SPLAT, count, data, frame_id), (count,), SPLAT)
-        self._splats, self.publish = kept.payload, kept.publish
+        kept = SerialisedMessage(lambda data: point_cloud(SPLAT, count, data, frame_id), (count,), dtype=SPLAT)
+        (self._splats,), self.publish = kept.payloads, kept.publish
 
     def fill(self, splats: Splats) -> None:
         """Let it hold these."""

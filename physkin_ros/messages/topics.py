@@ -74,7 +74,7 @@ MESH = Topic(
     "~/mesh",
     "out",
     "physkin_msgs/GarmentMesh",
-    "faces, rest vertices, skinning weights, which vertices are given; latched, and again when any of it changes",
+    "faces, rest vertices, skinning weights, detail, which vertices are given; latched, again when any of it changes",
 )
 GARMENT_NODES = Topic(
     "~/garment_nodes",

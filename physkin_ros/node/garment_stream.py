@@ -16,7 +16,6 @@ from visualization_msgs.msg import Marker
 from physkin_core import Layer, LimbSeparator, Outfit
 from physkin_core.model.skinning import SkinningData
 from physkin_core.points.splat_draper import SplatSkinner
-from physkin_core.points.splats_on_outfit import SplatsOnOutfit
 from physkin_core.rig.rig import Rig
 from physkin_ros.joints.bone_rotation_message import BoneRotationReader
 from physkin_ros.joints.joint_state_wire import JointStateWire
@@ -109,10 +108,14 @@ class LayerMessages:
         self.points = self._cloud.points
         self._nodes = self._marker = None
         if stream.nodes_publisher is not None:
-            self._nodes = NodesMessage(len(self.layer.bound.node_rest), stream.frame_id, self.revision)
+            self._nodes = NodesMessage(self.layer.given, stream.frame_id, self.revision)
         if stream.marker_publisher is not None and len(self.layer.faces):
             self._marker = TriangleMarker(self.layer.faces, stream.frame_id, stream.name)
-        self._splats = None if loaded.splats is None else SplatMessages(stream, loaded.splats)
+        self._splats = None
+        if loaded.splats is not None:
+            skinner = SplatSkinner(loaded.splats.bound, precision=self.outfit.precision)
+            self._splats = SplatMessages(skinner, stream.frame_id)
+            stream.show_look(loaded.splats.look)
 
     @property
     def layer(self) -> Layer:
@@ -125,6 +128,7 @@ class LayerMessages:
         self._cloud.publish(stream.cloud_publisher, sec, nanosec)
         if self._nodes is not None and stream.nodes_publisher.handle.get_subscription_count():
             self._nodes.transforms[:] = self.outfit.node_transforms()[self.index]
+            self._nodes.features[:] = self.outfit.features()[self.index]
             self._nodes.publish(stream.nodes_publisher, sec, nanosec)
         if self._marker is not None and stream.marker_publisher.get_subscription_count():
             self._marker.publish(stream.marker_publisher, self.points, sec, nanosec)
@@ -137,10 +141,9 @@ class SplatMessages:
     """The splats of a garment, where its garment nodes take them. They take half of the time at most: clouds go
     first."""
 
-    def __init__(self, stream: GarmentStream, splats: SplatsOnOutfit) -> None:
-        self._skinner = SplatSkinner(splats.bound)
-        stream.show_look(splats.look)
-        self._cloud = SplatCloud(self._skinner.splat_count, stream.frame_id)
+    def __init__(self, skinner: SplatSkinner, frame_id: str) -> None:
+        self._skinner = skinner
+        self._cloud = SplatCloud(skinner.splat_count, frame_id)
         self._free_ns = 0
 
     def publish(self, publisher, node_transforms: np.ndarray, features: np.ndarray, sec: int, nanosec: int) -> None:

@@ -28,6 +28,7 @@ from physkin_core.view.surface_node import SurfaceNode
 from physkin_core.view.view import begin, end_at_sigterm
 from physkin_ros.messages.conversions import read_cloud
 from physkin_ros.messages.interfaces import missing_tf
+from physkin_ros.messages.serialised import read_serialised
 from physkin_ros.messages.topics import GARMENT, MESH
 from physkin_ros.middleware.transport import use_shipped_profile
 from physkin_ros.root.quaternions import OrientationError, Quaternion, Vector
@@ -127,7 +128,14 @@ class CloudListener(Node):
             from physkin_msgs.msg import GarmentMesh
         except ImportError:
             return  # clouds are shown as points
-        self.create_subscription(GarmentMesh, topic, lambda mesh: self._on_mesh(seen, mesh), self._latched)
+
+        def on_data(data: bytes) -> None:
+            try:
+                self._on_mesh(seen, read_serialised(data, GarmentMesh))
+            except ValueError as error:
+                seen.fault = str(error)
+
+        self.create_subscription(GarmentMesh, topic, on_data, self._latched, raw=True)
 
     def _on_cloud(self, seen: GarmentSeen, cloud: PointCloud2) -> None:
         try:

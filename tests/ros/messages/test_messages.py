@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from random_models import random_detail
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 messages = pytest.importorskip(
@@ -11,14 +15,32 @@ messages = pytest.importorskip(
 )
 
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 
-from physkin_core import BUNDLED_AVATAR, Draper, load_avatar  # noqa: E402
+from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, save_garment_model  # noqa: E402
+from physkin_core.model.skinning import SkinningData  # noqa: E402
+from physkin_core.runtime.evaluator import PRECISIONS  # noqa: E402
+from physkin_ros.client import GarmentClient, GarmentSkin, _skinning_data  # noqa: E402
+from physkin_ros.messages.conversions import NodesMessage, garment_mesh  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def detailed_model(garment_model):
+    """The test's garment with folds of centimetres."""
+    width = len(garment_model.node_deformer[-2][1])
+    detail = random_detail(np.random.default_rng(37), garment_model.garment, 40, width=width)
+    return replace(garment_model, name="detailed", detail=detail)
+
+
+@pytest.fixture(scope="module")
+def detailed(detailed_model):
+    """Gives a draper of it."""
+    avatar = load_avatar(BUNDLED_AVATAR, detailed_model.rig)
+    return lambda **options: Draper(detailed_model, avatar, **options)
 
 
 def test_mesh_and_garment_nodes(start, peer, garment_model, model_path):
     """The mesh reaches a reader that comes late; garment nodes come with the stamp of their cloud, and skin to it."""
-    from physkin_ros.client import GarmentClient
-
     draper = Draper(garment_model, load_avatar(BUNDLED_AVATAR, garment_model.rig))
     start("physkin_ros", "--ros-args", "-p", f"model:={model_path}")
     peer.connect()
@@ -53,9 +75,6 @@ def test_mesh_and_garment_nodes(start, peer, garment_model, model_path):
 
 def test_skin_refuses_what_does_not_fit(garment_model):
     """Meshes that contradict themselves, and garment nodes of another garment, say why."""
-    from physkin_ros.client import GarmentSkin
-    from physkin_ros.messages.conversions import garment_mesh
-
     draper = Draper(garment_model, load_avatar(BUNDLED_AVATAR, garment_model.rig))
     mesh = garment_mesh(draper.outfit, 0, "torso", revision=3)
     skin = GarmentSkin(mesh)
@@ -64,15 +83,119 @@ def test_skin_refuses_what_does_not_fit(garment_model):
         (messages.GarmentNodes(revision=2, transforms=[0.0] * count), "of revision 2, the mesh has revision 3"),
         (messages.GarmentNodes(revision=3, transforms=[0.0] * 24), "24 numbers for 16 garment nodes"),
         (messages.GarmentNodes(revision=3, transforms=[float("nan")] * count), "not finite"),
+        (messages.GarmentNodes(revision=3, transforms=[0.0] * count, features=[0.0]), "1 features, the mesh has 0"),
     ):
         with pytest.raises(ValueError, match=reason):
             skin.skin(nodes)
     for field, value, reason in (
-        ("vertex_count", 7, "5010 vertices and 16 garment nodes"),
+        ("vertex_count", 7, r"face index \d+ of 7 vertices"),
+        ("vertex_count", 2**32 - 1, r"rest_vertices has 15030 numbers; allowed: 4294967295 \* 3"),
+        ("node_count", 2**32 - 1, r"node_rest has 48 numbers; allowed: 4294967295 \* 3"),
         ("faces", [0, 1, 10**6], "face index 1000000"),
         ("influence_nodes", [99] * len(mesh.influence_nodes), "99"),
+        ("precision", "", "precision ''; allowed: fp32, bf16, int8"),
+        ("precision", "\x1b[2J" * 999, r"precision '\\x1b"),
     ):
-        wrong = garment_mesh(draper.outfit, 0, "torso")
-        setattr(wrong, field, value)
-        with pytest.raises(ValueError, match=f"garment mesh 'vest'.*{reason}"):
-            GarmentSkin(wrong)
+        refused(draper, field, value, reason)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_detail_travels(precision, detailed, published):
+    """Readers get the clouds bit for bit, whatever precision is the node's; not so in another one."""
+    draper = detailed(precision=precision)
+    outfit, layer = draper.outfit, draper.layer
+    cloud = draper.drape(np.full(len(draper.joint_names), 0.1, dtype=np.float32)).copy()
+    nodes = NodesMessage(layer.given, "torso", 3)
+    nodes.transforms[:], nodes.features[:] = draper.node_transforms(), draper.features()
+    mesh = deserialize_message(serialize_message(garment_mesh(outfit, 0, "torso", revision=3)), messages.GarmentMesh)
+    frame = deserialize_message(published(nodes, 5, 6), messages.GarmentNodes)
+    assert (frame.header.frame_id, frame.header.stamp.sec, len(frame.features)) == ("torso", 5, 7)
+    for each in fields(SkinningData):
+        np.testing.assert_array_equal(getattr(_skinning_data(mesh), each.name), getattr(layer.given, each.name))
+    np.testing.assert_array_equal(GarmentSkin(mesh).skin(frame), cloud)
+    mesh.precision = "int8" if precision == "fp32" else "fp32"
+    apart = np.linalg.norm((GarmentSkin(mesh).skin(frame) - cloud)[:, :3], axis=1)
+    assert 0 < apart.max() < 1e-3
+    frame.features = [0.0] * 7
+    assert np.linalg.norm((GarmentSkin(mesh).skin(frame) - cloud)[:, :3], axis=1).mean() > 0.01
+
+
+def test_detail_reaches_a_reader_of_the_node(start, peer, detailed_model, tmp_path):
+    """From another process, with a precision that is not the reader's own."""
+    path = tmp_path / "detailed.safetensors"
+    save_garment_model(detailed_model, path)
+    start("physkin_ros", "--ros-args", "-p", f"model:={path}", "-p", "precision:=fp32")
+    peer.connect()
+    skinned = []
+    client = GarmentClient(peer.node, lambda frame: skinned.append((frame.header.stamp.sec, frame.points.copy())))
+    peer.until(lambda: client._skin is not None, "mesh")
+    peer.spin(0.5)
+    positions = np.full(len(detailed_model.rig.joint_names), 0.1, dtype=np.float32)
+    cloud = peer.cloud(detailed_model.rig.joint_names, positions, (7, 8))
+    peer.until(lambda: skinned, "garment nodes")
+    np.testing.assert_array_equal(skinned[0][1], cloud)
+    assert (skinned[0][0], client.skipped) == (7, 0)
+
+
+def test_detail_that_does_not_fit_is_refused(detailed):
+    """Meshes whose detail contradicts itself, and features that are not the mesh's or not finite."""
+    draper = detailed()
+    mesh = garment_mesh(draper.outfit, 0, "torso")
+    count, features = 12 * mesh.node_count, mesh.feature_count
+    for values, reason in (
+        ([], "0 features, the mesh has 7"),
+        ([0.0] * 8, "8 features, the mesh has 7"),
+        ([np.inf] * features, "not finite"),
+        ([1e30] * features, "features"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            GarmentSkin(mesh).skin(messages.GarmentNodes(revision=1, transforms=[0.0] * count, features=values))
+    for field, value, reason in (
+        ("feature_count", 0, r"detail_offsets has 840 numbers; allowed: 120 \* 0"),
+        ("feature_count", 2**32 - 1, r"detail_offsets has 840 numbers; allowed: 120 \* 4294967295"),
+        ("detail_node_count", 0, r"detail_offsets has 840 numbers; allowed: 0 \* 7"),
+        ("detail_influences", 4, r"detail_nodes has \d+ numbers; allowed: 5010 \* 4"),
+        ("detail_nodes", [40] * len(mesh.detail_nodes), "detail_nodes.*40"),
+        ("detail_nodes", [2**32 - 1] * len(mesh.detail_nodes), "detail_nodes.*-1"),
+        ("detail_nodes", [], r"detail_nodes has 0 numbers; allowed: 5010 \* 3"),
+        ("detail_weights", mesh.detail_weights[1:], r"detail_weights has \d+ numbers; allowed: 5010 \* 3"),
+        ("detail_weights", [np.nan] * len(mesh.detail_weights), "detail_weights"),
+        ("detail_offsets", [np.inf] * len(mesh.detail_offsets), "detail_offsets"),
+    ):
+        refused(draper, field, value, reason)
+
+
+def refused(draper, field, value, reason):
+    """A mesh with another value in this field."""
+    wrong = garment_mesh(draper.outfit, 0, "torso")
+    setattr(wrong, field, value)
+    with pytest.raises(ValueError, match=f"garment mesh '{draper.layer.name}': .*{reason}") as refusal:
+        GarmentSkin(wrong)
+    assert len(str(refusal.value)) <= 300 and str(refusal.value).isprintable()
+
+
+def test_messages_of_an_earlier_version_are_told(peer, detailed):
+    """As a bag that was recorded before detail plays them, whose bytes end early: a sentence each, and what comes after
+    is skinned."""
+    draper = detailed()
+    draper.drape(np.full(len(draper.joint_names), 0.1, dtype=np.float32))
+    mesh, frame = garment_mesh(draper.outfit, 0, "torso"), messages.GarmentNodes(revision=1)
+    frame.transforms, frame.features = draper.node_transforms().ravel().tolist(), draper.features().tolist()
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    meshes = peer.node.create_publisher(messages.GarmentMesh, "/bag/mesh", latched)
+    nodes = peer.node.create_publisher(messages.GarmentNodes, "/bag/garment_nodes", 5)
+    skinned, told = [], []
+    client = GarmentClient(peer.node, lambda frame: skinned.append(frame.points.copy()), topics="/bag")
+    client._log = SimpleNamespace(error=told.append, warning=lambda text, **_: told.append(text))
+    peer.until(lambda: nodes.get_subscription_count() and meshes.get_subscription_count(), "the reader")
+    for publisher, message, left_out in ((meshes, mesh, "detail_offsets"), (nodes, frame, "features")):
+        setattr(message, left_out, [])
+        publisher.publish(serialize_message(message)[:-12])
+    peer.until(lambda: len(told) == 2, "both sentences")
+    assert "no GarmentMesh as physkin_msgs has it here" in told[0] and "must have the same version" in told[0]
+    assert "no GarmentNodes as physkin_msgs has it here" in told[1] and client.skipped == 1
+    frame.features = draper.features().tolist()
+    meshes.publish(garment_mesh(draper.outfit, 0, "torso"))
+    peer.until(lambda: client._skin is not None, "mesh")
+    nodes.publish(frame)
+    peer.until(lambda: skinned, "points")
