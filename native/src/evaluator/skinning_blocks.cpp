@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <limits>
 #include <map>
 #include <numeric>
 #include <vector>
@@ -57,29 +58,28 @@ std::vector<std::uint32_t> curve_positions(const float* points, int count) {
 constexpr std::size_t kWindow = 1024;
 
 // Vertices in order of `curve`, a block taking from the first of those left whichever adds the fewest garment nodes.
+// A place is an index in that order.
 class BlockChooser {
  public:
   BlockChooser(const std::vector<NodeSet>& sets, const std::vector<std::uint32_t>& curve, int node_count)
-      : sets_(sets), order_(sets.size()), words_((std::size_t(node_count) + 63) / 64), in_block_(node_count) {
+      : sets_(sets), order_(sets.size()), added_(sets.size()), places_(node_count), in_block_(node_count) {
     std::iota(order_.begin(), order_.end(), 0);
     std::stable_sort(order_.begin(), order_.end(), [&](int a, int b) { return curve[a] < curve[b]; });
-    masks_.resize(sets.size() * words_);
-    for (std::size_t v = 0; v < sets.size(); ++v) {
-      for (const std::int32_t node : sets[v]) masks_[v * words_ + node / 64] |= std::uint64_t{1} << node % 64;
+    for (const std::int32_t vertex : order_) {
+      for (const std::int32_t node : sets[vertex]) places_[node].push_back(std::int32_t(sizes_.size()));
+      sizes_.push_back(int(sets[vertex].size()));
     }
   }
 
-  bool done() const { return next_ == order_.size() && window_.empty(); }
+  bool done() const { return first_ == order_.size(); }
 
   Block choose() {
-    for (; window_.size() < kWindow && next_ < order_.size(); ++next_) window_.push_back(order_[next_]);
-    added_.clear();
-    for (const std::int32_t v : window_) added_.push_back(int(sets_[v].size()));
+    for (; waiting_ < kWindow && end_ < order_.size(); ++end_) ++waiting_;
+    std::copy(sizes_.begin() + first_, sizes_.begin() + end_, added_.begin() + first_);
     Block block;
-    take(block, 0);
-    while (block.vertices.size() < std::size_t(kBlock) && !window_.empty()) {
-      take(block, fewest_added());
-    }
+    take(block, first_);
+    while (block.vertices.size() < std::size_t(kBlock) && waiting_ > 0) take(block, fewest_added());
+    while (first_ < end_ && sizes_[first_] == kTaken) ++first_;
     for (const std::int32_t node : block.nodes) in_block_[node] = false;
     if (block.nodes.empty()) block.nodes.push_back(0);  // vertices without any weight: the kernel reads one node
     std::sort(block.nodes.begin(), block.nodes.end());
@@ -87,36 +87,39 @@ class BlockChooser {
   }
 
  private:
-  std::ptrdiff_t fewest_added() const {
-    std::size_t best = 0;
-    for (std::size_t k = 1; k < added_.size() && added_[best] > 0; ++k) {
-      if (added_[k] < added_[best]) best = k;
-    }
-    return std::ptrdiff_t(best);
+  // More than any vertex adds, even less all garment nodes.
+  static constexpr int kTaken = std::numeric_limits<int>::max();
+
+  // The first place of those that add the fewest garment nodes.
+  std::size_t fewest_added() const {
+    const auto first = added_.begin() + first_, end = added_.begin() + end_;
+    int fewest = kTaken;
+    for (auto added = first; added != end; ++added) fewest = std::min(fewest, *added);  // in vector registers
+    return first_ + std::size_t(std::find(first, end, fewest) - first);
   }
 
-  void take(Block& block, std::ptrdiff_t at) {
-    const std::int32_t vertex = window_[at];
-    window_.erase(window_.begin() + at);
-    added_.erase(added_.begin() + at);
+  void take(Block& block, std::size_t place) {
+    --waiting_;
+    sizes_[place] = added_[place] = kTaken;
+    const std::int32_t vertex = order_[place];
     block.vertices.push_back(vertex);
     for (const std::int32_t node : sets_[vertex]) {
       if (in_block_[node]) continue;
       in_block_[node] = true;
       block.nodes.push_back(node);
-      for (std::size_t k = 0; k < window_.size(); ++k) {
-        added_[k] -= int(masks_[window_[k] * words_ + node / 64] >> node % 64 & 1);
-      }
+      const std::vector<std::int32_t>& places = places_[node];
+      auto at = std::lower_bound(places.begin(), places.end(), std::int32_t(first_));
+      for (; at != places.end() && *at < std::int32_t(end_); ++at) --added_[*at];
     }
   }
 
   const std::vector<NodeSet>& sets_;
-  std::vector<std::int32_t> order_;
-  std::size_t next_ = 0, words_;
-  std::vector<std::uint64_t> masks_;  // (vertices, words_) a bit for each garment node
-  std::vector<std::int32_t> window_;  // vertices to choose from
-  std::vector<int> added_;            // garment nodes that each of them would add to the block
-  std::vector<bool> in_block_;
+  std::vector<std::int32_t> order_;                // (vertices) by place
+  std::vector<int> sizes_, added_;                 // (vertices) garment nodes that a place has, and adds to the block
+  std::vector<std::vector<std::int32_t>> places_;  // of each garment node, in order
+  std::vector<bool> in_block_;                     // (garment nodes)
+  std::size_t first_ = 0, end_ = 0;                // places that the block is chosen from
+  std::size_t waiting_ = 0;                        // those of them that are not taken
 };
 
 std::vector<Block> choose_blocks(const SkinningData& g) {
@@ -174,20 +177,22 @@ SkinningBlocks pack_skinning_blocks(const SkinningData& g, Arena& arena) {
   auto* weights = arena.take<float>(nodes.size() * kBlock);
   auto* rest = arena.take<float>(std::size_t(blocks.block_count) * 6 * kBlock);
   auto* vertex = arena.take<std::int32_t>(std::size_t(blocks.block_count) * kBlock);
+  std::vector<std::int32_t> row(std::size_t(g.nodes));  // of each garment node of a block
   for (int i = 0; i < g.vertex_count; ++i) {
     const int block = i / kBlock, lane = i % kBlock;
+    if (lane == 0) {
+      for (std::int32_t at = start[block]; at < start[block + 1]; ++at) row[nodes[at]] = at;
+    }
     const std::size_t v = order[i];
     vertex[i] = order[i];
     for (int c = 0; c < 3; ++c) {
       rest[(std::size_t(block) * 6 + c) * kBlock + lane] = g.vertices[3 * v + c];
       rest[(std::size_t(block) * 6 + 3 + c) * kBlock + lane] = g.normals[3 * v + c];
     }
-    for (int k = 0; k < g.influences; ++k) {
-      const float weight = g.influence_weights[v * g.influences + k];
+    for (std::size_t at = v * g.influences; at < (v + 1) * g.influences; ++at) {
+      const float weight = g.influence_weights[at];
       if (weight == 0.0f) continue;
-      const auto begin = nodes.begin() + start[block], end = nodes.begin() + start[block + 1];
-      const auto at = std::lower_bound(begin, end, g.influence_nodes[v * g.influences + k]) - nodes.begin();
-      weights[std::size_t(at) * kBlock + lane] += weight;  // a node may be listed twice
+      weights[std::size_t(row[g.influence_nodes[at]]) * kBlock + lane] += weight;  // a node may be listed twice
     }
   }
   blocks.influence_start = arena.copy(start.data(), start.size());

@@ -85,29 +85,52 @@ void pack_bf16(const DenseWeights& layer, int panel, Arena& arena, PackedLayer& 
   packed.weights = as_bytes(words);
 }
 
-void pack_int8(const DenseWeights& layer, PackedLayout layout, Arena& arena, PackedLayer& packed) {
-  const bool quads = layout.int8 == Int8Layout::quads;
-  const int together = quads ? 4 : 2, rows = (layer.inputs + together - 1) / together;
-  const std::size_t padded = padded_to_group(layer.outputs);
-  auto* weights = arena.take<std::uint8_t>(padded * rows * together);
-  auto* scale = arena.take<float>(padded);
-  std::vector<std::int64_t> row_sum(padded + 1);
-  for (int output = 0; output < layer.outputs; ++output) {
-    float largest = 0.0f;
-    for (int i = 0; i < layer.inputs; ++i) largest = std::max(largest, std::fabs(weight_at(layer, output, i)));
-    scale[output] = std::max(largest / 127.0f, 1e-30f);
+// The network weights of one output in 8 bits, each more by `offset`, and the sum of their magnitudes.
+struct Rounded {
+  float scale = 0.0f;
+  std::int64_t sum = 0;
+};
+
+Rounded round_output(const float* weights, int inputs, int offset, std::uint8_t* rounded) {
+  Rounded result;
+  float largest = 0.0f;
+  for (int i = 0; i < inputs; ++i) largest = std::max(largest, std::fabs(weights[i]));
+  result.scale = std::max(largest / 127.0f, 1e-30f);
+  for (int i = 0; i < inputs; ++i) {
+    const int value = std::clamp(nearest(weights[i] / result.scale), -127, 127);
+    rounded[i] = std::uint8_t(value + offset);
+    result.sum += std::abs(value);
   }
-  for_each_row(layer, rows, layout.panel, [&](std::size_t at, int row, int first, int width) {
-    for (int k = 0; k < together * width; ++k) {
-      const int output = first + k / together;
-      if (output >= layer.outputs) continue;
-      const int rounded = nearest(weight_at(layer, output, together * row + k % together) / scale[output]);
-      const int value = std::clamp(rounded, -127, 127);
-      weights[together * at + k] = std::uint8_t(quads ? value + 128 : value);
-      row_sum[output] += std::abs(value);
+  return result;
+}
+
+// kTogether inputs of an output lie side by side, and so do the outputs of a panel. rounded: (outputs, kTogether rows).
+template <int kTogether>
+void lay_out(const DenseWeights& layer, int rows, int panel, const std::uint8_t* rounded, std::uint8_t* weights) {
+  for_each_row(layer, rows, panel, [&](std::size_t at, int row, int first, int width) {
+    const int count = std::min(width, layer.outputs - first);
+    for (int k = 0; k < count; ++k) {
+      const std::size_t from = std::size_t(first + k) * std::size_t(rows) + std::size_t(row);
+      std::memcpy(weights + kTogether * (at + std::size_t(k)), rounded + kTogether * from, kTogether);
     }
   });
-  const std::int64_t largest_sum = std::max<std::int64_t>(1, *std::max_element(row_sum.begin(), row_sum.end()));
+}
+
+void pack_int8(const DenseWeights& layer, PackedLayout layout, Arena& arena, PackedLayer& packed) {
+  const bool quads = layout.int8 == Int8Layout::quads;
+  const int together = quads ? 4 : 2, offset = quads ? 128 : 0, rows = (layer.inputs + together - 1) / together;
+  const std::size_t padded = padded_to_group(layer.outputs), in_output = std::size_t(together) * std::size_t(rows);
+  auto* weights = arena.take<std::uint8_t>(padded * in_output);
+  auto* scale = arena.take<float>(padded);
+  std::vector<std::uint8_t> rounded(std::size_t(layer.outputs) * in_output, std::uint8_t(offset));
+  std::int64_t largest_sum = 1;
+  for (int output = 0; output < layer.outputs; ++output) {
+    const float* given = layer.matrix + std::size_t(output) * std::size_t(layer.inputs);
+    const Rounded made = round_output(given, layer.inputs, offset, rounded.data() + std::size_t(output) * in_output);
+    scale[output] = made.scale;
+    largest_sum = std::max(largest_sum, made.sum);
+  }
+  (quads ? lay_out<4> : lay_out<2>)(layer, rows, layout.panel, rounded.data(), weights);
   packed.weights = as_bytes(weights);
   packed.output_scale = scale;
   packed.input_limit = float(std::min<std::int64_t>(kInt8InputLimit, 0x7fffffff / largest_sum));
