@@ -6,7 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 
@@ -18,10 +18,10 @@ REMEMBERED = 512
 """Messages that are known again when the other subscription brings them: one comes milliseconds after the other."""
 
 
-def stream_quality(depth: int = 5) -> dict[str, object]:
+def stream_quality(depth: int = 5, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> dict[str, object]:
     """Arguments of a stream's publisher or subscription: reliable, keep last, open to `qos_overrides` parameters."""
     overrides = QoSOverridingOptions(policy_kinds=[QoSPolicyKind[policy] for policy in OVERRIDABLE])
-    return {"qos_profile": QoSProfile(depth=depth), "qos_overriding_options": overrides}
+    return {"qos_profile": QoSProfile(depth=depth, durability=durability), "qos_overriding_options": overrides}
 
 
 class FollowingSubscription:
@@ -29,16 +29,20 @@ class FollowingSubscription:
 
     So reliable publishers lose nothing while others come and go; what both subscriptions bring is taken once. A
     parameter `qos_overrides./TOPIC.subscription.reliability` ends that: there is one subscription, as it says.
-    callback: takes a message, its bytes where `raw`. topic: its full name.
+    callback: takes a message, its bytes where `raw`. topic: its full name. latched: take what publishers have kept of
+    before, too; those that keep nothing are not heard then.
     """
 
-    def __init__(self, node, kind: type, topic: str, callback: Callable, *, depth: int, raw: bool = False) -> None:
+    def __init__(
+        self, node, kind: type, topic: str, callback: Callable, *, depth: int, raw: bool = False, latched: bool = False
+    ) -> None:
         self._node, self._kind, self._depth = node, kind, depth
+        self._durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
         self._callback = callback if raw else lambda data: callback(deserialize_message(data, kind))
         self._ahead: OrderedDict[int, int] = OrderedDict()
         self._best_effort = None
         events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible)
-        quality = stream_quality(depth)
+        quality = stream_quality(depth, self._durability)
         self._first = node.create_subscription(kind, topic, self._on_first, raw=True, event_callbacks=events, **quality)
 
     @property
@@ -80,7 +84,7 @@ class FollowingSubscription:
     def _open_best_effort(self) -> None:
         if self._best_effort is not None or self._is_chosen:
             return
-        quality = QoSProfile(depth=self._depth, reliability=BEST_EFFORT)
+        quality = QoSProfile(depth=self._depth, reliability=BEST_EFFORT, durability=self._durability)
         self._best_effort = self._node.create_subscription(
             self._kind, self.topic, self._on_best_effort, quality, raw=True
         )

@@ -37,7 +37,7 @@ class OrientationSource:
     """Calls back with what messages say, and their stamps, or with why one says nothing.
 
     on_gravity: takes gravity's unit direction (3,). on_motion: takes how the root moves, from the topic of effective
-    gravity, or, while that gives none that is fresh, from the root's poses or an IMU. subscriptions: but those of TF.
+    gravity, or, while that gives none that is fresh, from the root's poses or an IMU.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class OrientationSource:
         self._transforms, self._follows_tf = transforms, False
         self._node, self._on_motion, self._on_bad = node, on_motion, on_bad
         self._frames = avatar.frame_id, avatar.world_frame
-        self.subscriptions: list[FollowingSubscription] = []
+        self._subscriptions: list[FollowingSubscription] = []
         self._root = RootOrientation(on_gravity, self._move, imu_delay=avatar.imu_delay)
         self._told_until = 0  # [ns], monotonic: whoever tells effective gravity knows better than we
         self._broadcaster = None
@@ -76,6 +76,11 @@ class OrientationSource:
             self._on_transforms({})
 
     @property
+    def subscriptions(self) -> list[FollowingSubscription]:
+        """All that it listens to, those of TF, which other avatars share, too."""
+        return [*self._subscriptions, *(self._transforms.subscriptions if self._follows_tf else ())]
+
+    @property
     def fault(self) -> str:
         """Why TF does not say where the root is at the moment, "" where it does or is not asked."""
         return self._root.fault
@@ -83,7 +88,7 @@ class OrientationSource:
     def close(self) -> None:
         """Stop listening."""
         self._root.still()  # what is native in it must not outlive the interpreter
-        for subscription in self.subscriptions:
+        for subscription in self._subscriptions:
             subscription.close()
         if self._follows_tf:
             self._transforms.leave(self._on_transforms)
@@ -133,4 +138,4 @@ class OrientationSource:
             except ValueError as error:
                 self._on_bad(str(error))
 
-        self.subscriptions.append(FollowingSubscription(self._node, kind, topic, on_message, depth=QUEUE))
+        self._subscriptions.append(FollowingSubscription(self._node, kind, topic, on_message, depth=QUEUE))

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from geometry_msgs.msg import TransformStamped
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 
 from physkin_core.file_reading import shown
+from physkin_ros.middleware.quality_of_service import FollowingSubscription
 from physkin_ros.root.quaternions import OrientationError, Quaternion, Vector, unit_quaternion
 from physkin_ros.root.transform_tree import TransformTree
 
@@ -18,24 +19,26 @@ DEPTH = 100
 
 
 class TfListener:
-    """Calls back with the transforms of each message, and whether they are static. Needs `tf2_msgs`."""
+    """Calls back with the transforms of each message, and whether they are static. Needs `tf2_msgs`.
+
+    subscriptions: to both topics; whoever listens lets them `follow` the publishers.
+    """
 
     def __init__(self, node, on_transforms: Callable[[Iterable[TransformStamped], bool], None]) -> None:
         from tf2_msgs.msg import TFMessage
 
-        latched = QoSProfile(depth=DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._node = node
-        self._subscriptions = [
-            node.create_subscription(
-                TFMessage, topic, lambda message, static=static: on_transforms(message.transforms, static), quality
-            )
-            for topic, static, quality in (("/tf", False, QoSProfile(depth=DEPTH)), ("/tf_static", True, latched))
+        def take(static: bool) -> Callable[[TFMessage], None]:
+            return lambda message: on_transforms(message.transforms, static)
+
+        self.subscriptions = [
+            FollowingSubscription(node, TFMessage, topic, take(static), depth=DEPTH, latched=static)
+            for topic, static in (("/tf", False), ("/tf_static", True))
         ]
 
     def close(self) -> None:
         """Stop listening."""
-        for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
+        for subscription in self.subscriptions:
+            subscription.close()
 
 
 class FollowedTransforms:
@@ -47,6 +50,11 @@ class FollowedTransforms:
         self._node = node
         self._listener: TfListener | None = None
         self._followers: list[Callable[[dict[str, str]], None]] = []
+
+    @property
+    def subscriptions(self) -> list[FollowingSubscription]:
+        """To the topics of TF, while somebody asks."""
+        return self._listener.subscriptions if self._listener is not None else []
 
     def follow(self, on_change: Callable[[dict[str, str]], None]) -> None:
         """Call back after each message with what was wrong in it, as `TransformTree.update` tells."""

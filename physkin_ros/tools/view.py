@@ -88,13 +88,14 @@ class CloudListener(Node):
         for topic, body in self.bodies.items():
             self.create_subscription(JointState, topic, lambda state, body=body: self._on_joints(body, state), whatever)
         self._tree, self._tree_lock = TransformTree(), threading.Lock()
-        if not missing_tf():
-            TfListener(self, self._on_transforms)
+        self._transforms = None if missing_tf() else TfListener(self, self._on_transforms)
         self.create_timer(LOOK_FOR_TOPICS, self.look_for_topics)
         self.look_for_topics()
 
     def look_for_topics(self) -> None:
-        """Subscribe to what has come, the first `MOST_GARMENTS`."""
+        """Subscribe to what has come, the first `MOST_GARMENTS`, and to TF as it is offered."""
+        for subscription in self._transforms.subscriptions if self._transforms else ():
+            subscription.follow()
         end = GARMENT.below("")
         for topic, types in self.get_topic_names_and_types():
             if len(self.garments) >= MOST_GARMENTS:

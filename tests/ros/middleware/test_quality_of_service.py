@@ -10,10 +10,10 @@ import pytest
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
 import rclpy  # noqa: E402
-from geometry_msgs.msg import PoseStamped  # noqa: E402
+from geometry_msgs.msg import PoseStamped, TransformStamped  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import Imu, JointState  # noqa: E402
 
 from physkin_ros.middleware.quality_of_service import FollowingSubscription  # noqa: E402
@@ -121,6 +121,38 @@ def test_best_effort_joint_states_are_draped(peer, running_node, model_path, dra
             np.testing.assert_array_equal(peer.clouds[129, 0], draper.drape(np.array(rest, dtype=np.float32)))
             peer.until_told("joint states missing by gaps in stamps", "5")
             peer.until_told("quality of service offered", "/joint_states reliable and best effort")  # the peer's own
+
+
+def between(parent: str, child: str) -> TransformStamped:
+    """A transform of one second."""
+    told = TransformStamped(child_frame_id=child)
+    told.header.frame_id, told.header.stamp.sec = parent, 1
+    return told
+
+
+@pytest.mark.parametrize("offer", ["reliable", "best effort"])
+def test_topics_of_tf_follow_too(peer, running_node, model_path, offer):
+    """Static transforms that were published before count, too."""
+    pytest.importorskip("tf2_msgs", reason="needs tf2_msgs: python msg_defs/wheel/build.py --install")
+    from tf2_msgs.msg import TFMessage
+
+    latched = DurabilityPolicy.TRANSIENT_LOCAL
+    still = peer.node.create_publisher(TFMessage, "/tf_static", QoSProfile(depth=1, durability=latched))
+    still.publish(TFMessage(transforms=[between("world", "map")]))
+    moving = peer.node.create_publisher(TFMessage, "/tf", QoSProfile(depth=1, reliability=OFFERS[offer]))
+    try:
+        parameters = {"model": str(model_path), "orientation": "tf", "frame_id": "root"}
+        with running_node(parameters, connect=False) as node:
+            peer.until(moving.get_subscription_count, "subscription")
+            peer.until_told("quality of service offered", f"/tf {offer}")
+            peer.until_told("quality of service offered", "/tf_static reliable")
+            orientation = node._streams[""]._orientation
+            assert orientation.fault
+            moving.publish(TFMessage(transforms=[between("map", "root")]))
+            peer.until(lambda: not orientation.fault, "way from the root to the world")
+    finally:
+        peer.node.destroy_publisher(moving)
+        peer.node.destroy_publisher(still)
 
 
 @pytest.mark.parametrize("offer", ["reliable", "best effort"])

@@ -22,7 +22,7 @@ from physkin_core.model.model_file import save_garment_model  # noqa: E402
 from physkin_ros.node import orientation_source  # noqa: E402
 from physkin_ros.node.orientation_source import OrientationSource, check_orientation  # noqa: E402
 from physkin_ros.node.settings import SettingsError  # noqa: E402
-from physkin_ros.root import transform_tree  # noqa: E402
+from physkin_ros.root import tf_topics, transform_tree  # noqa: E402
 from physkin_ros.root.gravity import FRESH, EffectiveGravity  # noqa: E402
 from physkin_ros.root.root_motion import RootMotion  # noqa: E402
 from physkin_ros.root.tf_topics import FollowedTransforms  # noqa: E402
@@ -62,13 +62,16 @@ class Wired:
         self.rows = []  # of a garment that a pendulum moves
         takers = (lambda down, stamp: self.gravity.append(down), lambda motion, stamp: self.rows.append(row_of(motion)))
         self.transforms = FollowedTransforms(node)
-        with patch.object(orientation_source, "FollowingSubscription", self._subscribe):
+        with (
+            patch.object(orientation_source, "FollowingSubscription", self._subscribe),
+            patch.object(tf_topics, "FollowingSubscription", self._subscribe),
+        ):
             self.source = OrientationSource(node, avatar_settings(**given), self.transforms, *takers, self.bad.append)
 
-    def _subscribe(self, node, kind, topic, take, *, depth):
+    def _subscribe(self, node, kind, topic, take, **how):
         """Stands in for a subscription that reads bytes."""
         self.callbacks[topic] = take
-        return Message(close=lambda: None)
+        return Message(close=lambda: self.closed.append(topic))
 
     @property
     def felt(self):
@@ -190,11 +193,11 @@ def test_avatars_share_what_is_read_of_tf():
     assert len(wired.callbacks) == topics + 1  # effective gravity
     as_tf(wired, 2.0, (0, 0, 0))
     assert len(told) == 2 and len(wired.gravity) == 2
-    tf = [wired.callbacks[topic] for topic in ("/tf", "/tf_static")]
+    tf = {"/tf", "/tf_static"}
     wired.source.close()
-    assert not set(tf) & set(wired.closed)
+    assert not tf & set(wired.closed)
     source.close()
-    assert set(tf) <= set(wired.closed)
+    assert tf <= set(wired.closed)
 
 
 def test_frames_that_are_left_out_are_told_once(monkeypatch):
