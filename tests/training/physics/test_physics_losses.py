@@ -172,6 +172,7 @@ def worn_on(garment, body, *, worn: bool, other_limb: bool = False, band=(), dis
         other_limb=np.full((len(garment.vertices), 1), other_limb),
         bare=np.zeros(1, dtype=bool),
         own_face=closest_face(garment, body),
+        far_face=np.full(len(garment.vertices), -1, dtype=np.int32),
         band=band,
         band_place=np.arange(len(band), dtype=np.int32),
         band_distance=np.full(len(band), distance, dtype=np.float32),
@@ -244,6 +245,25 @@ def test_lost_vertices_are_led_back_to_where_they_are_worn(scene):
         pushed = (gradient - without)[sample] * SAMPLES
         expected = normal * (-2 * stiffness * bounded)[:, None]
         np.testing.assert_allclose(pushed, expected, atol=1e-3 * np.abs(expected).max())
+
+
+def test_vertices_beyond_their_limb_are_lost(scene):
+    """Cloth out on the far side is led back through a limb that its sleeve goes around, however far it is, and only
+    there; cloth turned about the limb, but not beyond its middle, is left alone."""
+    garment, body, *_ = scene
+    far = closest_face(replace(garment, vertices=garment.vertices * np.array([-1.0, -1.0, 1.0])), body)
+    wearing = worn_on(garment, body, worn=True)
+    sleeve = replace(wearing, far_face=far)
+    beyond = alike(garment.vertices * np.array([-1.6, -1.6, 1.0]))
+    unheld, without = run(scene, beyond, wearing=wearing, leads_back=True)
+    energies, gradient = run(scene, beyond, wearing=sleeve, leads_back=True)
+    assert unheld.collision.max() == 0
+    own = np.asarray(body.face_normals)[wearing.own_face]
+    assert energies.collision.min() > 0 and (np.einsum("svi,vi->sv", gradient - without, own) < 0).all()
+    angle = np.radians(60.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+    turned = alike(1.2 * garment.vertices @ turn.T)
+    assert run(scene, turned, wearing=sleeve, leads_back=True)[0].collision.max() == 0
 
 
 def test_cloth_where_it_belongs_is_not_led(scene):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from random_models import tube
 
+from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment import Garment, load_garment
 from physkin_training.physics.wearing import BAND_WIDTH, WORN_WITHIN, Wearing
@@ -117,3 +118,26 @@ def test_worn_faces_are_those_near_the_garment():
     whole = SURFACE[outside[::50]].mean(axis=1)
     distance = np.linalg.norm(whole[:, None] - garment.vertices[None], axis=2).min(axis=1)
     assert distance.min() > WORN_WITHIN - 0.03
+
+
+def test_across_a_sleeve_is_the_limbs_far_side():
+    """On the other side of the arm's bone, of the same part; none for the trunk, bare arms and what has no far side."""
+    garment, worn = wearing("tshirt")
+    avatar = avatar_from_body(BODY, BODY.garment_body)
+    centres = SURFACE[worn.faces].mean(axis=1)
+    arm = BONES.index("upperarm02.L")
+    sleeve = worn.face_bone[worn.own_face] == arm
+    assert (worn.far_face[sleeve] >= 0).all() and (worn.face_bone[worn.far_face[sleeve]] == arm).all()
+    axis = avatar.bone_tails[arm] - avatar.bone_heads[arm]
+    near, far = (
+        _off_the_axis(centres[face[sleeve]] - avatar.bone_heads[arm], axis) for face in (worn.own_face, worn.far_face)
+    )
+    assert (np.einsum("vi,vi->v", near, far) < 0).all()
+    trunk = np.char.startswith(np.array(BONES)[worn.face_bone[worn.own_face]], "spine")
+    assert trunk.any() and (worn.far_face[trunk] == -1).all()
+    np.testing.assert_array_equal(worn.worn_faces().far_face < 0, worn.far_face < 0)
+    assert (wearing("dress")[1].far_face == -1).all()
+
+
+def _off_the_axis(vectors: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    return vectors - np.outer(vectors @ axis / (axis @ axis), axis)

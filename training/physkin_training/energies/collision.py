@@ -24,6 +24,9 @@ DEEP = 0.01
 """Beyond this depth [m] below the contact offset a hit counts only if the vertex is worn on that part of the body, and
 body and cloth face the same way: else it is another limb, or the wrong side of this one."""
 
+ACROSS = 0.01
+"""A vertex this far [m] beyond the middle of the limb that its sleeve goes around came through it: lost, too."""
+
 LED_BACK_BEYOND = 0.001
 """Depth [m] behind its own place on the body up to which the force grows that leads a lost vertex back."""
 
@@ -40,6 +43,7 @@ def collision_kernel(
     worn: wp.array2d(dtype=wp.bool),
     other_limb: wp.array2d(dtype=wp.bool),
     own_face: wp.array(dtype=wp.int32),
+    far_face: wp.array(dtype=wp.int32),
     leads_back: wp.bool,
     energy: wp.array2d(dtype=wp.float32),
     slope: wp.array2d(dtype=wp.float32),
@@ -48,12 +52,19 @@ def collision_kernel(
     signed_distance: wp.array2d(dtype=wp.float32),
     at_worn_part: wp.array2d(dtype=wp.bool),
 ):
-    """One vertex of one sample. own_face: face of the body that each vertex lies on. A bone of `other_limb` presses
-    cloth only towards it, so that cloth which came out on the limb's far side is not held there; leads_back: a vertex
-    lost inside the body is pushed before it."""
+    """One vertex of one sample. own_face: face of the body that each vertex lies on, far_face: the one across the limb,
+    or -1. A bone of `other_limb` presses cloth only towards it, so that cloth which came out on the limb's far side is
+    not held there; leads_back: a vertex lost inside the body, or beyond its limb, is pushed before it."""
     s, v = wp.tid()
     body = drapes.body
     point = drapes.x[s, v] + drapes.offset[s]
+    own = s * face_bone.shape[0] + own_face[v]
+    own_centre = wp.mesh_eval_position(body, own, 1.0 / 3.0, 1.0 / 3.0)
+    lost = False
+    if leads_back and far_face[v] >= 0:
+        far_centre = wp.mesh_eval_position(body, s * face_bone.shape[0] + far_face[v], 1.0 / 3.0, 1.0 / 3.0)
+        across = own_centre - far_centre
+        lost = wp.dot(point - 0.5 * (own_centre + far_centre), across) < -ACROSS * wp.length(across)
     hit = wp.mesh_query_point_sign_normal(body, point, reach)
     energy[s, v] = 0.0
     slope[s, v] = 0.0
@@ -61,35 +72,33 @@ def collision_kernel(
     way_out[s, v] = wp.vec3(0.0, 0.0, 0.0)
     signed_distance[s, v] = reach
     at_worn_part[s, v] = False
-    if not hit.result:
-        return
-    closest = wp.mesh_eval_position(body, hit.face, hit.u, hit.v)
-    away = point - closest
-    gap = wp.length(away)
-    distance = hit.sign * gap
-    signed_distance[s, v] = distance
-    part = face_bone[hit.face % face_bone.shape[0]]
-    mine = worn[v, part]
-    at_worn_part[s, v] = mine
-    depth = contact_offset - distance
-    if depth <= 0.0:
-        return
+    depth = 0.0
+    outward = wp.vec3(0.0, 0.0, 0.0)
     limit = linear_beyond
-    outward = wp.mesh_eval_face_normal(body, hit.face)
-    own = s * face_bone.shape[0] + own_face[v]
-    own_centre = wp.mesh_eval_position(body, own, 1.0 / 3.0, 1.0 / 3.0)
-    if depth < DEEP or (mine and wp.dot(outward, drapes.normals[s, v]) >= 0.0):
-        if other_limb[v, part] and wp.dot(outward, own_centre - closest) <= 0.0:
-            return
-        if gap > 1.0e-6:
-            outward = away * (hit.sign / gap)
-    elif leads_back:
+    if hit.result:
+        closest = wp.mesh_eval_position(body, hit.face, hit.u, hit.v)
+        away = point - closest
+        gap = wp.length(away)
+        distance = hit.sign * gap
+        signed_distance[s, v] = distance
+        part = face_bone[hit.face % face_bone.shape[0]]
+        mine = worn[v, part]
+        at_worn_part[s, v] = mine
+        depth = contact_offset - distance
+        outward = wp.mesh_eval_face_normal(body, hit.face)
+        if depth < DEEP or (mine and wp.dot(outward, drapes.normals[s, v]) >= 0.0):
+            if other_limb[v, part] and wp.dot(outward, own_centre - closest) <= 0.0:
+                depth = 0.0
+            if gap > 1.0e-6:
+                outward = away * (hit.sign / gap)
+        else:
+            depth = 0.0
+            lost = leads_back
+    if lost:
         limit = LED_BACK_BEYOND
         outward = wp.mesh_eval_face_normal(body, own)
         depth = contact_offset - wp.dot(point - own_centre, outward)
-        if depth <= 0.0:
-            return
-    else:
+    if depth <= 0.0:
         return
     k = stiffness[0] * rest.vertex_area[rest.row[s], v]
     bounded = wp.min(depth, limit)
@@ -124,6 +133,7 @@ class Collision(Energy):
             cloth.array(everywhere if wearing is None else wearing.worn, wp.bool),
             cloth.array(~everywhere if wearing is None else wearing.other_limb, wp.bool),
             cloth.array(np.zeros(n) if wearing is None else wearing.own_face),
+            cloth.array(np.full(n, -1) if wearing is None else wearing.far_face),
             leads_back and wearing is not None,
         )
         self._stiffness = wp.from_torch(self.stiffness)

@@ -31,6 +31,8 @@ RIM_WITHIN = 0.02
 """Cloth is worn on a bare limb where all other parts are farther away, by at least this [m]: the rim on a shoulder."""
 GOES_AROUND = 0.3
 """An opening goes around the bone that is closest to its centre if that is at most this share of its radius away."""
+FACES_ACROSS = 0.03
+"""A limb has a far side where a face of the same part is this close [m] to the near one reflected in the bone."""
 BAND_WIDTH = 0.03
 """Vertices this close [m] to the uppermost opening make up the band."""
 
@@ -44,7 +46,8 @@ class Wearing:
     that bone's limb, which is beside the cloth or in front of it, as an arm is to the side of a shirt, and presses it
     towards its own place on the body alone. bare: (b,) bool, the bone of an arm that leaves through an armhole, an
     opening on the trunk without a sleeve: only cloth from which all other parts are farther is worn on it. own_face:
-    (n,) int32, of the `faces` of worn parts the one whose centre is closest. band: (k,) int32 vertices of the neckband
+    (n,) int32, of the `faces` of worn parts the one whose centre is closest. far_face: (n,) int32, of cloth in a sleeve
+    or a trouser leg the face across the limb from that, elsewhere -1. band: (k,) int32 vertices of the neckband
     or waistband; band_place: (k,) int32 the body vertex closest to each, band_distance: (k,) float32 [m] away.
     """
 
@@ -54,6 +57,7 @@ class Wearing:
     other_limb: np.ndarray
     bare: np.ndarray
     own_face: np.ndarray
+    far_face: np.ndarray
     band: np.ndarray
     band_place: np.ndarray
     band_distance: np.ndarray
@@ -78,7 +82,8 @@ class Wearing:
             distance[:, bone], closest = cKDTree(part).query(garment.vertices)
             outwards[:, bone] = np.einsum("vi,vi->v", part[closest] - garment.vertices, normals)
         limbs = _limbs(rig.parents)
-        bare = _bare(garment, avatar, vertex_bone, limbs, rig.parents)
+        left_by = _left_by(garment, avatar)
+        bare = _bare(left_by, avatar, vertex_bone, limbs, rig.parents)
         dressed = distance[:, ~bare].min(axis=1, keepdims=True)
         distance_worn = np.where(bare & (distance + RIM_WITHIN > dressed), np.inf, distance)
         beside = distance_worn <= distance_worn.min(axis=1, keepdims=True) + WORN_BESIDE
@@ -91,13 +96,16 @@ class Wearing:
         distance, _ = cKDTree(opening).query(garment.vertices, distance_upper_bound=BAND_WIDTH)
         band = np.flatnonzero(np.isfinite(distance))
         gap, place = cKDTree(body).query(garment.vertices[band])
+        own = near[cKDTree(body[faces[near]].mean(axis=1)).query(garment.vertices)[1]]
+        sleeved = np.isin(limbs, [limbs[bone] for bone, _ in left_by]) & ~bare
         return cls(
             faces=faces,
             face_bone=face_bone.astype(np.int32),
             worn=worn,
             other_limb=other_limb,
             bare=bare,
-            own_face=near[cKDTree(body[faces[near]].mean(axis=1)).query(garment.vertices)[1]].astype(np.int32),
+            own_face=own.astype(np.int32),
+            far_face=np.where(sleeved[face_bone[own]], _across(own, avatar, face_bone), -1).astype(np.int32),
             band=band.astype(np.int32),
             band_place=place.astype(np.int32),
             band_distance=gap.astype(np.float32),
@@ -112,6 +120,7 @@ class Wearing:
             faces=self.faces[keep],
             face_bone=self.face_bone[keep],
             own_face=kept[self.own_face].astype(np.int32),
+            far_face=np.where(self.far_face < 0, -1, kept[self.far_face]).astype(np.int32),
         )
 
 
@@ -135,24 +144,49 @@ def _limbs(parents: np.ndarray) -> np.ndarray:
     return first
 
 
-def _bare(
-    garment: Garment, avatar: Avatar, vertex_bone: np.ndarray, limbs: np.ndarray, parents: np.ndarray
-) -> np.ndarray:
-    """(b,) bool: bones of a limb without a sleeve, from the one on which it leaves through an opening that touches
-    another limb or the trunk. The uppermost opening is not one of them: it holds the garment up."""
-    bare = np.zeros(len(parents), dtype=bool)
+def _left_by(garment: Garment, avatar: Avatar) -> list[tuple[int, np.ndarray]]:
+    """Bones around which an opening goes, each with the opening's vertices (k, 3). The uppermost opening is not one of
+    them: it holds the garment up."""
+    found = []
     for loop in openings(garment.vertices, garment.faces)[1:]:
         rim = garment.vertices[loop]
         centre = rim.mean(axis=0)
         away = _distances_to_bones(centre, avatar.bone_heads, avatar.bone_tails)
-        bone = away.argmin()
+        bone = int(away.argmin())
+        if away[bone] <= GOES_AROUND * np.linalg.norm(rim - centre, axis=1).mean():
+            found.append((bone, rim))
+    return found
+
+
+def _bare(
+    left_by: list[tuple[int, np.ndarray]],
+    avatar: Avatar,
+    vertex_bone: np.ndarray,
+    limbs: np.ndarray,
+    parents: np.ndarray,
+) -> np.ndarray:
+    """(b,) bool: bones of a limb without a sleeve, from the one on which it leaves through an opening that touches
+    another limb or the trunk."""
+    bare = np.zeros(len(parents), dtype=bool)
+    for bone, rim in left_by:
         elsewhere = avatar.vertices[limbs[vertex_bone] != limbs[bone]]
-        goes_around = away[bone] <= GOES_AROUND * np.linalg.norm(rim - centre, axis=1).mean()
-        if goes_around and cKDTree(elsewhere).query(rim)[0].min() < WORN_BESIDE:
-            bare[bone] = True
+        bare[bone] |= cKDTree(elsewhere).query(rim)[0].min() < WORN_BESIDE
     for bone, parent in enumerate(parents):
         bare[bone] |= parent >= 0 and limbs[parent] == limbs[bone] and bare[parent]
     return bare
+
+
+def _across(own: np.ndarray, avatar: Avatar, face_bone: np.ndarray) -> np.ndarray:
+    """(n,) of each face `own` the face of the same part across the bone, or -1 where the part has no far side."""
+    centres, far = avatar.vertices[avatar.faces].mean(axis=1), np.full(len(own), -1)
+    for bone in np.unique(face_bone[own]):
+        mine, part = face_bone[own] == bone, np.flatnonzero(face_bone == bone)
+        head, axis = avatar.bone_heads[bone], avatar.bone_tails[bone] - avatar.bone_heads[bone]
+        from_head = centres[own[mine]] - head
+        along = np.outer(from_head @ axis / (axis @ axis), axis)
+        distance, closest = cKDTree(centres[part]).query(head + 2 * along - from_head)
+        far[mine] = np.where(distance <= FACES_ACROSS, part[closest], -1)
+    return far
 
 
 def _distances_to_bones(point: np.ndarray, heads: np.ndarray, tails: np.ndarray) -> np.ndarray:
