@@ -12,11 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physkin_core.export.morph_targets import MorphTargets, in_few_targets, unskinned
-from physkin_core.model.skinning import skinning_matrices
+from physkin_core.model.garment import vertex_normals
+from physkin_core.model.skinning import skinning_matrices, unit
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.coverage import AlwaysCovered, faces_of
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.layer import Layer
 
 __all__ = ["DrapedClip", "DrapedGarment", "drape_clip"]
 
@@ -24,8 +26,8 @@ __all__ = ["DrapedClip", "DrapedGarment", "drape_clip"]
 @dataclass(frozen=True)
 class DrapedGarment:
     """A garment in all frames. shown: (f,) bool of its layer's faces. given: the bound garment of these, offset at
-    rest. node_transforms: (T, m, 3, 4). morphs: of vertices of `given`. lacking: (T,) [m] by how much these are off,
-    where they are most."""
+    rest, with the influences that engines take. node_transforms: (T, m, 3, 4). morphs: of vertices of `given`.
+    lacking: (T, u) [m] by how much these are off."""
 
     name: str
     shown: np.ndarray
@@ -48,30 +50,48 @@ class DrapedClip:
 def drape_clip(outfit: Outfit, motion: Motion) -> DrapedClip:
     """Drape all frames of a motion, and the rest pose, in which a file lies that nothing moves.
 
-    outfit: of models `for_engines`, whole (`hide=False`): what is covered in all of these is left out here.
+    outfit: of models `for_engines`, those with detail as they are, and whole (`hide=False`): what is covered in all
+    frames is left out here. Detail moves every vertex besides skinning, so that what the few influences of engines lose
+    is made up for by the way.
     """
     layers, rig = outfit.layers, outfit.rig
+    skinned = [_for_engines(layer) for layer in layers]
     always = AlwaysCovered(layers, outfit.avatar)
     always.look(rig.rest, outfit.drape(rig.rest))
-    bones, nodes, added = [], [[] for _ in layers], [[] for _ in layers]
+    bones, nodes, added, normals = [], *([[] for _ in layers] for _ in range(3))
     outfit.reset()
     for positions, time, root in zip(motion.positions_for(rig), motion.times, motion.root):
         clouds = outfit.drape(positions, time=time, root=root)
         always.look(positions, clouds)
         bones.append(outfit.bone_transforms(positions))
-        for layer, cloud, now, *kept in zip(layers, clouds, outfit.node_transforms(), nodes, added):
+        for bound, cloud, now, *kept in zip(skinned, clouds, outfit.node_transforms(), nodes, added, normals):
+            matrices = _blended(bound, now)
             kept[0].append(now)
-            kept[1].append(unskinned(layer.given.vertices, _blended(layer.given, now), cloud[:, :3]))
+            kept[1].append(unskinned(bound.vertices, matrices, cloud[:, :3]))
+            if bound.detail_layers:
+                kept[2].append(_unskinned_normals(matrices, vertex_normals(cloud[:, :3], bound.faces)))
     accessories = len(outfit.body_to_draw.faces) - len(outfit.avatar.faces)
     body_hidden = faces_of(outfit.avatar.faces, always.body)
     return DrapedClip(
         bones=np.array(bones),
         body_shown=np.concatenate([~body_hidden, np.ones(accessories, dtype=bool)]),
         garments=tuple(
-            _shown(layer.name, layer.given, ~faces_of(layer.faces, hidden), np.array(each), moved)
-            for layer, hidden, each, moved in zip(layers, always.cloth, nodes, added)
+            _shown(layer.name, bound, ~faces_of(layer.faces, hidden), np.array(each), moved, np.array(turned))
+            for layer, bound, hidden, each, moved, turned in zip(layers, skinned, always.cloth, nodes, added, normals)
         ),
     )
+
+
+def _for_engines(layer: Layer) -> BoundGarment:
+    """What is given of a garment, with the influences that engines take."""
+    nodes, weights = layer.model.engine_nodes[layer.visible], layer.model.engine_weights[layer.visible]
+    return replace(layer.given, influence_nodes=nodes, influence_weights=weights)
+
+
+def _unskinned_normals(matrices: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Unit normals (v, 3) that skinning by matrices (v, 3, 4), which engines carry normals with as they are, turns to
+    those wanted (v, 3)."""
+    return unit(np.linalg.solve(matrices[..., :3], wanted[..., None])[..., 0]).astype(np.float32)
 
 
 def _blended(bound: BoundGarment, nodes: np.ndarray, vertices: np.ndarray | slice = slice(None)) -> np.ndarray:
@@ -86,8 +106,10 @@ def _shown(
     shown: np.ndarray,
     node_transforms: np.ndarray,
     added: Iterable[tuple[np.ndarray, np.ndarray]],
+    normals: np.ndarray,
 ) -> DrapedGarment:
-    """A garment of which some faces are shown, and their vertices. added: to the whole one's, of each frame."""
+    """A garment of which some faces are shown, and their vertices. added: to the whole one's, of each frame; normals:
+    (T, n, 3) that they should have before skinning, none without detail."""
     visible, faces = np.unique(bound.faces[shown], return_inverse=True)
     kept = []
     for indices, values in added:
@@ -101,11 +123,15 @@ def _shown(
     ]
     vertices = given.vertices.copy()
     vertices[morphs.moved] += morphs.offset.astype(np.float32)
+    given = replace(given, vertices=vertices)
+    if len(normals):
+        given = replace(given, normals=vertex_normals(vertices, given.faces))
+        morphs = morphs.with_turns(given.normals[morphs.moved], normals[:, visible[morphs.moved]])
     return DrapedGarment(
         name=name,
         shown=shown,
-        given=replace(given, vertices=vertices),
+        given=given,
         node_transforms=node_transforms,
         morphs=morphs,
-        lacking=np.array([each.max(initial=0) for each in lacking]),
+        lacking=np.array(lacking),
     )

@@ -57,8 +57,10 @@ class GltfBuilder:
 
     def add_sparse_accessor(self, indices: np.ndarray, values: np.ndarray, count: int) -> int:
         """Append a (count, 3) array that is zero but for rows `indices` (k,), which hold values (k, 3), in order of
-        index; returns the accessor's index."""
-        everywhere = np.concatenate([values, np.zeros((min(1, count - len(values)), 3), dtype=values.dtype)])
+        index, as it is if these are all rows; returns the accessor's index."""
+        if len(values) == count:
+            return self.add_accessor(values)
+        everywhere = np.concatenate([values, np.zeros((1, 3), dtype=values.dtype)])
         accessor = {
             "componentType": COMPONENT_TYPES[values.dtype.name],
             "count": count,

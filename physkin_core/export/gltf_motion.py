@@ -2,7 +2,7 @@
 
 A garment node is affine, a glTF joint is not: each is a chain of two joints (`affine_joints`). Engines take 4
 influences a vertex, which models learn beside their own skinning weights (`GarmentModel.for_engines`). What moves
-vertices after skinning, the order of layers, is in morph targets (`morph_targets`).
+vertices besides, detail and the order of layers, is in morph targets (`morph_targets`).
 Dimensions: `T` frames, `b` bones, `m` garment nodes, `v` vertices of a mesh, `j` joints.
 """
 
@@ -40,7 +40,7 @@ def write_gltf_motion(
     """Write avatar and garments in motion as one .glb, the root where the motion has it. Returns what it cannot show, a
     sentence each.
 
-    outfit: of models `for_engines`, whole (`hide=False`); what no frame shows is left out. looks: of all faces of
+    outfit: as of `drape_clip`; what no frame shows is left out. looks: of all faces of
     `outfit.body_to_draw`, as of `avatar_look`, and of each garment, as of `garment_looks`; default a colour each.
     Raises OSError when it cannot be written.
     """
@@ -63,7 +63,13 @@ def _not_shown(garment: DrapedGarment) -> list[str]:
     """What a .glb cannot show of a garment, a sentence if anything."""
     if not garment.shown.any():
         return [f"{garment.name} is not in the file: it is covered in all frames"]
-    lacking = garment.lacking
+    lacking = garment.lacking.max(axis=1, initial=0)
+    if garment.morphs.turns is not None:
+        average = garment.lacking.sum() / (len(lacking) * len(garment.given.vertices))
+        return [
+            f"{garment.name} is {1000 * average:.2f} mm off on average, {1000 * lacking.max():.1f} mm at most, as its "
+            f"folds are in {len(garment.morphs.targets)} morph targets; a .usdc has it exactly"
+        ]
     if lacking.max() < TOO_FAR:
         return []
     return [
@@ -255,15 +261,19 @@ class _Scene:
         self._roots.append(len(self._nodes))
         self._nodes.append({"name": name, "mesh": len(self._meshes) - 1, "skin": len(self._skins) - 1})
         if mesh.morphs is not None:
-            names = [f"order_{k}" for k in range(len(mesh.morphs.targets))]
+            kind = "order" if mesh.morphs.turns is None else "fold"
+            names = [f"{kind}_{k}" for k in range(len(mesh.morphs.targets))]
             self._meshes[-1] |= {"weights": mesh.morphs.resting.tolist(), "extras": {"targetNames": names}}
             self._animate(len(self._nodes) - 1, "weights", mesh.morphs.weights.astype(np.float32).reshape(-1))
 
     def _add_targets(self, morphs: MorphTargets, count: int) -> list[dict[str, int]]:
         """Of a mesh of so many vertices."""
-        add, moved = self.builder.add_sparse_accessor, morphs.moved
-        offsets = (morphs.targets @ FROM_ROOT_FRAME.T).astype(np.float32)
-        return [{"POSITION": add(moved, each, count)} for each in offsets]
+        changes = {"POSITION": morphs.targets, "NORMAL": morphs.turns}
+        targets: list[dict[str, int]] = [{} for _ in morphs.targets]
+        for name, values in changes.items():
+            for target, each in zip(targets, () if values is None else values @ FROM_ROOT_FRAME.T):
+                target[name] = self.builder.add_sparse_accessor(morphs.moved, each.astype(np.float32), count)
+        return targets
 
     def _add_material(self, surface: Surface) -> int:
         """Its index."""

@@ -12,7 +12,7 @@ import numpy as np
 
 __all__ = ["MOST_TARGETS", "MorphTargets", "in_few_targets", "unskinned"]
 
-MOST_TARGETS = 16
+MOST_TARGETS = 32
 ENOUGH = 0.004
 """[m] No more targets where every vertex is this close, at rest, to where it should be."""
 STILL = 1e-6
@@ -25,7 +25,7 @@ DAMPING = 1e-3
 class MorphTargets:
     """moved: (u,) indices of vertices. offset: (u, 3) of these. targets: (K, u, 3) what a weight of 1 adds to that.
     weights: (T, K) from 0 to 1, as Blender wants them; resting: (K,) those that make up the mean. lacking: (T, u, 3)
-    what is still to be added."""
+    what is still to be added. turns: (K, u, 3) what a weight of 1 adds to normals, where these are to change."""
 
     moved: np.ndarray
     offset: np.ndarray
@@ -33,13 +33,22 @@ class MorphTargets:
     weights: np.ndarray
     resting: np.ndarray
     lacking: np.ndarray
+    turns: np.ndarray | None = None
+
+    def with_turns(self, normals: np.ndarray, wanted: np.ndarray) -> MorphTargets:
+        """The same with those turns that bring normals (u, 3) of the offset vertices closest to the ones wanted in each
+        frame, (T, u, 3), before skinning."""
+        apart = (wanted - normals).reshape(len(wanted), -1)
+        turns = np.linalg.lstsq(self.weights, apart, rcond=None)[0].reshape(self.targets.shape)
+        return replace(self, turns=turns)
 
     def of_vertices(self, vertices: np.ndarray) -> MorphTargets:
         """The same for vertices (w,) of these, some repeated."""
         moved = np.flatnonzero(np.isin(vertices, self.moved))
         of = np.searchsorted(self.moved, vertices[moved])
         per_vertex = {"offset": self.offset[of], "targets": self.targets[:, of], "lacking": self.lacking[:, of]}
-        return replace(self, moved=moved, **per_vertex)
+        turns = None if self.turns is None else self.turns[:, of]
+        return replace(self, moved=moved, turns=turns, **per_vertex)
 
 
 def unskinned(rest: np.ndarray, matrices: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -61,10 +70,11 @@ def in_few_targets(frames: Sequence[tuple[np.ndarray, np.ndarray]]) -> MorphTarg
         frame[np.searchsorted(moved, indices)] = values
     mean = added.mean(axis=0)
     lacking = added - mean
-    amounts, sizes, directions = np.linalg.svd(lacking.reshape(len(frames), -1), full_matrices=False)
-    amounts, directions = amounts * sizes, directions.reshape(len(sizes), len(moved), 3)
-    count = 0
-    while count < min(MOST_TARGETS, len(sizes)) and np.linalg.norm(lacking, axis=2).max(initial=0) > ENOUGH:
+    flat = lacking.reshape(len(frames), -1)
+    amounts = np.linalg.eigh(flat @ flat.T)[1][:, ::-1]  # frames are fewer than coordinates
+    count, directions = 0, np.empty((min(MOST_TARGETS, len(frames)), *mean.shape))
+    while count < len(directions) and np.linalg.norm(lacking, axis=2).max(initial=0) > ENOUGH:
+        directions[count] = np.tensordot(amounts[:, count], lacking, 1)
         lacking -= amounts[:, count, None, None] * directions[count]
         count += 1
     amounts, directions = amounts[:, :count], directions[:count]

@@ -147,12 +147,14 @@ def chosen_garments(names: Sequence[str] | None, tucked: Sequence[str]) -> list[
 def dressed(options: argparse.Namespace, *, for_engines: bool = False) -> Outfit:
     """The garments on the avatar, as the options have them; prints what was assumed, and how garments sit if not well.
 
-    for_engines: with the skinning weights that engines take, and whole. Raises as `chosen_garments`, `load_avatar` and
-    `Outfit`.
+    for_engines: whole, and where there is no detail with the skinning weights that engines take. Raises as
+    `chosen_garments`, `load_avatar` and `Outfit`.
     """
     garments = chosen_garments(options.garment, options.tucked)
     if for_engines:
-        garments = [replace(garment, model=garment.model.for_engines()) for garment in garments]
+        garments = [
+            replace(each, model=each.model.for_engines()) if each.model.detail is None else each for each in garments
+        ]
     avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
     outfit = Outfit(garments, avatar, fit=options.fit, hide=not for_engines, own_clothes=options.own_clothes)
     outfit.sway = getattr(options, "sway", outfit.sway)

@@ -62,23 +62,24 @@ class Reader:
         """(f, 3) of all materials together."""
         return np.concatenate([self.array(part.indices).reshape(-1, 3) for part in self.mesh(name).primitives])
 
-    def morphed(self, name, node, frame):
+    def morphed(self, name, node, frame, attribute="POSITION"):
         """(v, 3) a mesh in a frame before it is skinned."""
-        points = self.array(self.attributes(name).POSITION).astype(np.float64)
+        values = self.array(getattr(self.attributes(name), attribute)).astype(np.float64)
         targets = self.mesh(name).primitives[0].targets or []
         weights = self.moved.get((node, "weights"), np.zeros(0)).reshape(len(self.times), -1)[frame]
         assert len(weights) == len(targets)
-        return points + sum(w * self.array(target["POSITION"]) for w, target in zip(weights, targets))
+        return values + sum(w * self.array(target[attribute]) for w, target in zip(weights, targets))
 
-    def skinned(self, name, frame):
-        """(v, 3) a mesh in a frame, in glTF's world."""
+    def skinned(self, name, frame, attribute="POSITION"):
+        """(v, 3) points of a mesh in a frame, in glTF's world, or its normals, not of unit length."""
         nodes = self.file.nodes
         place = next(k for k, node in enumerate(nodes) if node.name == name and node.mesh is not None)
         attributes = self.attributes(name)
         skin = self.file.skins[nodes[place].skin]
         bind = self.array(skin.inverseBindMatrices).reshape(-1, 4, 4).transpose(0, 2, 1)
         joints = np.array([self.world(joint, frame) for joint in skin.joints]) @ bind
-        points = np.pad(self.morphed(name, place, frame), ((0, 0), (0, 1)), constant_values=1.0)
+        values = self.morphed(name, place, frame, attribute)
+        points = np.pad(values, ((0, 0), (0, 1)), constant_values=float(attribute == "POSITION"))
         weights = self.array(attributes.WEIGHTS_0) / 65535
         each = np.einsum("vkij,vj->vki", joints[self.array(attributes.JOINTS_0)], points)
         return np.einsum("vk,vki->vi", weights, each)[:, :3]
