@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from random_models import random_detail
 from scipy.spatial.transform import Rotation
 
 from physkin_core import (
@@ -69,6 +70,19 @@ def test_centres_on_vertices_are_the_drape(tshirt, worn, poses):
     for pose in poses:
         cloth = worn.drape(*pose)[:, :3]
         np.testing.assert_allclose(skinner.skin(worn.node_transforms()).centres, cloth, atol=2e-6)
+
+
+def test_centres_go_with_detail(tshirt, avatar, poses):
+    """As the garment's vertices, where it is in the same precision."""
+    detail = random_detail(np.random.default_rng(2), tshirt.garment, 60, width=len(tshirt.node_deformer[-2][1]))
+    worn = Draper(replace(tshirt, detail=detail), avatar, precision="bf16")
+    bound = bind_splats(worn.layer, splats_at(tshirt.garment.vertices))
+    same, other = SplatSkinner(bound, precision="bf16"), SplatSkinner(bound, precision="fp32")
+    cloth = worn.drape(*poses[1])[:, :3]
+    centres = [each.skin(worn.node_transforms(), worn.features()).centres for each in (same, other)]
+    np.testing.assert_allclose(centres[0], cloth, atol=2e-6)
+    assert 1e-5 < np.abs(centres[1] - cloth).max() < 1e-3
+    assert np.abs(same.skin(worn.node_transforms(), 0 * worn.features()).centres - cloth).max() > 0.01
 
 
 def test_rigid_cloth_turns_splats_rigidly(garment_model):
