@@ -78,7 +78,7 @@ class _Garment:
         bones = bone_transforms(*skeleton, q - bound.dof_rest)
         modulation = mlp(bound.pose_layers, pose_vector(q, bound.dof_lower, bound.dof_upper, row.gravity))
         inputs = bones[bound.deformer_bones].reshape(-1)
-        self.corrections = mlp(bound.deformer_layers, inputs, modulation)
+        still = self.corrections = mlp(bound.deformer_layers, inputs, modulation)
         self.features = ()
         for weight, bias in bound.detail_layers:
             self.features = silu(weight @ last_hidden(bound.deformer_layers, inputs, modulation) + bias)
@@ -92,5 +92,6 @@ class _Garment:
         nodes = self._pace.kept(posed, nodes, -1.0 if jumped else row.passed)
         if row.twist and bound.node_twist.any():
             nodes = twisted(nodes, bones, bound.node_twist.astype(np.float64), bound.node_bone, row.twist)
-        self.nodes = kept_out(bound, bones, nodes)
+        sway = correct_nodes(posed, self.corrections) - correct_nodes(posed, still)
+        self.nodes = kept_out(bound, bones, nodes, sway)
         return self.nodes

@@ -1,8 +1,11 @@
-"""Cloth that hangs free kept out of legs and trunk: garment nodes moved along the skin's normals by what samples lack.
+"""Cloth that hangs free kept out of legs and trunk: garment nodes sway less, then move along the skin's normals.
 
-A garment node moves by the mean, over the samples that it carries, of what each lacks along the normal there, weighted
-by skinning weight times lack; twice, the second time seeing what the first has left. The fields are those of
-`physkin_core.runtime.skin_guard`; depths are those of the product's `TrunkShape`.
+Where a sample lacks something along the normal and sway has cost it something there, a share of its sway is to go:
+what it lacks, divided by that cost, which is rounded where it is small. Of a garment node the largest share goes that
+is asked for by samples of which it carries a tenth or more, and less by others. Then it moves by the mean, over
+samples that it carries, of what each lacks along the normal there, weighted by skinning weight times lack; twice, the
+second time seeing what the first has left. The fields are those of `physkin_core.runtime.skin_guard`; depths are
+those of the product's `TrunkShape`.
 """
 
 import numpy as np
@@ -12,10 +15,11 @@ from physkin_core.separation.trunk_shape import TrunkShape
 from reference.skinning import skin
 
 SOFT, TOO_DEEP, FADE, PASSES = 0.002, 0.15, 0.05, 2
+WORTHWHILE, CARRIES = 0.002, 0.1
 
 
-def kept_out(bound, bones, nodes):
-    """Garment nodes (m, 3, 4) moved out of the skin of bones (b, 3, 4)."""
+def kept_out(bound, bones, nodes, sway):
+    """Garment nodes (m, 3, 4) moved out of the skin of bones (b, 3, 4). sway: (m, 3, 4) what it has added to them."""
     if not len(bound.guard_vertices):
         return nodes
     nodes = nodes.copy()
@@ -29,12 +33,16 @@ def kept_out(bound, bones, nodes):
     samples, count = len(bound.guard_vertices), len(nodes)
     weights = np.zeros((samples, count))
     np.add.at(weights, (np.arange(samples)[:, None], bound.guard_influence_nodes), bound.guard_influence_weights)
+    swayed, _ = skin(sampled, sway)
+    needed = np.zeros(samples)
+    for lack, normal in _lacks(bound, bones, skin(sampled, nodes)[0]):
+        cost = np.maximum(-(swayed * normal).sum(axis=1), 0)
+        needed = np.maximum(needed, np.minimum(lack * cost / (cost**2 + WORTHWHILE**2), 1))
+    stilled = (needed[:, None] * np.minimum(weights / CARRIES, 1)).max(axis=0)
+    nodes -= stilled[:, None, None] * sway
     for _ in range(PASSES):
-        at, _ = skin(sampled, nodes)
         counted, moved = np.zeros(count), np.zeros((count, 3))
-        for part in range(len(bound.skin_frames)):
-            depth, normal = _depth(bound, part, bones, at)
-            lack = bound.guard_shares * np.clip((TOO_DEEP - depth) / FADE, 0, 1) * _soft(depth + bound.guard_gaps[part])
+        for lack, normal in _lacks(bound, bones, skin(sampled, nodes)[0]):
             share = weights * lack[:, None]
             counted += share.sum(axis=0)
             moved += share.T @ (lack[:, None] * normal)
@@ -42,13 +50,21 @@ def kept_out(bound, bones, nodes):
     return nodes
 
 
+def _lacks(bound, bones, at):
+    """What samples (s, 3) lack in each part of the skin, (s,) [m], and the ways out, (s, 3)."""
+    for part in range(len(bound.skin_frames)):
+        depth, normal = skin_depth(bound, part, bones, at)
+        faded = bound.guard_shares * np.clip((TOO_DEEP - depth) / FADE, 0, 1)
+        yield faded * _soft(depth + bound.guard_gaps[part]), normal
+
+
 def _soft(lacking):
     over = np.maximum(lacking + SOFT, 0)
     return np.where(over < 2 * SOFT, over**2 / (4 * SOFT), over - SOFT)
 
 
-def _depth(bound, part, bones, points):
-    """Depth (s,) of points (s, 3) in a part of the skin, and unit normals (s, 3) in the root frame."""
+def skin_depth(bound, part, bones, points):
+    """(s,) of points (s, 3) in a part of the skin, and unit normals (s, 3) in the root frame."""
     x, y, low, high, blend = bound.skin_shapes[part].astype(np.float64)
     frame = bound.skin_frames[part].astype(np.float64)
     taken_over = bound.skin_heights[part] < 1e3

@@ -55,7 +55,8 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
       bone_transforms_(arena_.take<float>(12 * g.bones)),
       deformer_input_(arena_.take<float>(12 * g.deformer_bone_count)),
       node_transforms_(arena_.take<float>(12 * g.nodes)),
-      corrections_(arena_.take<float>(12 * g.nodes)),
+      still_corrections_(arena_.take<float>(12 * g.nodes)),
+      corrections_(still_corrections_),
       features_(arena_.take<float>(padded_to_group(skinner_.features()) + kGroup)) {
   if (options.normals == Normals::faces) face_normals_.emplace(g, arena_);
 }
@@ -103,9 +104,9 @@ void GarmentEvaluator::gather_deformer_input() noexcept {
 }
 
 void GarmentEvaluator::run_networks(const GarmentInput& input) noexcept {
-  corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, nullptr));
+  corrections_ = still_corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, nullptr));
   if (detail_features_) given_features_ = detail_features_->run(node_deformer_.last_hidden(), nullptr);
-  if (learnt_sway_) corrections_ = learnt_sway_->added(corrections_, last_positions_, input);
+  if (learnt_sway_) corrections_ = learnt_sway_->added(still_corrections_, last_positions_, input);
 }
 
 void GarmentEvaluator::compose_nodes(const GarmentInput& input) noexcept {
@@ -117,7 +118,9 @@ void GarmentEvaluator::compose_nodes(const GarmentInput& input) noexcept {
     pace_.keep(garment_nodes_, bone_transforms_, jumped() ? -1.0f : input.passed, node_transforms_);
   }
   garment_nodes_.twist(bone_transforms_, input.twist, node_transforms_);
-  if (skin_guard_) skin_guard_->keep_out(bone_transforms_, node_transforms_);
+  if (skin_guard_) {
+    skin_guard_->keep_out(garment_nodes_, bone_transforms_, corrections_, still_corrections_, node_transforms_);
+  }
 }
 
 void GarmentEvaluator::compute_normals(const VertexRows& rows) noexcept {

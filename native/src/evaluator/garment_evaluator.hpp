@@ -95,6 +95,7 @@ class GarmentEvaluator {
   float* bone_transforms_;
   float* deformer_input_;
   float* node_transforms_;
+  const float* still_corrections_;  // without those of sway
   const float* corrections_;
   const float* given_features_ = nullptr;  // by the networks; features_ is what is shown
   float* features_;

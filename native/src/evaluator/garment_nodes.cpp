@@ -35,6 +35,17 @@ void GarmentNodes::compose(const float* bone_transforms, const float* correction
   }
 }
 
+void GarmentNodes::compose_added(const float* bone_transforms, const float* corrections, const float* others,
+                                 float* added) const {
+  for (int i = 0; i < count_; ++i, corrections += 12, others += 12) {
+    const Affine bone = load_affine(bone_transforms + 12 * bone_[i]);
+    float apart[12];
+    for (int k = 0; k < 12; ++k) apart[k] = corrections[k] - others[k];
+    const Matrix3 linear{{load_vector(apart), load_vector(apart + 3), load_vector(apart + 6)}};
+    store_affine({bone.linear * linear, bone.linear * load_vector(apart + 9)}, added + 12 * i);
+  }
+}
+
 void GarmentNodes::twist(const float* bone_transforms, float twist, float* transforms) const {
   if (twist == 0 || !(shares_total_ > 0)) return;
   float upright = 0;

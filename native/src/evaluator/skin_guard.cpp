@@ -16,6 +16,10 @@ constexpr float kTooDeep = 0.15f, kFade = 0.05f;
 constexpr float kAside = 0.01f;
 // Garment nodes whose samples lack less than this [m] together stay.
 constexpr float kLeast = 1e-9f;
+// [m] Sway that costs a sample less than this is not worth taking away for what it lacks.
+constexpr float kWorthwhile = 0.002f;
+// A garment node that carries this much of a sample sways as little as the sample needs.
+constexpr float kCarries = 0.1f;
 // What a sample lacks is its garment nodes' part only: the second time sees what the first has left.
 constexpr int kPasses = 2;
 
@@ -77,7 +81,11 @@ SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena
       beyond_(arena.take<float>(samples_)),
       points_(arena.take<float>(3 * padded(samples_))),
       contacts_(arena.take<float>(4 * padded(samples_))),
-      lacks_(arena.take<float>(4 * std::size_t(nodes_))),
+      lacks_(arena.take<Lack>(std::size_t(g.skin_parts) * samples_)),
+      sway_(arena.take<float>(12 * std::size_t(nodes_))),
+      swayed_(arena.take<float>(3 * std::size_t(samples_))),
+      stilled_(arena.take<float>(nodes_)),
+      sums_(arena.take<float>(4 * std::size_t(nodes_))),
       moved_(arena.take<float>(3 * std::size_t(nodes_))) {
   const std::size_t coefficients = std::size_t(g.skin_splines) * kTrunkWaves;
   for (int k = 0; k < g.skin_parts; ++k) {
@@ -99,24 +107,34 @@ SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena
   }
 }
 
-void SkinGuard::keep_out(const float* bone_transforms, float* node_transforms) noexcept {
+void SkinGuard::keep_out(const GarmentNodes& nodes, const float* bone_transforms, const float* corrections,
+                         const float* still, float* node_transforms) noexcept {
+  for (Part& part : parts_) pose(part, bone_transforms);
+  place_samples(node_transforms);
+  if (!find_lacks()) return;
+  if (corrections != still) {
+    nodes.compose_added(bone_transforms, corrections, still, sway_);
+    if (sway_less(node_transforms)) {
+      place_samples(node_transforms);
+      if (!find_lacks()) return;
+    }
+  }
+  std::fill_n(moved_, 3 * std::size_t(nodes_), 0.0f);
+  for (int pass = 0; pass < kPasses; ++pass) {
+    if (pass > 0) {
+      move_near_samples();
+      if (!find_lacks()) return;
+    }
+    move_nodes(node_transforms);
+  }
+}
+
+void SkinGuard::place_samples(const float* node_transforms) noexcept {
   skinner_.skin(node_transforms, nullptr, {reinterpret_cast<unsigned char*>(skinned_), 3, false});
   for (int s = 0; s < samples_; ++s) {
     for (int axis = 0; axis < 3; ++axis) positions_[axis * samples_ + s] = skinned_[3 * s + axis];
   }
-  for (Part& part : parts_) {
-    pose(part, bone_transforms);
-    find_near(part);
-  }
-  std::fill_n(moved_, 3 * std::size_t(nodes_), 0.0f);
-  for (int pass = 0; pass < kPasses; ++pass) {
-    if (pass > 0) move_near_samples();
-    std::fill_n(lacks_, 4 * std::size_t(nodes_), 0.0f);
-    bool any = false;
-    for (Part& part : parts_) any |= add_lacking(part);
-    if (!any) return;
-    move_nodes(node_transforms);
-  }
+  for (Part& part : parts_) find_near(part);
 }
 
 void SkinGuard::pose(Part& part, const float* bone_transforms) const noexcept {
@@ -156,15 +174,20 @@ void SkinGuard::find_near(Part& part) noexcept {
   }
 }
 
-bool SkinGuard::add_lacking(Part& part) noexcept {
+bool SkinGuard::find_lacks() noexcept {
+  lack_count_ = 0;
+  for (Part& part : parts_) add_lacks(part);
+  return lack_count_ > 0;
+}
+
+void SkinGuard::add_lacks(Part& part) noexcept {
   const int count = part.near_count, rows = int(padded(count));
-  if (count == 0) return false;
+  if (count == 0) return;
   for (int axis = 0; axis < 3; ++axis) {
     const float* from = positions_ + axis * samples_;
     for (int k = 0; k < rows; ++k) points_[axis * rows + k] = from[part.near[std::min(k, count - 1)]];
   }
   kernels_.trunk_depth(part.field, points_, rows, contacts_);
-  bool any = false;
   part.near_count = 0;
   for (int k = 0; k < count; ++k) {
     const int s = part.near[k];
@@ -174,32 +197,53 @@ bool SkinGuard::add_lacking(Part& part) noexcept {
     if (!(wanted > 0) || !(depth < kTooDeep)) continue;
     const float lack = wanted < 2 * kSoft ? wanted * wanted / (4 * kSoft) : wanted - kSoft;
     const Vector3 normal{contacts_[rows + k], contacts_[2 * rows + k], contacts_[3 * rows + k]};
-    add(s, shares_[s] * std::min((kTooDeep - depth) / kFade, 1.0f) * lack, normalized(normal));
+    lacks_[lack_count_++] = {s, shares_[s] * std::min((kTooDeep - depth) / kFade, 1.0f) * lack, normalized(normal)};
+  }
+}
+
+bool SkinGuard::sway_less(float* node_transforms) noexcept {
+  skinner_.skin(sway_, nullptr, {reinterpret_cast<unsigned char*>(swayed_), 3, false});
+  std::fill_n(stilled_, nodes_, 0.0f);
+  bool any = false;
+  for (int at = 0; at < lack_count_; ++at) {
+    const Lack& lack = lacks_[at];
+    const float cost = -dot(lack.normal, load_vector(swayed_ + 3 * lack.sample));
+    if (!(cost > 0)) continue;
+    const float needed = std::min(lack.length * cost / (cost * cost + kWorthwhile * kWorthwhile), 1.0f);
+    const std::size_t first = std::size_t(lack.sample) * influences_;
+    for (int k = 0; k < influences_; ++k) {
+      float& stilled = stilled_[influence_nodes_[first + k]];
+      stilled = std::max(stilled, needed * std::min(influence_weights_[first + k] / kCarries, 1.0f));
+    }
     any = true;
+  }
+  for (int i = 0; i < nodes_; ++i) {
+    for (int k = 0; k < 12; ++k) node_transforms[12 * i + k] -= stilled_[i] * sway_[12 * i + k];
   }
   return any;
 }
 
 // What lacks more counts more, so that a sample that hardly lacks anything does not hold back one beside it.
-void SkinGuard::add(int sample, float lack, Vector3 normal) noexcept {
-  const std::size_t first = std::size_t(sample) * influences_;
-  for (int k = 0; k < influences_; ++k) {
-    const float share = influence_weights_[first + k] * lack, counted = share * lack;
-    float* to = lacks_ + 4 * influence_nodes_[first + k];
-    to[0] += counted * normal.x;
-    to[1] += counted * normal.y;
-    to[2] += counted * normal.z;
-    to[3] += share;
-  }
-}
-
 void SkinGuard::move_nodes(float* node_transforms) noexcept {
+  std::fill_n(sums_, 4 * std::size_t(nodes_), 0.0f);
+  for (int at = 0; at < lack_count_; ++at) {
+    const Lack& lack = lacks_[at];
+    const std::size_t first = std::size_t(lack.sample) * influences_;
+    for (int k = 0; k < influences_; ++k) {
+      const float share = influence_weights_[first + k] * lack.length, counted = share * lack.length;
+      float* to = sums_ + 4 * influence_nodes_[first + k];
+      to[0] += counted * lack.normal.x;
+      to[1] += counted * lack.normal.y;
+      to[2] += counted * lack.normal.z;
+      to[3] += share;
+    }
+  }
   for (int i = 0; i < nodes_; ++i) {
-    const float* lack = lacks_ + 4 * i;
-    const float per = lack[3] > kLeast ? 1 / lack[3] : 0.0f;
+    const float* sum = sums_ + 4 * i;
+    const float per = sum[3] > kLeast ? 1 / sum[3] : 0.0f;
     for (int axis = 0; axis < 3; ++axis) {
-      moved_[3 * i + axis] += per * lack[axis];
-      node_transforms[12 * i + 4 * axis + 3] += per * lack[axis];
+      moved_[3 * i + axis] += per * sum[axis];
+      node_transforms[12 * i + 4 * axis + 3] += per * sum[axis];
     }
   }
 }

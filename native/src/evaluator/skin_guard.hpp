@@ -1,11 +1,13 @@
-// Keeps cloth that hangs free out of legs, hips and trunk: garment nodes are moved out along the skin's normal, before
-// skinning, so that all that is skinned to them (vertices, points, other meshes) goes along smoothly.
-// physkin_core/runtime/skin_guard.py says which cloth that is, and fits the skin.
+// Keeps cloth that hangs free out of legs, hips and trunk: garment nodes that sway into the skin sway less, and are then
+// moved out along its normal, before skinning, so that all that is skinned to them (vertices, points, other meshes) goes
+// along smoothly. What sways remembers nothing of it: it depends on the frame's garment nodes alone, and is as smooth in
+// time as they are. physkin_core/runtime/skin_guard.py says which cloth that is, and fits the skin.
 #pragma once
 
 #include <vector>
 
 #include "evaluator/affine.hpp"
+#include "evaluator/garment_nodes.hpp"
 #include "evaluator/skinner.hpp"
 #include "garment/bound_garment.hpp"
 #include "kernels/arena.hpp"
@@ -18,8 +20,10 @@ class SkinGuard {
   // Of a garment that is guarded. The data must be valid; they are copied into the arena.
   SkinGuard(const BoundGarment& garment, const Kernels& kernels, Arena& arena);
 
-  // Moves node_transforms (nodes, 3, 4). bone_transforms (bones, 3, 4). Allocates nothing.
-  void keep_out(const float* bone_transforms, float* node_transforms) noexcept;
+  // Moves node_transforms (nodes, 3, 4) that corrections (nodes, 12) led to; still: these without sway, or the same.
+  // bone_transforms (bones, 3, 4). Allocates nothing.
+  void keep_out(const GarmentNodes& nodes, const float* bone_transforms, const float* corrections, const float* still,
+                float* node_transforms) noexcept;
 
  private:
   // A part of the skin. Around each stretch of its axis, from a bone to the next, it lies within a width [m].
@@ -35,11 +39,22 @@ class SkinGuard {
     int near_count;
   };
 
+  // What a sample lacks [m], and the way out of the part of the skin that it is near.
+  struct Lack {
+    int sample;
+    float length;
+    Vector3 normal;
+  };
+
   void pose(Part& part, const float* bone_transforms) const noexcept;
+  void place_samples(const float* node_transforms) noexcept;
   void find_near(Part& part) noexcept;
-  // Adds what the samples near a part lack, and keeps those that may after a move. Whether any lacks something.
-  bool add_lacking(Part& part) noexcept;
-  void add(int sample, float lack, Vector3 normal) noexcept;
+  // What samples lack. Whether any lacks something.
+  bool find_lacks() noexcept;
+  // Of those near a part, and keeps those that may after a move.
+  void add_lacks(Part& part) noexcept;
+  // Takes sway away where samples lack something that it has cost them. Whether it has.
+  bool sway_less(float* node_transforms) noexcept;
   void move_nodes(float* node_transforms) noexcept;
   void move_near_samples() noexcept;
 
@@ -55,8 +70,13 @@ class SkinGuard {
   float* beyond_;     // (samples,) squared [m2], below zero within the width of a part
   float* points_;     // (3, samples) of those near a part, and (4, samples) what the kernel says of them
   float* contacts_;
-  float* lacks_;  // (nodes, 4): what samples lack in a pass, as vectors and by how much they count
-  float* moved_;  // (nodes, 3) by this frame
+  Lack* lacks_;  // lack_count_ of them, at most (parts * samples)
+  int lack_count_ = 0;
+  float* sway_;     // (nodes, 3, 4) what it has added to their transforms
+  float* swayed_;   // (samples, 3) by it [m]
+  float* stilled_;  // (nodes,) share of sway taken away, 0 to 1
+  float* sums_;     // (nodes, 4): what their samples lack in a pass, as vectors and by how much they count
+  float* moved_;    // (nodes, 3) by this frame
 };
 
 }  // namespace physkin

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from native_frames import NativeFrame, clouds, told
 from reference.frame import ReferenceFrame
+from reference.skin_guard import skin_depth
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.quality import edge_strain, signed_distance
@@ -55,7 +56,7 @@ def inside(draper: Draper, motion: np.ndarray, cloth: np.ndarray, legs: np.ndarr
 
 def test_legs_that_march_stay_under_the_skirt(skirt):
     """With sway that has not seen the motion: none inside where without the guard there are many; cloth strains hardly
-    more."""
+    more, as most of what it lacks is sway that it gives up."""
     rig, motion = skirt.layer.model.rig, march(skirt.layer.model.rig, 36)
     thighs = [k for k, name in enumerate(rig.bone_names) if "leg" in name]
     legs = np.isin(skirt.avatar.influence_bones[:, 0], thighs)
@@ -64,23 +65,23 @@ def test_legs_that_march_stay_under_the_skirt(skirt):
     assert without.max() > 20
     assert seen.max() <= 3
     rest = skirt.layer.rest_garment
-    assert edge_strain(rest, guarded).mean() < edge_strain(rest, free).mean() + 0.3
+    assert edge_strain(rest, guarded).mean() < edge_strain(rest, free).mean() + 0.04
 
 
+@pytest.mark.parametrize("sways", [False, True])
 @pytest.mark.parametrize("name", ["skirt", "dress"])
-def test_what_hangs_is_guarded_as_the_reference_does(name):
-    """In strides of a body that leans back or forward, so that cloth falls on its legs."""
+def test_what_hangs_is_guarded_as_the_reference_does(name, sways):
+    """In strides of a body that leans back or forward, so that cloth falls on its legs, or sways into them."""
     model = load_garment_model(name)
     bound = Draper(model, load_avatar(BUNDLED_AVATAR, model.rig)).layer.bound
-    reference, native = ReferenceFrame([bound]), NativeFrame([bound])
+    reference, native, free = ReferenceFrame([bound]), NativeFrame([bound]), NativeFrame([bound.unguarded])
+    told_of_time = {"sway": 1.0, "elapsed": 1 / RATE, "moves": 1.0} if sways else {}
     moved = 0.0
     for pose, lean in zip(march(model.rig, 8), 4 * [-0.8, 0.8]):
-        row = told((lean, 0.0, -0.6))
-        clouds(reference, [bound], pose, row)
-        clouds(native, [bound], pose, row)
+        row = told((0.0, 0.0, -1.0) if sways else (lean, 0.0, -0.6), **told_of_time)
+        for frame in (reference, native, free):
+            clouds(frame, [bound], pose, row)
         assert np.abs(native.node_transforms() - reference.node_transforms()).max() < 2e-5
-        free = NativeFrame([bound.unguarded])
-        clouds(free, [bound], pose, row)
         moved = max(moved, float(np.abs(free.node_transforms() - native.node_transforms()).max()))
     assert moved > 1e-4
 
@@ -93,12 +94,19 @@ def test_what_does_not_hang_costs_nothing(name):
 
 
 def test_the_fitted_skin_is_near_the_skin(skirt):
-    """At rest, within millimetres on shins."""
-    avatar, rig = skirt.avatar, skirt.layer.model.rig
+    """At rest within millimetres on shins, and where a knee is folded."""
+    avatar, rig, bound = skirt.avatar, skirt.layer.model.rig, skirt.layer.bound
     parts = fit_skin_parts(avatar, rig, find_limbs(rig))
-    assert len(parts) == 3
+    assert len(parts) == 5
     shins = np.isin(
         avatar.influence_bones[:, 0], [k for k, name in enumerate(rig.bone_names) if name.startswith("lowerleg")]
     )
     depth = np.max([part.depth(avatar.vertices[shins].astype(np.float64)) for part in parts], axis=0)
     assert np.quantile(np.abs(depth), 0.9) < 0.005
+    folded = rig.rest.copy()
+    folded[rig.joint_names.index("lowerleg01.R_y")] += 2.2
+    bones = skirt.bone_transforms(folded).astype(np.float64)
+    legs = np.isin(avatar.influence_bones[:, 0], [k for k, name in enumerate(rig.bone_names) if "leg" in name])
+    skin = avatar.posed_vertices(bones.astype(np.float32))[legs].astype(np.float64)
+    depth = np.max([skin_depth(bound, part, bones, skin)[0] for part in range(len(parts))], axis=0)
+    assert np.quantile(depth, 0.05) > -0.005
