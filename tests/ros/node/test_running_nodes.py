@@ -13,8 +13,7 @@ import pytest
 from physkin_core import BUNDLED_AVATAR, Draper, SplatDraper, Splats, load_avatar, load_garment_model
 from physkin_core.model.model_file import MODELS_PATH
 from physkin_core.points.point_files import read_splat_file
-from physkin_core.points.splat_draper import bind_splats
-from physkin_core.points.splats_on_outfit import SplatsOnOutfit
+from physkin_core.points.splat_draper import SplatSkinner, bind_splats
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
@@ -323,9 +322,7 @@ def test_splats_leave_half_of_the_time_to_clouds(draper, monkeypatch):
     """After frames that took long, none are made for as long."""
     points = draper.model.garment.vertices[:4]
     splats = Splats(points, np.tile([0.0, 0, 0, 1], (4, 1)), np.full((4, 3), 0.004))
-    stream = SimpleNamespace(frame_id="root", show_look=lambda look: None)
-    worn = SplatsOnOutfit(0, bind_splats(draper.layer, splats), None)
-    messages, published = garment_stream.SplatMessages(stream, worn), []
+    messages, published = garment_stream.SplatMessages(SplatSkinner(bind_splats(draper.layer, splats)), "root"), []
     draper.drape(draper.model.rig.rest)
     publisher = SimpleNamespace(handle=SimpleNamespace(publish_raw=published.append))
     times = iter([100, 130, 140, 159, 160, 161, 161, 162])  # a frame reads the clock at its end, too

@@ -16,6 +16,7 @@ pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/
 import rclpy  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data  # noqa: E402
+from rclpy.serialization import serialize_message  # noqa: E402
 from root_messages import transform  # noqa: E402
 from sensor_msgs.msg import JointState, PointCloud2  # noqa: E402
 
@@ -98,7 +99,8 @@ def test_clouds_and_mesh_are_drawn(asset_loader, listening):
 
 
 def test_hostile_meshes_and_names_end_nothing(listening):
-    """Each is told; the mesh and the pose that were known stay, and the next cloud is drawn."""
+    """Each is told, and one of an earlier version, which ends early; mesh and pose that were known stay, and the
+    next cloud is drawn."""
     from physkin_msgs.msg import GarmentMesh
 
     listener, topics = listening
@@ -116,6 +118,10 @@ def test_hostile_meshes_and_names_end_nothing(listening):
         until(lambda: seen.fault)
         assert told in seen.fault and seen.fault.isprintable() and len(seen.fault) < 200
         seen.fault = ""
+    topics["mesh"].publish(serialize_message(GarmentMesh(faces=[0, 1, 2], vertex_count=9, layers=1))[:-12])
+    until(lambda: seen.fault)
+    assert "no GarmentMesh as physkin_msgs has it here" in seen.fault
+    seen.fault = ""
     assert seen.faces is None and (seen.layer, seen.layers) == (0, 1)
     body = listener.bodies["joint_states"]
     for k in range(9):
