@@ -160,7 +160,7 @@ def command_parser() -> argparse.ArgumentParser:
         help=f"avatars and joint states a second of each (default {' '.join(CASES)})",
     )
     parser.add_argument(
-        "--queue", type=whole_number(1), metavar="N", help="joint states the node may queue (default: the node's, 50)"
+        "--queue", type=whole_number(1), metavar="N", help="joint states the node may queue (default: the node's, 200)"
     )
     return parser
 

@@ -12,6 +12,9 @@ from rclpy.serialization import deserialize_message
 
 __all__ = ["FollowingSubscription", "stream_quality"]
 
+QUEUE = 200
+"""Messages that may wait while the machine is busy, a second at 200 Hz; they are worked off in a tenth of that."""
+
 RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
 OVERRIDABLE = ("HISTORY", "DEPTH", "RELIABILITY", "DURABILITY", "DEADLINE", "LIVELINESS", "LIVELINESS_LEASE_DURATION")
 REMEMBERED = 512
@@ -34,15 +37,15 @@ class FollowingSubscription:
     """
 
     def __init__(
-        self, node, kind: type, topic: str, callback: Callable, *, depth: int, raw: bool = False, latched: bool = False
+        self, node, kind: type, topic: str, callback: Callable, *, raw: bool = False, latched: bool = False
     ) -> None:
-        self._node, self._kind, self._depth = node, kind, depth
+        self._node, self._kind = node, kind
         self._durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
         self._callback = callback if raw else lambda data: callback(deserialize_message(data, kind))
         self._ahead: OrderedDict[int, int] = OrderedDict()
         self._best_effort = None
         events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible)
-        quality = stream_quality(depth, self._durability)
+        quality = stream_quality(QUEUE, self._durability)
         self._first = node.create_subscription(kind, topic, self._on_first, raw=True, event_callbacks=events, **quality)
 
     @property
@@ -84,7 +87,7 @@ class FollowingSubscription:
     def _open_best_effort(self) -> None:
         if self._best_effort is not None or self._is_chosen:
             return
-        quality = QoSProfile(depth=self._depth, reliability=BEST_EFFORT, durability=self._durability)
+        quality = QoSProfile(depth=QUEUE, reliability=BEST_EFFORT, durability=self._durability)
         self._best_effort = self._node.create_subscription(
             self._kind, self.topic, self._on_best_effort, quality, raw=True
         )

@@ -46,7 +46,6 @@ from physkin_ros.root.tf_topics import FollowedTransforms
 __all__ = ["AvatarStream"]
 
 WARNING_PERIOD = 1.0  # [s] rejected messages are warned about at most this often
-QUEUE = 50  # joint states that may wait while the machine is busy: worked off in milliseconds, none lost
 MOST_UNKNOWN = 64
 """Unknown joints are named in the log until there are so many: whoever changes names must not flood it."""
 NANOSECONDS = 1_000_000_000
@@ -103,8 +102,8 @@ class AvatarStream:
         takers = (self.root.add_direction, self._on_motion, self._on_bad_orientation)
         self._orientation = OrientationSource(node, settings, self._transforms, *takers)
         self._subscriptions = [
-            FollowingSubscription(node, JointState, self.topic, self._on_joint_state, depth=QUEUE, raw=True),
-            FollowingSubscription(node, MultiDOFJointState, self._bone_topic, self._on_bone_rotations, depth=QUEUE),
+            FollowingSubscription(node, JointState, self.topic, self._on_joint_state, raw=True),
+            FollowingSubscription(node, MultiDOFJointState, self._bone_topic, self._on_bone_rotations),
         ]
         if settings.cloud_rate:
             clock = Clock(clock_type=ClockType.STEADY_TIME)

@@ -22,8 +22,6 @@ from physkin_ros.root.tf_topics import FollowedTransforms, RootBroadcaster
 
 __all__ = ["OrientationSource", "check_orientation"]
 
-QUEUE = 50  # while the machine is busy
-
 
 def check_orientation(avatar: AvatarSettings) -> None:
     """Raises SettingsError for what needs `tf2_msgs` where that is not installed."""
@@ -138,4 +136,4 @@ class OrientationSource:
             except ValueError as error:
                 self._on_bad(str(error))
 
-        self._subscriptions.append(FollowingSubscription(self._node, kind, topic, on_message, depth=QUEUE))
+        self._subscriptions.append(FollowingSubscription(self._node, kind, topic, on_message))

@@ -15,7 +15,7 @@ from physkin_ros.root.transform_tree import TransformTree
 __all__ = ["FollowedTransforms", "RootBroadcaster", "TfListener"]
 
 DEPTH = 100
-"""As TF is published and listened to elsewhere."""
+"""As TF is published elsewhere."""
 
 
 class TfListener:
@@ -31,7 +31,7 @@ class TfListener:
             return lambda message: on_transforms(message.transforms, static)
 
         self.subscriptions = [
-            FollowingSubscription(node, TFMessage, topic, take(static), depth=DEPTH, latched=static)
+            FollowingSubscription(node, TFMessage, topic, take(static), latched=static)
             for topic, static in (("/tf", False), ("/tf_static", True))
         ]
 

@@ -32,7 +32,6 @@ WORN = ("trousers", "tshirt")
 ERROR_ALLOWED = (
     1e-3  # [m] a cloud with the gravity of the frame before or after passes, one with an upright body's fails
 )
-QUEUE = 120  # messages the node may queue: two seconds, so that a busy machine makes clouds late but not lost
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -68,7 +67,7 @@ def _play(options: argparse.Namespace, keep_every: int, folder: Path) -> Records
         _say(f"starting the drape node with {' and '.join(options.garment)}")
         worn = [{"model": name, "tucked": name in options.tucked} for name in options.garment]
         asked = {"avatar": {"body_mesh": options.body}, "garment": {"fit": options.fit}, "outfit": worn}
-        start_node(children, folder, 1, **asked, queue=QUEUE)
+        start_node(children, folder, 1, **asked, queue=None)
         played = (options.motion, RATE_HZ, options.seconds, "--gravity")
         start_playing(children, folder, 1, *played, garments=len(worn), keep_every=keep_every)
         _say(f"playing {options.motion} at {RATE_HZ:.0f} Hz, {options.seconds:g} s")

@@ -93,9 +93,9 @@ struct Rounded {
 
 Rounded round_output(const float* weights, int inputs, int offset, std::uint8_t* rounded) {
   Rounded result;
-  float largest = 0.0f;
-  for (int i = 0; i < inputs; ++i) largest = std::max(largest, std::fabs(weights[i]));
-  result.scale = std::max(largest / 127.0f, 1e-30f);
+  std::int32_t largest = 0;  // magnitudes as words, which have their order and are compared in vector registers
+  for (int i = 0; i < inputs; ++i) largest = std::max(largest, std::int32_t(bits(weights[i]) & 0x7fffffffu));
+  result.scale = std::max(from_bits(std::uint32_t(largest)) / 127.0f, 1e-30f);
   for (int i = 0; i < inputs; ++i) {
     const int value = std::clamp(nearest(weights[i] / result.scale), -127, 127);
     rounded[i] = std::uint8_t(value + offset);

@@ -30,7 +30,7 @@ def subscribed(module_peer):
         node = rclpy.create_node("follower", context=module_peer.context, parameter_overrides=list(parameters))
         module_peer.executor.add_node(node)
         came = []
-        subscription = FollowingSubscription(node, kind, "followed", came.append, depth=50, raw=raw)
+        subscription = FollowingSubscription(node, kind, "followed", came.append, raw=raw)
         try:
             yield subscription, came
         finally:
@@ -55,6 +55,22 @@ def publishing(peer, offer: str, kind=JointState, topic: str = "followed"):
         yield publisher, send
     finally:
         peer.node.destroy_publisher(publisher)
+
+
+def test_joint_states_wait_while_the_node_is_busy(peer, running_node, model_path, draper):
+    """A second at 200 Hz."""
+    stamps, state = range(1, 201), JointState(name=list(draper.joint_names), position=draper.model.rig.rest.tolist())
+    with running_node({"model": str(model_path)}):
+        publisher = peer.node.create_publisher(JointState, "joint_states", len(stamps))
+        try:
+            peer.until(publisher.get_subscription_count, "subscription")
+            for sec in stamps:
+                state.header.stamp.sec = sec
+                publisher.publish(state)
+            peer.until(lambda: (stamps[-1], 0) in peer.clouds, "last cloud")
+            assert sorted(peer.clouds) == [(sec, 0) for sec in stamps]
+        finally:
+            peer.node.destroy_publisher(publisher)
 
 
 @pytest.mark.parametrize("raw", [False, True])
