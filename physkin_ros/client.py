@@ -89,6 +89,7 @@ def _skinning_data(mesh: GarmentMesh) -> SkinningData:
         normals=values("rest_normals", vertices, 3),
         influence_nodes=values("influence_nodes", vertices, mesh.influences, dtype=np.int32),
         influence_weights=values("influence_weights", vertices, mesh.influences),
+        faces=np.array(mesh.faces, dtype=np.int32).reshape(-1, 3),
         detail_offsets=values("detail_offsets", 3 * detail, mesh.feature_count),
         detail_nodes=values("detail_nodes", vertices if detail else 0, mesh.detail_influences, dtype=np.int32),
         detail_weights=values("detail_weights", vertices if detail else 0, mesh.detail_influences),

@@ -43,7 +43,8 @@ PHYSKIN_API const char* physkin_last_error(void);
 
 typedef struct physkin_garment physkin_garment;
 
-/* A null pointer in place of options, or of a string in them, means the default. */
+/* A null pointer in place of options, or of a string in them, means the default. A garment with detail has normals of
+ * the posed mesh in any case. */
 typedef struct physkin_options {
   uint32_t size;               /* sizeof(physkin_options), which may grow: what a shorter one lacks is default */
   int32_t normals_from_faces;  /* 0: rest normals carried along; 1: of the posed mesh, slower and truer */

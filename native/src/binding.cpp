@@ -88,6 +88,7 @@ class BoundSkinner {
     raise_if(skinner_.check(node_transforms.data()));
     raise_if(skinner_.check_features(features_));
     skinner_.skin(node_transforms.data(), features_, rows);
+    skinner_.compute_normals(rows);
   }
 
  private:
@@ -137,8 +138,7 @@ NB_MODULE(_native, module) {
   using physkin::Text;
   nb::class_<BoundSkinner>(module, "Skinner")
       .def(nb::init<nb::handle, const Text&>(), "skinning_data"_a, "precision"_a = nb::none())
-      .def("skin", &BoundSkinner::skin, "node_transforms"_a.noconvert(), "out"_a.noconvert(),
-           "features"_a.noconvert());
+      .def("skin", &BoundSkinner::skin, "node_transforms"_a.noconvert(), "out"_a.noconvert(), "features"_a.noconvert());
   module.def("encode_body", &physkin::encode, "network"_a, "points"_a, "normals"_a, "out"_a.noconvert(),
              "instruction_set"_a = nb::none());
   module.def("bound_garment_fields", physkin::described_fields);

@@ -23,6 +23,7 @@ class SkinningData:
     node_rest: (m, 3) garment nodes at rest on the garment (translation of chi-bar).
     vertices: (n, 3) rest garment; normals: (n, 3) unit, what skinning carries to the draped garment's.
     influence_nodes: (n, K) int32; influence_weights: (n, K), rows sum to 1.
+    faces: (f, 3) int32 triangles of the vertices; empty for a point set.
     detail_offsets: (3 D, F), what a feature of 1 adds to x, y and z of each detail node; detail_nodes: (n, J) int32,
     those that a vertex goes with before it is skinned; detail_weights: (n, J). All empty of a garment without detail.
     """
@@ -32,6 +33,7 @@ class SkinningData:
     normals: np.ndarray
     influence_nodes: np.ndarray
     influence_weights: np.ndarray
+    faces: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.int32))
     detail_offsets: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
     detail_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
     detail_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))

@@ -43,7 +43,7 @@ class Outfit:
         above 0 only with the body model's rig. None, the default: 1 with that, 0 with others. Above 0 it takes some
         tenths of a second more when the body is bound, nothing a frame.
     normals: "skinned", rest normals carried along with their vertices, or "faces", recomputed from the draped mesh:
-        truer where the cloth ripples or slides, for some 5 ns a vertex.
+        truer where the cloth ripples or slides, for some 2 ns a vertex. Garments with detail have those in any case.
     hide: leave out what cannot be seen in everyday poses; `Layer.visible` says which vertices are given. False: give
         all.
     own_clothes: what pictures show of clothes that the avatar wears already: "replace", all but those that the garments

@@ -53,7 +53,8 @@ class Evaluator:
         the environment variable PHYSKIN_NATIVE_PRECISION decides, and without it "int8", which no quality figure tells
         from "fp32" for models rounded to it (docs/notebook/benchmark.md).
     normals: "skinned", rest normals carried along, or "faces", those of the posed mesh's faces around each vertex,
-        weighted by area: slower, and right where the cloth ripples.
+        weighted by area: slower, and right where the cloth ripples. A mesh with detail has those in any case: rest
+        normals know nothing of its folds.
 
     Building one takes milliseconds, without the interpreter's lock: other threads go on. Network weights must not be
     changed meanwhile.

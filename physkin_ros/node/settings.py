@@ -96,7 +96,7 @@ class GarmentSettings:
     )
     normals: str = _key(
         "skinned",
-        "skinned: carried along with the cloth; faces: of the draped mesh, truer, for some 5 ns a vertex",
+        "skinned: carried along with the cloth; faces: of the draped mesh, truer, for some 2 ns a vertex",
         choices=NORMALS,
     )
     namespace: str = _key("", "what the garment's topics are below; default ~, with avatars ~/ID/NAME")

@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from native_frames import NativeFrame, clouds, told
-from random_models import random_avatar, random_model, random_pose
+from random_models import random_avatar, random_model, random_pose, tube
 from reference.frame import ReferenceFrame
+from scipy.spatial import Delaunay
 
 from physkin_core import Draper
 from physkin_core.model.garment import vertex_normals
+from physkin_core.outfit.layer_order import bind_layer_order
 from physkin_core.runtime import body_encoder
-from physkin_core.runtime.evaluator import supported_instruction_sets
+from physkin_core.runtime.evaluator import Skinner, supported_instruction_sets
 
 LEVELS = supported_instruction_sets()
 
@@ -50,10 +52,87 @@ def test_agree_with_the_reference(vertices, level, with_faces):
     assert clear.sum() >= vertices // 4
     assert np.abs(out[clear, 3:6] - expected[clear, 3:]).max() < 1e-4
     unused = np.setdiff1d(np.arange(vertices), garment.faces)
-    assert (out[unused, 3:6] == [0, 0, 1]).all() and len(unused) > 0
+    assert np.abs(out[unused, 3:6] - [0, 0, 1]).max() < 1e-6 and len(unused) > 0
     positions = np.empty((vertices, 3), dtype=np.float32)
     frame.evaluate(pose, row[None], [positions])
     assert np.array_equal(positions, skinned[:, :3])
+
+
+def sheets(rng, points):
+    """Faces (f, 3) int32 of a random triangulation with a hole and of a fan that meets it in one vertex, in any order,
+    each from any of its corners."""
+    faces = Delaunay(rng.uniform(size=(points - 3, 2))).simplices
+    faces = np.concatenate(
+        [np.delete(faces, slice(20, 24), axis=0), [[0, points - 3, points - 2], [0, points - 2, points - 1]]]
+    )
+    turned = (np.arange(3) + rng.integers(0, 3, size=(len(faces), 1))) % 3
+    return rng.permutation(np.take_along_axis(faces, turned, axis=1)).astype(np.int32)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("points", [33, 192, 401])
+def test_faces_go_round_a_vertex_in_any_number(points, level, make_garment, make_pose):
+    """Three to ten, all around or not: as summed face by face."""
+    rng = np.random.default_rng(points)
+    garment = replace(make_garment(rng, vertices=points), faces=sheets(rng, points))
+    around = np.bincount(garment.faces.ravel())
+    assert around.min() <= 3 and around.max() >= 8 and len(set(around)) > 5
+    pose, gravity = make_pose(rng, garment)
+    (out,) = clouds(NativeFrame([garment], instruction_set=level, normals="faces"), [garment], pose, told(gravity))
+    a, b, c = out[garment.faces.T, :3].astype(np.float64)
+    sums, areas = np.zeros((points, 3)), np.zeros(points)
+    np.add.at(sums, garment.faces, np.cross(b - a, c - a)[:, None])
+    np.add.at(areas, garment.faces, np.linalg.norm(np.cross(b - a, c - a), axis=1)[:, None])
+    length = np.linalg.norm(sums, axis=1)
+    assert (np.abs(out[:, 3:] - sums / length[:, None]).max(axis=1) * length / areas).max() < 2e-6
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_mesh_with_detail_has_them_without_being_asked(level, make_garment, make_pose, monkeypatch):
+    """Rest normals know nothing of folds. Positions are the same; so is what is skinned by garment nodes and features.
+    Without faces, normals are carried along."""
+    monkeypatch.setenv("PHYSKIN_NATIVE_ISA", level)
+    rng = np.random.default_rng(41)
+    plain = make_garment(rng, vertices=90, detail_nodes=12)
+    garment = replace(plain, faces=sheets(rng, 90))
+    pose, gravity = make_pose(rng, garment)
+    frame, row = NativeFrame([garment]), told(gravity)
+    (shown,) = clouds(frame, [garment], pose, row)
+    (asked,) = clouds(NativeFrame([garment], normals="faces"), [garment], pose, row)
+    (carried,) = clouds(NativeFrame([plain]), [plain], pose, row)
+    assert np.array_equal(shown, asked) and np.array_equal(shown[:, :3], carried[:, :3])
+    assert np.median(np.abs(shown[:, 3:] - carried[:, 3:]).max(axis=1)) > 0.1
+    (expected,) = clouds(ReferenceFrame([garment]), [garment], pose, row)
+    assert np.median(np.abs(shown - expected).max(axis=1)) < 1e-5
+    skinned = np.empty_like(shown)
+    Skinner(garment, precision="fp32").skin(frame.node_transforms(), skinned, frame.features())
+    assert np.array_equal(skinned, shown)
+
+
+def test_layers_are_ordered_by_normals_carried_along(make_garment, make_pose):
+    """So their positions do not depend on how normals are shown; normals are of the faces where these have come to."""
+    rng = np.random.default_rng(42)
+    inner = tube(rings=15, segments=40, radius=0.15)
+    dent = np.exp(-((np.linalg.norm(inner.vertices - inner.vertices[300], axis=1) / 0.05) ** 2))
+    wide = inner.vertices * [1.04, 1.04, 1]
+    outside, within = (cloth_of(each, inner.faces) for each in (wide, wide * (1 - 0.2 * dent[:, None] * [1, 1, 0])))
+    inside = cloth_of(inner.vertices, inner.faces)
+    order = bind_layer_order(0, 1, (inside[:, :3], outside[:, :3]), (inner.faces,) * 2, [(inside, outside)])
+    garment = make_garment(rng, nodes=1, influences=1, vertices=len(dent), detail_nodes=12)
+    garment = replace(garment, detail_offsets=0.02 * garment.detail_offsets, node_twist=np.zeros(1, np.float32))
+    worn = [replace(garment, vertices=each[:, :3].copy(), normals=each[:, 3:].copy()) for each in (inside, within)]
+    with_faces = [replace(each, faces=inner.faces.astype(np.int32)) for each in worn]
+    pose, gravity = make_pose(rng, garment)
+    shown, carried = (clouds(NativeFrame(each, [order]), each, pose, told(gravity)) for each in (with_faces, worn))
+    (unmoved,) = clouds(NativeFrame(with_faces[1:]), with_faces[1:], pose, told(gravity))
+    assert np.abs(unmoved - shown[1])[:, :3].max() > 0.005
+    for cloud, other in zip(shown, carried):
+        assert np.array_equal(cloud[:, :3], other[:, :3])
+        assert np.abs(cloud[:, 3:] - vertex_normals(cloud[:, :3].astype(np.float64), inner.faces)).max() < 1e-4
+
+
+def cloth_of(vertices, faces):
+    return np.concatenate([vertices, vertex_normals(vertices, faces)], axis=1).astype(np.float32)
 
 
 def test_draper_takes_them_from_the_mesh_it_draped(monkeypatch):

@@ -21,7 +21,7 @@ class ReferenceFrame:
     """Drapes bound garments of one body frame by frame, as they are worn together, the innermost first.
 
     bounds: `BoundGarment`s. orders: the product's `LayerOrder`s, what keeps every two layers in order. normals:
-    "skinned", rest normals carried along, or "faces", those of the posed mesh.
+    "skinned", rest normals carried along, or "faces", those of the posed mesh, as a mesh with detail has in any case.
     """
 
     def __init__(self, bounds, orders=(), normals="skinned"):
@@ -47,7 +47,7 @@ class ReferenceFrame:
                     passed = -1.0 if jumps.any() else inputs[yielding].passed
                     order.apply(layers[steady], layers[yielding], look_at_all=jumps.any(), passed=passed)
         for garment, layer, out in zip(self._garments, layers, outs):
-            if self._normals == "faces":
+            if self._normals == "faces" or (garment.bound.detail_layers and len(garment.bound.faces)):
                 layer[:, 3:] = face_normals(layer[:, :3], garment.bound.faces)
             out[:] = layer[:, : out.shape[1]]
 

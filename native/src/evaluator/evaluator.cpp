@@ -70,11 +70,11 @@ Rejection Evaluator::step(const float* joint_positions, const GarmentInput* inpu
   if (const auto bad = reject_beyond("joint_positions", joint_positions, std::size_t(dofs()), FLT_MAX)) return bad;
   if (const auto bad = run(joint_positions, inputs)) return bad;
   rejected_ = -1;
-  const bool look_at_all = jumped_, copied = !orders_.empty() && !rows[0].with_normals;
+  const bool look_at_all = jumped_, copied = are_ordered() && !rows[0].with_normals;
   jumped_ = false;
   const VertexRows* with_normals = copied ? own_rows_.data() : rows;
   for (int k = 0; k < count(); ++k) {
-    garments_[std::size_t(k)]->skin(with_normals[k]);
+    garments_[std::size_t(k)]->skin(with_normals[k], are_ordered());
     keep_under(k, with_normals, look_at_all, inputs);
   }
   if (!copied) {
@@ -124,7 +124,7 @@ void Evaluator::compose_nodes(const GarmentInput* inputs) noexcept {
 }
 
 void Evaluator::skin(const VertexRows* rows) noexcept {
-  for (int k = 0; k < count(); ++k) garments_[std::size_t(k)]->skin(rows[k]);
+  for (int k = 0; k < count(); ++k) garments_[std::size_t(k)]->skin(rows[k], are_ordered());
 }
 
 void Evaluator::keep(const VertexRows* rows) noexcept {
@@ -132,7 +132,7 @@ void Evaluator::keep(const VertexRows* rows) noexcept {
 }
 
 void Evaluator::compute_normals(const VertexRows* rows) noexcept {
-  for (int k = 0; k < count(); ++k) garments_[std::size_t(k)]->compute_normals(rows[k]);
+  for (int k = 0; k < count(); ++k) garments_[std::size_t(k)]->compute_normals(rows[k], are_ordered());
 }
 
 void Evaluator::keep_under(int outer, const VertexRows* rows, bool look_at_all, const GarmentInput* inputs) noexcept {

@@ -52,6 +52,7 @@ class Evaluator {
     std::unique_ptr<LayerOrder> order;
   };
 
+  bool are_ordered() const { return !orders_.empty(); }
   Rejection run(const float* joint_positions, const GarmentInput* inputs) noexcept;
   // inputs: none, where pushes need not keep their pace.
   void keep_under(int outer, const VertexRows* rows, bool look_at_all, const GarmentInput* inputs) noexcept;

@@ -1,69 +1,102 @@
 #include "evaluator/face_normals.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <cstring>
 #include <numeric>
 #include <stdexcept>
+#include <utility>
 #include <vector>
+
+#include "evaluator/curve_positions.hpp"
 
 namespace physkin {
 namespace {
 
-typedef float Quad __attribute__((vector_size(16)));
+using Ring = std::vector<std::int32_t>;
 
-constexpr float kSmallestSquare = 1e-30f;  // m4: of a triangle with sides of 50 nm
+struct Side {  // of a face, opposite the vertex
+  std::int32_t from, to;
+};
 
-// Four floats from anywhere; a row that holds a normal has six.
-inline Quad load_quad(const void* at) {
-  Quad v;
-  std::memcpy(&v, at, sizeof v);
-  return v;
+// The ring of a vertex from the sides opposite it: neighbours in order, all around; or, where there is more than one way
+// round or a gap, of each fan of faces the vertex itself and then the fan's neighbours.
+Ring ring_of(std::int32_t vertex, std::vector<Side> sides) {
+  const auto starts_from = [&](std::int32_t from) {
+    return std::find_if(sides.begin(), sides.end(), [&](const Side& side) { return side.from == from; });
+  };
+  const auto ends_at = [&](std::int32_t to) {
+    return std::any_of(sides.begin(), sides.end(), [&](const Side& side) { return side.to == to; });
+  };
+  Ring ring;
+  while (!sides.empty()) {
+    auto next = std::find_if(sides.begin(), sides.end(), [&](const Side& side) { return !ends_at(side.from); });
+    if (next == sides.end()) next = sides.begin();  // what is left goes all around
+    Ring fan{next->from};
+    while (next != sides.end()) {
+      fan.push_back(next->to);
+      sides.erase(next);
+      next = starts_from(fan.back());
+    }
+    if (ring.empty() && sides.empty() && fan.front() == fan.back()) {
+      fan.pop_back();
+      return fan;
+    }
+    ring.push_back(vertex);
+    ring.insert(ring.end(), fan.begin(), fan.end());
+  }
+  return ring.empty() ? Ring{vertex} : ring;
 }
 
-inline Quad turned(Quad v) { return __builtin_shufflevector(v, v, 1, 2, 0, 3); }
+std::vector<Ring> rings_of(const SkinningData& g) {
+  std::vector<std::vector<Side>> sides(g.vertex_count);
+  for (const std::int32_t* corner = g.faces; corner != g.faces + 3 * std::ptrdiff_t(g.face_count); corner += 3) {
+    for (int k = 0; k < 3; ++k) sides[corner[k]].push_back({corner[(k + 1) % 3], corner[(k + 2) % 3]});
+  }
+  std::vector<Ring> rings;
+  for (int v = 0; v < g.vertex_count; ++v) rings.push_back(ring_of(v, std::move(sides[v])));
+  return rings;
+}
 
-inline Quad cross(Quad a, Quad b) { return turned(a * turned(b) - turned(a) * b); }
+// Neighbours that a ring takes in its group.
+std::size_t steps(const Ring& ring) { return (ring.size() + 1) / 2 * 2; }
 
 }  // namespace
 
-FaceNormals::FaceNormals(const BoundGarment& g, Arena& arena)
-    : vertex_count_(g.vertex_count), face_count_(g.face_count) {
+FaceNormals::FaceNormals(const SkinningData& g, const Kernels& kernels, Arena& arena)
+    : kernels_(kernels), vertex_count_(g.vertex_count) {
   if (g.face_count == 0) throw std::invalid_argument("normals of faces need a garment with faces; this one has none");
-  const std::size_t corner_count = 3 * std::size_t(g.face_count);
-  std::vector<std::vector<std::int32_t>> faces_of(g.vertex_count);
-  for (std::size_t c = 0; c < corner_count; ++c) faces_of[g.faces[c]].push_back(std::int32_t(c / 3));
-  std::vector<std::int32_t> order(g.vertex_count), first{0}, faces;
+  const std::vector<Ring> rings = rings_of(g);
+  // By their length, so that the processor foresees where loops end; then neighbours together, for its caches.
+  const std::vector<std::uint32_t> curve = curve_positions(g.vertices, g.vertex_count);
+  std::vector<std::int32_t> order(g.vertex_count), place_of(g.vertex_count), start{0}, neighbours;
   std::iota(order.begin(), order.end(), 0);
-  std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return faces_of[a].size() < faces_of[b].size(); });
-  for (const std::int32_t v : order) {
-    faces.insert(faces.end(), faces_of[v].begin(), faces_of[v].end());
-    first.push_back(std::int32_t(faces.size()));
+  std::stable_sort(order.begin(), order.end(), [&](int a, int b) {
+    return std::make_pair(steps(rings[a]), curve[a]) < std::make_pair(steps(rings[b]), curve[b]);
+  });
+  const std::size_t missing = (kRingGroup - order.size() % kRingGroup) % kRingGroup;
+  order.insert(order.begin(), missing, order.front());
+  for (std::size_t k = 0; k < order.size(); ++k) place_of[order[k]] = std::int32_t(k);
+  for (std::size_t first = 0; first < order.size(); first += kRingGroup) {
+    for (std::size_t step = 0; step < steps(rings[order[first + kRingGroup - 1]]); ++step) {
+      for (int k = 0; k < kRingGroup; ++k) {
+        const Ring& ring = rings[order[first + k]];
+        neighbours.push_back(4 * place_of[ring[std::min(step, ring.size() - 1)]]);
+      }
+    }
+    start.push_back(std::int32_t(neighbours.size() / kRingGroup));
   }
-  corners_ = arena.copy(g.faces, corner_count);
-  vertex_ = arena.copy(order.data(), order.size());
-  first_face_ = arena.copy(first.data(), first.size());
-  face_ = arena.copy(faces.data(), faces.size());
-  cross_ = arena.take<float>(4 * std::size_t(g.face_count));
+  place_of_ = arena.copy(place_of.data(), place_of.size());
+  rings_.group_count = int(order.size() / kRingGroup);
+  rings_.vertex = arena.copy(order.data(), order.size());
+  rings_.start = arena.copy(start.data(), start.size());
+  rings_.places = arena.take<float>(4 * order.size());
+  rings_.neighbour = arena.copy(neighbours.data(), neighbours.size());
 }
 
-void FaceNormals::apply(const VertexRows& rows) const noexcept {
-  const std::ptrdiff_t stride = rows.stride * std::ptrdiff_t(sizeof(float));
-  for (int face = 0; face < face_count_; ++face) {
-    const std::int32_t* corner = corners_ + 3 * std::ptrdiff_t(face);
-    const Quad a = load_quad(rows.data + corner[0] * stride);
-    const Quad ab = load_quad(rows.data + corner[1] * stride) - a, ac = load_quad(rows.data + corner[2] * stride) - a;
-    const Quad normal = cross(ab, ac);
-    std::memcpy(cross_ + 4 * std::ptrdiff_t(face), &normal, sizeof normal);
-  }
-  for (int k = 0; k < vertex_count_; ++k) {
-    Quad sum = {};
-    for (std::int32_t at = first_face_[k]; at < first_face_[k + 1]; ++at) {
-      sum += load_quad(cross_ + 4 * std::ptrdiff_t(face_[at]));
-    }
-    const float square = sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2];
-    const Quad unit = square < kSmallestSquare ? Quad{0, 0, 1, 0} : sum / std::sqrt(square);
-    std::memcpy(rows.data + vertex_[k] * stride + 3 * sizeof(float), &unit, 3 * sizeof(float));
+void FaceNormals::place(const VertexRows& rows) noexcept {
+  const std::ptrdiff_t row_bytes = rows.stride * std::ptrdiff_t(sizeof(float));
+  for (int v = 0; v < vertex_count_; ++v) {
+    std::memcpy(rings_.places + 4 * place_of_[v], rows.data + v * row_bytes, 3 * sizeof(float));
   }
 }
 

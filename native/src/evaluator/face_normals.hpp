@@ -10,19 +10,22 @@ namespace physkin {
 class FaceNormals {
  public:
   // Throws std::invalid_argument if the garment has no faces.
-  FaceNormals(const BoundGarment& garment, Arena& arena);
+  FaceNormals(const SkinningData& garment, const Kernels& kernels, Arena& arena);
 
-  // Writes unit normals, weighted by the faces' areas, beside the positions in `rows`, which must have room for them.
-  // A vertex whose faces have no area, or that has none, gets +Z.
-  void apply(const VertexRows& rows) const noexcept;
+  // Where positions have to be put before, of each vertex into row place_of(vertex); `place` copies them from rows.
+  VertexRows places() const noexcept { return {reinterpret_cast<unsigned char*>(rings_.places), 4, false, true}; }
+  int place_of(int vertex) const noexcept { return place_of_[vertex]; }
+  void place(const VertexRows& rows) noexcept;
+
+  // Writes positions that were placed, and unit normals weighted by the faces' areas. A vertex whose faces have no area,
+  // or that has none, gets +Z.
+  void write(const VertexRows& rows) const noexcept { kernels_.ring_normals(rings_, rows); }
 
  private:
-  int vertex_count_, face_count_;
-  const std::int32_t* corners_;  // (face_count, 3)
-  const std::int32_t* vertex_;   // (vertex_count,) by their number of faces, so that the processor foresees loops' ends
-  const std::int32_t* first_face_;  // (vertex_count + 1,) into the next, in the order of vertex_
-  const std::int32_t* face_;        // faces by vertex, in their order
-  float* cross_;                    // (face_count, 4) normals of twice the area's length, and an unused number
+  const Kernels& kernels_;
+  int vertex_count_;
+  const std::int32_t* place_of_;  // (vertex_count_,)
+  FaceRings rings_;
 };
 
 }  // namespace physkin

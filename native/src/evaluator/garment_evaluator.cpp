@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <stdexcept>
 
 namespace physkin {
 namespace {
@@ -27,12 +26,6 @@ const BoundGarment& validated(const BoundGarment& garment) {
 
 }  // namespace
 
-Normals select_normals(const std::string& name) {
-  if (name == "skinned") return Normals::skinned;
-  if (name == "faces") return Normals::faces;
-  throw std::invalid_argument("normals '" + name + "' are unknown; they may be skinned or faces");
-}
-
 GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels, const EvaluatorOptions& options)
     : rig_(validated(g), arena_),
       pose_modulator_(g.pose_layers, of_first_layers(options.precision), options.precision, kernels, arena_),
@@ -46,7 +39,7 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
       garment_nodes_(g, arena_),
       pace_(g.nodes, arena_),
       skin_guard_(g.is_guarded() ? std::make_optional<SkinGuard>(g, kernels, arena_) : std::optional<SkinGuard>()),
-      skinner_(g, options.precision, kernels, arena_),
+      skinner_(g, options.precision, kernels, arena_, options.normals),
       bone_count_(g.bones),
       deformer_bone_count_(g.deformer_bone_count),
       deformer_bones_(arena_.copy(g.deformer_bones, g.deformer_bone_count)),
@@ -57,9 +50,7 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
       node_transforms_(arena_.take<float>(12 * g.nodes)),
       still_corrections_(arena_.take<float>(12 * g.nodes)),
       corrections_(still_corrections_),
-      features_(arena_.take<float>(padded_to_group(skinner_.features()) + kGroup)) {
-  if (options.normals == Normals::faces) face_normals_.emplace(g, arena_);
-}
+      features_(arena_.take<float>(padded_to_group(skinner_.features()) + kGroup)) {}
 
 Rejection GarmentEvaluator::check_corrections() noexcept {
   Rejection bad = reject_beyond("corrections of garment nodes", corrections_, node_deformer_.outputs(), kLargest);
@@ -121,10 +112,6 @@ void GarmentEvaluator::compose_nodes(const GarmentInput& input) noexcept {
   if (skin_guard_) {
     skin_guard_->keep_out(garment_nodes_, bone_transforms_, corrections_, still_corrections_, node_transforms_);
   }
-}
-
-void GarmentEvaluator::compute_normals(const VertexRows& rows) noexcept {
-  if (face_normals_ && rows.with_normals) face_normals_->apply(rows);
 }
 
 }  // namespace physkin

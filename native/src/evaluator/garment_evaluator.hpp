@@ -2,9 +2,7 @@
 #pragma once
 
 #include <optional>
-#include <string>
 
-#include "evaluator/face_normals.hpp"
 #include "evaluator/garment_input.hpp"
 #include "evaluator/garment_nodes.hpp"
 #include "evaluator/learnt_sway.hpp"
@@ -19,12 +17,6 @@
 #include "kernels/kernels.hpp"
 
 namespace physkin {
-
-// Where normals come from: rest normals carried by skinning, or the faces of the posed mesh.
-enum class Normals { skinned, faces };
-
-// "skinned" or "faces"; throws std::invalid_argument for another name.
-Normals select_normals(const std::string& name);
 
 // [rad], and of gravity: where a frame differs from the last one by more, that one does not count.
 constexpr float kJump = 0.5f;
@@ -47,8 +39,11 @@ class GarmentEvaluator {
   void pose_as(const GarmentEvaluator& other, const GarmentInput& input) noexcept;
   void run_networks(const GarmentInput& input) noexcept;
   void compose_nodes(const GarmentInput& input) noexcept;
-  void skin(const VertexRows& rows) noexcept { skinner_.skin(node_transforms_, features_, rows); }
-  void compute_normals(const VertexRows& rows) noexcept;  // from faces; does nothing if they are skinned
+  // As of `Skinner`.
+  void skin(const VertexRows& rows, bool are_moved) noexcept {
+    skinner_.skin(node_transforms_, features_, rows, are_moved);
+  }
+  void compute_normals(const VertexRows& rows, bool were_moved) noexcept { skinner_.compute_normals(rows, were_moved); }
 
   // What `run_networks` and `compose_nodes` have left is refused where it is not finite. The next frame is then a first
   // one.
@@ -99,7 +94,6 @@ class GarmentEvaluator {
   const float* corrections_;
   const float* given_features_ = nullptr;  // by the networks; features_ is what is shown
   float* features_;
-  std::optional<FaceNormals> face_normals_;
 };
 
 }  // namespace physkin

@@ -1,22 +1,37 @@
 #include "evaluator/skinner.hpp"
 
+#include <stdexcept>
 #include <vector>
 
 #include "evaluator/affine.hpp"
 
 namespace physkin {
 
-Skinner::Skinner(const SkinningData& data, Precision precision, const Kernels& kernels, Arena& arena)
+Normals select_normals(const std::string& name) {
+  if (name == "skinned") return Normals::skinned;
+  if (name == "faces") return Normals::faces;
+  throw std::invalid_argument("normals '" + name + "' are unknown; they may be skinned or faces");
+}
+
+Skinner::Skinner(const SkinningData& data, Precision precision, const Kernels& kernels, Arena& arena, Normals normals)
     : kernels_(kernels),
       nodes_(data.nodes),
       features_(data.has_detail() ? data.detail_features : 0),
       blocks_(pack_skinning_blocks(data, arena)),
       node_rest_(arena.copy(data.node_rest, 3 * std::size_t(data.nodes))),
       matrices_(arena.take<float>(12 * std::size_t(data.nodes))) {
-  if (!data.has_detail()) return;
-  const std::vector<float> no_bias(std::size_t(data.detail_numbers));
-  const DenseWeights offsets{data.detail_numbers, data.detail_features, data.detail_offsets, no_bias.data()};
-  detail_offsets_.emplace(std::vector<DenseWeights>{offsets}, precision, precision, kernels, arena);
+  if (data.has_detail()) {
+    const std::vector<float> no_bias(std::size_t(data.detail_numbers));
+    const DenseWeights offsets{data.detail_numbers, data.detail_features, data.detail_offsets, no_bias.data()};
+    detail_offsets_.emplace(std::vector<DenseWeights>{offsets}, precision, precision, kernels, arena);
+  }
+  if (normals == Normals::faces || (data.has_detail() && data.face_count > 0)) {
+    face_normals_.emplace(data, kernels, arena);
+    auto* places = arena.take<std::int32_t>(std::size_t(blocks_.block_count) * kBlock);
+    for (int i = 0; i < data.vertex_count; ++i) places[i] = face_normals_->place_of(blocks_.vertex[i]);
+    blocks_into_places_ = blocks_;
+    blocks_into_places_.vertex = places;
+  }
 }
 
 Rejection Skinner::check(const float* node_transforms) const noexcept {
@@ -27,12 +42,22 @@ Rejection Skinner::check_features(const float* features) const noexcept {
   return reject_beyond("features", features, std::size_t(features_), kLargest);
 }
 
-void Skinner::skin(const float* node_transforms, const float* features, const VertexRows& rows) noexcept {
+void Skinner::skin(const float* node_transforms, const float* features, const VertexRows& rows,
+                   bool are_moved) noexcept {
   for (int i = 0; i < nodes_; ++i) {
     const Affine node = load_affine(node_transforms + 12 * i);
     store_affine({node.linear, node.translation - node.linear * load_vector(node_rest_ + 3 * i)}, matrices_ + 12 * i);
   }
-  kernels_.skin(blocks_, matrices_, detail_offsets_ ? detail_offsets_->run(features, nullptr) : nullptr, rows);
+  const bool into_places = face_normals_ && rows.with_normals && !are_moved;
+  kernels_.skin(into_places ? blocks_into_places_ : blocks_, matrices_,
+                detail_offsets_ ? detail_offsets_->run(features, nullptr) : nullptr,
+                into_places ? face_normals_->places() : rows);
+}
+
+void Skinner::compute_normals(const VertexRows& rows, bool were_moved) noexcept {
+  if (!face_normals_ || !rows.with_normals) return;
+  if (were_moved) face_normals_->place(rows);
+  face_normals_->write(rows);
 }
 
 }  // namespace physkin

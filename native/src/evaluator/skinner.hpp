@@ -1,8 +1,10 @@
-// Linear blend skinning of one garment from its garment nodes' transforms.
+// Linear blend skinning of one garment from its garment nodes' transforms, and its normals.
 #pragma once
 
 #include <optional>
+#include <string>
 
+#include "evaluator/face_normals.hpp"
 #include "evaluator/mlp.hpp"
 #include "garment/bound_garment.hpp"
 #include "garment/finite.hpp"
@@ -14,10 +16,19 @@ namespace physkin {
 // Packs a garment's vertices for the kernel (skinning_blocks.cpp).
 SkinningBlocks pack_skinning_blocks(const SkinningData& data, Arena& arena);
 
+// Where normals come from: rest normals carried by skinning, or the faces of the posed mesh. Those of a mesh with detail
+// are of its faces in any case, for rest normals know nothing of folds.
+enum class Normals { skinned, faces };
+
+// "skinned" or "faces"; throws std::invalid_argument for another name.
+Normals select_normals(const std::string& name);
+
 class Skinner {
  public:
-  // The data must be valid; they are copied into the arena. precision: of the offsets of detail nodes.
-  Skinner(const SkinningData& data, Precision precision, const Kernels& kernels, Arena& arena);
+  // The data must be valid; they are copied into the arena. precision: of the offsets of detail nodes. Throws
+  // std::invalid_argument for normals of faces without any.
+  Skinner(const SkinningData& data, Precision precision, const Kernels& kernels, Arena& arena,
+          Normals normals = Normals::skinned);
 
   // node_transforms (nodes, 3, 4), root frame, metres: refused where they are not finite.
   Rejection check(const float* node_transforms) const noexcept;
@@ -26,8 +37,11 @@ class Skinner {
   Rejection check_features(const float* features) const noexcept;
 
   // From transforms and features that were checked; these are 64-byte aligned, readable for kGroup floats beyond, and
-  // not looked at without detail. Allocates nothing.
-  void skin(const float* node_transforms, const float* features, const VertexRows& rows) noexcept;
+  // not looked at without detail. Both write the rows, and allocate nothing; compute_normals has nothing to do where
+  // normals are carried along. are_moved: in between somebody moves vertices, by normals that are carried along first.
+  void skin(const float* node_transforms, const float* features, const VertexRows& rows,
+            bool are_moved = false) noexcept;
+  void compute_normals(const VertexRows& rows, bool were_moved = false) noexcept;
 
   int nodes() const { return nodes_; }
   int features() const { return features_; }  // 0 without detail
@@ -40,8 +54,10 @@ class Skinner {
   int nodes_, features_;
   SkinningBlocks blocks_;
   std::optional<Mlp> detail_offsets_;
-  const float* node_rest_;  // (nodes, 3)
-  float* matrices_;         // (nodes, 3, 4): chi_i * inverse of the node's rest transform
+  std::optional<FaceNormals> face_normals_;
+  SkinningBlocks blocks_into_places_;  // the same, with vertices in the order of these normals' places
+  const float* node_rest_;             // (nodes, 3)
+  float* matrices_;                    // (nodes, 3, 4): chi_i * inverse of the node's rest transform
 };
 
 }  // namespace physkin

@@ -5,20 +5,30 @@
 #include <limits>
 #include <map>
 #include <numeric>
+#include <utility>
 #include <vector>
 
+#include "evaluator/curve_positions.hpp"
 #include "evaluator/skinner.hpp"
 
 namespace physkin {
 namespace {
 
-using NodeSet = std::vector<std::int32_t>;  // garment nodes in order of index
+using NodeSet = std::vector<std::int32_t>;  // garment nodes in order of index, then detail nodes, counted on from these
 
-// Garment nodes with a weight on each vertex.
+// What a node costs a block, in threes of multiply-adds: a matrix, or an offset.
+constexpr int kNodeCost = 4, kDetailCost = 1;
+
+// Nodes with a weight on each vertex.
 std::vector<NodeSet> influence_sets(const SkinningData& g) {
   std::vector<NodeSet> sets(g.vertex_count);
   for (std::size_t at = 0; at < std::size_t(g.vertex_count) * g.influences; ++at) {
     if (g.influence_weights[at] != 0.0f) sets[at / g.influences].push_back(g.influence_nodes[at]);
+  }
+  if (g.has_detail()) {
+    for (std::size_t at = 0; at < std::size_t(g.vertex_count) * g.detail_influences; ++at) {
+      if (g.detail_weights[at] != 0.0f) sets[at / g.detail_influences].push_back(g.nodes + g.detail_nodes[at]);
+    }
   }
   for (NodeSet& nodes : sets) {
     std::sort(nodes.begin(), nodes.end());
@@ -29,45 +39,30 @@ std::vector<NodeSet> influence_sets(const SkinningData& g) {
 
 struct Block {
   std::vector<std::int32_t> vertices;
-  NodeSet nodes;  // union of the vertices' sets
+  NodeSet nodes;  // union of the vertices' garment nodes
+  int detail_nodes = 0;
 };
-
-// Positions along a curve that keeps neighbours together (Morton): the bits of the three coordinates in turn.
-std::vector<std::uint32_t> curve_positions(const float* points, int count) {
-  constexpr int kBits = 10;
-  constexpr float kCells = 1 << kBits;
-  float low[3], extent = 0.0f;
-  for (int c = 0; c < 3; ++c) {
-    float high = low[c] = points[c];
-    for (int i = 1; i < count; ++i) {
-      low[c] = std::min(low[c], points[3 * i + c]);
-      high = std::max(high, points[3 * i + c]);
-    }
-    extent = std::max(extent, high - low[c]);
-  }
-  std::vector<std::uint32_t> positions(count);
-  for (std::size_t i = 0; i < 3 * std::size_t(count); ++i) {
-    const float cell = (points[i] - low[i % 3]) / extent * kCells;
-    const std::uint32_t bits = cell > 0.0f ? std::uint32_t(std::min(cell, kCells - 1.0f)) : 0;  // 0 / 0 is none
-    for (int bit = 0; bit < kBits; ++bit) positions[i / 3] |= (bits >> bit & 1u) << (3 * bit + int(i % 3));
-  }
-  return positions;
-}
 
 // Vertices that a block is chosen from: the work of packing grows with it, the unions hardly shrink beyond.
 constexpr std::size_t kWindow = 1024;
 
-// Vertices in order of `curve`, a block taking from the first of those left whichever adds the fewest garment nodes.
-// A place is an index in that order.
+// Vertices in order of `curve`, a block taking from the first of those left whichever adds the least work. A
+// place is an index in that order.
 class BlockChooser {
  public:
-  BlockChooser(const std::vector<NodeSet>& sets, const std::vector<std::uint32_t>& curve, int node_count)
-      : sets_(sets), order_(sets.size()), added_(sets.size()), places_(node_count), in_block_(node_count) {
+  BlockChooser(const std::vector<NodeSet>& sets, const std::vector<std::uint32_t>& curve, int nodes, int detail_nodes)
+      : sets_(sets),
+        nodes_(nodes),
+        order_(sets.size()),
+        added_(sets.size()),
+        places_(std::size_t(nodes) + std::size_t(detail_nodes)),
+        in_block_(places_.size()) {
     std::iota(order_.begin(), order_.end(), 0);
     std::stable_sort(order_.begin(), order_.end(), [&](int a, int b) { return curve[a] < curve[b]; });
     for (const std::int32_t vertex : order_) {
       for (const std::int32_t node : sets[vertex]) places_[node].push_back(std::int32_t(sizes_.size()));
-      sizes_.push_back(int(sets[vertex].size()));
+      sizes_.push_back(std::accumulate(sets[vertex].begin(), sets[vertex].end(), 0,
+                                       [&](int sum, std::int32_t node) { return sum + cost(node); }));
     }
   }
 
@@ -78,24 +73,29 @@ class BlockChooser {
     std::copy(sizes_.begin() + first_, sizes_.begin() + end_, added_.begin() + first_);
     Block block;
     take(block, first_);
-    while (block.vertices.size() < std::size_t(kBlock) && waiting_ > 0) take(block, fewest_added());
+    while (block.vertices.size() < std::size_t(kBlock) && waiting_ > 0) take(block, least_added());
     while (first_ < end_ && sizes_[first_] == kTaken) ++first_;
     for (const std::int32_t node : block.nodes) in_block_[node] = false;
-    if (block.nodes.empty()) block.nodes.push_back(0);  // vertices without any weight: the kernel reads one node
     std::sort(block.nodes.begin(), block.nodes.end());
+    const auto detail = std::lower_bound(block.nodes.begin(), block.nodes.end(), nodes_);
+    block.detail_nodes = int(block.nodes.end() - detail);
+    block.nodes.erase(detail, block.nodes.end());
+    if (block.nodes.empty()) block.nodes.push_back(0);  // vertices without any weight: the kernel reads one node
     return block;
   }
 
  private:
-  // More than any vertex adds, even less all garment nodes.
+  // More than any vertex adds, even less all nodes.
   static constexpr int kTaken = std::numeric_limits<int>::max();
 
-  // The first place of those that add the fewest garment nodes.
-  std::size_t fewest_added() const {
+  int cost(std::int32_t node) const { return node < nodes_ ? kNodeCost : kDetailCost; }
+
+  // The first place of those that add the least work.
+  std::size_t least_added() const {
     const auto first = added_.begin() + first_, end = added_.begin() + end_;
-    int fewest = kTaken;
-    for (auto added = first; added != end; ++added) fewest = std::min(fewest, *added);  // in vector registers
-    return first_ + std::size_t(std::find(first, end, fewest) - first);
+    int least = kTaken;
+    for (auto added = first; added != end; ++added) least = std::min(least, *added);  // in vector registers
+    return first_ + std::size_t(std::find(first, end, least) - first);
   }
 
   void take(Block& block, std::size_t place) {
@@ -109,29 +109,32 @@ class BlockChooser {
       block.nodes.push_back(node);
       const std::vector<std::int32_t>& places = places_[node];
       auto at = std::lower_bound(places.begin(), places.end(), std::int32_t(first_));
-      for (; at != places.end() && *at < std::int32_t(end_); ++at) --added_[*at];
+      for (; at != places.end() && *at < std::int32_t(end_); ++at) added_[*at] -= cost(node);
     }
   }
 
   const std::vector<NodeSet>& sets_;
+  std::int32_t nodes_;
   std::vector<std::int32_t> order_;                // (vertices) by place
-  std::vector<int> sizes_, added_;                 // (vertices) garment nodes that a place has, and adds to the block
-  std::vector<std::vector<std::int32_t>> places_;  // of each garment node, in order
-  std::vector<bool> in_block_;                     // (garment nodes)
+  std::vector<int> sizes_, added_;                 // (vertices) what a place costs, and adds to the block
+  std::vector<std::vector<std::int32_t>> places_;  // of each node, in order
+  std::vector<bool> in_block_;                     // (nodes)
   std::size_t first_ = 0, end_ = 0;                // places that the block is chosen from
   std::size_t waiting_ = 0;                        // those of them that are not taken
 };
 
 std::vector<Block> choose_blocks(const SkinningData& g) {
   const std::vector<NodeSet> sets = influence_sets(g);
-  BlockChooser chooser(sets, curve_positions(g.vertices, g.vertex_count), g.nodes);
+  BlockChooser chooser(sets, curve_positions(g.vertices, g.vertex_count), g.nodes,
+                       g.has_detail() ? g.detail_numbers / 3 : 0);
   std::vector<Block> blocks;
   while (!chooser.done()) blocks.push_back(chooser.choose());
   if (blocks.empty()) return blocks;
-  // Blocks of equal size follow each other, so that the processor foresees where the loop over garment nodes ends. The
-  // last one, which may be short of vertices, stays last.
-  std::stable_sort(blocks.begin(), blocks.end() - 1,
-                   [](const Block& a, const Block& b) { return a.nodes.size() < b.nodes.size(); });
+  // Blocks of equal size follow each other, so that the processor foresees where loops over nodes end. The last one,
+  // which may be short of vertices, stays last.
+  std::stable_sort(blocks.begin(), blocks.end() - 1, [](const Block& a, const Block& b) {
+    return std::make_pair(a.nodes.size(), a.detail_nodes) < std::make_pair(b.nodes.size(), b.detail_nodes);
+  });
   return blocks;
 }
 

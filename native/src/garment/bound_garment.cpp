@@ -32,6 +32,7 @@ void visit_skinning_data(SkinningData& d, Visitor&& visit) {
   visit.floats("normals", d.normals, {&d.vertex_count, 3});
   visit.indices("influence_nodes", d.influence_nodes, {&d.vertex_count, &d.influences}, 0, d.nodes);
   visit.floats("influence_weights", d.influence_weights, {&d.vertex_count, &d.influences});
+  visit.indices("faces", d.faces, {&d.face_count, 3}, 0, d.vertex_count);
   visit.floats("detail_offsets", d.detail_offsets, {&d.detail_numbers, &d.detail_features});
   visit.indices("detail_nodes", d.detail_nodes, {&d.detail_vertices, &d.detail_influences}, 0, d.detail_numbers / 3);
   visit.floats("detail_weights", d.detail_weights, {&d.detail_vertices, &d.detail_influences});
@@ -59,7 +60,6 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.floats("sway_rates", g.sway_rates, {&g.sway_states});
   visit.floats("sway_turns", g.sway_turns, {&g.sway_states});
   visit_skinning_data(g, visit);
-  visit.indices("faces", g.faces, {&g.face_count, 3}, 0, g.vertex_count);
   visit.floats("guard_vertices", g.guard_vertices, {&g.guard_samples, 3});
   visit.indices("guard_influence_nodes", g.guard_influence_nodes, {&g.guard_samples, &g.guard_influences}, 0, g.nodes);
   visit.floats("guard_influence_weights", g.guard_influence_weights, {&g.guard_samples, &g.guard_influences});
@@ -111,16 +111,24 @@ struct Describer {
   void layers(const char* name, const std::vector<DenseWeights>&) const { add(name, "layers", {}); }
 
   void add(const char* name, const char* type, Shape shape) const {
-    const std::pair<const int*, const char*> sizes[] = {
-        {&g.nodes, "garment nodes"},          {&g.vertex_count, "vertices"},
-        {&g.influences, "influences"},        {&g.bones, "bones"},
-        {&g.dofs, "degrees of freedom"},      {&g.deformer_bone_count, "deformer bones"},
-        {&g.twist_size, "twisting nodes"},    {&g.face_count, "faces"},
-        {&g.sway_joint_count, "sway joints"}, {&g.sway_states, "oscillators"},
-        {&g.guard_samples, "guard samples"},  {&g.guard_influences, "guard influences"},
-        {&g.skin_parts, "skin parts"},        {&g.skin_splines, "skin splines"},
-        {&g.detail_vertices, "detail vertices"}, {&g.detail_influences, "detail influences"},
-        {&g.detail_numbers, "detail numbers"},   {&g.detail_features, "features"}};
+    const std::pair<const int*, const char*> sizes[] = {{&g.nodes, "garment nodes"},
+                                                        {&g.vertex_count, "vertices"},
+                                                        {&g.influences, "influences"},
+                                                        {&g.bones, "bones"},
+                                                        {&g.dofs, "degrees of freedom"},
+                                                        {&g.deformer_bone_count, "deformer bones"},
+                                                        {&g.twist_size, "twisting nodes"},
+                                                        {&g.face_count, "faces"},
+                                                        {&g.sway_joint_count, "sway joints"},
+                                                        {&g.sway_states, "oscillators"},
+                                                        {&g.guard_samples, "guard samples"},
+                                                        {&g.guard_influences, "guard influences"},
+                                                        {&g.skin_parts, "skin parts"},
+                                                        {&g.skin_splines, "skin splines"},
+                                                        {&g.detail_vertices, "detail vertices"},
+                                                        {&g.detail_influences, "detail influences"},
+                                                        {&g.detail_numbers, "detail numbers"},
+                                                        {&g.detail_features, "features"}};
     FieldDescription& field = fields.emplace_back(FieldDescription{name, type, {}});
     for (const Axis& axis : shape) {
       std::string found = std::to_string(axis.number);

@@ -13,13 +13,14 @@ namespace physkin {
 // What skinning takes, besides the garment nodes' transforms. Views of the caller's arrays, read during construction
 // only. Sizes are -1 until they are known.
 struct SkinningData {
-  int nodes = -1, vertex_count = -1, influences = -1;
+  int nodes = -1, vertex_count = -1, influences = -1, face_count = -1;
 
   const float* node_rest = nullptr;               // (nodes, 3) garment at rest
   const float* vertices = nullptr;                // (vertex_count, 3) garment at rest
   const float* normals = nullptr;                 // (vertex_count, 3) unit
   const std::int32_t* influence_nodes = nullptr;  // (vertex_count, influences)
   const float* influence_weights = nullptr;       // (vertex_count, influences)
+  const std::int32_t* faces = nullptr;            // (face_count, 3), none for a point set
 
   // Offsets of rest vertices by features of a frame, through detail nodes that each vertex goes with; or none.
   int detail_vertices = -1, detail_influences = -1, detail_numbers = -1, detail_features = -1;
@@ -31,7 +32,7 @@ struct SkinningData {
 
 // Metres, radians, root frame.
 struct BoundGarment : SkinningData {
-  int bones = -1, dofs = -1, deformer_bone_count = -1, twist_size = -1, face_count = -1;
+  int bones = -1, dofs = -1, deformer_bone_count = -1, twist_size = -1;
   int sway_joint_count = -1, sway_states = -1;
   int guard_samples = -1, guard_influences = -1, skin_parts = -1, skin_splines = -1;
 
@@ -59,7 +60,6 @@ struct BoundGarment : SkinningData {
   const float* sway_rates = nullptr;  // (sway_states,) 1/s
   const float* sway_turns = nullptr;  // (sway_states,) rad/s
   bool sways_by_network() const { return !sway_layers.empty(); }
-  const std::int32_t* faces = nullptr;  // (face_count, 3), none for a point set
   // Samples of cloth that hangs free, at rest, and the skin that they are kept out of; or none. See SkinGuard.
   const float* guard_vertices = nullptr;                // (guard_samples, 3)
   const std::int32_t* guard_influence_nodes = nullptr;  // (guard_samples, guard_influences)

@@ -2,6 +2,7 @@
 #include "kernels/dense_kernel.hpp"
 #include "kernels/floor_kernel.hpp"
 #include "kernels/oscillator_kernel.hpp"
+#include "kernels/ring_kernel.hpp"
 #include "kernels/skinning_kernel.hpp"
 #include "kernels/token_kernel.hpp"
 #include "kernels/trunk_kernel.hpp"
@@ -19,6 +20,7 @@ const Kernels kernels{
      {dense<Bf16Rows, false>, dense<Bf16Rows, true>},
      {dense<Int8Rows, false>, dense<Int8Rows, true>}},
     skin,
+    ring_normals,
     trunk_depth,
     oscillate,
     multiply_add,

@@ -32,6 +32,22 @@ struct VertexRows {
   unsigned char* data = nullptr;
   std::ptrdiff_t stride = 0;
   bool with_normals = false;
+  bool has_fourth = false;  // rows without normals: there is room for a fourth number, which may become anything
+};
+
+// Vertices in groups of kRingGroup with rings of one length: the faces around a vertex join it with every two neighbours
+// that follow each other in its ring, which closes. Where faces do not go all around, the vertex itself is in its ring;
+// shorter rings of a group repeat their last neighbour. Neither adds a face that has an area. Lengths are even.
+constexpr int kRingGroup = 16;
+
+struct FaceRings {
+  int group_count = 0;
+  // (group_count, kRingGroup) in the caller's order. Where vertices do not fill the groups, the first one is there more
+  // than once: only its last place holds its position, and is written after the others.
+  const std::int32_t* vertex = nullptr;
+  const std::int32_t* start = nullptr;      // (group_count + 1,) into the next
+  const std::int32_t* neighbour = nullptr;  // (steps, kRingGroup) where its place begins
+  float* places = nullptr;                  // (group_count, kRingGroup, 4) positions in order of `vertex`
 };
 
 // The body encoder works on tiles of kTokens tokens, feature by feature: tile[feature][kTokens], 64-byte aligned.
@@ -106,6 +122,9 @@ struct Kernels {
   // 12). A normal becomes zero where A flattens the cloth to a line. offsets: (detail nodes, 3) that are added to x
   // before, null where the blocks have no detail.
   void (*skin)(const SkinningBlocks& blocks, const float* matrices, const float* offsets, const VertexRows& rows);
+
+  // Writes places, and unit normals of the faces around each, weighted by their areas; +Z where they cancel out.
+  void (*ring_normals)(FaceRings rings, VertexRows rows);
 
   // Points (3, count) to contacts (4, count): how deep [m], and the normal outwards. Aligned; count is a multiple of
   // kTrunkPoints.

@@ -1,0 +1,38 @@
+// Registers as fours of lanes, a row of floats in each. Included by kernel_unit.cpp only (see simd.hpp).
+#pragma once
+
+#include "kernels/simd.hpp"
+
+namespace physkin::PHYSKIN_ISA {
+
+// In every four lanes the same choice of four from a, counted from 0, and b, counted from kLanes.
+template <int k0, int k1, int k2, int k3>
+inline Floats shuffle_fours(Floats a, Floats b) {
+#if defined(__AVX512F__)
+  return __builtin_shufflevector(a, b, k0, k1, k2, k3, k0 + 4, k1 + 4, k2 + 4, k3 + 4, k0 + 8, k1 + 8, k2 + 8, k3 + 8,
+                                 k0 + 12, k1 + 12, k2 + 12, k3 + 12);
+#elif defined(__AVX2__)
+  return __builtin_shufflevector(a, b, k0, k1, k2, k3, k0 + 4, k1 + 4, k2 + 4, k3 + 4);
+#else
+  return __builtin_shufflevector(a, b, k0, k1, k2, k3);
+#endif
+}
+
+inline Floats zip_low(Floats a, Floats b) { return shuffle_fours<0, kLanes, 1, kLanes + 1>(a, b); }
+inline Floats zip_high(Floats a, Floats b) { return shuffle_fours<2, kLanes + 2, 3, kLanes + 3>(a, b); }
+inline Floats halves_low(Floats a, Floats b) { return shuffle_fours<0, 1, kLanes, kLanes + 1>(a, b); }
+inline Floats halves_high(Floats a, Floats b) { return shuffle_fours<2, 3, kLanes + 2, kLanes + 3>(a, b); }
+
+typedef float Quad __attribute__((vector_size(16), may_alias));
+
+template <int kFour>
+inline Quad four_lanes(Floats v) {
+#if defined(__AVX2__)
+  return __builtin_shufflevector(v, v, 4 * kFour, 4 * kFour + 1, 4 * kFour + 2, 4 * kFour + 3);
+#else
+  static_assert(kFour == 0, "the register has four lanes");
+  return v;
+#endif
+}
+
+}  // namespace physkin::PHYSKIN_ISA

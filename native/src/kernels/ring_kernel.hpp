@@ -1,0 +1,123 @@
+// Normals of vertices from the faces around them. Included by kernel_unit.cpp only (see simd.hpp).
+#pragma once
+
+#if defined(__AVX2__)
+#include <immintrin.h>
+#endif
+
+#include "kernels/fours.hpp"
+#include "kernels/kernels.hpp"
+#include "kernels/simd.hpp"
+
+namespace physkin::PHYSKIN_ISA {
+
+// Vertices in a register, a four each.
+constexpr int kFours = kLanes / 4;
+static_assert(kRingGroup % kLanes == 0);
+
+// [m2] Less than any face: what a ring without an area has upwards.
+constexpr float kUpwards = 1e-18f;
+
+// Of kFours vertices.
+inline Floats places_at(const float* places, const std::int32_t* at) {
+#if defined(__AVX2__)
+  const auto two = [places](const std::int32_t* from) {
+    return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_load_ps(places + from[0])), _mm_load_ps(places + from[1]),
+                                1);
+  };
+#endif
+#if defined(__AVX512F__)
+  return (Floats)_mm512_insertf64x4(_mm512_castpd256_pd512((__m256d)two(at)), (__m256d)two(at + 2), 1);
+#elif defined(__AVX2__)
+  return (Floats)two(at);
+#else
+  return load(places + at[0]);
+#endif
+}
+
+// In every four: 1, 2, 0, 3. A cross product is turned(a * turned(b) - turned(a) * b).
+inline Floats turned(Floats v) { return shuffle_fours<1, 2, 0, 3>(v, v); }
+
+// Twice the areas within the rings of kFours vertices, not turned yet. They are the sum of cross products of neighbours
+// that follow each other, or of every other one with the step between the two beside it; and from any point, such as the
+// first neighbour, whose product then vanishes.
+inline Floats ring_areas(const float* places, const std::int32_t* ring, int length) {
+  const Floats corner = places_at(places, ring);
+  Floats before = places_at(places, ring + kRingGroup);
+  Floats plus = shuffle_fours<kLanes, 0, 0, 0>(Floats{}, Floats{} + kUpwards), minus = {};
+#pragma GCC unroll 4
+  for (int k = 2; k < length; k += 2) {
+    const Floats between = places_at(places, ring + k * kRingGroup) - corner;
+    const Floats after = places_at(places, ring + (k + 1) * kRingGroup), across = after - before;
+    plus += between * turned(across);
+    minus += turned(between) * across;
+    before = after;
+  }
+  return plus - minus;
+}
+
+template <int kFour>
+inline void write_row(Floats yz_and_x, const float* place, const std::int32_t* vertex, const VertexRows& rows,
+                      std::ptrdiff_t row_bytes) {
+  const Quad normal = four_lanes<kFour>(yz_and_x), own = *reinterpret_cast<const Quad*>(place + 4 * kFour);
+  const Quad first = __builtin_shufflevector(own, normal, 0, 1, 2, 7);
+  unsigned char* row = rows.data + vertex[kFour] * row_bytes;
+  __builtin_memcpy(row, &first, sizeof first);
+  __builtin_memcpy(row + sizeof first, &normal, 2 * sizeof(float));
+}
+
+// Of kLanes vertices, kFours in each register.
+inline void write_normals(const Floats* areas, const float* place, const std::int32_t* vertex, const VertexRows& rows,
+                          std::ptrdiff_t row_bytes) {
+  Floats square[4];
+  for (int k = 0; k < 4; ++k) square[k] = areas[k] * areas[k];
+  const Floats low = zip_low(square[0], square[1]), low_next = zip_low(square[2], square[3]);
+  const Floats high = zip_high(square[0], square[1]), high_next = zip_high(square[2], square[3]);
+  const Floats inverse =
+      reciprocal_sqrt(halves_low(low, low_next) + halves_high(low, low_next) + halves_low(high, high_next));
+  const Floats of_each[4] = {shuffle_fours<0, 0, 0, 0>(inverse, inverse), shuffle_fours<1, 1, 1, 1>(inverse, inverse),
+                             shuffle_fours<2, 2, 2, 2>(inverse, inverse), shuffle_fours<3, 3, 3, 3>(inverse, inverse)};
+  for (int k = 0; k < 4; ++k, place += 4 * kFours, vertex += kFours) {
+    const Floats unit = areas[k] * of_each[k];
+    const Floats yz_and_x = shuffle_fours<2, 0, 3, 1>(unit, unit);  // turned, and x where a place has nothing
+    write_row<0>(yz_and_x, place, vertex, rows, row_bytes);
+#if defined(__AVX2__)
+    write_row<1>(yz_and_x, place, vertex, rows, row_bytes);
+#endif
+#if defined(__AVX512F__)
+    write_row<2>(yz_and_x, place, vertex, rows, row_bytes);
+    write_row<3>(yz_and_x, place, vertex, rows, row_bytes);
+#endif
+  }
+}
+
+// kLength: of the rings, or 0 to take it from `length`.
+template <int kLength>
+inline void write_group(const FaceRings& rings, int group, int length, const VertexRows& rows,
+                        std::ptrdiff_t row_bytes) {
+  const std::int32_t* ring = rings.neighbour + std::ptrdiff_t(rings.start[group]) * kRingGroup;
+  const std::ptrdiff_t first = std::ptrdiff_t(group) * kRingGroup;
+  for (int lane = 0; lane < kRingGroup; lane += kLanes) {
+    Floats areas[4];
+#pragma GCC unroll 4
+    for (int k = 0; k < 4; ++k) {
+      areas[k] = ring_areas(rings.places, ring + lane + k * kFours, kLength > 0 ? kLength : length);
+    }
+    write_normals(areas, rings.places + 4 * (first + lane), rings.vertex + first + lane, rows, row_bytes);
+  }
+}
+
+// Copies, as rows are bytes, which what they are written from could be, too.
+inline void ring_normals(FaceRings rings, VertexRows rows) {
+  const std::ptrdiff_t row_bytes = rows.stride * std::ptrdiff_t(sizeof(float));
+  for (int group = 0; group < rings.group_count; ++group) {
+    const int length = rings.start[group + 1] - rings.start[group];
+    if (length == 6) {  // most of a mesh
+      write_group<6>(rings, group, length, rows, row_bytes);
+    } else {
+      write_group<0>(rings, group, length, rows, row_bytes);
+    }
+  }
+}
+
+}  // namespace physkin::PHYSKIN_ISA
