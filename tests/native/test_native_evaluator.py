@@ -114,6 +114,35 @@ def test_detail_moves_the_rest_garment(shape, detail_nodes, columns, make_garmen
     assert (skinned == out).all() and without.features().shape == (0,)
 
 
+@pytest.mark.parametrize("passed", [1 / 60, 0.0])
+def test_detail_keeps_its_pace(passed, make_garment, make_pose):
+    """No detail node is faster than 2 m/s, which some are kept to and some not; cloud, features and garment nodes go
+    together. Nothing is kept back after a jump or a frame that stands by itself."""
+    rng = np.random.default_rng(15)
+    g = make_garment(rng, **SHAPES["odd widths"], detail_nodes=17)
+    q, gravity = make_pose(rng, g)
+    reference, frames = ReferenceFrame([g]), [NativeFrame([g], instruction_set=level) for level in LEVELS]
+    shown, kept_back = np.zeros(len(g.detail_offsets.T)), []
+    for k in range(60):
+        q = (q + rng.uniform(0, 0.15) * rng.uniform(-1, 1, size=len(q))).astype(np.float32)
+        q[0] += 0.6 * (k % 20 == 19)
+        row = told(gravity, passed={9: -2.0, 10: -1.0}.get(k % 20, passed))
+        before, by_itself = shown, NativeFrame([g])
+        clouds(by_itself, [g], q, told(gravity))
+        (expected,), shown = clouds(reference, [g], q, row), reference.features()
+        for frame in frames:
+            (found,) = clouds(frame, [g], q, row)
+            assert np.abs(frame.features() - shown).max() < 1e-4 and np.abs(found - expected)[:, :3].max() < 1e-4
+        free = np.abs(by_itself.features() - shown).max() < 1e-4
+        if k == 0 or k % 20 in (9, 10, 19):
+            assert free
+            continue
+        fastest = np.linalg.norm((g.detail_offsets @ (shown - before)).reshape(-1, 3), axis=1).max()
+        assert fastest < 2 * passed + 1e-6 and (free or fastest == pytest.approx(2 * passed))
+        kept_back.append(not free)
+    assert sum(kept_back) > 10 and (passed == 0 or not all(kept_back))
+
+
 @pytest.mark.parametrize("level", LEVELS)
 def test_garments_worn_together_agree_with_the_reference(level, make_garment, make_frames):
     """Each with networks and rows of its own."""

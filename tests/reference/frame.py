@@ -7,7 +7,7 @@ from reference.garment_nodes import correct_nodes, pose_nodes
 from reference.layer_order import LayerOrder
 from reference.networks import last_hidden, mlp, silu
 from reference.node_twist import twisted
-from reference.pace import Pace
+from reference.pace import FeaturePace, Pace
 from reference.skeleton import bone_transforms, pose_vector
 from reference.skin_guard import kept_out
 from reference.skinning import face_normals, skin, unit
@@ -68,7 +68,7 @@ class _Garment:
     """A bound garment and what it remembers."""
 
     def __init__(self, bound):
-        self.bound, self._pace = bound, Pace()
+        self.bound, self._pace, self._feature_pace = bound, Pace(), FeaturePace(bound.detail_offsets)
         self._sway = SwayNetwork(bound) if bound.sway_layers else None
 
     def drape(self, q, row, jumped):
@@ -79,9 +79,10 @@ class _Garment:
         modulation = mlp(bound.pose_layers, pose_vector(q, bound.dof_lower, bound.dof_upper, row.gravity))
         inputs = bones[bound.deformer_bones].reshape(-1)
         still = self.corrections = mlp(bound.deformer_layers, inputs, modulation)
-        self.features = ()
+        passed, self.features = -1.0 if jumped else row.passed, ()
         for weight, bias in bound.detail_layers:
-            self.features = silu(weight @ last_hidden(bound.deformer_layers, inputs, modulation) + bias)
+            wanted = silu(weight @ last_hidden(bound.deformer_layers, inputs, modulation) + bias)
+            self.features = self._feature_pace.kept(wanted, passed)
         if self._sway is not None:
             if row.sway > 0:
                 self.corrections = self.corrections + row.sway * self._sway.offsets(q, row)
@@ -89,7 +90,7 @@ class _Garment:
                 self._sway.forget()
         posed = pose_nodes(bones, bound.node_bone, bound.node_positions.astype(np.float64))
         nodes = correct_nodes(posed, self.corrections)
-        nodes = self._pace.kept(posed, nodes, -1.0 if jumped else row.passed)
+        nodes = self._pace.kept(posed, nodes, passed)
         if row.twist and bound.node_twist.any():
             nodes = twisted(nodes, bones, bound.node_twist.astype(np.float64), bound.node_bone, row.twist)
         sway = correct_nodes(posed, self.corrections) - correct_nodes(posed, still)

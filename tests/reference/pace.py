@@ -34,5 +34,21 @@ class Pace:
         return kept
 
 
+class FeaturePace:
+    """The same of detail nodes, by the features that move them: all go as far as the fastest node may."""
+
+    def __init__(self, detail_offsets):
+        self._offsets, self._last = detail_offsets.astype(np.float64), None
+
+    def kept(self, features, passed):
+        """Features (F,) between the last ones and those of the networks."""
+        if self._last is not None and passed >= 0:
+            step = features - self._last
+            fastest = np.linalg.norm((self._offsets @ step).reshape(-1, 3), axis=1).max(initial=0)
+            features = self._last + _share(PACE * passed, fastest) * step
+        self._last = features
+        return features
+
+
 def _share(allowed, wanted):
     return np.where(wanted > allowed, allowed / np.maximum(wanted, 1e-30), 1.0)

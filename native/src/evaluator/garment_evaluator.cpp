@@ -38,6 +38,7 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
                                         : std::optional<LearntSway>()),
       garment_nodes_(g, arena_),
       pace_(g.nodes, arena_),
+      feature_pace_(g.has_detail() ? std::make_optional<FeaturePace>(g, arena_) : std::optional<FeaturePace>()),
       skin_guard_(g.is_guarded() ? std::make_optional<SkinGuard>(g, kernels, arena_) : std::optional<SkinGuard>()),
       skinner_(g, options.precision, kernels, arena_, options.normals),
       bone_count_(g.bones),
@@ -65,8 +66,13 @@ Rejection GarmentEvaluator::check_nodes() noexcept {
   return bad;
 }
 
-void GarmentEvaluator::forget() noexcept {
+void GarmentEvaluator::forget_pace() noexcept {
   pace_.forget();
+  if (feature_pace_) feature_pace_->forget();
+}
+
+void GarmentEvaluator::forget() noexcept {
+  forget_pace();
   if (learnt_sway_) learnt_sway_->forget();
 }
 
@@ -102,11 +108,12 @@ void GarmentEvaluator::run_networks(const GarmentInput& input) noexcept {
 
 void GarmentEvaluator::compose_nodes(const GarmentInput& input) noexcept {
   garment_nodes_.compose(bone_transforms_, corrections_, node_transforms_);
-  if (detail_features_) std::copy_n(given_features_, feature_count(), features_);
+  const float passed = jumped() ? -1.0f : input.passed;
+  if (feature_pace_) feature_pace_->keep(skinner_, given_features_, passed, features_);
   if (input.passed == kStandsAlone) {
-    pace_.forget();
+    forget_pace();
   } else {
-    pace_.keep(garment_nodes_, bone_transforms_, jumped() ? -1.0f : input.passed, node_transforms_);
+    pace_.keep(garment_nodes_, bone_transforms_, passed, node_transforms_);
   }
   garment_nodes_.twist(bone_transforms_, input.twist, node_transforms_);
   if (skin_guard_) {

@@ -67,7 +67,8 @@ class GarmentEvaluator {
   int skinning_terms() const { return skinner_.terms(); }
 
  private:
-  void forget() noexcept;  // what was before
+  void forget_pace() noexcept;
+  void forget() noexcept;  // all that was before
   void gather_deformer_input() noexcept;
 
   // Members are built in this order, so that a frame walks the arena from front to back.
@@ -79,6 +80,7 @@ class GarmentEvaluator {
   std::optional<LearntSway> learnt_sway_;
   GarmentNodes garment_nodes_;
   Pace pace_;
+  std::optional<FeaturePace> feature_pace_;
   std::optional<SkinGuard> skin_guard_;
   Skinner skinner_;
   int bone_count_, deformer_bone_count_;

@@ -1,6 +1,9 @@
 #include "evaluator/pace.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <functional>
+#include <numeric>
 
 namespace physkin {
 namespace {
@@ -47,6 +50,41 @@ void Pace::keep(const GarmentNodes& nodes, const float* bone_transforms, float p
       }
     }
     last = {linear, now.translation, carried};
+  }
+  any_ = true;
+}
+
+FeaturePace::FeaturePace(const SkinningData& d, Arena& arena)
+    : features_(d.detail_features),
+      detail_nodes_(d.detail_numbers / 3),
+      step_(arena.take<float>(padded_to_group(d.detail_features) + kGroup)) {
+  float largest = 0;
+  for (int node = 0; node < detail_nodes_; ++node) {
+    const float* rows = d.detail_offsets + 3 * std::ptrdiff_t(node) * features_;
+    largest = std::max(largest, std::inner_product(rows, rows + 3 * features_, rows, 0.0f));
+  }
+  farthest_ = std::sqrt(largest);
+}
+
+void FeaturePace::keep(Skinner& skinner, const float* wanted, float passed, float* features) noexcept {
+  const float allowed = kPace * passed;
+  float share = 1;
+  if (any_ && passed >= 0) {
+    std::transform(wanted, wanted + features_, features, step_, std::minus<>());
+    // Nearly always their size tells that no node is too fast.
+    if (farthest_ * std::sqrt(std::inner_product(step_, step_ + features_, step_, 0.0f)) > allowed) {
+      const float* offsets = skinner.detail_offsets(step_);
+      float fastest = 0;
+      for (int node = 0; node < detail_nodes_; ++node) {
+        fastest = std::max(fastest, length(load_vector(offsets + 3 * std::ptrdiff_t(node))));
+      }
+      if (fastest > allowed) share = allowed / fastest;
+    }
+  }
+  if (share < 1) {
+    for (int k = 0; k < features_; ++k) features[k] += share * step_[k];
+  } else {
+    std::copy_n(wanted, features_, features);
   }
   any_ = true;
 }

@@ -6,6 +6,7 @@
 
 #include "evaluator/affine.hpp"
 #include "evaluator/garment_nodes.hpp"
+#include "evaluator/skinner.hpp"
 #include "kernels/arena.hpp"
 
 namespace physkin {
@@ -32,6 +33,24 @@ class Pace {
   };
 
   Last* last_;
+  bool any_ = false;
+};
+
+// The same of detail nodes, which move with the features of a frame: all of these go as far as the fastest node may, so
+// that offsets remain those of the features that are shown.
+class FeaturePace {
+ public:
+  FeaturePace(const SkinningData& data, Arena& arena);
+
+  // Moves features (data.detail_features), those of the last frame, towards `wanted`; skinner: of the same data.
+  void keep(Skinner& skinner, const float* wanted, float passed, float* features) noexcept;
+
+  void forget() noexcept { any_ = false; }
+
+ private:
+  int features_, detail_nodes_;
+  float farthest_;  // [m] that a detail node may go for features that differ by 1 in all
+  float* step_;     // (features_,) from the last features to the wanted ones
   bool any_ = false;
 };
 

@@ -50,8 +50,7 @@ void Skinner::skin(const float* node_transforms, const float* features, const Ve
   }
   const bool into_places = face_normals_ && rows.with_normals && !are_moved;
   kernels_.skin(into_places ? blocks_into_places_ : blocks_, matrices_,
-                detail_offsets_ ? detail_offsets_->run(features, nullptr) : nullptr,
-                into_places ? face_normals_->places() : rows);
+                detail_offsets_ ? detail_offsets(features) : nullptr, into_places ? face_normals_->places() : rows);
 }
 
 void Skinner::compute_normals(const VertexRows& rows, bool were_moved) noexcept {

@@ -36,6 +36,9 @@ class Skinner {
   // Features of a frame, refused likewise.
   Rejection check_features(const float* features) const noexcept;
 
+  // x, y, z [m] of what features move each detail node by, valid until the next ones; of a garment with detail.
+  const float* detail_offsets(const float* features) noexcept { return detail_offsets_->run(features, nullptr); }
+
   // From transforms and features that were checked; these are 64-byte aligned, readable for kGroup floats beyond, and
   // not looked at without detail. Both write the rows, and allocate nothing; compute_normals has nothing to do where
   // normals are carried along. are_moved: in between somebody moves vertices, by normals that are carried along first.

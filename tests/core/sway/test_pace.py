@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from native_frames import NativeFrameInput
-from reference.pace import PACE, REACH, Pace
+from reference.pace import PACE, REACH, FeaturePace, Pace
 
 import physkin_core as physkin
 
@@ -53,6 +53,22 @@ def test_what_turns_over_in_its_bone_takes_its_time_and_holds_back_no_motion():
     kept = pace.kept(still, flipped, 0.01)
     assert kept[0, :, 3] == pytest.approx(flipped[0, :, 3])
     assert REACH * np.linalg.norm(kept[0, :, :3] - np.eye(3)) == pytest.approx(0.01 * PACE)
+
+
+def test_features_go_together_as_far_as_the_fastest_detail_node_may():
+    """In a straight line, to where they were wanted in the time that this node needs; at once where the time is not
+    told."""
+    rng = np.random.default_rng(5)
+    offsets, still, wanted = rng.normal(size=(9, 4)), rng.normal(size=4), rng.normal(size=4)
+    pace, way = FeaturePace(offsets), [still]
+    pace.kept(still, UNTOLD)
+    while not (way[-1] == wanted).all():
+        way.append(pace.kept(wanted, 0.01))
+    moved = np.linalg.norm((np.diff(way, axis=0) @ offsets.T).reshape(-1, 3, 3), axis=2).max(axis=1)
+    assert moved[:-1] == pytest.approx(0.01 * PACE) and 0 < moved[-1] <= 0.01 * PACE and len(moved) > 50
+    steps = np.diff(way, axis=0) / (wanted - still)
+    assert steps == pytest.approx(np.repeat(steps[:, :1], 4, axis=1), rel=1e-6)
+    assert (pace.kept(still, UNTOLD) == still).all()
 
 
 def test_drapes_that_are_told_the_time_end_where_those_by_themselves_are():
