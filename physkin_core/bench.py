@@ -44,9 +44,10 @@ STAGES = {
     "networks": "run_networks",
     "composition": "compose_nodes",
     "skinning": "skin",
+    "normals": "compute_normals",
     "frame": "step",
 }
-"""Stage -> method of a bound frame."""
+"""Stage -> method of a bound frame. Normals that skinning carries along are no stage of their own."""
 
 
 def command_parser() -> argparse.ArgumentParser:

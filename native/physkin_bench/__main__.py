@@ -49,8 +49,11 @@ def case_tables(figures: Mapping[str, object]) -> str:
     lines.append(markdown_table(["", "µs"], [[name, spread(figures, name)] for name in others]))
     rows = []
     for name in (name for name in timed if name.startswith("peers.")):
-        ours = f"{'int8' if name.endswith('int8') else 'fp32'}.{supported_instruction_sets()[-1]}.{name.split('.')[1]}"
-        rows.append([name, spread(figures, name), ours, f"{figures[f'{name}.us.p50'] / figures[f'{ours}.us.p50']:.2f}"])
+        ours = f"{'int8' if name.endswith('int8') else 'fp32'}.{supported_instruction_sets()[-1]}"
+        stages = [name.split(".")[1]]
+        stages += ["normals"] if figures["features"] and stages == ["skinning"] else []
+        times = figures[f"{name}.us.p50"] / sum(figures[f"{ours}.{stage}.us.p50"] for stage in stages)
+        rows.append([name, spread(figures, name), f"{ours}.{' + '.join(stages)}", f"{times:.2f}"])
     lines.append(markdown_table(["peer", "µs", "ours", "times as fast"], rows))
     rest = [key for key in figures if key.startswith(("floor.", "error."))]
     lines.append(markdown_table(["limit or error", ""], [[key, f"{figures[key]:.3g}"] for key in rest]))

@@ -60,19 +60,26 @@ class BenchmarkCase:
 
 @dataclass(frozen=True)
 class SkinningCase:
-    """Skinning alone. matrices: (m, 3, 4) float32, from rest to posed garment. expected: (n, 6) float32."""
+    """Skinning and normals alone. matrices: (m, 3, 4) float32, from rest to posed garment. features: (F,) float32 that
+    move detail nodes. expected: (n, 6) float32."""
 
     bound: BoundGarment
     matrices: np.ndarray
+    features: np.ndarray
     expected: np.ndarray
 
+    @property
+    def has_normals_of_faces(self) -> bool:
+        """As a mesh with detail has; others carry rest normals along."""
+        return len(self.features) > 0 and len(self.bound.faces) > 0
 
-def skinning_case(bound: BoundGarment, node_transforms: np.ndarray) -> SkinningCase:
-    """The skinning of a bound garment by given garment nodes (m, 3, 4): positions and unit normals."""
+
+def skinning_case(bound: BoundGarment, node_transforms: np.ndarray, features: np.ndarray) -> SkinningCase:
+    """The skinning of a bound garment by given garment nodes (m, 3, 4) and features: positions and unit normals."""
     expected = np.empty((len(bound.vertices), 6), dtype=np.float32)
-    Skinner(bound).skin(node_transforms, expected)
+    Skinner(bound, precision="fp32").skin(node_transforms, expected, features)
     matrices = skinning_matrices(node_transforms.astype(np.float64), bound.node_rest).astype(np.float32)
-    return SkinningCase(bound, matrices, expected)
+    return SkinningCase(bound, matrices, features, expected)
 
 
 def model_case(model: str | Path, *, fit: float | None = None) -> BenchmarkCase:

@@ -31,6 +31,7 @@ def litert_model(case: NetworkCase, *, int8: bool) -> bytes:
         y = writer.add("mul", writer.dense(y, layer), writer.dense(x, scale))
         y = activate(writer.add("add", y, writer.dense(x, shift)))
     writer.graph.outputs = [writer.dense(y, case.deformer[-1])]
+    writer.graph.outputs += [activate(writer.dense(y, layer)) for layer in case.detail]
     builder = flatbuffers.Builder()
     builder.Finish(writer.model.Pack(builder), file_identifier=b"TFL3")
     return bytes(builder.Output())

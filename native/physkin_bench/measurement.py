@@ -26,8 +26,8 @@ COLD_ROUNDS = 30
 MULTIPLY_ADD_ROUNDS = 5000
 BLOCK = 16
 """Vertices that share one union of garment nodes."""
-MULTIPLY_ADDS_A_VERTEX = 36
-"""That apply a blended matrix to a position and its cofactors to a normal; blending costs 12 a garment node."""
+POSITION_MULTIPLY_ADDS, NORMAL_MULTIPLY_ADDS = 9, 27
+"""A vertex's, that apply a blended matrix to a position, and its cofactors to a normal."""
 
 
 def measure_case(case: BenchmarkCase, *, rounds: int) -> dict[str, object]:
@@ -48,8 +48,8 @@ def measure_case(case: BenchmarkCase, *, rounds: int) -> dict[str, object]:
             shape, arms_down = case.limbs
             separator = native.LimbSeparator(shape, *astuple(SeparationSettings()), level)
             calls[f"separate_limbs.{level}"] = partial(separator.separate, arms_down, np.empty_like(arms_down))
-    networks = network_case(bound, pose, inputs[0, :3], evaluators["fp32"].corrections())
-    skinning = skinning_case(bound, evaluators["fp32"].node_transforms())
+    networks = network_case(bound, pose, inputs[0, :3], evaluators["fp32"])
+    skinning = skinning_case(bound, evaluators["fp32"].node_transforms(), evaluators["fp32"].features())
     missing = {}
     for kind, engines, task in (("networks", NETWORK_PEERS, networks), ("skinning", SKINNING_PEERS, skinning)):
         built, left_out = prepare_peers(engines, task, task.expected)
@@ -68,11 +68,12 @@ def measure_case(case: BenchmarkCase, *, rounds: int) -> dict[str, object]:
     timings |= time_in_turns(cold, rounds=min(rounds, COLD_ROUNDS), repeats=1, before_each=flush)
 
     figures: dict[str, object] = {"model": case.name, "vertices": len(bound.vertices)}
+    figures["features"] = len(skinning.features)
     figures["network_weights"] = networks.weight_count
     figures |= timing_keys(timings)
-    terms = evaluators["fp32"].skinning_terms()
     blocks = -(-len(bound.vertices) // BLOCK)
-    multiply_adds = BLOCK * (12 * terms + MULTIPLY_ADDS_A_VERTEX * blocks)
+    applied = POSITION_MULTIPLY_ADDS + (0 if skinning.has_normals_of_faces else NORMAL_MULTIPLY_ADDS)
+    multiply_adds = evaluators["fp32"].skinning_multiply_adds() + BLOCK * applied * blocks
     floors = {"fp32.skinning": limits["multiply_add"].p50 * multiply_adds / amount}
     floors |= {f"{p}.networks": min(limits[f"read.{p}.{way}"].p50 for way in (False, True)) for p in PRECISIONS}
     for name, floor in floors.items():

@@ -40,8 +40,8 @@ def _litert(case: NetworkCase, *, int8: bool) -> Runner:
     interpreter.allocate_tensors()
     for detail in interpreter.get_input_details():
         interpreter.set_tensor(detail["index"], getattr(case, detail["name"]))
-    output = interpreter.get_output_details()[0]["index"]
-    return interpreter.invoke, lambda: interpreter.get_tensor(output)
+    outputs = [detail["index"] for detail in interpreter.get_output_details()]
+    return interpreter.invoke, lambda: np.concatenate([interpreter.get_tensor(k) for k in outputs], axis=1)
 
 
 def _warp(case: SkinningCase) -> Runner:

@@ -174,7 +174,8 @@ void bind_frame(nb::module_& module) {
       .def("corrections", corrections, "garment"_a = 0)
       .def("features", features, "garment"_a = 0)
       .def(
-          "skinning_terms", [](BoundEvaluator& self, int garment) { return self.garment(garment).skinning_terms(); },
+          "skinning_multiply_adds",
+          [](BoundEvaluator& self, int garment) { return self.garment(garment).skinning_multiply_adds(); },
           "garment"_a = 0)
       .def_prop_ro("instruction_set", [](BoundEvaluator& self) { return self.evaluator().instruction_set(); })
       .def_prop_ro("precision", [](BoundEvaluator& self) { return precision_name(self.evaluator().precision()); });

@@ -124,9 +124,9 @@ class Evaluator:
         without detail."""
         return self._evaluator.features(garment).copy()
 
-    def skinning_terms(self, garment: int = 0) -> int:
-        """Garment nodes blended, summed over blocks of 16 vertices: each costs 12 multiply-adds a vertex."""
-        return self._evaluator.skinning_terms(garment)
+    def skinning_multiply_adds(self, garment: int = 0) -> int:
+        """Those that blend the matrices of garment nodes, and work out and blend the offsets of detail nodes."""
+        return self._evaluator.skinning_multiply_adds(garment)
 
 
 def drape_poses(

@@ -3,10 +3,12 @@
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from random_models import random_detail
 
 from physkin_bench import cases, measurement
 from physkin_bench.__main__ import main
@@ -95,15 +97,34 @@ def test_peers_that_fail_or_differ_are_left_out():
     assert missing["broken"] == "failed: RuntimeError: no such device" and "5.0e-02" in missing["wrong"]
 
 
-def test_peers_compute_the_same():
+def folded(bound):
+    """A bound garment with detail, and faces, which show its normals."""
+    rng, around = np.random.default_rng(6), np.arange(cases.SEGMENTS)
+    detail = random_detail(rng, bound, 40, width=len(bound.deformer_layers[-2][1]), offset=0.005)
+    ring = np.stack([around, (around + 1) % cases.SEGMENTS], axis=1)
+    quads = np.concatenate([ring, ring[:, ::-1] + cases.SEGMENTS], axis=1)
+    quads = (quads + cases.SEGMENTS * np.arange(cases.RINGS - 1)[:, None, None]).reshape(-1, 4)
+    return replace(
+        bound,
+        faces=np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]]).astype(np.int32),
+        detail_layers=(detail.features,),
+        detail_offsets=detail.offsets,
+        detail_nodes=detail.nodes,
+        detail_weights=detail.weights,
+    )
+
+
+@pytest.mark.parametrize("has_detail", [False, True])
+def test_peers_compute_the_same(has_detail):
     """On the paper's sizes; one that is not installed is left out. The graph itself is the native evaluator's."""
     case = paper_case()
-    evaluator = Evaluator([case.bound], precision="fp32")
-    out = np.empty((len(case.bound.vertices), 6), dtype=np.float32)
+    bound = folded(case.bound) if has_detail else case.bound
+    evaluator = Evaluator([bound], precision="fp32")
+    out = np.empty((len(bound.vertices), 6), dtype=np.float32)
     evaluator.evaluate(case.joint_positions[0], case.inputs[0], [out])
-    corrections = evaluator.corrections()
-    networks = network_case(case.bound, case.joint_positions[0], case.inputs[0, 0, :3], corrections)
-    skinning = skinning_case(case.bound, evaluator.node_transforms())
+    networks = network_case(bound, case.joint_positions[0], case.inputs[0, 0, :3], evaluator)
+    assert networks.expected.shape == (1, 12 * len(bound.node_rest) + (7 if has_detail else 0))
+    skinning = skinning_case(bound, evaluator.node_transforms(), evaluator.features())
     np.testing.assert_allclose(out, skinning.expected, atol=1e-5)
     for peers, task in ((NETWORK_PEERS, networks), (SKINNING_PEERS, skinning)):
         _, missing = prepare_peers(peers, task, task.expected)

@@ -34,6 +34,13 @@ Skinner::Skinner(const SkinningData& data, Precision precision, const Kernels& k
   }
 }
 
+std::int64_t Skinner::multiply_adds() const {
+  const std::int64_t matrices = blocks_.influence_start[blocks_.block_count];
+  if (!detail_offsets_) return kBlock * 12 * matrices;
+  const std::int64_t offsets = blocks_.detail_start[blocks_.block_count];
+  return kBlock * (12 * matrices + 3 * offsets) + std::int64_t(detail_offsets_->outputs()) * features_;
+}
+
 Rejection Skinner::check(const float* node_transforms) const noexcept {
   return reject_beyond("node_transforms", node_transforms, 12 * std::size_t(nodes_), kLargest);
 }

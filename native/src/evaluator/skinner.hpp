@@ -49,8 +49,8 @@ class Skinner {
   int nodes() const { return nodes_; }
   int features() const { return features_; }  // 0 without detail
   int vertex_count() const { return blocks_.vertex_count; }
-  // Garment nodes over all blocks of kBlock vertices: each costs 12 multiply-adds a vertex.
-  int terms() const { return blocks_.influence_start[blocks_.block_count]; }
+  // That blend the matrices of garment nodes, and work out and blend the offsets of detail nodes.
+  std::int64_t multiply_adds() const;
 
  private:
   const Kernels& kernels_;
