@@ -25,6 +25,8 @@ __all__ = ["guarded"]
 
 SAMPLES = 208
 """Closer together than garment nodes are, so that no leg passes between them."""
+SPARSE = 0.3
+"""Where cloth hugs the skin samples are farther apart, by up to one divided by this: fewer lack anything there."""
 BLOCK = 16
 """Samples that lie together are skinned together."""
 GAP = 0.003
@@ -56,7 +58,8 @@ def guarded(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any]:
     shares = free * free * (3 - 2 * free) * (1 - of_arms)
     hanging = np.flatnonzero(shares > 0)
     vertices = bound.vertices.astype(np.float64)
-    samples = _in_blocks(vertices, _spread(vertices, hanging, min(SAMPLES, len(hanging))))
+    closeness = SPARSE + (1 - SPARSE) * shares[hanging]
+    samples = _in_blocks(vertices, hanging[_spread(vertices[hanging], closeness, min(SAMPLES, len(hanging)))])
     return {
         "guard_vertices": bound.vertices[samples],
         "guard_influence_nodes": bound.influence_nodes[samples],
@@ -78,15 +81,15 @@ def _hips(avatar: Avatar, found: Limbs) -> float:
     return float(avatar.bone_heads[legs, 2].max(initial=-np.inf))
 
 
-def _spread(points: np.ndarray, candidates: np.ndarray, count: int) -> np.ndarray:
-    """`count` of candidates, each the farthest from those chosen before, the first the lowest."""
-    at = points[candidates]
-    chosen = [int(at[:, 2].argmin())]
-    distance = np.full(len(at), np.inf)
+def _spread(points: np.ndarray, closeness: np.ndarray, count: int) -> list[int]:
+    """`count` of the points, each the farthest from those chosen before, the first the lowest. closeness: by how much
+    each counts as farther."""
+    chosen = [int(points[:, 2].argmin())]
+    distance = np.full(len(points), np.inf)
     while len(chosen) < count:
-        distance = np.minimum(distance, ((at - at[chosen[-1]]) ** 2).sum(axis=1))
+        distance = np.minimum(distance, closeness**2 * ((points - points[chosen[-1]]) ** 2).sum(axis=1))
         chosen.append(int(distance.argmax()))
-    return candidates[chosen]
+    return chosen
 
 
 def _in_blocks(points: np.ndarray, chosen: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 Where a sample lacks something along the normal and sway has cost it something there, a share of its sway is to go:
 what it lacks, divided by that cost, which is rounded where it is small. Of a garment node the largest share goes that
 is asked for by samples of which it carries a tenth or more, and less by others. Then it moves by the mean, over
-samples that it carries, of what each lacks along the normal there, weighted by skinning weight times lack; twice, the
+samples that it carries, of what each still lacks along the normal, weighted by skinning weight times lack; twice, the
 second time seeing what the first has left. The fields are those of `physkin_core.runtime.skin_guard`; depths are
 those of the product's `TrunkShape`.
 """
@@ -33,16 +33,18 @@ def kept_out(bound, bones, nodes, sway):
     samples, count = len(bound.guard_vertices), len(nodes)
     weights = np.zeros((samples, count))
     np.add.at(weights, (np.arange(samples)[:, None], bound.guard_influence_nodes), bound.guard_influence_weights)
-    swayed, _ = skin(sampled, sway)
-    needed = np.zeros(samples)
-    for lack, normal in _lacks(bound, bones, skin(sampled, nodes)[0]):
-        cost = np.maximum(-(swayed * normal).sum(axis=1), 0)
-        needed = np.maximum(needed, np.minimum(lack * cost / (cost**2 + WORTHWHILE**2), 1))
-    stilled = (needed[:, None] * np.minimum(weights / CARRIES, 1)).max(axis=0)
-    nodes -= stilled[:, None, None] * sway
-    for _ in range(PASSES):
+    for k in range(PASSES):
+        lacks = list(_lacks(bound, bones, skin(sampled, nodes)[0]))
+        if k == 0:
+            swayed, _ = skin(sampled, sway)
+            costs = [np.maximum(-(swayed * normal).sum(axis=1), 0) for _, normal in lacks]
+            needed = [np.minimum(lack * cost / (cost**2 + WORTHWHILE**2), 1) for (lack, _), cost in zip(lacks, costs)]
+            gone = (np.max(needed, axis=0)[:, None] * np.minimum(weights / CARRIES, 1)).max(axis=0)
+            nodes -= gone[:, None, None] * sway
+            gained = [(weights @ gone) * cost for cost in costs]
+            lacks = [(np.maximum(lack - gain, 0), normal) for (lack, normal), gain in zip(lacks, gained)]
         counted, moved = np.zeros(count), np.zeros((count, 3))
-        for lack, normal in _lacks(bound, bones, skin(sampled, nodes)[0]):
+        for lack, normal in lacks:
             share = weights * lack[:, None]
             counted += share.sum(axis=0)
             moved += share.T @ (lack[:, None] * normal)

@@ -85,8 +85,7 @@ SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena
       sway_(arena.take<float>(12 * std::size_t(nodes_))),
       swayed_(arena.take<float>(3 * std::size_t(samples_))),
       stilled_(arena.take<float>(nodes_)),
-      sums_(arena.take<float>(4 * std::size_t(nodes_))),
-      moved_(arena.take<float>(3 * std::size_t(nodes_))) {
+      sums_(arena.take<float>(4 * std::size_t(nodes_))) {
   const std::size_t coefficients = std::size_t(g.skin_splines) * kTrunkWaves;
   for (int k = 0; k < g.skin_parts; ++k) {
     const float* shape = g.skin_shapes + 5 * k;
@@ -109,21 +108,17 @@ SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena
 
 void SkinGuard::keep_out(const GarmentNodes& nodes, const float* bone_transforms, const float* corrections,
                          const float* still, float* node_transforms) noexcept {
-  for (Part& part : parts_) pose(part, bone_transforms);
   place_samples(node_transforms);
-  if (!find_lacks()) return;
-  if (corrections != still) {
-    nodes.compose_added(bone_transforms, corrections, still, sway_);
-    if (sway_less(node_transforms)) {
-      place_samples(node_transforms);
-      if (!find_lacks()) return;
-    }
+  for (Part& part : parts_) {
+    pose(part, bone_transforms);
+    find_near(part);
   }
-  std::fill_n(moved_, 3 * std::size_t(nodes_), 0.0f);
   for (int pass = 0; pass < kPasses; ++pass) {
-    if (pass > 0) {
-      move_near_samples();
-      if (!find_lacks()) return;
+    if (pass > 0) place_samples(node_transforms);
+    if (!find_lacks()) return;
+    if (pass == 0 && corrections != still) {
+      nodes.compose_added(bone_transforms, corrections, still, sway_);
+      sway_less(node_transforms);
     }
     move_nodes(node_transforms);
   }
@@ -134,7 +129,6 @@ void SkinGuard::place_samples(const float* node_transforms) noexcept {
   for (int s = 0; s < samples_; ++s) {
     for (int axis = 0; axis < 3; ++axis) positions_[axis * samples_ + s] = skinned_[3 * s + axis];
   }
-  for (Part& part : parts_) find_near(part);
 }
 
 void SkinGuard::pose(Part& part, const float* bone_transforms) const noexcept {
@@ -159,12 +153,11 @@ void SkinGuard::find_near(Part& part) noexcept {
     const float per = 1 / std::max(dot(way, way), 1e-9f), square = part.widths[k] * part.widths[k];
     for (int s = 0; s < samples_; ++s) {
       const float dx = x[s] - from.x, dy = y[s] - from.y, dz = z[s] - from.z;
-      float along = per * (dx * way.x + dy * way.y + dz * way.z);
-      along = along < 0 ? 0 : along;
-      along = along > 1 ? 1 : along;
-      const float ax = dx - along * way.x, ay = dy - along * way.y, az = dz - along * way.z;
-      const float beyond = ax * ax + ay * ay + az * az - square;
-      beyond_[s] = beyond < beyond_[s] ? beyond : beyond_[s];
+      const float along = per * (dx * way.x + dy * way.y + dz * way.z);
+      const float at = 0.5f * (std::fabs(along) - std::fabs(along - 1) + 1);  // within 0 and 1, without a branch
+      const float ax = dx - at * way.x, ay = dy - at * way.y, az = dz - at * way.z;
+      const float beyond = ax * ax + ay * ay + az * az - square, before = beyond_[s];
+      beyond_[s] = 0.5f * (beyond + before - std::fabs(beyond - before));  // the lesser
     }
   }
   part.near_count = 0;
@@ -201,26 +194,35 @@ void SkinGuard::add_lacks(Part& part) noexcept {
   }
 }
 
-bool SkinGuard::sway_less(float* node_transforms) noexcept {
+// What samples lack afterwards is foreseen: looking it up would take as long as all of this.
+void SkinGuard::sway_less(float* node_transforms) noexcept {
   skinner_.skin(sway_, nullptr, {reinterpret_cast<unsigned char*>(swayed_), 3, false});
   std::fill_n(stilled_, nodes_, 0.0f);
-  bool any = false;
   for (int at = 0; at < lack_count_; ++at) {
     const Lack& lack = lacks_[at];
-    const float cost = -dot(lack.normal, load_vector(swayed_ + 3 * lack.sample));
-    if (!(cost > 0)) continue;
+    const float cost = cost_of(lack);
     const float needed = std::min(lack.length * cost / (cost * cost + kWorthwhile * kWorthwhile), 1.0f);
     const std::size_t first = std::size_t(lack.sample) * influences_;
     for (int k = 0; k < influences_; ++k) {
       float& stilled = stilled_[influence_nodes_[first + k]];
       stilled = std::max(stilled, needed * std::min(influence_weights_[first + k] / kCarries, 1.0f));
     }
-    any = true;
   }
   for (int i = 0; i < nodes_; ++i) {
     for (int k = 0; k < 12; ++k) node_transforms[12 * i + k] -= stilled_[i] * sway_[12 * i + k];
   }
-  return any;
+  for (int at = 0; at < lack_count_; ++at) {
+    Lack& lack = lacks_[at];
+    const std::size_t first = std::size_t(lack.sample) * influences_;
+    float share = 0;
+    for (int k = 0; k < influences_; ++k)
+      share += influence_weights_[first + k] * stilled_[influence_nodes_[first + k]];
+    lack.length = std::max(lack.length - share * cost_of(lack), 0.0f);
+  }
+}
+
+float SkinGuard::cost_of(const Lack& lack) const noexcept {
+  return std::max(-dot(lack.normal, load_vector(swayed_ + 3 * lack.sample)), 0.0f);
 }
 
 // What lacks more counts more, so that a sample that hardly lacks anything does not hold back one beside it.
@@ -241,24 +243,7 @@ void SkinGuard::move_nodes(float* node_transforms) noexcept {
   for (int i = 0; i < nodes_; ++i) {
     const float* sum = sums_ + 4 * i;
     const float per = sum[3] > kLeast ? 1 / sum[3] : 0.0f;
-    for (int axis = 0; axis < 3; ++axis) {
-      moved_[3 * i + axis] += per * sum[axis];
-      node_transforms[12 * i + 4 * axis + 3] += per * sum[axis];
-    }
-  }
-}
-
-void SkinGuard::move_near_samples() noexcept {
-  for (const Part& part : parts_) {
-    for (int at = 0; at < part.near_count; ++at) {
-      const int s = part.near[at];
-      const std::size_t first = std::size_t(s) * influences_;
-      Vector3 moved = load_vector(skinned_ + 3 * s);
-      for (int k = 0; k < influences_; ++k) {
-        moved = moved + influence_weights_[first + k] * load_vector(moved_ + 3 * influence_nodes_[first + k]);
-      }
-      positions_[s] = moved.x, positions_[samples_ + s] = moved.y, positions_[2 * samples_ + s] = moved.z;
-    }
+    for (int axis = 0; axis < 3; ++axis) node_transforms[12 * i + 4 * axis + 3] += per * sum[axis];
   }
 }
 

@@ -53,10 +53,10 @@ class SkinGuard {
   bool find_lacks() noexcept;
   // Of those near a part, and keeps those that may after a move.
   void add_lacks(Part& part) noexcept;
-  // Takes sway away where samples lack something that it has cost them. Whether it has.
-  bool sway_less(float* node_transforms) noexcept;
+  // Takes sway away where samples lack something that it has cost them, and leaves what they lack then.
+  void sway_less(float* node_transforms) noexcept;
+  float cost_of(const Lack& lack) const noexcept;
   void move_nodes(float* node_transforms) noexcept;
-  void move_near_samples() noexcept;
 
   const Kernels& kernels_;
   int nodes_, samples_, influences_;
@@ -76,7 +76,6 @@ class SkinGuard {
   float* swayed_;   // (samples, 3) by it [m]
   float* stilled_;  // (nodes,) share of sway taken away, 0 to 1
   float* sums_;     // (nodes, 4): what their samples lack in a pass, as vectors and by how much they count
-  float* moved_;    // (nodes, 3) by this frame
 };
 
 }  // namespace physkin
