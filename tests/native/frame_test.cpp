@@ -97,7 +97,8 @@ long run_frames(const physkin::BoundGarment& g, const physkin::Kernels& kernels,
   return allocations - before;
 }
 
-// A random garment of these sizes, which `run_frames` evaluates.
+// A random garment of these sizes, with detail where `width` is odd, kept out of the skin where it is at most one above a
+// multiple of four; `run_frames` evaluates it.
 long run(const physkin::Kernels& kernels, physkin::Precision precision, int bones, int dofs, int nodes, int vertices,
          int influences, int width) {
   std::vector<std::int32_t> parents(bones);
@@ -149,6 +150,49 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, int bone
   g.sway_rates = rates.data();
   g.sway_turns = turns.data();
   g.sway_states = width;
+
+  const bool detailed = width % 2 == 1, guarded = width % 4 < 2;
+  const int detail_influences = 1 + vertices % 5, numbers = 3 * nodes;
+  const Layers features({width, width + 2});
+  const auto offsets = uniform(std::size_t(numbers) * (width + 2), -0.1f, 0.1f);
+  const auto detail_nodes = indices(std::size_t(vertices) * detail_influences, nodes);
+  const auto detail_weights = uniform(std::size_t(vertices) * detail_influences, 0, 1);
+  g.detail_vertices = g.detail_influences = g.detail_numbers = g.detail_features = 0;
+  if (detailed) {
+    g.detail_vertices = vertices;
+    g.detail_influences = detail_influences;
+    g.detail_numbers = numbers;
+    g.detail_features = width + 2;
+    g.detail_layers = features.layers;
+  }
+  g.detail_offsets = offsets.data();
+  g.detail_nodes = detail_nodes.data();
+  g.detail_weights = detail_weights.data();
+
+  const int samples = vertices / 2, parts = 2, splines = 4;
+  const auto guarded_points = uniform(3 * samples, -1, 1), shares = uniform(samples, 0, 1);
+  const auto guard_nodes = indices(std::size_t(samples) * influences, nodes);
+  const auto guard_weights = uniform(std::size_t(samples) * influences, 0, 1);
+  const auto gaps = uniform(parts * samples, 0, 0.01f), skin_frames = uniform(12 * parts, -1, 1);
+  const float shapes[] = {0, 0, -1, 1, 0.1f, 0.2f, 0, -1, 0.5f, 0.1f};
+  const auto skin_bones = indices(parts * physkin::kSkinBones, bones);
+  const float heights[] = {
+      -0.5f, 0, 0.5f, physkin::kNoHeight, 0, physkin::kNoHeight, physkin::kNoHeight, physkin::kNoHeight};
+  const auto coefficients = uniform(std::size_t(parts) * splines * physkin::kTrunkWaves, 0.1f, 0.3f);
+  g.guard_samples = guarded ? samples : 0;
+  g.guard_influences = influences;
+  g.skin_parts = guarded ? parts : 0;
+  g.skin_splines = splines;
+  g.guard_vertices = guarded_points.data();
+  g.guard_influence_nodes = guard_nodes.data();
+  g.guard_influence_weights = guard_weights.data();
+  g.guard_shares = shares.data();
+  g.guard_gaps = gaps.data();
+  g.skin_frames = skin_frames.data();
+  g.skin_shapes = shapes;
+  g.skin_bones = skin_bones.data();
+  g.skin_heights = heights;
+  g.skin_coefficients = coefficients.data();
 
   const auto faces = indices(6 * std::size_t(vertices), vertices);
   g.faces = faces.data();

@@ -59,4 +59,8 @@ inline Floats reciprocal_sqrt(Floats v) {
   return y * (1.5f - 0.5f * v * y * y);
 }
 
+// What is to be multiplied with a normal of this squared length. Where networks put cloth light years away, the square
+// overflows; the normal is then not of length one, but finite.
+inline Floats inverse_length(Floats square) { return reciprocal_sqrt(at_most(square, 3e38f)); }
+
 }  // namespace physkin::PHYSKIN_ISA

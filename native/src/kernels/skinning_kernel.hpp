@@ -50,7 +50,7 @@ inline SkinnedLanes skin_lanes(const SkinningBlocks& blocks, const float* matric
     normal[r] = (p[1] * q[2] - p[2] * q[1]) * nx + (p[2] * q[0] - p[0] * q[2]) * ny + (p[0] * q[1] - p[1] * q[0]) * nz;
   }
   const Floats square = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2];
-  const Floats inverse = reciprocal_sqrt(at_least(square, 1e-30f));  // a vanished normal stays zero
+  const Floats inverse = inverse_length(at_least(square, 1e-30f));  // a vanished normal stays zero
   for (int r = 0; r < 3; ++r) skinned.column[3 + r] = normal[r] * inverse;
   return skinned;
 }
