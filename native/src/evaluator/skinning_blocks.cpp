@@ -1,6 +1,8 @@
 // Which vertices the skinning kernel works on together.
 #include <algorithm>
 #include <array>
+#include <cfloat>
+#include <cmath>
 #include <cstdint>
 #include <limits>
 #include <map>
@@ -159,7 +161,13 @@ void pack_detail(const SkinningData& g, const std::vector<std::int32_t>& order, 
   }
   blocks.detail_start = arena.copy(start.data(), start.size());
   blocks.detail_offset = arena.copy(offsets.data(), offsets.size());
-  blocks.detail_weight = arena.copy(weights.data(), weights.size());
+  const float largest = std::accumulate(weights.begin(), weights.end(), FLT_MIN,
+                                        [](float so_far, float weight) { return std::max(so_far, std::fabs(weight)); });
+  blocks.detail_unit = largest / float(INT16_MAX);
+  auto* integers = arena.take<std::int16_t>(weights.size());
+  std::transform(weights.begin(), weights.end(), integers,
+                 [&](float weight) { return std::int16_t(std::lround(weight / blocks.detail_unit)); });
+  blocks.detail_weight = integers;
 }
 
 }  // namespace

@@ -23,7 +23,8 @@ struct SkinningBlocks {
   // The same of detail nodes, or none: those of a block, where their offsets start, and weights of its vertices.
   const std::int32_t* detail_start = nullptr;   // (block_count + 1,)
   const std::int32_t* detail_offset = nullptr;  // (detail influences,)
-  const float* detail_weight = nullptr;         // (detail influences, kBlock)
+  const std::int16_t* detail_weight = nullptr;  // (detail influences, kBlock) in detail_unit: half as much to read
+  float detail_unit = 0;
 };
 
 // Where vertices go: a row of floats each, x y z or x y z nx ny nz, `stride` floats from row to row. Rows need no

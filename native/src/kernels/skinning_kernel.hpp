@@ -12,6 +12,11 @@ struct SkinnedLanes {
   Floats column[6];
 };
 
+inline Floats widened(const std::int16_t* integers) {
+  typedef std::int16_t Shorts __attribute__((vector_size(2 * kLanes), may_alias));
+  return __builtin_convertvector(__builtin_convertvector(*reinterpret_cast<const Shorts*>(integers), Ints), Floats);
+}
+
 // Sums the matrices of a block's garment nodes, then applies the sum once.
 template <bool kNormals, bool kDetail>
 inline SkinnedLanes skin_lanes(const SkinningBlocks& blocks, const float* matrices, const float* offsets, int block,
@@ -30,11 +35,13 @@ inline SkinnedLanes skin_lanes(const SkinningBlocks& blocks, const float* matric
   const float* rest = blocks.rest + std::ptrdiff_t(block) * 6 * kBlock + lane;
   Floats x = load(rest), y = load(rest + kBlock), z = load(rest + 2 * kBlock);
   if (kDetail) {
+    Floats offset_x = {}, offset_y = {}, offset_z = {};
     for (std::int32_t k = blocks.detail_start[block]; k < blocks.detail_start[block + 1]; ++k) {
       const float* offset = offsets + blocks.detail_offset[k];
-      const Floats weight = load(blocks.detail_weight + std::ptrdiff_t(k) * kBlock + lane);
-      x += weight * offset[0], y += weight * offset[1], z += weight * offset[2];
+      const Floats weight = widened(blocks.detail_weight + std::ptrdiff_t(k) * kBlock + lane);
+      offset_x += weight * offset[0], offset_y += weight * offset[1], offset_z += weight * offset[2];
     }
+    x += offset_x * blocks.detail_unit, y += offset_y * blocks.detail_unit, z += offset_z * blocks.detail_unit;
   }
   SkinnedLanes skinned;
   for (int r = 0; r < 3; ++r) {
