@@ -101,6 +101,6 @@ def skinned_layers(outfit):
     """(v, 3) [m] of each layer where its garment nodes have it in the last frame: without the order of layers, which no
     engine keeps."""
     clouds = [np.empty((layer.vertex_count, 3), dtype=np.float32) for layer in outfit.layers]
-    for layer, nodes, cloud in zip(outfit.layers, outfit.node_transforms(), clouds):
-        Skinner(layer.given).skin(nodes, cloud)
+    for layer, nodes, features, cloud in zip(outfit.layers, outfit.node_transforms(), outfit.features(), clouds):
+        Skinner(layer.given).skin(nodes, cloud, features)
     return clouds

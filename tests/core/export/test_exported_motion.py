@@ -29,7 +29,8 @@ def motion():
 
 @pytest.fixture(scope="module")
 def worn():
-    return [load_garment_model(name) for name in ("trousers", "tshirt")]
+    """Without detail, which a .glb has but for a rest."""
+    return [load_garment_model(name) for name in ("trousers", "longsleeve")]
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +44,7 @@ def folded(worn, tmp_path_factory):
     return load_garment_model(path), str(path)
 
 
-def export(path, *options, shirt="tshirt"):
+def export(path, *options, shirt="longsleeve"):
     assert (
         main(["export", "walk", "-g", "trousers", "-g", shirt, "--rate", f"{RATE:g}", *options, "-o", str(path)]) == 0
     )
@@ -74,7 +75,7 @@ def test_an_engine_sees_what_is_draped(walking, motion, whole):
     for frame in (0, motion.frame_count // 2):
         trousers, shirt = (in_gltf_world(cloud[:, :3], motion, frame) for cloud in clouds[frame])
         assert cKDTree(trousers).query(reader.skinned("trousers", frame))[0].max() < 2e-4
-        apart = np.linalg.norm(reader.skinned("tshirt", frame) - shirt, axis=1)
+        apart = np.linalg.norm(reader.skinned("longsleeve", frame) - shirt, axis=1)
         assert apart.mean() < 2e-4 and apart.max() < 5e-3
         body = in_gltf_world(whole.posed_body(motion.positions_for(whole.rig)[frame]), motion, frame)
         assert np.linalg.norm(reader.skinned("body", frame) - body, axis=1).max() < 2e-4
@@ -85,7 +86,7 @@ def test_what_no_frame_shows_is_left_out(walking, motion, whole):
     nothing is missed is tested below."""
     reader, _ = walking
     trousers, shirt = whole.layers
-    assert len(reader.faces("tshirt")) == len(shirt.faces)
+    assert len(reader.faces("longsleeve")) == len(shirt.faces)
     assert len(reader.faces("trousers")) < (~faces_of(trousers.faces, trousers.hidden)).sum()
     assert len(reader.faces("body")) < (~whole.body_mask).sum()
 
@@ -104,11 +105,11 @@ def test_layers_keep_their_order_in_the_file(walking, motion, whole):
 def test_what_is_in_the_file_has_names(walking):
     reader, _ = walking
     assert reader.file.animations[0].name == "walk"
-    names = ["body", "trousers", "tshirt"]
+    names = ["body", "trousers", "longsleeve"]
     for kind in ("meshes", "skins", "materials"):
         assert [each.name for each in getattr(reader.file, kind)] == names
     assert all(node.name for node in reader.file.nodes)
-    shirt = reader.mesh("tshirt")
+    shirt = reader.mesh("longsleeve")
     assert len(set(shirt.extras["targetNames"])) == len(shirt.primitives[0].targets) > 0
 
 
@@ -117,7 +118,7 @@ def test_what_a_glb_cannot_show_is_told(tmp_path, motion, monkeypatch, capsys):
     monkeypatch.setattr(morph_targets, "MOST_TARGETS", 0)
     export(tmp_path / "walk.glb")
     told = capsys.readouterr().err
-    off = rf"warning: tshirt is up to \d+ mm off in \d+ of {motion.frame_count} frames, .* a \.usdc has it exactly"
+    off = rf"warning: longsleeve is up to \d+ mm off in \d+ of {motion.frame_count} frames, .* a \.usdc has it exactly"
     assert re.search(off, told)
 
 

@@ -25,7 +25,7 @@ RED = (0.8, 0.05, 0.1)
 
 @pytest.fixture(scope="module")
 def shirt():
-    return load_garment_model("tshirt")
+    return load_garment_model("longsleeve")
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def write_look(folder, model, *, library=None, files=None, vertices=None):
 
 
 def export(path, *options):
-    return main(["export", "walk", "-g", "tshirt", "--rate", f"{RATE:g}", *map(str, options), "-o", str(path)])
+    return main(["export", "walk", "-g", "longsleeve", "--rate", f"{RATE:g}", *map(str, options), "-o", str(path)])
 
 
 def test_gltf_has_the_look_and_no_seam_opens(tmp_path, shirt, worn):
@@ -70,17 +70,17 @@ def test_gltf_has_the_look_and_no_seam_opens(tmp_path, shirt, worn):
     for k in range(frame + 1):
         worn.drape(motion.positions_for(shirt.rig)[k], time=motion.times[k], root=motion.root[k])
     (cloud,) = skinned_layers(worn)
-    skinned = reader.skinned("tshirt", frame)
+    skinned = reader.skinned("longsleeve", frame)
     distance, closest = cKDTree(in_gltf_world(cloud, motion, frame)).query(skinned)
     which = worn.layers[0].visible[closest]
     assert distance.max() < 2e-4
     assert len(cloud) + 10 < len(skinned) < 1.1 * len(cloud) and len(np.unique(which)) == len(cloud)
     rest = shirt.garment.vertices[which]
-    u, v = reader.array(reader.attributes("tshirt").TEXCOORD_0).T
+    u, v = reader.array(reader.attributes("longsleeve").TEXCOORD_0).T
     np.testing.assert_allclose(1 - v, rest[:, 2], atol=1e-5)
     turn = np.arctan2(rest[:, 1], rest[:, 0]) / (2 * np.pi)
     np.testing.assert_allclose(u - turn, np.round(u - turn), atol=1e-4)
-    mesh = next(mesh for mesh in reader.file.meshes if mesh.name == "tshirt")
+    mesh = next(mesh for mesh in reader.file.meshes if mesh.name == "longsleeve")
     knit, red = (reader.file.materials[primitive.material] for primitive in mesh.primitives)
     counts = [len(reader.array(primitive.indices)) // 3 for primitive in mesh.primitives]
     assert sum(counts) == len(worn.layers[0].faces) and min(counts) > 0.4 * sum(counts)
@@ -98,7 +98,7 @@ def test_usd_has_the_look(tmp_path, shirt):
 
     assert export(tmp_path / "walk.usdc", "--look", write_look(tmp_path / "look", shirt)) == 0
     stage = Usd.Stage.Open(str(tmp_path / "walk.usdc"))
-    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/avatar/tshirt"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/avatar/longsleeve"))
     places = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
     assert places.GetInterpolation() == "faceVarying"
     faces = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
@@ -108,7 +108,7 @@ def test_usd_has_the_look(tmp_path, shirt):
     subsets = UsdShade.MaterialBindingAPI(mesh).GetMaterialBindSubsets()
     assert sum(len(subset.GetIndicesAttr().Get()) for subset in subsets) == len(faces)
     files = [prim.GetAttribute("inputs:file").Get() for prim in stage.Traverse() if prim.GetName() == "UsdUVTexture"]
-    assert [file.path for file in files] == ["./walk_pictures/tshirt_knit.png"]
+    assert [file.path for file in files] == ["./walk_pictures/longsleeve_knit.png"]
     assert (tmp_path / files[0].path).read_bytes() == picture()
 
 
@@ -121,7 +121,7 @@ def test_usd_tells_materials_of_like_names_apart(tmp_path, shirt):
     look.write_text(look.read_text().replace("usemtl knit", "usemtl a b").replace("usemtl red", "usemtl a-b"))
     assert export(tmp_path / "walk.usdc", "--look", look) == 0
     stage = Usd.Stage.Open(str(tmp_path / "walk.usdc"))
-    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/avatar/tshirt"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/avatar/longsleeve"))
     subsets = UsdShade.MaterialBindingAPI(mesh).GetMaterialBindSubsets()
     assert sum(len(subset.GetIndicesAttr().Get()) for subset in subsets) == len(mesh.GetFaceVertexCountsAttr().Get())
     bound = [UsdShade.MaterialBindingAPI(subset).ComputeBoundMaterial()[0] for subset in subsets]
@@ -141,13 +141,13 @@ def test_a_picture_is_found_after_any_options(tmp_path, shirt, options):
     path = write_look(tmp_path / "look", shirt, library=library, files={"my knit.png": picture(), "knit.png": b"no"})
     look = read_mesh(path).look
     assert sorted(look.files) == [LIBRARY, "my knit.png"]
-    knit = next(each for each in surfaces_of(look, "tshirt", RED, len(look.material)) if each.name == "knit")
+    knit = next(each for each in surfaces_of(look, "longsleeve", RED, len(look.material)) if each.name == "knit")
     assert knit.picture.content == picture()
 
 
 def test_words_of_a_library_may_stand_after_tabs(tmp_path, shirt):
     look = read_mesh(write_look(tmp_path / "look", shirt, library="\tnewmtl\tred\nKd\t0.5\t0.25 0\n")).look
-    surfaces = {each.name: each for each in surfaces_of(look, "tshirt", RED, len(look.material))}
+    surfaces = {each.name: each for each in surfaces_of(look, "longsleeve", RED, len(look.material))}
     assert surfaces["red"].colour == (0.5, 0.25, 0.0) and surfaces["knit"].colour == (1.0, 1.0, 1.0)
 
 
@@ -170,7 +170,7 @@ def plain(folder, model):
     [
         (
             far_off,
-            r"is no mesh of a garment worn: tshirt is the closest, \d\d mm off on average, at most 2 are allowed",
+            r"is no mesh of a garment worn: longsleeve is the closest, \d\d mm off on average, at most 2 are allowed",
         ),
         (plain, "has neither texture places nor materials"),
         (lambda *to: write_look(*to, files={}), "the picture of material 'knit' is missing: 'knit.png'"),
@@ -199,7 +199,7 @@ def test_looks_that_cannot_be_used_are_told(tmp_path, shirt, worn, write, told):
 
 def test_a_garment_has_one_look(tmp_path, shirt, worn):
     path = write_look(tmp_path / "look", shirt, vertices=shirt.garment.vertices + [0, 0, LIES_ON / 2])
-    with pytest.raises(ValueError, match="is a second look for tshirt"):
+    with pytest.raises(ValueError, match="is a second look for longsleeve"):
         garment_looks([path, path], worn)
 
 

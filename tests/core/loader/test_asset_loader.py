@@ -126,10 +126,10 @@ def test_splats_and_why_they_cannot_be_used(asset_loader, avatar, tmp_path):
     outfit, loaded = asset_loader.outfit(request("trousers", "tshirt", points=str(near)))
     assert loaded.splats.garment == 1 and not loaded.splats_refused
     outfit.drape(outfit.rig.rest)
-    nodes = outfit.node_transforms()[1]
+    told = outfit.node_transforms()[1], outfit.features()[1]
     file = read_splat_file(near)
-    expected = SplatSkinner(bind_splats(outfit.layers[1], file.splats)).skin(nodes)
-    found = SplatSkinner(loaded.splats.bound).skin(nodes)
+    expected = SplatSkinner(bind_splats(outfit.layers[1], file.splats)).skin(*told)
+    found = SplatSkinner(loaded.splats.bound).skin(*told)
     np.testing.assert_array_equal(found.centres, expected.centres)
     np.testing.assert_array_equal(found.rotations, expected.rotations)
     assert loaded.splats.look.tolist() == file.look.tolist() and loaded.splats.look.dtype.names == file.look.dtype.names

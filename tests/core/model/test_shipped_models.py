@@ -18,7 +18,7 @@ def test_the_files_are_small():
     """A clone carries every version of them."""
     sizes = {path.stem: path.stat().st_size for path in MODELS_PATH.glob("*.safetensors")}
     assert sorted(sizes) == sorted(GARMENTS)
-    assert max(sizes.values()) <= 4.2e6 and sum(sizes.values()) <= 20e6
+    assert max(sizes.values()) <= 4.7e6 and sum(sizes.values()) <= 20e6
 
 
 @pytest.mark.parametrize("name", GARMENTS)

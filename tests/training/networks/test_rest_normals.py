@@ -11,7 +11,6 @@ import torch
 
 from physkin_core import load_garment_model, save_garment_model
 from physkin_core.model.garment import Garment, vertex_normals
-from physkin_core.model.model_file import shipped_models
 from physkin_core.rig.rig import Rig
 from physkin_training.config import NetworkConfig
 from physkin_training.networks.draping import Drape
@@ -33,16 +32,17 @@ def with_own_normals(model):
 
 @pytest.fixture(scope="module")
 def tshirt():
-    return load_garment_model("tshirt")
+    """Without detail, which has normals of its faces."""
+    return replace(load_garment_model("tshirt"), detail=None)
 
 
-@pytest.mark.parametrize("name", shipped_models())
+@pytest.mark.parametrize("name", ["longsleeve", "skirt", "trousers"])
 def test_shipped_models_carry_fitted_normals(name):
     """Nearer to the draped mesh's than its own normals carried, in the middle and at the worst, and nowhere farther,
     but where the worst is small.
 
-    What the documentation measures. The worst of skirt and dress, 130 degrees and more, are
-    folds that lie the other way round, which no rest normal follows.
+    What the documentation measures; T-shirt and dress have normals of their faces. The worst of the skirt, 130 degrees
+    and more, are folds that lie the other way round, which no rest normal follows.
     """
     model = load_garment_model(name)
     fitted, own = (
@@ -52,7 +52,7 @@ def test_shipped_models_carry_fitted_normals(name):
         assert errors.median < 1.05 * own[take].median
         assert errors.p99 < max(1.06 * own[take].p99, 30.0)
     assert fitted["uniform"].median < 0.9 * own["uniform"].median
-    assert fitted["uniform"].p99 < (0.99 if name in ("skirt", "dress") else 0.93) * own["uniform"].p99
+    assert fitted["uniform"].p99 < (0.99 if name == "skirt" else 0.93) * own["uniform"].p99
 
 
 def test_where_one_node_carries_everything_the_normals_are_the_mesh_s_own(tshirt):
@@ -76,22 +76,22 @@ def test_impossible_numbers_and_other_rigs_are_refused(tshirt, wrong):
         fitted_rest_normals(drape_from_model(tshirt), tshirt.garment, rig)
 
 
-def test_store_writes_what_it_fitted(tshirt, tmp_path, monkeypatch, capsys):
-    """What it did for the shipped model; nothing else changes; the table has a row before and one after."""
-    path = tmp_path / "mine.safetensors"
-    save_garment_model(with_own_normals(tshirt), path)
+def test_store_writes_what_it_fitted(tmp_path, monkeypatch, capsys):
+    """What it did for a shipped model; nothing else changes; the table has a row before and one after."""
+    shipped, path = load_garment_model("trousers"), tmp_path / "mine.safetensors"
+    save_garment_model(with_own_normals(shipped), path)
     before = load_garment_model(path)
     monkeypatch.setattr("physkin_training.networks.rest_normals.MEASURED_BODIES", 1)
     monkeypatch.setattr("physkin_training.networks.rest_normals.MEASURED_FRAMES", 1)
     assert main([str(path), "--store"]) == 0
     stored = load_garment_model(path)
-    np.testing.assert_allclose(stored.rest_normals, tshirt.rest_normals, atol=3e-3)
+    np.testing.assert_allclose(stored.rest_normals, shipped.rest_normals, atol=5e-3)
     arrays = before.arrays()
     for name, array in stored.arrays().items():
         if name != "garment.normals":
             rounded_again = 2e-5 if name.endswith("skinning.weights") else 0  # their sums are 1 only once loaded
             np.testing.assert_allclose(array, arrays[name], rtol=0, atol=rounded_again)
-    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| tshirt")]
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| trousers")]
     assert len(rows) == 2 and all(re.search(r"\| [0-9.]+, [0-9]+ +\|", row) for row in rows)
 
 
