@@ -59,9 +59,9 @@ def collision_kernel(
     body = drapes.body
     point = drapes.x[s, v] + drapes.offset[s]
     own = s * face_bone.shape[0] + own_face[v]
-    own_centre = wp.mesh_eval_position(body, own, 1.0 / 3.0, 1.0 / 3.0)
     lost = False
     if leads_back and far_face[v] >= 0:
+        own_centre = wp.mesh_eval_position(body, own, 1.0 / 3.0, 1.0 / 3.0)
         far_centre = wp.mesh_eval_position(body, s * face_bone.shape[0] + far_face[v], 1.0 / 3.0, 1.0 / 3.0)
         across = own_centre - far_centre
         lost = wp.dot(point - 0.5 * (own_centre + far_centre), across) < -ACROSS * wp.length(across)
@@ -87,8 +87,10 @@ def collision_kernel(
         depth = contact_offset - distance
         outward = wp.mesh_eval_face_normal(body, hit.face)
         if depth < DEEP or (mine and wp.dot(outward, drapes.normals[s, v]) >= 0.0):
-            if other_limb[v, part] and wp.dot(outward, own_centre - closest) <= 0.0:
-                depth = 0.0
+            if other_limb[v, part]:
+                own_centre = wp.mesh_eval_position(body, own, 1.0 / 3.0, 1.0 / 3.0)
+                if wp.dot(outward, own_centre - closest) <= 0.0:
+                    depth = 0.0
             if gap > 1.0e-6:
                 outward = away * (hit.sign / gap)
         else:
@@ -96,6 +98,7 @@ def collision_kernel(
             lost = leads_back
     if lost:
         limit = LED_BACK_BEYOND
+        own_centre = wp.mesh_eval_position(body, own, 1.0 / 3.0, 1.0 / 3.0)
         outward = wp.mesh_eval_face_normal(body, own)
         depth = contact_offset - wp.dot(point - own_centre, outward)
     if depth <= 0.0:
