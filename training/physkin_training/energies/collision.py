@@ -31,6 +31,11 @@ LED_BACK_BEYOND = 0.001
 """Depth [m] behind its own place on the body up to which the force grows that leads a lost vertex back."""
 
 
+@wp.func
+def centre_of(body: wp.uint64, face: int):
+    return wp.mesh_eval_position(body, face, 1.0 / 3.0, 1.0 / 3.0)
+
+
 @wp.kernel
 def collision_kernel(
     rest: Rest,
@@ -61,8 +66,7 @@ def collision_kernel(
     own = s * face_bone.shape[0] + own_face[v]
     lost = False
     if leads_back and far_face[v] >= 0:
-        own_centre = wp.mesh_eval_position(body, own, 1.0 / 3.0, 1.0 / 3.0)
-        far_centre = wp.mesh_eval_position(body, s * face_bone.shape[0] + far_face[v], 1.0 / 3.0, 1.0 / 3.0)
+        own_centre, far_centre = centre_of(body, own), centre_of(body, s * face_bone.shape[0] + far_face[v])
         across = own_centre - far_centre
         lost = wp.dot(point - 0.5 * (own_centre + far_centre), across) < -ACROSS * wp.length(across)
     hit = wp.mesh_query_point_sign_normal(body, point, reach)
@@ -85,22 +89,20 @@ def collision_kernel(
         mine = worn[v, part]
         at_worn_part[s, v] = mine
         depth = contact_offset - distance
-        outward = wp.mesh_eval_face_normal(body, hit.face)
-        if depth < DEEP or (mine and wp.dot(outward, drapes.normals[s, v]) >= 0.0):
-            if other_limb[v, part]:
-                own_centre = wp.mesh_eval_position(body, own, 1.0 / 3.0, 1.0 / 3.0)
-                if wp.dot(outward, own_centre - closest) <= 0.0:
+        if depth > 0.0:
+            outward = wp.mesh_eval_face_normal(body, hit.face)
+            if depth < DEEP or (mine and wp.dot(outward, drapes.normals[s, v]) >= 0.0):
+                if other_limb[v, part] and wp.dot(outward, centre_of(body, own) - closest) <= 0.0:
                     depth = 0.0
-            if gap > 1.0e-6:
-                outward = away * (hit.sign / gap)
-        else:
-            depth = 0.0
-            lost = leads_back
+                if gap > 1.0e-6:
+                    outward = away * (hit.sign / gap)
+            else:
+                depth = 0.0
+                lost = leads_back
     if lost:
         limit = LED_BACK_BEYOND
-        own_centre = wp.mesh_eval_position(body, own, 1.0 / 3.0, 1.0 / 3.0)
         outward = wp.mesh_eval_face_normal(body, own)
-        depth = contact_offset - wp.dot(point - own_centre, outward)
+        depth = contact_offset - wp.dot(point - centre_of(body, own), outward)
     if depth <= 0.0:
         return
     k = stiffness[0] * rest.vertex_area[rest.row[s], v]
