@@ -1,10 +1,12 @@
-"""Random rigs, garment models and avatars of any size, and a cloth tube whose geodesics are known.
+"""Random rigs, garment models and avatars of any size, and cloth tubes: one whose geodesics are known, one sewn.
 
 Everything is of about a person's size and has nothing regular about it. Dimensions: `b` bones, `d` degrees of freedom,
 `m` garment nodes, `n` garment vertices, `K` influences, `V` body vertices.
 """
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 
@@ -62,6 +64,41 @@ def tube(*, rings: int = 9, segments: int = 12, radius: float = 0.15, height: fl
     a, d = index[:-1].ravel(), index[1:].ravel()
     b, c = np.roll(index, -1, axis=1)[:-1].ravel(), np.roll(index, -1, axis=1)[1:].ravel()
     return Garment(vertices, np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]))
+
+
+def sewn_tube(
+    *, columns: int = 6, rings: int = 9, width: float = 0.45, height: float = 0.4, shrunk: float = 0.92
+) -> Garment:
+    """Two panels of `width` by `height` [m], each `columns` quads wide, sewn up at both sides and lying as a `tube` of
+    `shrunk` times their size. Both seams are creases."""
+    segments = 2 * columns
+    lying = tube(rings=rings, segments=segments, radius=shrunk * width / np.pi, height=shrunk * height)
+    quad = np.arange((rings - 1) * segments)
+    ring, (panel, column) = quad // segments, np.divmod(quad % segments, columns)
+    a = (panel * rings + ring) * (columns + 1) + column
+    b, c, d = a + 1, a + columns + 2, a + columns + 1
+    across, up = np.meshgrid(np.linspace(0, width, columns + 1), np.linspace(0, height, rings))
+    places = np.column_stack([across.reshape(-1), up.reshape(-1)])
+    seams = np.concatenate([np.arange(side, rings * segments, segments) for side in (0, columns)])
+    ends = np.column_stack([seams[:-1], seams[1:]])
+    return Garment(
+        lying.vertices,
+        lying.faces,
+        ends[np.arange(len(ends)) != rings - 1],
+        np.concatenate([places, places + [width + 0.1, 0.0]]),
+        np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]),
+    )
+
+
+def write_sewn(path: Path, garment: Garment) -> None:
+    """As an OBJ with `vt` in metres and its creases as line elements."""
+    lines = ["v {:.8f} {:.8f} {:.8f}".format(*vertex) for vertex in garment.vertices]
+    lines += ["vt {:.8f} {:.8f}".format(*place) for place in garment.panel_places]
+    for face, panel_face in zip(garment.faces + 1, garment.panel_faces + 1):
+        lines.append("f " + " ".join(f"{vertex}/{place}" for vertex, place in zip(face, panel_face)))
+    if garment.creases is not None:
+        lines += [f"l {a} {b}" for a, b in garment.creases + 1]
+    path.write_text("\n".join(lines) + "\n")
 
 
 def tube_geodesics(vertices: np.ndarray, source: int, radius: float = 0.15) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Garment mesh and its rest data: what the physics and the quality figures measure against.
 
-Dimensions: `n` vertices, `f` faces, `e` edges, `q` interior edges (hinges), `c` edges along creases. Metres.
+Dimensions: `n` vertices, `f` faces, `e` edges, `q` interior edges (hinges), `c` edges along creases, `t` places on the
+flat cloth. Metres.
 """
 
 from __future__ import annotations
@@ -15,6 +16,15 @@ from physkin_core.file_reading import reading
 from physkin_core.formats.obj_file import read_obj
 from physkin_core.formats.surface_file import read_surface
 from physkin_core.model.model_arrays import Array, described
+from physkin_core.model.rest_shape import (
+    flat_areas,
+    graded,
+    panel_fault,
+    panels_of_texture,
+    rest_areas,
+    rest_edges,
+    side_lengths,
+)
 
 __all__ = ["Garment", "GarmentError", "face_areas", "load_garment", "surface_fault", "vertex_normals"]
 
@@ -61,43 +71,100 @@ class Garment:
     """A triangle mesh in canonical space with rest lengths, areas and hinges.
 
     vertices: (n, 3) float64 [m], root frame of the garment maker's body at the canonical pose. faces: (f, 3) int32.
-    edges: (e, 2) int32; edge_lengths: (e,). face_areas: (f,) [m2]. hinges: (q, 4) int32, the shared edge's two
-    vertices, then the opposite vertex of either face. vertex_areas: (n,) [m2], a third of each face at its corners.
     creases: (c, 2), edges that keep the angle that they are made with where other cloth is flat at rest, such as a
-    pressed pleat or a stiff seam; None for none. creased: (q,) bool, the hinges there.
-    Raises GarmentError on non-finite vertices, missing or degenerate faces, indices out of range, or creases that are
-    no edges.
+    pressed pleat or a stiff seam; None for none.
+    panel_places: (t, 2) float64 [m], where the cloth lies on the flat panels that it was cut from, first across the
+    grain (weft), then along it (warp), and so its texture places, too; panel_faces: (f, 3) int32 below t, the place of
+    each corner of `faces`. A vertex on a seam has a place on each panel. Both or neither: without them the mesh rests
+    as it lies. Another rest shape leaves them as they were cut.
+
+    At rest: rest_edges (f, 2, 2) [m], as of `rest_shape`; face_areas: (f,) [m2]; vertex_areas: (n,) [m2], a third of
+    each face at its corners; edge_lengths: (e,) [m], the mean of both faces' where panels meet.
+    edges: (e, 2) int32; face_edges: (f, 3) int32, the edge from each corner to the next. hinges: (q, 4) int32, of each
+    edge of two faces, in their order, its two vertices, then the opposite vertex of either face. creased: (q,) bool,
+    the hinges along creases.
+    Raises GarmentError on non-finite vertices, missing or degenerate faces, indices out of range, creases that are no
+    edges, or panels that are not those of this mesh.
     """
 
     vertices: np.ndarray = described("vertices", Array("n 3", np.float32))
     faces: np.ndarray = described("faces", Array("f 3", below="n"))
     creases: np.ndarray | None = described("creases", Array("c 2", below="n", optional=True), default=None)
+    panel_places: np.ndarray | None = described("panel_places", Array("t 2", np.float32, optional=True), default=None)
+    panel_faces: np.ndarray | None = described("panel_faces", Array("f 3", below="t", optional=True), default=None)
     edges: np.ndarray = field(init=False, repr=False)
+    face_edges: np.ndarray = field(init=False, repr=False)
+    hinges: np.ndarray = field(init=False, repr=False)
+    creased: np.ndarray = field(init=False, repr=False)
+    rest_edges: np.ndarray = field(init=False, repr=False)
     edge_lengths: np.ndarray = field(init=False, repr=False)
     face_areas: np.ndarray = field(init=False, repr=False)
     vertex_areas: np.ndarray = field(init=False, repr=False)
-    hinges: np.ndarray = field(init=False, repr=False)
-    creased: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, dtype=np.float64)
         faces = np.asarray(self.faces)
         if fault := surface_fault(vertices, faces):
             raise GarmentError(f"garment mesh: {fault}")
-        faces = np.array(faces, dtype=np.int32, order="C")
-        areas = _checked_areas(vertices, faces)
-        edges, hinges = _edges_and_hinges(faces)
-        self._set(faces=faces, edges=edges, hinges=hinges, **_measured(vertices, faces, edges, areas))
+        self._set(faces=np.array(faces, dtype=np.int32, order="C"))
+        edges, areas = self._lying(vertices)
+        self._set(vertices=vertices, **_connections(self.faces))
+        if self.panel_places is not None or self.panel_faces is not None:
+            panels = self._checked_panels(areas)
+            self._set(**panels)
+            places = panels["panel_places"][panels["panel_faces"]]
+            edges = rest_edges(places, np.abs(flat_areas(places)))
+            areas = rest_areas(edges)
+        self._set(**self._at_rest(edges, areas))
         self._set(**self._checked_creases())
 
     def reshaped(self, vertices: np.ndarray) -> Garment:
-        """The same mesh with another rest shape. vertices: (n, 3) [m]. Raises GarmentError as the class does."""
+        """The same mesh with another rest shape: as vertices (n, 3) [m] lie, or where it has panels, these stretched as
+        each face then is. Raises GarmentError as the class does."""
         vertices = np.array(vertices, dtype=np.float64, order="C")
         if vertices.shape != self.vertices.shape or not np.isfinite(vertices).all():
             raise GarmentError(f"a rest shape must be finite {self.vertices.shape}, got shape {vertices.shape}")
-        other = copy.copy(self)
-        other._set(**_measured(vertices, self.faces, self.edges, _checked_areas(vertices, self.faces)))
+        other, (edges, areas) = copy.copy(self), self._lying(vertices)
+        if self.panel_places is not None:
+            edges = graded(self.rest_edges, self._lying(self.vertices)[0], edges)
+            areas = rest_areas(edges)
+        other._set(vertices=vertices, **other._at_rest(edges, areas))
         return other
+
+    def of_faces(self, chosen: np.ndarray) -> Garment:
+        """Some faces, a mask (f,), and their vertices, in their order, with the same rest shape."""
+        used, faces = np.unique(self.faces[chosen], return_inverse=True)
+        other = Garment(self.vertices[used], faces.reshape(-1, 3))
+        other._set(**other._at_rest(self.rest_edges[chosen], self.face_areas[chosen]))
+        return other
+
+    def _lying(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rest edges and areas of the mesh as vertices lie. Raises GarmentError where a face has no area."""
+        areas = face_areas(vertices, self.faces)
+        if areas.min() < 1e-12:
+            raise GarmentError(f"garment face {int(areas.argmin())} is degenerate: area {areas.min():.2e} m2")
+        return rest_edges(vertices[self.faces], areas), areas
+
+    def _at_rest(self, edges: np.ndarray, areas: np.ndarray) -> dict[str, np.ndarray]:
+        """What depends on the rest shape, of rest edges and areas of the faces."""
+        sides, corners = self.face_edges.reshape(-1), self.faces.reshape(-1)
+        return {
+            "rest_edges": edges,
+            "edge_lengths": np.bincount(sides, side_lengths(edges).reshape(-1)) / np.bincount(sides),
+            "face_areas": areas,
+            "vertex_areas": np.bincount(corners, weights=np.repeat(areas / 3, 3), minlength=len(self.vertices)),
+        }
+
+    def _checked_panels(self, areas: np.ndarray) -> dict[str, np.ndarray]:
+        """Of a mesh whose faces have areas (f,)."""
+        if self.panel_places is None or self.panel_faces is None:
+            raise GarmentError("a garment has both panel places and panel faces, or neither")
+        places, panel_faces = np.array(self.panel_places, dtype=np.float64, order="C"), np.asarray(self.panel_faces)
+        with np.errstate(over="ignore", invalid="ignore"):
+            fault = panel_fault(places, panel_faces, areas)
+        if fault:
+            raise GarmentError(f"garment panels: {fault}")
+        return {"panel_places": places, "panel_faces": np.array(panel_faces, dtype=np.int32, order="C")}
 
     def _checked_creases(self) -> dict[str, np.ndarray]:
         if self.creases is None:
@@ -122,45 +189,34 @@ class Garment:
             object.__setattr__(self, name, array)
 
 
-def _checked_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    areas = face_areas(vertices, faces)
-    if areas.min() < 1e-12:
-        raise GarmentError(f"garment face {int(areas.argmin())} is degenerate: area {areas.min():.2e} m2")
-    return areas
-
-
-def _measured(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, areas: np.ndarray) -> dict[str, np.ndarray]:
-    """What of a garment depends on the rest shape."""
-    return {
-        "vertices": vertices,
-        "edge_lengths": np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1),
-        "face_areas": areas,
-        "vertex_areas": np.bincount(faces.reshape(-1), weights=np.repeat(areas / 3, 3), minlength=len(vertices)),
-    }
-
-
 def load_garment(path: str | Path) -> Garment:
     """Read a garment mesh (OBJ, PLY, STL; metres, root frame of its canonical body). Raises GarmentError.
 
     Vertices at equal positions (texture seams, the triangle soup of an STL file) become one, at the first one's place.
-    Line elements of an OBJ are the garment's creases.
+    Line elements of an OBJ are the garment's creases. Its texture places are the panels where they are flat cloth in
+    metres, as told by their sizes (`panels_of_texture`).
     """
     path = Path(path)
     with reading(f"garment {path}", GarmentError):
         if path.suffix.lower() == ".obj":
             file = read_obj(path)
-            garment, creases = Garment(file.vertices, file.faces), file.line_elements
+            garment, creases, uv = Garment(file.vertices, file.faces), file.line_elements, file.uv
         else:
-            garment, creases = Garment(*read_surface(path)), np.zeros((0, 2), int)
-        _, first, inverse = np.unique(garment.vertices + 0.0, axis=0, return_index=True, return_inverse=True)
-        if len(first) == len(garment.vertices) and not len(creases):
+            garment, creases, uv = Garment(*read_surface(path)), np.zeros((0, 2), int), None
+        vertices, faces = garment.vertices, garment.faces
+        _, first, inverse = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)
+        if len(first) < len(vertices):
+            kept, place = np.unique(first, return_inverse=True)
+            place = place[inverse.reshape(-1)]
+            vertices, faces, creases = vertices[kept], place[faces], place[creases]
+        panels = None if uv is None else panels_of_texture(vertices, faces, garment.face_areas, uv)[0]
+        if vertices is garment.vertices and not len(creases) and panels is None:
             return garment
-        kept, place = np.unique(first, return_inverse=True)
-        place = place[inverse.reshape(-1)]
-        return Garment(garment.vertices[kept], place[garment.faces], place[creases] if len(creases) else None)
+        return Garment(vertices, faces, creases if len(creases) else None, *(panels or ()))
 
 
-def _edges_and_hinges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _connections(faces: np.ndarray) -> dict[str, np.ndarray]:
+    """Edges, those of faces, and hinges."""
     directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     opposite = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])
     ordered = np.sort(directed, axis=1)
@@ -173,4 +229,5 @@ def _edges_and_hinges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     start = np.searchsorted(owner[order], np.flatnonzero(count == 2))
     first, second = order[start], order[start + 1]
     hinges = np.column_stack([directed[first], opposite[first], opposite[second]])
-    return edges.astype(np.int32), hinges.astype(np.int32)
+    found = {"edges": edges, "face_edges": owner.reshape(3, -1).T, "hinges": hinges}
+    return {name: np.array(array, dtype=np.int32, order="C") for name, array in found.items()}

@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 FORMAT = "physkin-garment"
-SCHEMA_VERSION, OLDEST_READ = 6, 5
+SCHEMA_VERSION, OLDEST_READ = 7, 5
 OF_OLDER = {"rest_angles": "as_made"}
 """What the material of a file that does not say so is: it was trained before there was a choice."""
 LEAST_PACKED = 2**15

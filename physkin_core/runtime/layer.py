@@ -67,6 +67,13 @@ class Layer:
         return self.given.faces
 
     @property
+    def face_given(self) -> np.ndarray:
+        """(f,) bool, those of the bound garment's faces that are `faces`, in their order."""
+        if len(self.faces) == len(self.bound.faces):
+            return np.ones(len(self.faces), dtype=bool)
+        return ~self.hidden[self.bound.faces].all(axis=1)
+
+    @property
     def vertex_count(self) -> int:
         """Number of vertices v that are given."""
         return len(self.given.vertices)
@@ -76,6 +83,12 @@ class Layer:
         """The model's whole mesh in the rest shape worn here, which depends on the fit: what strains are measured
         against."""
         return self.model.garment.reshaped(self.bound.vertices)
+
+    @property
+    def given_garment(self) -> Garment:
+        """What of `rest_garment` is given."""
+        every = len(self.faces) == len(self.bound.faces)
+        return self.rest_garment if every else self.rest_garment.of_faces(self.face_given)
 
     @cached_property
     def hem_distance(self) -> np.ndarray:

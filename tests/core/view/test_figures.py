@@ -33,6 +33,20 @@ def test_strain_is_the_cores(dressed):
     assert strain.mean() == pytest.approx(float(expected), rel=1e-5)
 
 
+def test_strain_of_what_is_given_is_that_of_the_whole(asset_loader):
+    """A T-shirt under a dress, some of it left out: edge by edge what the whole has."""
+    state = SceneState(asset_loader, ["tshirt", "dress"])
+    layer = state.outfit.layers[0]
+    assert 0 < layer.vertex_count < len(layer.rest)
+    part, whole = layer.given_garment, layer.rest_garment
+    np.testing.assert_array_equal(part.faces, layer.faces)
+    np.testing.assert_array_equal(part.vertices, whole.vertices[layer.visible])
+    lengths = dict(zip(map(tuple, whole.edges.tolist()), whole.edge_lengths))
+    found = [lengths[tuple(edge)] for edge in layer.visible[part.edges].tolist()]
+    np.testing.assert_allclose(part.edge_lengths, found)
+    assert [len(strain) for strain in OutfitFigures(state.outfit).strains(state.advance(0.0))][0] == len(part.edges)
+
+
 def test_stretched_cloth_shows_where_it_is_stretched(dressed):
     """One vertex pulled out by 5 cm: the faces about it are in the last band, faces elsewhere are as they were."""
     figures, frame = dressed

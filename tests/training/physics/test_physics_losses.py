@@ -10,6 +10,7 @@ import pytest
 import torch
 import trimesh
 import warp as wp
+from random_models import sewn_tube
 
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material, RestAngles
@@ -56,12 +57,12 @@ def run(scene, x, *, times=1, **options):
     return energies, leaf.grad.numpy()
 
 
-def oracle_terms(scene, x, sample, material=MATERIAL):
+def oracle_terms(scene, x, sample, material=MATERIAL, cut=None):
     """Energy terms of one sample as functions of a leaf tensor."""
     garment, body, _, _, _, gravity = scene
     return {
-        "stretch": oracle.stretch_energy(x, garment, material),
-        "bend": oracle.bend_energy(x, garment, material),
+        "stretch": oracle.stretch_energy(x, garment, material, cut),
+        "bend": oracle.bend_energy(x, garment, material, cut),
         "collision": oracle.collision_energy(x, garment, material, np.asarray(body.vertices), np.asarray(body.faces)),
         "gravity": oracle.gravity_energy(x, garment, material, torch.as_tensor(gravity[sample])),
     }
@@ -107,6 +108,39 @@ def rest_shapes(garment) -> list[Garment]:
         garment.reshaped(garment.vertices * [1.15, 0.95, 1.1]),
         garment.reshaped(garment.vertices * (1 + 2 * np.abs(z)) * [0.9, 0.9, 1.2]),
     ]
+
+
+@pytest.mark.parametrize("creased", [True, False])
+def test_cloth_that_was_cut_flat_is_measured_against_its_panels(scene, creased):
+    """As cut and graded, against the oracle: strain, weight, stiffness of contact and of bending. Seams keep the angle
+    that the mesh has there. Hanging as the mesh lies, it is compressed."""
+    garment = sewn_tube(columns=5, rings=4, width=0.1 * np.pi / 0.93, height=0.12, shrunk=0.93)
+    if not creased:
+        garment = Garment(garment.vertices, garment.faces, None, garment.panel_places, garment.panel_faces)
+    x = garment.vertices + np.random.default_rng(3).normal(scale=4e-3, size=(SAMPLES, *garment.vertices.shape))
+    scene = (garment, scene[1], x, *scene[3:])
+    shapes = [shape.vertices for shape in rest_shapes(garment)]
+    rest = RestData(garment, MATERIAL, torch.device("cpu"), shapes=np.stack(shapes))
+    losses = PhysicsLosses(garment, MATERIAL, SAMPLES, torch.device("cpu"), rest=rest)
+    tensors = [torch.as_tensor(a, dtype=torch.float32) for a in (x, scene[5], scene[3])]
+    for rows in ([0, 2], [1, 0]):
+        losses.rest_row.copy_(torch.tensor(rows))
+        energies, gradient = losses.evaluate(tensors[0], tensors[1], scene[4], tensors[2])
+        for sample, row in enumerate(rows):
+            leaf = torch.tensor(x[sample], requires_grad=True)
+            shape = garment.reshaped(shapes[row])
+            terms = oracle_terms((shape, *scene[1:]), leaf, sample, cut=garment)
+            for name, value in terms.items():
+                assert energies[name][sample].item() == pytest.approx(value.item(), rel=3e-4), (name, row)
+            (expected,) = torch.autograd.grad(sum(terms.values()), leaf)
+            error = np.abs(gradient[sample].numpy() - expected.numpy()).max()
+            assert error < 1e-3 * np.abs(expected.numpy()).max()
+    lying, _ = run(scene, np.tile(garment.vertices, (SAMPLES, 1, 1)))
+    chord = np.sin(np.pi / 10) / (np.pi / 10)
+    across, along = ((stretch**2 - 1) / 2 for stretch in (0.93 * chord, 0.93))
+    lame = losses.cloth.lame
+    density = lame[0] * (across**2 + along**2) + lame[1] / 2 * (across + along) ** 2
+    assert lying.stretch[0].item() == pytest.approx(density * garment.face_areas.sum(), rel=1e-4)
 
 
 @pytest.mark.parametrize("rest_angles", get_args(RestAngles))

@@ -44,22 +44,19 @@ class RestData:
 
 def face_rest_inverse(garment: Garment) -> np.ndarray:
     """Inverse of the rest edge matrix of every face in its own plane, (f, 2, 2) [1/m]."""
-    corners = garment.vertices[garment.faces]
-    d1, d2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    length = np.linalg.norm(d1, axis=1)
-    along = (d1 * d2).sum(axis=1) / length
-    across = 2 * garment.face_areas / length
-    inverse = np.zeros((len(length), 2, 2))  # of ((length, along), (0, across))
+    (length, along), (_, across) = np.moveaxis(garment.rest_edges, 0, -1)
+    inverse = np.zeros_like(garment.rest_edges)
     inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1] = 1 / length, -along / (length * across), 1 / across
     return inverse
 
 
 def hinge_rest(garment: Garment) -> tuple[np.ndarray, np.ndarray]:
-    """Rest dihedral angle (q,) [rad] and 3 |e|^2 / (A_a + A_b) (q,) of every hinge."""
+    """Rest dihedral angle (q,) [rad] of the mesh, and 3 |e|^2 / (A_a + A_b) (q,) of its rest shape, of every hinge."""
     x0, x1, x2, x3 = (garment.vertices[garment.hinges[:, k]] for k in range(4))
     edge = x1 - x0
-    length = np.linalg.norm(edge, axis=1)
     na, nb = np.cross(edge, x2 - x0), np.cross(x3 - x0, edge)
-    angle = np.arctan2((np.cross(na, nb) * edge).sum(axis=1) / length, (na * nb).sum(axis=1))
-    areas = (np.linalg.norm(na, axis=1) + np.linalg.norm(nb, axis=1)) / 2
-    return angle, 3 * length**2 / areas
+    angle = np.arctan2((np.cross(na, nb) * edge).sum(axis=1) / np.linalg.norm(edge, axis=1), (na * nb).sum(axis=1))
+    sides = garment.face_edges.reshape(-1)
+    hinged = np.bincount(sides) == 2
+    areas = np.bincount(sides, np.repeat(garment.face_areas, 3))
+    return angle, 3 * garment.edge_lengths[hinged] ** 2 / areas[hinged]
