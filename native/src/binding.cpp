@@ -87,7 +87,7 @@ class BoundSkinner {
     const VertexRows rows = vertex_rows(out, skinner_.vertex_count());
     raise_if(skinner_.check(node_transforms.data()));
     raise_if(skinner_.check_features(features_));
-    skinner_.skin(node_transforms.data(), features_, rows);
+    skinner_.skin(node_transforms.data(), skinner_.detail_offsets(features_), rows);
     skinner_.compute_normals(rows);
   }
 

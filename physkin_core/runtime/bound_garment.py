@@ -47,9 +47,10 @@ class BoundGarment(SkinningData):
         (j,) int32 that it looks at; rates and turns (w,) of its oscillators; two layers from the drive to what drives
         and gates these (3 w), SiLU between, and three from states, pose and drive to offsets (12 m), SiLU between.
     guard_vertices, guard_influence_nodes, guard_influence_weights: (s, 3) and (s, K), samples of cloth that hangs free,
-        as vertices are given; guard_shares (s,): how free, 0 to 1; guard_gaps (k, s) [m]: what each keeps off from each
-        of k parts of the skin. skin_frames (k, 3, 4), skin_shapes (k, 5), skin_bones and skin_heights (k, 4),
-        skin_coefficients (k, J, 2 H + 1): these parts, see `SkinPart`. All empty where no cloth hangs.
+        as vertices are given; guard_detail_nodes, guard_detail_weights (s, J): likewise, (s, 0) without detail;
+        guard_shares (s,): how free, 0 to 1; guard_gaps (k, s) [m]: what each keeps off from each of k parts of the
+        skin. skin_frames (k, 3, 4), skin_shapes (k, 5), skin_bones and skin_heights (k, 4), skin_coefficients
+        (k, J, 2 H + 1): these parts, see `SkinPart`. All empty where no cloth hangs.
     """
 
     bone_parents: np.ndarray
@@ -73,6 +74,8 @@ class BoundGarment(SkinningData):
     guard_vertices: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.float32))
     guard_influence_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 1), dtype=np.int32))
     guard_influence_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 1), dtype=np.float32))
+    guard_detail_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
+    guard_detail_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
     guard_shares: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     guard_gaps: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
     skin_frames: np.ndarray = field(default_factory=lambda: np.empty((0, 3, 4), dtype=np.float32))

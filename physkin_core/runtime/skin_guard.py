@@ -64,10 +64,17 @@ def guarded(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any]:
         "guard_vertices": bound.vertices[samples],
         "guard_influence_nodes": bound.influence_nodes[samples],
         "guard_influence_weights": bound.influence_weights[samples],
+        "guard_detail_nodes": _of_detail(bound.detail_nodes, samples),
+        "guard_detail_weights": _of_detail(bound.detail_weights, samples),
         "guard_shares": as_float32(shares[samples]),
         "guard_gaps": as_float32(np.minimum(clearance[:, samples], GAP)),
         **_described(parts),
     }
+
+
+def _of_detail(of_vertices: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """(s, J) of (n, J); (s, 0) without detail."""
+    return of_vertices[samples] if len(of_vertices) else np.empty((len(samples), 0), dtype=of_vertices.dtype)
 
 
 def _of_arms(rig: Rig, found: Limbs) -> np.ndarray:

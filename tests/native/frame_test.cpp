@@ -186,6 +186,9 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, int bone
   g.guard_vertices = guarded_points.data();
   g.guard_influence_nodes = guard_nodes.data();
   g.guard_influence_weights = guard_weights.data();
+  g.guard_detail_influences = detailed ? detail_influences : 0;
+  g.guard_detail_nodes = detail_nodes.data();
+  g.guard_detail_weights = detail_weights.data();
   g.guard_shares = shares.data();
   g.guard_gaps = gaps.data();
   g.skin_frames = skin_frames.data();

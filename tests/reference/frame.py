@@ -94,5 +94,5 @@ class _Garment:
         if row.twist and bound.node_twist.any():
             nodes = twisted(nodes, bones, bound.node_twist.astype(np.float64), bound.node_bone, row.twist)
         sway = correct_nodes(posed, self.corrections) - correct_nodes(posed, still)
-        self.nodes = kept_out(bound, bones, nodes, sway)
+        self.nodes = kept_out(bound, bones, nodes, sway, self.features)
         return self.nodes

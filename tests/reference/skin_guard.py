@@ -18,8 +18,9 @@ SOFT, TOO_DEEP, FADE, PASSES = 0.002, 0.15, 0.05, 2
 WORTHWHILE, CARRIES = 0.002, 0.1
 
 
-def kept_out(bound, bones, nodes, sway):
-    """Garment nodes (m, 3, 4) moved out of the skin of bones (b, 3, 4). sway: (m, 3, 4) what it has added to them."""
+def kept_out(bound, bones, nodes, sway, features=()):
+    """Garment nodes (m, 3, 4) moved out of the skin of bones (b, 3, 4). sway: (m, 3, 4) what it has added to them.
+    features: (F,), of a garment with detail."""
     if not len(bound.guard_vertices):
         return nodes
     nodes = nodes.copy()
@@ -29,14 +30,17 @@ def kept_out(bound, bones, nodes, sway):
         normals=bound.guard_vertices,
         influence_nodes=bound.guard_influence_nodes,
         influence_weights=bound.guard_influence_weights,
+        detail_offsets=bound.detail_offsets,
+        detail_nodes=bound.guard_detail_nodes,
+        detail_weights=bound.guard_detail_weights,
     )
     samples, count = len(bound.guard_vertices), len(nodes)
     weights = np.zeros((samples, count))
     np.add.at(weights, (np.arange(samples)[:, None], bound.guard_influence_nodes), bound.guard_influence_weights)
     for k in range(PASSES):
-        lacks = list(_lacks(bound, bones, skin(sampled, nodes)[0]))
+        lacks = list(_lacks(bound, bones, skin(sampled, nodes, features)[0]))
         if k == 0:
-            swayed, _ = skin(sampled, sway)
+            swayed, _ = skin(sampled, sway, features)
             costs = [np.maximum(-(swayed * normal).sum(axis=1), 0) for _, normal in lacks]
             needed = [np.minimum(lack * cost / (cost**2 + WORTHWHILE**2), 1) for (lack, _), cost in zip(lacks, costs)]
             gone = (np.max(needed, axis=0)[:, None] * np.minimum(weights / CARRIES, 1)).max(axis=0)

@@ -110,6 +110,7 @@ void GarmentEvaluator::compose_nodes(const GarmentInput& input) noexcept {
   garment_nodes_.compose(bone_transforms_, corrections_, node_transforms_);
   const float passed = jumped() ? -1.0f : input.passed;
   if (feature_pace_) feature_pace_->keep(skinner_, given_features_, passed, features_);
+  detail_offsets_ = skinner_.detail_offsets(features_);
   if (input.passed == kStandsAlone) {
     forget_pace();
   } else {
@@ -117,7 +118,8 @@ void GarmentEvaluator::compose_nodes(const GarmentInput& input) noexcept {
   }
   garment_nodes_.twist(bone_transforms_, input.twist, node_transforms_);
   if (skin_guard_) {
-    skin_guard_->keep_out(garment_nodes_, bone_transforms_, corrections_, still_corrections_, node_transforms_);
+    const SkinGuard::Cloth cloth{corrections_, still_corrections_, detail_offsets_};
+    skin_guard_->keep_out(garment_nodes_, bone_transforms_, cloth, node_transforms_);
   }
 }
 

@@ -41,7 +41,7 @@ class GarmentEvaluator {
   void compose_nodes(const GarmentInput& input) noexcept;
   // As of `Skinner`.
   void skin(const VertexRows& rows, bool are_moved) noexcept {
-    skinner_.skin(node_transforms_, features_, rows, are_moved);
+    skinner_.skin(node_transforms_, detail_offsets_, rows, are_moved);
   }
   void compute_normals(const VertexRows& rows, bool were_moved) noexcept { skinner_.compute_normals(rows, were_moved); }
 
@@ -96,6 +96,7 @@ class GarmentEvaluator {
   const float* corrections_;
   const float* given_features_ = nullptr;  // by the networks; features_ is what is shown
   float* features_;
+  const float* detail_offsets_ = nullptr;  // by features_, none without detail
 };
 
 }  // namespace physkin

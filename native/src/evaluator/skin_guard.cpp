@@ -62,6 +62,11 @@ SkinningData samples_of(const BoundGarment& g) {
   data.normals = g.guard_vertices;  // nobody asks for them
   data.influence_nodes = g.guard_influence_nodes;
   data.influence_weights = g.guard_influence_weights;
+  data.detail_vertices = g.guard_detail_influences > 0 ? g.guard_samples : 0;
+  data.detail_influences = g.guard_detail_influences;
+  data.detail_numbers = g.detail_numbers;
+  data.detail_nodes = g.guard_detail_nodes;
+  data.detail_weights = g.guard_detail_weights;
   return data;
 }
 
@@ -72,7 +77,9 @@ SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena
       nodes_(g.nodes),
       samples_(g.guard_samples),
       influences_(g.guard_influences),
-      skinner_(samples_of(g), Precision::fp32, kernels, arena),
+      blocks_(pack_skinning_blocks(samples_of(g), arena)),
+      node_rest_(arena.copy(g.node_rest, 3 * std::size_t(nodes_))),
+      matrices_(arena.take<float>(12 * std::size_t(nodes_))),
       influence_nodes_(arena.copy(g.guard_influence_nodes, std::size_t(samples_) * influences_)),
       influence_weights_(arena.copy(g.guard_influence_weights, std::size_t(samples_) * influences_)),
       shares_(arena.copy(g.guard_shares, samples_)),
@@ -106,8 +113,9 @@ SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena
   }
 }
 
-void SkinGuard::keep_out(const GarmentNodes& nodes, const float* bone_transforms, const float* corrections,
-                         const float* still, float* node_transforms) noexcept {
+void SkinGuard::keep_out(const GarmentNodes& nodes, const float* bone_transforms, const Cloth& cloth,
+                         float* node_transforms) noexcept {
+  offsets_ = cloth.detail_offsets;
   place_samples(node_transforms);
   for (Part& part : parts_) {
     pose(part, bone_transforms);
@@ -116,16 +124,21 @@ void SkinGuard::keep_out(const GarmentNodes& nodes, const float* bone_transforms
   for (int pass = 0; pass < kPasses; ++pass) {
     if (pass > 0) place_samples(node_transforms);
     if (!find_lacks()) return;
-    if (pass == 0 && corrections != still) {
-      nodes.compose_added(bone_transforms, corrections, still, sway_);
+    if (pass == 0 && cloth.corrections != cloth.still) {
+      nodes.compose_added(bone_transforms, cloth.corrections, cloth.still, sway_);
       sway_less(node_transforms);
     }
     move_nodes(node_transforms);
   }
 }
 
+void SkinGuard::skin_samples(const float* node_transforms, float* to) noexcept {
+  skinning_matrices(node_transforms, node_rest_, nodes_, matrices_);
+  kernels_.skin(blocks_, matrices_, offsets_, {reinterpret_cast<unsigned char*>(to), 3, false});
+}
+
 void SkinGuard::place_samples(const float* node_transforms) noexcept {
-  skinner_.skin(node_transforms, nullptr, {reinterpret_cast<unsigned char*>(skinned_), 3, false});
+  skin_samples(node_transforms, skinned_);
   for (int s = 0; s < samples_; ++s) {
     for (int axis = 0; axis < 3; ++axis) positions_[axis * samples_ + s] = skinned_[3 * s + axis];
   }
@@ -196,7 +209,7 @@ void SkinGuard::add_lacks(Part& part) noexcept {
 
 // What samples lack afterwards is foreseen: looking it up would take as long as all of this.
 void SkinGuard::sway_less(float* node_transforms) noexcept {
-  skinner_.skin(sway_, nullptr, {reinterpret_cast<unsigned char*>(swayed_), 3, false});
+  skin_samples(sway_, swayed_);
   std::fill_n(stilled_, nodes_, 0.0f);
   for (int at = 0; at < lack_count_; ++at) {
     const Lack& lack = lacks_[at];

@@ -20,9 +20,14 @@ class SkinGuard {
   // Of a garment that is guarded. The data must be valid; they are copied into the arena.
   SkinGuard(const BoundGarment& garment, const Kernels& kernels, Arena& arena);
 
-  // Moves node_transforms (nodes, 3, 4) that corrections (nodes, 12) led to; still: these without sway, or the same.
-  // bone_transforms (bones, 3, 4). Allocates nothing.
-  void keep_out(const GarmentNodes& nodes, const float* bone_transforms, const float* corrections, const float* still,
+  // What led to the garment nodes of a frame: corrections (nodes, 12), those without sway, or the same, and what detail
+  // nodes (detail nodes, 3) are moved by, null without detail.
+  struct Cloth {
+    const float *corrections, *still, *detail_offsets;
+  };
+
+  // Moves node_transforms (nodes, 3, 4). bone_transforms (bones, 3, 4). Allocates nothing.
+  void keep_out(const GarmentNodes& nodes, const float* bone_transforms, const Cloth& cloth,
                 float* node_transforms) noexcept;
 
  private:
@@ -47,6 +52,7 @@ class SkinGuard {
   };
 
   void pose(Part& part, const float* bone_transforms) const noexcept;
+  void skin_samples(const float* node_transforms, float* to) noexcept;
   void place_samples(const float* node_transforms) noexcept;
   void find_near(Part& part) noexcept;
   // What samples lack. Whether any lacks something.
@@ -60,7 +66,10 @@ class SkinGuard {
 
   const Kernels& kernels_;
   int nodes_, samples_, influences_;
-  Skinner skinner_;
+  SkinningBlocks blocks_;
+  const float* node_rest_;          // (nodes, 3)
+  float* matrices_;                 // (nodes, 3, 4)
+  const float* offsets_ = nullptr;  // of detail nodes in this frame
   const std::int32_t* influence_nodes_;
   const float* influence_weights_;
   const float* shares_;  // (samples,)

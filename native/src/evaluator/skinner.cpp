@@ -7,6 +7,13 @@
 
 namespace physkin {
 
+void skinning_matrices(const float* node_transforms, const float* node_rest, int nodes, float* matrices) noexcept {
+  for (int i = 0; i < nodes; ++i) {
+    const Affine node = load_affine(node_transforms + 12 * i);
+    store_affine({node.linear, node.translation - node.linear * load_vector(node_rest + 3 * i)}, matrices + 12 * i);
+  }
+}
+
 Normals select_normals(const std::string& name) {
   if (name == "skinned") return Normals::skinned;
   if (name == "faces") return Normals::faces;
@@ -49,15 +56,12 @@ Rejection Skinner::check_features(const float* features) const noexcept {
   return reject_beyond("features", features, std::size_t(features_), kLargest);
 }
 
-void Skinner::skin(const float* node_transforms, const float* features, const VertexRows& rows,
+void Skinner::skin(const float* node_transforms, const float* offsets, const VertexRows& rows,
                    bool are_moved) noexcept {
-  for (int i = 0; i < nodes_; ++i) {
-    const Affine node = load_affine(node_transforms + 12 * i);
-    store_affine({node.linear, node.translation - node.linear * load_vector(node_rest_ + 3 * i)}, matrices_ + 12 * i);
-  }
+  skinning_matrices(node_transforms, node_rest_, nodes_, matrices_);
   const bool into_places = face_normals_ && rows.with_normals && !are_moved;
-  kernels_.skin(into_places ? blocks_into_places_ : blocks_, matrices_,
-                detail_offsets_ ? detail_offsets(features) : nullptr, into_places ? face_normals_->places() : rows);
+  kernels_.skin(into_places ? blocks_into_places_ : blocks_, matrices_, offsets,
+                into_places ? face_normals_->places() : rows);
 }
 
 void Skinner::compute_normals(const VertexRows& rows, bool were_moved) noexcept {

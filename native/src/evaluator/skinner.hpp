@@ -16,6 +16,9 @@ namespace physkin {
 // Packs a garment's vertices for the kernel (skinning_blocks.cpp).
 SkinningBlocks pack_skinning_blocks(const SkinningData& data, Arena& arena);
 
+// chi_i * inverse of each garment node's rest transform, what the kernel takes. All (nodes, 3, 4), node_rest (nodes, 3).
+void skinning_matrices(const float* node_transforms, const float* node_rest, int nodes, float* matrices) noexcept;
+
 // Where normals come from: rest normals carried by skinning, or the faces of the posed mesh. Those of a mesh with detail
 // are of its faces in any case, for rest normals know nothing of folds.
 enum class Normals { skinned, faces };
@@ -36,13 +39,16 @@ class Skinner {
   // Features of a frame, refused likewise.
   Rejection check_features(const float* features) const noexcept;
 
-  // x, y, z [m] of what features move each detail node by, valid until the next ones; of a garment with detail.
-  const float* detail_offsets(const float* features) noexcept { return detail_offsets_->run(features, nullptr); }
+  // x, y, z [m] of what features move each detail node by, valid until the next ones; null without detail. Features
+  // are 64-byte aligned, readable for kGroup floats beyond.
+  const float* detail_offsets(const float* features) noexcept {
+    return detail_offsets_ ? detail_offsets_->run(features, nullptr) : nullptr;
+  }
 
-  // From transforms and features that were checked; these are 64-byte aligned, readable for kGroup floats beyond, and
-  // not looked at without detail. Both write the rows, and allocate nothing; compute_normals has nothing to do where
-  // normals are carried along. are_moved: in between somebody moves vertices, by normals that are carried along first.
-  void skin(const float* node_transforms, const float* features, const VertexRows& rows,
+  // From transforms, and offsets by features, that were checked. Both write the rows, and allocate nothing;
+  // compute_normals has nothing to do where normals are carried along. are_moved: in between somebody moves vertices, by
+  // normals that are carried along first.
+  void skin(const float* node_transforms, const float* offsets, const VertexRows& rows,
             bool are_moved = false) noexcept;
   void compute_normals(const VertexRows& rows, bool were_moved = false) noexcept;
 

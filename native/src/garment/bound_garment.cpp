@@ -63,6 +63,9 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.floats("guard_vertices", g.guard_vertices, {&g.guard_samples, 3});
   visit.indices("guard_influence_nodes", g.guard_influence_nodes, {&g.guard_samples, &g.guard_influences}, 0, g.nodes);
   visit.floats("guard_influence_weights", g.guard_influence_weights, {&g.guard_samples, &g.guard_influences});
+  visit.indices("guard_detail_nodes", g.guard_detail_nodes, {&g.guard_samples, &g.guard_detail_influences}, 0,
+                g.detail_numbers / 3);
+  visit.floats("guard_detail_weights", g.guard_detail_weights, {&g.guard_samples, &g.guard_detail_influences});
   visit.floats("guard_shares", g.guard_shares, {&g.guard_samples});
   visit.floats("guard_gaps", g.guard_gaps, {&g.skin_parts, &g.guard_samples});
   visit.floats("skin_frames", g.skin_frames, {&g.skin_parts, 3, 4});
@@ -123,6 +126,7 @@ struct Describer {
                                                         {&g.sway_states, "oscillators"},
                                                         {&g.guard_samples, "guard samples"},
                                                         {&g.guard_influences, "guard influences"},
+                                                        {&g.guard_detail_influences, "guard detail influences"},
                                                         {&g.skin_parts, "skin parts"},
                                                         {&g.skin_splines, "skin splines"},
                                                         {&g.detail_vertices, "detail vertices"},
@@ -230,6 +234,10 @@ void check_skin(const BoundGarment& g) {
     fail("skin_coefficients have " + std::to_string(g.skin_splines) + " splines; at least 3 are needed");
   }
   if (g.guard_samples > 0 && g.guard_influences < 1) fail("guard_influence_nodes: a sample needs an influence");
+  if (g.guard_samples > 0 && (g.guard_detail_influences > 0) != g.has_detail()) {
+    fail("guard_detail_nodes are " + std::to_string(g.guard_detail_influences) +
+         " a sample; expected none of a garment without detail, and at least one with detail");
+  }
 }
 
 void check_sizes(const SkinningData& d) {

@@ -34,7 +34,7 @@ struct SkinningData {
 struct BoundGarment : SkinningData {
   int bones = -1, dofs = -1, deformer_bone_count = -1, twist_size = -1;
   int sway_joint_count = -1, sway_states = -1;
-  int guard_samples = -1, guard_influences = -1, skin_parts = -1, skin_splines = -1;
+  int guard_samples = -1, guard_influences = -1, guard_detail_influences = -1, skin_parts = -1, skin_splines = -1;
 
   const std::int32_t* bone_parents = nullptr;  // (bones,) parent before child, -1 for the root
   const float* bone_heads = nullptr;           // (bones, 3) joint centres at the canonical pose
@@ -64,6 +64,8 @@ struct BoundGarment : SkinningData {
   const float* guard_vertices = nullptr;                // (guard_samples, 3)
   const std::int32_t* guard_influence_nodes = nullptr;  // (guard_samples, guard_influences)
   const float* guard_influence_weights = nullptr;       // (guard_samples, guard_influences)
+  const std::int32_t* guard_detail_nodes = nullptr;     // (guard_samples, guard_detail_influences), none without detail
+  const float* guard_detail_weights = nullptr;          // (guard_samples, guard_detail_influences)
   const float* guard_shares = nullptr;                  // (guard_samples,) how free each hangs, 0 to 1
   const float* guard_gaps = nullptr;                    // (skin_parts, guard_samples) kept from the part's skin
   const float* skin_frames = nullptr;        // (skin_parts, 3, 4) from the canonical pose to the part's own axes
@@ -89,7 +91,7 @@ class FieldSource {
 };
 
 // Of the bound garment file: raised when the fields below change, or the file's form.
-constexpr char kBoundGarmentVersion[] = "4";
+constexpr char kBoundGarmentVersion[] = "5";
 
 // Reads every field; what the arrays hold is for `validate` to check.
 SkinningData read_skinning_data(FieldSource& source);
