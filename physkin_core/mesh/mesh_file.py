@@ -10,7 +10,7 @@ import logging
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -39,12 +39,13 @@ LONGEST_NAME = 1_024  # [characters]
 @dataclass(frozen=True)
 class MeshFile:
     """vertices (n, 3) in the file's frame and unit, faces (f, 3), how many of the file's faces had more than three
-    corners, and the look."""
+    corners, the look, and the vertices that line elements (k, 2) of an OBJ run between."""
 
     vertices: np.ndarray
     faces: np.ndarray
     polygons: int
     look: Look
+    line_elements: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), dtype=int))
 
 
 def read_mesh(path: Path) -> MeshFile:
@@ -65,8 +66,16 @@ def read_mesh(path: Path) -> MeshFile:
     return mesh
 
 
-def write_obj(path: Path, vertices: np.ndarray, faces: np.ndarray, look: Look, *, header: str) -> None:
-    """Write vertices (n, 3) and faces (f, 3) as OBJ, and the files of the look beside it."""
+def write_obj(
+    path: Path,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    look: Look,
+    *,
+    header: str,
+    line_elements: Sequence[Sequence[int]] = (),
+) -> None:
+    """Write vertices (n, 3) and faces (f, 3) as OBJ, and the files of the look beside it. line_elements: (k, 2)."""
     lines = [f"# {header}"]
     if LIBRARY in look.files:
         lines.append(f"mtllib {LIBRARY}")
@@ -86,6 +95,7 @@ def write_obj(path: Path, vertices: np.ndarray, faces: np.ndarray, look: Look, *
         now = (part, material)
         corners = zip((faces[face] + 1).tolist(), texture[face].tolist())
         lines.append("f " + " ".join(f"{vertex}/{uv}" if uv else f"{vertex}" for vertex, uv in corners))
+    lines += [f"l {start + 1} {end + 1}" for start, end in line_elements]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     for name, content in look.files.items():
         (path.parent / name).write_bytes(content)
@@ -99,7 +109,7 @@ def _read_obj(path: Path) -> MeshFile:
         parts, part = (), np.full(len(part), -1)
     files = _library(path, file.libraries) if materials else {}
     look = Look(file.uv, material, part, materials, parts, files)
-    return MeshFile(file.vertices, file.faces, file.polygons, look)
+    return MeshFile(file.vertices, file.faces, file.polygons, look, file.line_elements)
 
 
 def _numbered(names: Sequence[str], which: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:

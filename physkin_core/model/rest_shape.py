@@ -17,6 +17,8 @@ MOST_STRETCHED = 3.0
 """A face's area in the mesh and on the flat cloth differ by this factor at most: a gather's."""
 IN_METRES = 0.8, 1.25
 """Median length of edges on the flat cloth, in times that in the mesh, where texture places are in metres."""
+FINEST = 7
+"""Digits [m] in which texture places of one vertex are told apart."""
 ALIKE, SHARE_ALIKE = 2.0, 0.95
 """So many faces of such a texture differ in area by this factor at most."""
 
@@ -102,7 +104,7 @@ def panels_of_texture(
     if not np.isfinite(uv).all():
         lacking = int((~np.isfinite(uv).all(axis=(1, 2))).sum())
         return None, "no texture places" if lacking == len(uv) else f"{lacking} faces have no texture places"
-    corners = np.column_stack([faces.reshape(-1), uv.reshape(-1, 2)])
+    corners = np.column_stack([faces.reshape(-1), uv.reshape(-1, 2).round(FINEST)])
     unique, place = np.unique(corners, axis=0, return_inverse=True)
     places, panel_faces = np.ascontiguousarray(unique[:, 1:]), place.reshape(faces.shape)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -22,6 +22,7 @@ Y_UP = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
 CHECKS = [
     "triangles", "units", "orientation", "position", "duplicates", "manifold", "pieces", "winding", "openings",
     "upright", "scale", "edge length", "one layer", "pose", "overlap", "body", "self-intersection",
+    "flat rest shape",
 ]  # fmt: skip
 
 

@@ -163,7 +163,9 @@ def write_vest(garment_model, template, tmp_path, monkeypatch):
     garment = garment_model.garment
     verdicts = (Verdict("units", "warning", "a < b", "c & d"),)
     look = Look.plain(len(garment.faces))
-    checked = CheckedGarment(garment.vertices, garment.faces, verdicts, garment.vertices, False, look)
+    checked = CheckedGarment(
+        garment.vertices, garment.faces, verdicts, garment.vertices, False, look, garment.edges[:0]
+    )
     model = replace(garment_model, training={"optimisation": {"steps": 5, "samples": 2}})
 
     def write(budget, poses=1):
@@ -263,7 +265,7 @@ def test_check_only_writes_the_repaired_mesh_and_trains_nothing(band, tmp_path, 
     again = ["fit-garment", str(tmp_path / "band" / "garment.obj"), "-o", str(tmp_path / "again.safetensors")]
     assert main([*again, "--check-only", "--device", "cpu"]) == 0
     table = capsys.readouterr().out
-    assert len(re.findall(r"\| ok +\|", table)) == 16 and re.search(r"\| scale +\| warning +\|", table), "its loose cut"
+    assert len(re.findall(r"\| ok +\|", table)) == 17 and re.search(r"\| scale +\| warning +\|", table), "its loose cut"
 
 
 def test_a_refused_mesh_is_told_in_one_line(tmp_path, capsys):

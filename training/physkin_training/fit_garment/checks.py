@@ -17,6 +17,7 @@ from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import read_mesh, write_obj
 from physkin_training.fit_garment import mesh_checks, wear_checks
 from physkin_training.fit_garment.own_pose import OwnPose
+from physkin_training.fit_garment.rest_shape import check_rest_shape, creases_along
 from physkin_training.fit_garment.verdicts import Checks, Verdict
 from physkin_training.physics.surface_queries import BodySurface
 
@@ -28,7 +29,8 @@ class CheckedGarment:
     """A garment mesh after the checks, vertices (n, 3) [m] on the training template's body, and all verdicts.
 
     lying: (n, 3) [m], the same vertices on the body it was made on, before they were carried anywhere; in_own_pose:
-    that body is held as in its file, otherwise as in the canonical pose. look: what else the file had.
+    that body is held as in its file, otherwise as in the canonical pose. look: what else the file had, its texture
+    places being the flat panels where there are any. creases: (c, 2) edges.
     """
 
     vertices: np.ndarray
@@ -37,6 +39,7 @@ class CheckedGarment:
     lying: np.ndarray
     in_own_pose: bool
     look: Look
+    creases: np.ndarray
 
     @property
     def refused(self) -> bool:
@@ -56,7 +59,16 @@ def check_garment(path: str | Path, avatar: Avatar, template: Avatar, *, own: Ow
     GarmentError when the file holds no mesh at all.
     """
     mesh = read_mesh(Path(path))
-    return check_mesh(mesh.vertices, mesh.faces, avatar, template, polygons=mesh.polygons, look=mesh.look, own=own)
+    return check_mesh(
+        mesh.vertices,
+        mesh.faces,
+        avatar,
+        template,
+        polygons=mesh.polygons,
+        look=mesh.look,
+        line_elements=mesh.line_elements,
+        own=own,
+    )
 
 
 def check_mesh(
@@ -67,14 +79,18 @@ def check_mesh(
     *,
     polygons: int = 0,
     look: Look | None = None,
+    line_elements: np.ndarray | None = None,
     own: OwnPose | None = None,
 ) -> CheckedGarment:
     """Check vertices (n, 3), in any unit and axes, and faces (f, 3); see `check_garment`.
 
-    polygons: how many faces of more than three corners the triangles came from. look: default none. Checks stop at the
-    first refusal after which the others would mean nothing.
+    polygons: how many faces of more than three corners the triangles came from. look: default none. line_elements:
+    (k, 2) vertices that creases run between, default none. Checks stop at the first refusal after which the others
+    would mean nothing.
     """
-    checks = Checks(np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64))
+    vertices = np.array(vertices, dtype=np.float64)
+    lines = np.zeros((0, 2, 3)) if line_elements is None else vertices[line_elements]
+    checks = Checks(vertices, np.array(faces, dtype=np.int64), lines)
     look = look or Look.plain(len(faces))
     canonical = surface = BodySurface(avatar.vertices, avatar.faces)
     _run(checks, [partial(mesh_checks.check_triangles, polygons=polygons)])
@@ -106,13 +122,21 @@ def check_mesh(
         [
             partial(wear_checks.check_pose, avatar=avatar, surface=canonical, own=own if in_own_pose else None),
             partial(wear_checks.check_overlap, avatar=avatar, surface=canonical),
+        ],
+    )
+    made = checks.vertices
+    _run(
+        checks,
+        [
             partial(wear_checks.check_body, avatar=avatar, template=template),
             mesh_checks.check_self_intersection,
         ],
     )
+    creases = np.zeros((0, 2), dtype=int)
     if not checks.refused:
-        look = look.on(source, lying, checks.faces)
-    return CheckedGarment(checks.vertices, checks.faces, tuple(checks.verdicts), lying, in_own_pose, look)
+        look = check_rest_shape(checks, look.on(source, lying, checks.faces), lying, made)
+        creases = creases_along(lying, checks.faces, checks.lines)
+    return CheckedGarment(checks.vertices, checks.faces, tuple(checks.verdicts), lying, in_own_pose, look, creases)
 
 
 def _run(checks: Checks, steps: list[Callable[[Checks], None]]) -> None:
@@ -123,6 +147,7 @@ def _run(checks: Checks, steps: list[Callable[[Checks], None]]) -> None:
 
 
 def write_garment(path: Path, checked: CheckedGarment) -> None:
-    """Write the repaired mesh as OBJ: metres, root frame of the template, outward winding, with its look."""
+    """Write the repaired mesh as OBJ: metres, root frame of the template, outward winding, with its look and
+    creases."""
     header = "root frame: X forward, Y left, Z up, metres, origin at the head of the root bone"
-    write_obj(path, checked.vertices, checked.faces, checked.look, header=header)
+    write_obj(path, checked.vertices, checked.faces, checked.look, header=header, line_elements=checked.creases)

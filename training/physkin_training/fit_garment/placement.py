@@ -63,7 +63,7 @@ class Placement:
     searched: bool = False
 
     def applied(self, vertices: np.ndarray) -> np.ndarray:
-        """File coordinates (n, 3) as root frame [m]."""
+        """File coordinates (..., 3) as root frame [m]."""
         return self.scale * vertices @ self.turn.T + self.shift
 
     @property

@@ -26,10 +26,11 @@ class Verdict:
 
 
 class Checks:
-    """vertices (n, 3) and faces (f, 3) as repaired so far, and the verdicts."""
+    """vertices (n, 3) and faces (f, 3) as repaired so far, and the verdicts. lines: (k, 2, 3), ends of line elements
+    that lie on the mesh, until it is taken from where it was made."""
 
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
-        self.vertices, self.faces = vertices, faces
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, lines: np.ndarray) -> None:
+        self.vertices, self.faces, self.lines = vertices, faces, lines
         self.verdicts: list[Verdict] = []
 
     def say(self, check: str, outcome: Outcome, found: str, allowed: str) -> None:

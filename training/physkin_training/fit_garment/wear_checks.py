@@ -113,7 +113,7 @@ def check_lying(checks: Checks, own: OwnPose, own_surface: BodySurface, surface:
 
 def _place(checks: Checks, placed: Placement, scale: float, turn: np.ndarray) -> None:
     """Take vertices to the root frame; verdicts on unit and axes, repaired where they are not `scale` and `turn`."""
-    checks.vertices = placed.applied(checks.vertices)
+    checks.vertices, checks.lines = placed.applied(checks.vertices), placed.applied(checks.lines)
     extent = " x ".join(f"{value:.2f}" for value in np.ptp(checks.vertices, axis=0))
     changed = "ok" if np.isclose(placed.scale, scale) else "repaired"
     checks.say("units", changed, f"{placed.unit}; {extent} m", ", ".join(UNITS))

@@ -1,0 +1,123 @@
+"""What a mesh brings along of how it was sewn, on the repaired mesh: flat panels, by its texture places, and creases.
+
+Dimensions: `n` vertices, `f` faces, `t` places on the flat cloth, `c` creases. Metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse import coo_array, diags_array
+from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
+from trimesh.geometry import faces_to_edges
+from trimesh.graph import connected_component_labels
+
+from physkin_core.mesh.look import Look
+from physkin_core.model.garment import Garment, face_areas
+from physkin_core.model.rest_shape import flat_areas, graded, panels_of_texture, rest_edges, side_lengths
+from physkin_training.fit_garment.verdicts import Checks
+
+__all__ = ["check_rest_shape", "creases_along", "laid_out"]
+
+ON_LINE = 1e-4
+"""[m] Vertices this near to a line element are on it."""
+SURELY_METRES = 0.05
+"""Texture places that are smaller or larger than the mesh by more than this share may be in metres by accident."""
+ROUNDS = 200
+"""Of laying panels out."""
+WEAK_TIE = 1e-9
+"""To where a place was, so that panels stay where they are."""
+
+
+def check_rest_shape(checks: Checks, look: Look, lying: np.ndarray, made: np.ndarray) -> Look:
+    """Flat panels; the look, with these where they had to be graded.
+
+    lying: (n, 3) the mesh as it was brought; made: (n, 3) the same before it was carried to another body, if it was.
+    """
+    allowed = "texture places in metres, as large as the mesh (0.8 to 1.25 times), are flat panels; others are a look"
+
+    def panels_at(vertices: np.ndarray, uv: np.ndarray):
+        return panels_of_texture(vertices, checks.faces, face_areas(vertices, checks.faces), uv)
+
+    panels, found = panels_at(lying, look.uv)
+    if panels is not None and made is not checks.vertices:
+        places, panel_faces = panels
+        before, now = (Garment(vertices, checks.faces).rest_edges for vertices in (made, checks.vertices))
+        cut = _edges_of(places[panel_faces])
+        wanted = graded(cut, before, now)
+        uv = laid_out(places, panel_faces, wanted)[panel_faces]
+        goal = side_lengths(wanted)
+        changed, off = (100 * float((np.abs(side_lengths(x) - goal) / goal).mean()) for x in (cut, _edges_of(uv)))
+        panels, refused = panels_at(checks.vertices, uv)
+        if panels is None:
+            found = f"dropped, and the texture places with it: graded to the template, {refused}"
+            checks.say("flat rest shape", "warning", found, allowed)
+            return replace(look, uv=np.full_like(look.uv, np.nan))
+        found += f"; graded to the template, edges by {changed:.1f} %, to {off:.1f} % of what the mesh says"
+        checks.say("flat rest shape", "repaired", _described(panels, found), allowed)
+        return replace(look, uv=uv)
+    panels, now = panels_at(checks.vertices, look.uv)  # what training will read
+    if panels is None:
+        checks.say("flat rest shape", "ok", f"none, it rests as it lies: {now}", allowed)
+        return look
+    ratio = np.sqrt(np.abs(flat_areas(look.uv)).sum() / face_areas(lying, checks.faces).sum())
+    outcome = "ok" if abs(ratio - 1) <= SURELY_METRES else "warning"
+    if outcome == "warning":
+        found += f"; panels {ratio:.2f} times as large as the mesh: if they are not meant in metres, scale them"
+    checks.say("flat rest shape", outcome, _described(panels, found), allowed)
+    return look
+
+
+def _edges_of(corners: np.ndarray) -> np.ndarray:
+    """Rest edges (f, 2, 2) of faces in the plane, corners (f, 3, 2)."""
+    return rest_edges(corners, np.abs(flat_areas(corners)))
+
+
+def _described(panels: tuple[np.ndarray, np.ndarray], found: str) -> str:
+    places, panel_faces = panels
+    labels = connected_component_labels(faces_to_edges(panel_faces), node_count=len(places))
+    area = np.abs(flat_areas(places[panel_faces])).sum()
+    return f"{labels.max() + 1} flat panels of {area:.2f} m2: {found}"
+
+
+def laid_out(places: np.ndarray, panel_faces: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Places (t, 2) in the plane, near those given, at which faces come closest to rest edges `wanted` (f, 2, 2): least
+    squares of sides, each face turned as fits best (Sorkine and Alexa 2007, in the plane)."""
+    corners = places[panel_faces]
+    target = np.stack([-wanted.sum(axis=2) / 3, *np.moveaxis(wanted, 2, 0)], axis=1)  # corners about their mean
+    target[:, 1:] += target[:, :1]
+    target[:, :, 1] *= np.sign(flat_areas(corners))[:, None]
+    starts, ends = panel_faces.reshape(-1), np.roll(panel_faces, -1, axis=1).reshape(-1)
+    t = len(places)
+    pairs = (np.concatenate([starts, ends]), np.concatenate([ends, starts]))
+    joined = coo_array((np.ones(len(pairs[0])), pairs), shape=(t, t)).tocsr()
+    degree = np.asarray(joined.sum(axis=1)).reshape(-1)
+    solver = splu((diags_array(degree + WEAK_TIE) - joined).tocsc())
+    now = places
+    for _ in range(ROUNDS):
+        about = now[panel_faces] - now[panel_faces].mean(axis=1, keepdims=True)
+        cross = target[..., 0] * about[..., 1] - target[..., 1] * about[..., 0]
+        angle = np.arctan2(cross.sum(axis=1), (target * about).sum(axis=(1, 2)))
+        c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        turned = np.stack([c * target[..., 0] - s * target[..., 1], s * target[..., 0] + c * target[..., 1]], axis=-1)
+        sides = (np.roll(turned, -1, axis=1) - turned).reshape(-1, 2)
+        pull = [np.bincount(ends, side, t) - np.bincount(starts, side, t) for side in sides.T]
+        now = solver.solve(np.stack(pull, axis=1) + WEAK_TIE * places)
+    return now
+
+
+def creases_along(vertices: np.ndarray, faces: np.ndarray, lines: np.ndarray) -> np.ndarray:
+    """Edges (c, 2) of a mesh that run along line elements, whose ends are at `lines` (k, 2, 3); each line may be many
+    edges long."""
+    edges = np.unique(np.sort(faces_to_edges(faces), axis=1), axis=0)
+    tree, along = cKDTree(vertices[edges].mean(axis=1)), np.zeros(len(edges), dtype=bool)
+    for start, end in lines:
+        length = np.linalg.norm(end - start)
+        near = np.array(tree.query_ball_point((start + end) / 2, length / 2 + ON_LINE), dtype=int)
+        if length > ON_LINE and len(near):
+            away = vertices[edges[near]] - start
+            off = np.linalg.norm(np.cross(away, (end - start) / length), axis=-1)
+            along[near] |= (off < ON_LINE).all(axis=1)
+    return edges[along]
