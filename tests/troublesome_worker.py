@@ -38,6 +38,12 @@ def process(_):
     return os.getpid()
 
 
+def threads(_):
+    """How many threads there are once matrices were multiplied."""
+    square = np.ones((500, 500))
+    return len(os.listdir("/proc/self/task")) if (square @ square).all() else 0
+
+
 def end(number):
     """Be ended by a signal."""
     os.kill(os.getpid(), number)

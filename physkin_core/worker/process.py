@@ -23,6 +23,10 @@ STARTS_WITHIN = 120.0
 ENDS_WITHIN = 5.0
 """[s] a process that was killed, or has closed its end, is gone."""
 
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+"""Matrix products that take every core leave none to whoever has to answer meanwhile, and are no faster: they are
+small."""
+
 
 class WorkerError(ValueError):
     """A request was not answered: what it asked for was refused, or was too much."""
@@ -54,7 +58,7 @@ class Worker:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 pass_fds=its,
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+                env={**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(paths)},
                 start_new_session=True,  # Ctrl+C is for whoever started it
             )
         finally:

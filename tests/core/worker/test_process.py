@@ -58,6 +58,12 @@ def test_answers_come_with_what_was_logged(worker, caplog):
     assert answers(worker) and worker.pid != os.getpid()
 
 
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted in /proc")
+def test_one_core_is_left_to_others(worker):
+    """One thread computes; the other one waits for whoever asks to go."""
+    assert worker.ask(("threads", None), "it") == 2
+
+
 @pytest.mark.parametrize(
     ("name", "argument", "told"),
     [
