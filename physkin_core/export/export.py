@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import add_outfit_options, add_sway_option, dressed, print_warnings, read_motion
 from physkin_core.output_file import check_other_file
 from physkin_core.quality import closest_points
+from physkin_core.runtime.layer import Layer
 
 __all__ = ["command_parser", "garment_looks", "main"]
 
@@ -71,12 +73,14 @@ def main(argv: list[str]) -> int:
 def garment_looks(paths: Sequence[Path], outfit: Outfit) -> list[Look | None]:
     """The looks of an outfit's garments on the faces that are given of them; None for those without.
 
-    paths: meshes that lie where the garments' own do, as `physkin fit-garment` writes them. Which is whose is told by
-    that. Raises GarmentError for what is no readable mesh, and ValueError for a mesh of no garment, a second one of
-    the same garment, one without texture places and materials, colours that are not three numbers from 0 to 1, and
-    pictures that are missing or not PNG or JPEG.
+    A garment that was cut flat has texture places, in metres, whatever is given. paths: meshes that lie where the
+    garments' own do, as `physkin fit-garment` writes them. Which is whose is told by that. Raises GarmentError for what
+    is no readable mesh, and ValueError for a mesh of no garment, a second one of the same garment, one without texture
+    places and materials, colours that are not three numbers from 0 to 1, and pictures that are missing or not PNG or
+    JPEG.
     """
-    looks: list[Look | None] = [None] * len(outfit.layers)
+    looks = [_flat_look(layer) for layer in outfit.layers]
+    seen: set[int] = set()
     for path in paths:
         mesh = read_mesh(path)
         if not str(mesh.look):
@@ -90,12 +94,23 @@ def garment_looks(paths: Sequence[Path], outfit: Outfit) -> list[Look | None]:
                 f"{path} is no mesh of a garment worn: {name} is the closest, {1000 * apart[k]:.0f} mm off on average, "
                 f"at most {1000 * LIES_ON:.0f} are allowed; give garment.obj as fit-garment wrote it, with its look"
             )
-        if looks[k] is not None:
+        if k in seen:
             raise ValueError(f"{path} is a second look for {name}; a garment has one")
         given = layer.model.garment.vertices[layer.visible]
-        looks[k] = mesh.look.on((mesh.vertices, mesh.faces), given, layer.faces)
+        seen.add(k)
+        look, flat = mesh.look.on((mesh.vertices, mesh.faces), given, layer.faces), looks[k]
+        looks[k] = look if flat is None or np.isfinite(look.uv).any() else replace(look, uv=flat.uv)
         try:  # what is wrong is told before hours of work
             surfaces_of(looks[k], name, (1.0, 1.0, 1.0), len(layer.faces))
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
     return looks
+
+
+def _flat_look(layer: Layer) -> Look | None:
+    """Texture places alone, where its cloth lies on the panels that it was cut from."""
+    garment = layer.model.garment
+    if garment.panel_places is None or garment.panel_faces is None:
+        return None
+    uv = garment.panel_places[garment.panel_faces[layer.face_given]]
+    return replace(Look.plain(len(uv)), uv=uv)

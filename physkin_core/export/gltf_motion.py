@@ -30,6 +30,7 @@ from physkin_core.rig.rig import Rig
 
 __all__ = ["write_gltf_motion"]
 
+TRANSFORM = "KHR_texture_transform"
 TOO_FAR = 0.005
 """[m] off from where the order of layers has a vertex: less is hardly ever seen."""
 
@@ -279,9 +280,16 @@ class _Scene:
         """Its index."""
         shading = {"baseColorFactor": [*surface.colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": ROUGHNESS}
         if surface.picture is not None:
-            shading["baseColorTexture"] = {"index": self._texture_of(surface.picture)}
+            shading["baseColorTexture"] = {"index": self._texture_of(surface.picture), **self._scaled(surface.repeats)}
         self._materials.append({"name": surface.name, "pbrMetallicRoughness": shading, "doubleSided": True})
         return len(self._materials) - 1
+
+    def _scaled(self, repeats: tuple[float, float]) -> dict:
+        """What a picture is scaled by. glTF has the origin of texture places at the upper left."""
+        if repeats == (1.0, 1.0):
+            return {}
+        self.builder.document["extensionsUsed"] = [TRANSFORM]
+        return {"extensions": {TRANSFORM: {"scale": list(repeats), "offset": [0.0, 1.0 - repeats[1]]}}}
 
     def _texture_of(self, picture: Picture) -> int:
         """Its index; a picture is in the file once."""

@@ -125,6 +125,10 @@ def _material(mesh: UsdGeom.Mesh, name: str, surface: Surface, path: Path) -> Us
         for side in ("wrapS", "wrapT"):
             texture.CreateInput(side, types.Token).Set("repeat")
         reader = shader("UsdPrimvarReader_float2", varname=(types.String, "st"))
+        if surface.repeats != (1.0, 1.0):
+            scaled = shader("UsdTransform2d", scale=(types.Float2, Gf.Vec2f(*surface.repeats)))
+            scaled.CreateInput("in", types.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+            reader = scaled
         texture.CreateInput("st", types.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
         preview.GetInput("diffuseColor").ConnectToSource(texture.ConnectableAPI(), "rgb")
     return material

@@ -47,7 +47,7 @@ def _picture_colours(surface: Surface, uv: np.ndarray) -> np.ndarray:
         return np.ones((len(uv), 3))
     pillow()
     try:
-        samples = sampled_picture(surface.picture.content, uv, "RGB")
+        samples = sampled_picture(surface.picture.content, uv * surface.repeats, "RGB")
     except Exception as error:  # whatever pillow trips over: damaged files, some too large
         log.warning("picture %s is left out: %s", surface.picture.name, error)
         return np.ones((len(uv), 3))

@@ -6,6 +6,8 @@ are skinned alike, so that nothing opens. Dimensions: `f` faces, `v` vertices, `
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -39,12 +41,15 @@ class Picture:
 
 @dataclass(frozen=True)
 class Surface:
-    """A material. colour: (3,) linear RGB in [0, 1], which multiplies the picture's. faces: (k,) those that have it."""
+    """A material. colour: (3,) linear RGB in [0, 1], which multiplies the picture's. faces: (k,) those that have it.
+    repeats: how often the picture is there along a unit of either texture place, which is a metre on a garment that was
+    cut flat; the origin is where one begins."""
 
     name: str
     colour: tuple[float, ...]
     faces: np.ndarray
     picture: Picture | None = None
+    repeats: tuple[float, float] = (1.0, 1.0)
 
 
 def linear(colour: tuple[float, float, float]) -> tuple[float, ...]:
@@ -59,8 +64,8 @@ def surfaces_of(look: Look | None, name: str, colour: tuple[float, ...], count: 
     found = []
     for index in np.unique(material):
         faces = np.flatnonzero(material == index)
-        own = (name, colour, None) if index < 0 else (look.materials[index], *library[look.materials[index]])
-        found.append(Surface(own[0], own[1], faces, own[2]))
+        own = Surface(name, colour, faces) if index < 0 else library[look.materials[index]]
+        found.append(replace(own, faces=faces))
     return found
 
 
@@ -86,18 +91,19 @@ def split_at_seams(look: Look, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return unique[:, 0].astype(np.int32), unique[:, 1:], split.reshape(faces.shape)
 
 
-def _materials(look: Look) -> dict[str, tuple[tuple[float, ...], Picture | None]]:
-    """Colour and picture of each material named, from the material library; white where that says nothing."""
-    found = {name: ((1.0, 1.0, 1.0), None) for name in look.materials}
+def _materials(look: Look) -> dict[str, Surface]:
+    """Each material named, from the material library, of no faces yet; white where that says nothing."""
+    found = {name: Surface(name, (1.0, 1.0, 1.0), np.empty(0, dtype=int)) for name in look.materials}
     name = None
     for line in look.files.get(LIBRARY, b"").decode("utf-8", "replace").splitlines():
         word, rest = [*line.split(None, 1), "", ""][:2]
         if word == "newmtl":
             name = _material_name(rest)
         elif name in found and word == "Kd":
-            found[name] = _colour(name, rest), found[name][1]
+            found[name] = replace(found[name], colour=_colour(name, rest))
         elif name in found and word == "map_Kd":
-            found[name] = found[name][0], _picture(look, name, rest)
+            picture, options = _picture(look, name, rest)
+            found[name] = replace(found[name], picture=picture, repeats=_repeats(name, options))
     return found
 
 
@@ -119,14 +125,32 @@ def _colour(material: str, told: str) -> tuple[float, ...]:
     return colour
 
 
-def _picture(look: Look, material: str, named: str) -> Picture:
-    """named: what follows the keyword, a file name after options."""
-    end = " " + " ".join(named.split())
-    name = max((each for each in look.files if end.endswith(" " + " ".join(each.split()))), key=len, default=None)
+def _picture(look: Look, material: str, named: str) -> tuple[Picture, str]:
+    """named: what follows the keyword, a file name after options. Returns the options, too."""
+    told = " " + " ".join(named.split())
+    names = {each: " " + " ".join(each.split()) for each in look.files}
+    name = max((each for each in names if told.endswith(names[each])), key=len, default=None)
     if name is None:
         raise ValueError(f"the picture of material {shown(material)} is missing: {shown(named.strip())}")
     content = look.files[name]
     kind = picture_kind(content)
     if kind is None:
         raise ValueError(f"the picture of material {shown(material)}, {shown(name)}, must be PNG or JPEG")
-    return Picture(name, content, kind)
+    return Picture(name, content, kind), told.removesuffix(names[name])
+
+
+def _repeats(material: str, options: str) -> tuple[float, float]:
+    """By the option `-s u v w`, whose last numbers may be left out."""
+    found = re.search(r"(?:^|\s)-s((?:\s+[-+]?\.?\d\S*){0,3})(?=\s|$)", options)
+    if found is None:
+        return 1.0, 1.0
+    try:
+        u, v = [*map(float, found[1].split()[:2]), 1.0][:2]
+    except ValueError:
+        u = v = 0.0
+    if not found[1] or not all(math.isfinite(scale) and scale for scale in (u, v)):
+        raise ValueError(
+            f"the scale -s of material {shown(material)} must be one to three numbers other than 0, got "
+            f"{shown(found[1].strip())}"
+        )
+    return u, v

@@ -9,9 +9,10 @@ import pytest
 import trimesh
 from core.export.gltf_reader import Reader, in_gltf_world, skinned_layers
 from PIL import Image
+from random_models import random_model, sewn_tube
 from scipy.spatial import cKDTree
 
-from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
+from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion, save_garment_model
 from physkin_core.cli import main
 from physkin_core.export.export import LIES_ON, garment_looks
 from physkin_core.export.usd_motion import _as_identifiers
@@ -151,6 +152,77 @@ def test_words_of_a_library_may_stand_after_tabs(tmp_path, shirt):
     assert surfaces["red"].colour == (0.5, 0.25, 0.0) and surfaces["knit"].colour == (1.0, 1.0, 1.0)
 
 
+@pytest.mark.parametrize(
+    "options, expected", [("-s 20 40 1", (20, 40)), ("-mm 0 1 -s 8", (8, 1)), ("-s -4 .5", (-4, 0.5))]
+)
+def test_a_material_says_how_large_its_picture_is(tmp_path, shirt, options, expected):
+    """In both files: the picture is scaled, texture places stay what they are."""
+    library = f"newmtl knit\nmap_Kd {options} knit.png\nnewmtl red\nmap_Kd knit.png\n"
+    path = write_look(tmp_path / "look", shirt, library=library)
+    knit, red = surfaces_of(read_mesh(path).look, "longsleeve", RED, len(shirt.garment.faces))
+    assert knit.repeats == expected and red.repeats == (1, 1)
+    assert export(tmp_path / "walk.glb", "--look", path) == 0
+    textured, plain = Reader(tmp_path / "walk.glb").file.materials[-2:]
+    assert plain.pbrMetallicRoughness.baseColorTexture.extensions == {}
+    transform = textured.pbrMetallicRoughness.baseColorTexture.extensions["KHR_texture_transform"]
+    assert transform["scale"] == list(expected)
+    back = read_mesh(tmp_path / "walk.glb").look
+    scaled = back.uv[back.material == back.materials.index("knit")]
+    first = read_mesh(path).look
+    wanted = first.uv[first.material == 0] * expected
+    np.testing.assert_allclose(
+        np.sort(scaled.reshape(-1, 2), axis=0), np.sort(wanted.reshape(-1, 2), axis=0), atol=1e-3
+    )
+    if expected != (20, 40):
+        return
+    pxr = pytest.importorskip("pxr.Usd", reason="needs the extra [usd]")
+    assert export(tmp_path / "walk.usdc", "--look", path) == 0
+    stage = pxr.Stage.Open(str(tmp_path / "walk.usdc"))
+    scales = [
+        prim.GetAttribute("inputs:scale").Get() for prim in stage.Traverse() if prim.GetName() == "UsdTransform2d"
+    ]
+    assert [tuple(scale) for scale in scales] == [expected]
+
+
+def test_cloth_that_was_cut_flat_has_its_texture_places(tmp_path, worn):
+    """In metres, on the faces that are given; a look of materials alone keeps them, one with places of its own not."""
+    sewn = sewn_tube(columns=16, rings=17, shrunk=0.95)
+    model = random_model(np.random.default_rng(0), rig=worn.rig, garment=sewn)
+    outfit = Outfit([model], worn.avatar)
+    (look,) = garment_looks([], outfit)
+    np.testing.assert_array_equal(look.uv, sewn.panel_places[sewn.panel_faces])
+    assert not look.materials and garment_looks([], worn) == [None]
+    material = np.zeros(len(sewn.faces), int)
+    red = Look(
+        np.full_like(look.uv, np.nan), material, material - 1, ("red",), (), {LIBRARY: b"newmtl red\nKd 1 0 0\n"}
+    )
+    for uv, kept in ((red.uv, look.uv), (0.1 * look.uv, 0.1 * look.uv)):
+        write_obj(tmp_path / "red.obj", sewn.vertices, sewn.faces, replace(red, uv=uv), header="test")
+        (found,) = garment_looks([tmp_path / "red.obj"], outfit)
+        np.testing.assert_allclose(found.uv, kept, atol=1e-5)
+        assert found.materials == ("red",)
+    save_garment_model(model, tmp_path / "sewn.safetensors")
+    assert (
+        main(
+            [
+                "export",
+                "walk",
+                "-g",
+                str(tmp_path / "sewn.safetensors"),
+                "--rate",
+                "5",
+                "-o",
+                str(tmp_path / "walk.glb"),
+            ]
+        )
+        == 0
+    )
+    reader = Reader(tmp_path / "walk.glb")
+    places = reader.array(reader.attributes("random").TEXCOORD_0) * [1, -1] + [0, 1]
+    assert len(places) == len(sewn.panel_places)
+    assert cKDTree(sewn.panel_places).query(places)[0].max() < 1e-5
+
+
 LACKS_ONE = "newmtl knit\nmap_Kd nit.png\nnewmtl red\nmap_Kd red knit.png\n"
 
 
@@ -188,6 +260,13 @@ def plain(folder, model):
                 f"look/garment.obj: the colour Kd of material 'red' must be three numbers from 0 to 1, got '{colour}'",
             )
             for colour in ("0.5", "2 -1 0", "red", "0 nan 0")
+        ),
+        *(
+            (
+                lambda *to, scale=scale: write_look(*to, library=f"newmtl knit\nmap_Kd -s {scale} knit.png\n"),
+                f"the scale -s of material 'knit' must be one to three numbers other than 0, got '{told}'",
+            )
+            for scale, told in (("0 1 1", "0 1 1"), ("-blendu on", ""), ("2 1e999", "2 1e999"), ("2 3x", "2 3x"))
         ),
     ],
 )
