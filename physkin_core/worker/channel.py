@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import fcntl
 import os
-import select
 import struct
 from time import monotonic
 from typing import Any
 
 import numpy as np
 
+from physkin_core.native_module import native
 from physkin_core.worker.codec import Codec, CodecError
 
 __all__ = ["Channel", "channel_ends"]
@@ -41,8 +41,6 @@ class Channel:
     def __init__(self, incoming: int, outgoing: int, codec: Codec) -> None:
         self._incoming, self._outgoing, self._codec = incoming, outgoing, codec
         self._open = [incoming, outgoing]
-        self._poll = select.poll()
-        self._poll.register(incoming, select.POLLIN)
 
     def send(self, value: object) -> None:
         """Say a value. Raises CodecError, and says nothing, where it is none that can be said."""
@@ -52,24 +50,23 @@ class Channel:
             raise CodecError(f"a message is too large: at most {LARGEST_MESSAGE} bytes can be sent")
         self._write(memoryview(SIZE.pack(len(encoded)) + encoded))
         for array in arrays:
-            self._write(_bytes_of(array))
+            self._write(_bytes_of(array).data)
 
     def receive(self, deadline: float | None = None) -> Any:
         """Wait for a value. deadline: as of `monotonic`; None waits for ever."""
-        size = bytearray(SIZE.size)
-        self._read(memoryview(size), deadline)
-        (length,) = SIZE.unpack(size)
+        size = np.empty(SIZE.size, dtype=np.uint8)
+        self._read([size], deadline)
+        (length,) = SIZE.unpack(size.tobytes())
         if length > LARGEST_TEXT:
             raise CodecError(f"a text of {length} bytes; at most {LARGEST_TEXT} are taken")
-        encoded = bytearray(length)
-        self._read(memoryview(encoded), deadline)
+        encoded = np.empty(length, dtype=np.uint8)
+        self._read([encoded], deadline)
         try:
-            text = encoded.decode()
+            text = encoded.tobytes().decode()
         except UnicodeDecodeError as error:
             raise CodecError(f"not a message: {error}") from error
         arrays = self._codec.empty_arrays(text, LARGEST_MESSAGE)
-        for array in arrays:
-            self._read(_bytes_of(array), deadline)
+        self._read([_bytes_of(array) for array in arrays], deadline)
         return self._codec.decode(text, arrays)
 
     def _write(self, content: memoryview) -> None:
@@ -79,16 +76,10 @@ class Channel:
         except BrokenPipeError as error:
             raise EOFError("the other end has gone") from error
 
-    def _read(self, into: memoryview, deadline: float | None) -> None:
-        """Fill a buffer."""
-        while len(into):
-            left = None if deadline is None else max(1000 * (deadline - monotonic()), 0)
-            if not self._poll.poll(left):
-                raise TimeoutError("the other end has not answered in time")
-            count = os.readv(self._incoming, [into])
-            if count == 0:
-                raise EOFError("the other end has gone")
-            into = into[count:]
+    def _read(self, into: list[np.ndarray], deadline: float | None) -> None:
+        """Fill arrays of bytes. All in one call, which does without the interpreter's lock: frames are due meanwhile,
+        and a thread that lets it go and asks for it again may lose its core in between."""
+        native.read_pipe(self._incoming, into, None if deadline is None else deadline - monotonic())
 
     def close(self) -> None:
         """Go. May be called again."""
@@ -96,6 +87,6 @@ class Channel:
             os.close(self._open.pop())
 
 
-def _bytes_of(array: np.ndarray) -> memoryview:
+def _bytes_of(array: np.ndarray) -> np.ndarray:
     """A view of a C-contiguous array: what is written there is written into it."""
-    return array.reshape(-1).view(np.uint8).data
+    return array.reshape(-1).view(np.uint8)
