@@ -49,8 +49,9 @@ class BoundGarment(SkinningData):
     guard_vertices, guard_influence_nodes, guard_influence_weights: (s, 3) and (s, K), samples of cloth that hangs free,
         as vertices are given; guard_detail_nodes, guard_detail_weights (s, J): likewise, (s, 0) without detail;
         guard_shares (s,): how free, 0 to 1; guard_gaps (k, s) [m]: what each keeps off from each of k parts of the
-        skin. skin_frames (k, 3, 4), skin_shapes (k, 5), skin_bones and skin_heights (k, 4), skin_coefficients
-        (k, J, 2 H + 1): these parts, see `SkinPart`. All empty where no cloth hangs.
+        skin; guard_ways (k, s, 2): which way a shin leads each back over itself, see `SkinPart.ways_back`. skin_frames
+        (k, 3, 4), skin_shapes (k, 5), skin_bones and skin_heights (k, 4), skin_coefficients (k, J, 2 H + 1): these
+        parts, see `SkinPart`. All empty where no cloth hangs.
     """
 
     bone_parents: np.ndarray
@@ -78,6 +79,7 @@ class BoundGarment(SkinningData):
     guard_detail_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
     guard_shares: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     guard_gaps: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
+    guard_ways: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 2), dtype=np.float32))
     skin_frames: np.ndarray = field(default_factory=lambda: np.empty((0, 3, 4), dtype=np.float32))
     skin_shapes: np.ndarray = field(default_factory=lambda: np.empty((0, 5), dtype=np.float32))
     skin_bones: np.ndarray = field(default_factory=lambda: np.empty((0, 4), dtype=np.int32))

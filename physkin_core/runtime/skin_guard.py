@@ -68,6 +68,7 @@ def guarded(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any]:
         "guard_detail_weights": _of_detail(bound.detail_weights, samples),
         "guard_shares": as_float32(shares[samples]),
         "guard_gaps": as_float32(np.minimum(clearance[:, samples], GAP)),
+        "guard_ways": as_float32([part.ways_back(draped[samples]) for part in parts]),
         **_described(parts),
     }
 

@@ -173,7 +173,8 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, int bone
   const auto guarded_points = uniform(3 * samples, -1, 1), shares = uniform(samples, 0, 1);
   const auto guard_nodes = indices(std::size_t(samples) * influences, nodes);
   const auto guard_weights = uniform(std::size_t(samples) * influences, 0, 1);
-  const auto gaps = uniform(parts * samples, 0, 0.01f), skin_frames = uniform(12 * parts, -1, 1);
+  const auto ways = uniform(2 * parts * samples, -0.7f, 0.7f), gaps = uniform(parts * samples, 0, 0.01f),
+             skin_frames = uniform(12 * parts, -1, 1);
   const float shapes[] = {0, 0, -1, 1, 0.1f, 0.2f, 0, -1, 0.5f, 0.1f};
   const auto skin_bones = indices(parts * physkin::kSkinBones, bones);
   const float heights[] = {
@@ -191,6 +192,7 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, int bone
   g.guard_detail_weights = detail_weights.data();
   g.guard_shares = shares.data();
   g.guard_gaps = gaps.data();
+  g.guard_ways = ways.data();
   g.skin_frames = skin_frames.data();
   g.skin_shapes = shapes;
   g.skin_bones = skin_bones.data();

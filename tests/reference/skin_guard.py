@@ -15,7 +15,7 @@ from physkin_core.separation.trunk_shape import TrunkShape
 from reference.skinning import skin
 
 SOFT, TOO_DEEP, FADE, PASSES = 0.002, 0.15, 0.05, 2
-WORTHWHILE, CARRIES = 0.002, 0.1
+WORTHWHILE, CARRIES, REACH, AGAINST = 0.002, 0.1, 0.05, 0.5
 
 
 def kept_out(bound, bones, nodes, sway, features=()):
@@ -60,8 +60,28 @@ def _lacks(bound, bones, at):
     """What samples (s, 3) lack in each part of the skin, (s,) [m], and the ways out, (s, 3)."""
     for part in range(len(bound.skin_frames)):
         depth, normal = skin_depth(bound, part, bones, at)
-        faded = bound.guard_shares * np.clip((TOO_DEEP - depth) / FADE, 0, 1)
-        yield faded * _soft(depth + bound.guard_gaps[part]), normal
+        lack, normal = _led_back(bound, part, bones, at, depth, _soft(depth + bound.guard_gaps[part]), normal)
+        yield bound.guard_shares * np.clip((TOO_DEEP - depth) / FADE, 0, 1) * np.maximum(lack, 0), normal
+
+
+def _led_back(bound, part, bones, at, depth, lack, normal):
+    """The same of a shin whose normal is against the way back over it: lacks (s,) and ways out (s, 3) are turned there,
+    to the far side of a circle about its axis; less from its skin outwards."""
+    frame, bone = bound.skin_frames[part].astype(np.float64), bones[bound.skin_bones[part, 0]]
+    back = frame[:, :3] @ bone[:, :3].T
+    away = ((at - bone[:, 3]) @ back.T + frame[:, 3])[:, :2] - bound.skin_shapes[part, :2]
+    out = bound.guard_ways[part] @ back[:2]
+    against = np.where(depth > -REACH, np.clip(-(normal * out).sum(axis=1) / AGAINST, 0, 1), 0)
+    turned = against**2 * (3 - 2 * against)
+    towards = (1 - turned)[:, None] * normal + turned[:, None] * out
+    towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
+    across = towards @ back[:2].T
+    flat = np.sqrt((across**2).sum(axis=1) + 1e-6)
+    along, square = (away * across).sum(axis=1) / flat, (away**2).sum(axis=1)
+    radius = np.sqrt(square) + depth + np.maximum(bound.guard_gaps[part], 0)
+    over = (np.sqrt(np.maximum(radius**2 - square + along**2, 0)) - along) / flat
+    faded = np.clip((depth + REACH) / REACH, 0, 1)
+    return lack + turned * (faded * over - lack), np.where(turned[:, None] > 0, towards, normal)
 
 
 def _soft(lacking):

@@ -20,6 +20,8 @@ constexpr float kLeast = 1e-9f;
 constexpr float kWorthwhile = 0.002f;
 // A garment node that carries this much of a sample sways as little as the sample needs.
 constexpr float kCarries = 0.1f;
+// [m] A sample that a shin has passed by less is led back over it, all the way where the normal is so much against it.
+constexpr float kReach = 0.05f, kAgainst = 0.5f;
 // What a sample lacks is its garment nodes' part only: the second time sees what the first has left.
 constexpr int kPasses = 2;
 
@@ -103,9 +105,13 @@ SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena
     const float* heights = arena.copy(g.skin_heights + kSkinBones * k, kSkinBones);
     const float* waves = arena.copy(g.skin_coefficients + coefficients * k, coefficients);
     part.field = {1, g.skin_splines, shape[0], shape[1], shape[2], shape[3], shape[4], part.back, heights, waves};
+    const float* ways = g.guard_ways + std::size_t(k) * 2 * samples_;
+    const bool leads = std::any_of(ways, ways + 2 * samples_, [](float way) { return way != 0; });
+    part.ways = leads ? arena.copy(ways, 2 * std::size_t(samples_)) : nullptr;
+    part.reach = leads ? kReach : kAside;
     while (part.field.bones < kSkinBones && heights[part.field.bones] < kNoHeight) ++part.field.bones;
     for (int bone = 0; bone < part.field.bones; ++bone) {
-      part.widths[bone] = widest(part.field, height_of(part.field, bone), height_of(part.field, bone + 1)) + kAside;
+      part.widths[bone] = widest(part.field, height_of(part.field, bone), height_of(part.field, bone + 1)) + part.reach;
     }
     part.gaps = arena.copy(g.guard_gaps + std::size_t(k) * samples_, samples_);
     part.near = arena.take<std::int32_t>(samples_ + 1);
@@ -116,13 +122,14 @@ SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena
 void SkinGuard::keep_out(const GarmentNodes& nodes, const float* bone_transforms, const Cloth& cloth,
                          float* node_transforms) noexcept {
   offsets_ = cloth.detail_offsets;
-  place_samples(node_transforms);
-  for (Part& part : parts_) {
-    pose(part, bone_transforms);
-    find_near(part);
-  }
+  for (Part& part : parts_) pose(part, bone_transforms);
+  leads_far_ = true;
   for (int pass = 0; pass < kPasses; ++pass) {
-    if (pass > 0) place_samples(node_transforms);
+    place_samples(node_transforms);
+    if (leads_far_) {
+      for (Part& part : parts_) find_near(part);
+    }
+    leads_far_ = false;
     if (!find_lacks()) return;
     if (pass == 0 && cloth.corrections != cloth.still) {
       nodes.compose_added(bone_transforms, cloth.corrections, cloth.still, sway_);
@@ -199,12 +206,36 @@ void SkinGuard::add_lacks(Part& part) noexcept {
     const int s = part.near[k];
     const float depth = contacts_[k], wanted = depth + part.gaps[s] + kSoft;
     part.near[part.near_count] = s;
-    part.near_count += wanted > -kAside;
-    if (!(wanted > 0) || !(depth < kTooDeep)) continue;
-    const float lack = wanted < 2 * kSoft ? wanted * wanted / (4 * kSoft) : wanted - kSoft;
+    part.near_count += wanted > -part.reach;
+    if (!(depth < kTooDeep)) continue;
     const Vector3 normal{contacts_[rows + k], contacts_[2 * rows + k], contacts_[3 * rows + k]};
-    lacks_[lack_count_++] = {s, shares_[s] * std::min((kTooDeep - depth) / kFade, 1.0f) * lack, normalized(normal)};
+    const float soft = std::max(wanted < 2 * kSoft ? wanted * wanted / (4 * kSoft) : wanted - kSoft, 0.0f);
+    Lack lack{s, wanted > 0 ? soft : 0, normalized(normal)};
+    if (part.ways != nullptr) lead_back(part, s, depth, lack);
+    if (!(lack.length > 0)) continue;
+    lack.length *= shares_[s] * std::min((kTooDeep - depth) / kFade, 1.0f);
+    lacks_[lack_count_++] = lack;
   }
+}
+
+void SkinGuard::lead_back(const Part& part, int sample, float depth, Lack& lack) noexcept {
+  const Affine back = load_affine(part.back);
+  const float* way = part.ways + 2 * sample;
+  const Vector3 out = way[0] * back.linear.rows[0] + way[1] * back.linear.rows[1];
+  const float against = std::min(-dot(lack.normal, out) / kAgainst, 1.0f);
+  if (!(against > 0) || !(depth > -kReach)) return;
+  leads_far_ = true;
+  const float turned = against * against * (3 - 2 * against);
+  const Vector3 at = back.linear * load_vector(skinned_ + 3 * sample) + back.translation;
+  const float x = at.x - part.field.x, y = at.y - part.field.y;
+  const Vector3 towards = normalized((1 - turned) * lack.normal + turned * out);
+  const float tx = dot(towards, back.linear.rows[0]), ty = dot(towards, back.linear.rows[1]);
+  const float flat = std::sqrt(tx * tx + ty * ty + 1e-6f), along = (x * tx + y * ty) / flat;
+  const float radius = std::sqrt(x * x + y * y) + depth + std::max(part.gaps[sample], 0.0f);
+  const float over = (std::sqrt(std::max(radius * radius - x * x - y * y + along * along, 0.0f)) - along) / flat;
+  const float faded = std::min((depth + kReach) / kReach, 1.0f);
+  lack.length += turned * (faded * over - lack.length);
+  lack.normal = towards;
 }
 
 // What samples lack afterwards is foreseen: looking it up would take as long as all of this.

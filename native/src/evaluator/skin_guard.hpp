@@ -40,6 +40,8 @@ class SkinGuard {
     float widths[kSkinBones];
     Vector3 axis[kSkinBones + 1];  // posed
     const float* gaps;             // (samples,) [m]
+    const float* ways;             // (samples, 2), null where all are zero
+    float reach;                   // [m] from which samples are looked at
     std::int32_t* near;            // samples in this frame, near_count of them
     int near_count;
   };
@@ -59,6 +61,8 @@ class SkinGuard {
   bool find_lacks() noexcept;
   // Of those near a part, and keeps those that may after a move.
   void add_lacks(Part& part) noexcept;
+  // Of a hem that a folding shin has passed the skin's normal leads to the wrong side: turns it, and what is lacking.
+  void lead_back(const Part& part, int sample, float depth, Lack& lack) noexcept;
   // Takes sway away where samples lack something that it has cost them, and leaves what they lack then.
   void sway_less(float* node_transforms) noexcept;
   float cost_of(const Lack& lack) const noexcept;
@@ -81,10 +85,11 @@ class SkinGuard {
   float* contacts_;
   Lack* lacks_;  // lack_count_ of them, at most (parts * samples)
   int lack_count_ = 0;
-  float* sway_;     // (nodes, 3, 4) what it has added to their transforms
-  float* swayed_;   // (samples, 3) by it [m]
-  float* stilled_;  // (nodes,) share of sway taken away, 0 to 1
-  float* sums_;     // (nodes, 4): what their samples lack in a pass, as vectors and by how much they count
+  bool leads_far_ = false;  // samples that were not near before may be so after a move
+  float* sway_;             // (nodes, 3, 4) what it has added to their transforms
+  float* swayed_;           // (samples, 3) by it [m]
+  float* stilled_;          // (nodes,) share of sway taken away, 0 to 1
+  float* sums_;             // (nodes, 4): what their samples lack in a pass, as vectors and by how much they count
 };
 
 }  // namespace physkin

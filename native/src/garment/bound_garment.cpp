@@ -68,6 +68,7 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.floats("guard_detail_weights", g.guard_detail_weights, {&g.guard_samples, &g.guard_detail_influences});
   visit.floats("guard_shares", g.guard_shares, {&g.guard_samples});
   visit.floats("guard_gaps", g.guard_gaps, {&g.skin_parts, &g.guard_samples});
+  visit.floats("guard_ways", g.guard_ways, {&g.skin_parts, &g.guard_samples, 2});
   visit.floats("skin_frames", g.skin_frames, {&g.skin_parts, 3, 4});
   visit.floats("skin_shapes", g.skin_shapes, {&g.skin_parts, 5});
   visit.indices("skin_bones", g.skin_bones, {&g.skin_parts, kSkinBones}, 0, g.bones);

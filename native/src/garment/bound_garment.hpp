@@ -68,6 +68,7 @@ struct BoundGarment : SkinningData {
   const float* guard_detail_weights = nullptr;          // (guard_samples, guard_detail_influences)
   const float* guard_shares = nullptr;                  // (guard_samples,) how free each hangs, 0 to 1
   const float* guard_gaps = nullptr;                    // (skin_parts, guard_samples) kept from the part's skin
+  const float* guard_ways = nullptr;         // (skin_parts, guard_samples, 2) back over a shin, in the part's x, y
   const float* skin_frames = nullptr;        // (skin_parts, 3, 4) from the canonical pose to the part's own axes
   const float* skin_shapes = nullptr;        // (skin_parts, 5) x, y, low, high, blend as in TrunkField
   const std::int32_t* skin_bones = nullptr;  // (skin_parts, kSkinBones)
