@@ -16,7 +16,7 @@ from physkin_core.native_module import native
 from physkin_core.outfit.coverage import FROM_HEM
 from physkin_core.outfit.layer_order import bind_layer_order
 from physkin_core.outfit.tuck import tucked_depths
-from physkin_core.runtime.binding import bind_garment
+from physkin_core.runtime.binding import bind_garment, draping
 from physkin_core.runtime.evaluator import drape_poses
 from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_core.runtime.layer import Layer, WornGarment
@@ -65,7 +65,8 @@ def _worn(garment: WornGarment, avatar: Avatar, fit: float, beneath: Sequence[La
     """One more layer, over those beneath."""
     model = garment.model
     bound = bind_garment(model, avatar, fit=fit, beneath=beneath)
-    (rest,) = drape_poses(bound, [(model.rig.rest, UPRIGHT_GRAVITY)])
+    with draping(model, avatar):
+        (rest,) = drape_poses(bound, [(model.rig.rest, UPRIGHT_GRAVITY)])
     count = len(rest)
     return Layer(
         model=model,

@@ -8,7 +8,8 @@ Remeshing). Bodies are encoded once here; what comes out changes no more from fr
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from time import perf_counter
 from typing import Any
@@ -32,7 +33,7 @@ from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, m
 from physkin_core.runtime.skin_guard import guarded
 from physkin_core.sway.node_twist import node_twist
 
-__all__ = ["FARTHEST_POINT", "bind_garment", "bind_points", "rest_normals"]
+__all__ = ["FARTHEST_POINT", "bind_garment", "bind_points", "draping", "rest_normals"]
 
 log = logging.getLogger(__name__)
 
@@ -52,7 +53,7 @@ def bind_garment(
 
     fit: 0 for the template's rest shape, 1 for the one made to measure, between for one between; default as
     `checked_fit`. beneath: what the body wears already, under this garment. Raises ValueError when the avatar's bones
-    are not those of the model's rig, and as `checked_fit`.
+    are not those of the model's rig, where the networks give no cloth on such a body, and as `checked_fit`.
     """
     fit = checked_fit(model, fit)
     rig = model.rig
@@ -100,8 +101,21 @@ def bind_garment(
         **_detail(model),
         **({} if model.sway is None else fold_body(model.sway, modulation)),
     )
-    bound = _clear_of_skin(bound, model, avatar, worn, elsewhere)
-    return replace(bound, **guarded(bound, avatar, rig))
+    with draping(model, avatar):
+        bound = _clear_of_skin(bound, model, avatar, worn, elsewhere)
+        return replace(bound, **guarded(bound, avatar, rig))
+
+
+@contextmanager
+def draping(model: GarmentModel, avatar: Avatar) -> Iterator[None]:
+    """Says what drapes on what where an evaluator gives up: what networks make of a crumpled body may be kilometres
+    away, or no number. Raises ValueError."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(
+            f"garment {model.name!r} does not drape on {avatar.source}: {error}; is the body damaged?"
+        ) from error
 
 
 def _detail(model: GarmentModel) -> dict[str, Any]:

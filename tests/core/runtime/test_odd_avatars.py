@@ -113,3 +113,13 @@ def test_networks_see_the_posed_nodes_of_another_body():
     expected = weight @ pose_nodes(rig.bone_transforms(q), bone, seen).reshape(-1)
     found = folded @ rig.bone_transforms(q, heads=heads)[used].reshape(-1)
     np.testing.assert_allclose(found, expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("odd", [False, True])
+def test_a_body_that_networks_make_no_cloth_of(person, odd):
+    """What is bound then is refused with the names of both, before a frame is asked for."""
+    model = load_garment_model("tshirt")
+    *layers, (weight, bias) = model.node_deformer
+    far = replace(model, node_deformer=(*layers, (weight, bias + 5e6)))
+    with pytest.raises(ValueError, match=r"'tshirt' does not drape on .*glb: .* within .*damaged"):
+        Draper(far, with_odd_pivots(person, 1) if odd else load_avatar(BUNDLED_AVATAR, BODY.rig))

@@ -118,8 +118,11 @@ def test_clouds_are_right_throughout(start_site, tmp_path, seconds):
             worn[which] = str(path)
             new = draper(*worn)
         else:
-            path.unlink()
-            assert seed % 2 and len(answer.message) <= LONGEST_SENTENCE and answer.message.isprintable(), answer.message
+            if seed % 2:
+                path.unlink()
+            else:  # a good garment does not drape on any damaged body that was worn as it is, nor the other way round
+                assert "damaged" in worn[1 - which] and "does not drape on" in answer.message, answer.message
+            assert len(answer.message) <= LONGEST_SENTENCE and answer.message.isprintable(), answer.message
             outcomes["refused"] += 1
         for _ in range(20):
             streamer.send()
