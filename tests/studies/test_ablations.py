@@ -23,7 +23,7 @@ from physkin_studies.ablation_rows import (
 )
 from physkin_studies.ablations import main, run_rows
 from physkin_studies.fantastical_bodies import fantastical_body_model
-from physkin_training.config import TrainingConfig
+from physkin_training.config import TrainingConfig, load_config
 from physkin_training.train.trainer import Trainer
 from physkin_training.train.validation import Validation
 
@@ -62,6 +62,8 @@ def test_rows_change_what_they_are_named_after(tmp_path):
             assert config.garment_nodes.count == int("".join(filter(str.isdigit, name)))
             assert (config.optimisation.skinning_rate == 0) == name.endswith("fixed")
     assert ROWS[BASE].change(base) == base == ROWS["supervised"].change(base)
+    assert ROWS["detail"].change(base).detail.nodes == 1024
+    assert ROWS[BASE].change(load_config(ablation_rows.CONFIG)).detail.nodes == 0
     assert ROWS["fantastical"].bodies is fantastical_body_model
     assert ROWS["fantastical"].change(base).train_bodies == 256
 

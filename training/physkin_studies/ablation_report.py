@@ -39,7 +39,7 @@ PAPER = {
     "nodes128": "3.074 / 3.193 / 0.119",
     "nodes256": "3.068 / 3.188 / 0.117",
 }
-NODE_ROWS = (*PAPER, "seed1", "seed2")
+NODE_ROWS = (*PAPER, "detail", "seed1", "seed2")
 NETWORK_ROWS = (BASE, "supervised")
 FIGURES = {
     "edge %": ("edge_strain_percent", "{:.2f}"),
@@ -123,7 +123,9 @@ def _node_table(rows: Mapping[str, dict], times: Mapping[str, dict]) -> str:
         if name in rows:
             config = rows[name]["config"]
             trained = "trained" if config["optimisation"]["skinning_rate"] > 0 else "fixed"
-            if name not in PAPER:
+            if detail := config["detail"]["nodes"]:
+                trained += f", {detail} detail nodes beside them"
+            elif name not in PAPER:
                 trained += f", seed {config['seed']}"
             spent = [f"{times[name][key]:.1f}" for key in ("skinning", "frame")]
             cells = [config["garment_nodes"]["count"], trained, *_cells(rows[name]["figures"]["model"])]

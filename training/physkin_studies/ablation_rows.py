@@ -23,7 +23,7 @@ from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.model.garment_model import GarmentModel
 from physkin_studies.fantastical_bodies import KINDS, fantastical_body_model
 from physkin_studies.supervised import SupervisedTrainer, simulate_drapes
-from physkin_training.config import TrainingConfig, load_config
+from physkin_training.config import DetailConfig, TrainingConfig, load_config
 from physkin_training.devices import resolve_device
 from physkin_training.evaluate.evaluate import Evaluation
 from physkin_training.networks.export import ExportError
@@ -35,8 +35,8 @@ __all__ = ["BASE", "ROWS", "Row", "finished_figures", "model_path", "run_row"]
 log = logging.getLogger(__name__)
 BASE = "nodes128"
 """The row that all others are compared with."""
-CONFIG = Path(__file__).parents[1] / "configs" / "tshirt.toml"
-"""The configuration that rows change."""
+CONFIG = Path(__file__).parents[1] / "configs" / "tshirt_jersey.toml"
+"""The configuration that rows change: all but one leave its detail out, as the paper has none."""
 BODIES, POSES = 16, 64
 """Held-out bodies, and uniform poses of each, to measure on."""
 DRAPES, DRAPE_BATCH = 1000, 128
@@ -60,9 +60,14 @@ class Row:
 def _nodes(count: int, *, optimised: bool) -> Callable[[TrainingConfig], TrainingConfig]:
     def change(config: TrainingConfig) -> TrainingConfig:
         optimisation = config.optimisation if optimised else replace(config.optimisation, skinning_rate=0.0)
-        return replace(config, garment_nodes=replace(config.garment_nodes, count=count), optimisation=optimisation)
+        nodes = replace(config.garment_nodes, count=count)
+        return replace(config, garment_nodes=nodes, detail=DetailConfig(nodes=0), optimisation=optimisation)
 
     return change
+
+
+def _with_detail(config: TrainingConfig) -> TrainingConfig:
+    return replace(config, detail=DetailConfig(nodes=1024))
 
 
 def _fantastical(config: TrainingConfig) -> TrainingConfig:
@@ -77,6 +82,7 @@ ROWS = {
     "nodes64": Row("64 nodes", _nodes(64, optimised=True)),
     BASE: Row("128 nodes", _nodes(128, optimised=True), on_fantastical=True),
     "nodes256": Row("256 nodes", _nodes(256, optimised=True)),
+    "detail": Row("128 nodes and 1,024 detail nodes", _with_detail),
     "supervised": Row("supervised", lambda config: config, supervised=True),
     "fantastical": Row("fantastical", _fantastical, on_fantastical=True, bodies=fantastical_body_model),
     "seed1": Row("128 nodes, seed 1", lambda config: replace(config, seed=1)),

@@ -61,7 +61,7 @@ class OptimisationConfig:
     prune_at: Share = 0.6
     full_encoding: Share = 0.93
     encoder_points: Count = 1024
-    steadiness: Real = 100.0
+    steadiness: Real = 1000.0
     validate_every: Count = 500
     other_bending: Share = 0.5
 

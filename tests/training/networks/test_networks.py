@@ -11,6 +11,7 @@ from reference.hyper_modulator import body_modulation
 from physkin_core.model.hyper_modulator import at_fit, bending_code, with_bending
 from physkin_core.model.mlp import modulation_size
 from physkin_training.config import NetworkConfig
+from physkin_training.networks.detail_nodes import DetailNodeSet
 from physkin_training.networks.networks import HyperModulator, Networks
 
 
@@ -113,6 +114,20 @@ def test_new_networks_correct_almost_nothing():
     body = networks.hyper_modulator(torch.randn(4, 100, 3), torch.randn(4, 100, 3))
     raw, _ = networks(body, torch.rand(4, 20) * 2 - 1, torch.randn(4, 9, 3, 4))
     assert raw.shape == (4, 9, 12) and 0 < raw.abs().max() < 0.03
+
+
+def test_last_layers_learn_in_units_of_what_they_correct():
+    """Linear parts in fifths, translations and detail in 3 cm; what comes before them as it is."""
+    config = NetworkConfig(pose_hidden=8, deformer_hidden=6, token_width=4, feed_forward=4)
+    detail = DetailNodeSet(5, 7, np.zeros((9, 1), dtype=int), np.ones((9, 1)))
+    networks = Networks(config, pose_size=5, node_count=3, detail=detail)
+    units = {name: networks.output_units().get(parameter) for name, parameter in networks.named_parameters()}
+    last = f"node_deformer.layers.{config.deformer_layers}"
+    of_nodes = torch.tensor([[0.2] * 9 + [0.03] * 3] * 3).flatten()
+    torch.testing.assert_close(units.pop(f"{last}.bias"), of_nodes)
+    torch.testing.assert_close(units.pop(f"{last}.weight"), of_nodes[:, None])
+    assert float(units.pop("detail.offsets.weight")) == pytest.approx(0.03)
+    assert not any(unit is not None for unit in units.values())
 
 
 def test_normalised_nodes_fold_into_the_first_layer():

@@ -75,6 +75,28 @@ def test_a_turn_keeps_what_was_learnt_and_no_step_grows_past_the_rate():
         assert moved.abs().max() <= 0.02 * 1.3  # the bias correction is not 1 yet
 
 
+def test_a_parameter_in_units_moves_as_the_number_of_these_units_would():
+    """W = u V: SOAP and Adam take the steps that they would take in V, through turns of the bases, too."""
+    units = torch.logspace(-1, 1, 12)[:, None], torch.logspace(-1, 1, 12)
+    networks, others, _ = make()
+    mixed, aims = torch.randn(9, 40), torch.randn(12, 40)
+    optimiser = Soap(networks, others, CPU, units=dict(zip(networks, units)))
+    numbers = [Parameter(parameter.detach() / unit) for parameter, unit in zip(networks, units)]
+    twin_others = [Parameter(others[0].detach().clone())]
+    twin = Soap(numbers, twin_others, CPU)
+    for each in (optimiser, twin):
+        set_rates(each, 0.02)
+    for step in range(1, 31):
+        for each, parameters, rest in ((optimiser, networks, others), (twin, numbers, twin_others)):
+            each.zero_grad()
+            matrix, vector = (p * u for p, u in zip(parameters, units)) if each is twin else parameters
+            ((matrix @ mixed - aims).square().sum() + vector.square().sum() + rest[0].square().sum()).backward()
+            each.step()
+            each.turn_bases(step)
+    for parameter, number, unit in zip(networks, numbers, units):
+        torch.testing.assert_close(parameter, number * unit, rtol=1e-3, atol=1e-5)
+
+
 def test_large_sides_and_vectors_have_no_basis(monkeypatch):
     monkeypatch.setattr("physkin_training.train.soap.LARGEST_SIDE", 10)
     networks, others, optimiser = make()

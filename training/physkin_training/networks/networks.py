@@ -18,6 +18,10 @@ from physkin_training.networks.detail_nodes import DetailNodeSet
 __all__ = ["DetailNetwork", "HyperModulator", "ModulatedMLP", "Networks"]
 
 
+LINEAR_UNIT, SHIFT_UNIT = 0.2, 0.03
+"""About how large corrections are: of garment nodes' linear parts, and of their translations and detail offsets [m]."""
+
+
 class ModulatedMLP(nn.Module):
     """Hidden layers silu((1 + scale) * (W x + bias) + shift), then a linear layer that starts near zero."""
 
@@ -147,6 +151,18 @@ class Networks(nn.Module):
         spread = inputs.std(dim=0)
         self.node_mean.copy_(inputs.mean(dim=0))
         self.node_scale.copy_(torch.where(spread < 0.01, 0.0, 1 / spread.clamp_min(0.1)))
+
+    def output_units(self) -> dict[nn.Parameter, torch.Tensor]:
+        """Units in which to learn last layers, by parameter, for it to be multiplied by. A metre more moves cloth by a
+        metre, one more in a linear part by some centimetres: steps of equal length would be far too long for the one or
+        too short for the other."""
+        last = self.node_deformer.layers[-1]
+        of_node = torch.tensor([LINEAR_UNIT] * 9 + [SHIFT_UNIT] * 3, device=last.weight.device)
+        rows = of_node.repeat(last.out_features // len(of_node))
+        units = {last.weight: rows[:, None], last.bias: rows}
+        if self.detail is not None:
+            units[self.detail.offsets.weight] = torch.tensor(SHIFT_UNIT, device=rows.device)
+        return units
 
     def folded_first_layer(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Weight and bias of the node deformer's first layer over node transforms as they are."""

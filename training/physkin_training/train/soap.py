@@ -7,7 +7,7 @@ the eigenbases are turned between steps. Dimensions: a matrix is (r, c).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import torch
 from torch.nn import Parameter
@@ -29,17 +29,27 @@ SIDES = ("rows", "columns")
 class Soap(torch.optim.Optimizer):
     """Descends networks by SOAP, and what is no matrix of them and `others` by Adam.
 
-    Learning rates are tensors, those of `param_groups`: networks' matrices, networks' vectors, others. All state lies
-    in `state`, by parameter: "exp_avg" and "exp_avg_sq", in the eigenbases where there are any, and for each side that
-    has one "covariance_rows", "basis_rows", "covariance_columns", "basis_columns".
+    units: by parameter, a tensor that its gradient can be multiplied by: these parameters move as if they were numbers
+    in these units, a step being that much longer. Learning rates are tensors, those of `param_groups`: networks'
+    matrices, networks' vectors, others. All state lies in `state`, by parameter: "exp_avg" and "exp_avg_sq", in the
+    eigenbases where there are any, and for each side that has one "covariance_rows", "basis_rows",
+    "covariance_columns", "basis_columns".
     """
 
-    def __init__(self, networks: Iterable[Parameter], others: Sequence[Parameter], device: torch.device) -> None:
+    def __init__(
+        self,
+        networks: Iterable[Parameter],
+        others: Sequence[Parameter],
+        device: torch.device,
+        *,
+        units: Mapping[Parameter, torch.Tensor] | None = None,
+    ) -> None:
         networks = list(networks)
         matrices = [p for p in networks if p.ndim == 2 and min(p.shape) >= LEAST_SIDE]
         vectors = [p for p in networks if not any(p is matrix for matrix in matrices)]
         groups = [(matrices, BETAS), (vectors, ADAM_BETAS), (others, ADAM_BETAS)]
         self.steps = torch.zeros((), device=device)
+        self._units = dict(units or {})
         super().__init__([{"params": list(p), "betas": betas} for p, betas in groups if p], {"lr": 0.0})
         for group in self.param_groups:
             group["lr"] = torch.zeros((), device=device)
@@ -68,9 +78,10 @@ class Soap(torch.optim.Optimizer):
         for group in self.param_groups:
             (beta1, beta2), parameters = group["betas"], group["params"]
             states = [self.state[parameter] for parameter in parameters]
-            for parameter, state in zip(parameters, states):
-                _update_covariances(parameter.grad, state)
-            gradients = [_into_bases(parameter.grad, state) for parameter, state in zip(parameters, states)]
+            gradients = [self._in_units(parameter.grad, parameter) for parameter in parameters]
+            for gradient, state in zip(gradients, states):
+                _update_covariances(gradient, state)
+            gradients = [_into_bases(gradient, state) for gradient, state in zip(gradients, states)]
             first, second = ([state[name] for state in states] for name in ("exp_avg", "exp_avg_sq"))
             torch._foreach_lerp_(first, gradients, 1 - beta1)
             torch._foreach_mul_(second, beta2)
@@ -79,7 +90,12 @@ class Soap(torch.optim.Optimizer):
             torch._foreach_add_(size, EPSILON)
             moves = torch._foreach_div(first, size)
             torch._foreach_mul_(moves, -group["lr"] * torch.sqrt(1 - beta2**self.steps) / (1 - beta1**self.steps))
-            torch._foreach_add_(parameters, [_out_of_bases(move, state) for move, state in zip(moves, states)])
+            moves = [_out_of_bases(move, state) for move, state in zip(moves, states)]
+            torch._foreach_add_(parameters, [self._in_units(*pair) for pair in zip(moves, parameters)])
+
+    def _in_units(self, values: torch.Tensor, parameter: Parameter) -> torch.Tensor:
+        """A gradient in a parameter's units, or a move out of them: the same product."""
+        return values * self._units[parameter] if parameter in self._units else values
 
     def turn_bases(self, step: int) -> None:
         """After `step` steps: where it is time, bring all bases closer to the covariances' eigenvectors."""

@@ -139,7 +139,8 @@ class Trainer:
         self._stretch_and_collision = torch.zeros(self._samples, device=device)
         self._summed_from = 0
         self.gradient_norm = torch.zeros((), device=device)
-        self.optimiser = Soap(self.drape.networks.parameters(), self._logits(), device)
+        networks = self.drape.networks
+        self.optimiser = Soap(networks.parameters(), self._logits(), device, units=networks.output_units())
         self._recorded = RecordedStep(
             lambda: self.take_step(),
             device,
