@@ -35,15 +35,13 @@ void GarmentNodes::compose(const float* bone_transforms, const float* correction
   }
 }
 
-void GarmentNodes::compose_added(const float* bone_transforms, const float* corrections, const float* others,
-                                 float* added) const {
-  for (int i = 0; i < count_; ++i, corrections += 12, others += 12) {
-    const Affine bone = load_affine(bone_transforms + 12 * bone_[i]);
-    float apart[12];
-    for (int k = 0; k < 12; ++k) apart[k] = corrections[k] - others[k];
-    const Matrix3 linear{{load_vector(apart), load_vector(apart + 3), load_vector(apart + 6)}};
-    store_affine({bone.linear * linear, bone.linear * load_vector(apart + 9)}, added + 12 * i);
-  }
+Affine GarmentNodes::added(int node, const float* bone_transforms, const float* corrections,
+                           const float* others) const {
+  const Matrix3 bone = load_affine(bone_transforms + 12 * bone_[node]).linear;
+  float apart[12];
+  for (int k = 0; k < 12; ++k) apart[k] = corrections[12 * node + k] - others[12 * node + k];
+  const Matrix3 linear{{load_vector(apart), load_vector(apart + 3), load_vector(apart + 6)}};
+  return {bone * linear, bone * load_vector(apart + 9)};
 }
 
 void GarmentNodes::twist(const float* bone_transforms, float twist, float* transforms) const {

@@ -18,8 +18,8 @@ class GarmentNodes {
   // transforms (nodes, 3, 4), chi_i = [R_b | R_b q_i + t_b] * Delta_i with b the bone that garment node i follows.
   void compose(const float* bone_transforms, const float* corrections, float* transforms) const;
 
-  // What `compose` makes of corrections, less what it makes of others (nodes, 12): added (nodes, 3, 4).
-  void compose_added(const float* bone_transforms, const float* corrections, const float* others, float* added) const;
+  // What `compose` makes of a garment node by corrections, less what it makes of it by others (nodes, 12).
+  Affine added(int node, const float* bone_transforms, const float* corrections, const float* others) const;
 
   // Turns them by their shares of `twist` [rad] about the root's vertical, and lifts them, as far as the legs that they
   // follow are upright. Does nothing to cloth that does not twist.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 #include "evaluator/affine.hpp"
 
@@ -52,7 +53,7 @@ float widest(const TrunkField& field, float from, float to) {
 }
 
 // To whole calls of the kernel.
-std::size_t padded(int count) { return std::size_t(count + kTrunkPoints - 1) / kTrunkPoints * kTrunkPoints; }
+int padded(int count) { return (count + kTrunkPoints - 1) / kTrunkPoints * kTrunkPoints; }
 
 SkinningData samples_of(const BoundGarment& g) {
   SkinningData data;
@@ -72,29 +73,61 @@ SkinningData samples_of(const BoundGarment& g) {
   return data;
 }
 
+// Of kTrunkPoints values, by their signs: in vector registers.
+bool none_below_zero(const float* values) {
+  std::int32_t bits[kTrunkPoints], signs = 0;
+  std::memcpy(bits, values, sizeof bits);
+  for (const std::int32_t each : bits) signs |= each;
+  return signs >= 0;
+}
+
+// Views of each block by itself.
+std::vector<SkinningBlocks> one_by_one(const SkinningBlocks& all) {
+  std::vector<SkinningBlocks> blocks;
+  for (int block = 0; block < all.block_count; ++block) {
+    SkinningBlocks& one = blocks.emplace_back(all);
+    one.vertex_count = std::min(all.vertex_count - block * kBlock, kBlock);
+    one.block_count = 1;
+    one.influence_start += block;
+    one.rest += std::ptrdiff_t(block) * 6 * kBlock;
+    one.vertex += std::ptrdiff_t(block) * kBlock;
+    if (one.detail_start != nullptr) one.detail_start += block;
+  }
+  return blocks;
+}
+
 }  // namespace
 
 SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena)
     : kernels_(kernels),
       nodes_(g.nodes),
       samples_(g.guard_samples),
+      rows_(padded(samples_)),
       influences_(g.guard_influences),
-      blocks_(pack_skinning_blocks(samples_of(g), arena)),
+      detail_influences_(g.guard_detail_influences),
+      blocks_(one_by_one(pack_skinning_blocks(samples_of(g), arena))),
+      is_near_(arena.take<bool>(blocks_.size())),
+      block_of_(arena.take<std::int32_t>(samples_)),
       node_rest_(arena.copy(g.node_rest, 3 * std::size_t(nodes_))),
       matrices_(arena.take<float>(12 * std::size_t(nodes_))),
+      rest_(arena.copy(g.guard_vertices, 3 * std::size_t(samples_))),
       influence_nodes_(arena.copy(g.guard_influence_nodes, std::size_t(samples_) * influences_)),
       influence_weights_(arena.copy(g.guard_influence_weights, std::size_t(samples_) * influences_)),
+      detail_nodes_(arena.copy(g.guard_detail_nodes, std::size_t(samples_) * detail_influences_)),
+      detail_weights_(arena.copy(g.guard_detail_weights, std::size_t(samples_) * detail_influences_)),
       shares_(arena.copy(g.guard_shares, samples_)),
       skinned_(arena.take<float>(3 * std::size_t(samples_))),
-      positions_(arena.take<float>(3 * std::size_t(samples_))),
-      beyond_(arena.take<float>(samples_)),
-      points_(arena.take<float>(3 * padded(samples_))),
-      contacts_(arena.take<float>(4 * padded(samples_))),
+      positions_(arena.take<float>(3 * std::size_t(rows_))),
+      beyond_(arena.take<float>(rows_)),
+      points_(arena.take<float>(3 * std::size_t(rows_))),
+      contacts_(arena.take<float>(4 * std::size_t(rows_))),
       lacks_(arena.take<Lack>(std::size_t(g.skin_parts) * samples_)),
       sway_(arena.take<float>(12 * std::size_t(nodes_))),
-      swayed_(arena.take<float>(3 * std::size_t(samples_))),
       stilled_(arena.take<float>(nodes_)),
       sums_(arena.take<float>(4 * std::size_t(nodes_))) {
+  for (std::size_t block = 0; block < blocks_.size(); ++block) {
+    for (int lane = 0; lane < blocks_[block].vertex_count; ++lane) block_of_[blocks_[block].vertex[lane]] = int(block);
+  }
   const std::size_t coefficients = std::size_t(g.skin_splines) * kTrunkWaves;
   for (int k = 0; k < g.skin_parts; ++k) {
     const float* shape = g.skin_shapes + 5 * k;
@@ -114,7 +147,7 @@ SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena
       part.widths[bone] = widest(part.field, height_of(part.field, bone), height_of(part.field, bone + 1)) + part.reach;
     }
     part.gaps = arena.copy(g.guard_gaps + std::size_t(k) * samples_, samples_);
-    part.near = arena.take<std::int32_t>(samples_ + 1);
+    part.near = arena.take<std::int32_t>(rows_ + 1);
     parts_.push_back(part);
   }
 }
@@ -125,29 +158,35 @@ void SkinGuard::keep_out(const GarmentNodes& nodes, const float* bone_transforms
   for (Part& part : parts_) pose(part, bone_transforms);
   leads_far_ = true;
   for (int pass = 0; pass < kPasses; ++pass) {
-    place_samples(node_transforms);
+    place_samples(node_transforms, leads_far_);
     if (leads_far_) {
       for (Part& part : parts_) find_near(part);
     }
     leads_far_ = false;
     if (!find_lacks()) return;
     if (pass == 0 && cloth.corrections != cloth.still) {
-      nodes.compose_added(bone_transforms, cloth.corrections, cloth.still, sway_);
-      sway_less(node_transforms);
+      sway_less(nodes, bone_transforms, cloth, node_transforms);
     }
     move_nodes(node_transforms);
   }
 }
 
-void SkinGuard::skin_samples(const float* node_transforms, float* to) noexcept {
+void SkinGuard::place_samples(const float* node_transforms, bool all) noexcept {
+  std::fill_n(is_near_, blocks_.size(), all);
+  if (!all) {
+    for (const Part& part : parts_) {
+      for (int k = 0; k < part.near_count; ++k) is_near_[block_of_[part.near[k]]] = true;
+    }
+  }
   skinning_matrices(node_transforms, node_rest_, nodes_, matrices_);
-  kernels_.skin(blocks_, matrices_, offsets_, {reinterpret_cast<unsigned char*>(to), 3, false});
-}
-
-void SkinGuard::place_samples(const float* node_transforms) noexcept {
-  skin_samples(node_transforms, skinned_);
-  for (int s = 0; s < samples_; ++s) {
-    for (int axis = 0; axis < 3; ++axis) positions_[axis * samples_ + s] = skinned_[3 * s + axis];
+  for (std::size_t block = 0; block < blocks_.size(); ++block) {
+    if (!is_near_[block]) continue;
+    const SkinningBlocks& one = blocks_[block];
+    kernels_.skin(one, matrices_, offsets_, {reinterpret_cast<unsigned char*>(skinned_), 3, false});
+    for (int lane = 0; lane < one.vertex_count; ++lane) {
+      const std::ptrdiff_t s = one.vertex[lane];
+      for (int axis = 0; axis < 3; ++axis) positions_[axis * rows_ + s] = skinned_[3 * s + axis];
+    }
   }
 }
 
@@ -161,29 +200,21 @@ void SkinGuard::pose(Part& part, const float* bone_transforms) const noexcept {
   for (int k = 0; k <= part.field.bones; ++k) {
     const Affine back = load_affine(part.back + 12 * std::min(k, part.field.bones - 1));
     const Vector3 from = Vector3{part.field.x, part.field.y, height_of(part.field, k)} - back.translation;
-    part.axis[k] = from.x * back.linear.rows[0] + from.y * back.linear.rows[1] + from.z * back.linear.rows[2];
+    const Vector3 at = from.x * back.linear.rows[0] + from.y * back.linear.rows[1] + from.z * back.linear.rows[2];
+    const float posed[] = {at.x, at.y, at.z};
+    std::copy_n(posed, 3, part.axis + 3 * k);
   }
 }
 
 void SkinGuard::find_near(Part& part) noexcept {
-  const float *x = positions_, *y = x + samples_, *z = y + samples_;
-  std::fill_n(beyond_, samples_, 1.0f);
-  for (int k = 0; k < part.field.bones; ++k) {
-    const Vector3 from = part.axis[k], way = part.axis[k + 1] - from;
-    const float per = 1 / std::max(dot(way, way), 1e-9f), square = part.widths[k] * part.widths[k];
-    for (int s = 0; s < samples_; ++s) {
-      const float dx = x[s] - from.x, dy = y[s] - from.y, dz = z[s] - from.z;
-      const float along = per * (dx * way.x + dy * way.y + dz * way.z);
-      const float at = 0.5f * (std::fabs(along) - std::fabs(along - 1) + 1);  // within 0 and 1, without a branch
-      const float ax = dx - at * way.x, ay = dy - at * way.y, az = dz - at * way.z;
-      const float beyond = ax * ax + ay * ay + az * az - square, before = beyond_[s];
-      beyond_[s] = 0.5f * (beyond + before - std::fabs(beyond - before));  // the lesser
-    }
-  }
+  kernels_.axis_beyond(part.axis, part.widths, part.field.bones, positions_, rows_, beyond_);
   part.near_count = 0;
-  for (int s = 0; s < samples_; ++s) {
-    part.near[part.near_count] = s;
-    part.near_count += beyond_[s] < 0;
+  for (int first = 0; first < samples_; first += kTrunkPoints) {
+    if (none_below_zero(beyond_ + first)) continue;
+    for (int s = first; s < std::min(first + kTrunkPoints, samples_); ++s) {
+      part.near[part.near_count] = s;
+      part.near_count += beyond_[s] < 0;
+    }
   }
 }
 
@@ -194,11 +225,12 @@ bool SkinGuard::find_lacks() noexcept {
 }
 
 void SkinGuard::add_lacks(Part& part) noexcept {
-  const int count = part.near_count, rows = int(padded(count));
+  const int count = part.near_count, rows = padded(count);
   if (count == 0) return;
+  std::fill_n(part.near + count, rows - count, part.near[count - 1]);
   for (int axis = 0; axis < 3; ++axis) {
-    const float* from = positions_ + axis * samples_;
-    for (int k = 0; k < rows; ++k) points_[axis * rows + k] = from[part.near[std::min(k, count - 1)]];
+    const float* from = positions_ + axis * rows_;
+    for (int k = 0; k < rows; ++k) points_[axis * rows + k] = from[part.near[k]];
   }
   kernels_.trunk_depth(part.field, points_, rows, contacts_);
   part.near_count = 0;
@@ -207,11 +239,12 @@ void SkinGuard::add_lacks(Part& part) noexcept {
     const float depth = contacts_[k], wanted = depth + part.gaps[s] + kSoft;
     part.near[part.near_count] = s;
     part.near_count += wanted > -part.reach;
-    if (!(depth < kTooDeep)) continue;
+    const bool may_lead = part.ways != nullptr && depth > -kReach;
+    if (!(wanted > 0 || may_lead) || !(depth < kTooDeep)) continue;
     const Vector3 normal{contacts_[rows + k], contacts_[2 * rows + k], contacts_[3 * rows + k]};
     const float soft = std::max(wanted < 2 * kSoft ? wanted * wanted / (4 * kSoft) : wanted - kSoft, 0.0f);
-    Lack lack{s, wanted > 0 ? soft : 0, normalized(normal)};
-    if (part.ways != nullptr) lead_back(part, s, depth, lack);
+    Lack lack{s, wanted > 0 ? soft : 0, normalized(normal), 0};
+    if (may_lead) lead_back(part, s, depth, lack);
     if (!(lack.length > 0)) continue;
     lack.length *= shares_[s] * std::min((kTooDeep - depth) / kFade, 1.0f);
     lacks_[lack_count_++] = lack;
@@ -223,7 +256,7 @@ void SkinGuard::lead_back(const Part& part, int sample, float depth, Lack& lack)
   const float* way = part.ways + 2 * sample;
   const Vector3 out = way[0] * back.linear.rows[0] + way[1] * back.linear.rows[1];
   const float against = std::min(-dot(lack.normal, out) / kAgainst, 1.0f);
-  if (!(against > 0) || !(depth > -kReach)) return;
+  if (!(against > 0)) return;
   leads_far_ = true;
   const float turned = against * against * (3 - 2 * against);
   const Vector3 at = back.linear * load_vector(skinned_ + 3 * sample) + back.translation;
@@ -239,20 +272,27 @@ void SkinGuard::lead_back(const Part& part, int sample, float depth, Lack& lack)
 }
 
 // What samples lack afterwards is foreseen: looking it up would take as long as all of this.
-void SkinGuard::sway_less(float* node_transforms) noexcept {
-  skin_samples(sway_, swayed_);
-  std::fill_n(stilled_, nodes_, 0.0f);
+void SkinGuard::sway_less(const GarmentNodes& nodes, const float* bone_transforms, const Cloth& cloth,
+                          float* node_transforms) noexcept {
+  std::fill_n(stilled_, nodes_, -1.0f);
   for (int at = 0; at < lack_count_; ++at) {
-    const Lack& lack = lacks_[at];
-    const float cost = cost_of(lack);
-    const float needed = std::min(lack.length * cost / (cost * cost + kWorthwhile * kWorthwhile), 1.0f);
+    Lack& lack = lacks_[at];
     const std::size_t first = std::size_t(lack.sample) * influences_;
+    for (int k = 0; k < influences_; ++k) {
+      const int node = influence_nodes_[first + k];
+      if (stilled_[node] >= 0) continue;
+      stilled_[node] = 0;
+      store_affine(nodes.added(node, bone_transforms, cloth.corrections, cloth.still), sway_ + 12 * node);
+    }
+    lack.cost = std::max(-dot(lack.normal, swayed(lack.sample)), 0.0f);
+    const float needed = std::min(lack.length * lack.cost / (lack.cost * lack.cost + kWorthwhile * kWorthwhile), 1.0f);
     for (int k = 0; k < influences_; ++k) {
       float& stilled = stilled_[influence_nodes_[first + k]];
       stilled = std::max(stilled, needed * std::min(influence_weights_[first + k] / kCarries, 1.0f));
     }
   }
   for (int i = 0; i < nodes_; ++i) {
+    if (!(stilled_[i] > 0)) continue;
     for (int k = 0; k < 12; ++k) node_transforms[12 * i + k] -= stilled_[i] * sway_[12 * i + k];
   }
   for (int at = 0; at < lack_count_; ++at) {
@@ -261,12 +301,23 @@ void SkinGuard::sway_less(float* node_transforms) noexcept {
     float share = 0;
     for (int k = 0; k < influences_; ++k)
       share += influence_weights_[first + k] * stilled_[influence_nodes_[first + k]];
-    lack.length = std::max(lack.length - share * cost_of(lack), 0.0f);
+    lack.length = std::max(lack.length - share * lack.cost, 0.0f);
   }
 }
 
-float SkinGuard::cost_of(const Lack& lack) const noexcept {
-  return std::max(-dot(lack.normal, load_vector(swayed_ + 3 * lack.sample)), 0.0f);
+Vector3 SkinGuard::swayed(int sample) const noexcept {
+  Vector3 rest = load_vector(rest_ + 3 * sample);
+  for (int k = detail_influences_ * sample; k < detail_influences_ * (sample + 1); ++k) {
+    rest = rest + detail_weights_[k] * load_vector(offsets_ + 3 * std::ptrdiff_t(detail_nodes_[k]));
+  }
+  Vector3 moved{0, 0, 0};
+  for (int k = influences_ * sample; k < influences_ * (sample + 1); ++k) {
+    const int node = influence_nodes_[k];
+    const Affine sway = load_affine(sway_ + 12 * node);
+    const Vector3 by = sway.linear * (rest - load_vector(node_rest_ + 3 * node)) + sway.translation;
+    moved = moved + influence_weights_[k] * by;
+  }
+  return moved;
 }
 
 // What lacks more counts more, so that a sample that hardly lacks anything does not hold back one beside it.
@@ -286,8 +337,8 @@ void SkinGuard::move_nodes(float* node_transforms) noexcept {
   }
   for (int i = 0; i < nodes_; ++i) {
     const float* sum = sums_ + 4 * i;
-    const float per = sum[3] > kLeast ? 1 / sum[3] : 0.0f;
-    for (int axis = 0; axis < 3; ++axis) node_transforms[12 * i + 4 * axis + 3] += per * sum[axis];
+    if (!(sum[3] > kLeast)) continue;
+    for (int axis = 0; axis < 3; ++axis) node_transforms[12 * i + 4 * axis + 3] += sum[axis] / sum[3];
   }
 }
 

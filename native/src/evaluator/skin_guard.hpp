@@ -38,24 +38,25 @@ class SkinGuard {
     const float* frame;  // (3, 4) from the canonical pose to the field's own axes
     float* back;         // what field.back points to
     float widths[kSkinBones];
-    Vector3 axis[kSkinBones + 1];  // posed
-    const float* gaps;             // (samples,) [m]
-    const float* ways;             // (samples, 2), null where all are zero
-    float reach;                   // [m] from which samples are looked at
-    std::int32_t* near;            // samples in this frame, near_count of them
+    float axis[3 * (kSkinBones + 1)];  // posed
+    const float* gaps;                 // (samples,) [m]
+    const float* ways;                 // (samples, 2), null where all are zero
+    float reach;                       // [m] from which samples are looked at
+    std::int32_t* near;                // (rows + 1,) samples in this frame, near_count of them
     int near_count;
   };
 
-  // What a sample lacks [m], and the way out of the part of the skin that it is near.
+  // What a sample lacks [m], the way out of the part of the skin that it is near, and what sway has cost it there.
   struct Lack {
     int sample;
     float length;
     Vector3 normal;
+    float cost;
   };
 
   void pose(Part& part, const float* bone_transforms) const noexcept;
-  void skin_samples(const float* node_transforms, float* to) noexcept;
-  void place_samples(const float* node_transforms) noexcept;
+  // All samples, or only those in a block with one that is near a part.
+  void place_samples(const float* node_transforms, bool all) noexcept;
   void find_near(Part& part) noexcept;
   // What samples lack. Whether any lacks something.
   bool find_lacks() noexcept;
@@ -64,30 +65,36 @@ class SkinGuard {
   // Of a hem that a folding shin has passed the skin's normal leads to the wrong side: turns it, and what is lacking.
   void lead_back(const Part& part, int sample, float depth, Lack& lack) noexcept;
   // Takes sway away where samples lack something that it has cost them, and leaves what they lack then.
-  void sway_less(float* node_transforms) noexcept;
-  float cost_of(const Lack& lack) const noexcept;
+  void sway_less(const GarmentNodes& nodes, const float* bone_transforms, const Cloth& cloth,
+                 float* node_transforms) noexcept;
+  // What sway has moved a sample by [m], from sway_ of its garment nodes.
+  Vector3 swayed(int sample) const noexcept;
   void move_nodes(float* node_transforms) noexcept;
 
   const Kernels& kernels_;
-  int nodes_, samples_, influences_;
-  SkinningBlocks blocks_;
-  const float* node_rest_;          // (nodes, 3)
-  float* matrices_;                 // (nodes, 3, 4)
-  const float* offsets_ = nullptr;  // of detail nodes in this frame
+  int nodes_, samples_, rows_, influences_, detail_influences_;  // rows_: samples to whole calls of the kernel
+  std::vector<SkinningBlocks> blocks_;                           // of one block each
+  bool* is_near_;                                                // (blocks,)
+  std::int32_t* block_of_;                                       // (samples,)
+  const float* node_rest_;                                       // (nodes, 3)
+  float* matrices_;                                              // (nodes, 3, 4)
+  const float* offsets_ = nullptr;                               // of detail nodes in this frame
+  const float* rest_;                                            // (samples, 3)
   const std::int32_t* influence_nodes_;
   const float* influence_weights_;
+  const std::int32_t* detail_nodes_;
+  const float* detail_weights_;
   const float* shares_;  // (samples,)
   std::vector<Part> parts_;
   float* skinned_;    // (samples, 3)
-  float* positions_;  // (3, samples)
-  float* beyond_;     // (samples,) squared [m2], below zero within the width of a part
-  float* points_;     // (3, samples) of those near a part, and (4, samples) what the kernel says of them
+  float* positions_;  // (3, rows)
+  float* beyond_;     // (rows,) squared [m2], below zero within the width of a part
+  float* points_;     // (3, rows) of those near a part, and (4, rows) what the kernel says of them
   float* contacts_;
   Lack* lacks_;  // lack_count_ of them, at most (parts * samples)
   int lack_count_ = 0;
   bool leads_far_ = false;  // samples that were not near before may be so after a move
-  float* sway_;             // (nodes, 3, 4) what it has added to their transforms
-  float* swayed_;           // (samples, 3) by it [m]
+  float* sway_;             // (nodes, 3, 4) what it has added to their transforms, where stilled_ is not below zero
   float* stilled_;          // (nodes,) share of sway taken away, 0 to 1
   float* sums_;             // (nodes, 4): what their samples lack in a pass, as vectors and by how much they count
 };

@@ -22,6 +22,7 @@ const Kernels kernels{
     skin,
     ring_normals,
     trunk_depth,
+    axis_beyond,
     oscillate,
     multiply_add,
     read_memory,

@@ -131,6 +131,11 @@ struct Kernels {
   // kTrunkPoints.
   void (*trunk_depth)(const TrunkField& field, const float* points, int count, float* contacts);
 
+  // Points (3, count), aligned, count a multiple of kTrunkPoints, to `beyond` (count,) [m2]: by how much the square of
+  // their distance from an axis is above that of its width there, the least of its stretches. axis: (stretches + 1, 3).
+  void (*axis_beyond)(const float* axis, const float* widths, int stretches, const float* points, int count,
+                      float* beyond);
+
   // Over `elapsed` seconds, or, where that is negative, to where they come to rest. driven: (3, count) real and
   // imaginary parts of what drives them, and gates; readable for kGroup floats beyond.
   void (*oscillate)(const Oscillators& oscillators, const float* driven, float elapsed);

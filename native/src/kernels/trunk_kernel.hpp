@@ -91,4 +91,22 @@ inline void trunk_depth(const TrunkField& field, const float* points, int count,
   }
 }
 
+inline void axis_beyond(const float* axis, const float* widths, int stretches, const float* points, int count,
+                        float* beyond) {
+  for (int stretch = 0; stretch < stretches; ++stretch, axis += 3) {
+    const float way[] = {axis[3] - axis[0], axis[4] - axis[1], axis[5] - axis[2]};
+    const float square = way[0] * way[0] + way[1] * way[1] + way[2] * way[2];
+    const float per = 1 / (square < 1e-9f ? 1e-9f : square), width = widths[stretch] * widths[stretch];
+    for (int k = 0; k < count; k += kLanes) {
+      const Floats x = load(points + k) - axis[0], y = load(points + count + k) - axis[1];
+      const Floats z = load(points + 2 * count + k) - axis[2];
+      const Floats along = at_most(at_least(per * (x * way[0] + y * way[1] + z * way[2]), 0.0f), 1.0f);
+      const Floats ax = x - along * way[0], ay = y - along * way[1], az = z - along * way[2];
+      const Floats over = ax * ax + ay * ay + az * az - width;
+      const Floats before = stretch == 0 ? over : load(beyond + k);
+      store(beyond + k, before < over ? before : over);
+    }
+  }
+}
+
 }  // namespace physkin::PHYSKIN_ISA
