@@ -62,7 +62,10 @@ class AssetRoots:
 
     def _check(self, path: str) -> None:
         """Raises AssetError for a file elsewhere (links are followed), one that is too large, and what is no file."""
-        resolved = Path(path).resolve()
+        try:
+            resolved = Path(path).resolve()
+        except RuntimeError as error:  # up to Python 3.12; later ones find no file there
+            raise AssetError(f"{path}: links lead round in a circle") from error
         if not any(resolved.is_relative_to(folder) for folder in self.folders):
             allowed = ", ".join(map(str, self.folders)) or "nothing but shipped garments and the bundled avatar"
             raise AssetError(f"{path} lies outside the parameter asset_roots; allowed: {allowed}")
