@@ -17,7 +17,7 @@ from physkin_core.formats.obj_file import read_obj
 from physkin_core.formats.surface_file import read_surface
 from physkin_core.model.model_arrays import Array, described
 from physkin_core.model.rest_shape import (
-    flat_areas,
+    flat_edges,
     graded,
     panel_fault,
     panels_of_texture,
@@ -112,8 +112,7 @@ class Garment:
         if self.panel_places is not None or self.panel_faces is not None:
             panels = self._checked_panels(areas)
             self._set(**panels)
-            places = panels["panel_places"][panels["panel_faces"]]
-            edges = rest_edges(places, np.abs(flat_areas(places)))
+            edges = flat_edges(panels["panel_places"][panels["panel_faces"]], edges)
             areas = rest_areas(edges)
         self._set(**self._at_rest(edges, areas))
         self._set(**self._checked_creases())

@@ -1,15 +1,25 @@
 """The flat rest shape of cloth: where its faces lie on the panels that it was cut from.
 
-A garment rests as its mesh lies, or as its panels lie in the plane. Either way a face's rest edges are two vectors in
-its own plane, the first along the first axis: an upper triangular matrix with the edges to the second and third corner
-as columns. Dimensions: `n` vertices, `f` faces, `t` places on the flat cloth. Metres.
+A garment rests as its mesh lies, or as its panels lie in the plane. Either way a face's rest edges are a matrix whose
+columns are the edges to its second and third corner, in the plane of the face of the mesh, the first axis along the
+first edge there; flat cloth is laid on that as it fits best.
+Dimensions: `n` vertices, `f` faces, `t` places on the flat cloth. Metres.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["flat_areas", "graded", "panel_fault", "panels_of_texture", "rest_areas", "rest_edges", "side_lengths"]
+__all__ = [
+    "flat_areas",
+    "flat_edges",
+    "graded",
+    "panel_fault",
+    "panels_of_texture",
+    "rest_areas",
+    "rest_edges",
+    "side_lengths",
+]
 
 SMALLEST_AREA = 1e-12
 """[m2] of a face."""
@@ -24,7 +34,8 @@ ALIKE, SHARE_ALIKE = 2.0, 0.95
 
 
 def rest_edges(corners: np.ndarray, areas: np.ndarray) -> np.ndarray:
-    """Rest edges (f, 2, 2) [m] of faces with corners (f, 3, 2) or (f, 3, 3) and areas (f,)."""
+    """Edges (f, 2, 2) [m] of faces with corners (f, 3, 2) or (f, 3, 3) and areas (f,), the first along the first
+    axis."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     length = np.linalg.norm(first, axis=1)
     edges = np.zeros((len(corners), 2, 2))
@@ -34,7 +45,17 @@ def rest_edges(corners: np.ndarray, areas: np.ndarray) -> np.ndarray:
 
 def rest_areas(edges: np.ndarray) -> np.ndarray:
     """Areas (f,) [m2] of rest edges (f, 2, 2)."""
-    return edges[:, 0, 0] * edges[:, 1, 1] / 2
+    return (edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]) / 2
+
+
+def flat_edges(corners: np.ndarray, lying: np.ndarray) -> np.ndarray:
+    """Rest edges (f, 2, 2) [m] of flat cloth with corners (f, 3, 2), each face turned as it fits best on that of the
+    mesh, whose rest edges as it lies are `lying` (f, 2, 2): by the rotation in what deforms one into the other."""
+    flat = rest_edges(corners, np.abs(flat_areas(corners)))
+    deformation = lying @ np.linalg.inv(flat)
+    angle = np.arctan2(deformation[:, 1, 0] - deformation[:, 0, 1], deformation[:, 0, 0] + deformation[:, 1, 1])
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1) @ flat
 
 
 def side_lengths(edges: np.ndarray) -> np.ndarray:
@@ -49,10 +70,8 @@ def graded(edges: np.ndarray, made: np.ndarray, shape: np.ndarray) -> np.ndarray
     along = shape[:, 0, 0] / made[:, 0, 0]
     across = shape[:, 1, 1] / made[:, 1, 1]
     sheared = (shape[:, 0, 1] - along * made[:, 0, 1]) / made[:, 1, 1]
-    found = np.zeros_like(edges)
-    found[:, 0, 0], found[:, 1, 1] = along * edges[:, 0, 0], across * edges[:, 1, 1]
-    found[:, 0, 1] = along * edges[:, 0, 1] + sheared * edges[:, 1, 1]
-    return found
+    first, second = edges[:, 0], edges[:, 1]
+    return np.stack([along[:, None] * first + sheared[:, None] * second, across[:, None] * second], axis=1)
 
 
 def flat_areas(corners: np.ndarray) -> np.ndarray:

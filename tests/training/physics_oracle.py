@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 import trimesh
+from scipy.linalg import polar
 
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material
@@ -28,7 +29,7 @@ def stretch_energy(x: torch.Tensor, garment: Garment, material: Material, cut: G
 
 
 def rest_matrices(garment: Garment, cut: Garment | None) -> list[torch.Tensor]:
-    """Edges of each face at rest, (2, 2), in the frame of the first."""
+    """Edges of each face at rest, (2, 2), in the frame of the mesh's first edge; flat cloth as it fits best on it."""
 
     def matrix(points: np.ndarray, corners: np.ndarray) -> torch.Tensor:
         a, b, c = torch.as_tensor(points[corners].copy())
@@ -41,7 +42,10 @@ def rest_matrices(garment: Garment, cut: Garment | None) -> list[torch.Tensor]:
     if cut is not None:
         made = [matrix(cut.vertices, face) for face in cut.faces]
         flat = [matrix(cut.panel_places, face) for face in cut.panel_faces]
-        found = [shape @ torch.linalg.inv(base) @ panel for shape, base, panel in zip(found, made, flat)]
+        turns = [torch.as_tensor(polar((base @ torch.linalg.inv(panel)).numpy())[0]) for base, panel in zip(made, flat)]
+        found = [
+            shape @ torch.linalg.inv(base) @ turn @ panel for shape, base, turn, panel in zip(found, made, turns, flat)
+        ]
     return found
 
 

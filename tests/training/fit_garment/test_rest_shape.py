@@ -9,7 +9,7 @@ from random_models import sewn_tube, write_sewn
 from physkin_core import Garment, load_body_model, load_garment
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.mesh.look import Look
-from physkin_core.model.rest_shape import flat_areas, graded, rest_edges, side_lengths
+from physkin_core.model.rest_shape import flat_areas, rest_edges, side_lengths
 from physkin_training.fit_garment.checks import check_garment, write_garment
 from physkin_training.fit_garment.fitting import carried
 from physkin_training.fit_garment.rest_shape import check_rest_shape, laid_out
@@ -129,4 +129,3 @@ def test_panels_are_laid_out_at_given_edges():
         assert (np.sign(flat_areas(found)) == mirror).all()
         got = rest_edges(found, np.abs(flat_areas(found)))
         np.testing.assert_allclose(side_lengths(got), side_lengths(wanted), rtol=2e-3)
-        np.testing.assert_allclose(graded(wanted, wanted, wanted), wanted)

@@ -16,7 +16,7 @@ from trimesh.graph import connected_component_labels
 
 from physkin_core.mesh.look import Look
 from physkin_core.model.garment import Garment, face_areas
-from physkin_core.model.rest_shape import flat_areas, graded, panels_of_texture, rest_edges, side_lengths
+from physkin_core.model.rest_shape import flat_areas, panels_of_texture, rest_edges, side_lengths
 from physkin_training.fit_garment.verdicts import Checks
 
 __all__ = ["check_rest_shape", "creases_along", "laid_out"]
@@ -44,12 +44,13 @@ def check_rest_shape(checks: Checks, look: Look, lying: np.ndarray, made: np.nda
     panels, found = panels_at(lying, look.uv)
     if panels is not None and made is not checks.vertices:
         places, panel_faces = panels
-        before, now = (Garment(vertices, checks.faces).rest_edges for vertices in (made, checks.vertices))
-        cut = _edges_of(places[panel_faces])
-        wanted = graded(cut, before, now)
+        cut = Garment(made, checks.faces, None, places, panel_faces)
+        wanted = cut.reshaped(checks.vertices).rest_edges
         uv = laid_out(places, panel_faces, wanted)[panel_faces]
         goal = side_lengths(wanted)
-        changed, off = (100 * float((np.abs(side_lengths(x) - goal) / goal).mean()) for x in (cut, _edges_of(uv)))
+        changed, off = (
+            100 * float((np.abs(side_lengths(x) - goal) / goal).mean()) for x in (cut.rest_edges, _edges_of(uv))
+        )
         panels, refused = panels_at(checks.vertices, uv)
         if panels is None:
             found = f"dropped, and the texture places with it: graded to the template, {refused}"

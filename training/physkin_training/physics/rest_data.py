@@ -43,11 +43,9 @@ class RestData:
 
 
 def face_rest_inverse(garment: Garment) -> np.ndarray:
-    """Inverse of the rest edge matrix of every face in its own plane, (f, 2, 2) [1/m]."""
-    (length, along), (_, across) = np.moveaxis(garment.rest_edges, 0, -1)
-    inverse = np.zeros_like(garment.rest_edges)
-    inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1] = 1 / length, -along / (length * across), 1 / across
-    return inverse
+    """Inverse of the rest edge matrix of every face, (f, 2, 2) [1/m], see `Garment.rest_edges`."""
+    (a, b), (c, d) = np.moveaxis(garment.rest_edges, 0, -1)
+    return np.stack([d, -b, -c, a], axis=1).reshape(-1, 2, 2) / (a * d - b * c)[:, None, None]
 
 
 def hinge_rest(garment: Garment) -> tuple[np.ndarray, np.ndarray]:

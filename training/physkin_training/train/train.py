@@ -66,6 +66,9 @@ def main(argv: list[str] | None = None, *, within: float = math.inf) -> int:
         if arguments.minutes and arguments.resume:
             config = replace(config, optimisation=replace(config.optimisation, steps=saved_steps(arguments.resume)))
         trainer = Trainer(config, device, processes=processes)
+        if trainer.garment.panel_places is not None:
+            area = trainer.garment.face_areas.sum()
+            log.info("%s rests as the flat panels of its texture places, %.3f m2", config.garment.name, area)
         if arguments.resume:
             trainer.resume(arguments.resume)
         elif arguments.start_from:
