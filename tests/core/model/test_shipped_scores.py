@@ -17,7 +17,8 @@ GARMENTS = {
 }
 STRAIN = {1: "{edge_strain_percent:.2f}", 2: "{area_strain_percent:.2f}"}
 INSIDE, WORN, DEPTH = "{inside_percent:.3f}", "{inside_worn_percent:.3f}", "{max_depth_p999_mm:.0f}"
-EVERYDAY = {5: INSIDE, 6: WORN, 7: DEPTH, 8: "{skin_shows_percent:.2f} ({skin_in_sight_percent:.2f})"}
+SKIN, BEND = "{skin_shows_percent:.2f} ({skin_in_sight_percent:.2f})", "{bend_j:.4f}"
+EVERYDAY = {5: INSIDE, 6: WORN, 7: DEPTH, 8: SKIN, 11: BEND}
 EVERYDAY_PLAIN, EVERYDAY_MODEL = EVERYDAY | STRAIN, EVERYDAY | {9: "{jitter_ratio:.2f}"}
 """Format of the columns that are stored; strain and snaps of the models were measured on more frames."""
 UNIFORM = STRAIN | {3: INSIDE, 4: WORN, 5: "{within_3mm_percent:.2f}", 6: DEPTH}
