@@ -118,6 +118,20 @@ def test_panels_that_cannot_be_graded_are_dropped():
     assert np.isnan(left.uv).all()
 
 
+def test_panels_that_repairs_have_squashed_are_told_of():
+    """One face pushed out of the body until it is a tenth of what it was cut: a warning, and the look is kept."""
+    band = sewn_band()
+    look = Look(band.panel_places[band.panel_faces], *np.full((2, len(band.faces)), -1))
+    squashed = band.vertices.copy()
+    corners = band.faces[200]
+    squashed[corners[0]] = 0.05 * band.vertices[corners[0]] + 0.95 * band.vertices[corners[1:]].mean(axis=0)
+    checks = Checks(squashed, band.faces, np.zeros((0, 2, 3)))
+    assert check_rest_shape(checks, look, band.vertices, squashed) is look
+    (verdict,) = checks.verdicts
+    assert verdict.outcome == "warning" and "dropped, it rests as it lies: after repairs texture" in verdict.found
+    assert "face 200 has" in verdict.found
+
+
 def test_panels_are_laid_out_at_given_edges():
     """Against those of a panel that was stretched: found exactly, also seen from the other side."""
     band = sewn_band()

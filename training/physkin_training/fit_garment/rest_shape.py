@@ -59,7 +59,11 @@ def check_rest_shape(checks: Checks, look: Look, lying: np.ndarray, made: np.nda
         found += f"; graded to the template, edges by {changed:.1f} %, to {off:.1f} % of what the mesh says"
         checks.say("flat rest shape", "repaired", _described(panels, found), allowed)
         return replace(look, uv=uv)
-    panels, now = panels_at(checks.vertices, look.uv)  # what training will read
+    brought, (panels, now) = panels, panels_at(checks.vertices, look.uv)  # what training will read
+    if panels is None and brought is not None:
+        found = f"dropped, it rests as it lies: after repairs {now}; keep it clear of the body where it was sewn"
+        checks.say("flat rest shape", "warning", found, allowed)
+        return look
     if panels is None:
         checks.say("flat rest shape", "ok", f"none, it rests as it lies: {now}", allowed)
         return look
