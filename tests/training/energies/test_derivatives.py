@@ -8,7 +8,7 @@ import pytest
 import torch
 from training.crumpled_tube import LINEAR_BEYOND, CrumpledTube
 
-NAMES = ("stretch", "bend", "collision", "gravity", "band", "strain_rate", "inertia", "drag")
+NAMES = ("stretch", "bend", "collision", "gravity", "band", "strain_rate", "inertia", "drag", "seams")
 H = 0.02
 WAYS = [3, 4, 5]
 LED_BACK = {"worn": False, "leads_back": True, "floor": -0.04}

@@ -11,6 +11,7 @@ from random_models import tube
 
 from physkin_core import load_body_model, load_garment
 from physkin_core.avatar.avatar import avatar_from_body
+from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.model.garment import GarmentError
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, check_mesh, write_garment
 from physkin_training.fit_garment.fitting import CLEARANCE, carried
@@ -45,7 +46,7 @@ def found(checked: CheckedGarment, check: str) -> str:
 @pytest.mark.parametrize("name", ["tshirt", "longsleeve", "dress", "trousers", "skirt"])
 def test_a_shipped_garment_passes_everything_unchanged(name, template, tmp_path):
     """Every check has a row in the table; the written mesh is the one that was read."""
-    checked = check_garment(GARMENTS / f"{name}.obj", template, template)
+    checked = check_garment(read_mesh(GARMENTS / f"{name}.obj"), template, template)
     assert [verdict.check for verdict in checked.verdicts] == CHECKS and outcomes(checked) == {}
     rows = [line.split("|")[1:3] for line in verdict_table(checked.verdicts).splitlines()[2:]]
     assert [(check.strip(), outcome.strip()) for check, outcome in rows] == [(check, "ok") for check in CHECKS]
@@ -245,7 +246,7 @@ def test_quads_are_cut(tmp_path, template):
     text = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in points.tolist()]
     text += [f"f {k + 1} {(k + 1) % 64 + 1} {(k + 1) % 64 + 65} {k + 65}" for k in range(64)]
     (tmp_path / "quads.obj").write_text("\n".join(text))
-    checked = check_garment(tmp_path / "quads.obj", template, template)
+    checked = check_garment(read_mesh(tmp_path / "quads.obj"), template, template)
     assert outcomes(checked)["triangles"] == "repaired"
     assert "128 triangles, 128 vertices, from 64 faces" in found(checked, "triangles")
 
@@ -255,4 +256,4 @@ def test_a_file_without_a_mesh_is_an_error(name, content, tmp_path, template):
     if content is not None:
         (tmp_path / name).write_text(content)
     with pytest.raises(GarmentError, match=name):
-        check_garment(tmp_path / name, template, template)
+        check_garment(read_mesh(tmp_path / name), template, template)

@@ -9,6 +9,7 @@ from random_models import sewn_tube, write_sewn
 from physkin_core import Garment, load_body_model, load_garment
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.mesh.look import Look
+from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.model.rest_shape import flat_areas, rest_edges, side_lengths
 from physkin_training.fit_garment.checks import check_garment, write_garment
 from physkin_training.fit_garment.fitting import carried
@@ -29,7 +30,7 @@ def sewn_band(*, columns: int = 32, rings: int = 17) -> Garment:
 
 def rewritten(path, avatar, template) -> tuple[Garment, str, str]:
     """What training reads of a mesh that was checked, and the outcome and words of the verdict."""
-    checked = check_garment(path, avatar, template)
+    checked = check_garment(read_mesh(path), avatar, template)
     assert not checked.refused, checked.verdicts[-1]
     write_garment(path.with_name("garment.obj"), checked)
     (verdict,) = [each for each in checked.verdicts if each.check == "flat rest shape"]

@@ -14,7 +14,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.mesh.look import Look
-from physkin_core.mesh.mesh_file import read_mesh, write_obj
+from physkin_core.mesh.mesh_file import MeshFile, write_obj
 from physkin_training.fit_garment import mesh_checks, wear_checks
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.rest_shape import check_rest_shape, creases_along
@@ -51,14 +51,12 @@ class CheckedGarment:
         return next((verdict for verdict in self.verdicts if verdict.outcome == outcome), None)
 
 
-def check_garment(path: str | Path, avatar: Avatar, template: Avatar, *, own: OwnPose | None = None) -> CheckedGarment:
-    """Check the garment mesh of a file and repair it.
+def check_garment(mesh: MeshFile, avatar: Avatar, template: Avatar, *, own: OwnPose | None = None) -> CheckedGarment:
+    """Check a garment mesh and repair it.
 
     avatar: the body it was made on, in the canonical pose; own: in that of its file, where it is looked for first.
-    template: the training template's garment body; a garment made on another body is carried over to it. Raises
-    GarmentError when the file holds no mesh at all.
+    template: the training template's garment body; a garment made on another body is carried over to it.
     """
-    mesh = read_mesh(Path(path))
     return check_mesh(
         mesh.vertices,
         mesh.faces,

@@ -1,7 +1,7 @@
-"""`physkin fit-garment`: from a garment mesh of one's own to a trained model, with verdicts on the way and a report.
+"""`physkin fit-garment`: from a garment mesh or a sewing pattern of one's own to a trained model and a report.
 
-Checks and repairs the mesh, measures how fast this machine trains, trains with the recipe of `TrainingConfig`, exports,
-and writes a one-page HTML report: all in the minutes given.
+Sews a pattern, checks and repairs the mesh with verdicts in plain words, measures how fast this machine trains, trains
+with the recipe of `TrainingConfig`, exports, and writes a one-page HTML report: all in the minutes given.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import torch
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.avatar.loading import load_avatar
+from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.outfit.outfit_options import add_avatar_options, print_warnings
 from physkin_core.picture import PictureError, save_png
@@ -28,6 +29,7 @@ from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.report import placement_picture, write_report
+from physkin_training.fit_garment.sewn_mesh import EDGE_LENGTH, PATTERN_SUFFIX, sewn_mesh
 from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.training_record import longer_or_not, read_losses, recorded_seconds, undertrained
 from physkin_training.fit_garment.verdicts import verdict_table
@@ -113,7 +115,12 @@ def main(argv: list[str] | None = None) -> int:
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin fit-garment`."""
     parser = argparse.ArgumentParser(prog="physkin fit-garment", description=__doc__.splitlines()[0])
-    parser.add_argument("garment", type=Path, help="garment mesh: OBJ, PLY, STL, OFF, GLB or glTF")
+    parser.add_argument(
+        "garment", type=Path, help="garment mesh: OBJ, PLY, STL, OFF, GLB or glTF; or a sewing pattern: JSON"
+    )
+    parser.add_argument(
+        "--edge-length", type=float, metavar="M", help=f"of the triangles of a pattern [m] (default {EDGE_LENGTH:g})"
+    )
     add_avatar_options(parser, made_on=True)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="NAME.safetensors")
     parser.add_argument(
@@ -169,7 +176,15 @@ def _fit(options: argparse.Namespace) -> int:
     body_model = load_body_model()
     template = avatar_from_body(body_model, body_model.garment_body)
     avatar, own = _avatar(options, body_model, template)
-    checked = check_garment(options.garment, avatar, template, own=own)
+    pattern = options.garment.suffix.lower() == PATTERN_SUFFIX
+    if options.edge_length is not None and not pattern:
+        raise ValueError(f"--edge-length is of a pattern ({PATTERN_SUFFIX}), and {options.garment} is none")
+    if pattern:
+        edge_length = EDGE_LENGTH if options.edge_length is None else options.edge_length
+        mesh, own = sewn_mesh(options.garment, avatar, body_model.rig, edge_length=edge_length, device=device), None
+    else:
+        mesh = read_mesh(options.garment)
+    checked = check_garment(mesh, avatar, template, own=own)
     print(verdict_table(checked.verdicts))
     if checked.refused:
         refused = checked.first("refused")

@@ -1,0 +1,81 @@
+"""Sewing: seams close about the body, and the sewn cloth rests as its panels were cut."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from training.sewing.patterns import tube_skirt, written
+
+from physkin_core import load_body_model
+from physkin_core.model.garment_model import Material
+from physkin_core.quality import edge_strain
+from physkin_training.physics.surface_queries import BodySurface, piercing_edges
+from physkin_training.sewing.cut import cut
+from physkin_training.sewing.pattern import PatternError, load_pattern
+from physkin_training.sewing.sew import paper_doll, sewn
+
+CPU = torch.device("cpu")
+RIG = load_body_model().rig
+
+
+def sew(folder, pattern, template, edge_length=0.04):
+    mesh = cut(load_pattern(written(folder, pattern)), edge_length)
+    return mesh, sewn(mesh, template, RIG, Material(), CPU)
+
+
+def test_a_skirt_of_two_panels(tmp_path, template):
+    """It hangs on the hips, and half of it lies before and half behind."""
+    seen = []
+    mesh = cut(load_pattern(written(tmp_path, tube_skirt(waist=43.0))), 0.04)
+    garment = sewn(mesh, template, RIG, Material(), CPU, watch=lambda vertices, *_: seen.append(vertices))
+    n, edges, faces = len(garment.vertices), len(garment.edges), len(garment.faces)
+    assert n == len(mesh.places) - len(mesh.seams) and n - edges + faces == 0, "a tube"
+    assert garment.face_areas.sum() == pytest.approx(0.515, rel=1e-3), "what was cut"
+    distance = BodySurface(template.vertices, template.faces).closest(garment.vertices).distance
+    assert distance.min() > 0, "outside the body"
+    assert edge_strain(garment, garment.vertices[None])[0] < 1.0
+    floor = template.vertices[:, 2].min()
+    assert 0.7 < garment.vertices[:, 2].max() - floor < 1.15 and np.ptp(garment.vertices[:, 2]) == pytest.approx(
+        0.5, abs=0.05
+    )
+    assert not piercing_edges(garment.vertices, garment.faces, garment.edges).any()
+    assert np.abs(seen[-1] - seen[-6]).max() < 0.005, "it has come to rest"
+    np.testing.assert_array_equal(seen[-1], garment.vertices)
+
+
+def test_the_paper_doll(template):
+    doll, raised = paper_doll(template, RIG), paper_doll(template, RIG, raised=np.radians(30))
+    assert np.ptp(doll[:, 0]) < 0.5 * np.ptp(template.vertices[:, 0])
+    hand = RIG.bone_names.index("wrist.L")
+    in_hand = ((template.influence_bones == hand) & (template.influence_weights > 0.99)).any(axis=1)
+    assert np.ptp(doll[in_hand], axis=0).max() < 0.02, "drawn in to the wrist"
+    shoulder = template.bone_heads[RIG.bone_names.index("upperarm01.L")] * [0.1, 1, 1]
+    for each, down in ((doll, 47.0), (raised, 17.0)):
+        way = each[in_hand].mean(axis=0) - shoulder
+        assert np.degrees(np.arctan2(-way[2], way[1])) == pytest.approx(down, abs=3)
+    legs = template.vertices[:, 2] < -0.2
+    np.testing.assert_array_equal(doll[legs], raised[legs])
+
+
+def test_what_does_not_fit(tmp_path, template):
+    """A waist of 30 cm does not go around the hips."""
+    with pytest.raises(PatternError, match="fit the body"):
+        sew(tmp_path, tube_skirt(width=15.0), template)
+
+
+def test_stitches_that_make_no_surface(tmp_path, template):
+    """A third panel on an edge that two have already."""
+    mesh = cut(load_pattern(written(tmp_path, tube_skirt(waist=43.0))), 0.04)
+    twice = replace(mesh, seams=np.concatenate([mesh.seams, mesh.seams[:1, ::-1] + [[0, 1]]]))
+    with pytest.raises(PatternError, match="it cannot be sewn so,"):
+        sewn(twice, template, RIG, Material(), CPU)
+
+
+def test_panels_that_are_not_sewn(tmp_path, template):
+    pattern = tube_skirt()
+    pattern["pattern"]["stitches"] = []
+    with pytest.raises(PatternError, match="it has no stitches"):
+        sew(tmp_path, pattern, template)

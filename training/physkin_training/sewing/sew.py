@@ -1,0 +1,271 @@
+"""Sew a cut about a body: seams close around a paper doll of it, the doll grows to the body's own shape, cloth hangs.
+
+The doll is the body drawn in to its bones and pressed flat, with the panels in front of it and behind. About the body
+itself, seams get caught on shoulders and hips, and close in front of an arm. Every step minimises an incremental
+potential from rest, so that nothing swings.
+
+Dimensions: `t` vertices of a cut, `n` of the sewn garment, `V` of the body. Metres, root frame, canonical pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import torch
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.transform import Rotation
+
+from physkin_core.avatar.avatar import Avatar
+from physkin_core.model.garment import Garment, GarmentError
+from physkin_core.model.garment_model import Material
+from physkin_core.model.rest_shape import flat_areas
+from physkin_core.rig.rig import Rig
+from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
+from physkin_training.dynamics.incremental_potential import IncrementalPotential
+from physkin_training.dynamics.step_solver import StepSolver
+from physkin_training.energies.energy import view
+from physkin_training.energies.motion import Dynamics
+from physkin_training.energies.seams import Seams
+from physkin_training.physics.energy_hessian import EnergyHessian
+from physkin_training.physics.surface_queries import BodySurface
+from physkin_training.quiet_warp import wp
+from physkin_training.sewing.cut import Cut
+from physkin_training.sewing.pattern import PatternError
+
+__all__ = ["sewn"]
+
+Watch = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
+
+THIN, FLAT = 0.4, 0.1
+"""The paper doll: of the way from the bones to the skin, and of the bones' distance before or behind the root."""
+ARMS_RAISED = np.radians(30.0)
+"""By how much the doll lifts its arms while sleeves are sewn to the body: stiff as card, they turn upwards with it."""
+NEAR = 0.3
+"""Of the distance of panels before or behind the root, when they begin to be sewn."""
+LIFT, LIFT_STEP = 0.12, 0.01
+"""[m] that panels are lifted by at most, for shoulders that are higher than those the pattern was made for."""
+CLEARANCE = 0.03
+"""[m] that panels could hang lower without a seam that closes through the doll."""
+CLOSING, SETTLING, GROWING, SOFTENING, HANGING = 25, 5, 40, 30, 40
+"""Steps while seams close within sleeves, within the body and within legs, and as many between them; while they settle,
+the doll grows to the body's own shape, the cloth becomes soft, and it hangs sewn. Closed all at once, sleeves leave the
+arms."""
+HIGHEST = 0.05
+"""Of the panel that stays at its height, seams up to so far [m] below its highest one do while seams close: nothing
+pulls a bodice off the shoulders."""
+STEP, CARDBOARD_STEP = 0.05, 0.5
+"""[s] of a step: in the first, gravity alone moves cloth by 2.5 cm; in the second, next to nothing holds it."""
+CARDBOARD = 300.0
+"""Times that cloth bends as stiffly until then: panels come together as they are instead of curling up, and sleeves
+stay open."""
+SEAM_STIFFNESS = 100.0, 3000.0
+"""[N/m] of a pair of vertices while seams close, and once they are closed."""
+LIGHT = 0.1
+"""Of gravity while the doll grows: cloth stays on the shoulders, and does not slip off while they are narrow."""
+LARGEST_GAP = 0.01  # [m]
+REACH = 0.3
+EFFORT = {"tolerance": 1e-3, "iterations": 4, "products": 60}
+"""Of a step: residual force [N], Newton steps, matrix products for each."""
+
+
+def sewn(
+    cut: Cut, avatar: Avatar, rig: Rig, material: Material, device: torch.device, *, watch: Watch | None = None
+) -> Garment:
+    """The garment that a cut makes, as it hangs on an avatar in the canonical pose, with its panels as rest shape.
+
+    Panels hang about a body of the avatar's size that stands on its floor. watch: called after every step with the
+    vertices, their faces and the body's vertices. Raises PatternError where seams do not close or no surface is sewn.
+    """
+    if not len(cut.seams):
+        raise PatternError("it has no stitches; panels must be sewn together to be worn")
+    doll, raised = paper_doll(avatar, rig), paper_doll(avatar, rig, raised=ARMS_RAISED)
+    watch = watch or (lambda *_: None)
+    body = wp.Mesh(view(_vectors(doll, device)), wp.array(avatar.faces.ravel(), dtype=wp.int32, device=str(device)))
+    hung = _about(cut, doll, avatar)
+    for closed, shape in _close(cut, hung, material, body, (doll, raised, avatar.vertices)):
+        watch(closed, cut.faces, shape)
+    garment = _joined(cut, closed)
+    cloth = _Cloth(garment, material, body, garment.vertices)
+    for _ in range(HANGING):
+        hanging = cloth.step(1.0)
+        watch(hanging, garment.faces, avatar.vertices)
+    return _made(cut, hanging, garment.faces)
+
+
+def paper_doll(avatar: Avatar, rig: Rig, *, raised: float = 0.0) -> np.ndarray:
+    """Vertices (V, 3) [m] of the body drawn in to its bones and pressed flat; hands, feet and head are drawn in to the
+    joints that they begin at, for they are not in line with a sleeve. raised: angle [rad] that arms are lifted by."""
+    last = ~np.isin(np.arange(rig.bone_count), rig.parents)
+    ends = np.where(last[:, None], avatar.bone_heads, avatar.bone_tails)
+    heads = avatar.bone_heads[avatar.influence_bones]
+    ways = ends[avatar.influence_bones] - heads
+    along = ((avatar.vertices[:, None] - heads) * ways).sum(axis=2) / np.maximum((ways * ways).sum(axis=2), 1e-12)
+    nearest = heads + np.clip(along, 0, 1)[..., None] * ways
+    on_bones = (avatar.influence_weights[..., None] * nearest).sum(axis=1)
+    drawn_in = np.where(last[avatar.influence_bones], 0.1 * THIN, THIN) * avatar.influence_weights
+    thin = drawn_in.sum(axis=1, keepdims=True)
+    doll = on_bones * [FLAT, 1.0, 1.0] + thin * (avatar.vertices - on_bones)
+    for bone, upwards in (("upperarm01.L", 1.0), ("upperarm01.R", -1.0)):
+        first = rig.bone_names.index(bone)
+        arm = np.arange(rig.bone_count) == first
+        for later in range(first + 1, rig.bone_count):
+            arm[later] = arm[rig.parents[later]]
+        share = (arm[avatar.influence_bones] * avatar.influence_weights).sum(axis=1, keepdims=True)
+        joint = avatar.bone_heads[first] * [FLAT, 1.0, 1.0]
+        turn = Rotation.from_euler("x", upwards * raised)
+        doll += share * (turn.apply(doll - joint) + joint - doll)
+    return doll
+
+
+def _about(cut: Cut, doll: np.ndarray, avatar: Avatar) -> np.ndarray:
+    """Where the vertices (t, 3) [m] of a cut begin: about the doll, every panel as near to it as it is flat and against
+    those it is sewn to, lifted so that no seam, and none up to CLEARANCE lower, closes through it, or as few as can
+    be."""
+    hung = cut.hung + [0.0, 0.0, avatar.vertices[:, 2].min()]
+    panel_of = cut.panel_of
+    hung[:, 0] -= (1 - NEAR) * (np.bincount(panel_of, hung[:, 0]) / np.bincount(panel_of))[panel_of]
+    hung[:, 2] += _against_each_other(hung[:, 2], cut)[panel_of]
+    surface, below = BodySurface(doll, avatar.faces), round(CLEARANCE / LIFT_STEP)
+    lifts = LIFT_STEP * np.arange(-below, round(LIFT / LIFT_STEP) + 1)
+    through = [_closing_through(hung + [0.0, 0.0, lift], cut.seams, surface) for lift in lifts]
+    windows = np.lib.stride_tricks.sliding_window_view(through, below + 1).sum(axis=1)
+    return hung + [0.0, 0.0, lifts[below + windows.argmin()]]
+
+
+def _staying(cut: Cut) -> int:
+    """The panel that stays at its height, so that a skirt comes up to its bodice and a hood down to it: the largest one
+    that is for the body, or the largest one of all."""
+    areas = np.bincount(cut.panel, flat_areas(cut.places[cut.faces]))
+    on_body = np.array(cut.labels) == "body"
+    return int((areas * (on_body if on_body.any() else 1.0)).argmax())
+
+
+def _against_each_other(heights: np.ndarray, cut: Cut) -> np.ndarray:
+    """How far (p,) [m] to move each panel up so that seams have as little of the heights (t,) to close as can be."""
+    panels, rows = cut.panel_of[cut.seams], np.arange(len(cut.seams))
+    between = np.zeros((len(rows) + 1, len(cut.names)))
+    between[rows, panels[:, 0]] += 1.0
+    between[rows, panels[:, 1]] -= 1.0
+    between[-1, _staying(cut)] = 1.0
+    apart = heights[cut.seams[:, 1]] - heights[cut.seams[:, 0]]
+    return np.linalg.lstsq(between, np.append(apart, 0.0), rcond=None)[0]
+
+
+def _closing_through(hung: np.ndarray, seams: np.ndarray, body: BodySurface) -> int:
+    """How many of the seams' pairs close through the body."""
+    ends = hung[seams]
+    ways = ends[:, 1] - ends[:, 0]
+    length = np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
+    through = np.zeros(len(seams), bool)
+    for start, way in ((ends[:, 0], ways / length), (ends[:, 1], -ways / length)):  # seen from outside alone
+        face, at = body.facing(start, way, float(length.max()))
+        hit = np.einsum("sc,scx->sx", at, body.vertices[body.faces[face]])
+        through |= (face >= 0) & (np.linalg.norm(hit - start, axis=1) < length[:, 0])
+    return int(through.sum())
+
+
+def _close(
+    cut: Cut, hung: np.ndarray, material: Material, body: wp.Mesh, shapes: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Vertices (t, 3) of the cut and (V, 3) of the body step by step, until seams are closed about its own shape.
+
+    shapes: of the body, the doll, the doll with its arms raised, the body's own."""
+    doll, raised, skin = shapes
+    flat = Garment(np.column_stack([cut.places, np.zeros(len(cut.places))]), cut.faces)
+    cloth = _Cloth(flat, material, body, hung)
+    cloth.bend_stiffer(CARDBOARD)
+    loose, tight = SEAM_STIFFNESS
+    seams = cloth.sew(cut.seams, stiffness=loose)
+    apart = torch.as_tensor(np.linalg.norm(hung[cut.seams[:, 1]] - hung[cut.seams[:, 0]], axis=1))
+    heights = hung[cut.seams, 2].mean(axis=1)
+    staying = (cut.panel_of[cut.seams] == _staying(cut)).any(axis=1)
+    highest = cut.seams[staying & (heights > heights[staying].max() - HIGHEST)]
+    labels = np.unique(cut.labels, return_inverse=True)[1][cut.panel_of[cut.seams]]
+    begins = torch.as_tensor(np.where(labels[:, 0] == labels[:, 1], 0, CLOSING))
+    for count in range(1, 2 * CLOSING + SETTLING + 1):
+        seams.gap.copy_(apart * (1 - (count - begins) / CLOSING).clamp(0.0, 1.0))
+        shape = cloth.meets(doll + min(max(count / CLOSING - 1, 0.0), 1.0) * (raised - doll))
+        closed = cloth.step(0.0, seconds=CARDBOARD_STEP)
+        yield cloth.raised((hung[highest] - closed[highest])[..., 2].mean()), shape
+    seams.stiffness.fill_(tight)
+    for count in range(1, GROWING + 1):
+        shape = cloth.meets(raised + (count / GROWING) * (skin - raised))
+        yield cloth.step(LIGHT), shape
+    for count in range(1, SOFTENING + 1):
+        cloth.bend_stiffer(CARDBOARD ** (1 - count / SOFTENING))
+        yield cloth.step(1.0), skin
+
+
+def _joined(cut: Cut, closed: np.ndarray) -> Garment:
+    """The garment whose seams are single vertices, from vertices (t, 3) whose seams are closed."""
+    gaps = np.linalg.norm(closed[cut.seams[:, 1]] - closed[cut.seams[:, 0]], axis=1)
+    if len(gaps) and not gaps.max() <= LARGEST_GAP:
+        one, other = (cut.names[cut.panel_of[vertex]] for vertex in cut.seams[gaps.argmax()])
+        raise PatternError(
+            f"the seam of panels {one!r} and {other!r} does not close: {1000 * gaps.max():.0f} mm are left, allowed "
+            f"are {1000 * LARGEST_GAP:g} mm; does it fit the body?"
+        )
+    t = len(closed)
+    pairs = coo_array((np.ones(len(cut.seams)), cut.seams.T), shape=(t, t))
+    _, vertex = connected_components(pairs, directed=False)
+    middle = np.stack([np.bincount(vertex, axis) for axis in closed.T], axis=1) / np.bincount(vertex)[:, None]
+    return _made(cut, middle, vertex[cut.faces])
+
+
+def _made(cut: Cut, vertices: np.ndarray, faces: np.ndarray) -> Garment:
+    """Sewn, of vertices (n, 3) and faces (f, 3)."""
+    try:
+        return Garment(vertices, faces, panel_places=cut.places, panel_faces=cut.faces)
+    except GarmentError as error:
+        raise PatternError(f"it cannot be sewn so, or does not fit the body: {error}") from error
+
+
+class _Cloth:
+    """A garment at `start` (n, 3) [m] that moves from rest step by step, in contact with a body."""
+
+    def __init__(self, garment: Garment, material: Material, body: wp.Mesh, start: np.ndarray) -> None:
+        device = torch.device(wp.device_to_torch(body.device))
+        still = Dynamics(air_drag=0.0, relaxation=0.0)
+        self._potential = IncrementalPotential(garment, material, 1, device, step=STEP, dynamics=still, reach=REACH)
+        self._solver = None
+        self._body, self._nowhere = body, torch.zeros(1, 3, device=device)
+        self._down, self._here = _vectors(UPRIGHT_GRAVITY, device)[None], _vectors(start, device)[None]
+
+    def bend_stiffer(self, times: float) -> None:
+        """So many times as stiffly as its material does."""
+        self._potential.bend.stiffer.fill_(times)
+
+    def sew(self, pairs: np.ndarray, *, stiffness: float) -> Seams:
+        """Draw pairs of vertices (s, 2) together from now on."""
+        seams = Seams(self._potential.cloth, pairs, stiffness=stiffness)
+        self._potential.energies.append(seams)
+        return seams
+
+    def meets(self, shape: np.ndarray) -> np.ndarray:
+        """The body has vertices (V, 3) [m] from now on; these."""
+        points = wp.to_torch(self._body.points)
+        points.copy_(_vectors(shape, points.device))
+        self._body.refit()
+        return shape
+
+    def step(self, gravity: float, *, seconds: float = STEP) -> np.ndarray:
+        """One step under a share of gravity; vertices (n, 3)."""
+        if self._solver is None:
+            free = torch.ones(self._here.shape[1], device=self._here.device)
+            self._solver = StepSolver(EnergyHessian(self._potential), free)
+        self._potential.time_step.seconds = seconds
+        self._potential.begin(self._here, self._here)
+        solution = self._solver.minimise(self._here, gravity * self._down, self._body, self._nowhere, **EFFORT)
+        self._here = solution.vertices
+        return self._here[0].double().cpu().numpy()
+
+    def raised(self, height: float) -> np.ndarray:
+        """All of it moved up by a height [m]; vertices (n, 3)."""
+        self._here = self._here + height * _vectors([0.0, 0.0, 1.0], self._here.device)
+        return self._here[0].double().cpu().numpy()
+
+
+def _vectors(array: np.ndarray, device: torch.device) -> torch.Tensor:
+    return torch.tensor(np.asarray(array), dtype=torch.float32, device=device)
