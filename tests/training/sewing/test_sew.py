@@ -15,7 +15,7 @@ from physkin_core.quality import edge_strain
 from physkin_training.physics.surface_queries import BodySurface, piercing_edges
 from physkin_training.sewing.cut import cut
 from physkin_training.sewing.pattern import PatternError, load_pattern
-from physkin_training.sewing.sew import paper_doll, sewn
+from physkin_training.sewing.sew import Arms, paper_doll, sewn
 
 CPU = torch.device("cpu")
 RIG = load_body_model().rig
@@ -47,7 +47,7 @@ def test_a_skirt_of_two_panels(tmp_path, template):
 
 
 def test_the_paper_doll(template):
-    doll, raised = paper_doll(template, RIG), paper_doll(template, RIG, raised=np.radians(30))
+    doll, raised = paper_doll(template, RIG), Arms(template, RIG).raised(paper_doll(template, RIG), 1.0)
     assert np.ptp(doll[:, 0]) < 0.5 * np.ptp(template.vertices[:, 0])
     hand = RIG.bone_names.index("wrist.L")
     in_hand = ((template.influence_bones == hand) & (template.influence_weights > 0.99)).any(axis=1)

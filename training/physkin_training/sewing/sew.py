@@ -41,7 +41,7 @@ Watch = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
 THIN, FLAT = 0.4, 0.1
 """The paper doll: of the way from the bones to the skin, and of the bones' distance before or behind the root."""
 ARMS_RAISED = np.radians(30.0)
-"""By how much the doll lifts its arms while sleeves are sewn to the body: stiff as card, they turn upwards with it."""
+"""By how much arms are raised while sleeves are sewn to the body, which turn upwards then, as stiff as card."""
 NEAR = 0.3
 """Of the distance of panels before or behind the root, when they begin to be sewn."""
 LIFT, LIFT_STEP = 0.12, 0.01
@@ -50,8 +50,8 @@ CLEARANCE = 0.03
 """[m] that panels could hang lower without a seam that closes through the doll."""
 CLOSING, SETTLING, GROWING, SOFTENING, HANGING = 25, 5, 40, 30, 40
 """Steps while seams close within sleeves, within the body and within legs, and as many between them; while they settle,
-the doll grows to the body's own shape, the cloth becomes soft, and it hangs sewn. Closed all at once, sleeves leave the
-arms."""
+the doll grows to the body's own shape, the cloth becomes soft and arms go down, and it hangs sewn. Closed all at once,
+sleeves leave the arms."""
 HIGHEST = 0.05
 """Of the panel that stays at its height, seams up to so far [m] below its highest one do while seams close: nothing
 pulls a bodice off the shoulders."""
@@ -80,11 +80,11 @@ def sewn(
     """
     if not len(cut.seams):
         raise PatternError("it has no stitches; panels must be sewn together to be worn")
-    doll, raised = paper_doll(avatar, rig), paper_doll(avatar, rig, raised=ARMS_RAISED)
+    doll, arms = paper_doll(avatar, rig), Arms(avatar, rig)
     watch = watch or (lambda *_: None)
     body = wp.Mesh(view(_vectors(doll, device)), wp.array(avatar.faces.ravel(), dtype=wp.int32, device=str(device)))
     hung = _about(cut, doll, avatar)
-    for closed, shape in _close(cut, hung, material, body, (doll, raised, avatar.vertices)):
+    for closed, shape in _close(cut, hung, material, body, (doll, avatar.vertices), arms):
         watch(closed, cut.faces, shape)
     garment = _joined(cut, closed)
     cloth = _Cloth(garment, material, body, garment.vertices)
@@ -94,9 +94,9 @@ def sewn(
     return _made(cut, hanging, garment.faces)
 
 
-def paper_doll(avatar: Avatar, rig: Rig, *, raised: float = 0.0) -> np.ndarray:
+def paper_doll(avatar: Avatar, rig: Rig) -> np.ndarray:
     """Vertices (V, 3) [m] of the body drawn in to its bones and pressed flat; hands, feet and head are drawn in to the
-    joints that they begin at, for they are not in line with a sleeve. raised: angle [rad] that arms are lifted by."""
+    joints that they begin at, for they are not in line with a sleeve."""
     last = ~np.isin(np.arange(rig.bone_count), rig.parents)
     ends = np.where(last[:, None], avatar.bone_heads, avatar.bone_tails)
     heads = avatar.bone_heads[avatar.influence_bones]
@@ -106,17 +106,28 @@ def paper_doll(avatar: Avatar, rig: Rig, *, raised: float = 0.0) -> np.ndarray:
     on_bones = (avatar.influence_weights[..., None] * nearest).sum(axis=1)
     drawn_in = np.where(last[avatar.influence_bones], 0.1 * THIN, THIN) * avatar.influence_weights
     thin = drawn_in.sum(axis=1, keepdims=True)
-    doll = on_bones * [FLAT, 1.0, 1.0] + thin * (avatar.vertices - on_bones)
-    for bone, upwards in (("upperarm01.L", 1.0), ("upperarm01.R", -1.0)):
-        first = rig.bone_names.index(bone)
-        arm = np.arange(rig.bone_count) == first
-        for later in range(first + 1, rig.bone_count):
-            arm[later] = arm[rig.parents[later]]
-        share = (arm[avatar.influence_bones] * avatar.influence_weights).sum(axis=1, keepdims=True)
-        joint = avatar.bone_heads[first] * [FLAT, 1.0, 1.0]
-        turn = Rotation.from_euler("x", upwards * raised)
-        doll += share * (turn.apply(doll - joint) + joint - doll)
-    return doll
+    return on_bones * [FLAT, 1.0, 1.0] + thin * (avatar.vertices - on_bones)
+
+
+class Arms:
+    """The arms of an avatar, which the body and its doll can raise."""
+
+    def __init__(self, avatar: Avatar, rig: Rig) -> None:
+        self._sides = []
+        for bone, upwards in (("upperarm01.L", 1.0), ("upperarm01.R", -1.0)):
+            first = rig.bone_names.index(bone)
+            arm = np.arange(rig.bone_count) == first
+            for later in range(first + 1, rig.bone_count):
+                arm[later] = arm[rig.parents[later]]
+            share = (arm[avatar.influence_bones] * avatar.influence_weights).sum(axis=1, keepdims=True)
+            self._sides.append((share, avatar.bone_heads[first], upwards))
+
+    def raised(self, vertices: np.ndarray, share: float) -> np.ndarray:
+        """Vertices (V, 3) [m] of the body or its doll with arms raised sideways by a share of `ARMS_RAISED`."""
+        for arm, joint, upwards in self._sides:
+            turn = Rotation.from_euler("x", upwards * share * ARMS_RAISED)
+            vertices = vertices + arm * (turn.apply(vertices - joint) + joint - vertices)
+        return vertices
 
 
 def _about(cut: Cut, doll: np.ndarray, avatar: Avatar) -> np.ndarray:
@@ -167,12 +178,12 @@ def _closing_through(hung: np.ndarray, seams: np.ndarray, body: BodySurface) -> 
 
 
 def _close(
-    cut: Cut, hung: np.ndarray, material: Material, body: wp.Mesh, shapes: tuple[np.ndarray, np.ndarray, np.ndarray]
+    cut: Cut, hung: np.ndarray, material: Material, body: wp.Mesh, shapes: tuple[np.ndarray, np.ndarray], arms: Arms
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Vertices (t, 3) of the cut and (V, 3) of the body step by step, until seams are closed about its own shape.
 
-    shapes: of the body, the doll, the doll with its arms raised, the body's own."""
-    doll, raised, skin = shapes
+    shapes: of the body, the doll and its own."""
+    doll, skin = shapes
     flat = Garment(np.column_stack([cut.places, np.zeros(len(cut.places))]), cut.faces)
     cloth = _Cloth(flat, material, body, hung)
     cloth.bend_stiffer(CARDBOARD)
@@ -186,16 +197,17 @@ def _close(
     begins = torch.as_tensor(np.where(labels[:, 0] == labels[:, 1], 0, CLOSING))
     for count in range(1, 2 * CLOSING + SETTLING + 1):
         seams.gap.copy_(apart * (1 - (count - begins) / CLOSING).clamp(0.0, 1.0))
-        shape = cloth.meets(doll + min(max(count / CLOSING - 1, 0.0), 1.0) * (raised - doll))
+        shape = cloth.meets(arms.raised(doll, min(max(count / CLOSING - 1, 0.0), 1.0)))
         closed = cloth.step(0.0, seconds=CARDBOARD_STEP)
         yield cloth.raised((hung[highest] - closed[highest])[..., 2].mean()), shape
     seams.stiffness.fill_(tight)
     for count in range(1, GROWING + 1):
-        shape = cloth.meets(raised + (count / GROWING) * (skin - raised))
+        shape = cloth.meets(arms.raised(doll + (count / GROWING) * (skin - doll), 1.0))
         yield cloth.step(LIGHT), shape
     for count in range(1, SOFTENING + 1):
         cloth.bend_stiffer(CARDBOARD ** (1 - count / SOFTENING))
-        yield cloth.step(1.0), skin
+        shape = cloth.meets(arms.raised(skin, 1 - count / SOFTENING))
+        yield cloth.step(1.0), shape
 
 
 def _joined(cut: Cut, closed: np.ndarray) -> Garment:
