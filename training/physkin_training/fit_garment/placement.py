@@ -19,7 +19,7 @@ from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.physics.surface_queries import BodySurface
 
 __all__ = [
-    "MOST_BURIED", "UNITS", "WORN", "Placement", "best_scale", "buried", "turned_over", "find_lying",
+    "MOST_BURIED", "MOST_COST", "UNITS", "WORN", "Placement", "best_scale", "buried", "turned_over", "find_lying",
     "find_placement",
 ]  # fmt: skip
 
@@ -37,8 +37,9 @@ BURIED, MOST_BURIED = 0.005, 0.03
 TRIED_POINTS = 300
 CLEARLY, MUCH = 0.8, 0.6
 """Another unit or turn must cost less than this share of the simpler one; and another place less than that."""
-WORN = 0.1
-"""[m] largest cost of a garment that is where it is worn; the shipped ones have 0.02 to 0.08, the skirt the most."""
+WORN, MOST_COST = 0.1, 0.12
+"""[m] cost from which on other places are tried, and the largest of a garment that is worn anywhere; the shipped ones
+have 0.02 to 0.08, the skirt the most, a wide dress to the floor 0.11."""
 HEIGHT_STEP, FORWARD_STEPS = 0.03, (-0.05, 0.0, 0.05)
 """[m] of the coarse search for a place, whose best `STARTS` are settled finely."""
 STARTS = 4

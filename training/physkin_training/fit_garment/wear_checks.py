@@ -17,8 +17,8 @@ from physkin_training.fit_garment.mesh_checks import openings_and_holes
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.placement import (
     MOST_BURIED,
+    MOST_COST,
     UNITS,
-    WORN,
     Placement,
     best_scale,
     buried,
@@ -66,7 +66,7 @@ def check_placement(checks: Checks, surface: BodySurface) -> None:
     _place(checks, placed, UNITS["metres"], np.eye(3))
     allowed = "where it is worn on the body, the body's root at the origin or its feet on the floor"
     found = f"mean distance to the body {1000 * placed.cost:.0f} mm"
-    if placed.cost > WORN:
+    if placed.cost > MOST_COST:
         return checks.say("position", "refused", f"{found}: it does not lie on the body anywhere", allowed)
     if placed.shift.any():
         shift = ", ".join(f"{value:.3f}" for value in placed.shift)

@@ -10,6 +10,7 @@ Dimensions: `t` vertices of a cut, `n` of the sewn garment, `V` of the body. Met
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -65,6 +66,9 @@ SEAM_STIFFNESS = 100.0, 3000.0
 LIGHT = 0.1
 """Of gravity while the doll grows: cloth stays on the shoulders, and does not slip off while they are narrow."""
 LARGEST_GAP = 0.01  # [m]
+CLOSING_OFFSET = 0.003
+"""[m] at which the body is felt until the cloth hangs, however far from it that is to be: sleeves leave raised arms
+little room."""
 REACH = 0.3
 EFFORT = {"tolerance": 1e-3, "iterations": 4, "products": 60}
 """Of a step: residual force [N], Newton steps, matrix products for each."""
@@ -185,7 +189,7 @@ def _close(
     shapes: of the body, the doll and its own."""
     doll, skin = shapes
     flat = Garment(np.column_stack([cut.places, np.zeros(len(cut.places))]), cut.faces)
-    cloth = _Cloth(flat, material, body, hung)
+    cloth = _Cloth(flat, replace(material, contact_offset=CLOSING_OFFSET), body, hung)
     cloth.bend_stiffer(CARDBOARD)
     loose, tight = SEAM_STIFFNESS
     seams = cloth.sew(cut.seams, stiffness=loose)
