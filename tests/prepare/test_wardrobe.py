@@ -23,7 +23,9 @@ def test_every_pattern_is_a_garment():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name, openings", [("tshirt", 4), ("trousers", 3), ("hoodie", 4), ("maxidress", 4), ("longsleeve", 4)])
+@pytest.mark.parametrize(
+    "name, openings", [("tshirt", 4), ("trousers", 3), ("hoodie", 4), ("maxidress", 4), ("longsleeve", 4)]
+)
 def test_a_garment_is_sewn_and_hangs(name, openings, tmp_path):
     main(["--names", name, "--output", str(tmp_path), "--device", "cpu"])
     garment = load_garment(tmp_path / f"{name}.obj")

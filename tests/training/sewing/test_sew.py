@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from training.sewing.patterns import tube_skirt, written
+from training.sewing.patterns import panel, tube_skirt, written
 
 from physkin_core import load_body_model
 from physkin_core.model.garment_model import Material
@@ -74,8 +74,8 @@ def test_stitches_that_make_no_surface(tmp_path, template):
         sewn(twice, template, RIG, Material(), CPU)
 
 
-def test_panels_that_are_not_sewn(tmp_path, template):
+def test_a_panel_that_is_not_sewn(tmp_path, template):
     pattern = tube_skirt()
-    pattern["pattern"]["stitches"] = []
-    with pytest.raises(PatternError, match="it has no stitches"):
+    pattern["pattern"]["panels"]["patch"] = panel([[0, 0], [9, 0], [9, 9], [0, 9]], place=(0, 60, 30))
+    with pytest.raises(PatternError, match="panel 'patch' is not sewn to anything; every panel needs a stitch"):
         sew(tmp_path, pattern, template)

@@ -80,10 +80,11 @@ def sewn(
     """The garment that a cut makes, as it hangs on an avatar in the canonical pose, with its panels as rest shape.
 
     Panels hang about a body of the avatar's size that stands on its floor. watch: called after every step with the
-    vertices, their faces and the body's vertices. Raises PatternError where seams do not close or no surface is sewn.
+    vertices, their faces and the body's vertices. Raises PatternError for a panel without a stitch, and where seams do
+    not close or no surface is sewn.
     """
-    if not len(cut.seams):
-        raise PatternError("it has no stitches; panels must be sewn together to be worn")
+    if loose := set(range(len(cut.names))) - set(cut.panel_of[cut.seams].flat):
+        raise PatternError(f"panel {cut.names[min(loose)]!r} is not sewn to anything; every panel needs a stitch")
     doll, arms = paper_doll(avatar, rig), Arms(avatar, rig)
     watch = watch or (lambda *_: None)
     body = wp.Mesh(view(_vectors(doll, device)), wp.array(avatar.faces.ravel(), dtype=wp.int32, device=str(device)))
@@ -217,7 +218,7 @@ def _close(
 def _joined(cut: Cut, closed: np.ndarray) -> Garment:
     """The garment whose seams are single vertices, from vertices (t, 3) whose seams are closed."""
     gaps = np.linalg.norm(closed[cut.seams[:, 1]] - closed[cut.seams[:, 0]], axis=1)
-    if len(gaps) and not gaps.max() <= LARGEST_GAP:
+    if not gaps.max() <= LARGEST_GAP:
         one, other = (cut.names[cut.panel_of[vertex]] for vertex in cut.seams[gaps.argmax()])
         raise PatternError(
             f"the seam of panels {one!r} and {other!r} does not close: {1000 * gaps.max():.0f} mm are left, allowed "
