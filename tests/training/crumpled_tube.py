@@ -25,11 +25,11 @@ LINEAR_BEYOND = 0.006
 
 class CrumpledTube:
     """Two samples of a tube about the origin, 12 cm high, of other rest shapes and bending, over a floor at height
-    `floor`; three of its vertices are tied to corners of the floor, and three pairs are drawn together as seams. It
-    bends from the shape that it was made in.
+    `floor`; three of its vertices are tied to corners of the floor. It bends from the shape that it was made in.
     `potential`: of a step that `begin` told of.
 
-    only: of the energies, default all. worn: whether deep contact counts. scale: of the rest shape.
+    only: of the energies, default all but `seams`, which are there while a garment is sewn and draw three pairs
+    together. worn: whether deep contact counts. scale: of the rest shape.
     """
 
     def __init__(
@@ -59,9 +59,10 @@ class CrumpledTube:
             **options,
         )
         self.potential.bend.stiffer.copy_(torch.tensor([1.0, 3.0]))
-        seams = Seams(self.potential.cloth, np.array([[0, 17], [3, 25], [4, 5]]), stiffness=3.0)
-        seams.gap.fill_(0.02)
-        self.potential.energies.append(seams)
+        if only == "seams":
+            seams = Seams(self.potential.cloth, np.array([[0, 17], [3, 25], [4, 5]]), stiffness=3.0)
+            seams.gap.fill_(0.02)
+            self.potential.energies.append(seams)
         if only:
             self.potential.energies = [each for each in self.potential.energies if each.name == only]
         self.rest = torch.tensor(np.stack([self.garment.vertices] * SAMPLES), dtype=torch.float32)

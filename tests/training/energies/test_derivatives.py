@@ -15,7 +15,7 @@ LED_BACK = {"worn": False, "leads_back": True, "floor": -0.04}
 
 
 def test_none_is_forgotten():
-    assert {each.name for each in CrumpledTube().potential.energies} == set(NAMES)
+    assert {each.name for each in CrumpledTube().potential.energies} == set(NAMES) - {"seams"}
 
 
 @pytest.mark.parametrize(

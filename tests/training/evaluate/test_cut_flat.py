@@ -83,7 +83,7 @@ def test_the_model_is_scored_against_the_panels(model, folder):
         edge, area = np.mean(found, axis=0)
         assert row["edge_strain_percent"] == pytest.approx(edge, rel=1e-3)
         assert row["area_strain_percent"] == pytest.approx(area, rel=1e-3)
-        assert abs(area - np.mean(lying)) > 2, "the mesh as it lies is another rest shape"
+        assert abs(area - np.mean(lying)) > 3e-3 * area, "the mesh as it lies is another rest shape, told apart by this"
 
 
 def test_free_cloth_takes_the_size_of_its_panels(folder, tmp_path, capsys, monkeypatch):
