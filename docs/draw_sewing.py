@@ -5,27 +5,22 @@ A hoodie: its panels hung about the paper doll, seams half closed, closed, and a
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import torch
 from PIL import Image
 
 from import_graph import ROOT
-
-sys.path.insert(0, str(ROOT / "training"))  # physkin_prepare is not installed
-
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment_model import Material
 from physkin_core.picture import CLOTH_COLOUR, Mesh, contact_sheet, render
 from physkin_core.render.filming import avatar_mesh
-from physkin_prepare.wardrobe import PATTERNS
 from physkin_training.sewing.cut import cut
 from physkin_training.sewing.pattern import load_pattern
 from physkin_training.sewing.sew import sewn
 
 DRAWING = ROOT / "docs" / "sewing.jpg"
+PATTERNS = ROOT / "training" / "garments" / "patterns"
 SHOWN, STEPS = "hoodie", (1, 20, 50)
 OTHERS = ("longsleeve", "trousers", "dress", "maxidress")
 EDGE_LENGTH = 0.022  # [m]

@@ -49,8 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     body_model = load_body_model()
     template = avatar_from_body(body_model, body_model.garment_body)
     options.output.mkdir(parents=True, exist_ok=True)
+    device = resolve_device(options.device)
     for name in options.names:
-        device = resolve_device(options.device)
         path, edge_length = PATTERNS / f"{name}.json", EDGE_LENGTHS[name]
         mesh = sewn_mesh(path, template, body_model.rig, edge_length=edge_length, device=device)
         checked = check_garment(mesh, template, template)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +34,7 @@ def sewn_mesh(path: Path, avatar: Avatar, rig: Rig, *, edge_length: float, devic
     """
     pieces = cut(load_pattern(path), edge_length)
     log.info("%s: %d panels of %d vertices are sewn", path, len(pieces.names), len(pieces.places))
-    material = replace(Material(), contact_offset=CLEARANCE + SOFT)
+    material = Material(contact_offset=CLEARANCE + SOFT)
     garment = sewn(pieces, avatar, rig, material, device)
     uv = garment.panel_places[garment.panel_faces]
     look = Look(uv, np.full(len(garment.faces), -1), pieces.panel, parts=pieces.names)

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import Delaunay, cKDTree
+from trimesh.geometry import faces_to_edges
 
+from physkin_core.model.rest_shape import flat_areas
 from physkin_training.sewing.pattern import Panel, Pattern, PatternError
 
 __all__ = ["EDGE_LENGTH_RANGE", "Cut", "cut"]
@@ -20,6 +22,7 @@ FROM_OUTLINE = 0.7
 """Vertices inside a panel keep this distance from its outline, in edge lengths."""
 BOLT, BETWEEN_PANELS = 1.5, 0.02
 """[m] width of the cloth that panels are laid out on, and what is left between them."""
+SMALLEST_AREA = 5e-11  # [m2]
 SMOOTHING = 15
 """Times that every vertex inside a panel goes to the middle of its neighbours."""
 
@@ -116,8 +119,7 @@ def triangulated(panel: Panel, outline: np.ndarray, edge_length: float) -> tuple
     for _ in range(SMOOTHING):
         points = np.concatenate([outline, inner])
         faces = _inside_faces(points, outline)
-        sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-        sides = np.unique(np.sort(sides, axis=1), axis=0)
+        sides = np.unique(np.sort(faces_to_edges(faces), axis=1), axis=0)
         both = np.concatenate([sides, sides[:, ::-1]])
         count = np.maximum(np.bincount(both[:, 0], minlength=len(points)), 1)
         middle = np.stack([np.bincount(both[:, 0], axis[both[:, 1]], len(points)) for axis in points.T], axis=1)
@@ -125,8 +127,7 @@ def triangulated(panel: Panel, outline: np.ndarray, edge_length: float) -> tuple
     points = np.concatenate([outline, inner])
     faces = _inside_faces(points, outline)
     k = len(outline)
-    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    there = np.isin(np.arange(k) * len(points) + (np.arange(k) + 1) % k, directed @ [len(points), 1])
+    there = np.isin(np.arange(k) * len(points) + (np.arange(k) + 1) % k, faces_to_edges(faces) @ [len(points), 1])
     if not there.all() or len(np.unique(faces)) < len(points):
         x, y = outline[np.argmin(there)] if not there.all() else points[np.setdiff1d(np.arange(len(points)), faces)[0]]
         raise PatternError(
@@ -152,10 +153,9 @@ def _lattice(outline: np.ndarray, edge_length: float) -> np.ndarray:
 def _inside_faces(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
     """Delaunay's triangles (f, 3) inside the outline, counter-clockwise."""
     faces = Delaunay(points).simplices
-    a, b, c = (points[faces[:, corner]] for corner in range(3))
-    doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    faces = np.where(doubled[:, None] > 0, faces, faces[:, ::-1])
-    return faces[_inside(points[faces].mean(axis=1), outline) & (np.abs(doubled) > 1e-10)]
+    areas = flat_areas(points[faces])
+    faces = np.where(areas[:, None] > 0, faces, faces[:, ::-1])
+    return faces[_inside(points[faces].mean(axis=1), outline) & (np.abs(areas) > SMALLEST_AREA)]
 
 
 def _inside(points: np.ndarray, outline: np.ndarray) -> np.ndarray:

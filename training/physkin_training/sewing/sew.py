@@ -23,6 +23,7 @@ from physkin_core.model.garment import Garment, GarmentError
 from physkin_core.model.garment_model import Material
 from physkin_core.model.rest_shape import flat_areas
 from physkin_core.rig.rig import Rig
+from physkin_core.separation.limb_chains import find_limbs
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 from physkin_training.dynamics.incremental_potential import IncrementalPotential
 from physkin_training.dynamics.step_solver import StepSolver
@@ -65,6 +66,7 @@ SEAM_STIFFNESS = 100.0, 3000.0
 """[N/m] of a pair of vertices while seams close, and once they are closed."""
 LIGHT = 0.1
 """Of gravity while the doll grows: cloth stays on the shoulders, and does not slip off while they are narrow."""
+NO_SEAMS = np.zeros((0, 2), dtype=np.int32)
 LARGEST_GAP = 0.01  # [m]
 CLOSING_OFFSET = 0.003
 """[m] at which the body is felt until the cloth hangs, however far from it that is to be: sleeves leave raised arms
@@ -119,13 +121,11 @@ class Arms:
 
     def __init__(self, avatar: Avatar, rig: Rig) -> None:
         self._sides = []
-        for bone, upwards in (("upperarm01.L", 1.0), ("upperarm01.R", -1.0)):
-            first = rig.bone_names.index(bone)
-            arm = np.arange(rig.bone_count) == first
-            for later in range(first + 1, rig.bone_count):
-                arm[later] = arm[rig.parents[later]]
+        for first in (limb.ends[0] for limb in find_limbs(rig).limbs if limb.is_arm):
+            arm = rig.inherited({first: 1}, 0) == 1
             share = (arm[avatar.influence_bones] * avatar.influence_weights).sum(axis=1, keepdims=True)
-            self._sides.append((share, avatar.bone_heads[first], upwards))
+            joint = avatar.bone_heads[first]
+            self._sides.append((share, joint, 1.0 if joint[1] > 0 else -1.0))
 
     def raised(self, vertices: np.ndarray, share: float) -> np.ndarray:
         """Vertices (V, 3) [m] of the body or its doll with arms raised sideways by a share of `ARMS_RAISED`."""
@@ -190,10 +190,10 @@ def _close(
     shapes: of the body, the doll and its own."""
     doll, skin = shapes
     flat = Garment(np.column_stack([cut.places, np.zeros(len(cut.places))]), cut.faces)
-    cloth = _Cloth(flat, replace(material, contact_offset=CLOSING_OFFSET), body, hung)
+    cloth = _Cloth(flat, replace(material, contact_offset=CLOSING_OFFSET), body, hung, seams=cut.seams)
     cloth.bend_stiffer(CARDBOARD)
-    loose, tight = SEAM_STIFFNESS
-    seams = cloth.sew(cut.seams, stiffness=loose)
+    seams, (loose, tight) = cloth.seams, SEAM_STIFFNESS
+    seams.stiffness.fill_(loose)
     apart = torch.as_tensor(np.linalg.norm(hung[cut.seams[:, 1]] - hung[cut.seams[:, 0]], axis=1))
     heights = hung[cut.seams, 2].mean(axis=1)
     staying = (cut.panel_of[cut.seams] == _staying(cut)).any(axis=1)
@@ -240,25 +240,32 @@ def _made(cut: Cut, vertices: np.ndarray, faces: np.ndarray) -> Garment:
 
 
 class _Cloth:
-    """A garment at `start` (n, 3) [m] that moves from rest step by step, in contact with a body."""
+    """A garment at `start` (n, 3) [m] that moves from rest step by step, in contact with a body.
 
-    def __init__(self, garment: Garment, material: Material, body: wp.Mesh, start: np.ndarray) -> None:
+    seams: (s, 2) vertices that `seams` draws together, default none.
+    """
+
+    def __init__(
+        self,
+        garment: Garment,
+        material: Material,
+        body: wp.Mesh,
+        start: np.ndarray,
+        *,
+        seams: np.ndarray = NO_SEAMS,
+    ) -> None:
         device = torch.device(wp.device_to_torch(body.device))
         still = Dynamics(air_drag=0.0, relaxation=0.0)
         self._potential = IncrementalPotential(garment, material, 1, device, step=STEP, dynamics=still, reach=REACH)
-        self._solver = None
+        self.seams = Seams(self._potential.cloth, seams, stiffness=0.0)
+        self._potential.energies.append(self.seams)
+        self._solver = StepSolver(EnergyHessian(self._potential), torch.ones(len(start), device=device))
         self._body, self._nowhere = body, torch.zeros(1, 3, device=device)
         self._down, self._here = _vectors(UPRIGHT_GRAVITY, device)[None], _vectors(start, device)[None]
 
     def bend_stiffer(self, times: float) -> None:
         """So many times as stiffly as its material does."""
         self._potential.bend.stiffer.fill_(times)
-
-    def sew(self, pairs: np.ndarray, *, stiffness: float) -> Seams:
-        """Draw pairs of vertices (s, 2) together from now on."""
-        seams = Seams(self._potential.cloth, pairs, stiffness=stiffness)
-        self._potential.energies.append(seams)
-        return seams
 
     def meets(self, shape: np.ndarray) -> np.ndarray:
         """The body has vertices (V, 3) [m] from now on; these."""
@@ -269,9 +276,6 @@ class _Cloth:
 
     def step(self, gravity: float, *, seconds: float = STEP) -> np.ndarray:
         """One step under a share of gravity; vertices (n, 3)."""
-        if self._solver is None:
-            free = torch.ones(self._here.shape[1], device=self._here.device)
-            self._solver = StepSolver(EnergyHessian(self._potential), free)
         self._potential.time_step.seconds = seconds
         self._potential.begin(self._here, self._here)
         solution = self._solver.minimise(self._here, gravity * self._down, self._body, self._nowhere, **EFFORT)
