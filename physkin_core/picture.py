@@ -16,6 +16,10 @@ from typing import Literal
 import numpy as np
 
 from physkin_core.extras import install_command
+from physkin_core.mesh.look import Look
+from physkin_core.mesh.surfaces import Surface, split_at_seams
+from physkin_core.mesh.tiles_seen import colours_seen, normals_seen
+from physkin_core.model.garment import vertex_normals
 
 __all__ = [
     "BODY_COLOUR",
@@ -48,6 +52,7 @@ UPRIGHT_GAIN = 1.4  # an upright surface gets less light than the floor
 FLOOR_RADIUS = 40.0  # [m]
 BLANK_FROM = 5.0  # times the meshes' own reach
 FACE_COLOUR = "face_color"  # mitsuba's name for an attribute of faces
+INSIDE = 0.8  # of the light that cloth has outside
 GUIDE_SAMPLES = 4  # a pixel, for colours, normals and positions
 
 
@@ -58,11 +63,14 @@ class PictureError(RuntimeError):
 @dataclass(frozen=True)
 class Mesh:
     """A surface to draw: vertices (n, 3) [m], Z up; faces (f, 3) vertex indices; colour (3,) sRGB in [0, 1], or (f, 3)
-    of each face."""
+    of each face. surface, places: its material, drawn in place of the colour where it has a picture, and where in that
+    the faces' corners are (f, 3, 2) [m]."""
 
     vertices: np.ndarray
     faces: np.ndarray
     colour: tuple[float, float, float] | np.ndarray = BODY_COLOUR
+    surface: Surface | None = None
+    places: np.ndarray | None = None
 
 
 def layer_colours(count: int) -> tuple[tuple[float, float, float], ...]:
@@ -98,11 +106,13 @@ def render(
     if floor == "lowest":
         floor = float(points[:, 2].min())
     light, lit = _light(mi, azimuth)
+    camera, distance = _camera(mi, bounds, size, azimuth, elevation, distance)
+    pixel = 2 * distance * math.tan(math.radians(FIELD_OF_VIEW) / 2) / size[1]
     scene = {
         "type": "scene",
-        "sensor": _camera(mi, bounds, size, azimuth, elevation, distance),
+        "sensor": camera,
         **light,
-        **{f"mesh{index}": _surface(mi, mesh, lit) for index, mesh in enumerate(meshes)},
+        **{f"mesh{index}": _surface(mi, mesh, lit, pixel) for index, mesh in enumerate(meshes)},
     }
     if floor is not None:
         placed = mi.ScalarTransform4f().translate([0, 0, floor]).scale(FLOOR_RADIUS)
@@ -174,8 +184,11 @@ def _checked(mesh: Mesh) -> np.ndarray:
     return vertices
 
 
-def _surface(mi, mesh: Mesh, lit: float):
-    """A mitsuba mesh with smooth normals, shown in about its own colour where it stands upright."""
+def _surface(mi, mesh: Mesh, lit: float, pixel: float):
+    """A mitsuba mesh with smooth normals, shown in about its own colour where it stands upright. pixel: its size [m]
+    there."""
+    if mesh.surface is not None and mesh.places is not None and mesh.surface.picture is not None:
+        return _textured(mi, mesh, lit, pixel)
     colours = UPRIGHT_GAIN * _to_linear(np.array(mesh.colour, dtype=np.float32)) / lit
     of_faces = colours.ndim == 2
     reflectance = (
@@ -195,10 +208,49 @@ def _surface(mi, mesh: Mesh, lit: float):
     return surface
 
 
+def _textured(mi, mesh: Mesh, lit: float, pixel: float):
+    """A mitsuba mesh in its material."""
+    surface = mesh.surface
+    colours = colours_seen(surface.picture, surface.repeats, pixel)
+    base = UPRIGHT_GAIN / lit * np.float32(surface.colour) * colours[..., :3]
+
+    def cloth(share: float) -> dict:
+        """share: of the light that its colour has outside."""
+        found = {"type": "principled", "base_color": _bitmap(mi, share * base, surface.repeats), "specular": 0.25}
+        found |= {"roughness": surface.roughness, "sheen": surface.sheen}
+        if surface.normals is not None:
+            tile = normals_seen(surface.normals, surface.normal_repeats, pixel)
+            found = {"type": "normalmap", "normalmap": _bitmap(mi, tile, surface.normal_repeats), "bsdf": found}
+        return found
+
+    bsdf = {"type": "twosided", "outside": cloth(1.0), "inside": cloth(INSIDE)}
+    if colours[..., 3].min() < 1:
+        bsdf = {"type": "mask", "opacity": _bitmap(mi, colours[..., 3:], surface.repeats), "bsdf": bsdf}
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict(bsdf)
+    own, places, faces = split_at_seams(Look.with_places(mesh.places), mesh.faces)
+    drawn = mi.Mesh("mesh", len(own), len(faces), properties, has_vertex_normals=True, has_vertex_texcoords=True)
+    buffers = mi.traverse(drawn)
+    buffers["vertex_positions"] = np.ascontiguousarray(mesh.vertices[own], dtype=np.float32).ravel()
+    buffers["faces"] = faces.astype(np.uint32).ravel()
+    buffers["vertex_texcoords"] = places.astype(np.float32).ravel()
+    buffers.update()
+    buffers["vertex_normals"] = vertex_normals(mesh.vertices, mesh.faces)[own].astype(np.float32).ravel()
+    buffers.update()  # not with the positions, of which mitsuba computes its own, open at seams
+    return drawn
+
+
+def _bitmap(mi, image: np.ndarray, repeats: tuple[float, float]) -> dict:
+    """A texture of linear values, the upper row last."""
+    upright = np.ascontiguousarray(image[::-1], dtype=np.float32)
+    place = mi.ScalarTransform3f().scale([*repeats])
+    return {"type": "bitmap", "bitmap": mi.Bitmap(upright), "raw": True, "to_uv": place}
+
+
 def _camera(
     mi, bounds: np.ndarray, size: tuple[int, int], azimuth: float, elevation: float, distance: float | None
-) -> dict:
-    """Perspective camera, without a distance as near as the box `bounds` (2, 3) allows."""
+) -> tuple[dict, float]:
+    """Perspective camera, without a distance as near as the box `bounds` (2, 3) allows, and that distance [m]."""
     a, e = math.radians(azimuth), math.radians(elevation)
     back = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
     right = np.array([-math.sin(a), math.cos(a), 0.0])
@@ -211,7 +263,7 @@ def _camera(
     if distance is None:
         distance = (depth + np.maximum(np.abs(y) / slope, np.abs(x) / (slope * width / height))).max()
     origin = centre + distance * back
-    return {
+    camera = {
         "type": "perspective",
         "fov": FIELD_OF_VIEW,
         "fov_axis": "y",
@@ -226,6 +278,7 @@ def _camera(
         },
         "sampler": {"type": "multijitter", "sample_count": 16},
     }
+    return camera, distance
 
 
 def _light(mi, azimuth: float) -> tuple[dict, float]:

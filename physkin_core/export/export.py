@@ -12,14 +12,14 @@ import numpy as np
 from physkin_core.export.gltf_motion import write_gltf_motion
 from physkin_core.export.usd_motion import write_usd_motion
 from physkin_core.look.avatar_look import avatar_look
-from physkin_core.look.surfaces import surfaces_of
+from physkin_core.look.cloth_look import cloth_colours, cloth_look
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import read_mesh
+from physkin_core.mesh.surfaces import surfaces_of
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import add_outfit_options, add_sway_option, dressed, print_warnings, read_motion
 from physkin_core.output_file import check_other_file
 from physkin_core.quality import closest_points
-from physkin_core.runtime.layer import Layer
 
 __all__ = ["command_parser", "garment_looks", "main"]
 
@@ -73,13 +73,17 @@ def main(argv: list[str]) -> int:
 def garment_looks(paths: Sequence[Path], outfit: Outfit) -> list[Look | None]:
     """The looks of an outfit's garments on the faces that are given of them; None for those without.
 
-    A garment that was cut flat has texture places, in metres, whatever is given. paths: meshes that lie where the
+    A garment that was cut flat has the look of its fabric, and where its own material is given still its texture
+    places, in metres. paths: meshes that lie where the
     garments' own do, as `physkin fit-garment` writes them. Which is whose is told by that. Raises GarmentError for what
     is no readable mesh, and ValueError for a mesh of no garment, a second one of the same garment, one without texture
     places and materials, colours that are not three numbers from 0 to 1, and pictures that are missing or not PNG or
     JPEG.
     """
-    looks = [_flat_look(layer) for layer in outfit.layers]
+    looks = [
+        cloth_look(layer.model, layer.face_given, colour)
+        for layer, colour in zip(outfit.layers, cloth_colours(outfit.garments))
+    ]
     seen: set[int] = set()
     for path in paths:
         mesh = read_mesh(path)
@@ -105,12 +109,3 @@ def garment_looks(paths: Sequence[Path], outfit: Outfit) -> list[Look | None]:
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
     return looks
-
-
-def _flat_look(layer: Layer) -> Look | None:
-    """Texture places alone, where its cloth lies on the panels that it was cut from."""
-    garment = layer.model.garment
-    if garment.panel_places is None or garment.panel_faces is None:
-        return None
-    uv = garment.panel_places[garment.panel_faces[layer.face_given]]
-    return replace(Look.plain(len(uv)), uv=uv)

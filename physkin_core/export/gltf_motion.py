@@ -20,17 +20,19 @@ from physkin_core.export.affine_joints import as_joint_chains
 from physkin_core.export.draped_clip import DrapedGarment, drape_clip
 from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences, write_glb
 from physkin_core.export.morph_targets import MorphTargets
-from physkin_core.look.surfaces import ROUGHNESS, Picture, Surface, linear, split_at_seams, surfaces_of
+from physkin_core.look.cloth_look import cloth_colours
 from physkin_core.mesh.look import Look
+from physkin_core.mesh.surfaces import Picture, Surface, linear, split_at_seams, surfaces_of
 from physkin_core.model.garment import vertex_normals
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.picture import BODY_COLOUR, layer_colours
+from physkin_core.picture import BODY_COLOUR
 from physkin_core.rig.rig import Rig
 
 __all__ = ["write_gltf_motion"]
 
-TRANSFORM = "KHR_texture_transform"
+TRANSFORM, SHEEN = "KHR_texture_transform", "KHR_materials_sheen"
+SHEEN_ROUGHNESS = 0.5
 TOO_FAR = 0.005
 """[m] off from where the order of layers has a vertex: less is hardly ever seen."""
 
@@ -52,7 +54,7 @@ def write_gltf_motion(
     scene.add_avatar(
         outfit.body_to_draw, outfit.rig, clip.bones, clip.body_shown, root, _of_faces(looks[0], clip.body_shown)
     )
-    colours = layer_colours(len(outfit.layers))
+    colours = cloth_colours(outfit.garments)
     for garment, colour, look in zip(clip.garments, colours, looks[1:]):
         if garment.shown.any():
             scene.add_garment(garment, root, colour, _of_faces(look, garment.shown))
@@ -119,6 +121,7 @@ class _Scene:
         self._nodes, self._meshes, self._skins, self._materials, self._channels, self._samplers = ([] for _ in range(6))
         self._roots: list[int] = []
         self._pictures: dict[Picture, int] = {}
+        self._extensions: set[str] = set()
         self.builder.document |= {
             "scene": 0,
             "scenes": [{"nodes": self._roots}],
@@ -202,6 +205,8 @@ class _Scene:
             ]
             textures = [{"source": image} for image in range(len(images))]
             self.builder.document |= {"images": images, "textures": textures}
+        if self._extensions:
+            self.builder.document["extensionsUsed"] = sorted(self._extensions)
         return self.builder
 
     def _add_joints(
@@ -278,24 +283,32 @@ class _Scene:
 
     def _add_material(self, surface: Surface) -> int:
         """Its index."""
-        shading = {"baseColorFactor": [*surface.colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": ROUGHNESS}
+        factors = {"metallicFactor": 0.0, "roughnessFactor": surface.roughness}
+        shading: dict = {"baseColorFactor": [*surface.colour, 1.0], **factors}
+        material = {"name": surface.name, "pbrMetallicRoughness": shading, "doubleSided": True}
         if surface.picture is not None:
-            shading["baseColorTexture"] = {"index": self._texture_of(surface.picture), **self._scaled(surface.repeats)}
-        self._materials.append({"name": surface.name, "pbrMetallicRoughness": shading, "doubleSided": True})
+            shading["baseColorTexture"] = self._texture_of(surface.picture, surface.repeats)
+        if surface.normals is not None:
+            material["normalTexture"] = self._texture_of(surface.normals, surface.normal_repeats)
+        if surface.sheen:
+            sheen = {"sheenColorFactor": 3 * [surface.sheen], "sheenRoughnessFactor": SHEEN_ROUGHNESS}
+            material["extensions"] = {SHEEN: sheen}
+            self._extensions.add(SHEEN)
+        self._materials.append(material)
         return len(self._materials) - 1
 
     def _scaled(self, repeats: tuple[float, float]) -> dict:
         """What a picture is scaled by. glTF has the origin of texture places at the upper left."""
         if repeats == (1.0, 1.0):
             return {}
-        self.builder.document["extensionsUsed"] = [TRANSFORM]
+        self._extensions.add(TRANSFORM)
         return {"extensions": {TRANSFORM: {"scale": list(repeats), "offset": [0.0, 1.0 - repeats[1]]}}}
 
-    def _texture_of(self, picture: Picture) -> int:
-        """Its index; a picture is in the file once."""
+    def _texture_of(self, picture: Picture, repeats: tuple[float, float]) -> dict:
+        """What a material says of it; a picture is in the file once."""
         if picture not in self._pictures:
             self._pictures[picture] = self.builder.add_view(np.frombuffer(picture.content, dtype=np.uint8))
-        return list(self._pictures).index(picture)
+        return {"index": list(self._pictures).index(picture), **self._scaled(repeats)}
 
 
 def _in_gltf_frame(path: str, values: np.ndarray) -> np.ndarray:

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from physkin_core.look.surfaces import ROUGHNESS, Surface, linear, surfaces_of
+from physkin_core.look.cloth_look import cloth_colours
 from physkin_core.mesh.look import Look
+from physkin_core.mesh.surfaces import Picture, Surface, linear, surfaces_of
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.picture import BODY_COLOUR, layer_colours
+from physkin_core.picture import BODY_COLOUR
 
 if TYPE_CHECKING:
     from pxr import UsdGeom, UsdShade
@@ -44,7 +45,7 @@ def write_usd_motion(
     stage.SetDefaultPrim(root.GetPrim())
     place = root.AddTranslateOp()
     turn = root.AddOrientOp()
-    colours = [BODY_COLOUR, *layer_colours(len(outfit.layers))]
+    colours = [BODY_COLOUR, *cloth_colours(outfit.garments)]
     names = _as_identifiers(["body", *(layer.name for layer in outfit.layers)])
     faces = [outfit.body_to_draw.faces[outfit.faces_to_draw], *(layer.faces for layer in outfit.layers)]
     meshes = []
@@ -102,8 +103,9 @@ def _material(mesh: UsdGeom.Mesh, name: str, surface: Surface, path: Path) -> Us
     stage, place = mesh.GetPrim().GetStage(), mesh.GetPath().AppendChild(name)
     material = UsdShade.Material.Define(stage, place)
 
-    def shader(kind: str, **inputs) -> UsdShade.Shader:
-        made = UsdShade.Shader.Define(stage, place.AppendChild(kind))
+    def shader(kind: str, of: str = "", **inputs) -> UsdShade.Shader:
+        """of: what it is for, where there are several."""
+        made = UsdShade.Shader.Define(stage, place.AppendChild(f"{kind}_{of}" if of else kind))
         made.CreateIdAttr(kind)
         for key, (of_type, value) in inputs.items():
             made.CreateInput(key, of_type).Set(value)
@@ -111,26 +113,39 @@ def _material(mesh: UsdGeom.Mesh, name: str, surface: Surface, path: Path) -> Us
 
     types = Sdf.ValueTypeNames
     colour = Gf.Vec3f(*surface.colour)
-    preview = shader("UsdPreviewSurface", roughness=(types.Float, ROUGHNESS), diffuseColor=(types.Color3f, colour))
+    preview = shader(
+        "UsdPreviewSurface", roughness=(types.Float, surface.roughness), diffuseColor=(types.Color3f, colour)
+    )
     material.CreateSurfaceOutput().ConnectToSource(preview.ConnectableAPI(), "surface")
-    if surface.picture is not None:
-        folder = path.with_name(f"{path.stem}_pictures")
+    folder = path.with_name(f"{path.stem}_pictures")
+
+    def texture(picture: Picture, repeats: tuple[float, float], space: str, **inputs) -> UsdShade.ConnectableAPI:
+        """The picture's shader, and the picture in its folder."""
         folder.mkdir(parents=True, exist_ok=True)
-        picture = folder / f"{mesh.GetPrim().GetName()}_{surface.picture.name}"  # two garments may have a knit.png
-        picture.write_bytes(surface.picture.content)
-        asset = Sdf.AssetPath(f"./{folder.name}/{picture.name}")
-        scale = Gf.Vec4f(*surface.colour, 1.0)
-        texture = shader("UsdUVTexture", file=(types.Asset, asset), scale=(types.Float4, scale))
-        texture.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
+        file = folder / f"{mesh.GetPrim().GetName()}_{picture.name}"  # two garments may have a knit.png
+        file.write_bytes(picture.content)
+        asset = Sdf.AssetPath(f"./{folder.name}/{file.name}")
+        kind = "normals" if space == "raw" else ""
+        made = shader("UsdUVTexture", kind, file=(types.Asset, asset), **inputs)
+        made.CreateInput("sourceColorSpace", types.Token).Set(space)
         for side in ("wrapS", "wrapT"):
-            texture.CreateInput(side, types.Token).Set("repeat")
-        reader = shader("UsdPrimvarReader_float2", varname=(types.String, "st"))
-        if surface.repeats != (1.0, 1.0):
-            scaled = shader("UsdTransform2d", scale=(types.Float2, Gf.Vec2f(*surface.repeats)))
+            made.CreateInput(side, types.Token).Set("repeat")
+        reader = shader("UsdPrimvarReader_float2", kind, varname=(types.String, "st"))
+        if repeats != (1.0, 1.0):
+            scaled = shader("UsdTransform2d", kind, scale=(types.Float2, Gf.Vec2f(*repeats)))
             scaled.CreateInput("in", types.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
             reader = scaled
-        texture.CreateInput("st", types.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
-        preview.GetInput("diffuseColor").ConnectToSource(texture.ConnectableAPI(), "rgb")
+        made.CreateInput("st", types.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+        return made.ConnectableAPI()
+
+    if surface.picture is not None:
+        tint = Gf.Vec4f(*surface.colour, 1.0)
+        shown = texture(surface.picture, surface.repeats, "sRGB", scale=(types.Float4, tint))
+        preview.GetInput("diffuseColor").ConnectToSource(shown, "rgb")
+    if surface.normals is not None:
+        spread = {"scale": (types.Float4, Gf.Vec4f(2, 2, 2, 1)), "bias": (types.Float4, Gf.Vec4f(-1, -1, -1, 0))}
+        relief = texture(surface.normals, surface.normal_repeats, "raw", **spread)
+        preview.CreateInput("normal", types.Normal3f).ConnectToSource(relief, "rgb")
     return material
 
 

@@ -16,10 +16,10 @@ from physkin_core.avatar.loading import GLTF_SUFFIXES
 from physkin_core.file_reading import reading, sentence
 from physkin_core.formats.gltf_file import GltfFile
 from physkin_core.formats.gltf_scene import drawn_primitives
-from physkin_core.look.surfaces import readable
 from physkin_core.mesh.gltf_look import gltf_look
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import read_mesh
+from physkin_core.mesh.surfaces import readable
 from physkin_core.model.garment import GarmentError
 
 __all__ = ["avatar_look"]

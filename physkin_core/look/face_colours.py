@@ -12,9 +12,9 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.look.avatar_look import avatar_look
-from physkin_core.look.surfaces import Surface, linear, surfaces_of
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.picture_samples import sampled_picture
+from physkin_core.mesh.surfaces import Surface, linear, surfaces_of
 from physkin_core.picture import BODY_COLOUR, pillow
 
 __all__ = ["avatar_colours", "face_colours"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -45,6 +45,11 @@ class Look:
     def plain(cls, f: int) -> Look:
         """Of a mesh of shape alone."""
         return cls(np.full((f, 3, 2), np.nan), np.full(f, -1), np.full(f, -1))
+
+    @classmethod
+    def with_places(cls, uv: np.ndarray) -> Look:
+        """Of a mesh that has texture places (f, 3, 2) alone."""
+        return replace(cls.plain(len(uv)), uv=uv)
 
     def on(self, source: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> Look:
         """The look of another mesh of the same surface: each face has that of the closest face of the source's vertices

@@ -1,4 +1,4 @@
-"""What cloth a garment is made of, chosen when it is put on: nothing a frame.
+"""What cloth a garment is made of, and in which colour, chosen when it is put on: nothing a frame.
 
 A drape at rest hangs on ratios alone. Cloth that weighs twice as much, or stretches twice as easily and bends half as
 stiffly, hangs like the trained one under twice the gravity, which networks know from accelerated roots; what is left is
@@ -9,6 +9,7 @@ goes into the network weights for gravity, and bending into a bias of the hyper 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import asdict, dataclass, fields, replace
 from numbers import Real
 
@@ -18,7 +19,7 @@ from physkin_core.file_reading import shown
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.hyper_modulator import with_bending
 
-__all__ = ["FABRICS", "Fabric", "made_of", "said_of"]
+__all__ = ["COLOURS", "FABRICS", "Fabric", "made_of", "said_of", "split_colour"]
 
 LIGHTEST, HEAVIEST = 0.25, 1.75
 """Weight over stretch that a garment may have, in times that of the trained cloth: networks know roots that accelerate
@@ -51,17 +52,63 @@ FABRICS = {
     "silk": Fabric(stretch=130.0, bend=5e-7, density=0.06),
     "cotton": Fabric(stretch=250.0, bend=4e-6, density=0.12),
     "wool": Fabric(stretch=200.0, bend=7e-6, density=0.22),
+    "rib": Fabric(stretch=140.0, bend=4e-6, density=0.23),
     "denim": Fabric(stretch=350.0, bend=5e-5, density=0.4),
     "leather": Fabric(stretch=800.0, bend=2.5e-4, density=0.55),
 }
 """Cloth by name, from measurements and textbooks (docs/fabrics.md says which). Jersey is the reference material."""
 
 
+COLOURS = {
+    "beige": (216, 200, 172),
+    "black": (28, 28, 30),
+    "blue": (38, 86, 158),
+    "bordeaux": (96, 22, 40),
+    "brown": (104, 72, 48),
+    "green": (44, 110, 70),
+    "grey": (128, 130, 134),
+    "indigo": (42, 66, 114),
+    "navy": (30, 40, 72),
+    "olive": (98, 98, 56),
+    "orange": (214, 112, 40),
+    "pink": (226, 150, 166),
+    "purple": (96, 60, 124),
+    "red": (172, 36, 40),
+    "rose": (196, 106, 116),
+    "teal": (30, 112, 118),
+    "white": (240, 239, 235),
+    "yellow": (228, 188, 62),
+}
+"""Of clothes, sRGB from 0 to 255."""
+
+
+def split_colour(text: str) -> tuple[str, tuple[float, float, float] | None]:
+    """What follows a garment's name: the fabric, empty where none is named, and the colour, sRGB in [0, 1], None where
+    none is. text: "denim", "denim:navy", "#334" or "denim:#2a3450". Raises ValueError saying which colours there are.
+    """
+    fabric, _, colour = text.rpartition(":")
+    if not fabric and not _is_colour(text):
+        return text, None
+    if colour not in COLOURS and not re.fullmatch("#([0-9a-fA-F]{3}){1,2}", colour):
+        raise ValueError(f"no colour {shown(colour)}; allowed: #rgb, #rrggbb, {', '.join(COLOURS)}")
+    digits = colour[1:] if len(colour) == 7 else "".join(2 * digit for digit in colour[1:])
+    red, green, blue = COLOURS[colour] if colour in COLOURS else bytes.fromhex(digits)
+    return fabric, (red / 255, green / 255, blue / 255)
+
+
+def _is_colour(text: str) -> bool:
+    return text.startswith("#") or text in COLOURS
+
+
 def said_of(text: str) -> dict[str, float]:
-    """What the name of a fabric, or numbers such as "stretch=120+bend=3e-5", say of it: some fields of `Fabric`.
+    """What the name of a fabric, or numbers such as "stretch=120+bend=3e-5", say of it, whatever its colour: some
+    fields of `Fabric`, none where there is a colour alone.
 
     Raises ValueError saying what is allowed.
     """
+    text, colour = split_colour(text)
+    if not text and colour is not None:
+        return {}
     if text in FABRICS:
         return asdict(FABRICS[text])
     try:
@@ -81,6 +128,7 @@ def said_of(text: str) -> dict[str, float]:
 def _fabric_for(text: str, model: GarmentModel) -> Fabric:
     """A fabric by its name or by numbers, for a garment model (see `made_of`)."""
     said, material = said_of(text), model.material
+    text = split_colour(text)[0]
     own = Fabric(material.youngs_modulus, material.bending, material.density)
     if text not in FABRICS:
         return replace(own, **said)
@@ -91,12 +139,17 @@ def _fabric_for(text: str, model: GarmentModel) -> Fabric:
 
 
 def made_of(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
-    """The garment made of another fabric, by name or by numbers (see `said_of`): a model like any other.
+    """The garment made of another fabric, by name or by numbers (see `said_of`), and in another colour where the text
+    ends in one: a model like any other. What is given as text is how it looks, too.
 
     A name stands for ratios to jersey, of what the model was trained as; where it has not learnt to bend so, for the
     nearest that it has learnt. Numbers are what they say, and what they leave out is the model's own.
     Raises ValueError for a fabric that the model has not learnt, saying what is allowed.
     """
+    if isinstance(fabric, str):
+        model = replace(model, fabric=fabric)
+        if not said_of(fabric):
+            return model
     material = model.material
     if not model.hyper_modulator["bend"].any() or not material.bending:
         raise ValueError(

@@ -84,7 +84,8 @@ class SkinnedGarment:
     draped garment's normals; fitted to drapes they come out truer than the mesh's, for cloth does not deform as
     skinning's linear part says. node_rest: (m, 3); node_bone: (m,) index into `rig`. influence_nodes: (n, K) index;
     influence_weights: (n, K), rows sum to 1. engine_nodes, engine_weights: (n, k), the same with the few influences
-    that engines take, learnt beside. detail: folds between garment nodes; None for none.
+    that engines take, learnt beside. detail: folds between garment nodes; None for none. fabric: what it was made of
+    when it was put on, as `made_of` takes it, and so what it looks like; empty for as it was trained. No file holds it.
     """
 
     name: str
@@ -98,6 +99,7 @@ class SkinnedGarment:
     engine_nodes: np.ndarray = described("engine_skinning.nodes", Array("n k", below="m"))
     engine_weights: np.ndarray = described("engine_skinning.weights", Array("n k", sums_to_one=True))
     detail: Detail | None = described("detail", Part(Detail, optional=True), default=None, kw_only=True)
+    fabric: str = field(default="", kw_only=True)
 
 
 @dataclass(frozen=True)

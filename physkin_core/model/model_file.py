@@ -53,12 +53,13 @@ class ModelFileError(ValueError):
 
 def load_garment_model(path: str | Path, *, content: bytes | None = None) -> GarmentModel:
     """Read and check a garment model; the bare name of a shipped one ("tshirt") means that, whatever files there are.
-    With a colon and a fabric behind it ("skirt:denim", "my.safetensors:bend=1e-4") it is made of that, see `made_of`.
+    With a colon and a fabric behind it ("skirt:denim", "my.safetensors:bend=1e-4") it is made of that, and with another
+    colon and a colour in that ("skirt:denim:navy", "skirt:#334"), see `made_of`.
     content: what `model_content` has read of it; None: the file is read.
 
     Raises ModelFileError when the file is missing, truncated, altered, of another schema version, or holds an array of
     an unknown name, the wrong shape or type, an index out of range or a value that is not finite; ValueError for a
-    fabric that is unknown, or that the model has not learnt.
+    fabric or colour that is unknown, or a fabric that the model has not learnt.
     """
     file, fabric = split_fabric(path)
     path = _resolve(file)
@@ -85,9 +86,15 @@ def model_content(path: str | Path) -> bytes:
 
 
 def split_fabric(name: str | Path) -> tuple[str, str]:
-    """What `load_garment_model` takes: the file or shipped name, and the fabric, empty where none is named."""
-    file, colon, fabric = str(name).rpartition(":")
-    return (file, fabric) if colon and file and not Path(name).is_file() else (str(name), "")
+    """What `load_garment_model` takes: the file or shipped name, and the fabric, its colour behind it, empty where none
+    is named."""
+    file, fabric = str(name), ""
+    for _ in ("colour", "fabric"):
+        rest, colon, part = file.rpartition(":")
+        if not colon or not rest or Path(file).is_file():
+            break
+        file, fabric = rest, f"{part}:{fabric}" if fabric else part
+    return file, fabric
 
 
 def _contents(path: Path, content: bytes) -> tuple[dict[str, str], dict[str, np.ndarray]]:

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, AvatarWarning
-from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.garment_model import GarmentModel, SkinnedGarment
 from physkin_core.outfit.bound_outfit import BoundOutfit, bind_outfit, hidden_body
 from physkin_core.outfit.coverage import OwnClothes, covers_of, faces_of, slimmed
 from physkin_core.rig.rig import Rig
@@ -118,6 +118,11 @@ class Outfit:
     def rig(self) -> Rig:
         """Of all garments."""
         return self.layers[0].model.rig
+
+    @property
+    def garments(self) -> list[SkinnedGarment]:
+        """The models that are worn, from the skin outwards."""
+        return [layer.model for layer in self.layers]
 
     @property
     def joint_names(self) -> tuple[str, ...]:

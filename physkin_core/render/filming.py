@@ -12,11 +12,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.avatar import Avatar
+from physkin_core.look.cloth_look import Colour, cloth_colours, cloth_look
 from physkin_core.look.face_colours import avatar_colours
+from physkin_core.mesh.surfaces import linear, surfaces_of
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.picture import BODY_COLOUR, Mesh, contact_sheet, layer_colours, render
+from physkin_core.picture import BODY_COLOUR, Mesh, contact_sheet, render
 from physkin_core.progress import Watch
+from physkin_core.runtime.layer import Layer
 
 __all__ = ["MOST_FRAMES", "Camera", "avatar_mesh", "draw_figures", "draw_strip", "dressed_meshes", "film"]
 
@@ -88,10 +91,19 @@ def dressed_meshes(outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]
     shown = outfit.faces_to_draw if len(cloth) > 1 else slice(None)
     skin = avatar_mesh(outfit.body_to_draw, body, shown)
     worn = [
-        Mesh(np.asarray(points)[:, :3], layer.faces, colour)
-        for points, layer, colour in zip(cloth, outfit.layers, layer_colours(len(cloth)))
+        cloth_mesh(layer, np.asarray(points)[:, :3], colour)
+        for points, layer, colour in zip(cloth, outfit.layers, cloth_colours(outfit.garments))
     ]
     return [skin, *worn]
+
+
+def cloth_mesh(layer: Layer, points: np.ndarray, colour: Colour) -> Mesh:
+    """A garment as its fabric looks in a colour. points: (v, 3) [m]."""
+    look = cloth_look(layer.model, layer.face_given, colour)
+    if look is None:
+        return Mesh(points, layer.faces, colour)
+    (surface,) = surfaces_of(look, layer.name, linear(colour), len(layer.faces))
+    return Mesh(points, layer.faces, colour, surface, look.uv)
 
 
 def avatar_mesh(avatar: Avatar, vertices: np.ndarray, shown: np.ndarray | slice = slice(None)) -> Mesh:

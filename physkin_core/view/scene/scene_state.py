@@ -17,12 +17,13 @@ import numpy as np
 from physkin_core.avatar.loading import BUNDLED_AVATAR
 from physkin_core.loader.asset_loader import AssetLoader
 from physkin_core.loader.requests import GarmentRequest, OutfitRequest
+from physkin_core.look.cloth_look import cloth_colours
 from physkin_core.model.model_file import split_fabric
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.coverage import OwnClothes
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import named_garments
-from physkin_core.picture import BODY_COLOUR, layer_colours
+from physkin_core.picture import BODY_COLOUR
 from physkin_core.runtime.bound_garment import plain_skinning
 from physkin_core.separation.limb_separator import LimbSeparator
 from physkin_core.view.scene.heat_map import Colour
@@ -160,8 +161,8 @@ class SceneState:
 
     @property
     def cloth_colours(self) -> tuple[Colour, ...]:
-        """Of each garment, sRGB in [0, 1]: chosen, or by its place in the outfit."""
-        usual = layer_colours(len(self.garments))
+        """Of each garment, sRGB in [0, 1]: chosen, or by its fabric and its place in the outfit."""
+        usual = cloth_colours(self.outfit.garments)
         return tuple(self._chosen_colours.get(file, colour) for file, colour in zip(self._files, usual))
 
     @property

@@ -16,9 +16,9 @@ from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model
 from physkin_core.cli import main
 from physkin_core.export.export import LIES_ON, garment_looks
 from physkin_core.export.usd_motion import _as_identifiers
-from physkin_core.look.surfaces import surfaces_of
 from physkin_core.mesh.look import LIBRARY, Look
 from physkin_core.mesh.mesh_file import read_mesh, write_obj
+from physkin_core.mesh.surfaces import surfaces_of
 
 RATE = 5.0
 RED = (0.8, 0.05, 0.1)
@@ -191,7 +191,7 @@ def test_cloth_that_was_cut_flat_has_its_texture_places(tmp_path, worn):
     outfit = Outfit([model], worn.avatar)
     (look,) = garment_looks([], outfit)
     np.testing.assert_array_equal(look.uv, sewn.panel_places[sewn.panel_faces])
-    assert not look.materials and garment_looks([], worn) == [None]
+    assert look.materials == ("jersey",) and garment_looks([], worn) == [None]
     material = np.zeros(len(sewn.faces), int)
     red = Look(
         np.full_like(look.uv, np.nan), material, material - 1, ("red",), (), {LIBRARY: b"newmtl red\nKd 1 0 0\n"}

@@ -15,7 +15,7 @@ from physkin_core import (
     made_of,
     save_garment_model,
 )
-from physkin_core.model.fabric import said_of
+from physkin_core.model.fabric import said_of, split_colour
 from physkin_core.model.model_file import ModelFileError, shipped_models, split_fabric
 from tests.random_models import random_avatar, random_model
 
@@ -89,11 +89,41 @@ def test_a_name_may_carry_the_fabric(model, tmp_path):
     assert load_garment_model(f"{path}:density=0.16 + bend=5e-6").material.bending == 5e-6
     assert load_garment_model(path).material == model.material
     with pytest.raises(
-        ValueError, match="no fabric 'tweed'; allowed: jersey, silk, cotton, wool, denim, leather, or numbers"
+        ValueError, match="no fabric 'tweed'; allowed: jersey, silk, cotton, wool, rib, denim, leather, or numbers"
     ):
         load_garment_model(f"{path}:tweed")
     with pytest.raises(ModelFileError, match="no garment model 'cope'"):
         load_garment_model("cope:denim")
+
+
+@pytest.mark.parametrize(
+    ("text", "fabric", "colour"),
+    [
+        ("denim", "denim", None),
+        ("denim:#334", "denim", (0x33, 0x33, 0x44)),
+        ("#1f2a44", "", (0x1F, 0x2A, 0x44)),
+        ("black", "", (28, 28, 30)),
+        ("stretch=120:white", "stretch=120", (240, 239, 235)),
+    ],
+)
+def test_a_colour_may_follow_the_fabric(text, fabric, colour):
+    found, shares = split_colour(text)
+    assert found == fabric
+    assert shares is None if colour is None else np.allclose(np.multiply(shares, 255), colour)
+    assert split_fabric(f"cape:{text}") == ("cape", text)
+
+
+@pytest.mark.parametrize("text", ["denim:#33", "denim:mauve", "#12345g", "denim:"])
+def test_an_unknown_colour_is_refused_with_those_there_are(text):
+    with pytest.raises(ValueError, match="no colour .* allowed: #rgb, #rrggbb, beige, black"):
+        said_of(text)
+
+
+def test_a_colour_alone_leaves_the_cloth_as_it_is(model):
+    navy = made_of(model, "navy")
+    assert navy.fabric == "navy" and navy.material == model.material
+    assert made_of(model, "denim:navy").fabric == "denim:navy"
+    np.testing.assert_array_equal(draped(made_of(model, "wool:navy")), draped(made_of(model, "wool")))
 
 
 def test_a_file_whose_name_has_a_colon_is_itself(model, tmp_path):

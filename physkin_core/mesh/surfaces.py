@@ -1,4 +1,4 @@
-"""Materials of a look: the faces that each covers, its colour and picture; and texture places one a vertex.
+"""Materials of a look: the faces that each covers, its colour and pictures; and texture places one a vertex.
 
 A texture has seams where cloth and skin have none. Files of one texture place a vertex get such vertices twice; both
 are skinned alike, so that nothing opens. Dimensions: `f` faces, `v` vertices, `w` of them with repetitions.
@@ -27,7 +27,11 @@ __all__ = [
 ]
 
 ROUGHNESS = 0.9
-"""Of cloth and skin."""
+"""Of cloth and skin, where a material says nothing."""
+
+
+SHADING = {"Pr": "roughness", "Ps": "sheen"}
+"""Keywords of a material library's extension for physically based rendering; so is `norm`."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +47,18 @@ class Picture:
 class Surface:
     """A material. colour: (3,) linear RGB in [0, 1], which multiplies the picture's. faces: (k,) those that have it.
     repeats: how often the picture is there along a unit of either texture place, which is a metre on a garment that was
-    cut flat; the origin is where one begins."""
+    cut flat; the origin is where one begins. normals: picture of normals in the frame of the texture, green upwards,
+    with repeats of its own. roughness, sheen: from 0 to 1, as in glTF."""
 
     name: str
     colour: tuple[float, ...]
     faces: np.ndarray
     picture: Picture | None = None
     repeats: tuple[float, float] = (1.0, 1.0)
+    normals: Picture | None = None
+    normal_repeats: tuple[float, float] = (1.0, 1.0)
+    roughness: float = ROUGHNESS
+    sheen: float = 0.0
 
 
 def linear(colour: tuple[float, float, float]) -> tuple[float, ...]:
@@ -100,10 +109,15 @@ def _materials(look: Look) -> dict[str, Surface]:
         if word == "newmtl":
             name = _material_name(rest)
         elif name in found and word == "Kd":
-            found[name] = replace(found[name], colour=_colour(name, rest))
+            found[name] = replace(found[name], colour=_shares(name, "colour Kd", rest, 3))
+        elif name in found and word in SHADING:
+            found[name] = replace(found[name], **{SHADING[word]: _shares(name, f"{SHADING[word]} {word}", rest, 1)[0]})
         elif name in found and word == "map_Kd":
             picture, options = _picture(look, name, rest)
             found[name] = replace(found[name], picture=picture, repeats=_repeats(name, options))
+        elif name in found and word == "norm":
+            picture, options = _picture(look, name, rest)
+            found[name] = replace(found[name], normals=picture, normal_repeats=_repeats(name, options))
     return found
 
 
@@ -112,17 +126,18 @@ def _material_name(told: str) -> str:
     return " ".join(told.split())
 
 
-def _colour(material: str, told: str) -> tuple[float, ...]:
-    """told: what follows the keyword."""
+def _shares(material: str, what: str, told: str, count: int) -> tuple[float, ...]:
+    """One number or three from 0 to 1. told: what follows the keyword."""
     try:
-        colour = tuple(float(value) for value in told.split()[:3])
+        shares = tuple(float(value) for value in told.split()[:count])
     except ValueError:
-        colour = ()
-    if len(colour) != 3 or not all(0 <= channel <= 1 for channel in colour):
+        shares = ()
+    if len(shares) != count or not all(0 <= share <= 1 for share in shares):
+        numbers = "three numbers" if count > 1 else "a number"
         raise ValueError(
-            f"the colour Kd of material {shown(material)} must be three numbers from 0 to 1, got {shown(told.strip())}"
+            f"the {what} of material {shown(material)} must be {numbers} from 0 to 1, got {shown(told.strip())}"
         )
-    return colour
+    return shares
 
 
 def _picture(look: Look, material: str, named: str) -> tuple[Picture, str]:
