@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import pytest
-from safetensors import safe_open
 from safetensors.numpy import save
 
 from physkin_core.file_reading import ContentError
@@ -13,9 +12,8 @@ from physkin_core.tensor_file import DIGEST, content_digest, read_tensors
 
 
 def contents(path) -> tuple[dict, dict]:
-    """Metadata and tensors of a file."""
-    with safe_open(path, framework="numpy") as file:
-        return dict(file.metadata()), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    """Metadata and tensors of a file, inflated, with its texts and faces: as a file may hold them, too."""
+    return model_file._contents(Path(path), Path(path).read_bytes())
 
 
 def save_packed(model, path) -> None:

@@ -30,4 +30,4 @@ class Detail:
     features: Layer = described("features", Linear("F", "deformer_width"))
     offsets: np.ndarray = described("offsets.weight", Array("3detail_nodes F"))
     nodes: np.ndarray = described("nodes", Array("n J", below="detail_nodes"))
-    weights: np.ndarray = described("weights", Array("n J", sums_to_one=True))
+    weights: np.ndarray = described("weights", Array("n J", step=1 / 511, sums_to_one=True))

@@ -28,6 +28,9 @@ from physkin_core.model.rest_shape import (
 
 __all__ = ["Garment", "GarmentError", "face_areas", "load_garment", "surface_fault", "vertex_normals"]
 
+PLACE_STEP = 2.0**-18
+"""[m] What the file holds whole multiples of: places are kept to 2 µm."""
+
 
 class GarmentError(ValueError):
     """A garment mesh cannot be used."""
@@ -87,10 +90,12 @@ class Garment:
     edges, or panels that are not those of this mesh.
     """
 
-    vertices: np.ndarray = described("vertices", Array("n 3", np.float32))
+    vertices: np.ndarray = described("vertices", Array("n 3", step=PLACE_STEP))
     faces: np.ndarray = described("faces", Array("f 3", below="n"))
     creases: np.ndarray | None = described("creases", Array("c 2", below="n", optional=True), default=None)
-    panel_places: np.ndarray | None = described("panel_places", Array("t 2", np.float32, optional=True), default=None)
+    panel_places: np.ndarray | None = described(
+        "panel_places", Array("t 2", step=PLACE_STEP, optional=True), default=None
+    )
     panel_faces: np.ndarray | None = described("panel_faces", Array("f 3", below="t", optional=True), default=None)
     edges: np.ndarray = field(init=False, repr=False)
     face_edges: np.ndarray = field(init=False, repr=False)
@@ -218,8 +223,10 @@ def _connections(faces: np.ndarray) -> dict[str, np.ndarray]:
     """Edges, those of faces, and hinges."""
     directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     opposite = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])
-    ordered = np.sort(directed, axis=1)
-    edges, owner, count = np.unique(ordered, axis=0, return_inverse=True, return_counts=True)
+    ordered = np.sort(directed, axis=1).astype(np.int64)
+    size = int(ordered.max()) + 1
+    keys, owner, count = np.unique(ordered[:, 0] * size + ordered[:, 1], return_inverse=True, return_counts=True)
+    edges = np.stack(np.divmod(keys, size), axis=1)
     if count.max() > 2:
         first = edges[int(count.argmax())]
         raise GarmentError(f"edge {first.tolist()} is shared by {count.max()} faces; a garment must be manifold")

@@ -43,11 +43,13 @@ def described(name: str, kind: Array | Linear | Chain | Named | Part, **options:
 @dataclass(frozen=True)
 class Array:
     """shape: sizes with spaces between, each a number, a name or a sum, as in "n 3" and "2K+p 12m". stored: type in the
-    file. below: the size that indices, which are whole numbers from 0, are below; none for floating point numbers.
-    sums_to_one: each row does, of numbers that are not negative. optional: None where the file has none."""
+    file; or step: what the file holds whole multiples of. below: the size that indices, which are whole numbers from 0,
+    are below; none for floating point numbers. sums_to_one: each row does, of numbers that are not negative. optional:
+    None where the file has none."""
 
     shape: str
     stored: type = np.float16
+    step: float = 0.0
     below: str = ""
     sums_to_one: bool = False
     optional: bool = False
@@ -61,6 +63,8 @@ class Array:
         if self.optional and name not in arrays:
             return None
         array = arrays[name]
+        if self.step and array.dtype.kind in "iu":
+            array = (array * self.step).astype(np.float32)
         if self.sums_to_one and array.dtype.kind == "f":
             return array / np.maximum(array.sum(axis=-1, keepdims=True), 1e-6)
         if self.below and array.dtype.kind in "iu" and 0 <= array.min() and array.max() <= np.iinfo(np.int32).max:

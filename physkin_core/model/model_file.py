@@ -1,9 +1,10 @@
 """The garment model file: one safetensors file, read and written only here.
 
-Large network weights are stored in ten bits or eight (`packed_weights`), small ones, biases and skinning weights in
-half precision, indices in the smallest unsigned type, geometry in float32. The metadata hold the schema version, the
-rig, material, training and scores, and a SHA-256 digest over tensors and metadata, so that a damaged or altered file is
-refused.
+Large network weights are stored in ten bits or eight (`packed_weights`), small ones and biases in half precision,
+geometry and skinning weights in whole steps (`physkin_core.model.model_arrays`), indices in the smallest unsigned type;
+then whatever becomes smaller so is deflated (`deflated_tensors`). Rig, material, training and scores are JSON texts,
+tensors of bytes. The metadata hold name, schema version, what is deflated, and a SHA-256 digest over tensors and
+metadata as they are stored, so that a damaged or altered file is refused.
 """
 
 from __future__ import annotations
@@ -11,13 +12,15 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
 from physkin_core.file_reading import ContentError, read_bytes, reading, shown
+from physkin_core.model.deflated_tensors import deflate_tensors, inflate_tensors
 from physkin_core.model.fabric import made_of
+from physkin_core.model.faces_of_panels import told_by_panels, with_faces
 from physkin_core.model.garment import GarmentError
 from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.model_arrays import Array, GarmentModelError, described_arrays, read_described
@@ -37,12 +40,14 @@ __all__ = [
 ]
 
 FORMAT = "physkin-garment"
-SCHEMA_VERSION, OLDEST_READ = 7, 5
+SCHEMA_VERSION, OLDEST_READ = 8, 5
 OF_OLDER = {"rest_angles": "as_made"}
 """What the material of a file that does not say so is: it was trained before there was a choice."""
 LEAST_PACKED = 2**15
-"""Network weights of so many numbers or more are packed. Smaller ones take little space; among them is the pose
-modulator's first layer, whose rounding can move single vertices by almost a millimetre."""
+"""Network weights of so many numbers or more are packed, and those that lie on steps. Smaller ones take little space;
+among them is the pose modulator's first layer, whose rounding can move single vertices by almost a millimetre."""
+TEXTS = ("rig", "material", "training", "scores")
+"""Told as plain data in JSON: since version 8 in tensors of bytes NAME.json, before in the metadata."""
 MODEL_SUFFIX = ".safetensors"
 MODELS_PATH = Path(__file__).parents[1] / "assets" / "models"
 
@@ -117,7 +122,15 @@ def _contents(path: Path, content: bytes) -> tuple[dict[str, str], dict[str, np.
         raise ContentError(f"it has schema version {shown(version)}, expected {SCHEMA_VERSION}")
     if metadata.get(DIGEST) != content_digest(metadata, tensors):
         raise ContentError("it is damaged or was altered: its SHA-256 digest does not match")
-    return metadata, tensors
+    metadata, tensors = inflate_tensors(metadata, tensors)
+    texts = {key: tensors.pop(f"{key}.json") for key in TEXTS if f"{key}.json" in tensors}
+    return metadata | {key: _text(key, text) for key, text in texts.items()}, with_faces(tensors)
+
+
+def _text(key: str, stored: np.ndarray) -> str:
+    if stored.dtype != np.uint8 or stored.ndim != 1:
+        raise ContentError(f"{key}.json is {stored.dtype} of shape {stored.shape}, expected uint8 (bytes,)")
+    return stored.tobytes().decode()
 
 
 def _model(path: Path, metadata: Mapping[str, str], tensors: Mapping[str, np.ndarray]) -> GarmentModel:
@@ -151,8 +164,10 @@ def save_garment_model(model: GarmentModel, path: str | Path) -> None:
 
     Raises ModelFileError, and writes nothing, when a value is too large for the precision it is stored in.
     """
+    length = np.linalg.norm(model.rest_normals, axis=1, keepdims=True)
+    normals = np.where(np.abs(length - 1) < 0.01, model.rest_normals, model.rest_normals / length)
     tensors: dict[str, np.ndarray] = {}
-    for name, array, kind in described_arrays(model):
+    for name, array, kind in described_arrays(replace(model, rest_normals=normals)):
         tensors |= _stored(name, array, kind)
     metadata = {
         "format": FORMAT,
@@ -190,8 +205,11 @@ def convert_model_file(old: str | Path, new: str | Path) -> None:
 
 def _write(path: Path, metadata: Mapping[str, str], tensors: Mapping[str, np.ndarray]) -> None:
     """Write a file of this schema version in one step, with a digest that fits."""
+    texts = {f"{key}.json": np.frombuffer(metadata[key].encode(), np.uint8) for key in TEXTS}
+    deflated, stored = deflate_tensors(texts | told_by_panels(tensors))
+    others = {key: text for key, text in metadata.items() if key not in TEXTS}
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_tensors(path, {**metadata, "schema_version": str(SCHEMA_VERSION)}, tensors)
+    write_tensors(path, {**others, **deflated, "schema_version": str(SCHEMA_VERSION)}, stored)
 
 
 def shipped_models() -> list[str]:
@@ -212,9 +230,13 @@ def _stored(name: str, array: np.ndarray, kind: Array) -> dict[str, np.ndarray]:
     """What the file holds of an array, by name."""
     if kind.below:
         return {name: array.astype(np.min_scalar_type(int(array.max())))}
+    if kind.step:
+        return {name: _in_steps(name, array, kind)}
     with np.errstate(over="ignore"):
-        if name.endswith(".weight") and array.ndim == 2 and array.size >= LEAST_PACKED:
+        if name.endswith(".weight") and array.ndim == 2:
             stored = pack_weight(name, array)
+            if array.size < LEAST_PACKED and f"{name}.low" in stored:
+                stored = {name: array.astype(kind.stored)}
         else:
             stored = {name: array.astype(kind.stored)}
     for tensor in stored.values():
@@ -222,3 +244,18 @@ def _stored(name: str, array: np.ndarray, kind: Array) -> dict[str, np.ndarray]:
             largest = np.finfo(tensor.dtype).max
             raise ModelFileError(f"{name} holds {np.abs(array).max():.3g}; {tensor.dtype} stores at most {largest:.3g}")
     return stored
+
+
+def _in_steps(name: str, array: np.ndarray, kind: Array) -> np.ndarray:
+    """Whole steps, the closest; of rows that sum to 1 the closest that do."""
+    exact = array / kind.step
+    steps = np.floor(exact) if kind.sums_to_one else np.rint(exact)
+    if kind.sums_to_one:
+        missing = np.rint(1 / kind.step) - steps.sum(axis=1, keepdims=True)
+        steps += (steps - exact).argsort(axis=1).argsort(axis=1) < missing
+    largest = np.abs(steps).max()
+    for whole in (np.int8, np.int16, np.int32):
+        if largest <= np.iinfo(whole).max:
+            return steps.astype(whole)
+    most = np.iinfo(np.int32).max * kind.step
+    raise ModelFileError(f"{name} holds {largest * kind.step:.3g}; steps of {kind.step:.3g} store at most {most:.3g}")

@@ -7,8 +7,11 @@ A weight (out, in) is rounded to whole steps from -511 to 511 and becomes three 
     NAME.largest    float16  (out, 4)             511 steps of a row's columns 4 k, 4 k + 1, 4 k + 2 and 4 k + 3
 
 A weight whose rows lie on 127 steps to their largest already, as compensated rounding leaves them, takes eight bits and
-loses nothing: NAME holds the steps, from -127 to 127, NAME.largest_127 (out, 1) how large 127 of them are in each row,
-and there is no NAME.low.
+loses nothing. Of many rows it leaves only every few steps, and the largest:
+
+    NAME             int8     (out, in)  how often so many steps, at most 127 in all
+    NAME.every       uint8    (out, 1)   how many of a row's steps that is; not there where it is 1 in all rows
+    NAME.largest_127 float16  (out, 1)   127 of a row's steps
 
 In ten bits a row has four scales, since the node deformer's first layer reads transforms of 3 x 4 numbers and weighs
 their translations several times as much as the rest.
@@ -37,10 +40,7 @@ def pack_weight(name: str, weight: np.ndarray) -> dict[str, np.ndarray]:
     row = np.abs(weight).max(axis=1, keepdims=True).astype(np.float16)
     in_steps = weight / np.where(row > 0, row, 1).astype(np.float32) * MOST_STEPS_IN_8_BITS
     if np.isfinite(row).all() and np.abs(in_steps - np.rint(in_steps)).max() < ON_A_STEP:
-        return {
-            name: np.rint(in_steps).clip(-MOST_STEPS_IN_8_BITS, MOST_STEPS_IN_8_BITS).astype(np.int8),
-            f"{name}.largest_127": row,
-        }
+        return _on_steps(name, np.rint(in_steps).clip(-MOST_STEPS_IN_8_BITS, MOST_STEPS_IN_8_BITS), row)
     fours = np.pad(weight, ((0, 0), (0, -inputs % 4))).reshape(outputs, -1, 4)
     largest = np.abs(fours).max(axis=1).astype(np.float16)
     step = largest[:, None].astype(np.float32) / MOST_STEPS
@@ -50,6 +50,16 @@ def pack_weight(name: str, weight: np.ndarray) -> dict[str, np.ndarray]:
         f"{name}.low": ((steps & 3).astype(np.uint8) << FIRST_BITS).sum(axis=2, dtype=np.uint8),
         f"{name}.largest": largest,
     }
+
+
+def _on_steps(name: str, steps: np.ndarray, row: np.ndarray) -> dict[str, np.ndarray]:
+    """The tensors of whole steps (out, in) from -127 to 127 of rows with such a largest (out, 1)."""
+    below = np.where(np.abs(steps) < MOST_STEPS_IN_8_BITS, steps, 0).astype(np.int32)
+    every = np.gcd.reduce(below, axis=1, keepdims=True)
+    every[every == 0] = 1
+    often = np.sign(steps) * np.ceil(np.abs(steps) / every)  # the largest, which may lie between, beyond itself
+    stored = {name: often.astype(np.int8), f"{name}.largest_127": row}
+    return stored if (every == 1).all() else {**stored, f"{name}.every": every.astype(np.uint8)}
 
 
 def unpack_weights(tensors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -62,19 +72,24 @@ def unpack_weights(tensors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     for name, high in tensors.items():
         if name.endswith(".weight") and high.dtype == np.int8:
             if f"{name}.largest_127" in tensors:
-                unpacked[name] = _unpacked(name, high, None, unpacked.pop(f"{name}.largest_127"))
+                every = unpacked.pop(f"{name}.every", None)
+                unpacked[name] = _unpacked(name, high, None, unpacked.pop(f"{name}.largest_127"), every)
             else:
                 unpacked[name] = _unpacked(name, high, unpacked.pop(f"{name}.low"), unpacked.pop(f"{name}.largest"))
     return unpacked
 
 
-def _unpacked(name: str, high: np.ndarray, low: np.ndarray | None, largest: np.ndarray) -> np.ndarray:
+def _unpacked(
+    name: str, high: np.ndarray, low: np.ndarray | None, largest: np.ndarray, every: np.ndarray | None = None
+) -> np.ndarray:
     if high.ndim != 2:
         raise ValueError(f"{name} has shape {high.shape}, expected two dimensions")
     outputs, inputs = high.shape
     fours = -(-inputs // 4)
     if low is None:
         parts = [("largest_127", largest, np.float16, (outputs, 1))]
+        if every is not None:
+            parts.insert(0, ("every", every, np.uint8, (outputs, 1)))
     else:
         parts = [("low", low, np.uint8, (outputs, fours)), ("largest", largest, np.float16, (outputs, 4))]
     for part, tensor, dtype, shape in parts:
@@ -85,6 +100,9 @@ def _unpacked(name: str, high: np.ndarray, low: np.ndarray | None, largest: np.n
     if wrong := largest[~(np.isfinite(largest) & (largest >= 0))].tolist():
         raise ValueError(f"{name}.{parts[-1][0]} holds {wrong[0]}, allowed: a finite number, 0 or more")
     if low is None:
+        if every is not None:
+            high = np.multiply(high, every, dtype=np.int16)
+            np.clip(high, -MOST_STEPS_IN_8_BITS, MOST_STEPS_IN_8_BITS, out=high)
         return high * (largest.astype(np.float32) / MOST_STEPS_IN_8_BITS)
     steps = np.multiply(high, 4, dtype=np.int16)
     steps += LOW_BITS[low].view(np.uint8)[:, :inputs]

@@ -65,6 +65,41 @@ def test_what_lies_on_steps_takes_eight_bits_and_keeps_them():
         np.testing.assert_array_equal(again, tensors[key], err_msg=key, strict=True)
 
 
+@pytest.mark.parametrize("every", [2, 3, 8, 40])
+def test_of_steps_that_leave_some_out_only_how_often_is_stored(every):
+    """The largest, 127, need not be among them; every row has its own."""
+    weight, steps = weight_on_steps()
+    steps = steps - np.fmod(steps, every)
+    steps[:, 0], steps[1] = -127, 0
+    steps[2, 1:] = 1
+    largest = np.abs(weight).max(axis=1, keepdims=True)
+    weight = (steps * largest / 127).astype(np.float32)
+    tensors = pack_weight("a.weight", weight)
+    assert tensors["a.weight.every"].dtype == np.uint8
+    assert (tensors["a.weight.every"][[0, 3, 4, 5]] % every == 0).all() and (tensors["a.weight.every"][1:3] == 1).all()
+    assert np.abs(tensors["a.weight"][3:]).max() <= 127 // every + 1
+    back = unpack_weights(tensors)
+    np.testing.assert_array_equal(
+        back["a.weight"],
+        unpack_weights({"a.weight": steps.astype(np.int8), "a.weight.largest_127": tensors["a.weight.largest_127"]})[
+            "a.weight"
+        ],
+    )
+    assert back.keys() == {"a.weight"}
+    for key, again in pack_weight("a.weight", back["a.weight"]).items():
+        np.testing.assert_array_equal(again, tensors[key], err_msg=key, strict=True)
+
+
+@pytest.mark.parametrize("change", [lambda every: every[:, 0], lambda every: every.astype(np.int8)])
+def test_a_damaged_number_of_steps_is_refused(change):
+    weight, steps = weight_on_steps()
+    steps[:, 1:] -= np.fmod(steps[:, 1:], 4)
+    tensors = pack_weight("a.weight", (steps / 127).astype(np.float32))
+    tensors["a.weight.every"] = change(tensors["a.weight.every"])
+    with pytest.raises(ValueError, match=r"a.weight.every is .* of shape .*, expected uint8 of shape \(6, 1\)"):
+        unpack_weights(tensors)
+
+
 def test_one_weight_between_two_steps_makes_it_ten_bits():
     weight, _ = weight_on_steps()
     weight[3, 5] = 0.4 / 127 * weight[3, 0]

@@ -7,14 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from model_files import contents, sealed, written
 from random_models import random_model, sewn_tube, tube, write_sewn
-from safetensors.numpy import load_file
 from scipy.linalg import polar
 
-from physkin_core import Garment, GarmentError, load_garment, load_garment_model, save_garment_model
+from physkin_core import Garment, GarmentError, ModelFileError, load_garment, load_garment_model, save_garment_model
 from physkin_core.cli import main
+from physkin_core.model.deflated_tensors import inflate_tensors
+from physkin_core.model.faces_of_panels import told_by_panels, with_faces
 from physkin_core.model.garment import face_areas
 from physkin_core.quality import area_strain, edge_strain
+from physkin_core.tensor_file import read_tensors
 
 WIDTH, HEIGHT, SHRUNK = 0.45, 0.4, 0.92
 REST = ("rest_edges", "edge_lengths", "face_areas", "vertex_areas")
@@ -119,14 +122,49 @@ def test_a_model_file_keeps_panels(sewn, tmp_path, capsys):
     save_garment_model(model, tmp_path / "sewn.safetensors")
     loaded = load_garment_model(tmp_path / "sewn.safetensors").garment
     np.testing.assert_array_equal(loaded.panel_faces, sewn.panel_faces)
-    np.testing.assert_allclose(loaded.panel_places, sewn.panel_places, atol=1e-7)
-    np.testing.assert_allclose(loaded.edge_lengths, sewn.edge_lengths, rtol=1e-5)
+    np.testing.assert_allclose(loaded.panel_places, sewn.panel_places, atol=2e-6)
+    np.testing.assert_array_equal(loaded.faces, sewn.faces)
+    np.testing.assert_allclose(loaded.edge_lengths, sewn.edge_lengths, rtol=1e-4)
     save_garment_model(replace(model, garment=Garment(sewn.vertices, sewn.faces)), tmp_path / "plain.safetensors")
-    names = [set(load_file(tmp_path / f"{name}.safetensors")) for name in ("sewn", "plain")]
+    names = [set(contents(tmp_path / f"{name}.safetensors")[1]) for name in ("sewn", "plain")]
     for name, told in (("sewn", "flat panels that it was cut from"), ("plain", "as its mesh lies")):
         assert main(["info", str(tmp_path / f"{name}.safetensors")]) == 0
         assert re.search(f"rest shape +.*{told}", capsys.readouterr().out)
     assert names[0] - names[1] == {"garment.panel_places", "garment.panel_faces", "garment.creases"}
+
+
+@pytest.mark.parametrize(
+    "part, change, message",
+    [
+        ("vertices", lambda vertices: vertices[:-1], "must hold indices from 0 to 124, the places"),
+        ("vertices", lambda vertices: vertices + 1, "face indices span"),
+        ("vertices", lambda vertices: vertices.astype(np.float32), "must be an integer index"),
+        ("vertices", lambda vertices: vertices[:, None], "must be an integer index"),
+        ("faces", lambda faces: faces.astype(np.float32), "must be an integer index"),
+        ("faces", lambda faces: faces.astype(np.int16) - 1, "must hold indices from 0 to 125"),
+        ("faces", lambda faces: faces[:0], "must hold indices from 0 to 125"),
+    ],
+)
+def test_panels_that_tell_no_faces_are_refused(sewn, tmp_path, part, change, message):
+    """A file holds the vertex of each panel place instead of faces, which follow."""
+    path = tmp_path / "sewn.safetensors"
+    save_garment_model(random_model(np.random.default_rng(0), garment=sewn), path)
+    metadata, tensors = inflate_tensors(*read_tensors(path.read_bytes()))
+    assert "garment.faces" not in tensors
+    name = f"garment.panel_{part}"
+    written(path, sealed(metadata, tensors | {name: change(tensors[name])}))
+    with pytest.raises(ModelFileError, match=message):
+        load_garment_model(path)
+
+
+def test_faces_that_panels_do_not_tell_are_stored():
+    """Where two vertices share a place on a panel."""
+    faces = np.array([[0, 1, 2], [3, 4, 5]], np.uint8)
+    tensors = {"garment.faces": faces, "garment.panel_faces": np.array([[0, 1, 2], [0, 2, 3]], np.uint8)}
+    assert told_by_panels(tensors) == tensors
+    apart = tensors | {"garment.panel_faces": faces}
+    assert "garment.faces" not in told_by_panels(apart)
+    np.testing.assert_array_equal(with_faces(told_by_panels(apart))["garment.faces"], faces)
 
 
 def test_an_obj_with_texture_places_in_metres_brings_its_panels(sewn, tmp_path):
