@@ -1,9 +1,10 @@
 """Tensors deflated (RFC 1951): how the garment model file stores them in fewer bytes, without losing any.
 
 A tensor that becomes smaller so is stored under its name as a raw deflate stream, uint8 (bytes,). The metadata entry
-"deflated" says by name what it holds: [type, shape, axes]. Inflated, it is the tensor's bytes, the lowest byte of all
-numbers first, then the next; along each of the axes, in their order, all whole numbers but the first are then the sum
-of those up to them. Network weights on few steps take their entropy so, and meshes half of their indices.
+"deflated" says by name what it holds: [type, shape, kind]. Inflated, it is the tensor's bytes, the lowest byte of all
+numbers first, then the next. They are the numbers themselves ("plain"), or of whole numbers the differences to the row
+before ("rows") or to the number before ("numbers"), modulo what the type holds. Network weights on few steps take their
+entropy so, and meshes half of their indices.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ DEFLATED = "deflated"
 TYPES = {name: np.dtype(name) for name in ("|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<f2", "<f4")}
 LEAST_DEFLATED = 512
 """[bytes] Smaller tensors would save less than their entry takes."""
-AXES = ((), (0,), (0, 1))
-"""Tried for whole numbers. Of indices of faces, the first of a row is closest to the row before's, the others to it."""
+KINDS = ("plain", "rows", "numbers")
+"""Floating point numbers are plain."""
 MOST_INFLATED = 1 << 28
 """[bytes] Of all tensors of a file; the shipped ones take 5 million."""
 RAW, MOST_MEMORY = -zlib.MAX_WBITS, 9
@@ -39,10 +40,10 @@ def deflate_tensors(tensors: Mapping[str, np.ndarray]) -> tuple[dict[str, str], 
         stored[name] = tensor
         if tensor.nbytes < LEAST_DEFLATED or tensor.dtype.str not in TYPES:
             continue
-        for axes, bytes_ in _ways(tensor):
-            if len(bytes_) < stored[name].nbytes:
-                stored[name] = np.frombuffer(bytes_, np.uint8)
-                entries[name] = [tensor.dtype.str, list(tensor.shape), list(axes)]
+        for kind, stream in _ways(tensor):
+            if len(stream) < stored[name].nbytes:
+                stored[name] = np.frombuffer(stream, np.uint8)
+                entries[name] = [tensor.dtype.str, list(tensor.shape), kind]
     return {DEFLATED: json.dumps(entries)} if entries else {}, stored
 
 
@@ -59,30 +60,27 @@ def inflate_tensors(
     for name, entry in entries.items():
         if name not in tensors:
             raise ContentError(f"it lacks {shown(name)}, which its metadata name among what is deflated")
-        dtype, shape, axes = _described(name, entry)
+        dtype, shape, kind = _described(name, entry)
         size = math.prod(shape) * dtype.itemsize
         budget.charge(size, f"{shown(name)}, inflated,")
         planes = np.frombuffer(_inflate(name, tensors[name], size), np.uint8).reshape(dtype.itemsize, -1)
         tensor = np.ascontiguousarray(planes.T).view(dtype).reshape(shape)
-        for axis in axes:
-            tensor = np.cumsum(tensor, axis=axis, dtype=dtype)
+        if kind != "plain":
+            tensor = np.cumsum(tensor, axis=0 if kind == "rows" else None, dtype=dtype).reshape(shape)
         inflated[name] = tensor
     return plain, inflated
 
 
-def _ways(tensor: np.ndarray) -> Iterator[tuple[tuple[int, ...], bytes]]:
-    """Ways to deflate a tensor: the axes along which differences are taken, and the stream."""
-    for axes in AXES if tensor.dtype.kind in "iu" else AXES[:1]:
-        if axes and max(axes) >= tensor.ndim:
-            continue
-        differences = tensor
-        for axis in reversed(axes):
-            start = np.zeros_like(differences.take([0], axis=axis))
-            differences = np.diff(differences, axis=axis, prepend=start)
-        planes = np.ascontiguousarray(differences).view(np.uint8).reshape(-1, tensor.itemsize).T.tobytes()
+def _ways(tensor: np.ndarray) -> Iterator[tuple[str, bytes]]:
+    """Kinds and streams of a tensor."""
+    for kind in KINDS if tensor.dtype.kind in "iu" else KINDS[:1]:
+        numbers = tensor if kind == "rows" else tensor.reshape(-1)
+        if kind != "plain":
+            numbers = np.diff(numbers, axis=0, prepend=np.zeros_like(numbers[:1]))
+        planes = np.ascontiguousarray(numbers).view(np.uint8).reshape(-1, tensor.itemsize).T.tobytes()
         for strategy in (zlib.Z_HUFFMAN_ONLY, zlib.Z_DEFAULT_STRATEGY):
             deflate = zlib.compressobj(9, zlib.DEFLATED, RAW, MOST_MEMORY, strategy)
-            yield axes, deflate.compress(planes) + deflate.flush()
+            yield kind, deflate.compress(planes) + deflate.flush()
 
 
 def _entries(text: str) -> dict[str, object]:
@@ -95,18 +93,16 @@ def _entries(text: str) -> dict[str, object]:
     return entries
 
 
-def _described(name: str, entry: object) -> tuple[np.dtype, tuple[int, ...], tuple[int, ...]]:
-    """Type, shape and axes of an entry."""
+def _described(name: str, entry: object) -> tuple[np.dtype, tuple[int, ...], str]:
+    """Type, shape and kind of an entry."""
     match entry:
-        case [str(kind), [*shape], [*axes]] if kind in TYPES and all(
-            type(n) is int and n >= 0 for n in (*shape, *axes)
-        ):
-            allowed = range(len(shape)) if TYPES[kind].kind in "iu" else ()
-            if all(axis in allowed for axis in axes) and len(set(axes)) == len(axes):
-                return TYPES[kind], tuple(shape), tuple(axes)
+        case [str(dtype), [_, *_] as shape, str(kind)] if dtype in TYPES and kind in KINDS:
+            whole = all(type(size) is int and size >= 0 for size in shape)
+            if whole and (kind == "plain" or TYPES[dtype].kind in "iu"):
+                return TYPES[dtype], tuple(shape), kind
     raise ContentError(
-        f"its metadata say {shown(entry)} of {shown(name)}, allowed: [type, shape, axes of whole numbers], a type of "
-        f"{', '.join(TYPES)}"
+        f"its metadata say {shown(entry)} of {shown(name)}, allowed: [type, shape, kind], types {', '.join(TYPES)}, "
+        f"kinds {', '.join(KINDS)}, all but the first of whole numbers"
     )
 
 

@@ -57,6 +57,7 @@ def test_weights_on_few_steps_take_about_their_entropy():
 
 def test_indices_that_fall_and_rise_wrap_around_and_come_back():
     tensors = {"faces": np.tile([[65535, 0, 7], [0, 65535, 3]], (200, 1)).astype(np.uint16)}
+    assert inflate_tensors({}, tensors)[1]["faces"] is tensors["faces"]
     np.testing.assert_array_equal(inflate_tensors(*deflate_tensors(tensors))[1]["faces"], tensors["faces"], strict=True)
 
 
@@ -74,22 +75,22 @@ SOUND = raw(bytes(1000))
         ("{", SOUND, "'deflated' is not JSON"),
         ("[" * 100_000, SOUND, "'deflated' is not JSON"),
         ("[1]", SOUND, "'deflated' is .1., expected an object"),
-        ({"b": ["|u1", [1000], []]}, SOUND, "lacks 'b'"),
+        ({"b": ["|u1", [1000], "plain"]}, SOUND, "lacks 'b'"),
         *(({"a": entry}, SOUND, "its metadata say .* of 'a', allowed") for entry in (
-            7, [], ["|u1"], ["|u1", 1000, []], ["<f8", [125], []], ["|O", [125], []], [3, [1000], []],
-            ["|u1", [-1000], []], ["|u1", [1000.0], []], ["|u1", [True], []], ["|u1", [1000], [1]],
-            ["|u1", [1000], [-1]], ["|u1", [1000], [0, 0]], ["|u1", [1000], ["0"]], ["<f2", [500], [0]])),
-        ({"a": ["|u1", [999], []]}, SOUND, "does not inflate to the 999 bytes"),
-        ({"a": ["|u1", [1001], []]}, SOUND, "does not inflate to the 1001 bytes"),
-        ({"a": ["|u1", [0], []]}, SOUND, "does not inflate to the 0 bytes"),
-        ({"a": ["|u1", [1000], []]}, SOUND[:-1], "does not inflate to"),
-        ({"a": ["|u1", [1000], []]}, np.append(SOUND, SOUND[:1]), "does not inflate to"),
-        ({"a": ["|u1", [1000], []]}, SOUND[:0], "does not inflate to"),
-        ({"a": ["|u1", [1000], []]}, SOUND[::-1].copy(), "cannot be inflated|does not inflate"),
-        ({"a": ["|u1", [1000], []]}, SOUND[None], "is uint8 of shape .*, expected uint8"),
-        ({"a": ["|u1", [1000], []]}, SOUND.astype(np.int16), "is int16 of shape .*, expected uint8"),
-        ({"a": ["<u4", [1 << 20] * 3, []]}, SOUND, f"takes .* after 0, allowed are {MOST_INFLATED}"),
-        ({"a": ["|u1", [10**400], []]}, SOUND, "takes .* bytes after 0, allowed"),
+            7, [], ["|u1"], ["|u1", 1000, "plain"], ["|u1", [], "plain"], ["<f8", [125], "plain"],
+            ["|O", [125], "plain"], [3, [1000], "plain"], ["|u1", [-1000], "plain"], ["|u1", [1000.0], "plain"], ["|u1", [True], "plain"],
+            ["|u1", [1000], "columns"], ["|u1", [1000], 0], ["<f2", [500], "rows"])),
+        ({"a": ["|u1", [999], "plain"]}, SOUND, "does not inflate to the 999 bytes"),
+        ({"a": ["|u1", [1001], "plain"]}, SOUND, "does not inflate to the 1001 bytes"),
+        ({"a": ["|u1", [0], "plain"]}, SOUND, "does not inflate to the 0 bytes"),
+        ({"a": ["|u1", [1000], "plain"]}, SOUND[:-1], "does not inflate to"),
+        ({"a": ["|u1", [1000], "plain"]}, np.append(SOUND, SOUND[:1]), "does not inflate to"),
+        ({"a": ["|u1", [1000], "plain"]}, SOUND[:0], "does not inflate to"),
+        ({"a": ["|u1", [1000], "plain"]}, SOUND[::-1].copy(), "cannot be inflated|does not inflate"),
+        ({"a": ["|u1", [1000], "plain"]}, SOUND[None], "is uint8 of shape .*, expected uint8"),
+        ({"a": ["|u1", [1000], "plain"]}, SOUND.astype(np.int16), "is int16 of shape .*, expected uint8"),
+        ({"a": ["<u4", [1 << 20] * 3, "plain"]}, SOUND, f"takes .* after 0, allowed are {MOST_INFLATED}"),
+        ({"a": ["|u1", [10**400], "plain"]}, SOUND, "takes .* bytes after 0, allowed"),
     ],
 )  # fmt: skip
 def test_what_lies_about_itself_is_refused(entries, stream, message):
@@ -106,7 +107,9 @@ def test_a_stream_of_a_gigabyte_takes_no_more_than_it_says():
     tracemalloc.start()
     try:
         with pytest.raises(ContentError, match="does not inflate to the 1000 bytes"):
-            inflate_tensors({DEFLATED: json.dumps({"a": ["|u1", [1000], []]})}, {"a": np.frombuffer(bomb, np.uint8)})
+            inflate_tensors(
+                {DEFLATED: json.dumps({"a": ["|u1", [1000], "plain"]})}, {"a": np.frombuffer(bomb, np.uint8)}
+            )
         assert tracemalloc.get_traced_memory()[1] < 8 << 20
     finally:
         tracemalloc.stop()
