@@ -6,7 +6,6 @@ The floor's brightness is chosen to equal the background's, so that the ground h
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -16,10 +15,10 @@ from typing import Literal
 import numpy as np
 
 from physkin_core.extras import install_command
-from physkin_core.mesh.look import Look
-from physkin_core.mesh.surfaces import Surface, split_at_seams
-from physkin_core.mesh.tiles_seen import colours_seen, normals_seen
+from physkin_core.mesh.surfaces import Surface
 from physkin_core.model.garment import vertex_normals
+from physkin_core.picture_paint import painted
+from physkin_core.picture_scene import View, light, plain_surface, textured_surface, view_of
 
 __all__ = [
     "BODY_COLOUR",
@@ -42,17 +41,9 @@ LAYER_COLOURS = ((0.25, 0.28, 0.33), (0.75, 0.35, 0.25), CLOTH_COLOUR, (0.55, 0.
 
 BACKGROUND = 0.96  # sRGB grey
 TEXT_COLOUR = (70, 74, 80)
-FIELD_OF_VIEW = 20.0  # [degrees] from the lower to the upper edge
-MARGIN = 1.06
-LAMP_DIRECTION = (0.5, 0.6, 1.0)  # relative to a camera on X
-LAMP_STRENGTH = 1.3  # light it throws on the floor; the sky throws 1
-LAMP_RADIUS = 9.0  # [degrees] softness of shadows
-LAMP_DISTANCE = 5000.0  # [m]
 UPRIGHT_GAIN = 1.4  # an upright surface gets less light than the floor
 FLOOR_RADIUS = 40.0  # [m]
 BLANK_FROM = 5.0  # times the meshes' own reach
-FACE_COLOUR = "face_color"  # mitsuba's name for an attribute of faces
-INSIDE = 0.8  # of the light that cloth has outside
 GUIDE_SAMPLES = 4  # a pixel, for colours, normals and positions
 
 
@@ -64,13 +55,14 @@ class PictureError(RuntimeError):
 class Mesh:
     """A surface to draw: vertices (n, 3) [m], Z up; faces (f, 3) vertex indices; colour (3,) sRGB in [0, 1], or (f, 3)
     of each face. surface, places: its material, drawn in place of the colour where it has a picture, and where in that
-    the faces' corners are (f, 3, 2) [m]."""
+    the faces' corners are (f, 3, 2) [m]. normals: (n, 3) then, None for the mesh's own."""
 
     vertices: np.ndarray
     faces: np.ndarray
     colour: tuple[float, float, float] | np.ndarray = BODY_COLOUR
     surface: Surface | None = None
     places: np.ndarray | None = None
+    normals: np.ndarray | None = None
 
 
 def layer_colours(count: int) -> tuple[tuple[float, float, float], ...]:
@@ -105,14 +97,15 @@ def render(
     bounds = np.stack([points.min(axis=0), points.max(axis=0)]) if bounds is None else np.asarray(bounds, dtype=float)
     if floor == "lowest":
         floor = float(points[:, 2].min())
-    light, lit = _light(mi, azimuth)
-    camera, distance = _camera(mi, bounds, size, azimuth, elevation, distance)
-    pixel = 2 * distance * math.tan(math.radians(FIELD_OF_VIEW) / 2) / size[1]
+    emitters, lit = light(mi, azimuth)
+    view, gain = view_of(bounds, size, azimuth, elevation, distance), UPRIGHT_GAIN / lit
+    paints = [mesh for mesh in meshes if mesh.surface is not None and mesh.surface.blended]
+    solid = [mesh for mesh in meshes if mesh.surface is None or not mesh.surface.blended]
     scene = {
         "type": "scene",
-        "sensor": camera,
-        **light,
-        **{f"mesh{index}": _surface(mi, mesh, lit, pixel) for index, mesh in enumerate(meshes)},
+        "sensor": view.camera(mi),
+        **emitters,
+        **{f"mesh{index}": _surface(mi, mesh, gain, view) for index, mesh in enumerate(solid)},
     }
     if floor is not None:
         placed = mi.ScalarTransform4f().translate([0, 0, floor]).scale(FLOOR_RADIUS)
@@ -123,7 +116,19 @@ def render(
     radiance, cover = np.split(_layers(mi, scene, samples, paths), [3], axis=-1)
     guides = {"type": "aov", "aovs": "albedo:albedo,normal:sh_normal,position:position"}
     albedo, normals, positions = np.split(_layers(mi, scene, GUIDE_SAMPLES, guides), 3, axis=-1)
-    picture = _denoised(radiance, albedo, normals) + (1 - cover)
+    lighted = _denoised(radiance, albedo, normals)
+    for mesh in paints:
+        lighted = painted(
+            lighted,
+            albedo,
+            positions,
+            view,
+            (mesh.vertices, mesh.faces, mesh.places),
+            _normals(mesh),
+            mesh.surface,
+            gain=gain,
+        )
+    picture = lighted + (1 - cover)
     reach = np.linalg.norm(points - bounds.mean(axis=0), axis=1).max()
     away = np.linalg.norm(positions - bounds.mean(axis=0), axis=-1, keepdims=True) / reach
     away[~normals.any(axis=-1)] = np.inf  # the sky
@@ -184,119 +189,18 @@ def _checked(mesh: Mesh) -> np.ndarray:
     return vertices
 
 
-def _surface(mi, mesh: Mesh, lit: float, pixel: float):
-    """A mitsuba mesh with smooth normals, shown in about its own colour where it stands upright. pixel: its size [m]
-    there."""
-    if mesh.surface is not None and mesh.places is not None and mesh.surface.picture is not None:
-        return _textured(mi, mesh, lit, pixel)
-    colours = UPRIGHT_GAIN * _to_linear(np.array(mesh.colour, dtype=np.float32)) / lit
-    of_faces = colours.ndim == 2
-    reflectance = (
-        {"type": "mesh_attribute", "name": FACE_COLOUR} if of_faces else {"type": "rgb", "value": colours.tolist()}
-    )
-    properties = mi.Properties()
-    cloth = {"type": "principled", "base_color": reflectance, "roughness": 0.7, "specular": 0.25}
-    properties["bsdf"] = mi.load_dict({"type": "twosided", "side": cloth})
-    used, faces = np.unique(mesh.faces, return_inverse=True)  # vertices without a face would have no normal
-    surface = mi.Mesh("mesh", len(used), len(mesh.faces), properties, has_vertex_normals=True)
-    if of_faces:
-        surface.add_attribute(FACE_COLOUR, 3, colours.ravel())
-    buffers = mi.traverse(surface)
-    buffers["vertex_positions"] = np.ascontiguousarray(mesh.vertices[used], dtype=np.float32).ravel()
-    buffers["faces"] = faces.astype(np.uint32).ravel()
-    buffers.update()  # computes the vertex normals
-    return surface
+def _surface(mi, mesh: Mesh, gain: float, view: View):
+    """A mesh for mitsuba. gain: from its colour to reflectance: it is shown in about its own where it stands
+    upright."""
+    if mesh.surface is None or mesh.places is None or mesh.surface.picture is None:
+        reflectance = np.float32(gain * _to_linear(np.array(mesh.colour, dtype=np.float32)))
+        return plain_surface(mi, mesh.vertices, mesh.faces, reflectance)
+    shape = mesh.vertices, _normals(mesh), mesh.faces, mesh.places
+    return textured_surface(mi, *shape, mesh.surface, gain=gain, pixel=view.pixel)
 
 
-def _textured(mi, mesh: Mesh, lit: float, pixel: float):
-    """A mitsuba mesh in its material."""
-    surface = mesh.surface
-    colours = colours_seen(surface.picture, surface.repeats, pixel)
-    base = UPRIGHT_GAIN / lit * np.float32(surface.colour) * colours[..., :3]
-
-    def cloth(share: float) -> dict:
-        """share: of the light that its colour has outside."""
-        found = {"type": "principled", "base_color": _bitmap(mi, share * base, surface.repeats), "specular": 0.25}
-        found |= {"roughness": surface.roughness, "sheen": surface.sheen}
-        if surface.normals is not None:
-            tile = normals_seen(surface.normals, surface.normal_repeats, pixel)
-            found = {"type": "normalmap", "normalmap": _bitmap(mi, tile, surface.normal_repeats), "bsdf": found}
-        return found
-
-    bsdf = {"type": "twosided", "outside": cloth(1.0), "inside": cloth(INSIDE)}
-    if colours[..., 3].min() < 1:
-        bsdf = {"type": "mask", "opacity": _bitmap(mi, colours[..., 3:], surface.repeats), "bsdf": bsdf}
-    properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(bsdf)
-    own, places, faces = split_at_seams(Look.with_places(mesh.places), mesh.faces)
-    drawn = mi.Mesh("mesh", len(own), len(faces), properties, has_vertex_normals=True, has_vertex_texcoords=True)
-    buffers = mi.traverse(drawn)
-    buffers["vertex_positions"] = np.ascontiguousarray(mesh.vertices[own], dtype=np.float32).ravel()
-    buffers["faces"] = faces.astype(np.uint32).ravel()
-    buffers["vertex_texcoords"] = places.astype(np.float32).ravel()
-    buffers.update()
-    buffers["vertex_normals"] = vertex_normals(mesh.vertices, mesh.faces)[own].astype(np.float32).ravel()
-    buffers.update()  # not with the positions, of which mitsuba computes its own, open at seams
-    return drawn
-
-
-def _bitmap(mi, image: np.ndarray, repeats: tuple[float, float]) -> dict:
-    """A texture of linear values, the upper row last."""
-    upright = np.ascontiguousarray(image[::-1], dtype=np.float32)
-    place = mi.ScalarTransform3f().scale([*repeats])
-    return {"type": "bitmap", "bitmap": mi.Bitmap(upright), "raw": True, "to_uv": place}
-
-
-def _camera(
-    mi, bounds: np.ndarray, size: tuple[int, int], azimuth: float, elevation: float, distance: float | None
-) -> tuple[dict, float]:
-    """Perspective camera, without a distance as near as the box `bounds` (2, 3) allows, and that distance [m]."""
-    a, e = math.radians(azimuth), math.radians(elevation)
-    back = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
-    right = np.array([-math.sin(a), math.cos(a), 0.0])
-    up = np.cross(back, right)
-    width, height = size
-    slope = math.tan(math.radians(FIELD_OF_VIEW) / 2) / MARGIN  # of the picture's upper edge
-    corners = np.array([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-    centre = bounds.mean(axis=0)
-    x, y, depth = ((corners - centre) @ axis for axis in (right, up, back))
-    if distance is None:
-        distance = (depth + np.maximum(np.abs(y) / slope, np.abs(x) / (slope * width / height))).max()
-    origin = centre + distance * back
-    camera = {
-        "type": "perspective",
-        "fov": FIELD_OF_VIEW,
-        "fov_axis": "y",
-        "to_world": mi.ScalarTransform4f().look_at(origin=origin.tolist(), target=centre.tolist(), up=[0, 0, 1]),
-        "film": {
-            "type": "hdrfilm",
-            "width": width,
-            "height": height,
-            "pixel_format": "rgba",
-            "component_format": "float32",
-            "rfilter": {"type": "box"},
-        },
-        "sampler": {"type": "multijitter", "sample_count": 16},
-    }
-    return camera, distance
-
-
-def _light(mi, azimuth: float) -> tuple[dict, float]:
-    """Brightness 1 from all around and a soft lamp that stays beside the camera.
-
-    Returns the emitters and how much light falls on a floor, relative to brightness 1 from everywhere.
-    """
-    turn = math.radians(azimuth)
-    x, y, z = np.array(LAMP_DIRECTION) / np.linalg.norm(LAMP_DIRECTION)
-    place = LAMP_DISTANCE * np.array(
-        [x * math.cos(turn) - y * math.sin(turn), x * math.sin(turn) + y * math.cos(turn), z]
-    )
-    spread = math.tan(math.radians(LAMP_RADIUS))
-    share = z * spread**2 / (1 + spread**2)  # of the floor's sky that the lamp hides
-    facing = mi.ScalarTransform4f().look_at(origin=place.tolist(), target=[0, 0, 0], up=[0, 0, 1])
-    glow = {"type": "area", "radiance": {"type": "rgb", "value": float(1 + LAMP_STRENGTH / share)}}
-    lamp = {"type": "disk", "to_world": facing.scale(LAMP_DISTANCE * spread), "emitter": glow}
-    return {"sky": {"type": "constant", "radiance": {"type": "rgb", "value": 1.0}}, "lamp": lamp}, 1 + LAMP_STRENGTH
+def _normals(mesh: Mesh) -> np.ndarray:
+    return vertex_normals(mesh.vertices, mesh.faces) if mesh.normals is None else mesh.normals
 
 
 def _layers(mi, scene, samples: int, integrator: dict) -> np.ndarray:

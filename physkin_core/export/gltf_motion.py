@@ -20,7 +20,8 @@ from physkin_core.export.affine_joints import as_joint_chains
 from physkin_core.export.draped_clip import DrapedGarment, drape_clip
 from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences, write_glb
 from physkin_core.export.morph_targets import MorphTargets
-from physkin_core.look.cloth_look import cloth_colours
+from physkin_core.look.cloth_look import ClothLook, cloth_colours
+from physkin_core.look.finishing import Finish
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.surfaces import Picture, Surface, linear, split_at_seams, surfaces_of
 from physkin_core.model.garment import vertex_normals
@@ -28,6 +29,7 @@ from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.picture import BODY_COLOUR
 from physkin_core.rig.rig import Rig
+from physkin_core.runtime.layer import Layer
 
 __all__ = ["write_gltf_motion"]
 
@@ -44,7 +46,8 @@ def write_gltf_motion(
     sentence each.
 
     outfit: as of `drape_clip`; what no frame shows is left out. looks: of all faces of
-    `outfit.body_to_draw`, as of `avatar_look`, and of each garment, as of `garment_looks`; default a colour each.
+    `outfit.body_to_draw`, as of `avatar_look`, and of each garment, as of `garment_looks`; default a colour each. What
+    finishes a garment, stitches and hems, are meshes on its skin.
     Raises OSError when it cannot be written.
     """
     clip = drape_clip(outfit, motion)
@@ -55,9 +58,9 @@ def write_gltf_motion(
         outfit.body_to_draw, outfit.rig, clip.bones, clip.body_shown, root, _of_faces(looks[0], clip.body_shown)
     )
     colours = cloth_colours(outfit.garments)
-    for garment, colour, look in zip(clip.garments, colours, looks[1:]):
+    for garment, layer, colour, look in zip(clip.garments, outfit.layers, colours, looks[1:]):
         if garment.shown.any():
-            scene.add_garment(garment, root, colour, _of_faces(look, garment.shown))
+            scene.add_garment(garment, root, colour, _of_faces(look, garment.shown), _finishes(look, garment, layer))
     write_glb(path, scene.finished())
     return [told for garment in clip.garments for told in _not_shown(garment)]
 
@@ -87,6 +90,17 @@ def _of_faces(look: Look | None, shown: np.ndarray) -> Look | None:
     return None if look is None else look.of_corners(np.arange(3 * len(shown)).reshape(-1, 3)[shown])
 
 
+def _finishes(look: Look | None, garment: DrapedGarment, layer: Layer) -> list[tuple[Finish, Surface]]:
+    """What finishes those faces of a garment that are shown, on their own vertices."""
+    if not isinstance(look, ClothLook):
+        return []
+    used = np.unique(layer.faces[garment.shown])
+    vertex = np.full(layer.vertex_count, -1)
+    vertex[used] = np.arange(len(used))
+    found = [(finish.of_faces(garment.shown, vertex), surface) for finish, surface in look.finishes]
+    return [each for each in found if len(each[0].faces)]
+
+
 @dataclass(frozen=True)
 class _Skinned:
     """A mesh as it is skinned. positions, normals: (v, 3) where joints (j,) are at `rest` (j, 3). influences: as of
@@ -99,6 +113,16 @@ class _Skinned:
     joints: Sequence[int]
     rest: np.ndarray
     morphs: MorphTargets | None = None
+
+    def finished(self, finish: Finish) -> _Skinned:
+        """A finish of it, skinned alike. What is turned up looks the other way."""
+        side = np.where(finish.above < 0, -1.0, 1.0)[:, None]
+        found = self.of_vertices(finish.vertices, finish.faces)
+        morphs = found.morphs
+        if morphs is not None and morphs.turns is not None:
+            morphs = replace(morphs, turns=morphs.turns * side[morphs.moved])
+        positions = finish.placed(self.positions, self.normals)
+        return replace(found, positions=positions, normals=found.normals * side, morphs=morphs)
 
     def of_vertices(self, vertices: np.ndarray, faces: np.ndarray) -> _Skinned:
         """The same with vertices (w,) of these, some repeated; faces (f, 3) of them."""
@@ -171,10 +195,15 @@ class _Scene:
             joints=range(first, first + len(heads)),
             rest=heads,
         )
-        self._add_mesh("body", mesh, BODY_COLOUR, look)
+        self._add_mesh("body", mesh, look, surfaces_of(look, "body", linear(BODY_COLOUR), len(mesh.faces)))
 
     def add_garment(
-        self, garment: DrapedGarment, root: int, colour: tuple[float, float, float], look: Look | None
+        self,
+        garment: DrapedGarment,
+        root: int,
+        colour: tuple[float, float, float],
+        look: Look | None,
+        finishes: Sequence[tuple[Finish, Surface]],
     ) -> None:
         """A garment on its garment nodes. colour: sRGB, of what has no material."""
         name, bound = garment.name, garment.given
@@ -195,7 +224,11 @@ class _Scene:
             bound.node_rest,
             garment.morphs if len(garment.morphs.targets) else None,
         )
-        self._add_mesh(name, mesh, colour, look)
+        skin = self._add_mesh(name, mesh, look, surfaces_of(look, name, linear(colour), len(mesh.faces)))
+        for k, (finish, surface) in enumerate(finishes):
+            whole = replace(surface, faces=np.arange(len(finish.faces)))
+            places = Look.with_places(finish.places)
+            self._add_mesh(f"{name}_finish_{k}", mesh.finished(finish), places, [whole], skin)
 
     def finished(self) -> GltfBuilder:
         """The document, whole."""
@@ -238,9 +271,11 @@ class _Scene:
         self._channels.append({"sampler": len(self._samplers), "target": {"node": node, "path": path}})
         self._samplers.append({"input": self._times, "output": self.builder.add_accessor(values)})
 
-    def _add_mesh(self, name: str, mesh: _Skinned, colour: tuple[float, float, float], look: Look | None) -> None:
-        """A mesh, its skin, and the scene's node that has both."""
-        surfaces = surfaces_of(look, name, linear(colour), len(mesh.faces))
+    def _add_mesh(
+        self, name: str, mesh: _Skinned, look: Look | None, surfaces: Sequence[Surface], skin: int | None = None
+    ) -> int:
+        """A mesh by its materials, its skin, or that of another on the same joints, and the scene's node that has both.
+        Returns the skin's index."""
         add, attributes = self.builder.add_accessor, {}
         if look is not None:
             own, places, faces = split_at_seams(look, mesh.faces)
@@ -259,18 +294,21 @@ class _Scene:
             indices = self.builder.add_accessor(mesh.faces[surface.faces].astype(np.uint32).reshape(-1))
             material = self._add_material(surface)
             primitives.append({"attributes": attributes, "indices": indices, "material": material, **targets})
-        bind = np.tile(np.eye(4), (len(mesh.rest), 1, 1))
-        bind[:, :3, 3] = -mesh.rest @ FROM_ROOT_FRAME.T
-        inverse = self.builder.add_accessor(bind.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32))
+        if skin is None:
+            bind = np.tile(np.eye(4), (len(mesh.rest), 1, 1))
+            bind[:, :3, 3] = -mesh.rest @ FROM_ROOT_FRAME.T
+            inverse = self.builder.add_accessor(bind.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32))
+            self._skins.append({"name": name, "joints": list(mesh.joints), "inverseBindMatrices": inverse})
+            skin = len(self._skins) - 1
         self._meshes.append({"name": name, "primitives": primitives})
-        self._skins.append({"name": name, "joints": list(mesh.joints), "inverseBindMatrices": inverse})
         self._roots.append(len(self._nodes))
-        self._nodes.append({"name": name, "mesh": len(self._meshes) - 1, "skin": len(self._skins) - 1})
+        self._nodes.append({"name": name, "mesh": len(self._meshes) - 1, "skin": skin})
         if mesh.morphs is not None:
             kind = "order" if mesh.morphs.turns is None else "fold"
             names = [f"{kind}_{k}" for k in range(len(mesh.morphs.targets))]
             self._meshes[-1] |= {"weights": mesh.morphs.resting.tolist(), "extras": {"targetNames": names}}
             self._animate(len(self._nodes) - 1, "weights", mesh.morphs.weights.astype(np.float32).reshape(-1))
+        return skin
 
     def _add_targets(self, morphs: MorphTargets, count: int) -> list[dict[str, int]]:
         """Of a mesh of so many vertices."""
@@ -290,12 +328,15 @@ class _Scene:
             shading["baseColorTexture"] = self._texture_of(surface.picture, surface.repeats)
         if surface.normals is not None:
             material["normalTexture"] = self._texture_of(surface.normals, surface.normal_repeats)
+        if surface.blended:
+            material["alphaMode"] = "BLEND"
         if surface.sheen:
             sheen = {"sheenColorFactor": 3 * [surface.sheen], "sheenRoughnessFactor": SHEEN_ROUGHNESS}
             material["extensions"] = {SHEEN: sheen}
             self._extensions.add(SHEEN)
-        self._materials.append(material)
-        return len(self._materials) - 1
+        if material not in self._materials:
+            self._materials.append(material)
+        return self._materials.index(material)
 
     def _scaled(self, repeats: tuple[float, float]) -> dict:
         """What a picture is scaled by. glTF has the origin of texture places at the upper left."""

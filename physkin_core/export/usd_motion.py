@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from physkin_core.look.cloth_look import cloth_colours
+from physkin_core.look.cloth_look import ClothLook, cloth_colours
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.surfaces import Picture, Surface, linear, surfaces_of
 from physkin_core.motion.motion import Motion
@@ -17,7 +18,7 @@ from physkin_core.outfit.outfit import Outfit
 from physkin_core.picture import BODY_COLOUR
 
 if TYPE_CHECKING:
-    from pxr import UsdGeom, UsdShade
+    from pxr import Usd, UsdGeom, UsdShade
 
 __all__ = ["write_usd_motion"]
 
@@ -48,29 +49,28 @@ def write_usd_motion(
     colours = [BODY_COLOUR, *cloth_colours(outfit.garments)]
     names = _as_identifiers(["body", *(layer.name for layer in outfit.layers)])
     faces = [outfit.body_to_draw.faces[outfit.faces_to_draw], *(layer.faces for layer in outfit.layers)]
-    meshes = []
+    meshes, finished = [], []
     looks = looks or [None] * (1 + len(outfit.layers))
     for name, triangles, colour, look in zip(names, faces, colours, looks):
-        mesh = UsdGeom.Mesh.Define(stage, f"/avatar/{name}")
-        mesh.CreateFaceVertexCountsAttr(np.full(len(triangles), 3, dtype=np.int32))
-        mesh.CreateFaceVertexIndicesAttr(triangles.reshape(-1).astype(np.int32))
-        mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-        mesh.CreateDoubleSidedAttr(True)
-        mesh.CreateDisplayColorAttr([Gf.Vec3f(*colour)])
-        mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
-        _paint(mesh, look, linear(colour), len(triangles), path)
+        mesh = _mesh(stage, name, triangles, colour)
+        _paint(mesh, look, surfaces_of(look, name, linear(colour), len(triangles)), path)
         meshes.append(mesh)
+        finishes = look.finishes if isinstance(look, ClothLook) else ()
+        own = [_mesh(stage, f"{name}_finish_{k}", finish.faces, colour) for k, (finish, _) in enumerate(finishes)]
+        for part, (finish, surface) in zip(own, finishes):
+            whole = replace(surface, faces=np.arange(len(finish.faces)))
+            _paint(part, Look.with_places(finish.places), [whole], path)
+        finished.append([(part, finish) for part, (finish, _) in zip(own, finishes)])
     rig = outfit.rig
     outfit.reset()
     for frame, (positions, time, root_now) in enumerate(zip(motion.positions_for(rig), motion.times, motion.root)):
         clouds = outfit.drape(positions, time=time, root=root_now)
         body = outfit.posed_body(positions)
-        for mesh, points in zip(meshes, [body, *clouds]):
+        for mesh, parts, points in zip(meshes, finished, [body, *clouds]):
             points = np.ascontiguousarray(points, dtype=np.float32)
-            mesh.GetPointsAttr().Set(points[:, :3].copy(), frame)
-            mesh.GetExtentAttr().Set(np.stack([points[:, :3].min(axis=0), points[:, :3].max(axis=0)]), frame)
-            if points.shape[1] == 6:
-                mesh.GetNormalsAttr().Set(points[:, 3:].copy(), frame)
+            _move(mesh, points, frame)
+            for part, finish in parts:
+                _move(part, finish.on(points), frame)
         x, y, z, w = map(float, motion.root_orientation[frame])
         turn.Set(Gf.Quatf(w, x, y, z), frame)
         place.Set(Gf.Vec3d(*map(float, motion.root_position[frame])), frame)
@@ -79,8 +79,30 @@ def write_usd_motion(
     return []
 
 
-def _paint(mesh: UsdGeom.Mesh, look: Look | None, colour: tuple[float, ...], count: int, path: Path) -> None:
-    """Give a mesh of `count` faces its texture places, and its materials by subsets of faces. colour: linear RGB."""
+def _mesh(stage: Usd.Stage, name: str, triangles: np.ndarray, colour: tuple[float, float, float]) -> UsdGeom.Mesh:
+    """Without points yet. colour: sRGB, for what shows no materials."""
+    from pxr import Gf, UsdGeom
+
+    mesh = UsdGeom.Mesh.Define(stage, f"/avatar/{name}")
+    mesh.CreateFaceVertexCountsAttr(np.full(len(triangles), 3, dtype=np.int32))
+    mesh.CreateFaceVertexIndicesAttr(triangles.reshape(-1).astype(np.int32))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateDoubleSidedAttr(True)
+    mesh.CreateDisplayColorAttr([Gf.Vec3f(*colour)])
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    return mesh
+
+
+def _move(mesh: UsdGeom.Mesh, points: np.ndarray, frame: int) -> None:
+    """Place it in a frame. points: (n, 3), or (n, 6) with normals, float32."""
+    mesh.GetPointsAttr().Set(points[:, :3].copy(), frame)
+    mesh.GetExtentAttr().Set(np.stack([points[:, :3].min(axis=0), points[:, :3].max(axis=0)]), frame)
+    if points.shape[1] == 6:
+        mesh.GetNormalsAttr().Set(points[:, 3:].copy(), frame)
+
+
+def _paint(mesh: UsdGeom.Mesh, look: Look | None, surfaces: Sequence[Surface], path: Path) -> None:
+    """Give a mesh its texture places, and its materials by subsets of faces."""
     from pxr import Sdf, UsdGeom, UsdShade, Vt
 
     if look is not None:
@@ -88,7 +110,6 @@ def _paint(mesh: UsdGeom.Mesh, look: Look | None, colour: tuple[float, ...], cou
         places = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", kind, UsdGeom.Tokens.faceVarying)
         places.Set(np.nan_to_num(look.uv).reshape(-1, 2).astype(np.float32))
     binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
-    surfaces = surfaces_of(look, mesh.GetPrim().GetName(), colour, count)
     wanted = [surface.name for surface in surfaces]
     names = _as_identifiers([*wanted, *(f"faces_{name}" for name in wanted)])  # both stand beneath the mesh
     for surface, name, subset_name in zip(surfaces, names, names[len(surfaces) :]):
@@ -142,6 +163,8 @@ def _material(mesh: UsdGeom.Mesh, name: str, surface: Surface, path: Path) -> Us
         tint = Gf.Vec4f(*surface.colour, 1.0)
         shown = texture(surface.picture, surface.repeats, "sRGB", scale=(types.Float4, tint))
         preview.GetInput("diffuseColor").ConnectToSource(shown, "rgb")
+        if surface.blended:
+            preview.CreateInput("opacity", types.Float).ConnectToSource(shown, "a")
     if surface.normals is not None:
         spread = {"scale": (types.Float4, Gf.Vec4f(2, 2, 2, 1)), "bias": (types.Float4, Gf.Vec4f(-1, -1, -1, 0))}
         relief = texture(surface.normals, surface.normal_repeats, "raw", **spread)

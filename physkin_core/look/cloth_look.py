@@ -10,20 +10,31 @@ import re
 import struct
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from physkin_core.look.finishing import Finish, stitching, turned_up
 from physkin_core.mesh.look import LIBRARY, Look
-from physkin_core.model.fabric import split_colour
+from physkin_core.mesh.surfaces import Picture, Surface, surfaces_of
+from physkin_core.model.fabric import COLOURS, split_colour
+from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import SkinnedGarment
 from physkin_core.picture import layer_colours
 
-__all__ = ["CLOTHS", "Cloth", "Colour", "cloth_colour", "cloth_colours", "cloth_look", "cloth_of", "dyed"]
+__all__ = ["CLOTHS", "Cloth", "ClothLook", "Colour", "cloth_colour", "cloth_colours", "cloth_look", "cloth_of", "dyed"]
 
 FABRICS_PATH = Path(__file__).parents[1] / "assets" / "fabrics"
+SHADES, SHADOWS = 32, 16
+"""Of palettes; so many of that of stitches are shadows on the cloth, the others are the thread's."""
+STITCH_REPEATS = 1 / 0.0032, 1 / 0.0512
+"""Of a picture of stitches in a metre along the edge and away from it."""
+LIFT = 0.0003
+"""[m] Stitches lie so far above the cloth."""
+HEM_DEPTH = 0.026
+"""[m] Hems are turned up so far, or as far as whole faces go."""
 Colour = tuple[float, float, float]
 """sRGB in [0, 1]."""
 
@@ -36,6 +47,9 @@ class Cloth:
 
     tile: str
     colour: str | None = None
+    hem: str = "twin_hem"
+    felled: str = "seam"
+    thread: str | None = None
     dark: float = 0.35
     white: float = 0.15
     dyed_at: float = 0.6
@@ -45,11 +59,13 @@ class Cloth:
 CLOTHS = {
     "jersey": Cloth("jersey"),
     "rib": Cloth("rib", thickness=0.0025),
-    "cotton": Cloth("poplin", white=0.2),
-    "silk": Cloth("satin", dark=0.6, white=0.1, thickness=0.0008),
-    "wool": Cloth("wool", "grey", dark=0.25, white=0.3, dyed_at=0.5, thickness=0.0025),
-    "denim": Cloth("denim", "indigo", dark=0.2, white=0.75, dyed_at=0.5, thickness=0.002),
-    "leather": Cloth("leather", "brown", white=0.05, thickness=0.002),
+    "cotton": Cloth("poplin", hem="hem", white=0.2, thickness=0.001),
+    "silk": Cloth("satin", hem="hem", dark=0.6, white=0.1, thickness=0.0008),
+    "wool": Cloth("wool", "grey", hem="hem", dark=0.25, white=0.3, dyed_at=0.5, thickness=0.0025),
+    "denim": Cloth(
+        "denim", "indigo", "thick_hem", "felled", "ochre", dark=0.2, white=0.75, dyed_at=0.5, thickness=0.002
+    ),
+    "leather": Cloth("leather", "brown", "thick_hem", "felled", white=0.05, thickness=0.002),
 }
 """By the name of the fabric."""
 
@@ -64,8 +80,13 @@ def cloth_colour(fabric: str, usual: Colour) -> Colour:
     name, colour = split_colour(fabric)
     own = CLOTHS[name].colour if name in CLOTHS else None
     if colour is None and own is not None:
-        return split_colour(own)[1] or usual
+        return _named(own)
     return usual if colour is None else colour
+
+
+def _named(colour: str) -> Colour:
+    red, green, blue = COLOURS[colour]
+    return red / 255, green / 255, blue / 255
 
 
 def cloth_colours(garments: Sequence[SkinnedGarment]) -> list[Colour]:
@@ -74,16 +95,50 @@ def cloth_colours(garments: Sequence[SkinnedGarment]) -> list[Colour]:
     return [cloth_colour(garment.fabric, colour) for garment, colour in zip(garments, usual)]
 
 
-def cloth_look(garment: SkinnedGarment, faces: np.ndarray, colour: Colour) -> Look | None:
-    """The look of some faces, a mask (f,), of a garment in its fabric and in a colour; None for a garment that was not
-    cut flat: nobody knows where its grain runs."""
+@dataclass(frozen=True)
+class ClothLook(Look):
+    """The look of cloth, and what finishes the garment, each with its material: stitches, and hems turned up."""
+
+    finishes: tuple[tuple[Finish, Surface], ...] = ()
+
+
+def cloth_look(garment: SkinnedGarment, faces: np.ndarray, colour: Colour) -> ClothLook | None:
+    """The look of some faces, a mask (f,), of a garment in its fabric and in a colour, and finishes of these faces' own
+    vertices; None for a garment that was not cut flat: nobody knows where its grain runs."""
     mesh = garment.garment
     if mesh.panel_places is None or mesh.panel_faces is None:
         return None
     uv = mesh.panel_places[mesh.panel_faces[faces]]
     cloth = cloth_of(garment)
     files = _cloth_files(cloth, colour)
-    return Look(uv, np.zeros(len(uv), dtype=int), np.full(len(uv), -1), (cloth.tile,), (), files)
+    look = ClothLook(uv, np.zeros(len(uv), dtype=int), np.full(len(uv), -1), (cloth.tile,), (), files)
+    (surface,) = surfaces_of(look, cloth.tile, (1.0, 1.0, 1.0), len(uv))
+    used = np.unique(mesh.faces[faces])
+    vertex = np.full(len(mesh.vertices), -1)
+    vertex[used] = np.arange(len(used))
+    finishes = [
+        (finish.of_faces(faces, vertex), surface if name is None else _stitch_surface(name, cloth, colour))
+        for name, finish in _finishes(mesh, cloth)
+    ]
+    return replace(look, finishes=tuple(each for each in finishes if len(each[0].faces)))
+
+
+@lru_cache(maxsize=16)  # a film asks in every frame
+def _finishes(mesh: Garment, cloth: Cloth) -> list[tuple[str | None, Finish]]:
+    """Of a whole garment, with the pictures of those that are stitches."""
+    lines = stitching(mesh, LIFT)
+    hem = turned_up(mesh, HEM_DEPTH, cloth.thickness)
+    return [(None, hem), ("seam", lines.seams), (cloth.felled, lines.felled), (cloth.hem, lines.hems)]
+
+
+@lru_cache(maxsize=64)
+def _stitch_surface(name: str, cloth: Cloth, colour: Colour) -> Surface:
+    thread = colour if cloth.thread is None else _named(cloth.thread)
+    shadow, light = 0.12 * np.array(colour) ** 2.2, np.array(thread) ** 2.2
+    ramp = np.concatenate([np.tile(shadow, (SHADOWS, 1)), np.linspace(0.45, 1.15, SHADES - SHADOWS)[:, None] * light])
+    content = _with_palette((FABRICS_PATH / f"{name}.png").read_bytes(), ramp)
+    picture = Picture(f"{name}.png", content, "image/png")
+    return Surface(name, (1.0, 1.0, 1.0), np.empty(0, dtype=int), picture, STITCH_REPEATS, blended=True)
 
 
 @lru_cache(maxsize=16)
@@ -101,11 +156,16 @@ def _cloth_files(cloth: Cloth, colour: Colour) -> dict[str, bytes]:
 
 def dyed(picture: bytes, cloth: Cloth, colour: Colour) -> bytes:
     """A tile, a PNG with a palette, in a colour."""
-    at = picture.index(b"PLTE") - 4
-    (length,) = struct.unpack(">I", picture[at : at + 4])
-    shade = np.linspace(0, 1, length // 3)
+    shade = np.linspace(0, 1, SHADES)
     linear = np.array(colour) ** 2.2
     ramp = np.stack([cloth.dark * linear, linear, linear + cloth.white * (1 - linear)])
     levels = np.stack([np.interp(shade, [0, cloth.dyed_at, 1], channel) for channel in ramp.T], axis=1)
-    chunk = b"PLTE" + np.round(255 * levels ** (1 / 2.2)).astype(np.uint8).tobytes()
+    return _with_palette(picture, levels)
+
+
+def _with_palette(picture: bytes, levels: np.ndarray) -> bytes:
+    """A PNG that has one, with another one: linear RGB (s, 3)."""
+    at = picture.index(b"PLTE") - 4
+    (length,) = struct.unpack(">I", picture[at : at + 4])
+    chunk = b"PLTE" + np.round(255 * np.clip(levels, 0, 1) ** (1 / 2.2)).astype(np.uint8).tobytes()
     return picture[: at + 4] + chunk + struct.pack(">I", zlib.crc32(chunk)) + picture[at + 12 + length :]

@@ -48,7 +48,7 @@ class Surface:
     """A material. colour: (3,) linear RGB in [0, 1], which multiplies the picture's. faces: (k,) those that have it.
     repeats: how often the picture is there along a unit of either texture place, which is a metre on a garment that was
     cut flat; the origin is where one begins. normals: picture of normals in the frame of the texture, green upwards,
-    with repeats of its own. roughness, sheen: from 0 to 1, as in glTF."""
+    with repeats of its own. roughness, sheen: from 0 to 1, as in glTF. blended: by the picture's opacity."""
 
     name: str
     colour: tuple[float, ...]
@@ -59,6 +59,7 @@ class Surface:
     normal_repeats: tuple[float, float] = (1.0, 1.0)
     roughness: float = ROUGHNESS
     sheen: float = 0.0
+    blended: bool = False
 
 
 def linear(colour: tuple[float, float, float]) -> tuple[float, ...]:

@@ -5,6 +5,7 @@ Dimensions: `T` frames. Metres; world with Z up.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.look.cloth_look import Colour, cloth_colours, cloth_look
 from physkin_core.look.face_colours import avatar_colours
 from physkin_core.mesh.surfaces import linear, surfaces_of
+from physkin_core.model.garment import vertex_normals
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.picture import BODY_COLOUR, Mesh, contact_sheet, render
@@ -91,19 +93,24 @@ def dressed_meshes(outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]
     shown = outfit.faces_to_draw if len(cloth) > 1 else slice(None)
     skin = avatar_mesh(outfit.body_to_draw, body, shown)
     worn = [
-        cloth_mesh(layer, np.asarray(points)[:, :3], colour)
+        cloth_meshes(layer, np.asarray(points)[:, :3], colour)
         for points, layer, colour in zip(cloth, outfit.layers, cloth_colours(outfit.garments))
     ]
-    return [skin, *worn]
+    return [skin, *itertools.chain(*worn)]
 
 
-def cloth_mesh(layer: Layer, points: np.ndarray, colour: Colour) -> Mesh:
-    """A garment as its fabric looks in a colour. points: (v, 3) [m]."""
+def cloth_meshes(layer: Layer, points: np.ndarray, colour: Colour) -> list[Mesh]:
+    """A garment as its fabric looks in a colour, with its stitches and hems. points: (v, 3) [m]."""
     look = cloth_look(layer.model, layer.face_given, colour)
     if look is None:
-        return Mesh(points, layer.faces, colour)
+        return [Mesh(points, layer.faces, colour)]
     (surface,) = surfaces_of(look, layer.name, linear(colour), len(layer.faces))
-    return Mesh(points, layer.faces, colour, surface, look.uv)
+    normals = vertex_normals(points, layer.faces)
+    found = [Mesh(points, layer.faces, colour, surface, look.uv, normals)]
+    for finish, surface in look.finishes:
+        own = normals[finish.vertices] if surface.blended else None
+        found.append(Mesh(finish.placed(points, normals), finish.faces, colour, surface, finish.places, own))
+    return found
 
 
 def avatar_mesh(avatar: Avatar, vertices: np.ndarray, shown: np.ndarray | slice = slice(None)) -> Mesh:

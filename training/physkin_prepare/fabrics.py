@@ -181,6 +181,43 @@ FABRIC_TILES = {
 """What is shipped. Threads are some tenths of a millimetre thick, as those of the cloth are."""
 
 
+STITCHES = {
+    "seam": (0.0, ()),
+    "felled": (0.0, (0.0022, 0.0082)),
+    "hem": (None, (0.019,)),
+    "twin_hem": (None, (0.0185, 0.0235)),
+    "thick_hem": (None, (0.0125,)),
+}
+"""Of a line of stitches the seam's distance from the edge, if it has one, and those of the threads [m]."""
+STITCH, STITCH_PIXEL = (0.0032, 0.0512), 1e-4
+"""[m] How long a stitch is, how far from the edge pictures of stitches reach, and a pixel of these."""
+THREAD_RADIUS = 0.00042
+SHADOWS = 16
+"""Of a stitch's palette: the first so many are shadows, ever less transparent, the others the thread."""
+
+
+def _stitch_file(seam: float | None, threads: Sequence[float]) -> bytes:
+    """A PNG of a line of stitches: the edge below, transparent where there is only cloth."""
+    width, height = (round(length / STITCH_PIXEL) for length in STITCH)
+    y, x = (np.mgrid[0:height, 0:width] + 0.5) * STITCH_PIXEL
+    shadow, thread = np.zeros((height, width)), np.zeros((height, width))
+    if seam is not None:
+        shadow = np.maximum(shadow, 0.8 * np.exp(-(((y - seam) / 0.0006) ** 2)))
+    for place in threads:
+        ends = np.maximum(np.abs(x - STITCH[0] / 2) - 0.0009, 0)
+        away = np.hypot(ends, y - place) / THREAD_RADIUS
+        thread = np.maximum(thread, np.sqrt(np.maximum(1 - away**2, 0)))
+        shadow = np.maximum(shadow, 0.75 * np.exp(-((np.maximum(away - 1, 0) / 0.9) ** 2)))
+        shadow = np.maximum(shadow, 0.35 * np.exp(-(((y - place) / 0.0009) ** 2)))
+    twist = 0.12 * np.sin(2 * np.pi * (x + 0.7 * y) / 0.0004)
+    shade = np.clip(0.25 + 0.65 * thread + twist, 0, 0.99)
+    index = np.where(thread > 0.25, SHADOWS + (SHADES - SHADOWS) * shade, 0.99 * SHADOWS * shadow).astype(np.uint8)
+    image = Image.fromarray(index[::-1], mode="P")
+    image.putpalette(bytes(3 * SHADES))
+    opacity = [*(round(255 * 0.7 * k / (SHADOWS - 1)) for k in range(SHADOWS)), *[255] * (SHADES - SHADOWS)]
+    return _png(image, transparency=bytes(opacity))
+
+
 def _shade_file(shade: np.ndarray) -> bytes:
     """A PNG with a grey palette."""
     shade = shade - (1 - LEFT) * (gaussian_filter(shade, BROAD, mode="wrap") - shade.mean())
@@ -200,9 +237,9 @@ def _normal_file(height: np.ndarray, size: float) -> bytes:
     return _png(Image.fromarray(stepped[::-1].clip(0, 255).astype(np.uint8)))
 
 
-def _png(image: Image.Image) -> bytes:
+def _png(image: Image.Image, **options: bytes) -> bytes:
     buffer = io.BytesIO()
-    image.save(buffer, format="PNG", optimize=True)
+    image.save(buffer, format="PNG", optimize=True, **options)
     return buffer.getvalue()
 
 
@@ -221,6 +258,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         repeats = f"-s {1 / tile.size:.6g} {1 / tile.size:.6g} 1"
         library += [f"newmtl {name}", "Kd 1 1 1", f"Pr {tile.roughness:g}", f"Ps {tile.sheen:g}"]
         library += [f"map_Kd {repeats} {name}.png", f"norm {repeats} {name}_normal.png", ""]
+    for name, line in STITCHES.items():
+        (options.output / f"{name}.png").write_bytes(_stitch_file(*line))
     (options.output / LIBRARY).write_text("\n".join(library))
 
 

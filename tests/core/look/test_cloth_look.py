@@ -109,11 +109,14 @@ def test_gltf_has_both_pictures_in_metres(tmp_path):
     content = written.read_bytes()
     (length,) = struct.unpack("<I", content[12:16])
     document = json.loads(content[20 : 20 + length])
-    material = document["materials"][-1]
+    materials = {material["name"]: material for material in document["materials"]}
+    assert materials.keys() >= {"wool", "seam", "hem"} and materials["hem"]["alphaMode"] == "BLEND"
+    assert len(materials) == len(document["materials"])
+    material = materials["wool"]
     scale = pytest.approx([50, 50])
     for texture in (material["pbrMetallicRoughness"]["baseColorTexture"], material["normalTexture"]):
         assert texture["extensions"]["KHR_texture_transform"]["scale"] == scale
-    assert [image["name"] for image in document["images"]][-2:] == ["wool.png", "wool_normal.png"]
+    assert {image["name"] for image in document["images"]} >= {"wool.png", "wool_normal.png", "seam.png", "hem.png"}
     assert material["pbrMetallicRoughness"]["roughnessFactor"] == 1.0
     assert document["extensionsUsed"] == ["KHR_materials_sheen", "KHR_texture_transform"]
 
@@ -122,9 +125,12 @@ def test_usd_has_both_pictures_beside_it(tmp_path):
     usd = pytest.importorskip("pxr.Usd", reason="needs the extra [usd]")
     written = exported(tmp_path, "denim", "w.usdc")
     stage = usd.Stage.Open(str(written))
-    prims = {prim.GetName(): prim for prim in stage.Traverse()}
+    prims = {prim.GetName(): prim for prim in stage.Traverse() if prim.GetPath().GetParentPath().name == "denim"}
     for name, space in (("UsdUVTexture", "sRGB"), ("UsdUVTexture_normals", "raw")):
         assert prims[name].GetAttribute("inputs:sourceColorSpace").Get() == space
         file = prims[name].GetAttribute("inputs:file").Get().path
         assert Image.open(tmp_path / file).size == (256, 256)
     assert prims["UsdPreviewSurface"].GetAttribute("inputs:normal").GetConnections()
+    stitches = [prim for prim in stage.Traverse() if prim.GetName() == "thick_hem"]
+    (shader,) = (prim for prim in stitches[0].GetChildren() if prim.GetName() == "UsdPreviewSurface")
+    assert shader.GetAttribute("inputs:opacity").GetConnections()
