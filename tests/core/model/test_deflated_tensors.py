@@ -78,7 +78,8 @@ SOUND = raw(bytes(1000))
         ({"b": ["|u1", [1000], "plain"]}, SOUND, "lacks 'b'"),
         *(({"a": entry}, SOUND, "its metadata say .* of 'a', allowed") for entry in (
             7, [], ["|u1"], ["|u1", 1000, "plain"], ["|u1", [], "plain"], ["<f8", [125], "plain"],
-            ["|O", [125], "plain"], [3, [1000], "plain"], ["|u1", [-1000], "plain"], ["|u1", [1000.0], "plain"], ["|u1", [True], "plain"],
+            ["|O", [125], "plain"],
+            [3, [1000], "plain"], ["|u1", [-1000], "plain"], ["|u1", [1000.0], "plain"], ["|u1", [True], "plain"],
             ["|u1", [1000], "columns"], ["|u1", [1000], 0], ["<f2", [500], "rows"])),
         ({"a": ["|u1", [999], "plain"]}, SOUND, "does not inflate to the 999 bytes"),
         ({"a": ["|u1", [1001], "plain"]}, SOUND, "does not inflate to the 1001 bytes"),

@@ -1,31 +1,112 @@
-"""Network weights rounded to eight bits: on the native evaluator's steps, and closer than rounded one by one."""
+"""Network weights on few steps: on the native evaluator's, closer than rounded one by one, and kept by a file."""
 
 import numpy as np
 import pytest
+from random_models import random_model
 
-from physkin_core import Draper, load_avatar, load_garment_model
+from physkin_core import Draper, load_avatar, load_body_model, load_garment_model, save_garment_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR
 from physkin_core.model.model_file import shipped_models
+from physkin_core.model.packed_weights import pack_weight, unpack_weights
 from physkin_core.motion.loading import load_motion
-from physkin_training.networks.compensated_rounding import STEPS, compensated_rounding
+from physkin_training.networks import compensated_rounding as module
+from physkin_training.networks.compensated_rounding import (
+    STEPS,
+    STEPS_OF_FOUR,
+    Rounding,
+    compensated_rounding,
+    rounded_model,
+)
 
 
 def in_steps(weight):
     return weight / np.abs(weight).max(axis=1, keepdims=True) * STEPS
 
 
-def test_outputs_are_closer_than_rounded_one_by_one():
-    """Inputs that hang together leave room for it: here a tenth of the error."""
+def some_weight(*, sizes=1.0):
+    """A weight (40, 64) in half precision, rows so large; and inputs that hang together."""
     random = np.random.default_rng(3)
-    weight = random.normal(size=(40, 64)).astype(np.float32)
-    inputs = random.normal(size=(500, 8)) @ random.normal(size=(8, 64))
-    rounded = compensated_rounding(weight, inputs)
-    np.testing.assert_allclose(in_steps(rounded), np.rint(in_steps(rounded)), atol=1e-4)
+    weight = (random.normal(size=(40, 64)) * sizes).astype(np.float16).astype(np.float32)
+    return weight, random.normal(size=(500, 8)) @ random.normal(size=(8, 64))
+
+
+def mean_square(inputs):
+    return inputs.T @ inputs / len(inputs)
+
+
+@pytest.mark.parametrize("every, share", [(1, 0.2), (8, 0.35), (16, 0.5)])
+def test_outputs_are_closer_than_rounded_one_by_one(every, share):
+    """Inputs that hang together leave room for it: with all steps here a tenth of the error. The largest of a row
+    stays, the others are on every so many steps."""
+    weight, inputs = some_weight()
+    rounded = compensated_rounding(weight, mean_square(inputs), Rounding(every))
+    steps = np.rint(in_steps(rounded))
+    np.testing.assert_allclose(in_steps(rounded), steps, atol=1e-4)
     largest = np.abs(weight).max(axis=1)
     np.testing.assert_array_equal(np.abs(rounded).max(axis=1), largest)
-    one_by_one = np.rint(in_steps(weight)) * largest[:, None] / STEPS
+    assert ((steps % every == 0) | (np.abs(steps) == STEPS)).all()
+    one_by_one = every * np.rint(in_steps(weight) / every) * largest[:, None] / STEPS
     errors = [np.abs(inputs @ (each - weight).T).mean() for each in (rounded, one_by_one)]
-    assert errors[0] < 0.2 * errors[1]
+    assert errors[0] < share * errors[1]
+
+
+def test_outputs_in_one_unit_are_rounded_to_one_size():
+    """Rows of a tenth, one and ten: by their own largest each loses in proportion; alike, all lose as much."""
+    sizes = np.repeat([0.1, 1.0, 10.0], [13, 13, 14])[:, None]
+    weight, inputs = some_weight(sizes=sizes)
+    for alike, most in ((False, 130), (True, 25)):
+        rounded = compensated_rounding(weight, np.eye(64), Rounding(4, alike=alike))
+        lost = [np.abs((rounded - weight)[rows]).mean() for rows in (slice(13, 26), slice(26, 40))]
+        assert most / 25 < lost[1] / lost[0] < most / 5 if not alike else lost[1] / lost[0] < 1.5
+
+
+@pytest.mark.parametrize("rounding", [Rounding(1), Rounding(12), Rounding(8, alike=True), Rounding(32, four=True)])
+def test_a_file_keeps_every_rounded_weight(rounding):
+    weight, inputs = some_weight(sizes=np.linspace(0.2, 3, 40)[:, None])
+    rounded = compensated_rounding(weight, mean_square(inputs), rounding)
+    stored = pack_weight("a.weight", rounded)
+    assert ("a.weight.low" in stored) == rounding.four
+    np.testing.assert_allclose(unpack_weights(stored)["a.weight"], rounded, rtol=1e-6, atol=1e-9)
+    if rounding.four:
+        scale = np.abs(rounded.reshape(40, -1, 4)).max(axis=1)
+        steps = rounded.reshape(40, -1, 4) / scale[:, None] * STEPS_OF_FOUR
+        assert np.abs(steps - np.rint(steps)).max() < 1e-2
+        whole = np.rint(steps)
+        assert ((whole % 32 == 0) | (np.abs(whole) == STEPS_OF_FOUR)).all()
+
+
+def test_a_layer_makes_up_for_what_rounding_did_to_its_inputs():
+    """Inputs that are all a little too large are taken for less."""
+    weight, inputs = some_weight()
+    given = 1.1 * inputs
+    rounded = module._Pass(inputs, given).round(weight, Rounding(2))
+    errors = [
+        np.abs(given @ each.T - inputs @ weight.T).mean()
+        for each in (rounded, compensated_rounding(weight, mean_square(given), Rounding(2)))
+    ]
+    assert errors[0] < 0.3 * errors[1]
+
+
+def test_a_rounded_model_drapes_the_same_in_fewer_bytes(tmp_path, monkeypatch):
+    for name, value in {"BODIES": 2, "EVERY": 60, "EVERYDAY": 50, "FARTHER": 30, "ENCODED_BODIES": 3}.items():
+        monkeypatch.setattr(module, name, value)
+    rig = load_body_model().rig
+    widths = {"pose_widths": (64,) * 3, "deformer_widths": (64,) * 3, "width": 32}
+    model = random_model(np.random.default_rng(0), rig=rig, rings=20, nodes=40, detail_nodes=30, **widths)
+    rounded = rounded_model(model)
+    sizes = []
+    for each in (model, rounded):
+        save_garment_model(each, tmp_path / "model.safetensors")
+        sizes.append((tmp_path / "model.safetensors").stat().st_size)
+    assert sizes[1] < sizes[0]
+    avatar = load_avatar(BUNDLED_AVATAR, model.rig)
+    drapes = [Draper(each, avatar).drape(model.rig.rest)[:, :3] for each in (model, rounded)]
+    assert 0 < np.linalg.norm(drapes[0] - drapes[1], axis=1).mean() < 3e-3
+
+
+def test_a_model_of_another_rig_is_refused():
+    with pytest.raises(ValueError, match="this garment has another rig"):
+        rounded_model(random_model(np.random.default_rng(0)))
 
 
 @pytest.mark.parametrize("name", shipped_models())

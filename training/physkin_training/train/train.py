@@ -195,7 +195,7 @@ def export(trainer: Trainer, path: Path) -> GarmentModel:
         training=training,
     )
     model = replace(model, rest_normals=fitted_rest_normals(drape, trainer.garment, trainer.rig))
-    return store_checked(rounded_model(model), drape, path)
+    return store_checked(rounded_model(model, device=trainer.device), drape, path)
 
 
 if __name__ == "__main__":
