@@ -233,12 +233,12 @@ def _stored(name: str, array: np.ndarray, kind: Array) -> dict[str, np.ndarray]:
     if kind.step:
         return {name: _in_steps(name, array, kind)}
     with np.errstate(over="ignore"):
-        if name.endswith(".weight") and array.ndim == 2:
-            stored = pack_weight(name, array)
-            if array.size < LEAST_PACKED and f"{name}.low" in stored:
-                stored = {name: array.astype(kind.stored)}
-        else:
-            stored = {name: array.astype(kind.stored)}
+        stored = {name: array.astype(kind.stored)}
+        if array.ndim == 2 and kind.stored is np.float16:
+            packed = pack_weight(name, array)
+            in_ten_bits = f"{name}.low" in packed
+            if not in_ten_bits or (name.endswith(".weight") and array.size >= LEAST_PACKED):
+                stored = packed
     for tensor in stored.values():
         if not np.isfinite(tensor).all():
             largest = np.finfo(tensor.dtype).max

@@ -70,8 +70,9 @@ def unpack_weights(tensors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """
     unpacked = dict(tensors)
     for name, high in tensors.items():
-        if name.endswith(".weight") and high.dtype == np.int8:
-            if f"{name}.largest_127" in tensors:
+        on_steps = f"{name}.largest_127" in tensors
+        if high.dtype == np.int8 and (on_steps or name.endswith(".weight")):
+            if on_steps:
                 every = unpacked.pop(f"{name}.every", None)
                 unpacked[name] = _unpacked(name, high, None, unpacked.pop(f"{name}.largest_127"), every)
             else:

@@ -2,20 +2,17 @@
 
 import numpy as np
 import pytest
-from random_models import random_model
 
-from physkin_core import Draper, load_avatar, load_body_model, load_garment_model, save_garment_model
+from physkin_core import Draper, load_avatar, load_garment_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR
 from physkin_core.model.model_file import shipped_models
 from physkin_core.model.packed_weights import pack_weight, unpack_weights
 from physkin_core.motion.loading import load_motion
-from physkin_training.networks import compensated_rounding as module
 from physkin_training.networks.compensated_rounding import (
     STEPS,
     STEPS_OF_FOUR,
     Rounding,
     compensated_rounding,
-    rounded_model,
 )
 
 
@@ -73,40 +70,6 @@ def test_a_file_keeps_every_rounded_weight(rounding):
         assert np.abs(steps - np.rint(steps)).max() < 1e-2
         whole = np.rint(steps)
         assert ((whole % 32 == 0) | (np.abs(whole) == STEPS_OF_FOUR)).all()
-
-
-def test_a_layer_makes_up_for_what_rounding_did_to_its_inputs():
-    """Inputs that are all a little too large are taken for less."""
-    weight, inputs = some_weight()
-    given = 1.1 * inputs
-    rounded = module._Pass(inputs, given).round(weight, Rounding(2))
-    errors = [
-        np.abs(given @ each.T - inputs @ weight.T).mean()
-        for each in (rounded, compensated_rounding(weight, mean_square(given), Rounding(2)))
-    ]
-    assert errors[0] < 0.3 * errors[1]
-
-
-def test_a_rounded_model_drapes_the_same_in_fewer_bytes(tmp_path, monkeypatch):
-    for name, value in {"BODIES": 2, "EVERY": 60, "EVERYDAY": 50, "FARTHER": 30, "ENCODED_BODIES": 3}.items():
-        monkeypatch.setattr(module, name, value)
-    rig = load_body_model().rig
-    widths = {"pose_widths": (64,) * 3, "deformer_widths": (64,) * 3, "width": 32}
-    model = random_model(np.random.default_rng(0), rig=rig, rings=20, nodes=40, detail_nodes=30, **widths)
-    rounded = rounded_model(model)
-    sizes = []
-    for each in (model, rounded):
-        save_garment_model(each, tmp_path / "model.safetensors")
-        sizes.append((tmp_path / "model.safetensors").stat().st_size)
-    assert sizes[1] < sizes[0]
-    avatar = load_avatar(BUNDLED_AVATAR, model.rig)
-    drapes = [Draper(each, avatar).drape(model.rig.rest)[:, :3] for each in (model, rounded)]
-    assert 0 < np.linalg.norm(drapes[0] - drapes[1], axis=1).mean() < 3e-3
-
-
-def test_a_model_of_another_rig_is_refused():
-    with pytest.raises(ValueError, match="this garment has another rig"):
-        rounded_model(random_model(np.random.default_rng(0)))
 
 
 @pytest.mark.parametrize("name", shipped_models())

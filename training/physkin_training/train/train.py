@@ -15,9 +15,9 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.hyper_modulator import BENDING_OCTAVES
 from physkin_training.config import ConfigError, load_config
 from physkin_training.devices import DEFAULT_DEVICE
-from physkin_training.networks.compensated_rounding import rounded_model
 from physkin_training.networks.export import ExportError, model_from_drape, store_checked
 from physkin_training.networks.rest_normals import fitted_rest_normals
+from physkin_training.networks.rounded_model import rounded_model
 from physkin_training.train.checkpoint import CheckpointError, saved_steps
 from physkin_training.train.processes import join, leave
 from physkin_training.train.run_reports import RunReports

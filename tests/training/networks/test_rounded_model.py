@@ -1,0 +1,46 @@
+"""Garment models with all large networks rounded: they drape the same, in fewer bytes."""
+
+import numpy as np
+import pytest
+from random_models import random_model
+
+from physkin_core import Draper, load_avatar, load_body_model, save_garment_model
+from physkin_core.avatar.loading import BUNDLED_AVATAR
+from physkin_training.networks import rounded_model as rounded_models
+from physkin_training.networks.compensated_rounding import Rounding, compensated_rounding
+from physkin_training.networks.rounded_model import rounded_model
+
+
+def test_a_layer_makes_up_for_what_rounding_did_to_its_inputs():
+    """Inputs that are all a little too large are taken for less."""
+    random = np.random.default_rng(3)
+    weight, inputs = random.normal(size=(40, 64)), random.normal(size=(500, 8)) @ random.normal(size=(8, 64))
+    given = 1.1 * inputs
+    rounded = rounded_models._Pass(inputs, given).round(weight, Rounding(2))
+    errors = [
+        np.abs(given @ each.T - inputs @ weight.T).mean()
+        for each in (rounded, compensated_rounding(weight, given.T @ given / len(given), Rounding(2)))
+    ]
+    assert errors[0] < 0.3 * errors[1]
+
+
+def test_a_rounded_model_drapes_the_same_in_fewer_bytes(tmp_path, monkeypatch):
+    for name, value in {"BODIES": 2, "EVERY": 60, "EVERYDAY": 50, "FARTHER": 30, "ENCODED_BODIES": 3}.items():
+        monkeypatch.setattr(rounded_models, name, value)
+    rig = load_body_model().rig
+    widths = {"pose_widths": (64,) * 3, "deformer_widths": (64,) * 3, "width": 32}
+    model = random_model(np.random.default_rng(0), rig=rig, rings=20, nodes=40, detail_nodes=30, **widths)
+    rounded = rounded_model(model)
+    sizes = []
+    for each in (model, rounded):
+        save_garment_model(each, tmp_path / "model.safetensors")
+        sizes.append((tmp_path / "model.safetensors").stat().st_size)
+    assert sizes[1] < sizes[0]
+    avatar = load_avatar(BUNDLED_AVATAR, model.rig)
+    drapes = [Draper(each, avatar).drape(model.rig.rest)[:, :3] for each in (model, rounded)]
+    assert 0 < np.linalg.norm(drapes[0] - drapes[1], axis=1).mean() < 3e-3
+
+
+def test_a_model_of_another_rig_is_refused():
+    with pytest.raises(ValueError, match="this garment has another rig"):
+        rounded_model(random_model(np.random.default_rng(0)))

@@ -1,0 +1,211 @@
+"""A garment model with all of its large networks rounded, over the poses of everyday life and training bodies.
+
+Each layer makes up for what rounding those before it did to its inputs. The pose modulator's first layer stays as it
+is, and so do small ones of the encoder.
+
+Dimensions: `k` inputs of a layer, `o` its outputs, `F` frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import nn
+
+from physkin_core.avatar.avatar import avatar_from_body
+from physkin_core.avatar.body_model import BodyModel, load_body_model
+from physkin_core.model.detail import Detail
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.hyper_modulator import BENDING_OCTAVES, bending_code
+from physkin_core.model.mlp import Layer, silu, split_modulation
+from physkin_core.model.surface_sampling import sample_surface
+from physkin_core.motion.everyday_poses import everyday_poses
+from physkin_core.motion.loading import bundled_motions, load_motion
+from physkin_core.rig.rig import Rig, forward_kinematics, pose_vector
+from physkin_core.runtime.binding import bind_garment
+from physkin_training.networks.compensated_rounding import Rounding, compensated_rounding
+from physkin_training.networks.export import drape_from_model, encode_bodies
+from physkin_training.sampling.everyday_poses import EverydayPoses
+from physkin_training.sway.rounding import rounded_sway
+
+__all__ = ["rounded_model"]
+
+BODIES, EVERY, EVERYDAY, FARTHER = 8, 6, 500, 250
+"""Training bodies; of each clip's frames one in so many, everyday poses drawn beside them, and poses between all those
+and any in the joint limits."""
+ENCODED_BODIES, ENCODED_POINTS = 64, 1024
+"""Training bodies that the encoder sees, at both fits, cloth that bends otherwise among them; a quarter of the points
+tells its layers' inputs as well, in a tenth of the time."""
+POSE_HIDDEN, POSE_LAST = Rounding(12), Rounding(16, alike=True)
+DEFORMER_FIRST, DEFORMER_HIDDEN, DEFORMER_LAST = Rounding(32, four=True, damping=1e-4), Rounding(3), Rounding(3)
+FEATURES, OFFSETS = Rounding(2), Rounding(2, alike=True)
+ENCODER, ENCODER_OUTPUT = Rounding(24), Rounding(48)
+LEAST_ROUNDED = 2**13
+"""Network weights of the encoder that are fewer are left alone, and those that read points."""
+
+
+def rounded_model(model: GarmentModel, *, device: torch.device | str = "cpu", seed: int = 0) -> GarmentModel:
+    """The model with its networks rounded, over drapes on training bodies. device: where bodies are encoded.
+
+    Raises ValueError for another rig than the body model's."""
+    body_model = load_body_model()
+    if model.rig.to_json() != body_model.rig.to_json():
+        raise ValueError("network weights are rounded over the body model's poses; this garment has another rig")
+    random = np.random.default_rng(seed)
+    encoder = dict(model.hyper_modulator)
+    for name, square in _encoder_squares(model, body_model, device, random).items():
+        rounding = ENCODER_OUTPUT if name == "output.weight" else ENCODER
+        encoder[name] = compensated_rounding(encoder[name], square, rounding)
+    rounded = replace(model, hyper_modulator=encoder)
+    frames = _frames(model, rounded, body_model, device, random)
+    pose = _Pass(frames.poses, frames.poses)
+    pose_layers = _rounded(
+        model.pose_modulator, pose, (frames.exact_modulation, frames.modulation), (None, POSE_HIDDEN, POSE_LAST)
+    )
+    deformer = _Pass(frames.nodes, frames.nodes)
+    plan = (DEFORMER_FIRST, DEFORMER_HIDDEN, DEFORMER_LAST)
+    deformer_layers = _rounded(model.node_deformer, deformer, (pose.exact, pose.rounded), plan)
+    detail = None if model.detail is None else _rounded_detail(model.detail, deformer.before_last())
+    sway = None if model.sway is None else rounded_sway(model.sway, model.rig)
+    return replace(rounded, pose_modulator=pose_layers, node_deformer=deformer_layers, detail=detail, sway=sway)
+
+
+@dataclass
+class _Pass:
+    """What the next layer reads (F, k): of the network as it was, and of the rounded one."""
+
+    exact: np.ndarray
+    rounded: np.ndarray
+    _before: tuple[np.ndarray, np.ndarray] | None = None
+
+    def before_last(self) -> _Pass:
+        """What the last layer read."""
+        return _Pass(*self._before)
+
+    def round(self, weight: np.ndarray, rounding: Rounding | None) -> np.ndarray:
+        """The weight (o, k) rounded, so that it makes of the rounded inputs what it made of the exact ones."""
+        if rounding is None:
+            return weight
+        exact, given = self.exact.astype(np.float64), self.rounded.astype(np.float64)
+        square = given.T @ given / len(given)
+        damping = rounding.damping * np.trace(square) / len(square) * np.eye(len(square))
+        wanted = weight @ (exact.T @ given / len(given) + damping)
+        return compensated_rounding(np.linalg.solve(square + damping, wanted.T).T, square, rounding)
+
+    def go_on(self, exact: np.ndarray, rounded: np.ndarray) -> None:
+        self._before = (self.exact, self.rounded)
+        self.exact, self.rounded = exact, rounded
+
+
+def _rounded(
+    layers: Sequence[Layer],
+    on: _Pass,
+    modulations: tuple[np.ndarray, np.ndarray],
+    plan: tuple[Rounding | None, Rounding, Rounding],
+) -> tuple[Layer, ...]:
+    """Layers rounded, the first, hidden ones and the last as planned; then `on` holds what the last gives.
+    modulations: (F, s) as they were, and by rounded networks."""
+    first, hidden, last = plan
+    plans = [first, *[hidden] * (len(layers) - 2), last]
+    result = []
+    parts = zip(*(split_modulation(layers, modulation) for modulation in modulations), strict=True)
+    for (weight, bias), rounding in zip(layers, plans, strict=True):
+        rounded = on.round(weight, rounding)
+        result.append((rounded, bias))
+        outputs = [on.exact @ weight.T + bias, on.rounded @ rounded.T + bias]
+        if part := next(parts, None):
+            outputs = [silu((1 + scale) * x + shift) for x, (scale, shift) in zip(outputs, part)]
+        on.go_on(*outputs)
+    return tuple(result)
+
+
+def _rounded_detail(detail: Detail, hidden: _Pass) -> Detail:
+    """hidden: what features are made of."""
+    weight, bias = detail.features
+    rounded = hidden.round(weight, FEATURES)
+    hidden.go_on(silu(hidden.exact @ weight.T + bias), silu(hidden.rounded @ rounded.T + bias))
+    return replace(detail, features=(rounded, bias), offsets=hidden.round(detail.offsets, OFFSETS))
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """poses (F, p), posed garment nodes (F, 12 m), and modulations of the pose modulator (F, s): as the encoder gave
+    them, and as the rounded one does."""
+
+    poses: np.ndarray
+    nodes: np.ndarray
+    exact_modulation: np.ndarray
+    modulation: np.ndarray
+
+
+def _frames(
+    model: GarmentModel,
+    rounded: GarmentModel,
+    body_model: BodyModel,
+    device: torch.device | str,
+    random: np.random.Generator,
+) -> _Frames:
+    """Frames of training bodies, every second one made to measure."""
+    drapes = [drape_from_model(each).to(device) for each in (model, rounded)]
+    parts = []
+    for index, body in enumerate(random.choice(len(body_model.train_bodies), BODIES, replace=False)):
+        fit = float(index % 2)
+        avatar = avatar_from_body(body_model, body_model.train_bodies[body])
+        bound = bind_garment(model, avatar, fit=fit)
+        positions, gravity = _poses(model.rig, random)
+        skeleton = (bound.bone_parents, bound.bone_heads, bound.dof_bone, bound.dof_axis)
+        bones = np.stack([forward_kinematics(*skeleton, q - bound.dof_rest) for q in positions])
+        nodes = bones[:, bound.node_bone]
+        nodes[..., 3] += np.einsum("fmij,mj->fmi", nodes[..., :3], bound.node_positions)
+        poses = pose_vector(positions, model.rig.lower, model.rig.upper, gravity)
+        encoded = [encode_bodies(drape, avatar.vertices[None], avatar.faces, fit=fit).cpu().numpy() for drape in drapes]
+        modulations = (np.repeat(modulation, len(poses), axis=0) for modulation in encoded)
+        parts.append((poses, nodes.reshape(len(nodes), -1), *modulations))
+    return _Frames(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+
+def _encoder_squares(
+    model: GarmentModel, body_model: BodyModel, device: torch.device | str, random: np.random.Generator
+) -> dict[str, np.ndarray]:
+    """Mean of products (k, k) of what layers of the hyper modulator read of training bodies, by the name of the weight;
+    of those that are rounded."""
+    encoder = drape_from_model(model).to(device).networks.hyper_modulator
+    sums: dict[str, np.ndarray] = {}
+    counts: dict[str, int] = {}
+
+    def add(name: str, x: torch.Tensor) -> None:
+        x = x.detach().flatten(0, -2).double()
+        sums[name] = sums.get(name, 0) + (x.T @ x).cpu().numpy()
+        counts[name] = counts.get(name, 0) + len(x)
+
+    for name, layer in encoder.named_modules():
+        if isinstance(layer, nn.Linear) and name != "embed" and layer.weight.numel() >= LEAST_ROUNDED:
+            layer.register_forward_hook(lambda _, inputs, __, name=name: add(f"{name}.weight", inputs[0]))
+    bodies = random.permutation(len(body_model.train_bodies))[:ENCODED_BODIES]
+    softest, stiffest = (bending_code(2.0**octave) for octave in BENDING_OCTAVES)
+    for index, body in enumerate(bodies):
+        avatar = avatar_from_body(body_model, body_model.train_bodies[body])
+        surface = sample_surface(avatar.vertices, avatar.faces, ENCODED_POINTS)
+        points, normals = (torch.as_tensor(a, dtype=torch.float32, device=device)[None] for a in surface)
+        bending = random.uniform(softest, stiffest) if index % 4 < 2 else 0.0
+        fit, code = (torch.tensor([value], dtype=torch.float32, device=device) for value in (index % 2, bending))
+        with torch.no_grad():
+            encoder(points, normals, fit, code)
+    return {name: total / counts[name] for name, total in sums.items()}
+
+
+def _poses(rig: Rig, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Joint positions (F, d) [rad] and gravity (F, 3): everyday ones, of clips, and others less and less like them."""
+    clips = [load_motion(name) for name in bundled_motions()]
+    drawn = EverydayPoses(rig, torch.device("cpu")).sample(
+        EVERYDAY, generator=torch.Generator().manual_seed(int(random.integers(1 << 31)))
+    )
+    known = (everyday_poses(rig), *((clip.positions_for(rig)[::EVERY], clip.gravity[::EVERY]) for clip in clips), drawn)
+    positions, gravity = (np.concatenate([np.asarray(each) for each in parts]) for parts in zip(*known, strict=True))
+    near = random.integers(len(positions), size=FARTHER)
+    anywhere = rig.lower + random.random((FARTHER, len(rig.lower))) * (rig.upper - rig.lower)
+    farther = positions[near] + random.random((FARTHER, 1)) * (anywhere - positions[near])
+    return np.concatenate([positions, farther]), np.concatenate([gravity, gravity[near]])
