@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["FROM_ROOT_FRAME", "GltfBuilder", "strongest_influences", "write_glb"]
+__all__ = ["FROM_ROOT_FRAME", "GltfBuilder", "glb", "strongest_influences", "write_glb"]
 
 # Rows: glTF's x (left), y (up), z (forward).
 FROM_ROOT_FRAME = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -95,10 +95,15 @@ def strongest_influences(joints: np.ndarray, weights: np.ndarray) -> tuple[np.nd
 
 
 def write_glb(path: Path, builder: GltfBuilder) -> None:
-    """Write one binary file, JSON and buffer together."""
+    """Write one binary file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(glb(builder))
+
+
+def glb(builder: GltfBuilder) -> bytes:
+    """One binary file, JSON and buffer together."""
     text = json.dumps(builder.document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     binary = bytes(builder.binary) + b"\0" * (-len(builder.binary) % 4)
     chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks

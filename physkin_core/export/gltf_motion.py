@@ -19,11 +19,12 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.export.affine_joints import as_joint_chains
 from physkin_core.export.draped_clip import DrapedGarment, drape_clip
 from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences, write_glb
+from physkin_core.export.gltf_materials import GltfMaterials
 from physkin_core.export.morph_targets import MorphTargets
 from physkin_core.look.cloth_look import ClothLook, cloth_colours
 from physkin_core.look.finishing import Finish
 from physkin_core.mesh.look import Look
-from physkin_core.mesh.surfaces import Picture, Surface, linear, split_at_seams, surfaces_of
+from physkin_core.mesh.surfaces import Surface, linear, split_at_seams, surfaces_of
 from physkin_core.model.garment import vertex_normals
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
@@ -33,8 +34,6 @@ from physkin_core.runtime.layer import Layer
 
 __all__ = ["write_gltf_motion"]
 
-TRANSFORM, SHEEN = "KHR_texture_transform", "KHR_materials_sheen"
-SHEEN_ROUGHNESS = 0.5
 TOO_FAR = 0.005
 """[m] off from where the order of layers has a vertex: less is hardly ever seen."""
 
@@ -142,17 +141,15 @@ class _Scene:
 
     def __init__(self, name: str, times: np.ndarray) -> None:
         self.builder = GltfBuilder({"generator": "PhySkin"})
-        self._nodes, self._meshes, self._skins, self._materials, self._channels, self._samplers = ([] for _ in range(6))
+        self._nodes, self._meshes, self._skins, self._channels, self._samplers = ([] for _ in range(5))
+        self._materials = GltfMaterials(self.builder)
         self._roots: list[int] = []
-        self._pictures: dict[Picture, int] = {}
-        self._extensions: set[str] = set()
         self.builder.document |= {
             "scene": 0,
             "scenes": [{"nodes": self._roots}],
             "nodes": self._nodes,
             "meshes": self._meshes,
             "skins": self._skins,
-            "materials": self._materials,
             "animations": [{"name": name, "channels": self._channels, "samplers": self._samplers}],
         }
         self._times = self.builder.add_accessor(times.astype(np.float32))
@@ -232,14 +229,7 @@ class _Scene:
 
     def finished(self) -> GltfBuilder:
         """The document, whole."""
-        if self._pictures:
-            images = [
-                {"name": each.name, "mimeType": each.kind, "bufferView": view} for each, view in self._pictures.items()
-            ]
-            textures = [{"source": image} for image in range(len(images))]
-            self.builder.document |= {"images": images, "textures": textures}
-        if self._extensions:
-            self.builder.document["extensionsUsed"] = sorted(self._extensions)
+        self._materials.finish()
         return self.builder
 
     def _add_joints(
@@ -292,7 +282,7 @@ class _Scene:
         primitives = []
         for surface in surfaces:
             indices = self.builder.add_accessor(mesh.faces[surface.faces].astype(np.uint32).reshape(-1))
-            material = self._add_material(surface)
+            material = self._materials.add(surface)
             primitives.append({"attributes": attributes, "indices": indices, "material": material, **targets})
         if skin is None:
             bind = np.tile(np.eye(4), (len(mesh.rest), 1, 1))
@@ -318,38 +308,6 @@ class _Scene:
             for target, each in zip(targets, () if values is None else values @ FROM_ROOT_FRAME.T):
                 target[name] = self.builder.add_sparse_accessor(morphs.moved, each.astype(np.float32), count)
         return targets
-
-    def _add_material(self, surface: Surface) -> int:
-        """Its index."""
-        factors = {"metallicFactor": 0.0, "roughnessFactor": surface.roughness}
-        shading: dict = {"baseColorFactor": [*surface.colour, 1.0], **factors}
-        material = {"name": surface.name, "pbrMetallicRoughness": shading, "doubleSided": True}
-        if surface.picture is not None:
-            shading["baseColorTexture"] = self._texture_of(surface.picture, surface.repeats)
-        if surface.normals is not None:
-            material["normalTexture"] = self._texture_of(surface.normals, surface.normal_repeats)
-        if surface.blended:
-            material["alphaMode"] = "BLEND"
-        if surface.sheen:
-            sheen = {"sheenColorFactor": 3 * [surface.sheen], "sheenRoughnessFactor": SHEEN_ROUGHNESS}
-            material["extensions"] = {SHEEN: sheen}
-            self._extensions.add(SHEEN)
-        if material not in self._materials:
-            self._materials.append(material)
-        return self._materials.index(material)
-
-    def _scaled(self, repeats: tuple[float, float]) -> dict:
-        """What a picture is scaled by. glTF has the origin of texture places at the upper left."""
-        if repeats == (1.0, 1.0):
-            return {}
-        self._extensions.add(TRANSFORM)
-        return {"extensions": {TRANSFORM: {"scale": list(repeats), "offset": [0.0, 1.0 - repeats[1]]}}}
-
-    def _texture_of(self, picture: Picture, repeats: tuple[float, float]) -> dict:
-        """What a material says of it; a picture is in the file once."""
-        if picture not in self._pictures:
-            self._pictures[picture] = self.builder.add_view(np.frombuffer(picture.content, dtype=np.uint8))
-        return {"index": list(self._pictures).index(picture), **self._scaled(repeats)}
 
 
 def _in_gltf_frame(path: str, values: np.ndarray) -> np.ndarray:

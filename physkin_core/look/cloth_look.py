@@ -19,12 +19,24 @@ import numpy as np
 from physkin_core.look.finishing import Finish, stitching, turned_up
 from physkin_core.mesh.look import LIBRARY, Look
 from physkin_core.mesh.surfaces import Picture, Surface, surfaces_of
+from physkin_core.mesh.tiles_seen import colours_seen
 from physkin_core.model.fabric import COLOURS, split_colour
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import SkinnedGarment
 from physkin_core.picture import layer_colours
 
-__all__ = ["CLOTHS", "Cloth", "ClothLook", "Colour", "cloth_colour", "cloth_colours", "cloth_look", "cloth_of", "dyed"]
+__all__ = [
+    "CLOTHS",
+    "Cloth",
+    "ClothLook",
+    "Colour",
+    "cloth_colour",
+    "cloth_colours",
+    "cloth_look",
+    "cloth_of",
+    "dyed",
+    "seen_from_afar",
+]
 
 FABRICS_PATH = Path(__file__).parents[1] / "assets" / "fabrics"
 SHADES, SHADOWS = 32, 16
@@ -70,9 +82,9 @@ CLOTHS = {
 """By the name of the fabric."""
 
 
-def cloth_of(garment: SkinnedGarment) -> Cloth:
-    """What a garment is made of; jersey where no fabric was named."""
-    return CLOTHS.get(split_colour(garment.fabric)[0], CLOTHS["jersey"])
+def cloth_of(fabric: str) -> Cloth:
+    """How a fabric looks, as `made_of` takes it; as jersey where it has no name."""
+    return CLOTHS.get(split_colour(fabric)[0], CLOTHS["jersey"])
 
 
 def cloth_colour(fabric: str, usual: Colour) -> Colour:
@@ -82,6 +94,18 @@ def cloth_colour(fabric: str, usual: Colour) -> Colour:
     if colour is None and own is not None:
         return _named(own)
     return usual if colour is None else colour
+
+
+def seen_from_afar(fabric: str, colour: Colour) -> Colour:
+    """What cloth of a fabric in a colour looks like where no threads are drawn. Raises whatever pillow does where there
+    is none."""
+    name, _ = split_colour(fabric)
+    if name not in CLOTHS:
+        return colour
+    tile = f"{CLOTHS[name].tile}.png"
+    picture = Picture(tile, _cloth_files(CLOTHS[name], colour)[tile], "image/png")
+    red, green, blue = colours_seen(picture, (1.0, 1.0), np.inf)[0, 0, :3] ** (1 / 2.2)
+    return float(red), float(green), float(blue)
 
 
 def _named(colour: str) -> Colour:
@@ -102,14 +126,14 @@ class ClothLook(Look):
     finishes: tuple[tuple[Finish, Surface], ...] = ()
 
 
-def cloth_look(garment: SkinnedGarment, faces: np.ndarray, colour: Colour) -> ClothLook | None:
-    """The look of some faces, a mask (f,), of a garment in its fabric and in a colour, and finishes of these faces' own
-    vertices; None for a garment that was not cut flat: nobody knows where its grain runs."""
-    mesh = garment.garment
+def cloth_look(mesh: Garment, fabric: str, faces: np.ndarray, colour: Colour) -> ClothLook | None:
+    """The look of some faces, a mask (f,), of a garment made of a fabric, as `made_of` takes it, in a colour, and
+    finishes on these faces' own vertices; None for a garment that was not cut flat: nobody knows where its grain
+    runs."""
     if mesh.panel_places is None or mesh.panel_faces is None:
         return None
     uv = mesh.panel_places[mesh.panel_faces[faces]]
-    cloth = cloth_of(garment)
+    cloth = cloth_of(fabric)
     files = _cloth_files(cloth, colour)
     look = ClothLook(uv, np.zeros(len(uv), dtype=int), np.full(len(uv), -1), (cloth.tile,), (), files)
     (surface,) = surfaces_of(look, cloth.tile, (1.0, 1.0, 1.0), len(uv))
@@ -133,8 +157,9 @@ def _finishes(mesh: Garment, cloth: Cloth) -> list[tuple[str | None, Finish]]:
 
 @lru_cache(maxsize=64)
 def _stitch_surface(name: str, cloth: Cloth, colour: Colour) -> Surface:
-    thread = colour if cloth.thread is None else _named(cloth.thread)
+    thread = cloth_colour(cloth.thread or "", colour)
     shadow, light = 0.12 * np.array(colour) ** 2.2, np.array(thread) ** 2.2
+    light = light + cloth.white / 2 * (1 - light) if cloth.thread is None else light  # shines as cloth does
     ramp = np.concatenate([np.tile(shadow, (SHADOWS, 1)), np.linspace(0.45, 1.15, SHADES - SHADOWS)[:, None] * light])
     content = _with_palette((FABRICS_PATH / f"{name}.png").read_bytes(), ramp)
     picture = Picture(f"{name}.png", content, "image/png")

@@ -15,8 +15,8 @@ from physkin_core.mesh.surfaces import Picture
 
 __all__ = ["colours_seen", "normals_seen"]
 
-FINE = 0.5
-"""A pixel of a tile is at least so many pixels of the drawing, or the tile is as fine as it is."""
+FINE = 0.7
+"""A pixel of a tile is at least so many pixels of the drawing, so that threads make no moiré, or as fine as it is."""
 
 
 @lru_cache(maxsize=64)  # a film asks for the same ones in every frame

@@ -5,7 +5,6 @@ Dimensions: `T` frames. Metres; world with Z up.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -13,17 +12,25 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.avatar import Avatar
-from physkin_core.look.cloth_look import Colour, cloth_colours, cloth_look
+from physkin_core.look.cloth_look import ClothLook, cloth_colours, cloth_look, seen_from_afar
 from physkin_core.look.face_colours import avatar_colours
-from physkin_core.mesh.surfaces import linear, surfaces_of
+from physkin_core.mesh.surfaces import surfaces_of
 from physkin_core.model.garment import vertex_normals
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.picture import BODY_COLOUR, Mesh, contact_sheet, render
 from physkin_core.progress import Watch
-from physkin_core.runtime.layer import Layer
 
-__all__ = ["MOST_FRAMES", "Camera", "avatar_mesh", "draw_figures", "draw_strip", "dressed_meshes", "film"]
+__all__ = [
+    "MOST_FRAMES",
+    "Camera",
+    "avatar_mesh",
+    "cloth_meshes",
+    "draw_figures",
+    "draw_strip",
+    "dressed_meshes",
+    "film",
+]
 
 MOST_FRAMES = 24
 FRAME_SIZE = 180, 320
@@ -92,24 +99,26 @@ def dressed_meshes(outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]
     first; all [m] in one frame with Z up."""
     shown = outfit.faces_to_draw if len(cloth) > 1 else slice(None)
     skin = avatar_mesh(outfit.body_to_draw, body, shown)
-    worn = [
-        cloth_meshes(layer, np.asarray(points)[:, :3], colour)
-        for points, layer, colour in zip(cloth, outfit.layers, cloth_colours(outfit.garments))
-    ]
-    return [skin, *itertools.chain(*worn)]
+    worn: list[Mesh] = []
+    for cloud, layer, colour in zip(cloth, outfit.layers, cloth_colours(outfit.garments)):
+        points, garment = np.asarray(cloud)[:, :3], layer.model
+        look = cloth_look(garment.garment, garment.fabric, layer.face_given, colour)
+        if look is None:
+            worn.append(Mesh(points, layer.faces, seen_from_afar(garment.fabric, colour)))
+        else:
+            worn += cloth_meshes(look, points, layer.faces)
+    return [skin, *worn]
 
 
-def cloth_meshes(layer: Layer, points: np.ndarray, colour: Colour) -> list[Mesh]:
-    """A garment as its fabric looks in a colour, with its stitches and hems. points: (v, 3) [m]."""
-    look = cloth_look(layer.model, layer.face_given, colour)
-    if look is None:
-        return [Mesh(points, layer.faces, colour)]
-    (surface,) = surfaces_of(look, layer.name, linear(colour), len(layer.faces))
-    normals = vertex_normals(points, layer.faces)
-    found = [Mesh(points, layer.faces, colour, surface, look.uv, normals)]
+def cloth_meshes(look: ClothLook, points: np.ndarray, faces: np.ndarray) -> list[Mesh]:
+    """A garment as its fabric looks, with stitches and hems. points: (v, 3) [m]. faces: (f, 3) of these."""
+    (cloth,) = surfaces_of(look, "cloth", (1.0, 1.0, 1.0), len(faces))
+    normals = vertex_normals(points, faces)
+    found = [Mesh(points, faces, surface=cloth, places=look.uv, normals=normals)]
     for finish, surface in look.finishes:
         own = normals[finish.vertices] if surface.blended else None
-        found.append(Mesh(finish.placed(points, normals), finish.faces, colour, surface, finish.places, own))
+        placed = finish.placed(points, normals)
+        found.append(Mesh(placed, finish.faces, surface=surface, places=finish.places, normals=own))
     return found
 
 

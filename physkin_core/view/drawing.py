@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from physkin_core.look.cloth_look import seen_from_afar
 from physkin_core.view.page import Page
 from physkin_core.view.scene.figures import OutfitFigures
 from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Bands, Colour, as_bytes, own_bands
 from physkin_core.view.scene.scene_state import Frame
 from physkin_core.view.scene.worn_splats import SplatFrame
+from physkin_core.view.still_cloth import StillCloth
 from physkin_core.view.surface_node import SurfaceNode
 
 __all__ = ["Drawing", "Switches"]
@@ -51,17 +53,31 @@ class Drawing:
         self._surfaces: list[SurfaceNode] = []
         self._plain: list[SurfaceNode] = []
         self._marks: dict[str, object] = {}
+        self._still = StillCloth(page)
+
+    def stand(self, frame: Frame) -> None:
+        """Draw the frame drawn last once more, as what stands still: cloth in its fabric, where nothing is painted over
+        it."""
+        switches = self.switches
+        if self._still.shown or switches.heat == "strain" or switches.wireframe:
+            return
+        if switches.splats and frame.splats is not None:
+            return
+        with self._page.server.atomic():
+            for k in self._still.show(frame.outfit, frame.cloth, frame.colours[1:]):
+                self._surfaces[1 + k].remove()
 
     def show(self, frame: Frame) -> None:
         """Draw a frame as the switches are now."""
         with self._page.server.atomic():
+            self._still.remove()
             if self.figures is None or frame.outfit is not self.figures.outfit:
                 self._change_outfit(frame)
             self._place(frame)
             body, *cloth = self._surfaces
             self._paint(frame)
             self._show_plain(frame)
-            for surface, colour in zip((body, *cloth, *self._plain), 2 * frame.colours):
+            for surface, colour in zip((body, *cloth, *self._plain), 2 * _from_afar(frame)):
                 surface.colour = colour
             for surface in (*cloth, *self._plain[1:]):
                 surface.wireframe = self.switches.wireframe
@@ -176,6 +192,13 @@ class Drawing:
     def _unmark(self, name: str) -> None:
         if name in self._marks:
             self._marks.pop(name).remove()
+
+
+def _from_afar(frame: Frame) -> tuple[Colour, ...]:
+    """Colours of the body and each garment, whose threads are not drawn."""
+    body, *cloth = frame.colours
+    garments = zip(frame.outfit.garments, cloth)
+    return body, *(seen_from_afar(garment.fabric, colour) for garment, colour in garments)
 
 
 def _shown(frame: Frame) -> np.ndarray | slice:

@@ -24,6 +24,8 @@ log = logging.getLogger(__name__)
 
 WIDGETS_EVERY, LOOK_EVERY = 0.25, 1.0
 """[s] between two updates of the widgets, and between two looks at contact while something moves."""
+STANDS_AFTER = 0.3
+"""[s] without a frame."""
 SPEED = {
     "draping": "what the garments shown take for one frame, all together: median of 60. Caches go cold between the 30 "
     "frames a second of a page, so that it is two to four times what physkin bench measures",
@@ -59,7 +61,7 @@ class Viewer:
         self._looked_at: tuple | None = None
         self._looks = True
         self._widgets_at = self._look_at = 0.0
-        self._drawn = 0
+        self._drawn, self._moved_at = 0, 0.0
 
     def tick(self, seconds: float) -> None:
         """Draw what is to be seen after so much more time [s]. An error stops the motion, and is raised."""
@@ -67,7 +69,9 @@ class Viewer:
             frame = self._state.advance(seconds)
             if frame is not None:
                 self._drawing.show(frame)
-                self._frame, self._drawn = frame, self._drawn + 1
+                self._frame, self._drawn, self._moved_at = frame, self._drawn + 1, perf_counter()
+            elif self._frame is not None and perf_counter() - self._moved_at >= STANDS_AFTER:
+                self._drawing.stand(self._frame)
         except Exception:
             self._state.pause()
             raise

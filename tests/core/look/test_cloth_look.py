@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from physkin_core import FABRICS, made_of, save_garment_model
+from physkin_core import FABRICS, save_garment_model
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.cli import main
 from physkin_core.look.cloth_look import CLOTHS, FABRICS_PATH, cloth_colour, cloth_look, dyed
@@ -51,10 +51,10 @@ def test_the_colour_named_wins_over_the_fabrics_own_and_the_layers(fabric, expec
 
 
 def test_the_look_lies_along_the_grain_in_metres():
-    garment = made_of(random_model(np.random.default_rng(0), garment=sewn_tube()), "denim:teal")
-    chosen = np.arange(len(garment.garment.faces)) % 2 == 0
-    look = cloth_look(garment, chosen, TEAL)
-    np.testing.assert_array_equal(look.uv, garment.garment.panel_places[garment.garment.panel_faces[chosen]])
+    tube = sewn_tube()
+    chosen = np.arange(len(tube.faces)) % 2 == 0
+    look = cloth_look(tube, "denim:teal", chosen, TEAL)
+    np.testing.assert_array_equal(look.uv, tube.panel_places[tube.panel_faces[chosen]])
     (surface,) = surfaces_of(look, "skirt", linear(TEAL), len(look.uv))
     assert surface.name == "denim" and surface.roughness == 0.9
     assert surface.repeats == surface.normal_repeats == pytest.approx((1 / 0.0176,) * 2, rel=1e-5)
@@ -62,13 +62,13 @@ def test_the_look_lies_along_the_grain_in_metres():
 
 
 def test_cloth_that_was_not_cut_flat_has_no_grain():
-    garment = random_model(np.random.default_rng(0))
-    assert cloth_look(garment, np.ones(len(garment.garment.faces), dtype=bool), TEAL) is None
+    garment = random_model(np.random.default_rng(0)).garment
+    assert cloth_look(garment, "denim", np.ones(len(garment.faces), dtype=bool), TEAL) is None
 
 
 def test_from_afar_a_tile_is_its_mean_and_flat():
-    garment = random_model(np.random.default_rng(0), garment=sewn_tube())
-    look = cloth_look(garment, np.ones(len(garment.garment.faces), dtype=bool), TEAL)
+    tube = sewn_tube()
+    look = cloth_look(tube, "", np.ones(len(tube.faces), dtype=bool), TEAL)
     (surface,) = surfaces_of(look, "skirt", linear(TEAL), len(look.uv))
     near, far = (colours_seen(surface.picture, surface.repeats, pixel) for pixel in (1e-5, 0.05))
     assert near.shape == (256, 256, 4) and far.shape == (1, 1, 4)
@@ -79,8 +79,8 @@ def test_from_afar_a_tile_is_its_mean_and_flat():
 def test_a_picture_shows_the_weave_and_afar_the_colour():
     """A flat square metre and a square centimetre of denim, as far away as fits."""
     pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")
-    garment = made_of(random_model(np.random.default_rng(0), garment=sewn_tube()), "denim")
-    look = cloth_look(garment, np.ones(len(garment.garment.faces), dtype=bool), TEAL)
+    tube = sewn_tube()
+    look = cloth_look(tube, "denim", np.ones(len(tube.faces), dtype=bool), TEAL)
     (surface,) = surfaces_of(look, "skirt", linear(TEAL), len(look.uv))
     unevenness = {}
     for size in (1.0, 0.01):
