@@ -1,4 +1,4 @@
-"""Draw `docs/fabrics.jpg`, a sewn dress in six fabrics: python docs/draw_fabrics.py (some three minutes)
+"""Draw `docs/fabrics.jpg`, a sewn dress in six fabrics: python docs/draw_fabrics.py (some six minutes)
 
 It is sewn from its pattern once; below each figure its hem, close up.
 """

@@ -39,10 +39,12 @@ __all__ = [
 ]
 
 FABRICS_PATH = Path(__file__).parents[1] / "assets" / "fabrics"
-SHADES, SHADOWS = 32, 16
-"""Of palettes; so many of that of stitches are shadows on the cloth, the others are the thread's."""
+SHADES, SHADOWS, WORN = 32, 12, 4
+"""Of palettes; of that of stitches the first are shadows on the cloth, then come worn cloth and the thread."""
 STITCH_REPEATS = 1 / 0.0032, 1 / 0.0512
 """Of a picture of stitches in a metre along the edge and away from it."""
+PALE = 0.6
+"""Linear; what worn cloth tends to."""
 LIFT = 0.0003
 """[m] Stitches lie so far above the cloth."""
 HEM_DEPTH = 0.026
@@ -160,7 +162,9 @@ def _stitch_surface(name: str, cloth: Cloth, colour: Colour) -> Surface:
     thread = cloth_colour(cloth.thread or "", colour)
     shadow, light = 0.12 * np.array(colour) ** 2.2, np.array(thread) ** 2.2
     light = light + cloth.white / 2 * (1 - light) if cloth.thread is None else light  # shines as cloth does
-    ramp = np.concatenate([np.tile(shadow, (SHADOWS, 1)), np.linspace(0.45, 1.15, SHADES - SHADOWS)[:, None] * light])
+    pale = (1 - cloth.white) * np.array(colour) ** 2.2 + cloth.white * PALE
+    shades = np.linspace(0.45, 1.15, SHADES - SHADOWS - WORN)[:, None]
+    ramp = np.concatenate([np.tile(shadow, (SHADOWS, 1)), np.tile(pale, (WORN, 1)), shades * light])
     content = _with_palette((FABRICS_PATH / f"{name}.png").read_bytes(), ramp)
     picture = Picture(f"{name}.png", content, "image/png")
     return Surface(name, (1.0, 1.0, 1.0), np.empty(0, dtype=int), picture, STITCH_REPEATS, blended=True)

@@ -15,7 +15,7 @@ from physkin_core.mesh.surfaces import Picture
 
 __all__ = ["colours_seen", "normals_seen"]
 
-FINE = 0.7
+FINE = 1.0
 """A pixel of a tile is at least so many pixels of the drawing, so that threads make no moiré, or as fine as it is."""
 
 

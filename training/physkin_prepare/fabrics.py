@@ -182,27 +182,29 @@ FABRIC_TILES = {
 
 
 STITCHES = {
-    "seam": (0.0, ()),
-    "felled": (0.0, (0.0022, 0.0082)),
-    "hem": (None, (0.019,)),
-    "twin_hem": (None, (0.0185, 0.0235)),
-    "thick_hem": (None, (0.0125,)),
+    "seam": (True, (), 0.0),
+    "felled": (True, (0.0022, 0.0082), 0.011),
+    "hem": (False, (0.019,), 0.0),
+    "twin_hem": (False, (0.0185, 0.0235), 0.0),
+    "thick_hem": (False, (0.0125,), 0.0035),
 }
-"""Of a line of stitches the seam's distance from the edge, if it has one, and those of the threads [m]."""
+"""Of a line of stitches whether there is a seam at the edge, how far from that the threads are, and up to where cloth
+is worn pale, as it is where it lies double and thick [m]."""
 STITCH, STITCH_PIXEL = (0.0032, 0.0512), 1e-4
 """[m] How long a stitch is, how far from the edge pictures of stitches reach, and a pixel of these."""
 THREAD_RADIUS = 0.00042
-SHADOWS = 16
-"""Of a stitch's palette: the first so many are shadows, ever less transparent, the others the thread."""
+SHADOWS, WORN = 12, 4
+"""Of a stitch's palette: first so many shadows, then so many of worn cloth, both ever less transparent, then the
+thread."""
 
 
-def _stitch_file(seam: float | None, threads: Sequence[float]) -> bytes:
+def _stitch_file(seam: bool, threads: Sequence[float], worn: float) -> bytes:
     """A PNG of a line of stitches: the edge below, transparent where there is only cloth."""
     width, height = (round(length / STITCH_PIXEL) for length in STITCH)
     y, x = (np.mgrid[0:height, 0:width] + 0.5) * STITCH_PIXEL
     shadow, thread = np.zeros((height, width)), np.zeros((height, width))
-    if seam is not None:
-        shadow = np.maximum(shadow, 0.8 * np.exp(-(((y - seam) / 0.0006) ** 2)))
+    if seam:
+        shadow = np.maximum(shadow, 0.8 * np.exp(-((y / 0.0006) ** 2)))
     for place in threads:
         ends = np.maximum(np.abs(x - STITCH[0] / 2) - 0.0009, 0)
         away = np.hypot(ends, y - place) / THREAD_RADIUS
@@ -211,11 +213,15 @@ def _stitch_file(seam: float | None, threads: Sequence[float]) -> bytes:
         shadow = np.maximum(shadow, 0.35 * np.exp(-(((y - place) / 0.0009) ** 2)))
     twist = 0.12 * np.sin(2 * np.pi * (x + 0.7 * y) / 0.0004)
     shade = np.clip(0.25 + 0.65 * thread + twist, 0, 0.99)
-    index = np.where(thread > 0.25, SHADOWS + (SHADES - SHADOWS) * shade, 0.99 * SHADOWS * shadow).astype(np.uint8)
+    pale = np.exp(-((y / max(worn, 1e-6)) ** 4))
+    index = np.where(pale * WORN > 0.5, SHADOWS + 0.99 * WORN * pale, 0)
+    index = np.where(shadow * SHADOWS > np.where(index, 3, 0), 0.99 * SHADOWS * shadow, index)
+    index = np.where(thread > 0.25, SHADOWS + WORN + (SHADES - SHADOWS - WORN) * shade, index).astype(np.uint8)
     image = Image.fromarray(index[::-1], mode="P")
     image.putpalette(bytes(3 * SHADES))
-    opacity = [*(round(255 * 0.7 * k / (SHADOWS - 1)) for k in range(SHADOWS)), *[255] * (SHADES - SHADOWS)]
-    return _png(image, transparency=bytes(opacity))
+    opacity = np.concatenate([0.7 * np.arange(SHADOWS) / (SHADOWS - 1), 0.2 * np.arange(1, WORN + 1) / WORN])
+    opacity = np.pad(opacity, (0, SHADES - len(opacity)), constant_values=1)
+    return _png(image, transparency=np.round(255 * opacity).astype(np.uint8).tobytes())
 
 
 def _shade_file(shade: np.ndarray) -> bytes:
