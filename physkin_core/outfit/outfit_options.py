@@ -86,8 +86,8 @@ def add_garment_option(parser: argparse.ArgumentParser, default: str = DEFAULT) 
         *("-g", "--garment"),
         action="append",
         metavar="MODEL",
-        help=f"a file or a shipped name (default {default}), of another fabric as in skirt:denim; several, from the "
-        "skin outwards, are an outfit",
+        help=f"a file or a shipped name (default {default}), of another fabric and colour as in skirt:denim:navy; "
+        "several, from the skin outwards, are an outfit",
     )
 
 
