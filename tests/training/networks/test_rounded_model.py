@@ -25,7 +25,7 @@ def test_a_layer_makes_up_for_what_rounding_did_to_its_inputs():
 
 
 def test_a_rounded_model_drapes_the_same_in_fewer_bytes(tmp_path, monkeypatch):
-    for name, value in {"BODIES": 2, "EVERY": 60, "EVERYDAY": 50, "FARTHER": 30, "ENCODED_BODIES": 3}.items():
+    for name, value in {"BODIES": 2, "EVERY": 60, "EVERYDAY": 50, "FARTHER": 30, "ENCODED_BODIES": 20}.items():
         monkeypatch.setattr(rounded_models, name, value)
     rig = load_body_model().rig
     widths = {"pose_widths": (64,) * 3, "deformer_widths": (64,) * 3, "width": 32}
@@ -38,7 +38,7 @@ def test_a_rounded_model_drapes_the_same_in_fewer_bytes(tmp_path, monkeypatch):
     assert sizes[1] < sizes[0]
     avatar = load_avatar(BUNDLED_AVATAR, model.rig)
     drapes = [Draper(each, avatar).drape(model.rig.rest)[:, :3] for each in (model, rounded)]
-    assert 0 < np.linalg.norm(drapes[0] - drapes[1], axis=1).mean() < 3e-3
+    assert 0 < np.linalg.norm(drapes[0] - drapes[1], axis=1).mean() < 5e-3
 
 
 def test_a_model_of_another_rig_is_refused():

@@ -33,14 +33,15 @@ from physkin_training.sway.rounding import rounded_sway
 
 __all__ = ["rounded_model"]
 
-BODIES, EVERY, EVERYDAY, FARTHER = 8, 6, 500, 250
+BODIES, EVERY, EVERYDAY, FARTHER = 16, 12, 400, 150
 """Training bodies; of each clip's frames one in so many, everyday poses drawn beside them, and poses between all those
 and any in the joint limits."""
-ENCODED_BODIES, ENCODED_POINTS = 64, 1024
-"""Training bodies that the encoder sees, at both fits, cloth that bends otherwise among them; a quarter of the points
-tells its layers' inputs as well, in a tenth of the time."""
-POSE_HIDDEN, POSE_LAST = Rounding(12), Rounding(16, alike=True)
-DEFORMER_FIRST, DEFORMER_HIDDEN, DEFORMER_LAST = Rounding(32, four=True, damping=1e-4), Rounding(3), Rounding(3)
+ENCODED_BODIES, ENCODED_POINTS, AT_ONCE = 256, 512, 16
+"""Training bodies that the encoder sees, at both fits, cloth that bends otherwise among them: many, for its last layers
+read one vector of each; and an eighth of the points, which tells the inputs of the others as well;
+so many bodies at a time."""
+POSE_HIDDEN, POSE_LAST = Rounding(16), Rounding(16, alike=True)
+DEFORMER_FIRST, DEFORMER_HIDDEN, DEFORMER_LAST = Rounding(48, four=True, damping=1e-4), Rounding(4), Rounding(3)
 FEATURES, OFFSETS = Rounding(2), Rounding(2, alike=True)
 ENCODER, ENCODER_OUTPUT = Rounding(24), Rounding(48)
 LEAST_ROUNDED = 2**13
@@ -184,16 +185,16 @@ def _encoder_squares(
     for name, layer in encoder.named_modules():
         if isinstance(layer, nn.Linear) and name != "embed" and layer.weight.numel() >= LEAST_ROUNDED:
             layer.register_forward_hook(lambda _, inputs, __, name=name: add(f"{name}.weight", inputs[0]))
-    bodies = random.permutation(len(body_model.train_bodies))[:ENCODED_BODIES]
     softest, stiffest = (bending_code(2.0**octave) for octave in BENDING_OCTAVES)
-    for index, body in enumerate(bodies):
-        avatar = avatar_from_body(body_model, body_model.train_bodies[body])
-        surface = sample_surface(avatar.vertices, avatar.faces, ENCODED_POINTS)
-        points, normals = (torch.as_tensor(a, dtype=torch.float32, device=device)[None] for a in surface)
-        bending = random.uniform(softest, stiffest) if index % 4 < 2 else 0.0
-        fit, code = (torch.tensor([value], dtype=torch.float32, device=device) for value in (index % 2, bending))
+    bodies = random.permutation(len(body_model.train_bodies))[:ENCODED_BODIES]
+    for some in np.array_split(bodies, -(-len(bodies) // AT_ONCE)):
+        avatars = [avatar_from_body(body_model, body_model.train_bodies[body]) for body in some]
+        surfaces = [sample_surface(avatar.vertices, avatar.faces, ENCODED_POINTS) for avatar in avatars]
+        fits = random.integers(0, 2, size=len(some))
+        bending = random.uniform(softest, stiffest, size=len(some)) * random.integers(0, 2, size=len(some))
+        given = (*(np.stack(part) for part in zip(*surfaces, strict=True)), fits, bending)
         with torch.no_grad():
-            encoder(points, normals, fit, code)
+            encoder(*(torch.as_tensor(part, dtype=torch.float32, device=device) for part in given))
     return {name: total / counts[name] for name, total in sums.items()}
 
 
