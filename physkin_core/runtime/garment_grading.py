@@ -1,8 +1,8 @@
-"""Made to measure: a garment's rest shape graded to a body, linear in how that body's surface differs.
+"""Made to measure: a garment's rest shape graded to a body, as a tailor grades.
 
 Every garment vertex is tied to the body near it on the garment maker's body. What the ties say is smoothed over the
-garment, with less trust in them the looser the cloth hangs there, so that a skirt's hem follows hips and legs without
-tearing. The distance to the body stays about what it is on the garment maker's.
+garment, with less trust in them the looser the cloth hangs there: widely, so that seams stay straight and a shirt does
+not take the shape of what it hides. Where the body would come through, cloth is then let out, and only there.
 
 Dimensions: `n` garment vertices, `V` body vertices, `c` shape coefficients. Metres, canonical pose.
 """
@@ -20,8 +20,14 @@ TIES = 32
 """Body vertices that a garment vertex is tied to."""
 TIE_RADIUS = 0.02
 """Ties weaken by e where the body is this much farther [m] than at its closest."""
-SMOOTHING = 0.02
-"""Length [m] over which ties are smoothed along the cloth."""
+CLOSE, WIDE = 0.02, 0.06
+"""Lengths [m] over which ties are smoothed along the cloth: where it follows skin closely, and where it is graded."""
+CLEAR = 0.006
+"""[m] Cloth is let out until it is so far from the body, or as far as on the garment maker's where that is less."""
+LETTING_OUT = 12
+"""Times that cloth is let out."""
+ONE_SIDED = 0.7
+"""Length of the mean normal of the ties below which the body near a vertex has no one side, as between legs."""
 LOOSE = 0.03
 """Distance [m] to the body at which a vertex's ties count a quarter of what they do on the body."""
 FACING_AWAY = 0.02
@@ -32,32 +38,36 @@ class GarmentGrading:
     """Grades one garment, made on the garment maker's body of `body`. Takes tenths of a second to set up."""
 
     def __init__(self, garment: Garment, body: BodyModel) -> None:
-        from scipy.sparse import diags_array
-        from scipy.sparse.csgraph import reverse_cuthill_mckee
-        from scipy.sparse.linalg import splu
-
         self.garment, self.body = garment, body
         self.template = body.vertices(body.garment_body).astype(np.float64)
         self._ties, distance = _ties(garment, self.template, body.faces)
-        areas = np.maximum(garment.vertex_areas, 1e-10)  # of vertices that no face uses
-        stiffness = _laplacian(garment)
-        bending = stiffness @ diags_array(1 / areas) @ stiffness
-        self._trust = areas / (1 + (distance / LOOSE) ** 2) ** 2
-        system = (diags_array(self._trust) + SMOOTHING**4 * bending).tocsc()
-        # ordered here: SuperLU's own orderings hold the interpreter's lock for tens of milliseconds, while clouds wait
-        self._order = reverse_cuthill_mckee(system, symmetric_mode=True)
-        symmetric = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-        self._system = splu(system[self._order][:, self._order].tocsc(), permc_spec="NATURAL", **symmetric)
+        self._close, self._wide = (_Smoothing(garment, distance, length) for length in (CLOSE, WIDE))
+        self._needed = np.minimum(self._clearance(garment.vertices, self.template)[0], CLEAR)
 
     def carried(self, displacement: np.ndarray) -> np.ndarray:
-        """Displacement of the garment (n, 3) or (k, n, 3) [m] for one or k displacements of the garment maker's body
-        (V, 3) or (k, V, 3) [m]. Linear."""
-        fields = np.moveaxis(displacement.reshape(-1, len(self.template), 3), 0, 1)
-        tied = self._trust[:, None] * (self._ties @ fields.reshape(len(fields), -1))
-        smooth = np.empty_like(tied)
-        smooth[self._order] = self._system.solve(tied[self._order])
-        smooth = smooth.reshape(len(tied), *fields.shape[1:])
-        return np.moveaxis(smooth, 0, 1).reshape(*displacement.shape[:-2], -1, 3)
+        """Displacement of the garment (n, 3) [m] that follows one of the garment maker's body (V, 3) [m] closely, for
+        skin that is elsewhere than that of the body model. Linear."""
+        return self._close.smooth(self._ties @ displacement)
+
+    def measured(self, surface: np.ndarray) -> np.ndarray:
+        """Displacement of the garment (n, 3) [m] that grades it to a body with vertices (V, 3) [m]."""
+        moved = self._wide.smooth(self._ties @ (surface - self.template))
+        for _ in range(LETTING_OUT):
+            clearance, normals = self._clearance(self.garment.vertices + moved, surface)
+            lacking = np.maximum(self._needed - clearance, 0.0)
+            if not lacking.any():
+                break
+            moved = moved + self._close.smooth(lacking[:, None] * normals)
+        return moved
+
+    def _clearance(self, vertices: np.ndarray, surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far (n,) [m] vertices (n, 3) [m] are out of a body (V, 3) [m], along the normal (n, 3) of what they are
+        tied to; infinite where that has no one side."""
+        normals = self._ties @ vertex_normals(surface, self.body.faces)
+        length = np.linalg.norm(normals, axis=1)
+        normals = normals / np.maximum(length, 1e-12)[:, None]
+        clearance = np.einsum("ni,ni->n", vertices - self._ties @ surface, normals)
+        return np.where(length < ONE_SIDED, np.inf, clearance), normals
 
     def closest_vertices(self, points: np.ndarray) -> np.ndarray:
         """(k,) the garment vertex closest to each of points (k, 3): garment nodes are graded as theirs is."""
@@ -65,14 +75,36 @@ class GarmentGrading:
 
         return cKDTree(self.garment.vertices).query(points)[1]
 
-    def components(self) -> np.ndarray:
-        """Displacement of the garment (c, n, 3) [m] by each shape coefficient of the body model."""
-        return self.carried(self.body.vertex_components.astype(np.float64))
-
     def graded(self, coefficients: np.ndarray) -> np.ndarray:
         """Rest positions made to measure (s, n, 3) [m] for bodies of the body model. coefficients: (s, c)."""
-        difference = np.asarray(coefficients, dtype=np.float64) - self.body.garment_body
-        return self.garment.vertices + np.tensordot(difference, self.components(), axes=1)
+        surfaces = (self.body.vertices(row).astype(np.float64) for row in np.asarray(coefficients))
+        return self.garment.vertices + np.stack([self.measured(surface) for surface in surfaces])
+
+
+class _Smoothing:
+    """Smooths fields over a garment, with the less trust in them the farther, distance (n,) [m], its body is. length:
+    over which [m]."""
+
+    def __init__(self, garment: Garment, distance: np.ndarray, length: float) -> None:
+        from scipy.sparse import diags_array
+        from scipy.sparse.csgraph import reverse_cuthill_mckee
+        from scipy.sparse.linalg import splu
+
+        areas = np.maximum(garment.vertex_areas, 1e-10)  # of vertices that no face uses
+        stiffness = _laplacian(garment)
+        bending = stiffness @ diags_array(1 / areas) @ stiffness
+        self._trust = areas / (1 + (distance / LOOSE) ** 2) ** 2
+        system = (diags_array(self._trust) + length**4 * bending).tocsc()
+        # ordered here: SuperLU's own orderings hold the interpreter's lock for tens of milliseconds, while clouds wait
+        self._order = reverse_cuthill_mckee(system, symmetric_mode=True)
+        symmetric = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+        self._system = splu(system[self._order][:, self._order].tocsc(), permc_spec="NATURAL", **symmetric)
+
+    def smooth(self, field: np.ndarray) -> np.ndarray:
+        """(n, 3) of (n, 3)."""
+        smooth = np.empty_like(field)
+        smooth[self._order] = self._system.solve((self._trust[:, None] * field)[self._order])
+        return smooth
 
 
 def _ties(garment: Garment, body_vertices: np.ndarray, body_faces: np.ndarray):

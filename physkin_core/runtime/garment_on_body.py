@@ -98,7 +98,8 @@ def put_on_body(model: GarmentModel, avatar: Avatar, fit: float, beneath: Sequen
         known = known + swollen
     elsewhere = laid.missing + laid.place
     elsewhere *= np.abs(elsewhere).max() > NEGLIGIBLE
-    measured, differs = grading.carried(np.stack([fit * (known - grading.template), elsewhere]))
+    measured = fit * grading.measured(known)
+    differs = grading.carried(elsewhere)
     closest = grading.closest_vertices(model.node_rest)
     carried = _carried_by_bones(model, seen)
     seen_positions = carried + fit * (model.node_rest - carried) + measured[closest]

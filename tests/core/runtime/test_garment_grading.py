@@ -30,25 +30,37 @@ def test_a_body_that_moves_takes_the_garment_along(grading):
     np.testing.assert_allclose(grading.carried(shift), np.tile([0.1, -0.2, 0.3], (9 * 24, 1)), atol=1e-9)
 
 
-def test_grading_is_linear_and_the_same_by_coefficients(grading):
-    """Displacements one by one or together, and a body by its coefficients or by its surface."""
-    fields = 0.1 * RNG.normal(size=(2, len(BODY.mean_vertices), 3))
-    first, second = grading.carried(fields)
-    np.testing.assert_allclose(grading.carried(fields[1]), second, atol=1e-12)
-    np.testing.assert_allclose(grading.carried(2 * fields[0] - fields[1]), 2 * first - second, atol=1e-10)
-    bodies = BODY.held_out_bodies[:2]
-    for coefficients, graded in zip(bodies, grading.graded(bodies), strict=True):
-        moved = BODY.vertices(coefficients).astype(np.float64) - BODY.vertices(BODY.garment_body)
-        np.testing.assert_allclose(graded, grading.garment.vertices + grading.carried(moved), atol=1e-6)
+def test_what_is_carried_is_linear(grading):
+    first, second = 0.1 * RNG.normal(size=(2, len(BODY.mean_vertices), 3))
+    expected = 2 * grading.carried(first) - grading.carried(second)
+    np.testing.assert_allclose(grading.carried(2 * first - second), expected, atol=1e-10)
+
+
+def test_a_body_is_the_same_by_its_coefficients_or_by_its_surface(grading):
+    coefficients = BODY.held_out_bodies[0]
+    expected = grading.garment.vertices + grading.measured(BODY.vertices(coefficients).astype(np.float64))
+    np.testing.assert_allclose(grading.graded(coefficients[None])[0], expected, atol=1e-9)
 
 
 def test_a_wider_body_gets_a_wider_garment_of_the_same_height(grading):
     """The trunk 10 % wider: so is the band, and it is as high as before."""
-    maker = BODY.vertices(BODY.garment_body).astype(np.float64)
-    graded = grading.garment.vertices + grading.carried(maker * [0.1, 0.1, 0.0])
+    graded = grading.garment.vertices + grading.measured(grading.template * [1.1, 1.1, 1.0])
     size, before = np.ptp(graded, axis=0), np.ptp(grading.garment.vertices, axis=0)
     np.testing.assert_allclose(size - before, 0.1 * before * [1, 1, 0], atol=0.012)
     assert (size - before)[:2].min() > 0.015
+
+
+def test_cloth_bridges_dents_and_is_let_out_over_bumps(grading):
+    """Of a belly 6 cm out or in: cloth clears the one, and goes less than half of the way into the other."""
+    ahead = (np.linalg.norm(grading.template - [0.1, 0, 0.12], axis=1) < 0.1) & (grading.template[:, 0] > 0)
+    belly = 0.06 * ahead[:, None] * np.array([1.0, 0.0, 0.0])
+    let_out, drawn_in = grading.measured(grading.template + belly), grading.measured(grading.template - belly)
+    clearance, _ = grading._clearance(grading.garment.vertices + let_out, grading.template + belly)
+    assert clearance.min() > 0.003
+    assert 0.03 < let_out[:, 0].max() < 0.06
+    assert np.abs(drawn_in).max() < 0.03
+    behind = grading.garment.vertices[:, 0] < -0.05
+    assert np.abs(let_out[behind]).max() < 0.005
 
 
 def test_nodes_are_graded_as_the_vertex_they_lie_on(grading):
