@@ -24,8 +24,10 @@ CLOSE, WIDE = 0.02, 0.06
 """Lengths [m] over which ties are smoothed along the cloth: where it follows skin closely, and where it is graded."""
 CLEAR = 0.006
 """[m] Cloth is let out until it is so far from the body, or as far as on the garment maker's where that is less."""
-LETTING_OUT = 12
-"""Times that cloth is let out."""
+LETTING_OUT, GENEROUS = 4, 1.9
+"""Times that cloth is let out, each time by so much of what it lacks, as smoothing takes some of that away."""
+TOGETHER = 16
+"""Bodies that a garment is graded to at a time."""
 ONE_SIDED = 0.7
 """Length of the mean normal of the ties below which the body near a vertex has no one side, as between legs."""
 LOOSE = 0.03
@@ -42,7 +44,8 @@ class GarmentGrading:
         self.template = body.vertices(body.garment_body).astype(np.float64)
         self._ties, distance = _ties(garment, self.template, body.faces)
         self._close, self._wide = (_Smoothing(garment, distance, length) for length in (CLOSE, WIDE))
-        self._needed = np.minimum(self._clearance(garment.vertices, self.template)[0], CLEAR)
+        made = _along(garment.vertices - self._tied(self.template[None]), self._outwards(self.template[None]))
+        self._needed = np.minimum(made, CLEAR)
 
     def carried(self, displacement: np.ndarray) -> np.ndarray:
         """Displacement of the garment (n, 3) [m] that follows one of the garment maker's body (V, 3) [m] closely, for
@@ -50,24 +53,27 @@ class GarmentGrading:
         return self._close.smooth(self._ties @ displacement)
 
     def measured(self, surface: np.ndarray) -> np.ndarray:
-        """Displacement of the garment (n, 3) [m] that grades it to a body with vertices (V, 3) [m]."""
-        moved = self._wide.smooth(self._ties @ (surface - self.template))
+        """Displacement of the garment (n, 3) or (k, n, 3) [m] that grades it to one or k bodies with vertices (V, 3) or
+        (k, V, 3) [m]."""
+        surfaces = surface.reshape(-1, *self.template.shape)
+        moved = self._wide.smooth(self._tied(surfaces - self.template))
+        places, outwards = self._tied(surfaces), self._outwards(surfaces)
         for _ in range(LETTING_OUT):
-            clearance, normals = self._clearance(self.garment.vertices + moved, surface)
-            lacking = np.maximum(self._needed - clearance, 0.0)
-            if not lacking.any():
-                break
-            moved = moved + self._close.smooth(lacking[:, None] * normals)
-        return moved
+            lacking = self._needed - _along(self.garment.vertices + moved - places, outwards)
+            moved = moved + self._close.smooth(GENEROUS * np.maximum(lacking, 0.0)[..., None] * outwards)
+        return moved.reshape(*surface.shape[:-2], -1, 3)
 
-    def _clearance(self, vertices: np.ndarray, surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How far (n,) [m] vertices (n, 3) [m] are out of a body (V, 3) [m], along the normal (n, 3) of what they are
-        tied to; infinite where that has no one side."""
-        normals = self._ties @ vertex_normals(surface, self.body.faces)
-        length = np.linalg.norm(normals, axis=1)
-        normals = normals / np.maximum(length, 1e-12)[:, None]
-        clearance = np.einsum("ni,ni->n", vertices - self._ties @ surface, normals)
-        return np.where(length < ONE_SIDED, np.inf, clearance), normals
+    def _tied(self, fields: np.ndarray) -> np.ndarray:
+        """(k, n, 3) what garment vertices are tied to of fields over bodies (k, V, 3)."""
+        columns = np.moveaxis(fields, 0, 1)
+        tied = (self._ties @ columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
+        return np.moveaxis(tied, 1, 0)
+
+    def _outwards(self, surfaces: np.ndarray) -> np.ndarray:
+        """(k, n, 3) normals of what garment vertices are tied to, zero where that has no one side."""
+        normals = self._tied(np.stack([vertex_normals(surface, self.body.faces) for surface in surfaces]))
+        length = np.linalg.norm(normals, axis=-1, keepdims=True)
+        return np.where(length < ONE_SIDED, 0.0, normals / np.maximum(length, ONE_SIDED))
 
     def closest_vertices(self, points: np.ndarray) -> np.ndarray:
         """(k,) the garment vertex closest to each of points (k, 3): garment nodes are graded as theirs is."""
@@ -77,8 +83,9 @@ class GarmentGrading:
 
     def graded(self, coefficients: np.ndarray) -> np.ndarray:
         """Rest positions made to measure (s, n, 3) [m] for bodies of the body model. coefficients: (s, c)."""
-        surfaces = (self.body.vertices(row).astype(np.float64) for row in np.asarray(coefficients))
-        return self.garment.vertices + np.stack([self.measured(surface) for surface in surfaces])
+        parts = np.array_split(np.asarray(coefficients), range(TOGETHER, len(coefficients), TOGETHER))
+        surfaces = (np.stack([self.body.vertices(row).astype(np.float64) for row in part]) for part in parts)
+        return self.garment.vertices + np.concatenate([self.measured(surface) for surface in surfaces])
 
 
 class _Smoothing:
@@ -100,11 +107,18 @@ class _Smoothing:
         symmetric = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
         self._system = splu(system[self._order][:, self._order].tocsc(), permc_spec="NATURAL", **symmetric)
 
-    def smooth(self, field: np.ndarray) -> np.ndarray:
-        """(n, 3) of (n, 3)."""
-        smooth = np.empty_like(field)
-        smooth[self._order] = self._system.solve((self._trust[:, None] * field)[self._order])
-        return smooth
+    def smooth(self, fields: np.ndarray) -> np.ndarray:
+        """(..., n, 3) of (..., n, 3)."""
+        columns = np.moveaxis(fields, -2, 0)
+        trusted = self._trust[self._order, None] * columns[self._order].reshape(len(columns), -1)
+        smooth = np.empty_like(trusted)
+        smooth[self._order] = self._system.solve(trusted)
+        return np.moveaxis(smooth.reshape(columns.shape), 0, -2)
+
+
+def _along(ways: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(...,) of ways and directions (..., 3)."""
+    return np.einsum("...i,...i->...", ways, directions)
 
 
 def _ties(garment: Garment, body_vertices: np.ndarray, body_faces: np.ndarray):

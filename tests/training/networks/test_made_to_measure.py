@@ -39,7 +39,7 @@ def test_shipped_garments_are_graded_without_folds_and_keep_their_ease(name):
     normals = face_normals(garment.vertices, garment.faces)
     for coefficients, vertices in zip(bodies, graded, strict=True):
         ratio = face_areas(vertices, garment.faces) / garment.face_areas
-        assert 0.3 < ratio.min() and ratio.max() < 2.1
+        assert 0.3 < ratio.min() and ratio.max() < 2.4
         assert (normals * face_normals(vertices, garment.faces)).sum(axis=1).min() > 0.7
         distance = BodySurface(BODY.vertices(coefficients), BODY.faces).closest(vertices).distance
         assert (distance < 0).mean() < 0.005
