@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core.file_reading import ContentError, read_bytes, reading, shown
-from physkin_core.model.deflated_tensors import deflate_tensors, inflate_tensors
+from physkin_core.formats.deflated_tensors import deflate_tensors, inflate_tensors
+from physkin_core.formats.packed_weights import pack_weight, unpack_weights
 from physkin_core.model.fabric import made_of
 from physkin_core.model.faces_of_panels import told_by_panels, with_faces
 from physkin_core.model.garment import GarmentError
 from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.model_arrays import Array, GarmentModelError, described_arrays, read_described
-from physkin_core.model.packed_weights import pack_weight, unpack_weights
 from physkin_core.rig.rig import Rig, RigError
 from physkin_core.tensor_file import DIGEST, content_digest, read_tensors, write_tensors
 

@@ -13,7 +13,7 @@ from scipy.linalg import polar
 
 from physkin_core import Garment, GarmentError, ModelFileError, load_garment, load_garment_model, save_garment_model
 from physkin_core.cli import main
-from physkin_core.model.deflated_tensors import inflate_tensors
+from physkin_core.formats.deflated_tensors import inflate_tensors
 from physkin_core.model.faces_of_panels import told_by_panels, with_faces
 from physkin_core.model.garment import face_areas
 from physkin_core.quality import area_strain, edge_strain

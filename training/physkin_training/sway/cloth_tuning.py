@@ -19,13 +19,13 @@ from physkin_core.progress import progress_line
 from physkin_training.dynamics.dressed_samples import DressedSamples
 from physkin_training.dynamics.scenes import RATE_HZ
 from physkin_training.energies.motion import Dynamics
+from physkin_training.soap import Soap
 from physkin_training.sway.learning import KEPT, learning_rate
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.node_skinning import NodeSkinning
 from physkin_training.sway.walker_simulation import in_one_size
 from physkin_training.sway.walkers import Walkers
 from physkin_training.sway.windows import STRIDES, Windows
-from physkin_training.train.soap import Soap
 
 __all__ = ["OffsetLayer", "tuned_network"]
 

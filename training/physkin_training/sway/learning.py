@@ -12,10 +12,10 @@ from collections.abc import Callable
 import torch
 
 from physkin_core.progress import progress_line
+from physkin_training.soap import Soap
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.walkers import Walkers
 from physkin_training.sway.windows import STRIDES, Windows
-from physkin_training.train.soap import Soap
 
 __all__ = ["held_out_millimetres", "learnt_network", "learning_rate", "split"]
 

@@ -18,8 +18,8 @@ from safetensors.torch import load_file, save_file
 
 from physkin_training.config import TrainingConfig
 from physkin_training.networks.draping import Drape
+from physkin_training.soap import SIDES, Soap
 from physkin_training.train.processes import Processes
-from physkin_training.train.soap import SIDES, Soap
 from physkin_training.train.validation import BestModel
 
 __all__ = [

@@ -17,7 +17,7 @@ from physkin_training.config import ConfigError, load_config
 from physkin_training.devices import DEFAULT_DEVICE
 from physkin_training.networks.export import ExportError, model_from_drape, store_checked
 from physkin_training.networks.rest_normals import fitted_rest_normals
-from physkin_training.networks.rounded_model import rounded_model
+from physkin_training.rounding.rounded_model import rounded_model
 from physkin_training.train.checkpoint import CheckpointError, saved_steps
 from physkin_training.train.processes import join, leave
 from physkin_training.train.run_reports import RunReports

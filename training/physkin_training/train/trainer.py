@@ -35,11 +35,11 @@ from physkin_training.sampling.bending import drawn_bending
 from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 from physkin_training.sampling.training_bodies import training_bodies
+from physkin_training.soap import TURN_EVERY, Soap
 from physkin_training.train.checkpoint import Progress, load_checkpoint, load_drape, save_checkpoint
 from physkin_training.train.processes import Processes
 from physkin_training.train.recorded_step import RecordedStep
 from physkin_training.train.schedule import EARLY_REACH, Schedule
-from physkin_training.train.soap import TURN_EVERY, Soap
 from physkin_training.train.steadiness import Steadiness
 from physkin_training.train.step_rate import steps_within
 from physkin_training.train.validation import CONTACT_LINEAR_BEYOND, BestModel, Validation

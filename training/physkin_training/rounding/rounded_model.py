@@ -26,10 +26,10 @@ from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.rig.rig import Rig, forward_kinematics, pose_vector
 from physkin_core.runtime.binding import bind_garment
-from physkin_training.networks.compensated_rounding import Rounding, compensated_rounding
 from physkin_training.networks.export import drape_from_model, encode_bodies
+from physkin_training.rounding.compensated_rounding import Rounding, compensated_rounding
+from physkin_training.rounding.rounded_sway import rounded_sway
 from physkin_training.sampling.everyday_poses import EverydayPoses
-from physkin_training.sway.rounding import rounded_sway
 
 __all__ = ["rounded_model"]
 

@@ -14,7 +14,7 @@ from torch import nn
 from physkin_core.model.sway_network import SwayNetwork
 from physkin_core.rig.rig import Rig
 from physkin_training.dynamics.scenes import RATE_HZ
-from physkin_training.networks.compensated_rounding import Rounding, compensated_rounding
+from physkin_training.rounding.compensated_rounding import Rounding, compensated_rounding
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.motions import MotionPool
 

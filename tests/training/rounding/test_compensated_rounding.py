@@ -5,10 +5,10 @@ import pytest
 
 from physkin_core import Draper, load_avatar, load_garment_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR
+from physkin_core.formats.packed_weights import pack_weight, unpack_weights
 from physkin_core.model.model_file import shipped_models
-from physkin_core.model.packed_weights import pack_weight, unpack_weights
 from physkin_core.motion.loading import load_motion
-from physkin_training.networks.compensated_rounding import (
+from physkin_training.rounding.compensated_rounding import (
     STEPS,
     STEPS_OF_FOUR,
     Rounding,

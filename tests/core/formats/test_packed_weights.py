@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physkin_core.model.packed_weights import pack_weight, unpack_weights
+from physkin_core.formats.packed_weights import pack_weight, unpack_weights
 
 SHAPES = [(1, 1), (3, 4), (5, 7), (16, 42), (8, 1536)]
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from physkin_core.file_reading import ContentError
-from physkin_core.model.deflated_tensors import (
+from physkin_core.formats.deflated_tensors import (
     DEFLATED,
     LEAST_DEFLATED,
     MOST_INFLATED,

@@ -6,9 +6,9 @@ from random_models import random_model
 
 from physkin_core import Draper, load_avatar, load_body_model, save_garment_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR
-from physkin_training.networks import rounded_model as rounded_models
-from physkin_training.networks.compensated_rounding import Rounding, compensated_rounding
-from physkin_training.networks.rounded_model import rounded_model
+from physkin_training.rounding import rounded_model as rounded_models
+from physkin_training.rounding.compensated_rounding import Rounding, compensated_rounding
+from physkin_training.rounding.rounded_model import rounded_model
 
 
 def test_a_layer_makes_up_for_what_rounding_did_to_its_inputs():

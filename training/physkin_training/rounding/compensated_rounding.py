@@ -18,7 +18,7 @@ __all__ = ["STEPS", "STEPS_OF_FOUR", "Rounding", "compensated_rounding"]
 
 STEPS, STEPS_OF_FOUR = 127, 511
 """Of the largest network weight of a row, as native/src/kernels/packed_layer.cpp rounds; and of a row's columns 4 k,
-4 k + 1, ... where those have scales of their own, as `physkin_core.model.packed_weights` stores them."""
+4 k + 1, ... where those have scales of their own, as `physkin_core.formats.packed_weights` stores them."""
 AT_ONCE = 64
 """Columns whose losses are handed on together to those after them."""
 

@@ -1,0 +1,1 @@
+"""Networks rounded to as few steps as figures allow."""
