@@ -40,10 +40,10 @@ ENCODED_BODIES, ENCODED_POINTS, AT_ONCE = 256, 512, 16
 """Training bodies that the encoder sees, at both fits, cloth that bends otherwise among them: many, for its last layers
 read one vector of each; and an eighth of the points, which tells the inputs of the others as well;
 so many bodies at a time."""
-POSE_HIDDEN, POSE_LAST = Rounding(4), Rounding(4, alike=True)
-DEFORMER_FIRST, DEFORMER_HIDDEN, DEFORMER_LAST = Rounding(8, four=True, damping=1e-4), Rounding(1), Rounding(2)
-FEATURES, OFFSETS = Rounding(1), Rounding(2, alike=True)
-ENCODER, ENCODER_OUTPUT = Rounding(4), Rounding(4)
+POSE_HIDDEN, POSE_LAST = Rounding(12), Rounding(16, alike=True)
+DEFORMER_FIRST, DEFORMER_HIDDEN, DEFORMER_LAST = Rounding(32, four=True, damping=1e-4), Rounding(3), Rounding(3)
+FEATURES, OFFSETS = Rounding(2), Rounding(2, alike=True)
+ENCODER, ENCODER_OUTPUT = Rounding(24), Rounding(48)
 LEAST_ROUNDED = 2**13
 """Network weights of the encoder that are fewer are left alone, and those that read points."""
 
