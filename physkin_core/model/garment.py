@@ -24,6 +24,7 @@ from physkin_core.model.rest_shape import (
     rest_areas,
     rest_edges,
     side_lengths,
+    turned_edges,
 )
 
 __all__ = ["Garment", "GarmentError", "face_areas", "load_garment", "surface_fault", "vertex_normals"]
@@ -117,7 +118,7 @@ class Garment:
         if self.panel_places is not None or self.panel_faces is not None:
             panels = self._checked_panels(areas)
             self._set(**panels)
-            edges = flat_edges(panels["panel_places"][panels["panel_faces"]], edges)
+            edges = turned_edges(flat_edges(panels["panel_places"][panels["panel_faces"]]), edges)
             areas = rest_areas(edges)
         self._set(**self._at_rest(edges, areas))
         self._set(**self._checked_creases())

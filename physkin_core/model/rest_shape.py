@@ -19,6 +19,7 @@ __all__ = [
     "rest_areas",
     "rest_edges",
     "side_lengths",
+    "turned_edges",
 ]
 
 SMALLEST_AREA = 1e-12
@@ -48,10 +49,14 @@ def rest_areas(edges: np.ndarray) -> np.ndarray:
     return (edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]) / 2
 
 
-def flat_edges(corners: np.ndarray, lying: np.ndarray) -> np.ndarray:
-    """Rest edges (f, 2, 2) [m] of flat cloth with corners (f, 3, 2), each face turned as it fits best on that of the
-    mesh, whose rest edges as it lies are `lying` (f, 2, 2): by the rotation in what deforms one into the other."""
-    flat = rest_edges(corners, np.abs(flat_areas(corners)))
+def flat_edges(corners: np.ndarray) -> np.ndarray:
+    """Rest edges (f, 2, 2) [m] of flat cloth with corners (f, 3, 2)."""
+    return rest_edges(corners, np.abs(flat_areas(corners)))
+
+
+def turned_edges(flat: np.ndarray, lying: np.ndarray) -> np.ndarray:
+    """Rest edges (f, 2, 2) [m] of flat cloth, each face turned as it fits best on that of the mesh, whose rest edges as
+    it lies are `lying` (f, 2, 2): by the rotation in what deforms one into the other."""
     deformation = lying @ np.linalg.inv(flat)
     angle = np.arctan2(deformation[:, 1, 0] - deformation[:, 0, 1], deformation[:, 0, 0] + deformation[:, 1, 1])
     c, s = np.cos(angle), np.sin(angle)

@@ -63,7 +63,8 @@ def test_rows_change_what_they_are_named_after(tmp_path):
             assert (config.optimisation.skinning_rate == 0) == name.endswith("fixed")
     assert ROWS[BASE].change(base) == base == ROWS["supervised"].change(base)
     assert ROWS["detail"].change(base).detail.nodes == 1024
-    assert ROWS[BASE].change(load_config(ablation_rows.CONFIG)).detail.nodes == 0
+    recipe = load_config(ablation_rows.RECIPE, name=BASE, garment=ablation_rows.GARMENT)
+    assert recipe.garment.is_file() and recipe.detail.nodes and ROWS[BASE].change(recipe).detail.nodes == 0
     assert ROWS["fantastical"].bodies is fantastical_body_model
     assert ROWS["fantastical"].change(base).train_bodies == 256
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -12,9 +11,10 @@ import pytest
 from physkin_core import load_garment_model
 from physkin_core.model.garment_model import Material
 from physkin_core.model.model_file import shipped_models
-from physkin_training.config import ConfigError, DetailConfig, TrainingConfig, load_config
+from physkin_training.config import ConfigError, TrainingConfig, load_config
 
 FOLDER = Path(__file__).parents[2] / "training" / "configs"
+GARMENTS, RECIPE = FOLDER.parent / "garments", FOLDER / "wardrobe.toml"
 MINIMAL = 'name = "shirt"\ngarment = "shirt.obj"\n'
 
 
@@ -47,27 +47,39 @@ def test_values_reach_their_place(tmp_path):
     assert config.networks.pose_layers == 5 and config.material.density == 1.0
 
 
-@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.toml")), ids=lambda path: path.stem)
-def test_shipped_configurations_load(path):
-    config = load_config(path)
-    assert path.stem.startswith(config.name) and config.garment.is_file()
+def test_a_recipe_is_of_any_garment(tmp_path, monkeypatch):
+    """Name and mesh that are given take the place of the file's, and stand in for them; the rest is the file's."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "recipe.toml").write_text("seed = 3\n")
+    given = {"name": "vest", "garment": Path("meshes/vest.obj")}
+    assert load_config("recipe.toml", **given) == TrainingConfig("vest", tmp_path / "meshes" / "vest.obj", seed=3)
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "run.toml").write_text(MINIMAL)
+    assert load_config("own/run.toml", **given) == TrainingConfig("vest", tmp_path / "meshes" / "vest.obj")
+    assert load_config("own/run.toml").garment == tmp_path / "own" / "shirt.obj"
+    with pytest.raises(
+        ConfigError, match="recipe.toml: name is missing, and no --garment gives it; garment is missing"
+    ):
+        load_config("recipe.toml")
+    with pytest.raises(ConfigError, match=r"recipe.toml: name.*'\.\./vest'"):
+        load_config("recipe.toml", name="../vest", garment=Path("vest.obj"))
+
+
+def test_the_small_configuration_names_a_garment_that_is_there():
+    config = load_config(FOLDER / "smoke.toml")
+    assert config.name == "smoke" and config.garment.is_file()
 
 
 @pytest.mark.parametrize("name", shipped_models())
-def test_shipped_models_are_runs_of_their_configurations(name):
-    """The first from nothing, the last with fabrics. But for keys that are gone; those of before detail had none."""
-    first = last = load_garment_model(name).training
-    while "started_from" in first:
-        first = first["started_from"]
-    for training, path in ((first, f"{name}.toml"), (last, f"fabrics/{name}.toml")):
-        config = load_config(FOLDER / path).as_plain_data()
-        training.setdefault("detail", asdict(DetailConfig(nodes=0)))
-        training["optimisation"] = {"other_bending": 0.0} | training["optimisation"]
-        training["material"] = {"rest_angles": "as_made"} | training["material"]
-        for key, value in config.items():
-            ran = training[key]
-            assert value == ({name: ran[name] for name in value} if isinstance(value, dict) else ran)
-        assert 0 < training["step"] <= config["optimisation"]["steps"]
+def test_shipped_models_are_runs_of_the_recipe(name):
+    """From nothing, but for the number of steps, which is as many as there was time for."""
+    training = load_garment_model(name).training
+    wanted = load_config(RECIPE, name=name, garment=GARMENTS / f"{name}.obj").as_plain_data()
+    assert "started_from" not in training
+    steps = training["optimisation"]["steps"]
+    assert 0 < training["step"] <= steps
+    wanted["optimisation"]["steps"] = steps
+    assert {key: training[key] for key in wanted} == wanted
 
 
 @pytest.mark.parametrize(
@@ -151,7 +163,7 @@ def test_unreadable_files(tmp_path, content):
 
 def test_reading_needs_no_torch():
     """In a fresh process; a configuration is data."""
-    path = next(FOLDER.glob("*.toml"))
+    path = FOLDER / "smoke.toml"
     code = (
         "import sys; from physkin_training.config import load_config; "
         f"load_config({str(path)!r}); print(sorted({{'torch', 'warp'}} & set(sys.modules)))"

@@ -1,7 +1,7 @@
 """Sew the wardrobe: fourteen garments from the sewing patterns in training/garments/patterns, on the garment body.
 
-`python -m physkin_prepare.wardrobe [--names ...] [--output build/wardrobe] [--device cpu]` writes one OBJ file each, in
-the root frame of the template, with the panels as parts and texture places in metres along the grain.
+`python -m physkin_prepare.wardrobe [--names ...] [--output training/garments] [--device cpu]` writes one OBJ file each,
+in the root frame of the template, with the panels as parts and texture places in metres along the grain.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Command line. Raises PatternError for what cannot be sewn, RuntimeError for what cannot be trained."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--names", nargs="+", choices=tuple(EDGE_LENGTHS), default=tuple(EDGE_LENGTHS))
-    parser.add_argument("--output", type=Path, default=Path("build/wardrobe"), help="folder for NAME.obj")
+    parser.add_argument("--output", type=Path, default=PATTERNS.parent, help="folder for NAME.obj")
     parser.add_argument("--device", default=DEFAULT_DEVICE)
     options = parser.parse_args(arguments)
     body_model = load_body_model()

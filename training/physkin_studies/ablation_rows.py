@@ -35,8 +35,9 @@ __all__ = ["BASE", "ROWS", "Row", "finished_figures", "model_path", "run_row"]
 log = logging.getLogger(__name__)
 BASE = "nodes128"
 """The row that all others are compared with."""
-CONFIG = Path(__file__).parents[1] / "configs" / "tshirt_jersey.toml"
-"""The configuration that rows change: all but one leave its detail out, as the paper has none."""
+TRAINING = Path(__file__).parents[1]
+RECIPE, GARMENT = TRAINING / "configs" / "wardrobe.toml", TRAINING / "garments" / "tshirt.obj"
+"""What rows change: all but one leave the recipe's detail out, as the paper has none."""
 BODIES, POSES = 16, 64
 """Held-out bodies, and uniform poses of each, to measure on."""
 DRAPES, DRAPE_BATCH = 1000, 128
@@ -187,7 +188,8 @@ def main(argv: list[str] | None = None) -> int:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     try:
         device = resolve_device(arguments.device)
-        run_row(arguments.row, load_config(CONFIG), arguments.output, device, arguments.minutes)
+        base = load_config(RECIPE, name=BASE, garment=GARMENT)
+        run_row(arguments.row, base, arguments.output, device, arguments.minutes)
     except (ValueError, TrainingDiverged, ExportError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

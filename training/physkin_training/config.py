@@ -134,7 +134,7 @@ def _as_material(data: object) -> object:
 
 @dataclass(frozen=True, config=STRICT)
 class TrainingConfig:
-    """All of one training run. name: of the model file. garment: mesh path relative to the configuration file."""
+    """All of one training run. name: of the model file. garment: mesh path, in a file relative to that file."""
 
     name: Annotated[str, Field(pattern=r"^\w[\w. -]*$")]
     garment: Path
@@ -159,11 +159,17 @@ class TrainingConfig:
         return asdict(self) | {"garment": self.garment.name}
 
 
-def load_config(path: str | Path) -> TrainingConfig:
-    """Read a TOML configuration. Raises ConfigError on unknown keys, wrong types or impossible values."""
+def load_config(path: str | Path, *, name: str | None = None, garment: Path | None = None) -> TrainingConfig:
+    """Read a TOML configuration.
+
+    name, garment: take the place of the file's own, which is then a recipe and need not name any; `garment` is relative
+    to the working folder. Raises ConfigError on unknown or missing keys, wrong types or impossible values.
+    """
     path = Path(path)
+    given = {"name": name, "garment": garment and garment.resolve()}
     with reading(f"configuration {path}", ConfigError):
         data = tomllib.loads(read_bytes(path, most=LARGEST_CONFIG).decode())
+        data |= {key: value for key, value in given.items() if value is not None}
         try:
             config = TypeAdapter(TrainingConfig).validate_python(data)
         except ValidationError as error:
@@ -182,7 +188,7 @@ def _in_words(error: dict) -> str:
         where = f"{'.'.join(tables)}: " if tables else ""
         return f"{where}unknown key {key!r}; allowed: {', '.join(entry.name for entry in fields(kind))}"
     if error["type"] == "missing":
-        return f"{place} is missing"
+        return f"{place} is missing, and no --garment gives it"
     message = error["msg"].removeprefix("Value error, ")
     message = message[0].lower() + message[1:]
     where = f"{place}: " if place else ""

@@ -12,7 +12,6 @@ from physkin_training.dynamics.command import main
 from physkin_training.dynamics.reference import Reference, load_reference, save_reference, spread, swinging_vertices
 from physkin_training.dynamics.scenes import ROOT_SCENES, SWING_ACCELERATION, load_scene
 from physkin_training.dynamics.swing_figures import settling, swing
-from physkin_training.evaluate.dynamic_evaluation import REFERENCES, references_of
 
 RIG = load_body_model().rig
 
@@ -67,16 +66,6 @@ def test_points_are_spread_over_what_swings():
     assert model.garment.vertices[below, 2].max() < 0
     chosen = spread(model.garment.vertices[below], 40)
     assert len(np.unique(chosen)) == 40
-
-
-def test_references_that_come_with_the_source_are_whole():
-    for garment, bodies in (("skirt", 3), ("dress", 3), ("tshirt", 1)):
-        for reference in references_of(garment, REFERENCES):
-            assert len(reference.points) == bodies
-            assert (reference.frames == reference.motion.frame_count).all()
-            assert np.abs(reference.points).max() < 1.5
-    with pytest.raises(ValueError, match="no references"):
-        references_of("trousers", REFERENCES)
 
 
 def test_amplitude_phase_and_settling_are_those_of_a_known_swing():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -25,12 +26,13 @@ CHECKS = [
     "upright", "scale", "edge length", "one layer", "pose", "overlap", "body", "self-intersection",
     "flat rest shape",
 ]  # fmt: skip
+FOLDED = ("hoodie", "longsleeve", "shorts", "tshirt", "turtleneck")
 
 
 @pytest.fixture(scope="module")
 def shirt():
-    """The shipped T-shirt: vertices (n, 3) and faces (f, 3), fresh copies on every use."""
-    garment = load_garment(GARMENTS / "tshirt.obj")
+    """The shipped tank top: vertices (n, 3) and faces (f, 3), fresh copies on every use."""
+    garment = load_garment(GARMENTS / "tanktop.obj")
     return lambda: (garment.vertices.copy(), garment.faces.copy())
 
 
@@ -43,18 +45,27 @@ def found(checked: CheckedGarment, check: str) -> str:
     return next(verdict.found for verdict in checked.verdicts if verdict.check == check)
 
 
-@pytest.mark.parametrize("name", ["tshirt", "longsleeve", "dress", "trousers", "skirt"])
+@pytest.mark.parametrize("name", sorted(path.stem for path in GARMENTS.glob("*.obj")))
 def test_a_shipped_garment_passes_everything_unchanged(name, template, tmp_path):
-    """Every check has a row in the table; the written mesh is the one that was read."""
+    """Every check has a row in the table; the written mesh is the one that was read. Where sleeves and a hood are
+    folded, a few edges go through a face; a vertex of the jumpsuit is half a millimetre too near the body."""
     checked = check_garment(read_mesh(GARMENTS / f"{name}.obj"), template, template)
-    assert [verdict.check for verdict in checked.verdicts] == CHECKS and outcomes(checked) == {}
+    wanted = dict.fromkeys(CHECKS, "ok") | ({"self-intersection": "warning"} if name in FOLDED else {})
+    wanted |= {"overlap": "repaired"} if name == "jumpsuit" else {}
+    assert [(verdict.check, verdict.outcome) for verdict in checked.verdicts] == list(wanted.items())
     rows = [line.split("|")[1:3] for line in verdict_table(checked.verdicts).splitlines()[2:]]
-    assert [(check.strip(), outcome.strip()) for check, outcome in rows] == [(check, "ok") for check in CHECKS]
+    assert [(check.strip(), outcome.strip()) for check, outcome in rows] == list(wanted.items())
     garment = load_garment(GARMENTS / f"{name}.obj")
-    np.testing.assert_array_equal(checked.vertices, garment.vertices)
+    if name in FOLDED:
+        through = re.match(r"(\d+) edges go through a face", found(checked, "self-intersection"))
+        assert int(through[1]) < 0.01 * len(garment.edges)
+    if name == "jumpsuit":
+        assert np.abs(checked.vertices - garment.vertices).max() < 0.005
+    else:
+        np.testing.assert_array_equal(checked.vertices, garment.vertices)
     write_garment(tmp_path / "again.obj", checked)
     again = load_garment(tmp_path / "again.obj")
-    np.testing.assert_allclose(again.vertices, garment.vertices, atol=1e-7)
+    np.testing.assert_allclose(again.vertices, checked.vertices, atol=1e-7)
     np.testing.assert_array_equal(again.faces, garment.faces)
 
 
@@ -82,11 +93,11 @@ def dented(v, f):
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (inches_y_up_wound_at_random, "units: inches | orientation: Y up, Z forward | winding: 2551 faces turned"),
+        (inches_y_up_wound_at_random, "units: inches | orientation: Y up, Z forward | winding: 3212 faces turned"),
         (
             centimetres_on_the_floor_without_edges,
             "units: centimetres | position: moved by (0.000, 0.000, -0.914) | "
-            "duplicates: 19037 duplicate vertices, 4 degenerate or repeated",
+            "duplicates: 23973 duplicate vertices, 4 degenerate or repeated",
         ),
         (
             backwards_inside_out_with_a_fin_and_a_button,
@@ -140,13 +151,18 @@ def finer(v, f):
 
 
 def crossing(v, f):
-    """The end of a sleeve is pushed back through the sleeve."""
-    sleeve = (v[:, 1] > 0.30) & (v[:, 2] > 0.3)
-    return v - 0.06 * sleeve[:, None] * [0.0, 1.0, 0.0], f
+    """The hem of a skirt is folded up, in and out through the cloth above."""
+    garment = load_garment(GARMENTS / "skirt.obj")
+    v = garment.vertices.copy()
+    hem, angle = v[:, 2] < v[:, 2].min() + 0.04, np.arctan2(v[:, 1], v[:, 0])
+    v[hem] = v[hem] * (1 + 0.1 * np.sin(12 * angle[hem, None]) * [1, 1, 0]) + [0, 0, 0.07]
+    return v, garment.faces
 
 
 def too_large(v, f):
-    return 1.18 * (v - v.mean(axis=0)) + v.mean(axis=0), f
+    skirt = load_garment(GARMENTS / "pencilskirt.obj")
+    middle = skirt.vertices.mean(axis=0)
+    return 1.18 * (skirt.vertices - middle) + middle, skirt.faces
 
 
 def pinched_skirt(v, f):

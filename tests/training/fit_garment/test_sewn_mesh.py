@@ -31,7 +31,11 @@ def test_a_pattern_is_sewn_and_checked(tmp_path, capsys, no_pictures):
     "name, arguments, message",
     [
         ("pattern.json", ["--edge-length", "0.2"], "edge length 0.2 m, allowed are 0.006 to 0.04 m"),
-        ("skirt.obj", ["--edge-length", "0.02"], "--edge-length is of a pattern (.json), and skirt.obj is none"),
+        (
+            "skirt.obj",
+            ["--edge-length", "0.02"],
+            "--edge-length belongs to a sewing pattern (.json); skirt.obj is a mesh",
+        ),
         ("broken.json", [], "broken.json"),
     ],
 )

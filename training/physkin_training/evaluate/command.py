@@ -69,8 +69,12 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--minimum", type=int, metavar="PAIRS", help="also minimise that many uniform pairs, and of motion"
     )
-    parser.add_argument("--dynamic", action="store_true", help="instead: cloth in motion, against simulated references")
-    parser.add_argument("--references", type=Path, metavar="FOLDER", help="of those (default: the source's own)")
+    parser.add_argument(
+        "--dynamic",
+        type=Path,
+        metavar="REFERENCES",
+        help="instead: cloth in motion, against what `physkin simulate GARMENT --dynamic` wrote to this folder",
+    )
     parser.add_argument("--device", default=DEFAULT_DEVICE)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
     parser.add_argument("--store", type=Path, metavar="FILE", help="write the model with its scores there")
@@ -95,12 +99,12 @@ def _motions(arguments: argparse.Namespace) -> list[Motion]:
 
 
 def _score_dynamics(arguments: argparse.Namespace) -> dict:
-    from physkin_training.evaluate.dynamic_evaluation import REFERENCES, evaluate_dynamics, references_of
+    from physkin_training.evaluate.dynamic_evaluation import evaluate_dynamics, references_of
 
     if not arguments.model or arguments.outfit:
-        raise ValueError("cloth in motion is measured of one garment: physkin evaluate GARMENT --dynamic")
+        raise ValueError("cloth in motion is measured of one garment: physkin evaluate GARMENT --dynamic FOLDER")
     model = load_garment_model(arguments.model)
-    references = references_of(model.name, arguments.references or REFERENCES)
+    references = references_of(model.name, arguments.dynamic)
     scores = evaluate_dynamics(model, references, resolve_device(arguments.device))
     print(dynamics_table(scores))
     return scores

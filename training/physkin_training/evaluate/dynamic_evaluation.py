@@ -27,10 +27,8 @@ from physkin_training.dynamics.frame_potential import frame_potentials
 from physkin_training.dynamics.reference import Reference, load_reference
 from physkin_training.dynamics.swing_figures import settling, swing, turning
 
-__all__ = ["REFERENCES", "evaluate_dynamics", "played", "references_of"]
+__all__ = ["evaluate_dynamics", "played", "references_of"]
 
-REFERENCES = Path(__file__).parents[2] / "references"
-"""The sequences that come with the source."""
 RATES = (15.0, 30.0, 60.0, 120.0)
 LOST = 0.2
 """Share of messages lost."""

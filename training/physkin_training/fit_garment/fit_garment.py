@@ -178,7 +178,7 @@ def _fit(options: argparse.Namespace) -> int:
     avatar, own = _avatar(options, body_model, template)
     pattern = options.garment.suffix.lower() == PATTERN_SUFFIX
     if options.edge_length is not None and not pattern:
-        raise ValueError(f"--edge-length is of a pattern ({PATTERN_SUFFIX}), and {options.garment} is none")
+        raise ValueError(f"--edge-length belongs to a sewing pattern ({PATTERN_SUFFIX}); {options.garment} is a mesh")
     if pattern:
         edge_length = EDGE_LENGTH if options.edge_length is None else options.edge_length
         mesh, own = sewn_mesh(options.garment, avatar, body_model.rig, edge_length=edge_length, device=device), None
@@ -285,9 +285,8 @@ def _train_and_report(
 
 def _configuration(options: argparse.Namespace, mesh: Path, device: torch.device, budget: TimeBudget) -> TrainingConfig:
     """Of a new run: the recipe, with as many steps as were asked for or as there is time for."""
-    own = TrainingConfig(options.output.stem, mesh)
-    recipe = load_config(options.recipe) if options.recipe else own
-    recipe = replace(recipe, name=options.output.stem, garment=mesh)
+    name = options.output.stem
+    recipe = load_config(options.recipe, name=name, garment=mesh) if options.recipe else TrainingConfig(name, mesh)
     steps = options.steps or choose_steps(recipe, device, budget)
     return replace(recipe, optimisation=replace(recipe.optimisation, steps=steps))
 

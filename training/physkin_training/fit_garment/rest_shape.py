@@ -16,7 +16,7 @@ from trimesh.graph import connected_component_labels
 
 from physkin_core.mesh.look import Look
 from physkin_core.model.garment import Garment, face_areas
-from physkin_core.model.rest_shape import flat_areas, panels_of_texture, rest_edges, side_lengths
+from physkin_core.model.rest_shape import flat_areas, flat_edges, panels_of_texture, side_lengths
 from physkin_training.fit_garment.verdicts import Checks
 
 __all__ = ["check_rest_shape", "creases_along", "laid_out"]
@@ -49,7 +49,7 @@ def check_rest_shape(checks: Checks, look: Look, lying: np.ndarray, made: np.nda
         uv = laid_out(places, panel_faces, wanted)[panel_faces]
         goal = side_lengths(wanted)
         changed, off = (
-            100 * float((np.abs(side_lengths(x) - goal) / goal).mean()) for x in (cut.rest_edges, _edges_of(uv))
+            100 * float((np.abs(side_lengths(x) - goal) / goal).mean()) for x in (cut.rest_edges, flat_edges(uv))
         )
         panels, refused = panels_at(checks.vertices, uv)
         if panels is None:
@@ -73,11 +73,6 @@ def check_rest_shape(checks: Checks, look: Look, lying: np.ndarray, made: np.nda
         found += f"; panels {ratio:.2f} times as large as the mesh: if they are not meant in metres, scale them"
     checks.say("flat rest shape", outcome, _described(panels, found), allowed)
     return look
-
-
-def _edges_of(corners: np.ndarray) -> np.ndarray:
-    """Rest edges (f, 2, 2) of faces in the plane, corners (f, 3, 2)."""
-    return rest_edges(corners, np.abs(flat_areas(corners)))
 
 
 def _described(panels: tuple[np.ndarray, np.ndarray], found: str) -> str:

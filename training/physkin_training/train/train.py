@@ -33,6 +33,9 @@ def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin train`."""
     parser = argparse.ArgumentParser(prog="physkin train", description=__doc__)
     parser.add_argument("--config", type=Path, required=True, help="training configuration (TOML)")
+    parser.add_argument(
+        "--garment", type=Path, metavar="MESH", help="in place of the configuration's; the model has the mesh's name"
+    )
     parser.add_argument("--output", type=Path, required=True, help="folder for checkpoint, scalars and the model")
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--resume", type=Path, metavar="FOLDER", help="go on from this checkpoint")
@@ -60,7 +63,8 @@ def main(argv: list[str] | None = None, *, within: float = math.inf) -> int:
     (in one process)."""
     arguments = command_parser().parse_args(argv)
     try:
-        config = load_config(arguments.config)
+        garment = arguments.garment
+        config = load_config(arguments.config, name=garment and garment.stem, garment=garment)
         processes, device = join(arguments.device)
         logging.basicConfig(level=logging.INFO if processes.writes else logging.WARNING, format="%(message)s")
         if arguments.minutes and arguments.resume:
