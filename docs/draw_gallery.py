@@ -28,15 +28,19 @@ from physkin_core.render.filming import draw_strip, dressed_meshes
 from physkin_training.sampling.chosen_bodies import bodies_by_girth
 
 GALLERY = ROOT / "docs" / "gallery"
-GARMENTS = ("tshirt", "longsleeve", "trousers", "skirt", "dress")
-POSES = (("walk", 20), ("dance", 45))
-"""Motions, and a frame of each."""
+GARMENTS = (
+    *("tshirt", "longsleeve", "tanktop", "turtleneck", "hoodie", "trousers", "widetrousers"),
+    *("shorts", "skirt", "circleskirt", "pencilskirt", "dress", "maxidress", "jumpsuit"),
+)
+IN_A_ROW = 2
+MOTION, FRAME = "walk", 20
 OUTFITS = {
     "T-shirt over trousers": ("trousers", "tshirt"),
     "T-shirt, tucked": ("tshirt*", "trousers"),
-    "T-shirt over skirt": ("skirt", "tshirt"),
-    "long sleeve, tucked": ("longsleeve*", "trousers"),
-    "dress over trousers": ("trousers", "dress"),
+    "hoodie over trousers": ("trousers", "hoodie"),
+    "hoodie, T-shirt, shorts": ("shorts", "tshirt", "hoodie"),
+    "turtleneck, tucked": ("turtleneck*", "circleskirt"),
+    "tank top, tucked": ("tanktop*", "pencilskirt"),
 }
 """Garments from the skin outwards; * tucked."""
 STRIPS = {"cartwheel": ("trousers", "longsleeve"), "kick": ("tshirt*", "trousers"), "jump": ("dress",)}
@@ -69,20 +73,17 @@ def save(name: str, picture: np.ndarray) -> None:
 
 
 def draw_bodies() -> None:
-    """A row a garment: three bodies in two poses."""
-    motions = [(load_motion(name), frame) for name, frame in POSES]
-    avatars, pictures = lean_to_stout(3), []
-    for name in GARMENTS:
-        outfits = [Outfit(named([name]), avatar) for avatar in avatars]
-        for motion, frame in motions:
-            pictures += [render(meshes_at(outfit, motion, frame), size=SIZE, azimuth=35) for outfit in outfits]
-    save("bodies", contact_sheet(pictures, columns=len(avatars) * len(POSES), gap=2))
+    """Each garment on three bodies."""
+    motion, avatars = load_motion(MOTION), lean_to_stout(3)
+    worn = [Outfit(named([name]), avatar) for name in GARMENTS for avatar in avatars]
+    pictures = [render(meshes_at(outfit, motion, FRAME), size=SIZE, azimuth=35) for outfit in worn]
+    save("bodies", contact_sheet(pictures, columns=len(avatars) * IN_A_ROW, gap=2))
 
 
 def draw_outfits() -> None:
     """Each from the front and, below it, from behind."""
-    motion, frame = load_motion("walk"), 30
-    worn = [meshes_at(_outfit(named(names)), motion, frame) for names in OUTFITS.values()]
+    motion = load_motion(MOTION)
+    worn = [meshes_at(_outfit(named(names)), motion, FRAME) for names in OUTFITS.values()]
     pictures = [render(meshes, size=SIZE, azimuth=azimuth) for azimuth in (30, 210) for meshes in worn]
     captions = [*len(OUTFITS) * [""], *OUTFITS]
     save("outfits", contact_sheet(pictures, columns=len(OUTFITS), captions=captions, gap=2))

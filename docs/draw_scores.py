@@ -25,9 +25,18 @@ PLOT = ROOT / "docs" / "scores.svg"
 GARMENTS = {
     "tshirt": "T-shirt",
     "longsleeve": "long sleeve",
+    "tanktop": "tank top",
+    "turtleneck": "turtleneck",
+    "hoodie": "hoodie",
     "trousers": "trousers",
+    "widetrousers": "wide trousers",
+    "shorts": "shorts",
     "skirt": "skirt",
+    "circleskirt": "circle skirt",
+    "pencilskirt": "pencil skirt",
     "dress": "dress",
+    "maxidress": "maxi dress",
+    "jumpsuit": "jumpsuit",
 }
 COLOURS = {"plain skinning": "#c9cdd2", "one size": "#7fb0cf", "made to measure": "#286b94"}
 CLIP_COLOURS = ("#286b94", "#7fb0cf", "#e0a458", "#b5483a", "#6b8f5e")
@@ -68,7 +77,7 @@ def bars(
         places = np.arange(len(by_garment)) + (k - (len(colours) - 1) / 2) * width
         axes.bar(places, [each[kind] for each in by_garment], 0.9 * width, color=colour, label=kind)
     axes.set_title(title, fontsize=11)
-    axes.set_xticks(range(len(by_garment)), names)
+    axes.set_xticks(range(len(by_garment)), [name.replace(" ", "\n") for name in names])
     axes.tick_params(length=0)
     axes.set_ylabel(unit)
     axes.spines[["top", "right"]].set_visible(False)
@@ -87,7 +96,7 @@ def main() -> None:
     garments = {path.stem: json.loads(path.read_text()) for path in options.scores}
     garments = garments or {label: load_garment_model(name).scores for name, label in GARMENTS.items()}
     matplotlib.rcParams |= {"svg.hashsalt": "scores", "font.size": 9, "font.family": "sans-serif"}
-    figure, axes = plt.subplots(3, 1, figsize=(7.5, 8.4), layout="constrained")
+    figure, axes = plt.subplots(3, 1, figsize=(11, 8.4), layout="constrained")
     strain, names = "change of edge lengths, %", list(garments)
     any_pose = by_kind(garments, "", "edge_strain_percent")
     bars(axes[0], "every joint anywhere in its range", strain, names, any_pose, COLOURS)

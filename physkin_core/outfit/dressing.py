@@ -26,7 +26,7 @@ from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 __all__ = ["MOST_LAYERS", "drapes", "put_on", "standing_out", "tuck_in"]
 
 MOST_LAYERS = 4
-DEEPEST_TUCK = 0.3
+DEEPEST_TUCK = 0.45
 """[m] A garment that reaches farther below a waistband cannot be tucked into it."""
 OUTSIDE, MOST_OUTSIDE = 0.01, 0.35
 """An inner layer of which more than the second lies farther outside the outer one than the first [m] is misplaced."""

@@ -1,24 +1,41 @@
-"""The five shipped garments: there, scored, and draping as their scores say."""
+"""The shipped garments: there, small, cut flat, scored, and draping as their scores say."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from physkin_core import Draper, load_body_model, load_garment_model
+from physkin_core import Draper, load_body_model, load_garment, load_garment_model
 from physkin_core.avatar.avatar import avatar_from_body
-from physkin_core.model.model_file import MODELS_PATH
+from physkin_core.model.model_file import MODELS_PATH, shipped_models
 from physkin_core.quality import edge_strain
 from physkin_core.runtime.bound_garment import plain_skinning
 
-GARMENTS = ("dress", "longsleeve", "skirt", "trousers", "tshirt")
+GARMENTS = (
+    *("tshirt", "longsleeve", "tanktop", "turtleneck", "hoodie", "trousers", "widetrousers"),
+    *("shorts", "skirt", "circleskirt", "pencilskirt", "dress", "maxidress", "jumpsuit"),
+)
+MESHES = Path(__file__).parents[3] / "training" / "garments"
 
 
 def test_the_files_are_small():
     """A clone carries every version of them."""
     sizes = {path.stem: path.stat().st_size for path in MODELS_PATH.glob("*.safetensors")}
-    assert sorted(sizes) == sorted(GARMENTS)
-    assert max(sizes.values()) <= 4.7e6 and sum(sizes.values()) <= 20e6
+    assert sorted(sizes) == sorted(GARMENTS) == shipped_models()
+    assert max(sizes.values()) <= 2e6 and sum(sizes.values()) <= 28e6
+
+
+@pytest.mark.parametrize("name", GARMENTS)
+def test_garments_are_those_that_training_reads(name):
+    """Their panels too, rounded by the file; jersey, with folds."""
+    model, mesh = load_garment_model(name), load_garment(MESHES / f"{name}.obj")
+    np.testing.assert_allclose(model.garment.vertices, mesh.vertices, atol=5e-6)
+    np.testing.assert_array_equal(model.garment.faces, mesh.faces)
+    np.testing.assert_allclose(model.garment.edge_lengths, mesh.edge_lengths, rtol=1e-3)
+    assert model.garment.panel_places is not None and model.detail is not None
+    assert model.material.rest_angles == "flat" and model.material.bending == 3e-6
 
 
 @pytest.mark.parametrize("name", GARMENTS)
