@@ -11,7 +11,7 @@ import torch
 from physkin_core import Draper, load_body_model, load_garment_model
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_training.dynamics.frame_potential import frame_potentials
-from physkin_training.dynamics.reference import Reference, save_reference
+from physkin_training.dynamics.reference import Reference, save_reference, swinging_vertices
 from physkin_training.dynamics.scenes import load_scene
 from physkin_training.evaluate.command import main
 from physkin_training.evaluate.dynamic_evaluation import POTENTIAL_EVERY, evaluate_dynamics, played, references_of
@@ -25,7 +25,8 @@ def as_the_model_moves(model, scene, body_model):
     coefficients = body_model.held_out_bodies[:1]
     motion = load_scene(scene, model.rig, seconds=SECONDS)
     drapes = played(Draper(model, avatar_from_body(body_model, coefficients[0])), motion)
-    vertices, frames = np.arange(0, drapes.shape[1], 50), np.arange(POTENTIAL_EVERY, len(drapes), POTENTIAL_EVERY)
+    vertices = swinging_vertices(model.garment, model.rig)[::10]
+    frames = np.arange(POTENTIAL_EVERY, len(drapes), POTENTIAL_EVERY)
     energies = {}
     for name, found in frame_potentials(model, body_model, coefficients[0], motion, drapes, frames, CPU).items():
         energies[name] = np.zeros((1, len(drapes)))
