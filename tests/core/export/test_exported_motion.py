@@ -9,6 +9,7 @@ from core.export.gltf_reader import Reader, in_gltf_world
 from core.export.seen_pokes import count
 from random_models import random_detail
 from scipy.spatial import cKDTree
+from smooth_models import smooth_model
 
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion, save_garment_model
 from physkin_core.cli import main
@@ -29,8 +30,7 @@ def motion():
 
 @pytest.fixture(scope="module")
 def worn():
-    """Without detail, which a .glb has but for a rest."""
-    return [load_garment_model(name) for name in ("trousers", "longsleeve")]
+    return [smooth_model(name) for name in ("trousers", "longsleeve")]
 
 
 @pytest.fixture(scope="module")
@@ -44,10 +44,16 @@ def folded(worn, tmp_path_factory):
     return load_garment_model(path), str(path)
 
 
-def export(path, *options, shirt="longsleeve"):
-    assert (
-        main(["export", "walk", "-g", "trousers", "-g", shirt, "--rate", f"{RATE:g}", *options, "-o", str(path)]) == 0
-    )
+@pytest.fixture(scope="module")
+def trousers_file(worn, tmp_path_factory):
+    path = tmp_path_factory.mktemp("trousers") / "trousers.safetensors"
+    save_garment_model(worn[0], path)
+    return str(path)
+
+
+def export(path, *files, options=()):
+    garments = [word for file in files for word in ("-g", file)]
+    assert main(["export", "walk", *garments, "--rate", f"{RATE:g}", *options, "-o", str(path)]) == 0
 
 
 @pytest.fixture(scope="module")
@@ -113,10 +119,11 @@ def test_what_is_in_the_file_has_names(walking):
     assert len(set(shirt.extras["targetNames"])) == len(shirt.primitives[0].targets) > 0
 
 
-def test_what_a_glb_cannot_show_is_told(tmp_path, motion, monkeypatch, capsys):
+def test_what_a_glb_cannot_show_is_told(tmp_path, motion, worn, trousers_file, monkeypatch, capsys):
     """Without morph targets the shirt's order is not kept: how far off it is, and what to do."""
     monkeypatch.setattr(morph_targets, "MOST_TARGETS", 0)
-    export(tmp_path / "walk.glb")
+    save_garment_model(worn[1], tmp_path / "longsleeve.safetensors")
+    export(tmp_path / "walk.glb", trousers_file, str(tmp_path / "longsleeve.safetensors"))
     told = capsys.readouterr().err
     off = rf"warning: longsleeve is up to \d+ mm off in \d+ of {motion.frame_count} frames, .* a \.usdc has it exactly"
     assert re.search(off, told)
@@ -139,14 +146,14 @@ def test_joints_rest_where_meshes_are_bound(walking):
         np.testing.assert_allclose([place(joint) for joint in skin.joints], -bind[:, :3, 3], atol=1e-6)
 
 
-def test_usd_has_every_vertex(tmp_path, motion, worn, folded):
+def test_usd_has_every_vertex(tmp_path, motion, worn, trousers_file, folded):
     """Points of body and garments, with detail, layers in order and swaying, to a float's rounding; the root moves;
     metres, Z up."""
     pytest.importorskip("pxr", reason="needs the extra [usd]")
     from pxr import Usd, UsdGeom
 
     shirt, path = folded
-    export(tmp_path / "walk.usdc", "--sway", "0.5", shirt=path)
+    export(tmp_path / "walk.usdc", trousers_file, path, options=("--sway", "0.5"))
     stage = Usd.Stage.Open(str(tmp_path / "walk.usdc"))
     assert UsdGeom.GetStageUpAxis(stage) == "Z" and UsdGeom.GetStageMetersPerUnit(stage) == 1
     assert (stage.GetTimeCodesPerSecond(), stage.GetEndTimeCode()) == (RATE, motion.frame_count - 1)

@@ -11,8 +11,9 @@ from core.export.gltf_reader import Reader, in_gltf_world, skinned_layers
 from PIL import Image
 from random_models import random_model, sewn_tube
 from scipy.spatial import cKDTree
+from smooth_models import smooth_model
 
-from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion, save_garment_model
+from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_motion, save_garment_model
 from physkin_core.cli import main
 from physkin_core.export.export import LIES_ON, garment_looks
 from physkin_core.export.usd_motion import _as_identifiers
@@ -26,7 +27,20 @@ RED = (0.8, 0.05, 0.1)
 
 @pytest.fixture(scope="module")
 def shirt():
-    return load_garment_model("longsleeve")
+    return smooth_model("longsleeve")
+
+
+@pytest.fixture(scope="module")
+def export(shirt, tmp_path_factory):
+    """`physkin export` of the shirt in a walk, to a file with options."""
+    model = tmp_path_factory.mktemp("model") / "longsleeve.safetensors"
+    save_garment_model(shirt, model)
+
+    def run(path, *options):
+        garment = ["export", "walk", "-g", str(model), "--rate", f"{RATE:g}"]
+        return main([*garment, *map(str, options), "-o", str(path)])
+
+    return run
 
 
 @pytest.fixture(scope="module")
@@ -59,11 +73,7 @@ def write_look(folder, model, *, library=None, files=None, vertices=None):
     return folder / "garment.obj"
 
 
-def export(path, *options):
-    return main(["export", "walk", "-g", "longsleeve", "--rate", f"{RATE:g}", *map(str, options), "-o", str(path)])
-
-
-def test_gltf_has_the_look_and_no_seam_opens(tmp_path, shirt, worn):
+def test_gltf_has_the_look_and_no_seam_opens(tmp_path, shirt, worn, export):
     """Every vertex has the place of its point of the garment, twice at the seam, where both move alike."""
     assert export(tmp_path / "walk.glb", "--look", write_look(tmp_path / "look", shirt)) == 0
     reader, motion = Reader(tmp_path / "walk.glb"), load_motion("walk").resampled(RATE)
@@ -92,7 +102,7 @@ def test_gltf_has_the_look_and_no_seam_opens(tmp_path, shirt, worn):
     assert reader.binary[view.byteOffset : view.byteOffset + view.byteLength] == picture()
 
 
-def test_usd_has_the_look(tmp_path, shirt):
+def test_usd_has_the_look(tmp_path, shirt, export):
     """Places by corner, materials by faces, the picture beside the file."""
     pytest.importorskip("pxr", reason="needs the extra [usd]")
     from pxr import Usd, UsdGeom, UsdShade
@@ -113,7 +123,7 @@ def test_usd_has_the_look(tmp_path, shirt):
     assert (tmp_path / files[0].path).read_bytes() == picture()
 
 
-def test_usd_tells_materials_of_like_names_apart(tmp_path, shirt):
+def test_usd_tells_materials_of_like_names_apart(tmp_path, shirt, export):
     """Each has faces and a colour of its own, though USD would write both names as one."""
     pytest.importorskip("pxr", reason="needs the extra [usd]")
     from pxr import Usd, UsdGeom, UsdShade
@@ -155,7 +165,7 @@ def test_words_of_a_library_may_stand_after_tabs(tmp_path, shirt):
 @pytest.mark.parametrize(
     "options, expected", [("-s 20 40 1", (20, 40)), ("-mm 0 1 -s 8", (8, 1)), ("-s -4 .5", (-4, 0.5))]
 )
-def test_a_material_says_how_large_its_picture_is(tmp_path, shirt, options, expected):
+def test_a_material_says_how_large_its_picture_is(tmp_path, shirt, options, expected, export):
     """In both files: the picture is scaled, texture places stay what they are."""
     library = f"newmtl knit\nmap_Kd {options} knit.png\nnewmtl red\nmap_Kd knit.png\n"
     path = write_look(tmp_path / "look", shirt, library=library)
@@ -282,7 +292,7 @@ def test_a_garment_has_one_look(tmp_path, shirt, worn):
         garment_looks([path, path], worn)
 
 
-def test_pictures_are_kept_without_pillow(tmp_path, shirt, monkeypatch):
+def test_pictures_are_kept_without_pillow(tmp_path, shirt, monkeypatch, export):
     """As they are in a GLB."""
     trimesh.load(write_look(tmp_path / "look", shirt), process=False).export(tmp_path / "look.glb")
     monkeypatch.setitem(sys.modules, "PIL", None)
