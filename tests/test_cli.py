@@ -12,22 +12,27 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from random_models import random_sway_network
 from safetensors.numpy import load_file
 
 import physkin_core
-from physkin_core import Draper, LimbSeparator, Outfit, cli, load_avatar, load_motion
+from physkin_core import Draper, LimbSeparator, Outfit, cli, load_avatar, load_motion, save_garment_model
 from physkin_core.extras import install_command
 
 AVATAR = physkin_core.BUNDLED_AVATAR
 
 
-def test_info(model_path, capsys):
+def test_info(model_path, garment_model, tmp_path, capsys):
     """Name, sizes, material and rig of a model, without ROS or torch."""
     assert cli.main(["info", str(model_path)]) == 0
     output = capsys.readouterr().out
     assert "not learnt: by a pendulum" in output
     assert "vest" in output and "16, 4 influences a vertex" in output and "youngs_modulus" in output
-    assert cli.main(["info", "skirt"]) == 0
+    modulation = 2 * sum(len(bias) for _, bias in garment_model.pose_modulator[:-1])
+    sizes = len(garment_model.rig.dofs), len(garment_model.node_rest)
+    sway = random_sway_network(np.random.default_rng(0), *sizes, modulation=modulation)
+    save_garment_model(replace(garment_model, sway=sway), tmp_path / "swaying.safetensors")
+    assert cli.main(["info", str(tmp_path / "swaying.safetensors")]) == 0
     assert "sway             learnt: by a network" in capsys.readouterr().out
 
 
@@ -125,7 +130,10 @@ def test_warnings_about_an_avatar_are_printed_once(model_path, garment_model, tm
         (["drape", "{avatar}", "-g", "{model}", "--motion", "nosuch", "-o", "out.obj"], "no bundled motion 'nosuch'"),
         (["drape", "{avatar}", "-g", "{model}", "--frame", "-1", "-o", "out.obj"], "has frames 0 to"),
         (["drape", "{avatar}", "-g", "{model}", "-o", "out.fbx"], "must end in .obj or .png"),
-        (["info", "{avatar}"], "avatar.glb is not a garment model, allowed are .safetensors files and dress"),
+        (
+            ["info", "{avatar}"],
+            "avatar.glb is not a garment model, allowed are .safetensors files and circleskirt, dress",
+        ),
         (["drape", "{avatar}", "-g", "{model}", "-o", "{tmp}/none/out.obj"], "none/out.obj: there is no folder"),
         (["drape", "{avatar}", "-g", "{model}", "-o", "{tmp}/folder.obj"], "folder.obj: it is a folder"),
         (["check", "{avatar}", "-g", "{model}", "-o", "{tmp}/none/out.png"], "none/out.png: there is no folder"),

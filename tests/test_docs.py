@@ -5,7 +5,6 @@ import re
 import pytest
 
 from import_graph import PACKAGES, ROOT
-from physkin_core import load_garment_model
 
 DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
@@ -45,25 +44,3 @@ def test_architecture_names_files_that_exist():
 
 def test_readme_stays_short():
     assert len((ROOT / "README.md").read_text().splitlines()) <= 100
-
-
-def test_table_of_uniform_poses_is_of_the_model_files():
-    """Each cell of a garment and its made to measure row is what the model's file holds."""
-    text = (ROOT / "docs" / "shipped-garments.md").read_text()
-    columns = ["edge_strain_percent", "area_strain_percent", "inside_percent", "inside_worn_percent"]
-    columns += ["within_3mm_percent", "max_depth_p999_mm"]
-    table = text.split("| uniform poses |")[1].split("\n\n")[0]
-    rows = [line.strip("| ").split(" | ") for line in table.splitlines()[2:]]
-    kinds = {"": "model", "made to measure": "model", "plain skinning": "skinning"}
-    kinds["plain skinning, made to measure"] = "skinning"
-    told = 0
-    for label, *cells in rows:
-        if label.startswith("**"):
-            scores = load_garment_model(label.strip("*").lower().replace(" ", "").replace("-", "")).scores
-            label = ""
-        found = (scores["made_to_measure"] if label.endswith("made to measure") else scores)[kinds[label]]
-        for cell, column in zip(cells, columns, strict=True):
-            decimals = len(cell.partition(".")[2])
-            assert f"{found[column]:.{decimals}f}" == cell, (rows[told][0], column)
-        told += 1
-    assert told == 20

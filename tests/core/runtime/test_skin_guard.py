@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from native_frames import NativeFrame, clouds, told
+from random_models import random_sway_network
 from reference.frame import ReferenceFrame
 from reference.skin_guard import skin_depth
 
@@ -17,18 +18,40 @@ from physkin_core.separation.skin_parts import fit_skin_parts
 RATE = 30.0
 INSIDE = 0.002
 """[m] A vertex deeper in the skin than this counts."""
+SWINGS = 0.2
+"""By how much of what a random sway network gives cloth swings here."""
+
+
+def swinging(name):
+    """A shipped garment that sways by a network which knows nothing of legs."""
+    model = load_garment_model(name)
+    modulation = 2 * sum(len(bias) for _, bias in model.pose_modulator[:-1])
+    sizes = len(model.rig.dofs), len(model.node_rest)
+    sway = random_sway_network(np.random.default_rng(1), *sizes, modulation=modulation, offset=0.02)
+    return replace(model, sway=replace(sway, out=tuple(SWINGS * each for each in sway.out)))
+
+
+def hanging_still(name):
+    """A shipped garment whose cloth hangs from the root, whatever the legs do."""
+    model = load_garment_model(name)
+    weight, bias = model.node_deformer[-1]
+    at_root = np.full_like(model.node_bone, model.rig.bone_names.index("root"))
+    deformer = (*model.node_deformer[:-1], (0 * weight, 0 * bias))
+    return replace(model, detail=None, sway=None, node_bone=at_root, node_deformer=deformer)
+
+
+def on_the_avatar(model):
+    return Draper(model, load_avatar(BUNDLED_AVATAR, model.rig))
 
 
 @pytest.fixture(scope="module")
 def skirt():
-    """On the bundled avatar."""
-    model = load_garment_model("skirt")
-    return Draper(model, load_avatar(BUNDLED_AVATAR, model.rig))
+    return on_the_avatar(swinging("skirt"))
 
 
 def march(rig, frames: int) -> np.ndarray:
     """(frames, d) [rad] thighs that swing to and fro twice a second, at rest in the first frame."""
-    joints = [rig.joint_names.index(f"upperleg01.{side}_x") for side in "LR"]
+    joints = [rig.joint_names.index(f"upperleg01.{side}_y") for side in "LR"]
     swing = 0.7 * np.sin(2 * np.pi * 2.0 * np.arange(frames) / RATE)
     positions = np.tile(rig.rest, (frames, 1)).astype(np.float32)
     positions[:, joints] += np.stack([swing, -swing], axis=1).astype(np.float32)
@@ -90,8 +113,9 @@ def passed_by_shin(draper: Draper, pose: np.ndarray, cloth: np.ndarray) -> int:
     return int((beside & (forward > 0) & (forward < 0.06) & (draper.layer.bound.vertices[:, 0] < -0.05)).sum())
 
 
-def test_a_shin_that_folds_takes_the_hem_along(skirt):
-    """Most of the hem lies on the calf, where the skin's normals alone leave it across the shin."""
+def test_a_shin_that_folds_takes_the_hem_along():
+    """Half of what the skin's normals alone leave across the shin lies on the calf, though no network has moved it."""
+    skirt = on_the_avatar(hanging_still("skirt"))
     rig, bound = skirt.layer.model.rig, skirt.layer.given
     motion = fold(rig, 12)
     by_normals = replace(bound, guard_ways=np.zeros_like(bound.guard_ways))
@@ -100,14 +124,14 @@ def test_a_shin_that_folds_takes_the_hem_along(skirt):
         for each in (bound, by_normals)
     )
     assert left > 10
-    assert led < 0.5 * left
+    assert led < 0.55 * left
 
 
 @pytest.mark.parametrize("sways", [False, True])
-@pytest.mark.parametrize("name", ["skirt", "dress"])
+@pytest.mark.parametrize("name", ["skirt", "pencilskirt"])
 def test_what_hangs_is_guarded_as_the_reference_does(name, sways):
     """In strides of a body that leans back or forward, so that cloth falls on its legs, or sways into them."""
-    model = load_garment_model(name)
+    model = swinging(name) if sways else load_garment_model(name)
     bound = Draper(model, load_avatar(BUNDLED_AVATAR, model.rig)).layer.bound
     reference, native, free = ReferenceFrame([bound]), NativeFrame([bound]), NativeFrame([bound.unguarded])
     told_of_time = {"sway": 1.0, "elapsed": 1 / RATE, "moves": 1.0} if sways else {}

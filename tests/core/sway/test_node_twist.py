@@ -82,7 +82,7 @@ def test_of_shipped_garments(name, twists):
 def test_shirts_twist_a_little_at_the_hem():
     for name in ("tshirt", "longsleeve"):
         model = physkin.load_garment_model(name)
-        assert 0 < node_twist(model.garment, model.rig, model.node_rest, model.node_bone).max() < 0.25
+        assert 0 < node_twist(model.garment, model.rig, model.node_rest, model.node_bone).max() < 0.4
 
 
 def test_on_raised_legs_cloth_lies_and_twists_the_less():

@@ -73,7 +73,7 @@ def test_features_go_together_as_far_as_the_fastest_detail_node_may():
 
 def test_drapes_that_are_told_the_time_end_where_those_by_themselves_are():
     """However often a second they come."""
-    model = replace(physkin.load_garment_model("skirt"), sway=None)
+    model = replace(physkin.load_garment_model("dress"), sway=None)
     draper, rest = physkin.Draper(model, physkin.load_avatar(physkin.BUNDLED_AVATAR, model.rig)), model.rig.rest
     tilted, late = (0.45, 0.0, -0.9), []
     by_itself = draper.drape(rest, tilted)
