@@ -132,7 +132,7 @@ def test_warnings_about_an_avatar_are_printed_once(model_path, garment_model, tm
         (["drape", "{avatar}", "-g", "{model}", "-o", "out.fbx"], "must end in .obj or .png"),
         (
             ["info", "{avatar}"],
-            "avatar.glb is not a garment model, allowed are .safetensors files and circleskirt, dress",
+            "avatar.glb is not a garment model, allowed are .safetensors files and circleskirt",
         ),
         (["drape", "{avatar}", "-g", "{model}", "-o", "{tmp}/none/out.obj"], "none/out.obj: there is no folder"),
         (["drape", "{avatar}", "-g", "{model}", "-o", "{tmp}/folder.obj"], "folder.obj: it is a folder"),
