@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from core.export.gltf_reader import Reader, in_gltf_world
 from core.export.seen_pokes import count
+from core.export.smooth_models import smooth_model
 from random_models import random_detail
 from scipy.spatial import cKDTree
-from smooth_models import smooth_model
 
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion, save_garment_model
 from physkin_core.cli import main

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 from core.export.gltf_reader import Reader, in_gltf_world, skinned_layers
+from core.export.smooth_models import smooth_model
 from PIL import Image
 from random_models import random_model, sewn_tube
 from scipy.spatial import cKDTree
-from smooth_models import smooth_model
 
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_motion, save_garment_model
 from physkin_core.cli import main
