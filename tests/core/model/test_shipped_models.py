@@ -40,8 +40,8 @@ def test_garments_are_those_that_training_reads(name):
 
 @pytest.mark.parametrize("name", GARMENTS)
 def test_scores_are_in_the_file(name):
-    """Of 16 bodies and eight poses of each or more with plain skinning beside them, and of motion, at both fits; the model is
-    better. The file has the seed."""
+    """Of 16 bodies and eight poses of each or more with plain skinning beside them, and of motion, at both fits; the
+    model is better. The file has the seed."""
     model = load_garment_model(name)
     assert model.name == model.training["name"] == name and model.training["seed"] is not None
     scores = model.scores
