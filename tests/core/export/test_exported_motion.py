@@ -38,7 +38,7 @@ def folded(worn, tmp_path_factory):
     """A T-shirt with folds of centimetres, and its file."""
     shirt = worn[1]
     rng, width = np.random.default_rng(1), len(shirt.node_deformer[-2][1])
-    detail = random_detail(rng, shirt.garment, 60, width=width, features=20, offset=0.02)
+    detail = random_detail(rng, shirt.garment, 60, width=width, features=20, offset=0.002)
     shirt, path = replace(shirt, name="folded", detail=detail), tmp_path_factory.mktemp("folded") / "folded.safetensors"
     save_garment_model(shirt, path)
     return load_garment_model(path), str(path)
