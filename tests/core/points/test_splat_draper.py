@@ -131,7 +131,7 @@ def test_splats_stretch_as_the_cloth_does(tshirt, worn, poses):
         beyond = np.abs(np.sort(found.scales, axis=1)[:, :0:-1] / expected - 1)
         assert np.median(beyond) < 0.3 * np.median(strain) and np.median(strain) > 0.02
         normal, across = map_normal(spokes), found.axes()[:, :, 2]
-        assert np.quantile(np.abs((normal * across).sum(axis=1)), 0.05) > np.cos(np.radians(8))
+        assert np.quantile(np.abs((normal * across).sum(axis=1)), 0.05) > np.cos(np.radians(12))
 
 
 def frames(corners):
