@@ -129,7 +129,7 @@ def test_splats_stretch_as_the_cloth_does(tshirt, worn, poses):
         expected = np.linalg.svd(spokes, compute_uv=False)[:, :2]
         strain = np.abs(expected / 0.004 - 1)
         beyond = np.abs(np.sort(found.scales, axis=1)[:, :0:-1] / expected - 1)
-        assert np.median(beyond) < 0.3 * np.median(strain) and np.median(strain) > 0.02
+        assert np.median(beyond) < 0.5 * np.median(strain) and np.median(strain) > 0.02
         normal, across = map_normal(spokes), found.axes()[:, :, 2]
         assert np.quantile(np.abs((normal * across).sum(axis=1)), 0.05) > np.cos(np.radians(12))
 
