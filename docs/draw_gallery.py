@@ -1,4 +1,4 @@
-"""Draw `docs/gallery/`, clothes on bodies in motion: python docs/draw_gallery.py
+"""Draw `docs/gallery/` and `docs/drapes.jpg`, clothes on bodies in motion: python docs/draw_gallery.py
 
 Some minutes on one core. Needs the extras `[view,training]`.
 """
@@ -27,25 +27,50 @@ from physkin_core.picture import Mesh, contact_sheet, render
 from physkin_core.render.filming import draw_strip, dressed_meshes
 from physkin_training.sampling.chosen_bodies import bodies_by_girth
 
-GALLERY = ROOT / "docs" / "gallery"
-GARMENTS = (
-    *("tshirt", "longsleeve", "tanktop", "turtleneck", "hoodie", "trousers", "widetrousers"),
-    *("shorts", "skirt", "circleskirt", "pencilskirt", "dress", "maxidress", "jumpsuit"),
-)
-IN_A_ROW = 2
+GALLERY, WARDROBE = ROOT / "docs" / "gallery", ROOT / "docs" / "drapes.jpg"
+GARMENTS = {
+    "tshirt": ("jersey:white", "jersey:bordeaux"),
+    "longsleeve": ("jersey:navy", "cotton:beige"),
+    "tanktop": ("rib:white", "jersey:olive"),
+    "turtleneck": ("wool:bordeaux", "rib:black"),
+    "hoodie": ("jersey:grey", "wool:green"),
+    "trousers": ("denim", "cotton:beige"),
+    "widetrousers": ("wool:grey", "cotton:white"),
+    "shorts": ("cotton:olive", "denim"),
+    "skirt": ("denim", "wool:brown"),
+    "circleskirt": ("cotton:red", "silk:indigo"),
+    "pencilskirt": ("wool:black", "leather"),
+    "dress": ("cotton:blue", "silk:bordeaux"),
+    "maxidress": ("silk:teal", "cotton:ochre"),
+    "jumpsuit": ("denim:indigo", "cotton:olive"),
+}
+"""Shipped garments, and what they are of: seen from the front, and from behind."""
 MOTION, FRAME = "walk", 20
 OUTFITS = {
-    "T-shirt over trousers": ("trousers", "tshirt"),
-    "T-shirt, tucked": ("tshirt*", "trousers"),
-    "hoodie over trousers": ("trousers", "hoodie"),
-    "hoodie, T-shirt, shorts": ("shorts", "tshirt", "hoodie"),
-    "turtleneck, tucked": ("turtleneck*", "circleskirt"),
-    "tank top, tucked": ("tanktop*", "pencilskirt"),
+    "T-shirt over trousers": ("trousers:denim", "tshirt:jersey:white"),
+    "T-shirt, tucked": ("tshirt:jersey:red*", "trousers:cotton:beige"),
+    "hoodie over trousers": ("trousers:denim:black", "hoodie:jersey:grey"),
+    "hoodie, T-shirt, shorts": ("shorts:cotton:olive", "tshirt:jersey:white", "hoodie:jersey:navy"),
+    "turtleneck, tucked": ("turtleneck:rib:black*", "circleskirt:wool:brown"),
+    "tank top, tucked": ("tanktop:rib:white*", "pencilskirt:leather"),
 }
 """Garments from the skin outwards; * tucked."""
-STRIPS = {"cartwheel": ("trousers", "longsleeve"), "kick": ("tshirt*", "trousers"), "jump": ("dress",)}
+WORN = (
+    ("walk", 20, 0, OUTFITS["T-shirt over trousers"]),
+    ("dance", 60, 1, ("dress:silk:bordeaux",)),
+    ("walk", 44, 2, OUTFITS["hoodie over trousers"]),
+    ("dance", 30, 0, OUTFITS["turtleneck, tucked"]),
+    ("walk", 8, 1, ("jumpsuit:denim:indigo",)),
+    ("dance", 90, 2, ("maxidress:cotton:teal",)),
+)
+"""What the README shows: motion, frame, which of three bodies from lean to stout, outfit."""
+STRIPS = {
+    "cartwheel": ("trousers:cotton:olive", "longsleeve:jersey:navy"),
+    "kick": ("tshirt:jersey:white*", "trousers:denim"),
+    "jump": ("dress:cotton:blue",),
+}
 FRAMES = 8
-SIZE, QUALITY = (150, 210), 84
+SIZE, LARGE, QUALITY = (150, 210), (270, 480), 84
 
 
 def named(names: Sequence[str]) -> list[WornGarment]:
@@ -73,11 +98,24 @@ def save(name: str, picture: np.ndarray) -> None:
 
 
 def draw_bodies() -> None:
-    """Each garment on three bodies."""
+    """Each garment on three bodies, from the front and from behind."""
     motion, avatars = load_motion(MOTION), lean_to_stout(3)
-    worn = [Outfit(named([name]), avatar) for name in GARMENTS for avatar in avatars]
-    pictures = [render(meshes_at(outfit, motion, FRAME), size=SIZE, azimuth=35) for outfit in worn]
-    save("bodies", contact_sheet(pictures, columns=len(avatars) * IN_A_ROW, gap=2))
+    pictures = []
+    for name, fabrics in GARMENTS.items():
+        for fabric, azimuth in zip(fabrics, (35, 215)):
+            worn = (Outfit(named([f"{name}:{fabric}"]), avatar) for avatar in avatars)
+            pictures += [render(meshes_at(outfit, motion, FRAME), size=SIZE, azimuth=azimuth) for outfit in worn]
+    save("bodies", contact_sheet(pictures, columns=4 * len(avatars), gap=2))
+
+
+def draw_wardrobe() -> None:
+    """The README's picture."""
+    avatars, pictures = lean_to_stout(3), []
+    for clip, frame, body, names in WORN:
+        meshes = meshes_at(Outfit(named(names), avatars[body]), load_motion(clip), frame)
+        pictures.append(render(meshes, size=LARGE, azimuth=30, samples=32))
+    Image.fromarray(contact_sheet(pictures, columns=len(WORN), gap=0)).save(WARDROBE, quality=QUALITY, optimize=True)
+    print(f"wrote {WARDROBE}")
 
 
 def draw_outfits() -> None:
@@ -103,6 +141,7 @@ def _outfit(garments: Sequence[WornGarment]) -> Outfit:
 
 if __name__ == "__main__":
     GALLERY.mkdir(exist_ok=True)
+    draw_wardrobe()
     draw_bodies()
     draw_outfits()
     draw_motions()

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from itertools import cycle
 from pathlib import Path
 
 import matplotlib
@@ -39,7 +37,6 @@ GARMENTS = {
     "jumpsuit": "jumpsuit",
 }
 COLOURS = {"plain skinning": "#c9cdd2", "one size": "#7fb0cf", "made to measure": "#286b94"}
-CLIP_COLOURS = ("#286b94", "#7fb0cf", "#e0a458", "#b5483a", "#6b8f5e")
 
 
 def by_kind(garments: Mapping[str, Mapping], everyday_or_any: str, figure: str) -> list[dict[str, float]]:
@@ -53,14 +50,6 @@ def by_kind(garments: Mapping[str, Mapping], everyday_or_any: str, figure: str) 
         drapes = zip(COLOURS, (one_size["skinning"], one_size["model"], measured["model"]))
         found.append({kind: figures[figure] for kind, figures in drapes})
     return found
-
-
-def by_clip(scores: Mapping) -> dict[str, float]:
-    """Mean edge strain [%] of a garment at three places of each everyday clip, made to measure."""
-    places = defaultdict(list)
-    for place, scored in scores["made_to_measure"]["motion"]["clips"].items():
-        places[place.split("@")[0]].append(scored["model"]["edge_strain_percent"])
-    return {clip: float(np.mean(values)) for clip, values in places.items()}
 
 
 def bars(
@@ -102,9 +91,8 @@ def main() -> None:
     bars(axes[0], "every joint anywhere in its range", strain, names, any_pose, COLOURS)
     inside = by_kind(garments, "motion", "inside_percent")
     bars(axes[1], "everyday motion", "inside the body, %", names, inside, COLOURS)
-    clips = [by_clip(scores) for scores in garments.values()]
-    colours = dict(zip(clips[0], cycle(CLIP_COLOURS)))
-    bars(axes[2], "everyday motion by clip, made to measure", strain, names, clips, colours)
+    everyday = by_kind(garments, "motion", "edge_strain_percent")
+    bars(axes[2], "everyday motion", strain, names, everyday, COLOURS)
     figure.savefig(options.output, metadata={"Date": None})
     print(f"wrote {options.output}")
 

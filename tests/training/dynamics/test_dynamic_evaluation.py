@@ -40,10 +40,10 @@ def as_the_model_moves(model, scene, body_model):
 
 @pytest.fixture(scope="module")
 def scores(tmp_path_factory):
-    model, body_model, folder = load_garment_model("tshirt"), load_body_model(), tmp_path_factory.mktemp("references")
+    model, body_model, folder = load_garment_model("dress"), load_body_model(), tmp_path_factory.mktemp("references")
     for scene in ("stop", "swing-1"):
-        save_reference(as_the_model_moves(model, scene, body_model), folder / f"tshirt_{scene}.npz")
-    return evaluate_dynamics(model, references_of("tshirt", folder), CPU)
+        save_reference(as_the_model_moves(model, scene, body_model), folder / f"dress_{scene}.npz")
+    return evaluate_dynamics(model, references_of("dress", folder), CPU)
 
 
 def test_all_scenes_are_in_the_mean(scores):
