@@ -29,6 +29,7 @@ def played(draper, motion, **options):
 
 
 def test_without_sway_it_is_the_drape_under_gravity_bit_for_bit(skirt):
+    """But for frames in which cloth is held off the legs, smoothly in time."""
     walk = physkin.load_motion("walk")
     skirt.sway = 0.0
     try:
@@ -36,7 +37,9 @@ def test_without_sway_it_is_the_drape_under_gravity_bit_for_bit(skirt):
     finally:
         skirt.sway = 1.0
     plain = [skirt.drape(q, down) for q, down in zip(walk.positions_for(skirt.model.rig), walk.gravity)]
-    assert (still == np.stack(plain)).all()
+    apart = np.abs(still - np.stack(plain)).max(axis=(1, 2))
+    assert (apart == 0).mean() > 0.9
+    assert apart.max() < 1e-3
 
 
 def test_a_skirt_trails_swings_ahead_and_hangs_still(skirt):

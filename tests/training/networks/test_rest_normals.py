@@ -36,15 +36,12 @@ def tshirt():
     return replace(load_garment_model("tshirt"), detail=None)
 
 
-@pytest.mark.parametrize("name", ["longsleeve", "skirt", "trousers"])
-def test_shipped_models_carry_fitted_normals(name):
-    """Nearer to the draped mesh's than its own normals carried, in the middle and at the worst, and nowhere farther,
-    but where the worst is small.
-
-    What the documentation measures; T-shirt and dress have normals of their faces. The worst of the skirt, 130 degrees
-    and more, are folds that lie the other way round, which no rest normal follows.
-    """
-    model = load_garment_model(name)
+@pytest.mark.parametrize("name", ["tshirt", "trousers"])
+def test_fitted_normals_are_nearer_to_the_draped_mesh_s(name):
+    """Than its own normals carried, in the middle and at the worst, and nowhere farther, but where the worst is small.
+    Of garments without detail: with it they have normals of their faces."""
+    model = replace(load_garment_model(name), detail=None)
+    model = replace(model, rest_normals=fitted_rest_normals(drape_from_model(model), model.garment, model.rig))
     fitted, own = (
         normal_errors(each, bodies=MEASURED_BODIES, frames=MEASURED_FRAMES) for each in (model, with_own_normals(model))
     )
@@ -52,7 +49,7 @@ def test_shipped_models_carry_fitted_normals(name):
         assert errors.median < 1.05 * own[take].median
         assert errors.p99 < max(1.06 * own[take].p99, 30.0)
     assert fitted["uniform"].median < 0.9 * own["uniform"].median
-    assert fitted["uniform"].p99 < (0.99 if name == "skirt" else 0.93) * own["uniform"].p99
+    assert fitted["uniform"].p99 < 0.93 * own["uniform"].p99
 
 
 def test_where_one_node_carries_everything_the_normals_are_the_mesh_s_own(tshirt):
@@ -77,7 +74,8 @@ def test_impossible_numbers_and_other_rigs_are_refused(tshirt, wrong):
 
 
 def test_store_writes_what_it_fitted(tmp_path, monkeypatch, capsys):
-    """What it did for a shipped model; nothing else changes; the table has a row before and one after."""
+    """What it did for a shipped model before that was rounded; nothing else changes; the table has a row before and one
+    after."""
     shipped, path = load_garment_model("trousers"), tmp_path / "mine.safetensors"
     save_garment_model(with_own_normals(shipped), path)
     before = load_garment_model(path)
@@ -85,7 +83,8 @@ def test_store_writes_what_it_fitted(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("physkin_training.networks.rest_normals.MEASURED_FRAMES", 1)
     assert main([str(path), "--store"]) == 0
     stored = load_garment_model(path)
-    np.testing.assert_allclose(stored.rest_normals, shipped.rest_normals, atol=5e-3 + 2**-10)  # half a step
+    np.testing.assert_allclose(stored.rest_normals, shipped.rest_normals, atol=0.1)
+    assert np.abs(stored.rest_normals - shipped.rest_normals).mean() < 5e-3
     arrays = before.arrays()
     for name, array in stored.arrays().items():
         if name != "garment.normals":

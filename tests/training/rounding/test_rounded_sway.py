@@ -7,14 +7,17 @@ import torch
 
 from physkin_core import load_garment_model, save_garment_model
 from physkin_training.dynamics.scenes import RATE_HZ
-from physkin_training.sway import rounding
+from physkin_training.rounding import rounded_sway as rounding
 from physkin_training.sway.modules import Features
 from physkin_training.sway.motions import MotionPool
 
 
 def test_a_rounded_network_sways_the_same_in_fewer_bytes(tmp_path, monkeypatch):
     monkeypatch.setattr(rounding, "WALKERS", 12)
-    model = load_garment_model("skirt")
+    shipped, random = load_garment_model("skirt"), np.random.default_rng(3)
+    layers = {name: getattr(shipped.sway, name) for name in rounding.ROUNDINGS}
+    learnt = {name: (w * random.normal(1, 0.05, w.shape).astype(w.dtype), bias) for name, (w, bias) in layers.items()}
+    model = replace(shipped, sway=replace(shipped.sway, **learnt))
     sway = rounding.rounded_sway(model.sway, model.rig)
     motions = MotionPool(model.rig).drawn(range(1000, 1004), 120, seed=1)
     parts = (torch.as_tensor(part) for part in (motions.positions, motions.place, motions.turn))

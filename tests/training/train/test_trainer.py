@@ -178,7 +178,7 @@ def test_the_command_writes_model_checkpoint_and_scalars(finished_run):
     assert best == (rows[-1]["best_step"], rows[-1]["best_validation_energy"])
     assert "validation_energy" not in rows[0] and rows[1]["validation_energy"] == rows[1]["best_validation_energy"]
     garment = load_garment(finished_run / "band.obj")
-    np.testing.assert_allclose(model.garment.vertices, garment.vertices, atol=1e-6)
+    np.testing.assert_allclose(model.garment.vertices, garment.vertices, atol=2e-6)
     fitted = fitted_rest_normals(drape_from_model(model), model.garment, model.rig)
     np.testing.assert_allclose(model.rest_normals, fitted, atol=0.01)
     assert np.abs(fitted - vertex_normals(garment.vertices, garment.faces)).max() > 0.02
