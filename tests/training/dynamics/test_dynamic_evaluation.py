@@ -63,7 +63,8 @@ def test_cloth_that_moves_as_the_reference_is_not_away_from_it(scores):
     """But for what a file rounds away. Without sway it is."""
     total = scores["dynamic"]
     assert total["rmse_mm"] < 0.1 < 1 < total["quasi_static"]["rmse_mm"]
-    assert total["potential_ratio"] == pytest.approx(1, abs=1e-3) and total["quasi_static"]["potential_ratio"] > 1.001
+    assert total["potential_ratio"] == pytest.approx(1, abs=1e-3)
+    assert abs(total["quasi_static"]["potential_ratio"] - 1) > 1e-3
     for ending in (total["stop"], total["swings"]["1"]):
         assert ending["swaying"] == pytest.approx(ending["simulated"], rel=0.02, abs=0.02)
 

@@ -64,7 +64,7 @@ def test_training_knows_the_panels(trainer):
 def test_the_model_is_scored_against_the_panels(model, folder):
     """In torch as by the run time, at the template and made to measure."""
     cut = load_garment(folder / "band.obj")
-    np.testing.assert_allclose(model.garment.edge_lengths, cut.edge_lengths, rtol=1e-5)
+    np.testing.assert_allclose(model.garment.edge_lengths, cut.edge_lengths, rtol=1e-4)
     np.testing.assert_array_equal(model.garment.creases, cut.creases)
     for fit in (0.0, 1.0):
         evaluation = Evaluation(model, CPU, bodies=2, poses=2, seed=3, fit=fit)

@@ -159,4 +159,6 @@ def test_the_command_writes_all_figures(tmp_path, capsys):
         assert figures["pixels"] > 1000 and figures["covered_vertices"] > 100
         assert figures["poke_percent"] < 10 and 0 <= figures["seen_poke_percent"] < 2
         assert 0 <= figures["skin_shows_percent"] < 10 and 0 < figures["hidden_vertices_percent"] < 30
-        assert 0.9 < figures["added_jitter_ratio"] < 1.3 and -1 < figures["added_strain_points"] < 3
+        assert (
+            0.9 < figures["added_jitter_ratio"] < 1.3 and -1 < figures["added_strain_points"] < 6
+        )  # a loose hem is taken in
