@@ -45,7 +45,10 @@ class RestLook:
 def look_at_rest(cloth: np.ndarray, faces: np.ndarray, avatar: Avatar) -> RestLook:
     """Of cloth (n, 3) with faces (f, 3), draped at the canonical pose; some tens of milliseconds."""
     cloth = cloth.astype(np.float64)
-    clearance, _ = SkinClearance(avatar.vertices, avatar.faces)(cloth, vertex_normals(cloth, faces), far=np.inf)
+    skin = SkinClearance(avatar.vertices, avatar.faces)
+    clearance, _ = skin(cloth, vertex_normals(cloth, faces), far=np.inf)
+    inside = np.flatnonzero(clearance < -INSIDE)
+    clearance[inside] = skin.of_nearest(cloth[inside])  # folds face the other way, as skin across the body does
     return RestLook(
         inside_percent=float(100 * (clearance < -INSIDE).mean()),
         deepest_mm=float(1000 * max(0.0, -clearance.min())),

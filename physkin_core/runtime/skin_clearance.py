@@ -66,6 +66,13 @@ class SkinClearance:
         off = np.einsum("ni,ni->n", gap, self._normals[match])
         return np.where(np.linalg.norm(gap, axis=1) < far, off, np.inf), self._normals[match]
 
+    def of_nearest(self, vertices: np.ndarray) -> np.ndarray:
+        """Clearance (n,) [m] of vertices (n, 3) from the skin nearest to them, whichever way they face."""
+        from scipy.spatial import cKDTree
+
+        match = cKDTree(self._points, balanced_tree=False).query(vertices)[1]
+        return np.einsum("ni,ni->n", vertices - self._points[match], self._normals[match])
+
 
 def move_clear(vertices: np.ndarray, faces: np.ndarray, wanted: np.ndarray, skin: SkinClearance) -> np.ndarray:
     """Displacement (n, 3) [m] that gives cloth (n, 3) its wanted clearance (n,) of a skin, at most `CLEAR`."""
