@@ -11,15 +11,18 @@ import pytest
 
 @pytest.fixture(autouse=True, scope="session")
 def quiet():
-    """Warp says nothing of what it compiles, and the set that models are chosen by is a quarter of its size."""
+    """Warp says nothing of what it compiles, the set that models are chosen by is a quarter of its size, and networks are
+    rounded over few bodies and poses."""
     try:
         import warp as wp
 
+        from physkin_training.rounding import rounded_model
         from physkin_training.train import validation
     except ImportError:
         return
     wp.config.quiet = True
     validation.BATCHES = 1
+    rounded_model.BODIES, rounded_model.EVERYDAY, rounded_model.FARTHER, rounded_model.ENCODED_BODIES = 3, 50, 50, 24
 
 
 @pytest.fixture(scope="session")

@@ -207,7 +207,8 @@ def test_swapping_the_body_loses_no_cloud(site, models, motion, other_body):
     )
     names, rest = motion[0], models["tshirt"].rig.rest.astype(np.float32)
     for cloud, expected in zip(both(site, (LEGS, TOP), names, rest), outfit.drape(rest)):
-        np.testing.assert_allclose(cloud, expected, atol=1e-3)
+        np.testing.assert_allclose(cloud[:, :3], expected[:, :3], atol=1e-3)
+        np.testing.assert_allclose(cloud[:, 3:], expected[:, 3:], atol=2e-2)  # normals, of sharp folds, too
     assert site.call(SetBody, "set_body", avatar="ann").success
 
 
