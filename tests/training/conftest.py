@@ -11,8 +11,8 @@ import pytest
 
 @pytest.fixture(autouse=True, scope="session")
 def quiet():
-    """Warp says nothing of what it compiles, the set that models are chosen by is a quarter of its size, and networks are
-    rounded over few bodies and poses."""
+    """Warp says nothing of what it compiles, the set that models are chosen by is a quarter of its size, and networks
+    are rounded over few bodies and poses."""
     try:
         import warp as wp
 
