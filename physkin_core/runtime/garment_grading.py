@@ -43,7 +43,7 @@ class GarmentGrading:
         self.garment, self.body = garment, body
         self.template = body.vertices(body.garment_body).astype(np.float64)
         self._ties, distance = _ties(garment, self.template, body.faces)
-        self._close, self._wide = (_Smoothing(garment, distance, length) for length in (CLOSE, WIDE))
+        self._close, self._wide = _smoothings(garment, distance, CLOSE, WIDE)
         made = _along(garment.vertices - self._tied(self.template[None]), self._outwards(self.template[None]))
         self._needed = np.minimum(made, CLEAR)
 
@@ -89,23 +89,17 @@ class GarmentGrading:
 
 
 class _Smoothing:
-    """Smooths fields over a garment, with the less trust in them the farther, distance (n,) [m], its body is. length:
-    over which [m]."""
+    """Smooths fields over a garment. trust: (n,) in what they say. penalty: sparse (n, n), of what bends. order: (n,)
+    in which vertices are solved for."""
 
-    def __init__(self, garment: Garment, distance: np.ndarray, length: float) -> None:
+    def __init__(self, trust: np.ndarray, penalty, order: np.ndarray) -> None:
         from scipy.sparse import diags_array
-        from scipy.sparse.csgraph import reverse_cuthill_mckee
         from scipy.sparse.linalg import splu
 
-        areas = np.maximum(garment.vertex_areas, 1e-10)  # of vertices that no face uses
-        stiffness = _laplacian(garment)
-        bending = stiffness @ diags_array(1 / areas) @ stiffness
-        self._trust = areas / (1 + (distance / LOOSE) ** 2) ** 2
-        system = (diags_array(self._trust) + length**4 * bending).tocsc()
-        # ordered here: SuperLU's own orderings hold the interpreter's lock for tens of milliseconds, while clouds wait
-        self._order = reverse_cuthill_mckee(system, symmetric_mode=True)
+        self._trust, self._order = trust, order
+        system = (diags_array(trust) + penalty).tocsc()
         symmetric = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-        self._system = splu(system[self._order][:, self._order].tocsc(), permc_spec="NATURAL", **symmetric)
+        self._system = splu(system[order][:, order].tocsc(), permc_spec="NATURAL", **symmetric)
 
     def smooth(self, fields: np.ndarray) -> np.ndarray:
         """(..., n, 3) of (..., n, 3)."""
@@ -114,6 +108,20 @@ class _Smoothing:
         smooth = np.empty_like(trusted)
         smooth[self._order] = self._system.solve(trusted)
         return np.moveaxis(smooth.reshape(columns.shape), 0, -2)
+
+
+def _smoothings(garment: Garment, distance: np.ndarray, *lengths: float) -> list[_Smoothing]:
+    """One for each length [m] over which to smooth, with the less trust the farther, distance (n,) [m], the body is."""
+    from scipy.sparse import diags_array
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    areas = np.maximum(garment.vertex_areas, 1e-10)  # of vertices that no face uses
+    stiffness = _laplacian(garment)
+    bending = stiffness @ diags_array(1 / areas) @ stiffness
+    trust = areas / (1 + (distance / LOOSE) ** 2) ** 2
+    # ordered here: SuperLU's own orderings hold the interpreter's lock for tens of milliseconds, while clouds wait
+    order = reverse_cuthill_mckee((diags_array(trust) + bending).tocsc(), symmetric_mode=True)
+    return [_Smoothing(trust, length**4 * bending, order) for length in lengths]
 
 
 def _along(ways: np.ndarray, directions: np.ndarray) -> np.ndarray:

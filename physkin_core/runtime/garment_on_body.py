@@ -98,7 +98,7 @@ def put_on_body(model: GarmentModel, avatar: Avatar, fit: float, beneath: Sequen
         known = known + swollen
     elsewhere = laid.missing + laid.place
     elsewhere *= np.abs(elsewhere).max() > NEGLIGIBLE
-    measured = fit * grading.measured(known)
+    measured = fit * grading.measured(known) if fit else np.zeros_like(garment.vertices)
     differs = grading.carried(elsewhere)
     closest = grading.closest_vertices(model.node_rest)
     carried = _carried_by_bones(model, seen)
