@@ -23,9 +23,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-__all__ = ["pack_weight", "unpack_weights"]
+__all__ = ["MOST_STEPS", "MOST_STEPS_IN_8_BITS", "pack_weight", "unpack_weights"]
 
 MOST_STEPS, MOST_STEPS_IN_8_BITS = 511, 127
+"""Of the largest of a row's columns 4 k, 4 k + 1, ..., each with a scale of its own; and of that of a whole row, as
+native/src/kernels/packed_layer.cpp rounds."""
 ON_A_STEP = 0.3
 """How far a weight may be from one of the 127 steps, in steps, to lie on it: half precision and ten bits move it."""
 FIRST_BITS = np.arange(0, 8, 2, dtype=np.uint8)

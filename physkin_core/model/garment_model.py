@@ -16,7 +16,7 @@ import numpy as np
 from physkin_core.file_reading import shown
 from physkin_core.model.detail import Detail
 from physkin_core.model.garment import Garment
-from physkin_core.model.hyper_modulator import HEADS, hyper_modulator_shapes
+from physkin_core.model.hyper_modulator import BENDING_OCTAVES, HEADS, hyper_modulator_shapes
 from physkin_core.model.mlp import Layer, modulation_size
 from physkin_core.model.model_arrays import (
     Array,
@@ -34,7 +34,6 @@ from physkin_core.rig.rig import Rig
 __all__ = ["GarmentModel", "Material", "RestAngles", "SkinnedGarment"]
 
 RestAngles = Literal["flat", "as_made"]
-OCTAVES_OF_OLDER = (-2.0, 4.0)
 MOST_OCTAVES = 16
 SHORTEST_NORMAL = 1e-3
 """Rest normals may have any length from here on."""
@@ -116,8 +115,7 @@ class GarmentModel(SkinnedGarment):
     rest shapes made to measure and cloth that bends otherwise are known. pose_modulator, node_deformer: layers. sway:
     network that moves the garment nodes of a body that moves; None where a pendulum does. training, scores: plain data
     on how it was trained (seed, bodies, steps) and how it measured up. In training, bending_octaves says how much
-    softer and stiffer than `material` it has learnt to bend, as powers of two; models that do not say so have learnt
-    -2 to 4.
+    softer and stiffer than `material` it has learnt to bend, as powers of two; default `BENDING_OCTAVES`.
     """
 
     pose_modulator: tuple[Layer, ...] = described("pose_modulator", Chain("p", "deformer_modulation"))
@@ -144,7 +142,7 @@ class GarmentModel(SkinnedGarment):
             sizes["deformer_width"] = self.node_deformer[-1][0].shape[1]
             sizes["detail_nodes"] = len(self.detail.offsets) // 3
         check_arrays(self, sizes)
-        _check_octaves(self.training.get("bending_octaves", OCTAVES_OF_OLDER))
+        _check_octaves(self.training.get("bending_octaves", BENDING_OCTAVES))
         if (width := len(self.hyper_modulator["fit"])) % HEADS:
             raise GarmentModelError(f"hyper_modulator token width {width} is not a multiple of its {HEADS} heads")
         if self.sway is not None and not self.sway.rates.min() > 0:
@@ -159,7 +157,7 @@ class GarmentModel(SkinnedGarment):
     @property
     def bending_octaves(self) -> tuple[float, float]:
         """How much softer and stiffer than its material it has learnt to bend, as powers of two."""
-        softest, stiffest = self.training.get("bending_octaves", OCTAVES_OF_OLDER)
+        softest, stiffest = self.training.get("bending_octaves", BENDING_OCTAVES)
         return softest, stiffest
 
     def for_engines(self) -> GarmentModel:

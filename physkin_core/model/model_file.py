@@ -40,14 +40,14 @@ __all__ = [
 ]
 
 FORMAT = "physkin-garment"
-SCHEMA_VERSION, OLDEST_READ = 8, 5
-OF_OLDER = {"rest_angles": "as_made"}
-"""What the material of a file that does not say so is: it was trained before there was a choice."""
+SCHEMA_VERSION = 8
+UNSAID_BEFORE = {"material": {"rest_angles": "as_made"}, "training": {"bending_octaves": (-2, 4)}}
+"""What a file of an earlier version that does not say so was trained as: there was no choice yet."""
 LEAST_PACKED = 2**15
 """Network weights of so many numbers or more are packed, and those that lie on steps. Smaller ones take little space;
 among them is the pose modulator's first layer, whose rounding can move single vertices by almost a millimetre."""
 TEXTS = ("rig", "material", "training", "scores")
-"""Told as plain data in JSON: since version 8 in tensors of bytes NAME.json, before in the metadata."""
+"""Told as plain data in JSON, in tensors of bytes NAME.json; before version 8 in the metadata."""
 MODEL_SUFFIX = ".safetensors"
 MODELS_PATH = Path(__file__).parents[1] / "assets" / "models"
 
@@ -71,12 +71,11 @@ def load_garment_model(path: str | Path, *, content: bytes | None = None) -> Gar
     with reading(f"garment model {path}", ModelFileError):
         metadata, tensors = _contents(path, read_bytes(path) if content is None else content)
         version = int(metadata["schema_version"])
-        if not OLDEST_READ <= version <= SCHEMA_VERSION:
-            older = version < OLDEST_READ
+        if version != SCHEMA_VERSION:
+            older = version < SCHEMA_VERSION
             remedy = f"convert it: physkin convert-model {path} -o NEW{MODEL_SUFFIX}" if older else "update PhySkin"
             raise ModelFileError(
-                f"garment model {path} has schema version {version}, this release reads {OLDEST_READ} to "
-                f"{SCHEMA_VERSION}; {remedy}"
+                f"garment model {path} has schema version {version}, this release reads {SCHEMA_VERSION}; {remedy}"
             )
         model = _model(path, metadata, tensors)
     return made_of(model, fabric) if fabric else model
@@ -146,7 +145,7 @@ def _model(path: Path, metadata: Mapping[str, str], tensors: Mapping[str, np.nda
             name=metadata["name"],
             rig=Rig.from_json(json.loads(metadata["rig"])),
             **described,
-            material=Material(**OF_OLDER | json.loads(metadata["material"])),
+            material=Material(**json.loads(metadata["material"])),
             training=json.loads(metadata["training"]),
             scores=json.loads(metadata["scores"]),
         )
@@ -181,7 +180,8 @@ def save_garment_model(model: GarmentModel, path: str | Path) -> None:
 
 
 def convert_model_file(old: str | Path, new: str | Path) -> None:
-    """Write a model file of an earlier schema version as `new`, with the same tensors bit for bit.
+    """Write a model file of an earlier schema version as `new`, with the same tensors bit for bit, and what it was
+    trained as where it does not say so.
 
     Raises ModelFileError, and writes nothing, when `old` cannot be read, needs no conversion, or its model lacks what
     all models of this schema version have.
@@ -189,9 +189,9 @@ def convert_model_file(old: str | Path, new: str | Path) -> None:
     old = Path(old)
     with reading(f"garment model {old}", ModelFileError):
         metadata, tensors = _contents(old, read_bytes(old))
-    if int(metadata["schema_version"]) >= OLDEST_READ:
-        raise ModelFileError(f"garment model {old} has schema version {metadata['schema_version']}, nothing to convert")
-    activation = metadata.pop("activation", None)
+    if (version := int(metadata["schema_version"])) >= SCHEMA_VERSION:
+        raise ModelFileError(f"garment model {old} has schema version {version}, nothing to convert")
+    activation = metadata.pop("activation", "silu")
     try:
         model = _model(old, metadata, tensors)
         if activation != "silu":
@@ -200,6 +200,8 @@ def convert_model_file(old: str | Path, new: str | Path) -> None:
             raise ModelFileError("it was not trained with accelerated roots")
     except ModelFileError as error:
         raise ModelFileError(f"cannot convert {old}, train it anew: {error}") from error
+    for key, unsaid in UNSAID_BEFORE.items():
+        metadata[key] = json.dumps(unsaid | json.loads(metadata[key]))
     _write(Path(new), metadata, tensors)
 
 

@@ -23,10 +23,10 @@ MESH = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
 @pytest.fixture
 def shop(tmp_path):
-    """Three meshes, one of them with a recipe."""
+    """Two meshes and a sewing pattern, one of the meshes with a recipe."""
     folder = tmp_path / "shop"
     folder.mkdir()
-    for name in ("coat.obj", "hat.ply", "shirt.obj"):
+    for name in ("coat.obj", "hat.ply", "shirt.json"):
         (folder / name).write_text(MESH + name)
     (folder / "hat.toml").write_text("seed = 1\n")
     (folder / "notes.txt").write_text("spring\n")
@@ -46,11 +46,11 @@ def save_checkpoint(job, folder="checkpoint"):
     (job.folder / folder / "state.json").write_text('{"step": 7, "config": {}}')
 
 
-def test_a_job_for_each_mesh(shop, tmp_path):
+def test_a_job_for_each_mesh_and_pattern(shop, tmp_path):
     recipe = tmp_path / "all.toml"
     recipe.write_text("seed = 2\n")
     jobs = jobs_of(shop, recipe=recipe, length=["--steps=9"])
-    assert list(jobs) == ["coat", "hat", "shirt"]
+    assert list(jobs) == ["coat", "hat", "shirt"] and jobs["shirt"].mesh == shop / "shirt.json"
     assert jobs["coat"].arguments == ("--steps=9", "--recipe", str(recipe))
     assert jobs["hat"].arguments == ("--steps=9", "--recipe", str(shop / "hat.toml")), "its own goes before"
     assert jobs["hat"].output == tmp_path / "models" / "hat.safetensors"
@@ -117,7 +117,7 @@ def test_folders_that_are_refused(shop, tmp_path):
     with pytest.raises(CatalogueError, match="nosuch is not a folder"):
         find_jobs(shop / "nosuch", tmp_path)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(CatalogueError, match="empty holds no garment mesh; allowed: .obj, "):
+    with pytest.raises(CatalogueError, match="empty holds no garment mesh or pattern; allowed: .obj, .*.json"):
         find_jobs(tmp_path / "empty", tmp_path)
     (shop / "typo.toml").write_text("")
     with pytest.raises(CatalogueError, match="typo.toml belongs to no garment: there is no typo.obj"):

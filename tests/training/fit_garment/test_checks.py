@@ -239,6 +239,16 @@ def test_what_cannot_be_repaired_is_refused(spoil, check, words, shirt, template
     assert checked.refused and (last.check, last.outcome) == (check, "refused") and words in last.found
 
 
+def test_a_loose_garment_is_not_upside_down(shirt, template):
+    """Its neckline leaves the neck where it lies, yet settles on the shoulders; turned over, it is found to be so."""
+    vertices, faces = shirt()
+    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    checked = check_mesh(1.18 * (vertices - middle) + middle, faces, template, template)
+    assert not checked.refused and outcomes(checked)["scale"] == "warning"
+    checked = check_mesh((vertices - middle) * [1.18, -1.18, -1.18] + middle, faces, template, template)
+    assert checked.refused and checked.verdicts[-1].check == "upright"
+
+
 def test_a_garment_of_another_body_is_carried_over(shirt, template):
     """There and back again is nearly the same; what was made on a tall body fits the template, with a warning."""
     body_model = load_body_model()

@@ -5,19 +5,14 @@ import pytest
 
 from physkin_core import Draper, load_avatar, load_garment_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR
-from physkin_core.formats.packed_weights import pack_weight, unpack_weights
+from physkin_core.formats.packed_weights import MOST_STEPS, MOST_STEPS_IN_8_BITS, pack_weight, unpack_weights
 from physkin_core.model.model_file import shipped_models
 from physkin_core.motion.loading import load_motion
-from physkin_training.rounding.compensated_rounding import (
-    STEPS,
-    STEPS_OF_FOUR,
-    Rounding,
-    compensated_rounding,
-)
+from physkin_training.rounding.compensated_rounding import Rounding, compensated_rounding
 
 
 def in_steps(weight):
-    return weight / np.abs(weight).max(axis=1, keepdims=True) * STEPS
+    return weight / np.abs(weight).max(axis=1, keepdims=True) * MOST_STEPS_IN_8_BITS
 
 
 def some_weight(*, sizes=1.0):
@@ -41,8 +36,8 @@ def test_outputs_are_closer_than_rounded_one_by_one(every, share):
     np.testing.assert_allclose(in_steps(rounded), steps, atol=1e-4)
     largest = np.abs(weight).max(axis=1)
     np.testing.assert_array_equal(np.abs(rounded).max(axis=1), largest)
-    assert ((steps % every == 0) | (np.abs(steps) == STEPS)).all()
-    one_by_one = every * np.rint(in_steps(weight) / every) * largest[:, None] / STEPS
+    assert ((steps % every == 0) | (np.abs(steps) == MOST_STEPS_IN_8_BITS)).all()
+    one_by_one = every * np.rint(in_steps(weight) / every) * largest[:, None] / MOST_STEPS_IN_8_BITS
     errors = [np.abs(inputs @ (each - weight).T).mean() for each in (rounded, one_by_one)]
     assert errors[0] < share * errors[1]
 
@@ -66,10 +61,10 @@ def test_a_file_keeps_every_rounded_weight(rounding):
     np.testing.assert_allclose(unpack_weights(stored)["a.weight"], rounded, rtol=1e-6, atol=1e-9)
     if rounding.four:
         scale = np.abs(rounded.reshape(40, -1, 4)).max(axis=1)
-        steps = rounded.reshape(40, -1, 4) / scale[:, None] * STEPS_OF_FOUR
+        steps = rounded.reshape(40, -1, 4) / scale[:, None] * MOST_STEPS
         assert np.abs(steps - np.rint(steps)).max() < 1e-2
         whole = np.rint(steps)
-        assert ((whole % 32 == 0) | (np.abs(whole) == STEPS_OF_FOUR)).all()
+        assert ((whole % 32 == 0) | (np.abs(whole) == MOST_STEPS)).all()
 
 
 @pytest.mark.parametrize("name", shipped_models())

@@ -1,4 +1,4 @@
-"""What a catalogue run has to do: a job for each garment mesh of a folder, and how far each one is on disk.
+"""What a catalogue run has to do: a job for each mesh or pattern of a folder, and how far each one is on disk.
 
 All of it lies in the folder of models, so that a run that was stopped, or another one, goes on from there.
 """
@@ -14,6 +14,7 @@ from typing import Literal
 
 from physkin_core.mesh.mesh_file import SUFFIXES
 from physkin_training.config import load_config
+from physkin_training.fit_garment.sewn_mesh import PATTERN_SUFFIX
 from physkin_training.train.checkpoint import checkpoint_step
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
 ]
 
 RECIPE_SUFFIX = ".toml"
+ALLOWED = (*SUFFIXES, PATTERN_SUFFIX)
 STATUS, CHECKPOINT = "status.json", "checkpoint"
 
 Stage = Literal["finished", "resumes", "new"]
@@ -41,7 +43,8 @@ class CatalogueError(ValueError):
 
 @dataclass(frozen=True)
 class Job:
-    """One garment. mesh: its file. output: the model file to write. arguments: more of `physkin fit-garment`'s.
+    """One garment. mesh: its file, or its pattern's. output: the model file to write. arguments: more of
+    `physkin fit-garment`'s.
 
     avatar, rig: what it was made on and is looked at on; None for the body of the shipped garments. fingerprint: of all
     that the model depends on; a job that has another one is trained anew.
@@ -90,24 +93,25 @@ def find_jobs(
     avatar: str | None = None,
     rig: str | None = None,
 ) -> list[Job]:
-    """A job for each mesh directly in the folder. A .toml of the same name is its recipe, in place of `recipe`.
+    """A job for each mesh or pattern directly in the folder. A .toml of the same name is its recipe, in place of
+    `recipe`.
 
     length, arguments: options of `physkin fit-garment`; a garment trained with another length is trained anew. Raises
-    CatalogueError for a folder without meshes, two meshes of one name, or a .toml that belongs to none.
+    CatalogueError for a folder without any, two of one name, or a .toml that belongs to none.
     """
     if not folder.is_dir():
-        raise CatalogueError(f"{folder} is not a folder of garment meshes")
+        raise CatalogueError(f"{folder} is not a folder of garment meshes or patterns")
     files = sorted(path for path in folder.iterdir() if path.is_file())
     meshes: dict[str, Path] = {}
     for path in files:
-        if path.suffix.lower() in SUFFIXES:
+        if path.suffix.lower() in ALLOWED:
             if path.stem in meshes:
                 raise CatalogueError(
                     f"{meshes[path.stem]} and {path} would both become {path.stem}.safetensors: rename one"
                 )
             meshes[path.stem] = path
     if not meshes:
-        raise CatalogueError(f"{folder} holds no garment mesh; allowed: {', '.join(SUFFIXES)}")
+        raise CatalogueError(f"{folder} holds no garment mesh or pattern; allowed: {', '.join(ALLOWED)}")
     recipes = {path.stem: path for path in files if path.suffix.lower() == RECIPE_SUFFIX}
     for name, path in recipes.items():
         if name not in meshes and not (recipe and recipe.resolve() == path.resolve()):

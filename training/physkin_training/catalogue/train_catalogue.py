@@ -135,7 +135,7 @@ def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin train-catalogue`."""
     parser = argparse.ArgumentParser(prog="physkin train-catalogue", description=__doc__)
     parser.add_argument(
-        "folder", type=Path, metavar="FOLDER", help="garment meshes; NAME.toml beside one is its recipe"
+        "folder", type=Path, metavar="FOLDER", help="garment meshes and patterns; NAME.toml beside one is its recipe"
     )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="MODELS", help="folder to write")
     add_avatar_options(parser, made_on=True)

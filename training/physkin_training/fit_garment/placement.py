@@ -135,9 +135,9 @@ def buried(points: np.ndarray, body: BodySurface) -> float:
     return float((body.closest(points).distance < -BURIED).mean())
 
 
-def turned_over(points: np.ndarray, body: BodySurface) -> tuple[np.ndarray, float]:
-    """Points (n, 3) [m] head down where that fits best nearby, and what they cost there, as a share of what they cost
-    as they are."""
+def turned_over(points: np.ndarray, body: BodySurface) -> tuple[np.ndarray, np.ndarray, float]:
+    """Points (n, 3) [m] as they are and head down, each where it fits best nearby, and what they cost head down, as a
+    share of what they cost as they are."""
     fit = Fit(body)
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     starts = [np.array([0.0, 0.0, height]) for height in TURNED_HEIGHTS]
@@ -148,7 +148,8 @@ def turned_over(points: np.ndarray, body: BodySurface) -> tuple[np.ndarray, floa
         return turned + shift, cost
 
     over, cost = min(settled([1, -1, -1]), settled([-1, 1, -1]), key=lambda found: found[1])
-    return over, cost / settled([1, 1, 1])[1]
+    upright, own_cost = settled([1, 1, 1])
+    return upright, over, cost / own_cost
 
 
 def find_placement(vertices: np.ndarray, body: BodySurface) -> Placement:

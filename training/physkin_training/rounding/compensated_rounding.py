@@ -14,11 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["STEPS", "STEPS_OF_FOUR", "Rounding", "compensated_rounding"]
+from physkin_core.formats.packed_weights import MOST_STEPS, MOST_STEPS_IN_8_BITS
 
-STEPS, STEPS_OF_FOUR = 127, 511
-"""Of the largest network weight of a row, as native/src/kernels/packed_layer.cpp rounds; and of a row's columns 4 k,
-4 k + 1, ... where those have scales of their own, as `physkin_core.formats.packed_weights` stores them."""
+__all__ = ["Rounding", "compensated_rounding"]
+
 AT_ONCE = 64
 """Columns whose losses are handed on together to those after them."""
 
@@ -46,7 +45,7 @@ def compensated_rounding(weight: np.ndarray, square: np.ndarray, rounding: Round
     order = np.argsort(-np.diag(square), kind="stable")
     damped = square[np.ix_(order, order)] + rounding.damping * np.trace(square) / inputs * np.eye(inputs)
     takes_over = np.linalg.cholesky(np.linalg.inv(damped)).T
-    scales, most_steps = (4, STEPS_OF_FOUR) if rounding.four else (1, STEPS)
+    scales, most_steps = (4, MOST_STEPS) if rounding.four else (1, MOST_STEPS_IN_8_BITS)
     scale, left = order % scales, weight[:, order].astype(np.float64)
     size = np.abs(left)[:, :, None] * (scale[:, None] == np.arange(scales))
     largest = size.argmax(axis=1)
@@ -76,4 +75,4 @@ def _every(step: np.ndarray, rounding: Rounding) -> np.ndarray:
     if not rounding.alike:
         return np.full(step.shape, rounding.every)
     same = rounding.every * np.sqrt(np.mean(step**2))
-    return np.clip(np.rint(same / step), 1, STEPS).astype(int)
+    return np.clip(np.rint(same / step), 1, MOST_STEPS_IN_8_BITS).astype(int)
