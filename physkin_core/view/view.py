@@ -20,6 +20,7 @@ from physkin_core.outfit.outfit_options import (
     add_tucked_option,
     print_warnings,
 )
+from physkin_core.view.garment_files import GarmentFiles
 from physkin_core.view.page import Page
 
 __all__ = ["begin", "command_parser", "end_at_sigterm", "main"]
@@ -62,10 +63,19 @@ def _show(options: argparse.Namespace, loader: AssetLoader) -> int:
     end_at_sigterm()
     page = Page(host=options.host, port=options.port)
     viewer = Viewer(page, state, motion=motion)
+
+    def told(error: Exception | None) -> None:
+        if error is None:
+            page.notice("New garments", "A garment file was written anew, and is worn.")
+        else:
+            page.report(error)
+
+    files = GarmentFiles(state, told)
     try:
         begin(page, browser=not options.no_browser)
         page.run(viewer.tick)
     finally:
+        files.close()
         viewer.close()
     return 0
 

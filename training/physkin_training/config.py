@@ -45,7 +45,8 @@ class OptimisationConfig:
     until `growth` of the run. From `prune_from` to `prune_at` of the run, influences a vertex fall one by one to
     `garment_nodes.influences`; from `full_encoding` on, bodies are encoded from all 4096 points, before from
     `encoder_points` of them. `validate_every`: steps from one measurement of the moving average to the next, once range
-    and influences are final; the best one is exported. `steadiness` [J/m2]: weight of garment nodes that jump between
+    and influences are final; the best one is exported. `patience`: measurements without a better one after which the
+    run ends; 0 for all steps. `steadiness` [J/m2]: weight of garment nodes that jump between
     poses beside each other (see `Steadiness`). `other_bending`: share of the bodies whose cloth bends otherwise, from a
     quarter to 32 times as stiffly. Every second body of a step wears the garment made to measure.
     """
@@ -63,6 +64,7 @@ class OptimisationConfig:
     encoder_points: Count = 1024
     steadiness: Real = 1000.0
     validate_every: Count = 500
+    patience: Annotated[int, Field(strict=True, ge=0)] = 0
     other_bending: Share = 0.5
 
     def __post_init__(self) -> None:
@@ -134,10 +136,12 @@ def _as_material(data: object) -> object:
 
 @dataclass(frozen=True, config=STRICT)
 class TrainingConfig:
-    """All of one training run. name: of the model file. garment: mesh path, in a file relative to that file."""
+    """All of one training run. name: of the model file. garment: mesh path, in a file relative to that file. start: a
+    model of that mesh, likewise, whose garment nodes, networks and weights it begins with; default from nothing."""
 
     name: Annotated[str, Field(pattern=r"^\w[\w. -]*$")]
     garment: Path
+    start: Path | None = None
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 0
     train_bodies: Count = 512
     optimisation: OptimisationConfig = field(default_factory=OptimisationConfig)
@@ -155,8 +159,10 @@ class TrainingConfig:
             )
 
     def as_plain_data(self) -> dict:
-        """Tables, strings and numbers, for checkpoints and the model file; of the garment's path only the file name."""
-        return asdict(self) | {"garment": self.garment.name}
+        """Tables, strings and numbers, for checkpoints and the model file; of paths only the file names."""
+        plain = asdict(self)
+        start = plain.pop("start")
+        return plain | {"garment": self.garment.name} | ({"start": start.name} if start else {})
 
 
 def load_config(path: str | Path, *, name: str | None = None, garment: Path | None = None) -> TrainingConfig:
@@ -174,7 +180,8 @@ def load_config(path: str | Path, *, name: str | None = None, garment: Path | No
             config = TypeAdapter(TrainingConfig).validate_python(data)
         except ValidationError as error:
             raise ContentError("; ".join(map(_in_words, error.errors()))) from error
-    return replace(config, garment=(path.parent / config.garment).resolve())
+    start = config.start and (path.parent / config.start).resolve()
+    return replace(config, garment=(path.parent / config.garment).resolve(), start=start)
 
 
 def _in_words(error: dict) -> str:

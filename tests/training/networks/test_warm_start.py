@@ -10,7 +10,8 @@ import torch
 from training.small_runs import SMALL_DETAIL, exported, small_config
 
 from physkin_core.model.model_file import save_garment_model
-from physkin_training.config import DetailConfig
+from physkin_training.config import DetailConfig, load_config
+from physkin_training.fit_garment.fit_garment import as_toml
 from physkin_training.networks.export import agreement
 from physkin_training.networks.warm_start import NEW_INFLUENCE, take_over_model
 from physkin_training.train.trainer import Trainer
@@ -67,3 +68,17 @@ def test_other_models_are_refused(trained):
     wider = replace(config, networks=replace(config.networks, pose_hidden=25))
     with pytest.raises(ValueError, match=r"pose_modulator.layers.0.* is \(24, .*expected \(25, "):
         take_over_model(model, Trainer(wider, CPU).drape)
+
+
+def test_a_configuration_may_name_its_start(trained):
+    """Garment nodes are the start's, whatever would be sampled, and the run drapes as it does from the first step."""
+    folder, model = trained
+    other_nodes = replace(model, node_rest=model.node_rest + np.float32(0.01))
+    save_garment_model(other_nodes, folder / "start.safetensors")
+    config = replace(small_config(folder), start=folder / "start.safetensors")
+    trainer = Trainer(config, CPU)
+    assert torch.allclose(trainer.drape.node_rest, torch.as_tensor(other_nodes.node_rest), atol=1e-4)
+    assert trainer.started_from == {"model": "band", "seed": 5}
+    assert agreement(other_nodes, trainer.averaged, poses=2).largest < 1e-3
+    (folder / "start.toml").write_text(as_toml(config))
+    assert load_config(folder / "start.toml").start == config.start

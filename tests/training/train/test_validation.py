@@ -165,3 +165,12 @@ def test_the_export_is_the_best_model(tmp_path, monkeypatch, unfitted_normals):
     exported = drape_from_model(model).skinning_weights.detach().sort(dim=1).values
     first, second = (weights.sort(dim=1).values[:, -3:] for weights in averages)
     assert (exported - first).abs().max() < 0.2 * (second - first).abs().max()
+
+
+def test_patience_ends_a_run(tmp_path, monkeypatch):
+    """Two measurements without a better one after that of the third step; without patience all steps are taken."""
+    options = {"growth": 0.0, "prune_from": 0.0, "prune_at": 0.0, "validate_every": 1, "full_encoding": 1.0}
+    trainer = Trainer(small_config(tmp_path, patience=2, **options), CPU)
+    remaining = spoken(monkeypatch, [5.0, 4.0, 3.0, 3.5, 3.5, 1.0])
+    assert list(trainer.run(12)) == [1, 2, 3, 4, 5] and trainer.best.step == 3
+    assert trainer.settled and remaining == [1.0]

@@ -96,8 +96,9 @@ def find_jobs(
     """A job for each mesh or pattern directly in the folder. A .toml of the same name is its recipe, in place of
     `recipe`.
 
-    length, arguments: options of `physkin fit-garment`; a garment trained with another length is trained anew. Raises
-    CatalogueError for a folder without any, two of one name, or a .toml that belongs to none.
+    length, arguments: options of `physkin fit-garment`, of length and start of the training, and others; a garment
+    trained with other ones of the former is trained anew. Raises CatalogueError for a folder without any, two of one
+    name, or a .toml that belongs to none.
     """
     if not folder.is_dir():
         raise CatalogueError(f"{folder} is not a folder of garment meshes or patterns")

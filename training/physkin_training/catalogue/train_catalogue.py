@@ -41,7 +41,7 @@ def main(argv: list[str] | None = None) -> int:
     jobs = find_jobs(
         options.folder,
         options.output,
-        length=_given(options, "minutes", "steps"),
+        length=_given(options, "minutes", "steps", "from"),
         arguments=_arguments(options),
         **chosen,
     )

@@ -21,18 +21,23 @@ from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.mesh.mesh_file import read_mesh
-from physkin_core.model.model_file import load_garment_model
+from physkin_core.model.garment import load_garment
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_core.outfit.outfit_options import add_avatar_options, print_warnings
-from physkin_core.picture import PictureError, save_png
+from physkin_core.picture import PictureError, contact_sheet, save_png
 from physkin_training.config import TrainingConfig, load_config
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
+from physkin_training.fit_garment.first_model import NOTHING, chosen_start, first_look, write_first_model
 from physkin_training.fit_garment.own_pose import OwnPose
+from physkin_training.fit_garment.recipe import default_recipe, has_sizes_of, started_from
 from physkin_training.fit_garment.report import placement_picture, write_report
 from physkin_training.fit_garment.sewn_mesh import EDGE_LENGTH, PATTERN_SUFFIX, sewn_mesh
 from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.training_record import longer_or_not, read_losses, recorded_seconds, undertrained
 from physkin_training.fit_garment.verdicts import verdict_table
+from physkin_training.networks.likeness import Likeness
 from physkin_training.train import train
 from physkin_training.train.checkpoint import checkpoint_step
 from physkin_training.train.trainer import Trainer
@@ -49,6 +54,8 @@ MEASURING = 0.1
 """Share of the time in which steps are timed."""
 LEAST_MINUTES = {"cuda": 0.0, "cpu": 10.0}
 """Of the default recipe: a step takes seconds on a CPU, so that less would be refused after checks and measurements."""
+FIRST, START = "first.png", "start.safetensors"
+"""In the run's folder: a picture of the model before training, and the model."""
 FEWEST_STEPS = 100
 """Shorter runs do not even get through the warm-up."""
 ADVICE = "give more, or a smaller recipe with --recipe"
@@ -146,6 +153,11 @@ def add_training_options(parser: argparse.ArgumentParser) -> None:
         "--minutes", type=float, help="that a garment takes, report included (default: 15 on a GPU, 480 on a CPU)"
     )
     length.add_argument("--steps", type=int, help="of training, instead of minutes; the report comes on top")
+    parser.add_argument(
+        "--from",
+        metavar="NAME",
+        help=f"garment model whose networks training begins with, or {NOTHING} (default: the nearest shipped one)",
+    )
     parser.add_argument("--recipe", type=Path, metavar="TOML", help="training configuration to take all else from")
     parser.add_argument(
         "--checkpoint-every", type=float, default=5.0, metavar="MINUTES", help="while it trains (default 5)"
@@ -185,8 +197,8 @@ def _fit(options: argparse.Namespace) -> int:
     else:
         mesh = read_mesh(options.garment)
     checked = check_garment(mesh, avatar, template, own=own)
-    print(verdict_table(checked.verdicts))
     if checked.refused:
+        print(verdict_table(checked.verdicts))
         refused = checked.first("refused")
         print(
             f"error: {options.garment} cannot be trained: {refused.check}: {refused.found}; allowed: {refused.allowed}",
@@ -197,6 +209,9 @@ def _fit(options: argparse.Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     mesh = folder / "garment.obj"
     write_garment(mesh, checked)
+    likeness, verdict = chosen_start(load_garment(mesh), getattr(options, "from"))
+    checked = replace(checked, verdicts=(*checked.verdicts, verdict))
+    print(verdict_table(checked.verdicts))
     kept = f" with {checked.look}" if str(checked.look) else ""
     print(f"wrote {mesh}{kept}")
     _draw(folder / "placement.png", checked, avatar, template, own)
@@ -210,7 +225,7 @@ def _fit(options: argparse.Namespace) -> int:
         return REFUSED
     if options.check_only:
         return 0
-    return _train_and_report(options, checked, mesh, template, avatar, device, budget)
+    return _train_and_report(options, checked, mesh, likeness, template, avatar, device, budget)
 
 
 def _draw(path: Path, checked: CheckedGarment, avatar: Avatar, template: Avatar, own: OwnPose | None) -> None:
@@ -234,6 +249,7 @@ def _train_and_report(
     options: argparse.Namespace,
     checked: CheckedGarment,
     mesh: Path,
+    likeness: Likeness | None,
     template: Avatar,
     avatar: Avatar,
     device: torch.device,
@@ -245,7 +261,8 @@ def _train_and_report(
     if resumed:
         config, earlier, budget = load_config(configuration), recorded_seconds(losses), TimeBudget()
     else:
-        config, earlier = _configuration(options, mesh, device, budget), 0.0
+        start = _first_model(options, mesh, likeness, avatar)
+        config, earlier = _configuration(options, mesh, start, device, budget), 0.0
         configuration.write_text(as_toml(config))
         losses.unlink(missing_ok=True)
     began = budget.spent
@@ -253,7 +270,7 @@ def _train_and_report(
     arguments += ["--log-every", str(max(1, min(200, config.optimisation.steps // 200)))]
     arguments += ["--checkpoint-every", str(options.checkpoint_every)]
     arguments += ["--resume", str(checkpoint)] if resumed else []
-    status = train.main(arguments, within=max(_for_training(budget), 1.0))
+    status = train.main(arguments, within=max(_for_training(budget), 1.0), shown=output)
     if status:
         return status
     seconds = earlier + budget.spent - began
@@ -273,8 +290,9 @@ def _train_and_report(
         poses=options.poses,
     )
     found = {"seconds": seconds, "checks": [vars(verdict) for verdict in checked.verdicts]}
-    too_short = undertrained(scores, config.optimisation.steps)
-    advice = f"Undertrained. {too_short}" if too_short else longer_or_not(read_losses(losses))
+    rows = read_losses(losses)
+    too_short = undertrained(scores, rows[-1]["step"], begun=config.start is not None)
+    advice = f"Undertrained. {too_short}" if too_short else longer_or_not(rows)
     found |= {"figures": scores, "advice": advice}
     (folder / FIGURES).write_text(json.dumps(found, indent=1))
     print(f"wrote {output} and {report}, {budget.spent / 60:.1f} minutes in all")
@@ -283,10 +301,38 @@ def _train_and_report(
     return 0
 
 
-def _configuration(options: argparse.Namespace, mesh: Path, device: torch.device, budget: TimeBudget) -> TrainingConfig:
+def _first_model(
+    options: argparse.Namespace, mesh: Path, likeness: Likeness | None, avatar: Avatar
+) -> GarmentModel | None:
+    """Write what can be worn before training, and a picture of it; says how good it is. Returns it where training
+    begins with it."""
+    output, picture = options.output, mesh.with_name(FIRST)
+    model = write_first_model(output, mesh, likeness)
+    look = first_look(model, avatar, load_body_model())
+    print(f"wrote {output}, to be worn while it trains: {look}")
+    try:
+        save_png(picture, contact_sheet(look.picture(), columns=2))
+        print(f"wrote {picture}")
+    except PictureError as error:
+        print(f"no picture: {error}")
+    return likeness and model
+
+
+def _configuration(
+    options: argparse.Namespace, mesh: Path, start: GarmentModel | None, device: torch.device, budget: TimeBudget
+) -> TrainingConfig:
     """Of a new run: the recipe, with as many steps as were asked for or as there is time for."""
     name = options.output.stem
-    recipe = load_config(options.recipe, name=name, garment=mesh) if options.recipe else TrainingConfig(name, mesh)
+    if options.recipe:
+        recipe = load_config(options.recipe, name=name, garment=mesh)
+    else:
+        recipe = default_recipe(name, mesh, device)
+    if start is not None and has_sizes_of(recipe, start):
+        beside = mesh.with_name(START)
+        save_garment_model(start, beside)
+        recipe = started_from(recipe, beside)
+    elif start is not None:
+        log.warning("training begins with nothing: %s has other sizes than %s", options.recipe, start.name)
     steps = options.steps or choose_steps(recipe, device, budget)
     return replace(recipe, optimisation=replace(recipe.optimisation, steps=steps))
 

@@ -24,7 +24,13 @@ from physkin_training.evaluate.score_table import table
 from physkin_training.fit_garment.checks import CheckedGarment
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.time_budget import TimeBudget
-from physkin_training.fit_garment.training_record import longer_or_not, loss_curve, read_losses, undertrained
+from physkin_training.fit_garment.training_record import (
+    longer_or_not,
+    loss_curve,
+    read_losses,
+    taken_over,
+    undertrained,
+)
 from physkin_training.fit_garment.verdicts import COLUMNS
 
 __all__ = [
@@ -92,9 +98,9 @@ def write_report(
     more = int(min(poses, few * budget.left / taken))
     if more > few:
         scores = evaluate(more)
-    optimisation = model.training["optimisation"]
-    steps, samples = optimisation["steps"], optimisation["samples"]
-    rows, too_short = read_losses(losses), undertrained(scores, steps)
+    optimisation, rows = model.training["optimisation"], read_losses(losses)
+    steps, samples = rows[-1]["step"] if rows else optimisation["steps"], optimisation["samples"]
+    too_short = undertrained(scores, steps, begun="started_from" in model.training)
     counts = "{bodies} held-out bodies, {poses} poses each".format(**scores["counts"])
     parts = [
         f"<h1>{html.escape(model.name)}</h1>",
@@ -108,6 +114,7 @@ def write_report(
         f"<h2>Figures</h2><p>{counts}.</p>",
         html_table(table(scores)),
         "<h2>Training</h2>",
+        f"<p>{html.escape(taken_over(model.training, rows))}</p>",
         loss_curve(rows),
         f"<p>{longer_or_not(rows)}</p>",
     ]

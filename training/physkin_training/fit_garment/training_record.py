@@ -9,7 +9,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-__all__ = ["longer_or_not", "loss_curve", "read_losses", "recorded_seconds", "undertrained"]
+__all__ = ["longer_or_not", "loss_curve", "read_losses", "recorded_seconds", "taken_over", "undertrained"]
 
 LAST, STILL_FALLING = 0.25, 3.0
 """Share of the run at its end, and by how many percent the validation energy falls in it where more is worth while."""
@@ -59,13 +59,28 @@ def longer_or_not(rows: list[dict]) -> str:
     )
 
 
-def undertrained(scores: Mapping, steps: int) -> str:
+def taken_over(training: Mapping, rows: list[dict]) -> str:
+    """What a run began with, and how far it came from there, in words; "" of one that began with nothing.
+
+    training: of its model. rows: of its `losses.jsonl`.
+    """
+    if not (start := training.get("started_from", {}).get("carried_from")):
+        return ""
+    energies = [row["validation_energy"] for row in rows if "validation_energy" in row]
+    fell = f" The energy on the validation poses was {energies[0]:.4f} J at first." if energies else ""
+    return (
+        f"Garment nodes, networks and detail were taken over from {start}; they, the skinning weights and those for "
+        f"engines were learnt on.{fell}"
+    )
+
+
+def undertrained(scores: Mapping, steps: int, *, begun: bool = False) -> str:
     """What is to be said, in plain words, of a model that has not learnt enough to be used; "" of one that has.
 
-    scores: of `evaluate_model`. steps: of its training.
+    scores: of `evaluate_model`. steps: of its training. begun: with another garment's networks.
     """
     model, skinning = (scores[row]["edge_strain_percent"] for row in ("model", "skinning"))
-    if steps >= FEW_STEPS and model <= LITTLE_BETTER * skinning:
+    if (begun or steps >= FEW_STEPS) and model <= LITTLE_BETTER * skinning:
         return ""
     return (
         f"After {steps:,} steps the edges of the cloth are {model:.1f} % longer or shorter than at rest on average, "

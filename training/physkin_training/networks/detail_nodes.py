@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from physkin_core.model.garment import Garment
+from physkin_core.model.garment_model import GarmentModel
 from physkin_training.config import DetailConfig
 from physkin_training.networks.garment_nodes import initial_skinning_weights, sample_garment_nodes
 
@@ -35,3 +36,11 @@ class DetailNodeSet:
             return cls(vertices, config.features, np.arange(vertices)[:, None], np.ones((vertices, 1)))
         _, distances = sample_garment_nodes(garment, config.nodes)
         return cls(config.nodes, config.features, *initial_skinning_weights(garment, distances, config.influences))
+
+    @classmethod
+    def of_model(cls, model: GarmentModel) -> DetailNodeSet | None:
+        """Those of a garment model; None where it has none."""
+        if (detail := model.detail) is None:
+            return None
+        numbers, features = detail.offsets.shape
+        return cls(numbers // 3, features, detail.nodes, detail.weights)

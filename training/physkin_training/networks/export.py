@@ -112,16 +112,13 @@ def _detail(drape: Drape) -> Detail | None:
 def drape_from_model(model: GarmentModel) -> Drape:
     """The torch drape of a garment model (for evaluation, or to train on); its skinning weights for engines are the
     model's others."""
-    nodes = GarmentNodeSet(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
     detail = model.detail
-    detail_nodes = None
     state = {f"hyper_modulator.{key}": array for key, array in model.hyper_modulator.items()}
     if detail is not None:
-        numbers, features = detail.offsets.shape
-        detail_nodes = DetailNodeSet(numbers // 3, features, detail.nodes, detail.weights)
         state |= {"detail.features.weight": detail.features[0], "detail.features.bias": detail.features[1]}
         state["detail.offsets.weight"] = detail.offsets
-    drape = Drape(model.garment, nodes, model.rig, network_config(model), detail_nodes)
+    nodes = GarmentNodeSet.of_model(model), DetailNodeSet.of_model(model)
+    drape = Drape(model.garment, nodes[0], model.rig, network_config(model), nodes[1])
     for network in ("pose_modulator", "node_deformer"):
         for index, (weight, bias) in enumerate(getattr(model, network)):
             state |= {f"{network}.layers.{index}.weight": weight, f"{network}.layers.{index}.bias": bias}

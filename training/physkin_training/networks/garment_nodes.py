@@ -13,6 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from physkin_core.model.garment import Garment
+from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.garment_nodes import closest_bones
 from physkin_core.rig.rig import Rig
 
@@ -36,6 +37,11 @@ class GarmentNodeSet:
         rest = garment.vertices[vertices]
         nodes, weights = initial_skinning_weights(garment, distances, influences)
         return cls(rest, closest_bones(rest, rig.heads, rig.tails), nodes, weights)
+
+    @classmethod
+    def of_model(cls, model: GarmentModel) -> GarmentNodeSet:
+        """Those of a garment model, with its skinning weights."""
+        return cls(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
 
 
 def sample_garment_nodes(garment: Garment, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.hyper_modulator import BENDING_OCTAVES
+from physkin_core.model.model_file import save_garment_model
 from physkin_training.config import ConfigError, load_config
 from physkin_training.devices import DEFAULT_DEVICE
 from physkin_training.networks.export import ExportError, model_from_drape, store_checked
@@ -27,6 +28,8 @@ __all__ = ["command_parser", "export", "main"]
 
 log = logging.getLogger(__name__)
 INTERRUPTED = 130
+SHOWN_EVERY = 30.0
+"""[s] At least, from one model that is written on the way to the next."""
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -58,9 +61,9 @@ def command_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def main(argv: list[str] | None = None, *, within: float = math.inf) -> int:
+def main(argv: list[str] | None = None, *, within: float = math.inf, shown: Path | None = None) -> int:
     """Command line entry. within: seconds of training; where the run would take longer, steps are left out on the way
-    (in one process)."""
+    (in one process). shown: where the best model so far is written now and then while it trains."""
     arguments = command_parser().parse_args(argv)
     try:
         garment = arguments.garment
@@ -87,7 +90,7 @@ def main(argv: list[str] | None = None, *, within: float = math.inf) -> int:
     arguments.output.mkdir(parents=True, exist_ok=True)
     checkpoint = arguments.output / "checkpoint"
     try:
-        stopped = _train(trainer, arguments, checkpoint, within)
+        stopped = _train(trainer, arguments, checkpoint, within, shown)
         trainer.save(checkpoint)
     except TrainingDiverged as error:
         kept = f"; {checkpoint} is from before, start from it with a lower learning rate" if checkpoint.exists() else ""
@@ -152,13 +155,16 @@ class _Interrupt:
         signal.signal(signal.SIGINT, self._previous)
 
 
-def _train(trainer: Trainer, arguments: argparse.Namespace, checkpoint: Path, within: float) -> int | None:
+def _train(
+    trainer: Trainer, arguments: argparse.Namespace, checkpoint: Path, within: float, shown: Path | None
+) -> int | None:
     """Run to the end (returns None), until the time is up or until Ctrl-C (returns the exit status)."""
     steps = trainer.config.optimisation.steps
-    saved = time.perf_counter()
+    saved = written = time.perf_counter()
+    best = trainer.best
     with RunReports(trainer, arguments.output, every=arguments.log_every) as reports, _Interrupt() as interrupt:
         for step in trainer.run(steps):
-            report = step % arguments.log_every == 0 or step == steps
+            report = step % arguments.log_every == 0 or step == steps or trainer.settled
             late = report and step < steps and reports.seconds > 60 * arguments.stop_after
             due = time.perf_counter() - saved > 60 * arguments.checkpoint_every
             interrupted, due, late = trainer.processes.any(interrupt.requested, due, late)
@@ -167,29 +173,44 @@ def _train(trainer: Trainer, arguments: argparse.Namespace, checkpoint: Path, wi
             if due:
                 trainer.save(checkpoint)
                 saved = time.perf_counter()
+            if shown and trainer.best is not best and time.perf_counter() - written > SHOWN_EVERY:
+                save_garment_model(_best_model(trainer), shown)
+                best, written = trainer.best, time.perf_counter()
             if report:
                 reports.report()
-                if step < steps:
+                if step < steps and not trainer.settled:
                     on_time = int(steps * reports.seconds / within)
                     trainer.skip_to(max(step, min(on_time, steps - 1)))
             if late:
                 return 0
+    if trainer.settled:
+        waited = trainer.config.optimisation.patience
+        log.info("%d measurements brought none below that of step %d: it ends here", waited, trainer.best.step)
     return None
 
 
 def export(trainer: Trainer, path: Path) -> GarmentModel:
     """Write the model of the run's best drape, and return it. Raises ExportError, and writes nothing, when it drapes
     otherwise."""
-    config, drape, best = trainer.config, trainer.best_drape(), trainer.best
+    drape = trainer.best_drape()
+    if best := trainer.best:
+        log.info("the model is the one of step %d, with the lowest validation energy, %.4f J", best.step, best.energy)
+    model = _best_model(trainer)
+    model = replace(model, rest_normals=fitted_rest_normals(drape, trainer.garment, trainer.rig))
+    return store_checked(rounded_model(model, device=trainer.device), drape, path)
+
+
+def _best_model(trainer: Trainer) -> GarmentModel:
+    """Of the run's best drape, with the mesh's normals and network weights as they are."""
+    config, best = trainer.config, trainer.best
     training = config.as_plain_data() | {"step": best.step if best else trainer.step}
     training["bending_octaves"] = list(BENDING_OCTAVES)
     if best:
         training["validation_energy_j"] = best.energy
-        log.info("the model is the one of step %d, with the lowest validation energy, %.4f J", best.step, best.energy)
     if trainer.started_from:
         training["started_from"] = trainer.started_from
-    model = model_from_drape(
-        drape,
+    return model_from_drape(
+        trainer.best_drape(),
         trainer.garment,
         trainer.rig,
         name=config.name,
@@ -198,8 +219,6 @@ def export(trainer: Trainer, path: Path) -> GarmentModel:
         material=config.material,
         training=training,
     )
-    model = replace(model, rest_normals=fitted_rest_normals(drape, trainer.garment, trainer.rig))
-    return store_checked(rounded_model(model, device=trainer.device), drape, path)
 
 
 if __name__ == "__main__":

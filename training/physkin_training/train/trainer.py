@@ -65,9 +65,10 @@ class Trainer:
 
     `step` counts finished steps; `drape` is the model in training, `averaged` its exponential moving average, `best`
     the average with the lowest `validation_energy` [J] (the last one measured), both None until pose range and
-    influences are final. `started_from`: plain data on the run this one took its networks from, or None. `made` (S,):
-    which bodies of a step are worn made to measure. `body_model`: whose training bodies it takes, default the shipped
-    adults. Of several `processes` each makes a trainer and calls the same methods.
+    influences are final, but for a run with a `start`, which is measured first. `started_from`: plain data on the run
+    this one took its networks from, or None. `made` (S,): which bodies of a step are worn made to measure.
+    `body_model`: whose training bodies it takes, default the shipped adults. Of several `processes` each makes a
+    trainer and calls the same methods.
     """
 
     def __init__(
@@ -100,11 +101,14 @@ class Trainer:
             raise ValueError(f"train_bodies must be 1 to {len(body_model.train_bodies)}, got {config.train_bodies}")
         self.rig = body_model.rig
         self.garment = load_garment(config.garment)
-        nodes = GarmentNodeSet.sample(
-            self.garment, self.rig, config.garment_nodes.count, config.garment_nodes.initial_influences
-        )
+        start = config.start and load_garment_model(config.start)
+        if start:
+            nodes, detail = GarmentNodeSet.of_model(start), DetailNodeSet.of_model(start)
+        else:
+            sizes = config.garment_nodes
+            nodes = GarmentNodeSet.sample(self.garment, self.rig, sizes.count, sizes.initial_influences)
+            detail = DetailNodeSet.sample(self.garment, config.detail)
         self.nodes = nodes
-        detail = DetailNodeSet.sample(self.garment, config.detail)
         self.drape = Drape(self.garment, nodes, self.rig, config.networks, detail).to(device)
         bodies, swelling = training_bodies(body_model, config.train_bodies, seed=config.seed)
         self.bodies = BodySet(body_model, bodies, device, swelling=swelling)
@@ -116,6 +120,8 @@ class Trainer:
         self.posed_bodies = PosedBodies(body_model, self.bodies, self._samples, faces=wearing.faces)
         self._steadiness = Steadiness(self.drape, self.posed_bodies, optimisation.steadiness)
         self._normalise_nodes()
+        if start:
+            self.started_from = take_over_model(start, self.drape)
         self.processes.broadcast(list(self.drape.state_dict().values()))
         self.averaged = copy.deepcopy(self.drape).requires_grad_(False)
         self.losses = PhysicsLosses(
@@ -156,7 +162,9 @@ class Trainer:
     def run(self, steps: int) -> Iterator[int]:
         """Do up to `steps` steps, yielding the count of finished ones after each."""
         end = min(self.step + steps, self.config.optimisation.steps)
-        while self.step < end:
+        if self.step == 0 and self.config.start:
+            self._measure()
+        while self.step < end and not self.settled:
             self._set_schedules()
             self._recorded()
             self.step += 1
@@ -195,6 +203,13 @@ class Trainer:
             self._recorded()
             self.optimiser.turn_bases(done)
             yield done
+
+    @property
+    def settled(self) -> bool:
+        """Whether as many measurements as the configuration has patience for have brought none better."""
+        optimisation = self.config.optimisation
+        waited = self.step - self.best.step if self.best else 0
+        return bool(optimisation.patience) and waited >= optimisation.patience * optimisation.validate_every
 
     def skip_to(self, step: int) -> None:
         """Leave out the steps before `step`, where a run has become slower than it was when they were chosen."""
@@ -354,6 +369,9 @@ class Trainer:
             or last.engine_influences > nodes.engine_influences
         ):
             return
+        self._measure()
+
+    def _measure(self) -> None:
         with self._recorded.beside():
             self.validation_energy = self.validation.energy(self.averaged)
         if math.isfinite(self.validation_energy) and (self.best is None or self.validation_energy < self.best.energy):

@@ -1,0 +1,107 @@
+"""What can be worn before training: a model from the nearest shipped garment, a picture, and how far to trust it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar, avatar_from_body
+from physkin_core.avatar.body_model import BodyModel
+from physkin_core.check.garment_check import GarmentCheck, check_garment
+from physkin_core.model.garment import Garment, load_garment
+from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.model_file import load_garment_model, save_garment_model, shipped_models
+from physkin_core.outfit.draper import Draper
+from physkin_core.render.filming import dressed_meshes
+from physkin_training.evaluate.contact_sheet import chosen_poses
+from physkin_training.evaluate.plain_model import plain_model
+from physkin_training.fit_garment.verdicts import Verdict
+from physkin_training.networks.carried_model import carried_model
+from physkin_training.networks.likeness import NEAR, Likeness
+
+__all__ = ["NOTHING", "FirstLook", "chosen_start", "first_look", "write_first_model"]
+
+CHECK, NOTHING = "nearest garment", "nothing"
+CLOSE, ROUGH = 6.0, 12.0
+"""Mean edge strains [%] in everyday poses up to which it hangs nearly right, and roughly; shipped garments have 1 to
+4."""
+BODIES = 2
+"""Held-out bodies that it is looked at on."""
+
+
+def chosen_start(garment: Garment, name: str | None) -> tuple[Likeness | None, Verdict]:
+    """The garment that training begins with, None for nothing, and what is said of it.
+
+    name: of a garment model, or its file; `NOTHING`; or None for the nearest shipped one, if that is near. Raises as
+    `load_garment_model` does.
+    """
+    if name == NOTHING:
+        return None, Verdict(CHECK, "ok", "not looked for: training begins with nothing, as you asked", NEAR)
+    models = map(load_garment_model, [name] if name else shipped_models())
+    likeness = min((Likeness.between(garment, model) for model in models), key=lambda each: each.score)
+    if likeness.near or name:
+        return likeness, Verdict(CHECK, "ok", f"{likeness}; training begins with its networks", NEAR)
+    found = f"far from all; the nearest is {likeness}: training begins with nothing"
+    return None, Verdict(CHECK, "warning", found, NEAR)
+
+
+def write_first_model(path: Path, mesh: Path, likeness: Likeness | None) -> GarmentModel:
+    """The model of a mesh file before training, as `path`: the nearest garment's, carried over, or where there is none,
+    None, one of garment nodes that follow their bones."""
+    if likeness is None:
+        model = plain_model(mesh)
+    else:
+        model = carried_model(likeness.model, load_garment(mesh), name=path.stem)
+    save_garment_model(model, path)
+    return model
+
+
+@dataclass(frozen=True)
+class FirstLook:
+    """checks: how it is worn, on the user's avatar first; draper: who wears it there."""
+
+    checks: Sequence[GarmentCheck]
+    draper: Draper
+
+    @property
+    def strain(self) -> float:
+        """Mean edge strain in everyday poses [%]."""
+        return float(np.mean([check.everyday.edge_strain_percent for check in self.checks]))
+
+    @property
+    def inside(self) -> float:
+        """Share of the cloth inside the body in everyday poses [%]."""
+        return float(np.mean([check.everyday.inside_percent for check in self.checks]))
+
+    def __str__(self) -> str:
+        if self.strain <= CLOSE:
+            trust = "near to a trained garment: judge cut and fit by it"
+        elif self.strain <= ROUGH:
+            trust = "a sketch: judge length and place by it, not folds"
+        else:
+            trust = "a stand-in: only where it lies is right"
+        return (
+            f"{trust}. In everyday poses on {len(self.checks)} bodies edges strain by {self.strain:.1f} % (trained "
+            f"garments 1 to 4 %), {self.inside:.1f} % of the cloth is inside the body"
+        )
+
+    def picture(self) -> list[np.ndarray]:
+        """Front and back in an everyday pose."""
+        from physkin_training.fit_garment.report import front_and_back
+
+        poses, _ = chosen_poses(self.draper.model.rig, count=2, seed=0)
+        positions, gravity = poses.positions[1].numpy(), poses.gravity[1].numpy()
+        outfit = self.draper.outfit
+        cloth = self.draper.drape(positions, gravity)[:, :3]
+        return front_and_back(dressed_meshes(outfit, outfit.posed_body(positions), [cloth]))
+
+
+def first_look(model: GarmentModel, avatar: Avatar, body_model: BodyModel) -> FirstLook:
+    """Put it on the avatar and on some held-out bodies."""
+    draper = Draper(model, avatar)
+    others = [avatar_from_body(body_model, body) for body in body_model.held_out_bodies[:BODIES]]
+    drapers = [draper, *(Draper(model, body) for body in others)]
+    return FirstLook([check_garment(each.layer, each.avatar) for each in drapers], draper)

@@ -1,0 +1,58 @@
+"""How a garment of one's own is trained: from nothing or from the nearest shipped garment, on a GPU or on a CPU."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from physkin_core.model.garment_model import GarmentModel
+from physkin_training.config import DetailConfig, OptimisationConfig, TrainingConfig
+from physkin_training.networks.export import network_config
+
+__all__ = ["default_recipe", "has_sizes_of", "started_from"]
+
+DETAIL = DetailConfig(nodes=1024)
+OTHER_BENDING = 0.3
+ON_GPU = OptimisationConfig(samples=384, bodies=24, other_bending=OTHER_BENDING)
+ON_CPU = OptimisationConfig(samples=24, bodies=4, encoder_points=512, validate_every=50, other_bending=OTHER_BENDING)
+"""A step has to be short there, or there are too few."""
+BODIES_ON_CPU = 64
+"""Training bodies: the garment is graded to each before the first step."""
+GENTLE = {
+    "learning_rate": 5e-4,
+    "warm_up": 0.05,
+    "growth": 0.0,
+    "prune_from": 0.0,
+    "prune_at": 0.0,
+    "patience": 8,
+}
+"""Of a run that begins with what was learnt: all poses from the first step, rates that do not throw it away, and an end
+where it no longer falls."""
+
+
+def default_recipe(name: str, mesh: Path, device: torch.device) -> TrainingConfig:
+    """What shipped garments were trained with, in portions for the device."""
+    if device.type == "cuda":
+        return TrainingConfig(name, mesh, optimisation=ON_GPU, detail=DETAIL)
+    return TrainingConfig(name, mesh, optimisation=ON_CPU, detail=DETAIL, train_bodies=BODIES_ON_CPU)
+
+
+def has_sizes_of(recipe: TrainingConfig, model: GarmentModel) -> bool:
+    """Whether networks, garment nodes and detail are as large as the model's, so that a run can begin with it."""
+    detail = DetailConfig()
+    if model.detail is not None:
+        numbers, features = model.detail.offsets.shape
+        detail = DetailConfig(numbers // 3, features, model.detail.nodes.shape[1])
+    nodes = recipe.garment_nodes
+    return (
+        (recipe.networks, recipe.detail) == (network_config(model), detail)
+        and nodes.count == len(model.node_rest)
+        and nodes.initial_influences == model.influence_weights.shape[1]
+    )
+
+
+def started_from(recipe: TrainingConfig, start: Path) -> TrainingConfig:
+    """The recipe for a run that begins with a model of the garment."""
+    return replace(recipe, start=start, optimisation=replace(recipe.optimisation, **GENTLE))
