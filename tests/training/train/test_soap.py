@@ -2,7 +2,7 @@ import pytest
 import torch
 from torch.nn import Parameter
 
-from physkin_training.soap import TURN_EVERY, Soap
+from physkin_training.soap import LARGEST_SIDE, TURN_EVERY, Soap
 
 CPU = torch.device("cpu")
 
@@ -98,7 +98,7 @@ def test_a_parameter_in_units_moves_as_the_number_of_these_units_would():
 
 
 def test_large_sides_and_vectors_have_no_basis(monkeypatch):
-    monkeypatch.setattr("physkin_training.soap.LARGEST_SIDE", 10)
+    monkeypatch.setitem(LARGEST_SIDE, "cpu", 10)
     networks, others, optimiser = make()
     kinds = {"exp_avg", "exp_avg_sq"}
     assert optimiser.state[networks[0]].keys() == kinds | {"covariance_columns", "basis_columns"}

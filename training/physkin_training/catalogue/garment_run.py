@@ -42,7 +42,7 @@ def train_garment(job: Job, device: str) -> Status:
     if not goes_on:  # of another mesh or other settings, perhaps
         for ending in ("", ".previous", ".partial"):
             shutil.rmtree(job.folder / f"{CHECKPOINT}{ending}", ignore_errors=True)
-        for name in (PICTURE, fit_garment.FIGURES, "placement.png", "losses.jsonl"):
+        for name in (PICTURE, fit_garment.FIGURES, fit_garment.FIRST, "placement.png", "losses.jsonl"):
             (job.folder / name).unlink(missing_ok=True)
     write_status(job, status)
     with _into(job.folder / LOG):

@@ -13,7 +13,7 @@ from tabulate import tabulate
 
 from physkin_training.catalogue.garment_run import LOG, PICTURE
 from physkin_training.catalogue.plan import Job, Status, read_status, steps_taken
-from physkin_training.fit_garment.fit_garment import FIGURES
+from physkin_training.fit_garment.fit_garment import FIGURES, FIRST
 from physkin_training.fit_garment.report import badge, html_page
 
 __all__ = ["write_page"]
@@ -37,7 +37,7 @@ COLOURS = {
     "bad": "refused",
 }
 """State or verdict -> outcome of a check that has its colour."""
-PICTURES = {PICTURE: "jpeg", "placement.png": "png"}
+PICTURES = {PICTURE: "jpeg", FIRST: "png", "placement.png": "png"}
 """In a garment's folder, the best first, and its format."""
 WIDTH = 300
 SHOWN_OUTCOMES = ("repaired", "warning", "unsure", "refused")

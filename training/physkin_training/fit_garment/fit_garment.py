@@ -42,7 +42,7 @@ from physkin_training.train import train
 from physkin_training.train.checkpoint import checkpoint_step
 from physkin_training.train.trainer import Trainer
 
-__all__ = ["FIGURES", "add_training_options", "as_toml", "choose_steps", "command_parser", "main"]
+__all__ = ["FIGURES", "FIRST", "add_training_options", "as_toml", "choose_steps", "command_parser", "main"]
 
 log = logging.getLogger(__name__)
 DEFAULT_MINUTES = {"cuda": 15.0, "cpu": 480.0}
@@ -214,8 +214,9 @@ def _fit(options: argparse.Namespace) -> int:
     print(verdict_table(checked.verdicts))
     kept = f" with {checked.look}" if str(checked.look) else ""
     print(f"wrote {mesh}{kept}")
-    _draw(folder / "placement.png", checked, avatar, template, own)
     unsure = checked.first("unsure")
+    if unsure or options.check_only:
+        _draw(folder / "placement.png", checked, avatar, template, own)
     if unsure and not options.accept_placement:
         print(
             f"error: {options.garment}: {unsure.check} is in doubt: {unsure.found}. Export garment and avatar from one "
